@@ -1,0 +1,144 @@
+//! All agents of a few environments acting together: observations in, joint actions out.
+
+use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator, standard_normal};
+use sim::Environments;
+
+/// Buffers of one slot's agents; `E` environments, rows in their order.
+#[derive(Debug, Default)]
+pub(crate) struct Agents {
+    environments: usize,
+    sizes: Vec<Sizes>,
+    /// For each agent `[E, obs]`.
+    pub(crate) observation: Vec<Vec<f32>>,
+    /// For each agent `[E, H]`.
+    pub(crate) hidden: Vec<Vec<f32>>,
+    /// For each agent `[E, act]`.
+    pub(crate) mean: Vec<Vec<f32>>,
+    /// For each agent `[E, act]`.
+    pub(crate) action: Vec<Vec<f32>>,
+    /// For each agent `[E]`.
+    pub(crate) log_prob: Vec<Vec<f32>>,
+    /// `[E, A]`, agents side by side.
+    pub(crate) joint: Vec<f32>,
+    scratch: Scratch,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sizes {
+    observation: usize,
+    action: usize,
+    hidden: usize,
+}
+
+/// Whose noise is drawn.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Noise {
+    pub(crate) seed: RunSeed,
+    pub(crate) iteration: u64,
+    pub(crate) step: u32,
+}
+
+impl Agents {
+    /// Buffers for `policy` on these environments, recurrent states zero.
+    pub(crate) fn new(environments: &Environments, policy: &PolicySnapshot) -> Self {
+        let count = environments.count();
+        let sizes: Vec<Sizes> = policy
+            .agents
+            .iter()
+            .map(|agent| Sizes {
+                observation: agent.observation_size(),
+                action: agent.action_size(),
+                hidden: agent.hidden_size(),
+            })
+            .collect();
+        let rows = |width: fn(&Sizes) -> usize| {
+            sizes.iter().map(|size| vec![0.0; count * width(size)]).collect::<Vec<_>>()
+        };
+        Self {
+            environments: count,
+            observation: rows(|size| size.observation),
+            hidden: rows(|size| size.hidden),
+            mean: rows(|size| size.action),
+            action: rows(|size| size.action),
+            log_prob: rows(|_| 1),
+            joint: vec![0.0; count * sizes.iter().map(|size| size.action).sum::<usize>()],
+            scratch: Scratch::default(),
+            sizes,
+        }
+    }
+
+    /// Reads every agent's observation of every environment.
+    pub(crate) fn observe(&mut self, environments: &Environments) {
+        for (agent, (rows, size)) in self.observation.iter_mut().zip(&self.sizes).enumerate() {
+            for (environment, row) in rows.chunks_exact_mut(size.observation).enumerate() {
+                environments.observation(environment, agent, row);
+            }
+        }
+    }
+
+    /// Mean actions of every agent; recurrent states move on by a step.
+    pub(crate) fn think(&mut self, policy: &PolicySnapshot) {
+        for (agent, policy) in policy.agents.iter().enumerate() {
+            let (hidden, mean) = (&mut self.hidden[agent], &mut self.mean[agent]);
+            let observation = &self.observation[agent];
+            policy.forward(self.environments, observation, hidden, mean, &mut self.scratch);
+        }
+    }
+
+    /// Actions drawn around the means, and their log-densities. Each agent's noise in each
+    /// environment and step has its own key; `first` is the first environment's global index.
+    pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], noise: Noise) {
+        for (agent, policy) in policy.agents.iter().enumerate() {
+            let (width, sigma) = (self.sizes[agent].action, policy.sigma());
+            for (row, &environment) in indices.iter().enumerate() {
+                let key = Draw::of(Purpose::Action)
+                    .iteration(noise.iteration)
+                    .environment(environment)
+                    .step(noise.step)
+                    .agent(agent as u32);
+                let mut rng = generator(noise.seed, key);
+                let of = row * width..(row + 1) * width;
+                let (mean, action) = (&self.mean[agent][of.clone()], &mut self.action[agent][of]);
+                for ((action, mean), sigma) in action.iter_mut().zip(mean).zip(sigma) {
+                    *action = mean + sigma * standard_normal(&mut rng);
+                }
+                self.log_prob[agent][row] = policy::gaussian::log_prob(mean, sigma, action);
+            }
+        }
+    }
+
+    /// Takes the means as actions.
+    pub(crate) fn settle(&mut self) {
+        for (action, mean) in self.action.iter_mut().zip(&self.mean) {
+            action.copy_from_slice(mean);
+        }
+    }
+
+    /// The joint action `[E, A]`.
+    pub(crate) fn join(&mut self) -> &[f32] {
+        let total = self.joint.len() / self.environments;
+        let mut first = 0;
+        for (agent, size) in self.sizes.iter().enumerate() {
+            for (row, action) in self.action[agent].chunks_exact(size.action).enumerate() {
+                let from = row * total + first;
+                self.joint[from..from + size.action].copy_from_slice(action);
+            }
+            first += size.action;
+        }
+        &self.joint
+    }
+
+    /// Forgets: recurrent states of one environment become zero.
+    pub(crate) fn forget(&mut self, environment: usize) {
+        for (hidden, size) in self.hidden.iter_mut().zip(&self.sizes) {
+            hidden[environment * size.hidden..(environment + 1) * size.hidden].fill(0.0);
+        }
+    }
+
+    /// Sets the recurrent states of one environment, for each agent `[H]`.
+    pub(crate) fn remember(&mut self, environment: usize, recurrent: &[Vec<f32>]) {
+        for ((hidden, size), own) in self.hidden.iter_mut().zip(&self.sizes).zip(recurrent) {
+            hidden[environment * size.hidden..(environment + 1) * size.hidden].copy_from_slice(own);
+        }
+    }
+}

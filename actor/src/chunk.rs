@@ -1,0 +1,102 @@
+//! Collects steps into the chunks that travel.
+
+use proto::{AgentChunk, FinalStep, SlotEnd, TrajectoryChunk};
+use sim::{Environments, Outcome};
+
+use crate::acting::Agents;
+
+/// The chunk that is being filled.
+#[derive(Debug)]
+pub(crate) struct ChunkBuilder {
+    chunk: TrajectoryChunk,
+    state: Vec<f32>,
+}
+
+impl ChunkBuilder {
+    /// An empty chunk, number `sequence` of its slot, that begins at step `first_step`.
+    pub(crate) fn new(sequence: u32, first_step: u32, environments: &Environments) -> Self {
+        let description = environments.description();
+        let nothing = || AgentChunk {
+            observation: Vec::new(),
+            action: Vec::new(),
+            log_prob: Vec::new(),
+            hidden: Vec::new(),
+        };
+        let chunk = TrajectoryChunk {
+            sequence,
+            first_step,
+            steps: 0,
+            agents: description.agents.iter().map(|_| nothing()).collect(),
+            state: Vec::new(),
+            reward: Vec::new(),
+            terminated: Vec::new(),
+            truncated: Vec::new(),
+            finals: Vec::new(),
+            end: None,
+        };
+        Self { chunk, state: vec![0.0; description.state.len()] }
+    }
+
+    /// The recurrent states before the next step.
+    pub(crate) fn store_hidden(&mut self, agents: &Agents) {
+        for (chunk, hidden) in self.chunk.agents.iter_mut().zip(&agents.hidden) {
+            chunk.hidden.extend_from_slice(hidden);
+        }
+    }
+
+    /// What the agents see and the global state, before the step.
+    pub(crate) fn push_observation(&mut self, agents: &Agents, environments: &Environments) {
+        for (chunk, observation) in self.chunk.agents.iter_mut().zip(&agents.observation) {
+            chunk.observation.extend_from_slice(observation);
+        }
+        for environment in 0..environments.count() {
+            environments.state(environment, &mut self.state);
+            self.chunk.state.extend_from_slice(&self.state);
+        }
+    }
+
+    /// What the agents did and what came of it.
+    pub(crate) fn push_step(&mut self, agents: &Agents, outcomes: &[Outcome]) {
+        for (agent, chunk) in self.chunk.agents.iter_mut().enumerate() {
+            chunk.action.extend_from_slice(&agents.action[agent]);
+            chunk.log_prob.extend_from_slice(&agents.log_prob[agent]);
+        }
+        self.chunk.reward.extend(outcomes.iter().map(|outcome| outcome.reward));
+        self.chunk.terminated.extend(outcomes.iter().map(|outcome| outcome.terminated));
+        self.chunk.truncated.extend(outcomes.iter().map(|outcome| outcome.truncated));
+        self.chunk.steps += 1;
+    }
+
+    /// The true state and observations after step `step`, before any reset.
+    pub(crate) fn push_final(&mut self, step: u32, environment: usize, world: &Environments) {
+        let description = world.description();
+        let mut state = vec![0.0; description.state.len()];
+        world.state(environment, &mut state);
+        let observe = |(agent, shape): (usize, &sim::AgentDescription)| {
+            let mut row = vec![0.0; shape.observation.len()];
+            world.observation(environment, agent, &mut row);
+            row
+        };
+        let observation = description.agents.iter().enumerate().map(observe).collect();
+        let environment = environment as u32;
+        self.chunk.finals.push(FinalStep { step, environment, state, observation });
+    }
+
+    /// Steps in the chunk so far.
+    pub(crate) fn steps(&self) -> u32 {
+        self.chunk.steps
+    }
+
+    /// The chunk, and a new one that follows it in its place.
+    pub(crate) fn take(&mut self, environments: &Environments) -> TrajectoryChunk {
+        let (sequence, first) = (self.chunk.sequence + 1, self.chunk.first_step + self.chunk.steps);
+        std::mem::replace(self, Self::new(sequence, first, environments)).chunk
+    }
+
+    /// Where the slot's environments and agents stand, on its last chunk.
+    pub(crate) fn close(&mut self, agents: &Agents, environments: &Environments) {
+        let states = (0..environments.count()).map(|index| environments.encode(index));
+        let end = SlotEnd { environments: states.collect(), recurrent: agents.hidden.clone() };
+        self.chunk.end = Some(end);
+    }
+}

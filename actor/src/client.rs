@@ -1,0 +1,219 @@
+//! The learner as an actor calls it: one connection, deadlines, weights by version.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use policy::PolicySnapshot;
+use proto::wire::get_weights_response::Part;
+use proto::wire::learner_service_client::LearnerServiceClient;
+use proto::{
+    Beat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, PolicyVersion, Registered, Registration,
+    RunDescription, WeightsName, wire,
+};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Request, Status, Streaming};
+
+use crate::config::Config;
+use crate::error::ActorError;
+
+/// Longest wait for an answer that the learner can give at once.
+const CALL_DEADLINE: Duration = Duration::from_secs(10);
+/// How long the learner may keep a request for work open.
+const LEASE_WAIT_MILLIS: u32 = 10_000;
+/// Snapshots that are kept.
+const KEPT_WEIGHTS: usize = 3;
+/// A snapshot larger than this is none of ours.
+const MAX_WEIGHTS_BYTES: u64 = 1 << 30;
+/// Results that may wait for their acknowledgement.
+pub(crate) const MAX_UNACKNOWLEDGED: usize = 4;
+
+/// The open stream of results, and the acknowledgements that come back.
+pub(crate) struct PushStream {
+    pub(crate) results: mpsc::Sender<wire::PushTrajectoryRequest>,
+    pub(crate) acknowledgements: Streaming<wire::PushTrajectoryResponse>,
+}
+
+/// A connection to the learner.
+#[derive(Clone)]
+pub(crate) struct Client {
+    service: LearnerServiceClient<Channel>,
+}
+
+/// Snapshots by version.
+#[derive(Default)]
+pub(crate) struct WeightsCache {
+    snapshots: BTreeMap<PolicyVersion, (WeightsName, Arc<PolicySnapshot>)>,
+}
+
+impl Client {
+    /// Connects; the learner must answer within the deadline.
+    pub(crate) async fn connect(config: &Config) -> Result<Self, ActorError> {
+        let endpoint = Endpoint::from_shared(config.learner.clone())
+            .map_err(|error| ActorError::Url {
+                url: config.learner.clone(),
+                why: error.to_string(),
+            })?
+            .connect_timeout(CALL_DEADLINE)
+            .http2_keep_alive_interval(Duration::from_secs(30))
+            .keep_alive_timeout(Duration::from_secs(10))
+            .keep_alive_while_idle(true)
+            .tcp_nodelay(true);
+        let channel = endpoint
+            .connect()
+            .await
+            .map_err(|error| ActorError::Refused(Status::unavailable(causes(&error))))?;
+        let service = LearnerServiceClient::new(channel)
+            .max_decoding_message_size(MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(MAX_MESSAGE_BYTES);
+        Ok(Self { service })
+    }
+
+    pub(crate) async fn describe_run(&mut self) -> Result<RunDescription, ActorError> {
+        let request = within(CALL_DEADLINE, wire::DescribeRunRequest {});
+        let answer = self.service.describe_run(request).await?.into_inner();
+        let run = RunDescription::from_wire(answer.run)?;
+        run.validate()?;
+        Ok(run)
+    }
+
+    pub(crate) async fn register(&mut self, own: &Registration) -> Result<Registered, ActorError> {
+        let request = within(CALL_DEADLINE, own.to_wire());
+        Ok(Registered::from_wire(&self.service.register(request).await?.into_inner()))
+    }
+
+    pub(crate) async fn lease(
+        &mut self,
+        own: &Registered,
+        run: &RunDescription,
+    ) -> Result<LeaseAnswer, ActorError> {
+        let message = wire::LeaseSlotsRequest {
+            actor_id: own.actor.0,
+            incarnation: own.incarnation.0,
+            wait_millis: LEASE_WAIT_MILLIS,
+        };
+        let deadline = CALL_DEADLINE + Duration::from_millis(LEASE_WAIT_MILLIS.into());
+        let answer = self.service.lease_slots(within(deadline, message)).await?.into_inner();
+        Ok(LeaseAnswer::from_wire(answer, run)?)
+    }
+
+    pub(crate) async fn heartbeat(&mut self, beat: &Beat) -> Result<HeartbeatAnswer, ActorError> {
+        let answer = self.service.heartbeat(within(CALL_DEADLINE, beat.to_wire())).await?;
+        Ok(HeartbeatAnswer::from_wire(&answer.into_inner())?)
+    }
+
+    pub(crate) async fn open_push(&mut self) -> Result<PushStream, ActorError> {
+        let (results, queue) = mpsc::channel(MAX_UNACKNOWLEDGED);
+        let answer = self.service.push_trajectory(ReceiverStream::new(queue)).await?;
+        Ok(PushStream { results, acknowledgements: answer.into_inner() })
+    }
+
+    /// The snapshot of this name, fetched unless it is held already.
+    pub(crate) async fn weights(
+        &mut self,
+        cache: &mut WeightsCache,
+        name: WeightsName,
+    ) -> Result<Arc<PolicySnapshot>, ActorError> {
+        if let Some((held, snapshot)) = cache.snapshots.get(&name.version)
+            && *held == name
+        {
+            return Ok(Arc::clone(snapshot));
+        }
+        let bytes = self.fetch(name).await?;
+        let snapshot = PolicySnapshot::from_bytes(&bytes)
+            .map_err(|error| wrong_weights(name, error.to_string()))?;
+        Ok(cache.keep(name, Arc::new(snapshot)))
+    }
+
+    async fn fetch(&mut self, name: WeightsName) -> Result<Vec<u8>, ActorError> {
+        let request = wire::GetWeightsRequest { weights: Some(name.to_wire()) };
+        let mut parts = self.service.get_weights(request).await?.into_inner();
+        let mut bytes = Vec::new();
+        let mut total = None;
+        while let Some(part) = next(&mut parts).await? {
+            match (part.part, total) {
+                (Some(Part::Header(header)), None) => total = Some(size(&header, name)?),
+                (Some(Part::Data(data)), Some(total)) if bytes.len() + data.len() <= total => {
+                    bytes.extend_from_slice(&data);
+                }
+                _ => return Err(wrong_weights(name, "parts out of order or too long".to_owned())),
+            }
+        }
+        if policy::digest(&bytes) != name.digest.0 {
+            let length = bytes.len();
+            return Err(wrong_weights(name, format!("{length} bytes with another digest")));
+        }
+        Ok(bytes)
+    }
+}
+
+impl WeightsCache {
+    fn keep(&mut self, name: WeightsName, snapshot: Arc<PolicySnapshot>) -> Arc<PolicySnapshot> {
+        self.snapshots.insert(name.version, (name, Arc::clone(&snapshot)));
+        while self.snapshots.len() > KEPT_WEIGHTS {
+            self.snapshots.pop_first();
+        }
+        snapshot
+    }
+}
+
+impl From<Status> for ActorError {
+    fn from(status: Status) -> Self {
+        Self::Refused(status)
+    }
+}
+
+/// Whether trying again, from a new connection on, can help.
+pub(crate) fn may_pass(error: &ActorError) -> bool {
+    let ActorError::Refused(status) = error else {
+        return matches!(error, ActorError::Weights { .. });
+    };
+    !matches!(
+        status.code(),
+        Code::InvalidArgument
+            | Code::FailedPrecondition
+            | Code::PermissionDenied
+            | Code::Unauthenticated
+            | Code::Unimplemented
+            | Code::OutOfRange
+    )
+}
+
+/// The next message of a stream, within the deadline.
+async fn next<M>(stream: &mut Streaming<M>) -> Result<Option<M>, ActorError> {
+    match tokio::time::timeout(CALL_DEADLINE, stream.message()).await {
+        Ok(message) => Ok(message?),
+        Err(_) => Err(Status::deadline_exceeded("the learner stopped sending weights").into()),
+    }
+}
+
+fn size(header: &wire::WeightsHeader, name: WeightsName) -> Result<usize, ActorError> {
+    let total = header.total_bytes;
+    if total > MAX_WEIGHTS_BYTES {
+        return Err(wrong_weights(name, format!("{total} bytes, at most {MAX_WEIGHTS_BYTES}")));
+    }
+    Ok(total as usize)
+}
+
+fn wrong_weights(name: WeightsName, why: String) -> ActorError {
+    ActorError::Weights { version: name.version.0, why }
+}
+
+fn within<M>(deadline: Duration, message: M) -> Request<M> {
+    let mut request = Request::new(message);
+    request.set_timeout(deadline);
+    request
+}
+
+/// An error with what caused it, in one line.
+fn causes(error: &dyn std::error::Error) -> String {
+    let mut line = error.to_string();
+    let mut source = error.source();
+    while let Some(cause) = source {
+        line = format!("{line}: {cause}");
+        source = cause.source();
+    }
+    line
+}

@@ -1,0 +1,64 @@
+//! One whole episode with mean actions: what evaluation, `eval` and recordings play.
+
+use policy::PolicySnapshot;
+use rand::RngCore;
+use sim::{Environments, Outcome};
+
+use crate::acting::Agents;
+
+/// What an episode came to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Episode {
+    /// Sum of extrinsic rewards.
+    pub extrinsic_return: f64,
+    /// Steps until it ended.
+    pub steps: u32,
+}
+
+/// A step of an episode that is being played.
+pub struct PlayedStep<'a> {
+    /// The world after the step.
+    pub world: &'a Environments,
+    /// Every agent's action, agents side by side, `[A]`.
+    pub action: &'a [f32],
+    /// What came of it.
+    pub outcome: Outcome,
+    /// Steps done, this one included.
+    pub step: u32,
+}
+
+/// Plays environment 0 from a start drawn with `rng` to the end of its episode, every agent taking
+/// its mean action, and shows each step to `on_step`. `world` has one environment.
+pub fn play_episode(
+    world: &mut Environments,
+    policy: &PolicySnapshot,
+    rng: &mut impl RngCore,
+    mut on_step: impl FnMut(&PlayedStep<'_>),
+) -> Episode {
+    world.reset(0, 0, world.description().episode_steps, rng);
+    play_on(world, policy, &mut on_step)
+}
+
+/// As [`play_episode`], from where environment 0 stands.
+pub(crate) fn play_on(
+    world: &mut Environments,
+    policy: &PolicySnapshot,
+    on_step: &mut impl FnMut(&PlayedStep<'_>),
+) -> Episode {
+    let mut agents = Agents::new(world, policy);
+    let mut outcomes = vec![Outcome::default(); world.count()];
+    let mut episode = Episode::default();
+    loop {
+        agents.observe(world);
+        agents.think(policy);
+        agents.settle();
+        world.step(agents.join(), &mut outcomes);
+        let outcome = outcomes[0];
+        episode.extrinsic_return += f64::from(outcome.reward);
+        episode.steps += 1;
+        on_step(&PlayedStep { world, action: &agents.joint, outcome, step: episode.steps });
+        if outcome.terminated || outcome.truncated {
+            return episode;
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Steps environments with the newest weights and streams trajectories to the learner.
+//!
+//! An actor knows no learning rule: a lease tells what to roll out, the policy snapshot tells how to
+//! act. [`run()`] is the whole life of an actor process; the stepping thread is joined to the network
+//! by bounded queues, and what it computes is a pure function of lease and weights ([`roll_out`]).
+
+mod acting;
+mod chunk;
+mod client;
+pub mod config;
+pub mod error;
+pub mod evaluation;
+pub mod identity;
+mod leasing;
+pub mod recording;
+pub mod rollout;
+pub mod run;
+mod stepping;
+
+pub use config::Config;
+pub use error::ActorError;
+pub use evaluation::{Episode, PlayedStep, play_episode};
+pub use identity::{environment_spec, rollout_fingerprint};
+pub use recording::{RecordError, RecordSummary, record};
+pub use rollout::roll_out;
+pub use run::run;

@@ -1,0 +1,124 @@
+//! Episodes as MCAP files that Foxglove shows without set-up and any MCAP reader opens.
+//!
+//! Topics: `/tf` (every link's frame), `/scene` (the links' real shapes and the floor, once per
+//! episode), `/joint_states`, and as JSON `/agents/I/action` and `/episode`. Times count from 0 in
+//! simulated time; episodes follow one another with a second between them.
+
+mod channels;
+mod scene;
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
+use sim::{Environments, SimError, TaskConfig};
+use thiserror::Error;
+
+use crate::evaluation::{Episode, PlayedStep, play_on};
+use crate::recording::channels::Channels;
+
+/// Name of the metadata record that tells which run and policy the file shows.
+pub const METADATA_NAME: &str = "s2mia.run";
+
+/// Why there is no recording.
+#[derive(Debug, Error)]
+pub enum RecordError {
+    /// The file cannot be written or read back.
+    #[error("cannot write the file: {0}")]
+    File(#[from] std::io::Error),
+    /// The MCAP format got in the way.
+    #[error("MCAP: {0}")]
+    Format(#[from] mcap::McapError),
+    /// The task cannot be built.
+    #[error(transparent)]
+    Task(#[from] SimError),
+    /// A message cannot be encoded.
+    #[error("message on {topic}: {why}")]
+    Message {
+        /// Its topic.
+        topic: String,
+        /// What is wrong.
+        why: String,
+    },
+    /// Reading the file back found another number of messages.
+    #[error("the file holds {found} messages, {written} were written")]
+    Verification {
+        /// Messages written.
+        written: u64,
+        /// Messages read back.
+        found: u64,
+    },
+}
+
+/// What a recording holds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RecordSummary {
+    /// The episodes, in their order.
+    pub episodes: Vec<Episode>,
+    /// Messages in the file.
+    pub messages: u64,
+    /// Bytes of the file.
+    pub bytes: u64,
+}
+
+/// Plays `episodes` episodes with mean actions, the first states drawn with `seed`, and writes them to
+/// `path`. The file is flushed to the disk, closed, read back and counted.
+///
+/// # Errors
+/// If the task cannot be built or the file not be written or read back whole.
+pub fn record(
+    task: &TaskConfig,
+    policy: &PolicySnapshot,
+    seed: RunSeed,
+    episodes: u32,
+    path: &Path,
+    metadata: &BTreeMap<String, String>,
+) -> Result<RecordSummary, RecordError> {
+    let mut world = Environments::new(task, 1)?;
+    let mut channels = Channels::create(BufWriter::new(File::create(path)?), &world)?;
+    channels.describe(task, metadata)?;
+    let mut summary = RecordSummary::default();
+    for episode in 0..episodes {
+        let mut rng = generator(seed, Draw::of(Purpose::Recording).environment(episode));
+        world.reset(0, 0, world.description().episode_steps, &mut rng);
+        summary.episodes.push(record_episode(&mut world, policy, episode, &mut channels)?);
+    }
+    summary.messages = channels.finish()?;
+    summary.bytes = std::fs::metadata(path)?.len();
+    verify(path, summary.messages)?;
+    Ok(summary)
+}
+
+fn record_episode(
+    world: &mut Environments,
+    policy: &PolicySnapshot,
+    index: u32,
+    channels: &mut Channels<BufWriter<File>>,
+) -> Result<Episode, RecordError> {
+    channels.scene(&scene::update(&world.description().task, channels.now())?)?;
+    channels.pose(world)?;
+    let mut written = Ok(());
+    let mut total = 0.0;
+    let episode = play_on(world, policy, &mut |step: &PlayedStep<'_>| {
+        total += f64::from(step.outcome.reward);
+        if written.is_ok() {
+            written = channels.step(step, index, total);
+        }
+    });
+    written?;
+    channels.pause();
+    Ok(episode)
+}
+
+/// Reads the whole file back, checksums included.
+fn verify(path: &Path, written: u64) -> Result<(), RecordError> {
+    let bytes = std::fs::read(path)?;
+    let mut found = 0;
+    for message in mcap::MessageStream::new(&bytes)? {
+        message?;
+        found += 1;
+    }
+    if found == written { Ok(()) } else { Err(RecordError::Verification { written, found }) }
+}

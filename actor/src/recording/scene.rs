@@ -1,0 +1,117 @@
+//! The robot's real shapes as a Foxglove scene.
+
+use foxglove::messages::{
+    Color, CubePrimitive, CylinderPrimitive, Pose, SceneEntity, SceneUpdate, SpherePrimitive,
+    Timestamp, Vector3,
+};
+use sim::{LinkShape, Shape, SimError};
+
+use super::channels::{quaternion, vector};
+
+const LINK: Color = Color { r: 0.90, g: 0.56, b: 0.20, a: 1.0 };
+const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };
+/// Length and width of the floor's part that is drawn, metres.
+const FLOOR_SIZE: (f64, f64) = (400.0, 4.0);
+const FLOOR_THICKNESS: f64 = 0.02;
+
+/// One entity per shape, locked to its link's frame, and the floor.
+pub(super) fn update(task: &str, now: Timestamp) -> Result<SceneUpdate, SimError> {
+    let shapes = sim::shapes(task)?;
+    let mut entities = vec![floor(now)];
+    entities.extend(shapes.iter().enumerate().map(|(index, shape)| entity(index, shape, now)));
+    Ok(SceneUpdate { deletions: Vec::new(), entities })
+}
+
+fn entity(index: usize, shape: &LinkShape, now: Timestamp) -> SceneEntity {
+    let mut entity = SceneEntity {
+        timestamp: Some(now),
+        frame_id: shape.link.clone(),
+        id: format!("{}-{index}", shape.link),
+        frame_locked: true,
+        ..SceneEntity::default()
+    };
+    match shape.shape {
+        Shape::Sphere { radius } => entity.spheres.push(sphere(shape, 0.0, radius)),
+        Shape::Capsule { half_length, radius } => {
+            entity.cylinders.push(cylinder(shape, half_length, radius));
+            entity.spheres.push(sphere(shape, half_length, radius));
+            entity.spheres.push(sphere(shape, -half_length, radius));
+        }
+    }
+    entity
+}
+
+fn floor(now: Timestamp) -> SceneEntity {
+    let (x, y) = FLOOR_SIZE;
+    let below = Vector3 { x: 0.0, y: 0.0, z: -FLOOR_THICKNESS / 2.0 };
+    let cube = CubePrimitive {
+        pose: Some(Pose { position: Some(below), orientation: Some(quaternion([0., 0., 0., 1.])) }),
+        size: Some(Vector3 { x, y, z: FLOOR_THICKNESS }),
+        color: Some(FLOOR),
+    };
+    SceneEntity {
+        timestamp: Some(now),
+        frame_id: "world".to_owned(),
+        id: "floor".to_owned(),
+        frame_locked: true,
+        cubes: vec![cube],
+        ..SceneEntity::default()
+    }
+}
+
+fn cylinder(shape: &LinkShape, half_length: f32, radius: f32) -> CylinderPrimitive {
+    let (width, length) = (2.0 * radius, 2.0 * half_length);
+    CylinderPrimitive {
+        pose: Some(pose(shape, 0.0)),
+        size: Some(vector([width, width, length])),
+        bottom_scale: 1.0,
+        top_scale: 1.0,
+        color: Some(LINK),
+    }
+}
+
+/// A ball on the shape's axis, `along` metres from its middle.
+fn sphere(shape: &LinkShape, along: f32, radius: f32) -> SpherePrimitive {
+    SpherePrimitive {
+        pose: Some(pose(shape, along)),
+        size: Some(vector([2.0 * radius; 3])),
+        color: Some(LINK),
+    }
+}
+
+fn pose(shape: &LinkShape, along: f32) -> Pose {
+    let axis = z_axis(shape.quaternion);
+    let at = |i: usize| shape.position[i] + along * axis[i];
+    Pose {
+        position: Some(vector([at(0), at(1), at(2)])),
+        orientation: Some(quaternion(shape.quaternion)),
+    }
+}
+
+/// Where a rotation takes the z axis.
+fn z_axis([x, y, z, w]: [f32; 4]) -> [f32; 3] {
+    [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quarter_turn_about_y_takes_z_to_x() {
+        let half = core::f32::consts::FRAC_1_SQRT_2;
+        let axis = z_axis([0.0, half, 0.0, half]);
+        assert!((axis[0] - 1.0).abs() < 1e-6 && axis[1].abs() < 1e-6 && axis[2].abs() < 1e-6);
+    }
+
+    #[test]
+    fn every_capsule_has_two_round_ends_and_the_floor_is_there() {
+        let scene = update("halfcheetah-2x3", Timestamp::MIN).expect("a task");
+        let (cylinders, spheres): (usize, usize) =
+            scene.entities.iter().fold((0, 0), |sum, entity| {
+                (sum.0 + entity.cylinders.len(), sum.1 + entity.spheres.len())
+            });
+        assert_eq!((cylinders, spheres), (8, 16));
+        assert!(scene.entities.iter().any(|entity| entity.id == "floor"));
+    }
+}

@@ -1,0 +1,145 @@
+//! One slot, from its lease to its last chunk: a pure function of the lease and the weights.
+
+use std::ops::ControlFlow;
+
+use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
+use proto::{RolloutWork, RunDescription, Start, TrajectoryChunk};
+use sim::{Environments, Outcome, SimError};
+
+use crate::acting::{Agents, Noise};
+use crate::chunk::ChunkBuilder;
+
+/// A slot in the making.
+struct Slot<'a> {
+    run: &'a RunDescription,
+    work: &'a RolloutWork,
+    policy: &'a PolicySnapshot,
+    world: &'a mut Environments,
+    agents: Agents,
+    indices: Vec<u32>,
+    outcomes: Vec<Outcome>,
+    chunk: ChunkBuilder,
+}
+
+/// Rolls out every step of `work` and hands each chunk to `emit` as soon as it is full; `emit` may
+/// break off. Calls `tick` with the number of steps done before each step.
+///
+/// # Errors
+/// If the lease's environment states are none of this task's.
+pub fn roll_out(
+    run: &RunDescription,
+    work: &RolloutWork,
+    policy: &PolicySnapshot,
+    world: &mut Environments,
+    mut tick: impl FnMut(u32),
+    mut emit: impl FnMut(TrajectoryChunk) -> ControlFlow<()>,
+) -> Result<(), SimError> {
+    let mut slot = Slot::begin(run, work, policy, world)?;
+    for step in 0..run.slot_steps {
+        tick(step);
+        slot.step(step);
+        if let Some(chunk) = slot.full_chunk(step)
+            && emit(chunk).is_break()
+        {
+            break;
+        }
+    }
+    Ok(())
+}
+
+impl<'a> Slot<'a> {
+    fn begin(
+        run: &'a RunDescription,
+        work: &'a RolloutWork,
+        policy: &'a PolicySnapshot,
+        world: &'a mut Environments,
+    ) -> Result<Self, SimError> {
+        let mut agents = Agents::new(world, policy);
+        for (position, environment) in work.environments.iter().enumerate() {
+            match &environment.start {
+                Start::Fresh { episode, limit } => {
+                    reset(run, world, (position, environment.environment), *episode, *limit);
+                }
+                Start::Continue { state, recurrent } => {
+                    world.restore(position, state)?;
+                    agents.remember(position, recurrent);
+                }
+            }
+        }
+        Ok(Self {
+            chunk: ChunkBuilder::new(0, 0, world),
+            indices: work.environments.iter().map(|start| start.environment).collect(),
+            outcomes: vec![Outcome::default(); world.count()],
+            run,
+            work,
+            policy,
+            world,
+            agents,
+        })
+    }
+
+    /// Observe, act, step, record, reset what is done.
+    fn step(&mut self, step: u32) {
+        if step.is_multiple_of(self.run.hidden_every) {
+            self.chunk.store_hidden(&self.agents);
+        }
+        self.agents.observe(self.world);
+        self.chunk.push_observation(&self.agents, self.world);
+        self.agents.think(self.policy);
+        let seed = RunSeed(self.run.seed);
+        let noise = Noise { seed, iteration: self.work.iteration, step };
+        self.agents.draw(self.policy, &self.indices, noise);
+        self.world.step(self.agents.join(), &mut self.outcomes);
+        self.chunk.push_step(&self.agents, &self.outcomes);
+        for position in 0..self.outcomes.len() {
+            self.finish(step, position);
+        }
+    }
+
+    /// After a step that ended an episode, or the slot's last one, keeps the true next state; then
+    /// begins the next episode where one has ended.
+    fn finish(&mut self, step: u32, position: usize) {
+        let outcome = self.outcomes[position];
+        let done = outcome.terminated || outcome.truncated;
+        if done || step + 1 == self.run.slot_steps {
+            self.chunk.push_final(step, position, self.world);
+        }
+        if !done {
+            return;
+        }
+        let index = self.indices[position];
+        if outcome.fault {
+            let (iteration, slot) = (self.work.iteration, self.work.slot);
+            tracing::warn!(
+                iteration,
+                slot,
+                environment = index,
+                step,
+                "the world left its bounds; the episode is cut"
+            );
+        }
+        let (episode, limit) =
+            (self.world.episode(position) + 1, self.run.environment.episode_steps);
+        reset(self.run, self.world, (position, index), episode, limit);
+        self.agents.forget(position);
+    }
+
+    fn full_chunk(&mut self, step: u32) -> Option<TrajectoryChunk> {
+        if step + 1 == self.run.slot_steps {
+            self.chunk.close(&self.agents, self.world);
+        }
+        (self.chunk.steps() == self.run.chunk_steps).then(|| self.chunk.take(self.world))
+    }
+}
+
+/// Begins an episode; its draws are keyed by its index and its environment's.
+fn reset(
+    run: &RunDescription,
+    world: &mut Environments,
+    (position, environment): (usize, u32),
+    episode: u64,
+    limit: u32,
+) {
+    let key = Draw::of(Purpose::Reset).iteration(episode).environment(environment);
+    world.reset(position, episode, limit, &mut generator(RunSeed(run.seed), key));
+}

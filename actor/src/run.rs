@@ -1,0 +1,151 @@
+//! An actor's life: describe, register, then lease after lease until the run is done.
+
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use proto::{LeaseAnswer, Registration, RunDescription};
+use sim::TaskConfig;
+use tokio::sync::watch;
+
+use crate::client::{Client, WeightsCache, may_pass};
+use crate::config::Config;
+use crate::error::{ActorError, describe};
+use crate::identity::{environment_spec, rollout_fingerprint};
+use crate::leasing::{Ended, work_off};
+use crate::stepping::Stepper;
+
+/// First and longest pause between two tries to reach the learner.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
+
+/// How a session with the learner ended.
+enum Session {
+    /// The run is over.
+    Done,
+    /// This actor was told to stop.
+    Stopped,
+}
+
+/// Rolls out for the learner at `config.learner` until its run is done or `stop` turns true. Comes
+/// back by itself after every failure that may pass.
+///
+/// # Errors
+/// If the learner refuses this actor for good, or stays away for longer than allowed.
+pub async fn run(config: Config, mut stop: watch::Receiver<bool>) -> Result<(), ActorError> {
+    let mut outage = Outage::begin();
+    loop {
+        let session = tokio::select! {
+            session = attend(&config, &mut outage) => session,
+            () = stopped(&mut stop) => Ok(Session::Stopped),
+        };
+        let error = match session {
+            Ok(Session::Done | Session::Stopped) => return Ok(()),
+            Err(error) if may_pass(&error) => error,
+            Err(error) => return Err(error),
+        };
+        let pause = outage.next_pause(&config, &error)?;
+        tracing::warn!(
+            learner = config.learner,
+            "session ended: {}; connecting again in {:.1} s",
+            line(&error),
+            pause.as_secs_f64()
+        );
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            () = stopped(&mut stop) => return Ok(()),
+        }
+    }
+}
+
+/// One session: from a new connection to the run's end.
+async fn attend(config: &Config, outage: &mut Outage) -> Result<Session, ActorError> {
+    let mut client = Client::connect(config).await?;
+    let run = Arc::new(client.describe_run().await?);
+    let (registration, task) = present(config, &run)?;
+    let own = client.register(&registration).await?;
+    tracing::info!(actor = own.actor.0, run = run.run_id, "registered with {}", config.learner);
+    let mut stepper = Stepper::start(Arc::clone(&run), &task)
+        .map_err(|error| ActorError::Task(error.to_string()))?;
+    let mut weights = WeightsCache::default();
+    loop {
+        outage.over();
+        match client.lease(&own, &run).await? {
+            LeaseAnswer::Done => return Ok(Session::Done),
+            LeaseAnswer::Retry { wait_millis } => {
+                tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
+            }
+            LeaseAnswer::Lease(lease) => {
+                let policy = client.weights(&mut weights, lease.weights).await?;
+                let pace = Duration::from_secs_f64(run.heartbeat_secs);
+                match work_off(&mut client, &own, &mut stepper, lease, policy, pace).await? {
+                    Ended::Finished => {}
+                    Ended::Dropped(why) => {
+                        tracing::warn!("lease dropped: {why}; asking for another")
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What this actor offers for the run: its environments, built from the run's own settings.
+fn present(
+    config: &Config,
+    run: &RunDescription,
+) -> Result<(Registration, TaskConfig), ActorError> {
+    let task: TaskConfig = serde_json::from_str(&run.task_settings)
+        .map_err(|error| ActorError::Task(error.to_string()))?;
+    let environments =
+        sim::Environments::new(&task, 1).map_err(|error| ActorError::Task(error.to_string()))?;
+    let registration = Registration {
+        client: config.name.clone(),
+        protocol_version: proto::PROTOCOL_VERSION,
+        environment: environment_spec(environments.description()),
+        rollout_fingerprint: Some(rollout_fingerprint()),
+    };
+    Ok((registration, task))
+}
+
+/// How long the learner has been away, and how patiently it was tried.
+struct Outage {
+    since: Instant,
+    tries: u32,
+}
+
+impl Outage {
+    fn begin() -> Self {
+        Self { since: Instant::now(), tries: 0 }
+    }
+
+    fn over(&mut self) {
+        *self = Self::begin();
+    }
+
+    /// Full jitter: anything up to a bound that doubles with every try.
+    fn next_pause(&mut self, config: &Config, error: &ActorError) -> Result<Duration, ActorError> {
+        let secs = self.since.elapsed().as_secs_f64();
+        if secs > config.max_outage_secs {
+            let (url, last) = (config.learner.clone(), line(error));
+            return Err(ActorError::Outage { url, secs, last });
+        }
+        let bound = PAUSE.0.saturating_mul(1 << self.tries.min(10)).min(PAUSE.1);
+        self.tries += 1;
+        // Any source of chance will do: pauses reach no result.
+        let share = RandomState::new().build_hasher().finish() as f64 / u64::MAX as f64;
+        Ok(bound.mul_f64(share))
+    }
+}
+
+fn line(error: &ActorError) -> String {
+    match error {
+        ActorError::Refused(status) => describe(status),
+        other => other.to_string(),
+    }
+}
+
+async fn stopped(stop: &mut watch::Receiver<bool>) {
+    if stop.wait_for(|&stop| stop).await.is_err() {
+        // Whoever could have said stop is gone without saying it.
+        std::future::pending::<()>().await;
+    }
+}

@@ -1,0 +1,143 @@
+//! The thread that steps worlds: takes one job at a time, streams its results back.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
+use proto::wire::push_trajectory_request::Content;
+use proto::{EvaluationResult, EvaluationWork, Lease, PushHeader, RunDescription, Work, wire};
+use sim::{Environments, SimError, TaskConfig};
+use tokio::sync::mpsc;
+
+use crate::evaluation::play_episode;
+use crate::rollout::roll_out;
+
+/// Results that may wait for the network. When the queue is full the stepping thread waits: a slow
+/// network slows the roll-out and loses nothing.
+const QUEUE: usize = 4;
+
+/// One lease to work off, and how its progress is watched and broken off.
+pub(crate) struct Job {
+    pub(crate) lease: Lease,
+    pub(crate) policy: Arc<PolicySnapshot>,
+    pub(crate) watch: Arc<Watch>,
+}
+
+/// What the two sides of a job share while it runs.
+#[derive(Debug, Default)]
+pub(crate) struct Watch {
+    /// Steps done.
+    pub(crate) step: AtomicU32,
+    /// Set when nobody wants the result any more.
+    pub(crate) cancelled: AtomicBool,
+}
+
+/// What comes back.
+pub(crate) enum Produced {
+    /// A message for the learner.
+    Message(Box<wire::PushTrajectoryRequest>),
+    /// The job has ended, whole or broken off.
+    End,
+    /// The lease's environment states are none of this task's.
+    Failed(SimError),
+}
+
+/// The two ends of the stepping thread.
+pub(crate) struct Stepper {
+    pub(crate) jobs: mpsc::Sender<Job>,
+    pub(crate) produced: mpsc::Receiver<Produced>,
+}
+
+struct Worlds {
+    run: Arc<RunDescription>,
+    slot: Environments,
+    /// One environment of its own, so that evaluation touches no slot's.
+    evaluation: Environments,
+}
+
+impl Stepper {
+    /// Builds the run's environments and starts the thread; it ends when the stepper is dropped.
+    pub(crate) fn start(run: Arc<RunDescription>, task: &TaskConfig) -> Result<Self, SimError> {
+        let slot = Environments::new(task, run.environments_per_slot as usize)?;
+        let worlds = Worlds { run, slot, evaluation: Environments::new(task, 1)? };
+        let (jobs, queue) = mpsc::channel(1);
+        let (results, produced) = mpsc::channel(QUEUE);
+        let thread = std::thread::Builder::new().name("stepping".to_owned());
+        thread
+            .spawn(move || step_until_dropped(worlds, queue, &results))
+            .expect("a process can start its one stepping thread");
+        Ok(Self { jobs, produced })
+    }
+}
+
+fn step_until_dropped(
+    mut worlds: Worlds,
+    mut jobs: mpsc::Receiver<Job>,
+    results: &mpsc::Sender<Produced>,
+) {
+    while let Some(job) = jobs.blocking_recv() {
+        let end = match worlds.work_off(&job, results) {
+            Ok(()) => Produced::End,
+            Err(error) => Produced::Failed(error),
+        };
+        if results.blocking_send(end).is_err() {
+            return;
+        }
+    }
+}
+
+impl Worlds {
+    fn work_off(&mut self, job: &Job, results: &mpsc::Sender<Produced>) -> Result<(), SimError> {
+        let Job { lease, policy, watch } = job;
+        match &lease.work {
+            Work::Rollout(work) => {
+                let tick = |step| watch.step.store(step, Ordering::Relaxed);
+                let run = Arc::clone(&self.run);
+                roll_out(&self.run, work, policy, &mut self.slot, tick, |chunk| {
+                    let (message, digest) = chunk.to_wire(&run);
+                    send(job, digest, Content::Chunk(message), results)
+                })
+            }
+            Work::Evaluation(work) => {
+                let result = evaluate(&self.run, *work, policy, &mut self.evaluation);
+                // Nobody waits behind an evaluation's only message.
+                let _ = send(job, result.digest(), Content::Evaluation(result.to_wire()), results);
+                Ok(())
+            }
+        }
+    }
+}
+
+fn evaluate(
+    run: &RunDescription,
+    work: EvaluationWork,
+    policy: &PolicySnapshot,
+    world: &mut Environments,
+) -> EvaluationResult {
+    let key =
+        Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
+    let mut rng = generator(RunSeed(run.seed), key);
+    let episode = play_episode(world, policy, &mut rng, |_| {});
+    EvaluationResult {
+        episode: work.episode,
+        extrinsic_return: episode.extrinsic_return,
+        steps: episode.steps,
+    }
+}
+
+fn send(
+    job: &Job,
+    digest: proto::Digest,
+    content: Content,
+    results: &mpsc::Sender<Produced>,
+) -> ControlFlow<()> {
+    if job.watch.cancelled.load(Ordering::Relaxed) {
+        return ControlFlow::Break(());
+    }
+    let message = PushHeader::of(&job.lease, digest).to_wire(content);
+    match results.blocking_send(Produced::Message(Box::new(message))) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(_) => ControlFlow::Break(()),
+    }
+}

@@ -1,0 +1,285 @@
+//! From the slots' rollouts to the iteration's batch `D_k`. Pure copying: whoever computed a slot,
+//! and in which order slots arrived, leaves no trace in the batch.
+
+use marl::{AgentBatch, AgentShape, Batch, Final, Problem};
+use proto::{EnvironmentSpec, FeatureRole, FinalStep, RunDescription, TrajectoryChunk};
+
+use crate::exchange::SlotRollout;
+
+/// The sizes of one iteration.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Layout {
+    /// Slots.
+    pub slots: usize,
+    /// Environments in one slot.
+    pub per_slot: usize,
+    /// `T`, steps of each environment.
+    pub steps: usize,
+    /// Steps between two stored recurrent states.
+    pub hidden_every: usize,
+    /// Features of the global state.
+    pub state: usize,
+    /// Sizes of each agent.
+    pub agents: Vec<AgentLayout>,
+}
+
+/// One agent's sizes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AgentLayout {
+    /// Features of its observation.
+    pub observation: usize,
+    /// Dimensions of its action.
+    pub action: usize,
+    /// Units of its recurrent state; 0 without one.
+    pub hidden: usize,
+}
+
+/// Rollouts that do not make up an iteration.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AssembleError {
+    /// Another slot than the one that comes next.
+    #[error("slots {found:?} were handed over, the iteration has 0 to {last}")]
+    Slots {
+        /// Slots in the order found.
+        found: Vec<u32>,
+        /// Last slot of the iteration.
+        last: usize,
+    },
+    /// A chunk does not begin where the one before it ended, or the slot is too short or too long.
+    #[error("slot {slot}: a chunk begins or ends at step {found}, expected {expected}")]
+    Steps {
+        /// The slot.
+        slot: u32,
+        /// Step found.
+        found: usize,
+        /// Step expected.
+        expected: usize,
+    },
+    /// An array has another length than its shape asks for.
+    #[error("slot {slot}: {field} has {found} elements, its shape asks for {expected}")]
+    Length {
+        /// The slot.
+        slot: u32,
+        /// The array.
+        field: &'static str,
+        /// Elements found.
+        found: usize,
+        /// Elements that the shape asks for.
+        expected: usize,
+    },
+    /// The last chunk lacks the states from which the next iteration goes on.
+    #[error("slot {slot}: the last chunk has no end states")]
+    NoEnd {
+        /// The slot.
+        slot: u32,
+    },
+}
+
+impl Layout {
+    /// The sizes that `run` tells its actors, for `slots` slots.
+    #[must_use]
+    pub fn of(run: &RunDescription, slots: usize) -> Self {
+        let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
+        Self {
+            slots,
+            per_slot: run.environments_per_slot as usize,
+            steps: run.slot_steps as usize,
+            hidden_every: run.hidden_every as usize,
+            state: run.environment.state.len(),
+            agents: agents
+                .map(|(agent, hidden)| AgentLayout {
+                    observation: agent.observation.len(),
+                    action: agent.action.size as usize,
+                    hidden: *hidden as usize,
+                })
+                .collect(),
+        }
+    }
+
+    /// `B`, environments of the iteration.
+    #[must_use]
+    pub fn environments(&self) -> usize {
+        self.slots * self.per_slot
+    }
+}
+
+/// What the algorithm is told about the environment: sizes, and which features carry a signal.
+#[must_use]
+pub fn problem(environment: &EnvironmentSpec) -> Problem {
+    let shape = |agent: &proto::AgentSpec| AgentShape {
+        observation: agent.observation.len(),
+        action: agent.action.size as usize,
+        surprise_features: (0..agent.observation.len())
+            .filter(|&index| agent.observation[index].role == FeatureRole::Signal)
+            .collect(),
+    };
+    Problem {
+        agents: environment.agents.iter().map(shape).collect(),
+        state: environment.state.len(),
+    }
+}
+
+/// `D_k` from all slots, ordered by slot: environment `slot * per_slot + position`, time-major.
+///
+/// # Errors
+/// Refuses rollouts that are not exactly the iteration's slots with all their steps.
+pub fn assemble(layout: &Layout, rollouts: &[SlotRollout]) -> Result<Batch, AssembleError> {
+    check_slots(layout, rollouts)?;
+    let mut batch = empty(layout);
+    for rollout in rollouts {
+        check_rollout(layout, rollout)?;
+        for chunk in &rollout.chunks {
+            place(layout, rollout.slot as usize, chunk, &mut batch);
+        }
+    }
+    batch.finals.sort_by_key(|last| (last.step, last.environment));
+    Ok(batch)
+}
+
+fn check_slots(layout: &Layout, rollouts: &[SlotRollout]) -> Result<(), AssembleError> {
+    let found: Vec<u32> = rollouts.iter().map(|rollout| rollout.slot).collect();
+    if found.iter().map(|slot| *slot as usize).eq(0..layout.slots) {
+        return Ok(());
+    }
+    Err(AssembleError::Slots { found, last: layout.slots.saturating_sub(1) })
+}
+
+fn check_rollout(layout: &Layout, rollout: &SlotRollout) -> Result<(), AssembleError> {
+    let slot = rollout.slot;
+    let mut expected = 0;
+    for chunk in &rollout.chunks {
+        let found = chunk.first_step as usize;
+        if found != expected || !chunk.steps.is_multiple_of(layout.hidden_every as u32) {
+            return Err(AssembleError::Steps { slot, found, expected });
+        }
+        check_chunk(layout, slot, chunk)?;
+        expected += chunk.steps as usize;
+    }
+    if expected != layout.steps {
+        return Err(AssembleError::Steps { slot, found: expected, expected: layout.steps });
+    }
+    check_end(layout, rollout)
+}
+
+fn check_chunk(layout: &Layout, slot: u32, chunk: &TrajectoryChunk) -> Result<(), AssembleError> {
+    let rows = chunk.steps as usize * layout.per_slot;
+    let length = |field, found, expected| length(slot, field, found, expected);
+    length("state", chunk.state.len(), rows * layout.state)?;
+    length("reward", chunk.reward.len(), rows)?;
+    length("terminated", chunk.terminated.len(), rows)?;
+    length("truncated", chunk.truncated.len(), rows)?;
+    length("agents", chunk.agents.len(), layout.agents.len())?;
+    for (agent, shape) in chunk.agents.iter().zip(&layout.agents) {
+        length("observation", agent.observation.len(), rows * shape.observation)?;
+        length("action", agent.action.len(), rows * shape.action)?;
+        length("log_prob", agent.log_prob.len(), rows)?;
+        length("hidden", agent.hidden.len(), rows / layout.hidden_every * shape.hidden)?;
+    }
+    Ok(())
+}
+
+fn check_end(layout: &Layout, rollout: &SlotRollout) -> Result<(), AssembleError> {
+    let slot = rollout.slot;
+    let end = rollout.chunks.last().and_then(|chunk| chunk.end.as_ref());
+    let end = end.ok_or(AssembleError::NoEnd { slot })?;
+    length(slot, "end.environments", end.environments.len(), layout.per_slot)?;
+    length(slot, "end.recurrent", end.recurrent.len(), layout.agents.len())?;
+    for (recurrent, shape) in end.recurrent.iter().zip(&layout.agents) {
+        length(slot, "end.recurrent", recurrent.len(), layout.per_slot * shape.hidden)?;
+    }
+    Ok(())
+}
+
+fn length(
+    slot: u32,
+    field: &'static str,
+    found: usize,
+    expected: usize,
+) -> Result<(), AssembleError> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(AssembleError::Length { slot, field, found, expected })
+}
+
+fn empty(layout: &Layout) -> Batch {
+    let environments = layout.environments();
+    let rows = layout.steps * environments;
+    let agent = |shape: &AgentLayout| AgentBatch {
+        observation: vec![0.0; rows * shape.observation],
+        action: vec![0.0; rows * shape.action],
+        log_prob: vec![0.0; rows],
+        hidden: vec![0.0; rows / layout.hidden_every * shape.hidden],
+    };
+    Batch {
+        steps: layout.steps,
+        environments,
+        agents: layout.agents.iter().map(agent).collect(),
+        state: vec![0.0; rows * layout.state],
+        reward: vec![0.0; rows],
+        terminated: vec![false; rows],
+        truncated: vec![false; rows],
+        finals: Vec::new(),
+    }
+}
+
+/// Copies one checked chunk to its place.
+fn place(layout: &Layout, slot: usize, chunk: &TrajectoryChunk, batch: &mut Batch) {
+    let window = Window {
+        first: chunk.first_step as usize,
+        first_environment: slot * layout.per_slot,
+        per_slot: layout.per_slot,
+        environments: layout.environments(),
+    };
+    window.copy(&chunk.state, &mut batch.state, layout.state);
+    window.copy(&chunk.reward, &mut batch.reward, 1);
+    window.copy(&chunk.terminated, &mut batch.terminated, 1);
+    window.copy(&chunk.truncated, &mut batch.truncated, 1);
+    let stored = Window { first: window.first / layout.hidden_every, ..window };
+    for ((from, to), shape) in chunk.agents.iter().zip(&mut batch.agents).zip(&layout.agents) {
+        window.copy(&from.observation, &mut to.observation, shape.observation);
+        window.copy(&from.action, &mut to.action, shape.action);
+        window.copy(&from.log_prob, &mut to.log_prob, 1);
+        stored.copy(&from.hidden, &mut to.hidden, shape.hidden);
+    }
+    batch.finals.extend(chunk.finals.iter().map(|last| window.last(last)));
+}
+
+/// Where a chunk's rows stand in `D_k`.
+#[derive(Clone, Copy)]
+struct Window {
+    /// First row of time.
+    first: usize,
+    /// First environment.
+    first_environment: usize,
+    /// Environments of the chunk.
+    per_slot: usize,
+    /// Environments of `D_k`.
+    environments: usize,
+}
+
+impl Window {
+    /// `source` is `[t, per_slot, width]`, `target` is `[T, environments, width]`.
+    fn copy<T: Copy>(&self, source: &[T], target: &mut [T], width: usize) {
+        let run = self.per_slot * width;
+        if run == 0 {
+            return;
+        }
+        for (t, rows) in source.chunks_exact(run).enumerate() {
+            let row = (self.first + t) * self.environments + self.first_environment;
+            target[row * width..][..run].copy_from_slice(rows);
+        }
+    }
+
+    fn last(&self, last: &FinalStep) -> Final {
+        Final {
+            step: last.step as usize,
+            environment: self.first_environment + last.environment as usize,
+            state: last.state.clone(),
+            observation: last.observation.clone(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

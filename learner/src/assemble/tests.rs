@@ -1,0 +1,118 @@
+//! A hand-made iteration: 2 slots of 2 environments, 4 steps in chunks of 2, one agent with 1
+//! observed feature, 2 action dimensions and 1 recurrent unit stored every 2 steps.
+
+use proto::{ActorId, AgentChunk, LeaseId, SlotEnd};
+
+use super::*;
+
+fn layout() -> Layout {
+    let agents = vec![AgentLayout { observation: 1, action: 2, hidden: 1 }];
+    Layout { slots: 2, per_slot: 2, steps: 4, hidden_every: 2, state: 1, agents }
+}
+
+/// Every number tells where it belongs: `100 * step + environment`.
+fn code(step: u32, environment: usize) -> f32 {
+    (100 * step as usize + environment) as f32
+}
+
+fn chunk(slot: usize, sequence: u32) -> TrajectoryChunk {
+    let first_step = 2 * sequence;
+    let steps = [first_step, first_step + 1];
+    let rows = || steps.iter().flat_map(|t| [2 * slot, 2 * slot + 1].map(|e| code(*t, e)));
+    let last = sequence == 1;
+    let agent = AgentChunk {
+        observation: rows().collect(),
+        action: rows().flat_map(|value| [value, -value]).collect(),
+        log_prob: rows().collect(),
+        hidden: vec![code(first_step, 2 * slot), code(first_step, 2 * slot + 1)],
+    };
+    let last_step = |environment| FinalStep {
+        step: 3,
+        environment,
+        state: vec![code(4, 2 * slot + environment as usize)],
+        observation: vec![vec![0.5]],
+    };
+    TrajectoryChunk {
+        sequence,
+        first_step,
+        steps: 2,
+        agents: vec![agent],
+        state: rows().collect(),
+        reward: rows().collect(),
+        terminated: vec![false; 4],
+        // In the second slot the first environment's episode is cut after step 1.
+        truncated: vec![false, false, slot == 1 && sequence == 0, false],
+        finals: match (last, slot) {
+            (true, _) => vec![last_step(0), last_step(1)],
+            (false, 1) => vec![FinalStep { step: 1, ..last_step(0) }],
+            (false, _) => vec![],
+        },
+        end: last.then(|| SlotEnd {
+            environments: vec![vec![slot as u8, 0], vec![slot as u8, 1]],
+            recurrent: vec![vec![0.25, 0.75]],
+        }),
+    }
+}
+
+fn rollout(slot: usize) -> SlotRollout {
+    let chunks = vec![chunk(slot, 0), chunk(slot, 1)];
+    let (actor, lease, digests) = (ActorId(1), LeaseId(1), Vec::new());
+    SlotRollout { slot: slot as u32, actor, lease, chunks, digests }
+}
+
+#[test]
+fn every_number_stands_where_its_step_and_environment_say() {
+    let batch = assemble(&layout(), &[rollout(0), rollout(1)]).unwrap();
+    let rows: Vec<f32> = (0..4).flat_map(|t| (0..4).map(move |e| code(t, e))).collect();
+    assert_eq!((batch.steps, batch.environments), (4, 4));
+    assert_eq!(batch.reward, rows);
+    assert_eq!(batch.state, rows);
+    assert_eq!(batch.agents[0].observation, rows);
+    assert_eq!(batch.agents[0].log_prob, rows);
+    let actions: Vec<f32> = rows.iter().flat_map(|value| [*value, -value]).collect();
+    assert_eq!(batch.agents[0].action, actions);
+    // [T / 2, B, H]: before steps 0 and 2.
+    assert_eq!(batch.agents[0].hidden, [0.0, 1.0, 2.0, 3.0, 200.0, 201.0, 202.0, 203.0]);
+    let cut: Vec<usize> = (0..16).filter(|row| batch.done(*row)).collect();
+    assert_eq!(cut, [4 + 2]);
+}
+
+#[test]
+fn finals_are_sorted_by_step_and_environment() {
+    let batch = assemble(&layout(), &[rollout(0), rollout(1)]).unwrap();
+    let places: Vec<(usize, usize)> =
+        batch.finals.iter().map(|f| (f.step, f.environment)).collect();
+    assert_eq!(places, [(1, 2), (3, 0), (3, 1), (3, 2), (3, 3)]);
+    assert_eq!(batch.finals[4].state, [code(4, 3)]);
+}
+
+#[test]
+fn the_algorithm_accepts_the_batch() {
+    let batch = assemble(&layout(), &[rollout(0), rollout(1)]).unwrap();
+    let shape = AgentShape { observation: 1, action: 2, surprise_features: vec![0] };
+    let problem = Problem { agents: vec![shape], state: 1 };
+    batch.check(&problem, 2, &[1]).unwrap();
+}
+
+#[test]
+fn what_is_not_exactly_the_iteration_is_refused() {
+    let refusal = |rollouts: &[SlotRollout]| assemble(&layout(), rollouts).unwrap_err().to_string();
+    assert!(refusal(&[rollout(1), rollout(0)]).contains("slots [1, 0] were handed over"));
+    assert!(refusal(&[rollout(0)]).contains("the iteration has 0 to 1"));
+
+    let mut short = rollout(1);
+    short.chunks.remove(0);
+    let expected = "slot 1: a chunk begins or ends at step 2, expected 0";
+    assert_eq!(refusal(&[rollout(0), short]), expected);
+
+    let mut unended = rollout(0);
+    unended.chunks[1].end = None;
+    assert_eq!(refusal(&[unended, rollout(1)]), "slot 0: the last chunk has no end states");
+
+    let mut wrong = rollout(0);
+    wrong.chunks[0].agents[0].action.pop();
+    assert_eq!(
+        refusal(&[wrong, rollout(1)]),
+        "slot 0: action has 7 elements, its shape asks for 8"
+    );
+}

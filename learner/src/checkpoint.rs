@@ -1,0 +1,349 @@
+//! Checkpoints: one directory holds one consistent cut of a run, and a manifest that names every
+//! file with its size and hash.
+//!
+//! A checkpoint is written beside its place, flushed, and renamed, so that a crash at any step leaves
+//! the one before it untouched. Loading verifies everything and goes back to the newest checkpoint
+//! that is whole; what it passed over is returned, to be told loudly.
+
+pub(crate) mod fields;
+mod manifest;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256, to_safetensors};
+
+use crate::durable::{self, FileError};
+
+pub use manifest::{FileEntry, Manifest, SCHEMA};
+
+/// The file that describes a checkpoint; written last.
+const MANIFEST: &str = "manifest.json";
+/// The policies' bytes as actors get them.
+const POLICY: &str = "policy.safetensors";
+/// Where a directory stands until it is whole.
+const DRAFT: &str = ".tmp-";
+/// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves.
+const LATEST: &str = "LATEST";
+/// The groups of arrays, one file each.
+const GROUPS: [&str; 7] =
+    ["counters", "density", "environments", "evaluation", "normalizer", "optimizer", "weights"];
+
+/// One consistent cut of a run: everything that the next iteration depends on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// Finished iterations.
+    pub iteration: u64,
+    /// Environment steps of all finished iterations.
+    pub env_steps: u64,
+    /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `normalizer`,
+    /// `environments`, `counters`, `evaluation`.
+    pub arrays: NamedArrays,
+    /// The policies as actors get them: a `policy::PolicySnapshot`.
+    pub policy: Vec<u8>,
+}
+
+/// A checkpoint that was found whole.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// Its content.
+    pub checkpoint: Checkpoint,
+    /// Its manifest.
+    pub manifest: Manifest,
+    /// Its directory.
+    pub path: PathBuf,
+    /// Newer checkpoints that are not whole, each with the reason.
+    pub skipped: Vec<(PathBuf, String)>,
+}
+
+/// A checkpoint that stands on disk.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Saved {
+    /// Its directory.
+    pub path: PathBuf,
+    /// Its iteration.
+    pub iteration: u64,
+    /// Hash of the weights, hexadecimal.
+    pub weights_sha256: String,
+    /// Hash of the whole state, hexadecimal.
+    pub state_sha256: String,
+}
+
+/// Why a checkpoint could not be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// A file or folder could not be written or read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The arrays could not be turned into a file.
+    #[error(transparent)]
+    Encode(#[from] ArrayError),
+    /// One checkpoint is not whole.
+    #[error("checkpoint {path} cannot be used: {detail}")]
+    Unusable {
+        /// Its directory.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// There is none.
+    #[error("{folder} holds no checkpoint")]
+    None {
+        /// The folder of checkpoints.
+        folder: PathBuf,
+    },
+    /// There are some, and none is whole.
+    #[error("no checkpoint in {folder} can be used; {}", reasons(.skipped))]
+    NoneUsable {
+        /// The folder of checkpoints.
+        folder: PathBuf,
+        /// All of them, each with the reason.
+        skipped: Vec<(PathBuf, String)>,
+    },
+    /// A whole checkpoint lacks an array, or has another one than this program expects.
+    #[error("checkpoint: array {name} {detail}")]
+    Array {
+        /// The array.
+        name: String,
+        /// What is wrong with it.
+        detail: String,
+    },
+}
+
+impl Checkpoint {
+    /// SHA-256 of the arrays under `weights/`, hexadecimal.
+    #[must_use]
+    pub fn weights_sha256(&self) -> String {
+        weights_sha256(&self.arrays)
+    }
+
+    /// SHA-256 of all state that training depends on, hexadecimal: every array but those under
+    /// `evaluation/`, which touch no training and follow an operational setting.
+    #[must_use]
+    pub fn state_sha256(&self) -> String {
+        hash_of(&self.arrays, |name| !name.starts_with("evaluation/"))
+    }
+
+    fn saved(&self, path: PathBuf) -> Saved {
+        Saved {
+            path,
+            iteration: self.iteration,
+            weights_sha256: self.weights_sha256(),
+            state_sha256: self.state_sha256(),
+        }
+    }
+}
+
+impl Loaded {
+    /// Where it stands and what it hashes to.
+    #[must_use]
+    pub fn saved(&self) -> Saved {
+        self.checkpoint.saved(self.path.clone())
+    }
+}
+
+/// SHA-256 of the arrays under `weights/`, hexadecimal.
+#[must_use]
+pub fn weights_sha256(arrays: &NamedArrays) -> String {
+    hash_of(arrays, |name| name.starts_with("weights/"))
+}
+
+/// The folder of checkpoints in a run folder.
+#[must_use]
+pub fn folder(run_folder: &Path) -> PathBuf {
+    run_folder.join("checkpoints")
+}
+
+/// Writes a checkpoint and removes all but the newest `keep_last`. A checkpoint of the same iteration
+/// with the same state is left as it is; one that differs or is damaged is replaced.
+///
+/// # Errors
+/// Names the file that could not be written. The checkpoints before it are untouched.
+pub fn save(
+    run_folder: &Path,
+    checkpoint: &Checkpoint,
+    config_sha256: &str,
+    keep_last: usize,
+) -> Result<Saved, CheckpointError> {
+    let folder = folder(run_folder);
+    let place = folder.join(name(checkpoint.iteration));
+    let saved = checkpoint.saved(place.clone());
+    durable::make_folder(&folder)?;
+    if !stands(&place, &saved, config_sha256) {
+        let draft = write_draft(&folder, checkpoint, config_sha256)?;
+        durable::remove_folder(&place)?;
+        std::fs::rename(&draft, &place).map_err(FileError::of("rename", &draft))?;
+        durable::sync_folder(&folder)?;
+    }
+    let newest = format!("{}\n", name(checkpoint.iteration));
+    durable::replace(&folder.join(LATEST), newest.as_bytes())?;
+    prune(&folder, checkpoint.iteration, keep_last)?;
+    Ok(saved)
+}
+
+/// Loads one checkpoint and verifies every byte of it.
+///
+/// # Errors
+/// Says what is missing, damaged or of another schema.
+pub fn load(path: &Path) -> Result<Loaded, CheckpointError> {
+    let (checkpoint, manifest) = read(path)
+        .map_err(|detail| CheckpointError::Unusable { path: path.to_path_buf(), detail })?;
+    Ok(Loaded { checkpoint, manifest, path: path.to_path_buf(), skipped: Vec::new() })
+}
+
+/// Loads the newest checkpoint of a run that is whole.
+///
+/// # Errors
+/// There is none, or none is whole.
+pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
+    let folder = folder(run_folder);
+    let mut skipped = Vec::new();
+    for iteration in iterations(&folder)?.into_iter().rev() {
+        let path = folder.join(name(iteration));
+        match read(&path) {
+            Ok((checkpoint, manifest)) => {
+                return Ok(Loaded { checkpoint, manifest, path, skipped });
+            }
+            Err(detail) => skipped.push((path, detail)),
+        }
+    }
+    match skipped.is_empty() {
+        true => Err(CheckpointError::None { folder }),
+        false => Err(CheckpointError::NoneUsable { folder, skipped }),
+    }
+}
+
+fn hash_of(arrays: &NamedArrays, counts: impl Fn(&str) -> bool) -> String {
+    let counted = arrays.iter().filter(|(name, _)| counts(name));
+    hex(&sha256(&counted.map(|(name, array)| (name.clone(), array.clone())).collect()))
+}
+
+/// `iter_00000120`
+fn name(iteration: u64) -> String {
+    format!("iter_{iteration:08}")
+}
+
+/// Iterations of all checkpoints in `folder`, ascending; drafts and other files do not count.
+fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
+    let entries = match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(FileError::of("read", folder))?,
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let file_name = entry.map_err(FileError::of("read", folder))?.file_name();
+        let file_name = file_name.to_string_lossy();
+        let digits = file_name.strip_prefix("iter_").and_then(|digits| digits.parse().ok());
+        found.extend(digits.filter(|iteration| name(*iteration) == file_name));
+    }
+    found.sort_unstable();
+    Ok(found)
+}
+
+/// Whether `path` holds exactly this state already.
+fn stands(path: &Path, saved: &Saved, config_sha256: &str) -> bool {
+    let same = |manifest: &Manifest| {
+        manifest.state_sha256 == saved.state_sha256 && manifest.config_sha256 == config_sha256
+    };
+    path.exists() && read(path).is_ok_and(|(_, manifest)| same(&manifest))
+}
+
+/// Writes all files beside their place, the manifest last.
+fn write_draft(
+    folder: &Path,
+    checkpoint: &Checkpoint,
+    config_sha256: &str,
+) -> Result<PathBuf, CheckpointError> {
+    let draft = folder.join(format!("{DRAFT}{}", name(checkpoint.iteration)));
+    durable::remove_folder(&draft)?;
+    durable::make_folder(&draft)?;
+    let files = files(checkpoint)?;
+    for (name, bytes) in &files {
+        durable::write(&draft.join(name), bytes)?;
+    }
+    let manifest = Manifest::of(checkpoint, config_sha256, &files);
+    durable::write(&draft.join(MANIFEST), &manifest.to_bytes())?;
+    durable::sync_folder(&draft)?;
+    Ok(draft)
+}
+
+/// The files but the manifest, by name: one per group of arrays, and the policies.
+fn files(checkpoint: &Checkpoint) -> Result<BTreeMap<String, Vec<u8>>, CheckpointError> {
+    let mut groups: BTreeMap<&str, NamedArrays> = BTreeMap::new();
+    for (name, array) in &checkpoint.arrays {
+        let group = name.split('/').next().unwrap_or_default();
+        if !GROUPS.contains(&group) {
+            let detail = format!("belongs to none of the groups {}", GROUPS.join(", "));
+            return Err(CheckpointError::Array { name: name.clone(), detail });
+        }
+        groups.entry(group).or_default().insert(name.clone(), array.clone());
+    }
+    let mut files = BTreeMap::from([(POLICY.to_owned(), checkpoint.policy.clone())]);
+    for (group, arrays) in groups {
+        files.insert(format!("{group}.safetensors"), to_safetensors(&arrays, &BTreeMap::new())?);
+    }
+    Ok(files)
+}
+
+/// Removes all but the `keep_last` newest up to `newest`, and drafts that a crash left. Checkpoints
+/// beyond `newest` were passed over as damaged; they stay until their iteration is written again.
+fn prune(folder: &Path, newest: u64, keep_last: usize) -> Result<(), CheckpointError> {
+    let kept = iterations(folder)?.into_iter().filter(|iteration| *iteration <= newest);
+    for iteration in kept.rev().skip(keep_last) {
+        durable::remove_folder(&folder.join(name(iteration)))?;
+    }
+    let entries = std::fs::read_dir(folder).map_err(FileError::of("read", folder))?;
+    for entry in entries.flatten() {
+        let is_draft = entry.file_name().to_string_lossy().starts_with(DRAFT);
+        if is_draft && entry.path().is_dir() {
+            durable::remove_folder(&entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// Reads and verifies a checkpoint; otherwise what is wrong with it.
+fn read(path: &Path) -> Result<(Checkpoint, Manifest), String> {
+    let manifest = Manifest::from_bytes(&read_file(path, MANIFEST, None)?)?;
+    if path.file_name().is_none_or(|found| *found != *name(manifest.iteration)) {
+        return Err(format!("its manifest is that of {}", name(manifest.iteration)));
+    }
+    let mut arrays = NamedArrays::new();
+    let mut policy = None;
+    for (name, entry) in &manifest.files {
+        let bytes = read_file(path, name, Some(entry.size))?;
+        entry.verify(name, &bytes)?;
+        if name == POLICY {
+            policy = Some(bytes);
+            continue;
+        }
+        let (group, _) = from_safetensors(&bytes).map_err(|error| format!("{name}: {error}"))?;
+        arrays.extend(group);
+    }
+    let policy = policy.ok_or_else(|| format!("{MANIFEST} names no {POLICY}"))?;
+    let (iteration, env_steps) = (manifest.iteration, manifest.env_steps);
+    let checkpoint = Checkpoint { iteration, env_steps, arrays, policy };
+    manifest.verify(&checkpoint)?;
+    Ok((checkpoint, manifest))
+}
+
+/// A plain file of the expected size; nothing bigger is ever read.
+fn read_file(folder: &Path, name: &str, size: Option<u64>) -> Result<Vec<u8>, String> {
+    let path = folder.join(name);
+    let found = std::fs::symlink_metadata(&path).map_err(|error| format!("{name}: {error}"))?;
+    if !found.is_file() {
+        return Err(format!("{name} is not a plain file"));
+    }
+    let limit = size.unwrap_or(manifest::MAX_BYTES);
+    if found.len() > limit || size.is_some_and(|size| found.len() != size) {
+        return Err(format!("{name} has {} bytes, expected {limit}", found.len()));
+    }
+    std::fs::read(&path).map_err(|error| format!("{name}: {error}"))
+}
+
+fn reasons(skipped: &[(PathBuf, String)]) -> String {
+    let reason = |(path, why): &(PathBuf, String)| {
+        format!("{}: {why}", path.file_name().unwrap_or_default().to_string_lossy())
+    };
+    skipped.iter().map(reason).collect::<Vec<_>>().join("; ")
+}

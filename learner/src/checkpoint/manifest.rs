@@ -1,0 +1,136 @@
+//! A checkpoint's manifest: what the checkpoint is, and every file with its size and hash.
+
+use std::collections::BTreeMap;
+
+use policy::arrays::hex;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+
+use super::Checkpoint;
+
+/// Layout of checkpoints that this program writes and reads.
+pub const SCHEMA: u32 = 1;
+
+/// No manifest is bigger.
+pub(super) const MAX_BYTES: u64 = 1 << 20;
+
+/// What a checkpoint is, and its files. It holds no time and no place: equal states give equal bytes.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// Layout of the checkpoint.
+    pub schema: u32,
+    /// Hash of the run's semantic settings.
+    pub config_sha256: String,
+    /// Finished iterations.
+    pub iteration: u64,
+    /// Environment steps of all finished iterations.
+    pub env_steps: u64,
+    /// Hash of the weights.
+    pub weights_sha256: String,
+    /// Hash of all state that training depends on.
+    pub state_sha256: String,
+    /// Every other file of the directory.
+    pub files: BTreeMap<String, FileEntry>,
+    /// Hash of this manifest with this field empty.
+    pub manifest_sha256: String,
+}
+
+/// One file of a checkpoint.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileEntry {
+    /// Bytes.
+    pub size: u64,
+    /// Hash of the bytes.
+    pub sha256: String,
+}
+
+impl Manifest {
+    /// Describes a checkpoint whose files are `files`.
+    pub(super) fn of(
+        checkpoint: &Checkpoint,
+        config_sha256: &str,
+        files: &BTreeMap<String, Vec<u8>>,
+    ) -> Self {
+        let entries = files.iter().map(|(name, bytes)| (name.clone(), FileEntry::of(bytes)));
+        let mut manifest = Self {
+            schema: SCHEMA,
+            config_sha256: config_sha256.to_owned(),
+            iteration: checkpoint.iteration,
+            env_steps: checkpoint.env_steps,
+            weights_sha256: checkpoint.weights_sha256(),
+            state_sha256: checkpoint.state_sha256(),
+            files: entries.collect(),
+            manifest_sha256: String::new(),
+        };
+        manifest.manifest_sha256 = manifest.own_sha256();
+        manifest
+    }
+
+    /// The manifest as it stands in its file.
+    pub(super) fn to_bytes(&self) -> Vec<u8> {
+        let mut bytes = serde_json::to_vec_pretty(self).expect("text keys and plain values");
+        bytes.push(b'\n');
+        bytes
+    }
+
+    /// Reads a manifest; refuses one in which any byte has changed.
+    pub(super) fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        let unreadable =
+            |error: serde_json::Error| format!("manifest.json cannot be read: {error}");
+        let value: serde_json::Value = serde_json::from_slice(bytes).map_err(unreadable)?;
+        let schema = value.get("schema").and_then(serde_json::Value::as_u64);
+        if schema != Some(u64::from(SCHEMA)) {
+            let found = schema.map_or("none".to_owned(), |schema| schema.to_string());
+            return Err(format!("manifest.json has schema {found}, this program reads {SCHEMA}"));
+        }
+        let manifest: Self = serde_json::from_value(value).map_err(unreadable)?;
+        if manifest.own_sha256() != manifest.manifest_sha256 || manifest.to_bytes() != bytes {
+            return Err("manifest.json does not have its own hash".to_owned());
+        }
+        match manifest.files.keys().find(|name| !is_plain_name(name)) {
+            Some(name) => Err(format!("manifest.json names the file {name:?}")),
+            None => Ok(manifest),
+        }
+    }
+
+    /// Compares the content with what the manifest says of it.
+    pub(super) fn verify(&self, checkpoint: &Checkpoint) -> Result<(), String> {
+        for (what, said, found) in [
+            ("weights", &self.weights_sha256, checkpoint.weights_sha256()),
+            ("state", &self.state_sha256, checkpoint.state_sha256()),
+        ] {
+            if *said != found {
+                return Err(format!("the {what} have SHA-256 {found}, manifest.json says {said}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn own_sha256(&self) -> String {
+        let bare = Self { manifest_sha256: String::new(), ..self.clone() };
+        hex(&Sha256::digest(bare.to_bytes()))
+    }
+}
+
+impl FileEntry {
+    fn of(bytes: &[u8]) -> Self {
+        Self { size: bytes.len() as u64, sha256: hex(&Sha256::digest(bytes)) }
+    }
+
+    /// Compares a file's bytes with what the manifest says of them.
+    pub(super) fn verify(&self, name: &str, bytes: &[u8]) -> Result<(), String> {
+        let found = hex(&Sha256::digest(bytes));
+        if found == self.sha256 {
+            return Ok(());
+        }
+        Err(format!("{name} has SHA-256 {found}, manifest.json says {}", self.sha256))
+    }
+}
+
+/// A name that cannot lead out of the directory.
+fn is_plain_name(name: &str) -> bool {
+    let plain = |c: char| c.is_ascii_lowercase() || c == '_' || c == '.';
+    !name.starts_with('.') && name.chars().all(plain)
+}

@@ -1,0 +1,201 @@
+//! The learner's settings: environments, leases, evaluation, checkpoints, threads. Defaults stand in
+//! the binary's configuration files, never here.
+
+use serde::{Deserialize, Serialize};
+
+use crate::exchange::LeaseConfig;
+
+/// Everything the learner is told besides the algorithm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// How many environments, and how they are cut into slots.
+    pub environments: EnvironmentsConfig,
+    /// How long an actor may be silent.
+    pub lease: LeaseConfig,
+    /// When and how policies are evaluated.
+    pub evaluation: EvaluationConfig,
+    /// When the run is saved.
+    pub checkpoint: CheckpointConfig,
+    /// The learner's own machine.
+    pub learner: ThreadsConfig,
+}
+
+/// How many environments, and how they are cut into slots.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EnvironmentsConfig {
+    /// Environments of the run.
+    pub count: usize,
+    /// Steps of each environment in one iteration.
+    pub steps: usize,
+    /// Environments in one slot, the unit of work that an actor leases.
+    pub per_slot: usize,
+    /// Steps in one message from an actor.
+    pub chunk_steps: usize,
+    /// When first episodes end.
+    pub phase: Phase,
+}
+
+/// When the environments' first episodes end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Evenly spread over the step limit, so that episodes end in every iteration.
+    Staggered,
+    /// All at the step limit.
+    Lockstep,
+}
+
+/// When and how policies are evaluated.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EvaluationConfig {
+    /// Environment steps between two evaluations; 0: never.
+    pub every_steps: u64,
+    /// Whole episodes with the mean action.
+    pub episodes: u32,
+}
+
+/// When the run is saved.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CheckpointConfig {
+    /// Iterations between two checkpoints.
+    pub every: u64,
+    /// Checkpoints that stay in the run folder.
+    pub keep_last: usize,
+}
+
+/// The learner's own machine.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ThreadsConfig {
+    /// Threads of the update; 0: one per core. No result depends on it.
+    pub threads: usize,
+}
+
+/// A setting outside its range.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{key} = {found} is out of range: {range}")]
+pub struct ConfigError {
+    /// The key as it stands in the configuration file.
+    pub key: &'static str,
+    /// The value found.
+    pub found: String,
+    /// What is allowed.
+    pub range: String,
+}
+
+impl Config {
+    /// Refuses values outside their ranges.
+    ///
+    /// # Errors
+    /// Names the first key that is wrong and its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.environments.validate()?;
+        self.lease.validate()?;
+        if self.evaluation.every_steps > 0 {
+            within("evaluation.episodes", self.evaluation.episodes.into(), 1, 10_000)?;
+        }
+        within("checkpoint.every", self.checkpoint.every, 1, u64::MAX)?;
+        within("checkpoint.keep_last", self.checkpoint.keep_last as u64, 1, 1_000_000)?;
+        within("learner.threads", self.learner.threads as u64, 0, 1024)
+    }
+}
+
+impl EnvironmentsConfig {
+    /// Slots of the run.
+    #[must_use]
+    pub fn slots(&self) -> usize {
+        self.count / self.per_slot
+    }
+
+    /// Environment steps of one iteration.
+    #[must_use]
+    pub fn steps_per_iteration(&self) -> u64 {
+        self.count as u64 * self.steps as u64
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        within("environments.count", self.count as u64, 1, 1_000_000)?;
+        within("environments.steps", self.steps as u64, 1, 1_000_000)?;
+        within("environments.per_slot", self.per_slot as u64, 1, self.count as u64)?;
+        within("environments.chunk_steps", self.chunk_steps as u64, 1, self.steps as u64)?;
+        divides("environments.per_slot", self.per_slot, "environments.count", self.count)?;
+        divides("environments.chunk_steps", self.chunk_steps, "environments.steps", self.steps)
+    }
+}
+
+fn within(key: &'static str, value: u64, low: u64, high: u64) -> Result<(), ConfigError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    let range = match high {
+        u64::MAX => format!("at least {low}"),
+        _ => format!("{low} to {high}"),
+    };
+    Err(ConfigError { key, found: value.to_string(), range })
+}
+
+fn divides(
+    key: &'static str,
+    part: usize,
+    whole_key: &'static str,
+    whole: usize,
+) -> Result<(), ConfigError> {
+    if whole.is_multiple_of(part) {
+        return Ok(());
+    }
+    let range = format!("a divisor of {whole_key} = {whole}");
+    Err(ConfigError { key, found: part.to_string(), range })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config() -> EnvironmentsConfig {
+        EnvironmentsConfig {
+            count: 20,
+            steps: 200,
+            per_slot: 2,
+            chunk_steps: 50,
+            phase: Phase::Staggered,
+        }
+    }
+
+    #[test]
+    fn the_default_sizes_are_valid() {
+        assert_eq!(config().validate(), Ok(()));
+        assert_eq!((config().slots(), config().steps_per_iteration()), (10, 4000));
+    }
+
+    #[test]
+    fn sizes_that_do_not_fit_are_refused_by_name() {
+        let cases: [(EnvironmentsConfig, &str); 4] = [
+            (
+                EnvironmentsConfig { count: 0, ..config() },
+                "environments.count = 0 is out of range: 1 to 1000000",
+            ),
+            (
+                EnvironmentsConfig { per_slot: 3, ..config() },
+                "environments.per_slot = 3 is out of range: a divisor of environments.count = 20",
+            ),
+            (
+                EnvironmentsConfig { chunk_steps: 300, ..config() },
+                "environments.chunk_steps = 300 is out of range: 1 to 200",
+            ),
+            (
+                EnvironmentsConfig { chunk_steps: 30, ..config() },
+                "environments.chunk_steps = 30 is out of range: a divisor of environments.steps = 200",
+            ),
+        ];
+        for (config, message) in cases {
+            assert_eq!(
+                config.validate().map_err(|error| error.to_string()),
+                Err(message.to_owned())
+            );
+        }
+    }
+}

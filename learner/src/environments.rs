@@ -1,0 +1,231 @@
+//! Where every environment of the run stands between two iterations: the state from which it goes
+//! on, the return and length of its running episode, and the returns of the last finished ones.
+
+use std::collections::VecDeque;
+
+use marl::Batch;
+use policy::arrays::{Array, NamedArrays};
+use proto::{EnvironmentStart, RolloutWork, Start};
+
+use crate::assemble::Layout;
+use crate::checkpoint::{CheckpointError, fields};
+use crate::config::Phase;
+use crate::exchange::SlotRollout;
+
+/// Finished episodes whose mean is reported.
+const RECENT: usize = 20;
+
+/// Where every environment stands, in the order of their global index.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Environments {
+    layout: Layout,
+    limits: Vec<Limit>,
+    starts: Vec<Start>,
+    episode_return: Vec<f64>,
+    episode_length: Vec<u64>,
+    finished: Vec<u64>,
+    recent: VecDeque<f64>,
+}
+
+/// Step limit of an environment's first episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Limit {
+    steps: u32,
+    /// A shortened episode's return says nothing about the policy.
+    shortened: bool,
+}
+
+impl Environments {
+    /// Before the first iteration. With `Phase::Staggered` the first episode of environment `e` of
+    /// `E` is cut after `episode_steps * (e + 1) / E` steps, at least one.
+    #[must_use]
+    pub fn fresh(layout: Layout, episode_steps: u32, phase: Phase) -> Self {
+        let count = layout.environments();
+        let limits: Vec<Limit> =
+            (0..count).map(|e| limit(e, count, episode_steps, phase)).collect();
+        let start = |limit: &Limit| Start::Fresh { episode: 0, limit: limit.steps };
+        Self {
+            starts: limits.iter().map(start).collect(),
+            layout,
+            limits,
+            episode_return: vec![0.0; count],
+            episode_length: vec![0; count],
+            finished: vec![0; count],
+            recent: VecDeque::new(),
+        }
+    }
+
+    /// The slots of an iteration, each with the states from which its environments go on.
+    #[must_use]
+    pub fn work(&self, iteration: u64) -> Vec<RolloutWork> {
+        let slot = |(slot, starts): (usize, &[Start])| RolloutWork {
+            iteration,
+            slot: slot as u32,
+            environments: starts
+                .iter()
+                .enumerate()
+                .map(|(position, start)| EnvironmentStart {
+                    environment: (slot * self.layout.per_slot + position) as u32,
+                    start: start.clone(),
+                })
+                .collect(),
+        };
+        self.starts.chunks(self.layout.per_slot).enumerate().map(slot).collect()
+    }
+
+    /// Takes in an iteration: its rewards, and the states at the slots' ends. `rollouts` are those
+    /// that `assemble` made `batch` of.
+    pub fn advance(&mut self, batch: &Batch, rollouts: &[SlotRollout]) {
+        for row in 0..batch.rows() {
+            let environment = row % batch.environments;
+            self.episode_return[environment] += f64::from(batch.reward[row]);
+            self.episode_length[environment] += 1;
+            if batch.done(row) {
+                self.finish_episode(environment);
+            }
+        }
+        self.starts = rollouts.iter().flat_map(|rollout| self.continuations(rollout)).collect();
+    }
+
+    fn finish_episode(&mut self, environment: usize) {
+        let shortened = self.finished[environment] == 0 && self.limits[environment].shortened;
+        if !shortened {
+            self.recent.push_back(self.episode_return[environment]);
+        }
+        while self.recent.len() > RECENT {
+            self.recent.pop_front();
+        }
+        self.episode_return[environment] = 0.0;
+        self.episode_length[environment] = 0;
+        self.finished[environment] += 1;
+    }
+
+    fn continuations(&self, rollout: &SlotRollout) -> Vec<Start> {
+        let end = rollout.chunks.last().and_then(|chunk| chunk.end.as_ref());
+        let end = end.expect("a rollout that could be assembled has its end states");
+        let row = |position: usize| -> Vec<Vec<f32>> {
+            let agents = end.recurrent.iter().zip(&self.layout.agents);
+            agents
+                .map(|(all, agent)| all[position * agent.hidden..][..agent.hidden].to_vec())
+                .collect()
+        };
+        let states = end.environments.iter().enumerate();
+        states
+            .map(|(p, state)| Start::Continue { state: state.clone(), recurrent: row(p) })
+            .collect()
+    }
+
+    /// Mean extrinsic return of the last finished whole episodes, at most 20; `None` before the first.
+    #[must_use]
+    pub fn mean_return(&self) -> Option<f64> {
+        let count = self.recent.len();
+        (count > 0).then(|| self.recent.iter().sum::<f64>() / count as f64)
+    }
+
+    /// Everything under `environments/`, and the finished returns under `counters/`.
+    #[must_use]
+    pub fn arrays(&self) -> NamedArrays {
+        let mut arrays = NamedArrays::new();
+        for (e, start) in self.starts.iter().enumerate() {
+            if let Start::Continue { state, .. } = start {
+                let array = Array::U8 { shape: vec![state.len()], data: state.clone() };
+                arrays.insert(state_name(e), array);
+            }
+        }
+        self.add_recurrent(&mut arrays);
+        let count = self.starts.len();
+        let f64s = |data: Vec<f64>| Array::F64 { shape: vec![data.len()], data };
+        let i64s = |data: &[u64]| Array::I64 {
+            shape: vec![count],
+            data: data.iter().map(|value| *value as i64).collect(),
+        };
+        arrays.insert("environments/episode_return".into(), f64s(self.episode_return.clone()));
+        arrays.insert("environments/episode_length".into(), i64s(&self.episode_length));
+        arrays.insert("environments/finished_episodes".into(), i64s(&self.finished));
+        if !self.recent.is_empty() {
+            let recent = self.recent.iter().copied().collect();
+            arrays.insert("counters/recent_returns".into(), f64s(recent));
+        }
+        arrays
+    }
+
+    /// `environments/recurrent_I`, `[B, H]` of agent `I`; none before the first iteration and for
+    /// agents without a recurrent state.
+    fn add_recurrent(&self, arrays: &mut NamedArrays) {
+        for (index, agent) in self.layout.agents.iter().enumerate() {
+            let mut data = Vec::new();
+            for start in &self.starts {
+                if let Start::Continue { recurrent, .. } = start {
+                    data.extend_from_slice(&recurrent[index]);
+                }
+            }
+            if !data.is_empty() {
+                let shape = vec![self.starts.len(), agent.hidden];
+                arrays.insert(recurrent_name(index), Array::F32 { shape, data });
+            }
+        }
+    }
+
+    /// Takes over what [`Self::arrays`] wrote after `iteration` iterations.
+    ///
+    /// # Errors
+    /// Names the array that is missing or has another length.
+    pub fn restore(&mut self, arrays: &NamedArrays, iteration: u64) -> Result<(), CheckpointError> {
+        let count = self.starts.len();
+        self.episode_return = fields::f64s(arrays, "environments/episode_return", count)?.to_vec();
+        self.episode_length = fields::counts(arrays, "environments/episode_length", count)?;
+        self.finished = fields::counts(arrays, "environments/finished_episodes", count)?;
+        self.recent = match arrays.get("counters/recent_returns") {
+            None => VecDeque::new(),
+            Some(_) => {
+                fields::all_f64s(arrays, "counters/recent_returns")?.iter().copied().collect()
+            }
+        };
+        if iteration > 0 {
+            self.starts = self.read_starts(arrays)?;
+        }
+        Ok(())
+    }
+
+    fn read_starts(&self, arrays: &NamedArrays) -> Result<Vec<Start>, CheckpointError> {
+        let count = self.starts.len();
+        let mut recurrent = Vec::new();
+        for (index, agent) in self.layout.agents.iter().enumerate() {
+            recurrent.push(match agent.hidden {
+                0 => &[][..],
+                units => fields::f32s(arrays, &recurrent_name(index), count * units)?,
+            });
+        }
+        let row = |e: usize| -> Vec<Vec<f32>> {
+            let agents = recurrent.iter().zip(&self.layout.agents);
+            agents.map(|(all, agent)| all[e * agent.hidden..][..agent.hidden].to_vec()).collect()
+        };
+        let read = |e: usize| {
+            let state = fields::bytes(arrays, &state_name(e))?.to_vec();
+            Ok(Start::Continue { state, recurrent: row(e) })
+        };
+        (0..count).map(read).collect()
+    }
+}
+
+fn limit(environment: usize, count: usize, episode_steps: u32, phase: Phase) -> Limit {
+    let steps = match phase {
+        Phase::Lockstep => episode_steps,
+        Phase::Staggered => {
+            let share = u64::from(episode_steps) * (environment as u64 + 1) / count as u64;
+            u32::try_from(share).map_or(episode_steps, |share| share.max(1))
+        }
+    };
+    Limit { steps, shortened: steps < episode_steps }
+}
+
+fn state_name(environment: usize) -> String {
+    format!("environments/{environment:04}/state")
+}
+
+fn recurrent_name(agent: usize) -> String {
+    format!("environments/recurrent_{agent}")
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,129 @@
+//! First limits, running returns, and continuation over iterations.
+
+use proto::{ActorId, LeaseId, SlotEnd, TrajectoryChunk};
+
+use super::*;
+use crate::assemble::AgentLayout;
+
+/// One slot of two environments, 3 steps, one agent with 2 recurrent units.
+fn layout() -> Layout {
+    let agents = vec![AgentLayout { observation: 1, action: 1, hidden: 2 }];
+    Layout { slots: 1, per_slot: 2, steps: 3, hidden_every: 3, state: 1, agents }
+}
+
+fn batch(reward: [f32; 6], done_rows: &[usize]) -> Batch {
+    let truncated = (0..6).map(|row| done_rows.contains(&row)).collect();
+    let (steps, environments) = (3, 2);
+    let (reward, terminated) = (reward.to_vec(), vec![false; 6]);
+    Batch { steps, environments, reward, terminated, truncated, ..Batch::default() }
+}
+
+fn rollout() -> SlotRollout {
+    let end = SlotEnd {
+        environments: vec![vec![1, 2, 3], vec![4]],
+        recurrent: vec![vec![0.1, 0.2, 0.3, 0.4]],
+    };
+    let chunk = TrajectoryChunk {
+        sequence: 0,
+        first_step: 0,
+        steps: 3,
+        agents: vec![],
+        state: vec![],
+        reward: vec![],
+        terminated: vec![],
+        truncated: vec![],
+        finals: vec![],
+        end: Some(end),
+    };
+    let (actor, lease, digests) = (ActorId(1), LeaseId(1), Vec::new());
+    SlotRollout { slot: 0, actor, lease, chunks: vec![chunk], digests }
+}
+
+fn limits(count: usize, episode_steps: u32, phase: Phase) -> Vec<u32> {
+    let layout = Layout { slots: count / 2, ..layout() };
+    let work = Environments::fresh(layout, episode_steps, phase).work(0);
+    let starts = work.into_iter().flat_map(|slot| slot.environments);
+    let limit = |start: EnvironmentStart| match start.start {
+        Start::Fresh { episode: 0, limit } => limit,
+        other => panic!("{other:?} is no first start"),
+    };
+    starts.map(limit).collect()
+}
+
+#[test]
+fn staggered_first_episodes_end_evenly_spread() {
+    assert_eq!(limits(4, 1000, Phase::Staggered), [250, 500, 750, 1000]);
+    assert_eq!(limits(6, 4, Phase::Staggered), [1, 1, 2, 2, 3, 4]);
+    assert_eq!(limits(4, 1000, Phase::Lockstep), [1000; 4]);
+}
+
+#[test]
+fn environments_are_numbered_over_all_slots() {
+    let layout = Layout { slots: 3, ..layout() };
+    let work = Environments::fresh(layout, 10, Phase::Lockstep).work(7);
+    let numbers: Vec<(u64, u32, Vec<u32>)> = work
+        .iter()
+        .map(|w| (w.iteration, w.slot, w.environments.iter().map(|e| e.environment).collect()))
+        .collect();
+    assert_eq!(numbers, [(7, 0, vec![0, 1]), (7, 1, vec![2, 3]), (7, 2, vec![4, 5])]);
+}
+
+#[test]
+fn a_shortened_first_episode_is_not_counted_and_the_next_one_is() {
+    // Limits 2 and 4: environment 0 ends after step 1 (not counted), environment 1 goes on.
+    let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);
+    environments.advance(&batch([1.0, 10.0, 1.0, 10.0, 3.0, 10.0], &[2]), &[rollout()]);
+    assert_eq!(environments.mean_return(), None);
+    // Environment 1 ends after one more step with 40; environment 0 after three more with 3 + 6.
+    environments.advance(&batch([2.0, 10.0, 2.0, 0.0, 2.0, 0.0], &[1, 4]), &[rollout()]);
+    assert_eq!(environments.mean_return(), Some((40.0 + 9.0) / 2.0));
+}
+
+#[test]
+fn the_mean_is_that_of_the_last_twenty_episodes() {
+    let mut environments = Environments::fresh(layout(), 1, Phase::Lockstep);
+    let all = [0, 1, 2, 3, 4, 5];
+    environments.advance(&batch([1000.0; 6], &all), &[rollout()]);
+    for _ in 0..3 {
+        environments.advance(&batch([1.0; 6], &all), &[rollout()]);
+    }
+    // 18 of the last 20 are the later ones.
+    assert_eq!(environments.mean_return(), Some((18.0 + 2.0 * 1000.0) / 20.0));
+}
+
+#[test]
+fn the_next_iteration_goes_on_from_the_slots_ends() {
+    let mut environments = Environments::fresh(layout(), 9, Phase::Lockstep);
+    environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
+    let starts: Vec<Start> =
+        environments.work(1).remove(0).environments.into_iter().map(|e| e.start).collect();
+    let first = Start::Continue { state: vec![1, 2, 3], recurrent: vec![vec![0.1, 0.2]] };
+    let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
+    assert_eq!(starts, [first, second]);
+}
+
+#[test]
+fn restored_environments_equal_the_kept_ones() {
+    let mut kept = Environments::fresh(layout(), 2, Phase::Lockstep);
+    for iteration in 0..3 {
+        let mut restored = Environments::fresh(layout(), 2, Phase::Lockstep);
+        restored.restore(&kept.arrays(), iteration).unwrap();
+        assert_eq!(restored, kept);
+        kept.advance(&batch([0.5, 1.0, 0.25, 1.0, 2.0, 1.0], &[2, 5]), &[rollout()]);
+    }
+}
+
+#[test]
+fn a_missing_or_odd_array_is_named() {
+    let mut environments = Environments::fresh(layout(), 2, Phase::Lockstep);
+    environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
+    for name in environments.arrays().keys() {
+        let mut arrays = environments.arrays();
+        arrays.insert(name.clone(), Array::F32 { shape: vec![1], data: vec![0.0] });
+        let error = environments.clone().restore(&arrays, 1).unwrap_err().to_string();
+        assert!(error.contains(name), "{error}");
+        arrays.remove(name);
+        let error = environments.clone().restore(&arrays, 1).unwrap_err().to_string();
+        assert!(error.contains(&format!("array {name} is missing")), "{error}");
+    }
+}

@@ -1,0 +1,190 @@
+//! When policies are evaluated and what of it a checkpoint keeps. At most one evaluation is
+//! outstanding; its result never touches training.
+
+use std::collections::BTreeSet;
+
+use bytes::Bytes;
+use policy::arrays::{Array, NamedArrays};
+
+use crate::checkpoint::{CheckpointError, fields};
+use crate::config::EvaluationConfig;
+use crate::exchange::EvaluationOutcome;
+
+const ITERATION: &str = "evaluation/iteration";
+const POLICY: &str = "evaluation/policy";
+
+/// The evaluations of a run.
+#[derive(Debug)]
+pub struct Evaluations {
+    config: EvaluationConfig,
+    steps_per_iteration: u64,
+    last_iteration: u64,
+    latest: Option<Evaluated>,
+    /// Iterations whose result stands in the metrics.
+    measured: BTreeSet<u64>,
+}
+
+/// Policies that are or were evaluated.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Evaluated {
+    /// Iterations after which these were the policies.
+    pub iteration: u64,
+    /// A `policy::PolicySnapshot`.
+    pub policy: Bytes,
+}
+
+/// The spread of the extrinsic returns of one evaluation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation of these episodes (divided by their number, not by one less).
+    pub standard_deviation: f64,
+    /// Smallest.
+    pub minimum: f64,
+    /// Largest.
+    pub maximum: f64,
+}
+
+impl Evaluations {
+    /// For a run of `last_iteration` iterations; `measured` are the iterations whose result stands
+    /// in the metrics already.
+    #[must_use]
+    pub fn new(
+        config: EvaluationConfig,
+        steps_per_iteration: u64,
+        last_iteration: u64,
+        measured: BTreeSet<u64>,
+    ) -> Self {
+        Self { config, steps_per_iteration, last_iteration, latest: None, measured }
+    }
+
+    /// Episodes of one evaluation.
+    #[must_use]
+    pub fn episodes(&self) -> u32 {
+        self.config.episodes
+    }
+
+    /// Whether the policies after `iteration` iterations are to be evaluated and are not yet: at the
+    /// start, at the end, and where the steps pass a multiple of `evaluation.every_steps`.
+    #[must_use]
+    pub fn due(&self, iteration: u64) -> bool {
+        let begun = self.latest.as_ref().is_some_and(|latest| latest.iteration == iteration);
+        if self.config.every_steps == 0 || begun || self.measured.contains(&iteration) {
+            return false;
+        }
+        let passed =
+            |iteration: u64| iteration * self.steps_per_iteration / self.config.every_steps;
+        iteration == 0
+            || iteration == self.last_iteration
+            || passed(iteration) > passed(iteration - 1)
+    }
+
+    /// The evaluation whose result is still to come.
+    #[must_use]
+    pub fn outstanding(&self) -> Option<&Evaluated> {
+        let pending = |latest: &&Evaluated| {
+            self.config.every_steps > 0 && !self.measured.contains(&latest.iteration)
+        };
+        self.latest.as_ref().filter(pending)
+    }
+
+    /// An evaluation begins.
+    pub fn begin(&mut self, evaluated: Evaluated) {
+        self.latest = Some(evaluated);
+    }
+
+    /// A result stands in the metrics.
+    pub fn end(&mut self, iteration: u64) {
+        self.measured.insert(iteration);
+    }
+
+    /// The latest evaluation, under `evaluation/`, whether its result is in or not: which it is
+    /// depends on timing, and the metrics tell.
+    #[must_use]
+    pub fn arrays(&self) -> NamedArrays {
+        let Some(latest) = &self.latest else { return NamedArrays::new() };
+        let iteration = Array::I64 { shape: vec![1], data: vec![latest.iteration as i64] };
+        let (shape, data) = (vec![latest.policy.len()], latest.policy.to_vec());
+        [(ITERATION.to_owned(), iteration), (POLICY.to_owned(), Array::U8 { shape, data })].into()
+    }
+
+    /// Takes over what [`Self::arrays`] wrote.
+    ///
+    /// # Errors
+    /// Names the array that is missing or of another type.
+    pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), CheckpointError> {
+        if !arrays.contains_key(ITERATION) {
+            return Ok(());
+        }
+        let iteration = fields::one_count(arrays, ITERATION)?;
+        let policy = Bytes::copy_from_slice(fields::bytes(arrays, POLICY)?);
+        self.latest = Some(Evaluated { iteration, policy });
+        Ok(())
+    }
+}
+
+impl Spread {
+    /// Of an evaluation's episodes, at least one.
+    #[must_use]
+    pub fn of(outcome: &EvaluationOutcome) -> Self {
+        let returns = || outcome.episodes.iter().map(|episode| episode.extrinsic_return);
+        let count = outcome.episodes.len() as f64;
+        let mean = returns().sum::<f64>() / count;
+        let variance = returns().map(|value| (value - mean) * (value - mean)).sum::<f64>() / count;
+        Self {
+            mean,
+            standard_deviation: variance.sqrt(),
+            minimum: returns().fold(f64::INFINITY, f64::min),
+            maximum: returns().fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proto::EvaluationResult;
+
+    fn evaluations(every_steps: u64) -> Evaluations {
+        let config = EvaluationConfig { every_steps, episodes: 2 };
+        Evaluations::new(config, 4000, 30, BTreeSet::new())
+    }
+
+    fn evaluated(iteration: u64) -> Evaluated {
+        Evaluated { iteration, policy: Bytes::from_static(b"policy") }
+    }
+
+    #[test]
+    fn the_start_the_end_and_every_multiple_are_due_once() {
+        let mut all = evaluations(50_000);
+        let due: Vec<u64> = (0..=30).filter(|iteration| all.due(*iteration)).collect();
+        // 13 x 4,000 = 52,000 is the first past 50,000; 25 x 4,000 = 100,000 is on its multiple.
+        assert_eq!(due, [0, 13, 25, 30]);
+        all.begin(evaluated(13));
+        assert!(!all.due(13));
+        assert_eq!((0..=30).filter(|iteration| evaluations(0).due(*iteration)).count(), 0);
+    }
+
+    #[test]
+    fn a_checkpoint_keeps_an_evaluation_until_the_metrics_have_its_result() {
+        let mut before = evaluations(50_000);
+        before.begin(evaluated(13));
+        let mut after = evaluations(50_000);
+        after.restore(&before.arrays()).unwrap();
+        assert_eq!(after.outstanding(), Some(&evaluated(13)));
+        after.end(13);
+        assert_eq!(after.outstanding(), None);
+        assert_eq!(after.arrays(), before.arrays());
+    }
+
+    #[test]
+    fn the_spread_of_two_episodes_is_that_worked_out_by_hand() {
+        let episode =
+            |episode, extrinsic_return| EvaluationResult { episode, extrinsic_return, steps: 5 };
+        let outcome =
+            EvaluationOutcome { iteration: 0, episodes: vec![episode(0, 1.0), episode(1, 5.0)] };
+        let spread = Spread { mean: 3.0, standard_deviation: 2.0, minimum: 1.0, maximum: 5.0 };
+        assert_eq!(Spread::of(&outcome), spread);
+    }
+}

@@ -1,0 +1,67 @@
+//! What a run tells whoever watches it.
+
+use std::path::PathBuf;
+
+/// Something happened that a watcher may show.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// An iteration is finished.
+    Iteration(IterationReport),
+    /// Rollouts are coming in.
+    Collecting {
+        /// Finished iterations.
+        iteration: u64,
+        /// Environment steps so far, with those of the iteration that is being collected.
+        env_steps: u64,
+    },
+    /// An evaluation is finished.
+    Evaluation {
+        /// Iterations after which these were the policies.
+        iteration: u64,
+        /// Environment steps of those iterations.
+        env_steps: u64,
+        /// Mean extrinsic return.
+        mean: f64,
+        /// Its standard deviation over the episodes.
+        standard_deviation: f64,
+        /// Smallest return.
+        minimum: f64,
+        /// Largest return.
+        maximum: f64,
+        /// Episodes.
+        episodes: usize,
+    },
+    /// A checkpoint stands on disk.
+    Checkpoint {
+        /// Its directory.
+        path: PathBuf,
+        /// Its iteration.
+        iteration: u64,
+    },
+    /// Nothing has come in for a while.
+    Waiting {
+        /// Seconds since anything did.
+        seconds: f64,
+        /// What is missing.
+        reason: String,
+    },
+}
+
+/// What one iteration was like.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IterationReport {
+    /// Finished iterations, this one included.
+    pub iteration: u64,
+    /// Environment steps of all of them.
+    pub env_steps: u64,
+    /// From the lease of its slots to the last chunk.
+    pub rollout_secs: f64,
+    /// From the last chunk to the new policies, densities included.
+    pub update_secs: f64,
+    /// Mean extrinsic return of the last finished episodes, at most 20; `None` before the first.
+    pub episode_return: Option<f64>,
+    /// Actors connected.
+    pub actors: usize,
+    /// The densities' and the algorithm's figures.
+    pub metrics: Vec<(String, f64)>,
+}

@@ -1,0 +1,390 @@
+//! Where the service's many tasks and the trainer's one thread meet: published weights, the slot table
+//! under one lock, and the queue of what the trainer waits for.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use proto::{
+    Ack, AckState, ActorId, Beat, EvaluationResult, HeartbeatAnswer, Incarnation, LeaseAnswer,
+    LeaseId, PolicyVersion, PushHeader, Reason, Refusal, Registered, Registration, RolloutWork,
+    RunDescription, RunState, TrajectoryChunk, WeightsName,
+};
+use serde::{Deserialize, Serialize};
+use tokio::sync::Notify;
+
+use crate::canary;
+use crate::config::ConfigError;
+use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
+pub use crate::slots::{EvaluationOutcome, SlotRollout};
+
+mod weights;
+
+use weights::Weights;
+
+/// What an actor that finds nothing to do is told to wait before it asks again.
+const RETRY: Duration = Duration::from_millis(100);
+
+/// How long an actor may be silent.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeaseConfig {
+    /// A lease ends when nothing is heard of it for this long, seconds.
+    pub ttl_secs: f64,
+    /// Time between two heartbeats of an actor, seconds; less than the time to live.
+    pub heartbeat_secs: f64,
+}
+
+impl LeaseConfig {
+    /// Refuses times that no run can work with.
+    ///
+    /// # Errors
+    /// Names the first key that is wrong and its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let within = |key, value: f64, low: f64, high: f64| {
+            let good = (low..=high).contains(&value);
+            let range = format!("{low} to {high}");
+            good.then_some(()).ok_or_else(|| ConfigError { key, found: value.to_string(), range })
+        };
+        within("lease.ttl_secs", self.ttl_secs, 0.1, 3600.0)?;
+        within("lease.heartbeat_secs", self.heartbeat_secs, 0.01, self.ttl_secs / 2.0)
+    }
+}
+
+/// Why the exchange cannot go on.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ExchangeError {
+    /// What should be published is no policy for this run.
+    #[error("cannot publish weights {version}: {detail}")]
+    Weights {
+        /// Their version.
+        version: PolicyVersion,
+        /// What is wrong with them.
+        detail: String,
+    },
+    /// Two valid results differ.
+    #[error("{0}")]
+    Disagreement(Box<Disagreement>),
+}
+
+/// Why the trainer woke up.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wake {
+    /// The open iteration is complete: every slot, in order.
+    Iteration(Vec<SlotRollout>),
+    /// An evaluation is complete.
+    Evaluation(EvaluationOutcome),
+    /// The run cannot go on.
+    Failed(ExchangeError),
+    /// Nothing happened for as long as it was willing to wait.
+    Patience,
+}
+
+/// How far the exchange is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Environment steps accepted in the open iteration.
+    pub steps_collected: u64,
+    /// Actors that are connected.
+    pub actors: usize,
+    /// Registrations without a fingerprint so far: with any, the run is not exactly repeatable.
+    pub foreign_actors: u64,
+    /// Refused messages by reason.
+    pub refusals: BTreeMap<String, u64>,
+    /// Slots and episodes that had to be leased again.
+    pub leases_reissued: u64,
+}
+
+/// Where service and trainer meet.
+#[derive(Debug)]
+pub struct Exchange {
+    run: RunDescription,
+    begun: Instant,
+    shared: Mutex<Shared>,
+    /// Wakes the trainer: `Shared::wakes` is no longer empty.
+    trainer: Condvar,
+    /// Wakes tasks that wait for a lease.
+    work: Notify,
+}
+
+#[derive(Debug)]
+struct Shared {
+    table: SlotTable,
+    weights: Weights,
+    /// Bounded by what is open: one iteration, a few evaluations, one failure.
+    wakes: VecDeque<Wake>,
+    refusals: BTreeMap<String, u64>,
+}
+
+impl Exchange {
+    /// An exchange without work. `run` and `lease` have been validated.
+    #[must_use]
+    pub fn new(run: RunDescription, lease: LeaseConfig) -> Arc<Self> {
+        let ttl = Duration::from_secs_f64(lease.ttl_secs);
+        let table = SlotTable::new(run.incarnation, ttl, run.chunks_per_slot());
+        let shared = Shared {
+            table,
+            weights: Weights::default(),
+            wakes: VecDeque::new(),
+            refusals: BTreeMap::new(),
+        };
+        Arc::new(Self {
+            run,
+            begun: Instant::now(),
+            shared: Mutex::new(shared),
+            trainer: Condvar::new(),
+            work: Notify::new(),
+        })
+    }
+
+    /// What the run is about.
+    #[must_use]
+    pub fn run(&self) -> &RunDescription {
+        &self.run
+    }
+
+    // What the trainer does.
+
+    /// Makes weights available. Versions that no open work names are dropped, except the latest two
+    /// published.
+    ///
+    /// # Errors
+    /// Refuses bytes that are no policy for this run.
+    pub fn publish(
+        &self,
+        version: PolicyVersion,
+        snapshot: Bytes,
+    ) -> Result<WeightsName, ExchangeError> {
+        let published = weights::parse(version, snapshot, &self.run)
+            .map_err(|detail| ExchangeError::Weights { version, detail })?;
+        let name = published.name;
+        self.change(|shared| {
+            shared.weights.insert(published);
+            shared.weights.prune(shared.table.weights_in_use());
+        });
+        Ok(name)
+    }
+
+    /// Opens an iteration to be rolled out with published weights. What was open before is dropped.
+    ///
+    /// # Panics
+    /// If the weights were not published.
+    pub fn open_iteration(&self, iteration: u64, weights: PolicyVersion, slots: Vec<RolloutWork>) {
+        self.change(|shared| {
+            let name = shared.weights.expect(weights);
+            shared.table.open_iteration(iteration, name, slots);
+        });
+    }
+
+    /// Opens an evaluation of published weights, leased when no slot is free.
+    ///
+    /// # Panics
+    /// If the weights were not published.
+    pub fn open_evaluation(&self, iteration: u64, weights: PolicyVersion, episodes: u32) {
+        self.change(|shared| {
+            let name = shared.weights.expect(weights);
+            shared.table.open_evaluation(iteration, name, episodes);
+        });
+    }
+
+    /// Blocks until something is complete or fails, but not longer than `patience`.
+    pub fn wait(&self, patience: Duration) -> Wake {
+        let shared = self.lock();
+        let idle = |shared: &mut Shared| shared.wakes.is_empty();
+        let waited = self.trainer.wait_timeout_while(shared, patience, idle);
+        let (mut shared, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        shared.wakes.pop_front().unwrap_or(Wake::Patience)
+    }
+
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        let shared = self.lock();
+        let counts = shared.table.counts();
+        let steps = u64::from(self.run.chunk_steps) * u64::from(self.run.environments_per_slot);
+        Progress {
+            steps_collected: counts.chunks * steps,
+            actors: counts.actors,
+            foreign_actors: counts.foreign,
+            refusals: shared.refusals.clone(),
+            leases_reissued: counts.reissued,
+        }
+    }
+
+    /// The learner is about to stop: no new leases; open ones may be finished.
+    pub fn drain(&self) {
+        self.change(|shared| shared.table.drain());
+    }
+
+    /// The run is over: every later request for a lease is answered so.
+    pub fn finish(&self) {
+        self.change(|shared| shared.table.finish());
+    }
+
+    // What the service does for actors.
+
+    /// Admits an actor.
+    ///
+    /// # Errors
+    /// Refuses another protocol version, another environment, or another fingerprint.
+    pub fn register(
+        &self,
+        connection: ConnectionId,
+        registration: &Registration,
+    ) -> Result<Registered, Refusal> {
+        registration.check(&self.run)?;
+        let trust = match registration.rollout_fingerprint {
+            Some(_) => Trust::Exact,
+            None => Trust::Foreign,
+        };
+        let actor = self.change(|shared| shared.table.register(connection, trust));
+        tracing::info!(%actor, client = %registration.client, ?trust, "actor registered");
+        Ok(Registered { actor, incarnation: self.run.incarnation })
+    }
+
+    /// The connection closed: its actors are gone, their leases end.
+    pub fn disconnect(&self, connection: ConnectionId) {
+        self.change(|shared| shared.table.disconnect(connection));
+    }
+
+    /// Waits for work, at most `patience`.
+    ///
+    /// # Errors
+    /// Refuses unknown actors, other incarnations, and too many leases.
+    pub async fn lease(
+        &self,
+        actor: ActorId,
+        incarnation: Incarnation,
+        patience: Duration,
+    ) -> Result<LeaseAnswer, Refusal> {
+        let end = self.begun.elapsed() + patience;
+        loop {
+            // Registered before the table is asked, so that no wake is missed in between.
+            let mut freed = std::pin::pin!(self.work.notified());
+            freed.as_mut().enable();
+            let (offer, deadline) = self.change(|shared| {
+                (shared.table.lease(actor, incarnation), shared.table.next_deadline())
+            });
+            let left = end.saturating_sub(self.begun.elapsed());
+            let pause = match offer? {
+                Offer::Lease(lease) => return Ok(LeaseAnswer::Lease(lease)),
+                Offer::Done => return Ok(LeaseAnswer::Done),
+                _ if left.is_zero() => return Ok(retry(RETRY)),
+                Offer::Quarantined(wait) if wait > left => return Ok(retry(wait)),
+                Offer::Quarantined(wait) => wait,
+                Offer::Nothing => deadline.map_or(left, |at| left.min(self.until(at))),
+            };
+            // Either way the table is asked again: woken, or an open lease may have ended.
+            let _ = tokio::time::timeout(pause, freed).await;
+        }
+    }
+
+    /// An actor is alive.
+    ///
+    /// # Errors
+    /// Refuses unknown actors and other incarnations.
+    pub fn heartbeat(&self, beat: &Beat) -> Result<HeartbeatAnswer, Refusal> {
+        let (lease_valid, run_state) =
+            self.change(|shared| (shared.table.heartbeat(beat), shared.table.state()));
+        Ok(HeartbeatAnswer { lease_valid: lease_valid?, run_state })
+    }
+
+    /// What the run is doing.
+    #[must_use]
+    pub fn state(&self) -> RunState {
+        self.lock().table.state()
+    }
+
+    /// The bytes of a snapshot.
+    ///
+    /// # Errors
+    /// Refuses names of weights that are not held.
+    pub fn snapshot(&self, name: WeightsName) -> Result<Bytes, Refusal> {
+        self.lock().weights.find(name).map(|published| published.bytes.clone())
+    }
+
+    /// Whether chunk `sequence` under `header` would be taken in, before its content is looked at.
+    ///
+    /// # Errors
+    /// See [`SlotTable::preview_chunk`].
+    pub fn preview_chunk(&self, header: &PushHeader, sequence: u32) -> Result<AckState, Refusal> {
+        self.change(|shared| shared.table.preview_chunk(header, sequence))
+    }
+
+    /// Takes in a validated chunk. Runs the policies over it, so it belongs on a thread that may block.
+    ///
+    /// # Errors
+    /// Refuses what [`Self::preview_chunk`] refuses, and a chunk that the lease's weights do not explain.
+    pub fn accept_chunk(
+        &self,
+        header: &PushHeader,
+        chunk: TrajectoryChunk,
+    ) -> Result<Ack, Refusal> {
+        if self.preview_chunk(header, chunk.sequence)? == AckState::Accepted {
+            let published = self.lock().weights.find(header.weights)?;
+            canary::check(&published.policy, &self.run, &chunk)?;
+        }
+        self.change(|shared| shared.table.chunk(header, chunk))
+    }
+
+    /// Takes in the validated result of an evaluation episode.
+    ///
+    /// # Errors
+    /// See [`SlotTable::evaluation`].
+    pub fn accept_evaluation(
+        &self,
+        header: &PushHeader,
+        result: EvaluationResult,
+    ) -> Result<Ack, Refusal> {
+        self.change(|shared| shared.table.evaluation(header, result))
+    }
+
+    /// Counts a refusal. If it was about a lease's result, the lease ends.
+    pub fn refused(&self, lease: Option<LeaseId>, refusal: &Refusal) {
+        tracing::warn!(reason = refusal.reason.name(), field = %refusal.field, "{}", refusal.detail);
+        self.change(|shared| {
+            *shared.refusals.entry(refusal.reason.name().to_owned()).or_default() += 1;
+            // What a lease did before it ended, or under another learner, cannot end it again.
+            let about_the_lease =
+                !matches!(refusal.reason, Reason::UnknownLease | Reason::OtherIncarnation);
+            lease.filter(|_| about_the_lease).into_iter().for_each(|id| shared.table.refuse(id));
+        });
+    }
+
+    fn until(&self, deadline: Duration) -> Duration {
+        // A millisecond more, so that the deadline has passed when the table is asked again.
+        deadline.saturating_sub(self.begun.elapsed()) + Duration::from_millis(1)
+    }
+
+    /// Every change goes through here: the table learns the time first, its effects are carried out after.
+    fn change<T>(&self, act: impl FnOnce(&mut Shared) -> T) -> T {
+        let mut shared = self.lock();
+        shared.table.tick(self.begun.elapsed());
+        let result = act(&mut shared);
+        for effect in shared.table.effects() {
+            match effect {
+                Effect::WorkFreed => self.work.notify_waiters(),
+                Effect::Iteration(rollouts) => shared.wakes.push_back(Wake::Iteration(rollouts)),
+                Effect::Evaluation(outcome) => shared.wakes.push_back(Wake::Evaluation(outcome)),
+                Effect::Failed(disagreement) => {
+                    let error = ExchangeError::Disagreement(disagreement);
+                    shared.wakes.push_back(Wake::Failed(error));
+                }
+            }
+        }
+        if !shared.wakes.is_empty() {
+            self.trainer.notify_all();
+        }
+        result
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        // Nothing panics while it holds the lock half-changed: the table's methods check first.
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn retry(wait: Duration) -> LeaseAnswer {
+    LeaseAnswer::Retry { wait_millis: u32::try_from(wait.as_millis()).unwrap_or(u32::MAX) }
+}

@@ -1,0 +1,87 @@
+//! Published weights: their bytes for actors, the parsed policies for the canary.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use policy::{ActorPolicy, PolicySnapshot};
+use proto::{Digest, PolicyVersion, Reason, Refusal, RunDescription, WeightsName};
+
+/// Versions kept although no open work names them: the one just published, and the one before it.
+const LATEST: usize = 2;
+
+/// One version.
+#[derive(Debug)]
+pub(super) struct Published {
+    pub(super) name: WeightsName,
+    pub(super) bytes: Bytes,
+    pub(super) policy: PolicySnapshot,
+}
+
+/// Published versions that are still held.
+#[derive(Debug, Default)]
+pub(super) struct Weights {
+    held: BTreeMap<PolicyVersion, Arc<Published>>,
+    latest: VecDeque<PolicyVersion>,
+}
+
+impl Weights {
+    pub(super) fn insert(&mut self, published: Published) {
+        let version = published.name.version;
+        self.held.insert(version, Arc::new(published));
+        self.latest.retain(|other| *other != version);
+        self.latest.push_back(version);
+        if self.latest.len() > LATEST {
+            self.latest.pop_front();
+        }
+    }
+
+    /// Drops what is neither recent nor named by open work.
+    pub(super) fn prune(&mut self, in_use: impl Iterator<Item = WeightsName>) {
+        let in_use = in_use.map(|name| name.version).collect::<BTreeSet<_>>();
+        let latest = &self.latest;
+        self.held.retain(|version, _| in_use.contains(version) || latest.contains(version));
+    }
+
+    pub(super) fn find(&self, name: WeightsName) -> Result<Arc<Published>, Refusal> {
+        let held = self.held.get(&name.version).filter(|held| held.name == name);
+        held.cloned().ok_or_else(|| {
+            let detail =
+                format!("version {} with SHA-256 {} is not held", name.version, name.digest);
+            Refusal::new(Reason::UnknownWeights, "weights", detail)
+        })
+    }
+
+    /// The name of a version that the trainer has published.
+    pub(super) fn expect(&self, version: PolicyVersion) -> WeightsName {
+        let held = self.held.keys().collect::<Vec<_>>();
+        let published = self.held.get(&version);
+        published.unwrap_or_else(|| panic!("weights {version} are not held, only {held:?}")).name
+    }
+}
+
+/// Parses a snapshot and compares its sizes with the run's.
+pub(super) fn parse(
+    version: PolicyVersion,
+    bytes: Bytes,
+    run: &RunDescription,
+) -> Result<Published, String> {
+    let policy = PolicySnapshot::from_bytes(&bytes).map_err(|error| error.to_string())?;
+    let sizes = |policy: &ActorPolicy| {
+        (policy.observation_size(), policy.action_size(), policy.hidden_size())
+    };
+    let found = policy.agents.iter().map(sizes).collect::<Vec<_>>();
+    let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
+    let expected = agents
+        .map(|(agent, hidden)| {
+            (agent.observation.len(), agent.action.size as usize, *hidden as usize)
+        })
+        .collect::<Vec<_>>();
+    if found != expected {
+        return Err(format!(
+            "the agents' (observation, action, hidden) sizes are {found:?}, the run has {expected:?}"
+        ));
+    }
+    let digest = Digest(policy::digest(&bytes));
+    Ok(Published { name: WeightsName { version, digest }, bytes, policy })
+}

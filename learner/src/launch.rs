@@ -1,0 +1,218 @@
+//! From what a run is started with to a trainer that stands between two iterations: at the very
+//! beginning, or where the newest good checkpoint left off.
+
+use std::path::PathBuf;
+
+use marl::Surprise;
+use policy::{PolicyConfig, RunSeed};
+use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescription};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use serde_json::{Value, json};
+
+use crate::assemble::{Layout, problem};
+use crate::checkpoint::{self, CheckpointError, Loaded};
+use crate::config::{Config, ConfigError};
+use crate::environments::Environments;
+use crate::error::LearnerError;
+use crate::evaluation::Evaluations;
+use crate::metrics::Metrics;
+use crate::provenance::Provenance;
+use crate::run_folder::{RunFolder, RunFolderError};
+use crate::trainer::{Trainer, policy_bytes};
+
+/// What a run is started with.
+#[derive(Clone, Debug)]
+pub struct Launch {
+    /// Environments, leases, evaluation, checkpoints, threads.
+    pub config: Config,
+    /// The learning rule.
+    pub training: marl::Config,
+    /// The actor networks.
+    pub policy: PolicyConfig,
+    /// The environment, which every actor must have.
+    pub environment: EnvironmentSpec,
+    /// JSON from which an actor builds the environment.
+    pub task_settings: String,
+    /// Every random draw comes from it.
+    pub seed: RunSeed,
+    /// Iterations of the whole run.
+    pub iterations: u64,
+    /// Names the run.
+    pub run_id: String,
+    /// The run folder.
+    pub folder: PathBuf,
+    /// All settings, for the run folder.
+    pub config_toml: String,
+    /// Hash of the semantic settings.
+    pub config_sha256: Digest,
+    /// The numeric fingerprint that every actor must have.
+    pub rollout_fingerprint: Digest,
+    /// The learner's numeric fingerprint.
+    pub learner_fingerprint: Digest,
+    /// An object with more fields for the run folder's manifest.
+    pub manifest: Value,
+    /// Whether to go on with the run in the folder.
+    pub resume: bool,
+}
+
+impl Launch {
+    fn validate(&self) -> Result<(), LearnerError> {
+        self.config.validate()?;
+        self.policy.validate().map_err(LearnerError::PolicyConfig)?;
+        self.training.validate()?;
+        let (chunk, through_time) = (self.config.environments.chunk_steps, self.policy.chunk_steps);
+        if !chunk.is_multiple_of(through_time) {
+            let range = format!("a multiple of policy.chunk_steps = {through_time}");
+            let (key, found) = ("environments.chunk_steps", chunk.to_string());
+            return Err(ConfigError { key, found, range }.into());
+        }
+        self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
+    }
+
+    /// What actors are told about this start of the run.
+    fn description(&self, incarnation: Incarnation) -> RunDescription {
+        let environments = &self.config.environments;
+        let hidden = self.policy.hidden_size() as u32;
+        RunDescription {
+            run_id: self.run_id.clone(),
+            protocol_version: PROTOCOL_VERSION,
+            incarnation,
+            seed: self.seed.0,
+            task_settings: self.task_settings.clone(),
+            environment: self.environment.clone(),
+            environments_per_slot: environments.per_slot as u32,
+            slot_steps: environments.steps as u32,
+            chunk_steps: environments.chunk_steps as u32,
+            hidden_sizes: vec![hidden; self.environment.agents.len()],
+            hidden_every: self.policy.chunk_steps as u32,
+            rollout_fingerprint: self.rollout_fingerprint,
+            config_sha256: self.config_sha256,
+            heartbeat_secs: self.config.lease.heartbeat_secs,
+        }
+    }
+
+    /// What the run folder says of the run, besides the fields given in `manifest`.
+    fn manifest(&self) -> Value {
+        let mut manifest = self.manifest.as_object().cloned().unwrap_or_default();
+        let own = json!({
+            "run_id": self.run_id,
+            "seed": self.seed.0,
+            "environment": self.environment.task,
+            "config_sha256": self.config_sha256.to_string(),
+            "rollout_fingerprint": self.rollout_fingerprint.to_string(),
+            "learner_fingerprint": self.learner_fingerprint.to_string(),
+            "checkpoint_schema": checkpoint::SCHEMA,
+            "protocol_version": PROTOCOL_VERSION,
+        });
+        manifest.extend(own.as_object().cloned().unwrap_or_default());
+        Value::Object(manifest)
+    }
+}
+
+/// Claims the run folder and builds the trainer; nothing is overwritten unless everything fits.
+///
+/// # Errors
+/// Names a setting out of range, a folder that is taken, in use or of another run, and a checkpoint
+/// that does not fit.
+pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError> {
+    launch.validate()?;
+    let folder = claim(&launch)?;
+    let resumed = newest(&launch, &folder)?;
+    let iteration = resumed.as_ref().map_or(0, |loaded| loaded.checkpoint.iteration);
+    if iteration > launch.iterations {
+        let path = resumed.map_or_else(PathBuf::new, |loaded| loaded.path);
+        return Err(LearnerError::PastTheEnd {
+            path,
+            found: iteration,
+            iterations: launch.iterations,
+        });
+    }
+    let incarnation = folder.begin(&launch.config_toml, &launch.manifest())?;
+    let description = launch.description(incarnation);
+    let mut trainer = build(launch, folder, &description, iteration)?;
+    if let Some(loaded) = resumed {
+        trainer.restore(&loaded.checkpoint)?;
+        trainer.saved = Some(loaded.saved());
+    }
+    Ok((trainer, description))
+}
+
+fn claim(launch: &Launch) -> Result<RunFolder, RunFolderError> {
+    match launch.resume {
+        true => RunFolder::claim_existing(&launch.folder, &launch.config_sha256.to_string()),
+        false => RunFolder::claim_new(&launch.folder),
+    }
+}
+
+/// The checkpoint to go on from; none for a new run, and for one that ended before its first.
+fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, LearnerError> {
+    if !launch.resume {
+        return Ok(None);
+    }
+    let loaded = match checkpoint::load_newest(folder.path()) {
+        Err(CheckpointError::None { folder }) => {
+            tracing::warn!("{} holds no checkpoint: the run begins again", folder.display());
+            return Ok(None);
+        }
+        loaded => loaded?,
+    };
+    for (path, reason) in &loaded.skipped {
+        tracing::error!("{} is passed over: {reason}", path.display());
+    }
+    let expected = launch.config_sha256.to_string();
+    if loaded.manifest.config_sha256 != expected {
+        let (path, found) = (loaded.path, loaded.manifest.config_sha256);
+        return Err(RunFolderError::OtherConfig { path, found, expected }.into());
+    }
+    Ok(Some(loaded))
+}
+
+/// A trainer before the first iteration, whose metrics and provenance reach to `iteration`.
+fn build(
+    launch: Launch,
+    folder: RunFolder,
+    description: &RunDescription,
+    iteration: u64,
+) -> Result<Trainer, LearnerError> {
+    let pool = pool(launch.config.learner.threads)?;
+    let problem = problem(&launch.environment);
+    let algorithm =
+        pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
+    let environments = &launch.config.environments;
+    let layout = Layout::of(description, environments.slots());
+    let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
+    Ok(Trainer {
+        surprise: Surprise::new(&launch.training.surprise, &problem),
+        environments: Environments::fresh(
+            layout.clone(),
+            launch.environment.episode_steps,
+            environments.phase,
+        ),
+        evaluations: Evaluations::new(
+            launch.config.evaluation.clone(),
+            environments.steps_per_iteration(),
+            launch.iterations,
+            measured,
+        ),
+        config_sha256: launch.config_sha256,
+        last_iteration: launch.iterations,
+        layout,
+        policy: policy_bytes(algorithm.as_ref())?,
+        algorithm,
+        iteration: 0,
+        provenance: Provenance::open(folder.path(), iteration)?,
+        folder,
+        metrics,
+        saved: None,
+        failed_saves: 0,
+        pool,
+        config: launch.config,
+    })
+}
+
+fn pool(threads: usize) -> Result<ThreadPool, LearnerError> {
+    let name = |index| format!("update-{index}");
+    ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build().map_err(|error| {
+        LearnerError::Threads { what: "the pool of update threads", detail: error.to_string() }
+    })
+}

@@ -1,0 +1,35 @@
+//! The learner: it hands out slots of environment steps, trains on what comes back, and keeps the run.
+//!
+//! [`trainer`] holds the loop that shows the whole data flow. [`service`] faces the network, and
+//! [`exchange`] is where the two meet. Work, its states and its results are in [`slots`]; what a run
+//! leaves on disk is in [`checkpoint`], [`metrics`] and [`provenance`]. The learner never steps a world.
+
+pub mod assemble;
+pub mod canary;
+pub mod checkpoint;
+pub mod config;
+pub mod durable;
+pub mod environments;
+pub mod error;
+pub mod evaluation;
+pub mod event;
+pub mod exchange;
+pub mod json_lines;
+pub mod launch;
+pub mod metrics;
+pub mod provenance;
+pub mod run;
+pub mod run_folder;
+pub mod service;
+pub mod slots;
+pub mod trainer;
+
+pub use config::{
+    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Phase, ThreadsConfig,
+};
+pub use error::LearnerError;
+pub use event::{Event, IterationReport};
+pub use exchange::{Exchange, LeaseConfig};
+pub use launch::Launch;
+pub use run::run;
+pub use trainer::Summary;

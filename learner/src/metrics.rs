@@ -1,0 +1,141 @@
+//! `metrics.jsonl`: one line per iteration and one per evaluation, each exactly once.
+//!
+//! `iteration` counts finished iterations: the line of an iteration bears the number that its new
+//! policies have, and an evaluation that of the policies it measured.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use crate::durable::FileError;
+use crate::evaluation::Spread;
+use crate::event::IterationReport;
+use crate::json_lines::JsonLines;
+
+/// The file's name in the run folder.
+pub const METRICS_FILE: &str = "metrics.jsonl";
+
+/// The metrics of a run, open for more.
+#[derive(Debug)]
+pub struct Metrics {
+    lines: JsonLines,
+}
+
+impl Metrics {
+    /// Opens the metrics of a run that goes on after `iteration`; later lines are dropped. Returns
+    /// the iterations whose evaluation stands in them, too.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be read or written.
+    pub fn open(run_folder: &Path, iteration: u64) -> Result<(Self, BTreeSet<u64>), FileError> {
+        let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS_FILE), iteration)?;
+        let evaluations = kept.iter().filter(|line| line["kind"] == "evaluation");
+        let measured = evaluations.filter_map(|line| line["iteration"].as_u64()).collect();
+        Ok((Self { lines }, measured))
+    }
+
+    /// Adds an iteration; `density_secs` is the part of its update that densities took.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be written.
+    pub fn iteration(
+        &mut self,
+        report: &IterationReport,
+        density_secs: f64,
+    ) -> Result<(), FileError> {
+        let mut line = Map::new();
+        for (name, value) in &report.metrics {
+            // JSON has no number for what is not finite: such a figure becomes null.
+            line.insert(name.clone(), json!(value));
+        }
+        let own = json!({
+            "kind": "iteration",
+            "iteration": report.iteration,
+            "env_steps": report.env_steps,
+            "episode_return": report.episode_return,
+            "rollout_secs": report.rollout_secs,
+            "update_secs": report.update_secs,
+            "density_secs": density_secs,
+            "actors": report.actors,
+        });
+        line.extend(own.as_object().cloned().unwrap_or_default());
+        self.lines.append(&Value::Object(line))
+    }
+
+    /// Adds an evaluation of the policies after `iteration` iterations.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be written.
+    pub fn evaluation(
+        &mut self,
+        iteration: u64,
+        env_steps: u64,
+        spread: &Spread,
+        episodes: usize,
+    ) -> Result<(), FileError> {
+        self.lines.append(&json!({
+            "kind": "evaluation",
+            "iteration": iteration,
+            "env_steps": env_steps,
+            "mean": spread.mean,
+            "standard_deviation": spread.standard_deviation,
+            "minimum": spread.minimum,
+            "maximum": spread.maximum,
+            "episodes": episodes,
+        }))
+    }
+
+    /// Waits until the disk has all lines.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be flushed.
+    pub fn sync(&self) -> Result<(), FileError> {
+        self.lines.sync()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(iteration: u64) -> IterationReport {
+        IterationReport {
+            iteration,
+            env_steps: iteration * 40,
+            rollout_secs: 0.5,
+            update_secs: 0.25,
+            episode_return: None,
+            actors: 2,
+            metrics: vec![("losses/value".into(), 1.5), ("agent0/sigma".into(), f64::NAN)],
+        }
+    }
+
+    #[test]
+    fn a_line_holds_the_figures_by_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut metrics, _) = Metrics::open(folder.path(), 0).unwrap();
+        metrics.iteration(&report(1), 0.125).unwrap();
+        let text = std::fs::read_to_string(folder.path().join(METRICS_FILE)).unwrap();
+        let expected = json!({
+            "kind": "iteration", "iteration": 1, "env_steps": 40, "episode_return": null,
+            "rollout_secs": 0.5, "update_secs": 0.25, "density_secs": 0.125, "actors": 2,
+            "losses/value": 1.5, "agent0/sigma": null,
+        });
+        assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), expected);
+    }
+
+    #[test]
+    fn a_resumed_run_knows_which_evaluations_are_in() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut metrics, measured) = Metrics::open(folder.path(), 0).unwrap();
+        assert!(measured.is_empty());
+        let spread = Spread { mean: 1.0, standard_deviation: 0.0, minimum: 1.0, maximum: 1.0 };
+        for iteration in [0, 2, 4] {
+            metrics.evaluation(iteration, iteration * 40, &spread, 10).unwrap();
+            metrics.iteration(&report(iteration + 1), 0.0).unwrap();
+        }
+        let (_, measured) = Metrics::open(folder.path(), 3).unwrap();
+        assert_eq!(measured, BTreeSet::from([0, 2]));
+    }
+}

@@ -1,0 +1,115 @@
+//! `provenance.jsonl`: one line per iteration that says who computed what the new weights are made
+//! of, and their hashes. It is a record of what happened and never read back into a run.
+
+use std::path::Path;
+
+use policy::arrays::{NamedArrays, hex, sha256};
+use proto::WeightsName;
+use serde_json::{Value, json};
+
+use crate::durable::FileError;
+use crate::exchange::SlotRollout;
+use crate::json_lines::JsonLines;
+
+/// The file's name in the run folder.
+pub const PROVENANCE_FILE: &str = "provenance.jsonl";
+
+/// The provenance of a run, open for more.
+#[derive(Debug)]
+pub struct Provenance {
+    lines: JsonLines,
+}
+
+/// Where one iteration's weights come from.
+#[derive(Debug)]
+pub struct Origin<'a> {
+    /// Finished iterations, this one included.
+    pub iteration: u64,
+    /// The weights with which actors rolled out.
+    pub behaviour: WeightsName,
+    /// What they rolled out.
+    pub rollouts: &'a [SlotRollout],
+    /// The densities fitted on it, `theta_k`.
+    pub density: &'a NamedArrays,
+    /// Hash of the new weights, hexadecimal.
+    pub weights_sha256: &'a str,
+    /// The algorithm's figures; the places of the agents in the sweep are taken from them.
+    pub report: &'a [(String, f64)],
+}
+
+impl Provenance {
+    /// Opens the provenance of a run that goes on after `iteration`; later lines are dropped.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be read or written.
+    pub fn open(run_folder: &Path, iteration: u64) -> Result<Self, FileError> {
+        let (lines, _) = JsonLines::cut(&run_folder.join(PROVENANCE_FILE), iteration)?;
+        Ok(Self { lines })
+    }
+
+    /// Adds an iteration.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be written.
+    pub fn iteration(&mut self, origin: &Origin<'_>) -> Result<(), FileError> {
+        self.lines.append(&json!({
+            "iteration": origin.iteration,
+            "behaviour": {
+                "version": origin.behaviour.version.0,
+                "digest": origin.behaviour.digest.to_string(),
+            },
+            "slots": origin.rollouts.iter().map(slot).collect::<Vec<Value>>(),
+            "order": order(origin.report),
+            "density_sha256": hex(&sha256(origin.density)),
+            "weights_sha256": origin.weights_sha256,
+        }))
+    }
+
+    /// Waits until the disk has all lines.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be flushed.
+    pub fn sync(&self) -> Result<(), FileError> {
+        self.lines.sync()
+    }
+}
+
+fn slot(rollout: &SlotRollout) -> Value {
+    let digests: Vec<String> = rollout.digests.iter().map(ToString::to_string).collect();
+    json!({
+        "slot": rollout.slot,
+        "actor": rollout.actor.0,
+        "lease": rollout.lease.0,
+        "digests": digests,
+    })
+}
+
+/// Agents in the order in which the sweep updated them; empty if the algorithm reports none.
+fn order(report: &[(String, f64)]) -> Vec<usize> {
+    let place = |(name, place): &(String, f64)| {
+        let agent = name.strip_prefix("agent")?.strip_suffix("/sweep_position")?.parse().ok()?;
+        Some((*place as usize, agent))
+    };
+    let mut places: Vec<(usize, usize)> = report.iter().filter_map(place).collect();
+    places.sort_unstable();
+    places.into_iter().map(|(_, agent)| agent).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_order_of_the_sweep_is_read_from_the_agents_places() {
+        let report = [
+            ("agent0/sweep_position", 2.0),
+            ("agent1/sweep_position", 0.0),
+            ("agent1/sigma", 0.3),
+            ("agent2/sweep_position", 1.0),
+        ];
+        let report: Vec<(String, f64)> =
+            report.map(|(name, place)| (name.to_owned(), place)).into();
+        assert_eq!(order(&report), [1, 2, 0]);
+        assert_eq!(order(&[]), [0_usize; 0]);
+    }
+}

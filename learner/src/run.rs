@@ -1,0 +1,126 @@
+//! A whole run: the folder, the service on its socket, the trainer on its thread, and their end.
+
+use std::any::Any;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::sync::{oneshot, watch};
+use tokio::task::JoinHandle;
+
+use crate::error::LearnerError;
+use crate::event::Event;
+use crate::exchange::Exchange;
+use crate::launch::{Launch, prepare};
+use crate::service;
+use crate::trainer::{Outside, Summary, Trainer};
+
+/// How long actors have to hear that the run is over.
+const FAREWELL: Duration = Duration::from_secs(2);
+
+/// How long open connections have to end after that.
+const CLOSING: Duration = Duration::from_secs(1);
+
+/// Runs from the start, or from the newest good checkpoint, to the last iteration and its evaluation,
+/// or until `stop` is true. Both ends leave a checkpoint, tell the actors that the run is done, and
+/// return within seconds.
+///
+/// # Errors
+/// Says what could not start or broke; a resume goes on from the last checkpoint.
+pub async fn run(
+    launch: Launch,
+    listener: TcpListener,
+    observer: Box<dyn FnMut(&Event) + Send>,
+    stop: watch::Receiver<bool>,
+) -> Result<Summary, LearnerError> {
+    let lease = launch.config.lease;
+    let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
+    let (trainer, description) =
+        prepared.map_err(|error| LearnerError::Panic(error.to_string()))??;
+    let exchange = Exchange::new(description, lease);
+    let server = Server::start(listener, &exchange);
+    let broken = Arc::clone(&server.broken);
+    let outside = Outside {
+        exchange: Arc::clone(&exchange),
+        observer,
+        stop: Box::new(move || *stop.borrow() || broken.load(Ordering::Relaxed)),
+    };
+    let result = on_own_thread(trainer, outside).await;
+    exchange.finish();
+    let served = server.end(&exchange).await;
+    result.and_then(|summary| served.map(|()| summary))
+}
+
+/// The service while the trainer works.
+struct Server {
+    task: JoinHandle<Result<(), tonic::transport::Error>>,
+    close: oneshot::Sender<()>,
+    /// Set when the service ends before it was told to.
+    broken: Arc<AtomicBool>,
+}
+
+impl Server {
+    fn start(listener: TcpListener, exchange: &Arc<Exchange>) -> Self {
+        let (close, closed) = oneshot::channel::<()>();
+        let broken = Arc::new(AtomicBool::new(false));
+        let serving = service::serve(Arc::clone(exchange), listener, async move {
+            // An error means that the sender is gone, which ends the service as well.
+            let _told = closed.await;
+        });
+        let flag = Arc::clone(&broken);
+        let task = tokio::spawn(async move {
+            let result = serving.await;
+            flag.store(true, Ordering::Relaxed);
+            result
+        });
+        Self { task, close, broken }
+    }
+
+    /// Lets actors hear that the run is done, then closes.
+    async fn end(mut self, exchange: &Exchange) -> Result<(), LearnerError> {
+        let farewell = async {
+            while exchange.progress().actors > 0 {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        // Actors that do not come back for an answer find a closed door, which they survive.
+        let _left = tokio::time::timeout(FAREWELL, farewell).await;
+        let _told = self.close.send(());
+        match tokio::time::timeout(CLOSING, &mut self.task).await {
+            Ok(Ok(Ok(()))) => Ok(()),
+            Ok(Ok(Err(error))) => Err(LearnerError::Service(error.to_string())),
+            Ok(Err(error)) => Err(LearnerError::Service(error.to_string())),
+            Err(_) => {
+                self.task.abort();
+                Ok(())
+            }
+        }
+    }
+}
+
+async fn on_own_thread(trainer: Trainer, outside: Outside) -> Result<Summary, LearnerError> {
+    let (sender, ended) = oneshot::channel();
+    let thread = std::thread::Builder::new().name("trainer".to_owned()).spawn(move || {
+        // Nobody is left to hear the result only if the whole run has been dropped.
+        let _heard = sender.send(trainer.train(outside));
+    });
+    let thread = thread.map_err(|error| LearnerError::Threads {
+        what: "the trainer",
+        detail: error.to_string(),
+    })?;
+    match ended.await {
+        Ok(result) => result,
+        Err(_) => Err(LearnerError::Panic(
+            thread
+                .join()
+                .map_or_else(panic_message, |()| "the trainer ended without a result".to_owned()),
+        )),
+    }
+}
+
+fn panic_message(panic: Box<dyn Any + Send>) -> String {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "no message".to_owned())
+}

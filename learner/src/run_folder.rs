@@ -1,0 +1,279 @@
+//! The folder of a run: who may write to it, what it says about the run, and how often the run has
+//! been started.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use proto::Incarnation;
+use serde_json::Value;
+
+use crate::durable::{self, FileError};
+
+const CONFIG: &str = "config.toml";
+const MANIFEST: &str = "manifest.json";
+const INCARNATION: &str = "incarnation";
+const LOCK: &str = "learner.lock";
+/// Manifest field: whether an actor without a fingerprint ever took part, so that the run is not
+/// exactly repeatable.
+const FOREIGN_ACTORS: &str = "foreign_actors";
+
+/// A run folder that this process alone may write to, until it is dropped.
+#[derive(Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    /// The operating system frees the lock with the process, however that ends.
+    _lock: File,
+}
+
+/// Why a folder cannot be used for a run.
+#[derive(Debug, thiserror::Error)]
+pub enum RunFolderError {
+    /// A file or folder could not be written or read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// Another learner works on it.
+    #[error("{path} is in use by another learner (process {process})")]
+    Locked {
+        /// The folder.
+        path: PathBuf,
+        /// The other's process id, as it wrote it.
+        process: String,
+    },
+    /// A new run would overwrite another.
+    #[error("{path} holds a run already; resume it, or choose another folder")]
+    Taken {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// There is nothing to resume.
+    #[error("{path} holds no run to resume: it has no {CONFIG}")]
+    NoRun {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The run was started with other semantic settings.
+    #[error(
+        "{path} belongs to a run with config {found}, this one has {expected}: a resume may change \
+         operational keys only, and raise run.iterations"
+    )]
+    OtherConfig {
+        /// What belongs to the other run.
+        path: PathBuf,
+        /// Hash of that run's semantic settings.
+        found: String,
+        /// Hash of the semantic settings now.
+        expected: String,
+    },
+    /// A small file of the folder does not hold what it should.
+    #[error("{path} is damaged: {detail}")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+}
+
+impl RunFolder {
+    /// Claims a folder for a new run.
+    ///
+    /// # Errors
+    /// The folder holds a run, is in use, or cannot be written.
+    pub fn claim_new(path: &Path) -> Result<Self, RunFolderError> {
+        durable::make_folder(path)?;
+        let folder = Self::lock(path)?;
+        let taken = [CONFIG, MANIFEST, "checkpoints"].iter().any(|name| path.join(name).exists());
+        match taken {
+            true => Err(RunFolderError::Taken { path: path.to_path_buf() }),
+            false => Ok(folder),
+        }
+    }
+
+    /// Claims the folder of a run that was started before with the same semantic settings.
+    ///
+    /// # Errors
+    /// The folder holds no run or another one, is in use, or cannot be written.
+    pub fn claim_existing(path: &Path, config_sha256: &str) -> Result<Self, RunFolderError> {
+        if !path.join(CONFIG).is_file() {
+            return Err(RunFolderError::NoRun { path: path.to_path_buf() });
+        }
+        let folder = Self::lock(path)?;
+        folder.check_manifest(config_sha256)?;
+        Ok(folder)
+    }
+
+    /// The folder.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A file of the folder.
+    #[must_use]
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
+    /// Writes down the settings and the manifest, and counts this start of the run. The count is on
+    /// disk before any lease can carry it, so that no two starts ever share one.
+    ///
+    /// # Errors
+    /// Names the file that could not be written or is damaged.
+    pub fn begin(
+        &self,
+        config_toml: &str,
+        manifest: &Value,
+    ) -> Result<Incarnation, RunFolderError> {
+        let mut manifest = manifest.clone();
+        manifest[FOREIGN_ACTORS] = Value::Bool(self.had_foreign_actors());
+        let incarnation = self.incarnation()?.saturating_add(1);
+        durable::replace(&self.file(INCARNATION), format!("{incarnation}\n").as_bytes())?;
+        durable::replace(&self.file(MANIFEST), format!("{manifest:#}\n").as_bytes())?;
+        durable::replace(&self.file(CONFIG), config_toml.as_bytes())?;
+        Ok(Incarnation(incarnation))
+    }
+
+    /// Writes into the manifest, once and for good, that an actor without a fingerprint took part.
+    ///
+    /// # Errors
+    /// Names the manifest if it cannot be read or written.
+    pub fn note_foreign_actors(&self) -> Result<(), RunFolderError> {
+        if self.had_foreign_actors() {
+            return Ok(());
+        }
+        let mut manifest = self.manifest()?;
+        manifest[FOREIGN_ACTORS] = Value::Bool(true);
+        Ok(durable::replace(&self.file(MANIFEST), format!("{manifest:#}\n").as_bytes())?)
+    }
+
+    fn had_foreign_actors(&self) -> bool {
+        self.manifest().is_ok_and(|manifest| manifest[FOREIGN_ACTORS] == Value::Bool(true))
+    }
+
+    fn lock(path: &Path) -> Result<Self, RunFolderError> {
+        let place = path.join(LOCK);
+        let open = OpenOptions::new().create(true).write(true).truncate(false).open(&place);
+        let mut lock = open.map_err(FileError::of("open", &place))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                let process = std::fs::read_to_string(&place).unwrap_or_default();
+                let process = process.trim().to_owned();
+                return Err(RunFolderError::Locked { path: path.to_path_buf(), process });
+            }
+            Err(TryLockError::Error(error)) => {
+                return Err(FileError::of("lock", &place)(error).into());
+            }
+        }
+        lock.set_len(0)
+            .and_then(|()| writeln!(lock, "{}", std::process::id()))
+            .map_err(FileError::of("write", &place))?;
+        Ok(Self { path: path.to_path_buf(), _lock: lock })
+    }
+
+    fn check_manifest(&self, expected: &str) -> Result<(), RunFolderError> {
+        let manifest = self.manifest()?;
+        let path = self.file(MANIFEST);
+        let Some(found) = manifest["config_sha256"].as_str().map(str::to_owned) else {
+            let detail = "it has no config_sha256".to_owned();
+            return Err(RunFolderError::Damaged { path, detail });
+        };
+        if found == expected {
+            return Ok(());
+        }
+        Err(RunFolderError::OtherConfig { path, found, expected: expected.to_owned() })
+    }
+
+    /// The manifest, which is always an object.
+    fn manifest(&self) -> Result<Value, RunFolderError> {
+        let path = self.file(MANIFEST);
+        let text = std::fs::read_to_string(&path).map_err(FileError::of("read", &path))?;
+        let object = serde_json::from_str(&text).map(Value::Object);
+        object.map_err(|error| RunFolderError::Damaged { path, detail: error.to_string() })
+    }
+
+    /// Starts of the run so far.
+    fn incarnation(&self) -> Result<u64, RunFolderError> {
+        let path = self.file(INCARNATION);
+        if !path.exists() {
+            return Ok(0);
+        }
+        let text = std::fs::read_to_string(&path).map_err(FileError::of("read", &path))?;
+        let damaged = |detail: String| RunFolderError::Damaged { path: path.clone(), detail };
+        text.trim().parse().map_err(|_| damaged(format!("{:?} is no number", text.trim())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn manifest() -> Value {
+        json!({"config_sha256": "aa"})
+    }
+
+    #[test]
+    fn every_start_has_a_number_of_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = RunFolder::claim_new(folder.path()).unwrap();
+        assert_eq!(first.begin("a = 1\n", &manifest()).unwrap(), Incarnation(1));
+        drop(first);
+        for number in 2..5 {
+            let again = RunFolder::claim_existing(folder.path(), "aa").unwrap();
+            assert_eq!(again.begin("a = 1\n", &manifest()).unwrap(), Incarnation(number));
+        }
+    }
+
+    #[test]
+    fn a_second_learner_on_one_folder_is_refused_in_one_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = RunFolder::claim_new(folder.path()).unwrap();
+        first.begin("", &manifest()).unwrap();
+        let message = RunFolder::claim_existing(folder.path(), "aa").unwrap_err().to_string();
+        let process = std::process::id();
+        let path = folder.path().display();
+        assert_eq!(message, format!("{path} is in use by another learner (process {process})"));
+        drop(first);
+        RunFolder::claim_existing(folder.path(), "aa").unwrap();
+    }
+
+    #[test]
+    fn a_new_run_never_overwrites_another_and_a_resume_needs_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = RunFolder::claim_existing(folder.path(), "aa").unwrap_err();
+        assert!(matches!(error, RunFolderError::NoRun { .. }), "{error}");
+        RunFolder::claim_new(folder.path()).unwrap().begin("", &manifest()).unwrap();
+        let error = RunFolder::claim_new(folder.path()).unwrap_err();
+        assert!(matches!(error, RunFolderError::Taken { .. }), "{error}");
+    }
+
+    #[test]
+    fn other_semantic_settings_are_refused_with_both_hashes() {
+        let folder = tempfile::tempdir().unwrap();
+        RunFolder::claim_new(folder.path()).unwrap().begin("", &manifest()).unwrap();
+        let message = RunFolder::claim_existing(folder.path(), "bb").unwrap_err().to_string();
+        assert!(message.contains("config aa, this one has bb"), "{message}");
+    }
+
+    #[test]
+    fn a_run_that_ever_had_a_foreign_actor_says_so_for_good() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder::claim_new(folder.path()).unwrap();
+        run.begin("", &manifest()).unwrap();
+        assert_eq!(run.manifest().unwrap()["foreign_actors"], false);
+        run.note_foreign_actors().unwrap();
+        run.begin("", &manifest()).unwrap();
+        assert_eq!(run.manifest().unwrap()["foreign_actors"], true);
+    }
+
+    #[test]
+    fn a_damaged_count_of_starts_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder::claim_new(folder.path()).unwrap();
+        std::fs::write(run.file(INCARNATION), "many").unwrap();
+        let message = run.begin("", &manifest()).unwrap_err().to_string();
+        assert!(message.contains("incarnation is damaged: \"many\" is no number"), "{message}");
+    }
+}

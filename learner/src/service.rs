@@ -1,0 +1,161 @@
+//! The gRPC service: it turns messages into calls of the exchange, and refusals into statuses. Limits,
+//! keepalive and deadlines stand here; what is allowed when is decided in the slot table.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
+use proto::{
+    ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
+    MAX_UNACKNOWLEDGED, Refusal, Registration, WeightsName, wire,
+};
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::Server;
+use tonic::transport::server::Router;
+use tonic::{Request, Response, Status, Streaming};
+
+use crate::exchange::Exchange;
+
+mod connections;
+mod ingest;
+mod snapshots;
+
+/// A connection on which nothing came is asked for a sign of life after this long...
+const KEEPALIVE: Duration = Duration::from_secs(20);
+/// ... and closed when none comes for this long: its leases are free again.
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Streams of one connection.
+const MOST_STREAMS: u32 = 16;
+/// What one stream may have in flight, bytes.
+const STREAM_WINDOW: u32 = 1 << 20;
+/// What one connection may have in flight, bytes.
+const CONNECTION_WINDOW: u32 = 4 << 20;
+/// Size of all headers of one request, bytes.
+const MOST_HEADER_BYTES: u32 = 16 << 10;
+
+/// Serves `exchange` on `listener` until `shutdown` completes and the open calls have ended.
+///
+/// # Errors
+/// Says why the service broke down.
+pub async fn serve(
+    exchange: Arc<Exchange>,
+    listener: TcpListener,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), tonic::transport::Error> {
+    let incoming = connections::accept(listener, Arc::clone(&exchange));
+    service(exchange).await.serve_with_incoming_shutdown(incoming, shutdown).await
+}
+
+/// The learner's service with health and reflection. Leases end with the connection only for connections
+/// that [`serve`] accepts.
+pub async fn service(exchange: Arc<Exchange>) -> Router {
+    let learner = LearnerServiceServer::new(Learner { exchange })
+        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .max_encoding_message_size(MAX_MESSAGE_BYTES);
+    let (reporter, health) = tonic_health::server::health_reporter();
+    reporter.set_serving::<LearnerServiceServer<Learner>>().await;
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()
+        .expect("the descriptors were compiled with the program");
+    Server::builder()
+        .http2_keepalive_interval(Some(KEEPALIVE))
+        .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
+        .max_concurrent_streams(MOST_STREAMS)
+        .initial_stream_window_size(STREAM_WINDOW)
+        .initial_connection_window_size(CONNECTION_WINDOW)
+        .http2_max_header_list_size(MOST_HEADER_BYTES)
+        .add_service(learner)
+        .add_service(health)
+        .add_service(reflection)
+}
+
+/// The calls of `LearnerService`.
+#[derive(Debug)]
+struct Learner {
+    exchange: Arc<Exchange>,
+}
+
+impl Learner {
+    /// Counts a refusal and makes it a status.
+    fn counted(&self, refusal: Refusal) -> Status {
+        self.exchange.refused(None, &refusal);
+        refusal.into()
+    }
+}
+
+#[tonic::async_trait]
+impl LearnerService for Learner {
+    async fn describe_run(
+        &self,
+        _request: Request<wire::DescribeRunRequest>,
+    ) -> Result<Response<wire::DescribeRunResponse>, Status> {
+        let run = Some(self.exchange.run().to_wire());
+        Ok(Response::new(wire::DescribeRunResponse { run }))
+    }
+
+    async fn register(
+        &self,
+        request: Request<wire::RegisterRequest>,
+    ) -> Result<Response<wire::RegisterResponse>, Status> {
+        let connection = connections::of(&request);
+        let registered = Registration::from_wire(request.into_inner())
+            .and_then(|registration| self.exchange.register(connection, &registration))
+            .map_err(|refusal| self.counted(refusal))?;
+        Ok(Response::new(registered.to_wire()))
+    }
+
+    async fn lease_slots(
+        &self,
+        request: Request<wire::LeaseSlotsRequest>,
+    ) -> Result<Response<wire::LeaseSlotsResponse>, Status> {
+        let request = request.into_inner();
+        let millis = request.wait_millis.min(MAX_LEASE_WAIT_MILLIS);
+        let (actor, incarnation) = (ActorId(request.actor_id), Incarnation(request.incarnation));
+        let patience = Duration::from_millis(millis.into());
+        let answer = self.exchange.lease(actor, incarnation, patience).await;
+        Ok(Response::new(answer.map_err(|refusal| self.counted(refusal))?.to_wire()))
+    }
+
+    type GetWeightsStream = ReceiverStream<Result<wire::GetWeightsResponse, Status>>;
+
+    async fn get_weights(
+        &self,
+        request: Request<wire::GetWeightsRequest>,
+    ) -> Result<Response<Self::GetWeightsStream>, Status> {
+        let found = WeightsName::from_wire(request.into_inner().weights, "weights")
+            .and_then(|name| self.exchange.snapshot(name).map(|bytes| (name, bytes)));
+        let (name, bytes) = found.map_err(|refusal| self.counted(refusal))?;
+        Ok(Response::new(snapshots::stream(name, bytes)))
+    }
+
+    type PushTrajectoryStream = ReceiverStream<Result<wire::PushTrajectoryResponse, Status>>;
+
+    async fn push_trajectory(
+        &self,
+        request: Request<Streaming<wire::PushTrajectoryRequest>>,
+    ) -> Result<Response<Self::PushTrajectoryStream>, Status> {
+        // Full when the actor does not take its acknowledgements away; then nothing more is read.
+        let (acks, stream) = mpsc::channel(MAX_UNACKNOWLEDGED);
+        tokio::spawn(ingest::pump(Arc::clone(&self.exchange), request.into_inner(), acks));
+        Ok(Response::new(ReceiverStream::new(stream)))
+    }
+
+    async fn heartbeat(
+        &self,
+        request: Request<wire::HeartbeatRequest>,
+    ) -> Result<Response<wire::HeartbeatResponse>, Status> {
+        let beat = Beat::from_wire(&request.into_inner());
+        let answer = self.exchange.heartbeat(&beat).map_err(|refusal| self.counted(refusal))?;
+        Ok(Response::new(answer.to_wire()))
+    }
+}
+
+/// A refusal of something that belongs to `lease`, counted and made a status.
+fn refused(exchange: &Exchange, lease: Option<LeaseId>, refusal: Refusal) -> Status {
+    exchange.refused(lease, &refusal);
+    refusal.into()
+}

@@ -1,0 +1,106 @@
+//! Results coming in over one stream: read, checked, taken in and acknowledged one after another.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::wire::push_trajectory_request::Content;
+use proto::{
+    Ack, AckState, EvaluationResult, LeaseId, PushHeader, Reason, Refusal, TrajectoryChunk, wire,
+};
+use tokio::sync::mpsc;
+use tonic::{Code, Status, Streaming};
+
+use crate::exchange::Exchange;
+
+/// A stream on which no whole message came for this long is closed.
+const SILENCE: Duration = Duration::from_secs(300);
+/// An acknowledgement that is not taken away for this long ends the stream.
+const ACK_DEADLINE: Duration = Duration::from_secs(10);
+
+/// Acknowledgements of one stream.
+type Acks = mpsc::Sender<Result<wire::PushTrajectoryResponse, Status>>;
+
+/// Takes in everything that comes over `inbound`, until it ends or something is refused.
+pub(super) async fn pump(
+    exchange: Arc<Exchange>,
+    mut inbound: Streaming<wire::PushTrajectoryRequest>,
+    acks: Acks,
+) {
+    let mut lease = None;
+    loop {
+        let next = tokio::select! {
+            () = acks.closed() => return,
+            next = tokio::time::timeout(SILENCE, inbound.message()) => next,
+        };
+        let result = match next {
+            Ok(Ok(None)) => return,
+            Ok(Ok(Some(request))) => {
+                lease = Some(LeaseId(request.lease_id));
+                take_in(&exchange, request).await
+            }
+            Ok(Err(status)) => match unreadable(&status) {
+                None => return,
+                Some(refusal) => Err(super::refused(&exchange, lease, refusal)),
+            },
+            Err(_) => {
+                let detail = format!("no message for {} s", SILENCE.as_secs());
+                Err(Refusal::new(Reason::TooSlow, "stream", detail).into())
+            }
+        };
+        let last = result.is_err();
+        let sent = acks.send_timeout(result, ACK_DEADLINE).await;
+        if last || sent.is_err() {
+            return;
+        }
+    }
+}
+
+/// What a broken stream says about the message that broke it; `None` if the peer just went away.
+fn unreadable(status: &Status) -> Option<Refusal> {
+    let reason = match status.code() {
+        // tonic's answer to a message over the limit.
+        Code::OutOfRange | Code::ResourceExhausted => Reason::TooLarge,
+        Code::Internal => Reason::Undecodable,
+        _ => return None,
+    };
+    Some(Refusal::new(reason, "message", status.message()))
+}
+
+/// Checks and takes in one message on a thread that may compute.
+async fn take_in(
+    exchange: &Arc<Exchange>,
+    request: wire::PushTrajectoryRequest,
+) -> Result<wire::PushTrajectoryResponse, Status> {
+    let shared = Arc::clone(exchange);
+    let lease = LeaseId(request.lease_id);
+    let result = tokio::task::spawn_blocking(move || read(&shared, request)).await;
+    match result {
+        Ok(Ok(ack)) => Ok(ack.to_wire()),
+        Ok(Err(refusal)) => Err(super::refused(exchange, Some(lease), refusal)),
+        Err(panic) => {
+            tracing::error!(%panic, "the check of a message broke down");
+            Err(Status::internal("the check of this message broke down"))
+        }
+    }
+}
+
+/// Header, then lease and order, then the content, then the canary.
+fn read(exchange: &Exchange, request: wire::PushTrajectoryRequest) -> Result<Ack, Refusal> {
+    let (header, content) = PushHeader::from_wire(request)?;
+    match content {
+        Content::Chunk(chunk) => {
+            let state = exchange.preview_chunk(&header, chunk.sequence)?;
+            let chunk = TrajectoryChunk::from_wire(&chunk, exchange.run(), header.digest)?;
+            log(&header, chunk.sequence, state);
+            exchange.accept_chunk(&header, chunk)
+        }
+        Content::Evaluation(result) => {
+            let result = EvaluationResult::from_wire(&result, exchange.run(), header.digest)?;
+            exchange.accept_evaluation(&header, result)
+        }
+    }
+}
+
+fn log(header: &PushHeader, sequence: u32, state: AckState) {
+    tracing::trace!(lease = %header.lease, sequence, ?state, "chunk");
+}

@@ -1,0 +1,65 @@
+//! A policy snapshot as a stream: one header, then pieces that are slices of the one copy in memory.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use proto::wire::get_weights_response::Part;
+use proto::{MAX_WEIGHTS_PIECE_BYTES, WeightsName, wire};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
+
+/// A piece that is not taken away for this long ends the stream.
+const PIECE_DEADLINE: Duration = Duration::from_secs(30);
+/// Pieces that wait to be taken away.
+const PIECES_AHEAD: usize = 2;
+
+/// The snapshot `bytes` called `name`.
+pub(super) fn stream(
+    name: WeightsName,
+    bytes: Bytes,
+) -> ReceiverStream<Result<wire::GetWeightsResponse, Status>> {
+    // Full when the actor reads slowly; the task below then waits, holding no copy.
+    let (sender, stream) = mpsc::channel(PIECES_AHEAD);
+    tokio::spawn(async move {
+        for part in parts(name, &bytes) {
+            let response = wire::GetWeightsResponse { part: Some(part) };
+            if sender.send_timeout(Ok(response), PIECE_DEADLINE).await.is_err() {
+                tracing::debug!(version = %name.version, "an actor gave up on its weights");
+                return;
+            }
+        }
+    });
+    ReceiverStream::new(stream)
+}
+
+fn parts(name: WeightsName, bytes: &Bytes) -> impl Iterator<Item = Part> {
+    let header =
+        wire::WeightsHeader { weights: Some(name.to_wire()), total_bytes: bytes.len() as u64 };
+    let starts = (0..bytes.len()).step_by(MAX_WEIGHTS_PIECE_BYTES);
+    let pieces = starts.map(|start| {
+        let end = bytes.len().min(start + MAX_WEIGHTS_PIECE_BYTES);
+        Part::Data(bytes.slice(start..end))
+    });
+    std::iter::once(Part::Header(header)).chain(pieces)
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::{Digest, PolicyVersion};
+
+    use super::*;
+
+    #[test]
+    fn a_snapshot_comes_in_pieces_of_a_mebibyte_at_most() {
+        let bytes = Bytes::from(vec![7; 2 * MAX_WEIGHTS_PIECE_BYTES + 5]);
+        let name = WeightsName { version: PolicyVersion(3), digest: Digest::of(&bytes) };
+        let parts = parts(name, &bytes).collect::<Vec<_>>();
+        let sizes = parts.iter().map(|part| match part {
+            Part::Header(header) => header.total_bytes as usize,
+            Part::Data(data) => data.len(),
+        });
+        let full = MAX_WEIGHTS_PIECE_BYTES;
+        assert_eq!(sizes.collect::<Vec<_>>(), [bytes.len(), full, full, 5]);
+    }
+}

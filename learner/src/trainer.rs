@@ -1,0 +1,292 @@
+//! The one loop that shows the data flow of the whole system, and what each of its steps means for
+//! the run. It runs on a thread of its own; time is measured here and reaches nothing but reports.
+
+mod collect;
+mod save;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytes::Bytes;
+use marl::{Algorithm, Batch, MarlError, Report, Surprise};
+use policy::arrays::NamedArrays;
+use proto::{Digest, PolicyVersion, WeightsName};
+use rayon::ThreadPool;
+
+use crate::assemble::{Layout, assemble};
+use crate::checkpoint::{self, Saved};
+use crate::config::Config;
+use crate::environments::Environments;
+use crate::error::LearnerError;
+use crate::evaluation::{Evaluated, Evaluations};
+use crate::event::{Event, IterationReport};
+use crate::exchange::{Exchange, SlotRollout};
+use crate::metrics::Metrics;
+use crate::provenance::{Origin, Provenance};
+use crate::run_folder::RunFolder;
+use crate::trainer::collect::{Collected, Patience};
+
+/// Takes in what a run tells.
+pub type Observer = Box<dyn FnMut(&Event) + Send>;
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Summary {
+    /// Finished iterations.
+    pub iteration: u64,
+    /// Environment steps of all of them.
+    pub env_steps: u64,
+    /// The last checkpoint.
+    pub checkpoint: std::path::PathBuf,
+    /// Whether the run was stopped before its last iteration, or before its last evaluation was in.
+    pub stopped_early: bool,
+    /// Hash of the weights, hexadecimal.
+    pub weights_sha256: String,
+    /// Hash of the whole state, hexadecimal.
+    pub state_sha256: String,
+}
+
+/// A run between two iterations.
+pub struct Trainer {
+    pub(crate) config: Config,
+    pub(crate) config_sha256: Digest,
+    pub(crate) last_iteration: u64,
+    pub(crate) layout: Layout,
+    pub(crate) algorithm: Box<dyn Algorithm>,
+    pub(crate) surprise: Surprise,
+    pub(crate) environments: Environments,
+    pub(crate) evaluations: Evaluations,
+    pub(crate) iteration: u64,
+    pub(crate) policy: Bytes,
+    pub(crate) folder: RunFolder,
+    pub(crate) metrics: Metrics,
+    pub(crate) provenance: Provenance,
+    pub(crate) saved: Option<Saved>,
+    pub(crate) failed_saves: u32,
+    pub(crate) pool: ThreadPool,
+}
+
+/// What a trainer has to do with the outside while it runs.
+pub struct Outside {
+    /// Where actors' work is handed out and comes back.
+    pub exchange: Arc<Exchange>,
+    /// Takes in what the run tells.
+    pub observer: Observer,
+    /// Says whether to stop after the last finished iteration.
+    pub stop: Box<dyn Fn() -> bool + Send>,
+}
+
+/// A trainer at work.
+struct Work {
+    trainer: Trainer,
+    outside: Outside,
+    patience: Patience,
+    /// Rollouts that came in while something else was waited for.
+    arrived: Option<Collected>,
+    /// When the slots of the iteration were opened.
+    opened: Instant,
+    /// The weights with which it is rolled out.
+    behaviour: Option<WeightsName>,
+}
+
+/// What an update made of `D_k`.
+struct Learnt {
+    report: Report,
+    density_secs: f64,
+    update_secs: f64,
+}
+
+impl Trainer {
+    /// Environment steps of all finished iterations.
+    #[must_use]
+    pub fn env_steps(&self) -> u64 {
+        self.steps_after(self.iteration)
+    }
+
+    /// Runs to the last iteration, or until told to stop; both leave a checkpoint.
+    ///
+    /// # Errors
+    /// Says what broke; the last checkpoint stands and can be resumed.
+    pub fn train(self, outside: Outside) -> Result<Summary, LearnerError> {
+        let mut work = Work {
+            trainer: self,
+            outside,
+            patience: Patience::new(Instant::now()),
+            arrived: None,
+            opened: Instant::now(),
+            behaviour: None,
+        };
+        let result = work.run();
+        if let Err(LearnerError::Exchange(_)) = &result {
+            // The state is that of the last finished iteration; what failed is somebody else's.
+            work.save_now()?;
+        }
+        result
+    }
+
+    fn steps_after(&self, iteration: u64) -> u64 {
+        iteration * self.config.environments.steps_per_iteration()
+    }
+}
+
+impl Work {
+    fn run(&mut self) -> Result<Summary, LearnerError> {
+        self.begin()?;
+        while self.trainer.iteration < self.trainer.last_iteration {
+            let Some(collected) = self.collect()? else { break };
+            let batch = assemble(&self.trainer.layout, &collected.rollouts)?;
+            let learnt = self.trainer.learn(&batch)?;
+            self.trainer.environments.advance(&batch, &collected.rollouts);
+            self.trainer.iteration += 1;
+            let behaviour = self.behaviour;
+            self.publish()?;
+            self.lease();
+            self.record(&collected, &learnt, behaviour)?;
+            self.evaluate_if_due()?;
+            self.save_if_due()?;
+        }
+        self.end()
+    }
+
+    /// Takes up a new run, or one that goes on from a checkpoint.
+    fn begin(&mut self) -> Result<(), LearnerError> {
+        if let Some(evaluated) = self.trainer.evaluations.outstanding().cloned() {
+            self.open_evaluation(&evaluated)?;
+        }
+        self.publish()?;
+        self.lease();
+        self.evaluate_if_due()
+    }
+
+    /// The last checkpoint, then the last evaluation's result.
+    fn end(&mut self) -> Result<Summary, LearnerError> {
+        let saved = self.save_now()?;
+        let complete = self.trainer.iteration >= self.trainer.last_iteration;
+        let stopped_early = !complete || !self.settle_evaluation()?;
+        self.trainer.metrics.sync()?;
+        Ok(Summary {
+            iteration: self.trainer.iteration,
+            env_steps: self.trainer.env_steps(),
+            checkpoint: saved.path,
+            stopped_early,
+            weights_sha256: saved.weights_sha256,
+            state_sha256: saved.state_sha256,
+        })
+    }
+
+    /// Hands the newest policies to the actors.
+    fn publish(&mut self) -> Result<(), LearnerError> {
+        let (version, policy) = (self.trainer.iteration, self.trainer.policy.clone());
+        self.behaviour = Some(self.outside.exchange.publish(PolicyVersion(version), policy)?);
+        Ok(())
+    }
+
+    /// Opens the slots of the next iteration, if there is one.
+    fn lease(&mut self) {
+        let iteration = self.trainer.iteration;
+        if iteration < self.trainer.last_iteration {
+            let slots = self.trainer.environments.work(iteration);
+            self.outside.exchange.open_iteration(iteration, PolicyVersion(iteration), slots);
+            self.opened = Instant::now();
+            self.tell(&Event::Collecting { iteration, env_steps: self.trainer.env_steps() });
+        }
+    }
+
+    /// Metrics and provenance of the iteration that has just been finished.
+    fn record(
+        &mut self,
+        collected: &Collected,
+        learnt: &Learnt,
+        behaviour: Option<WeightsName>,
+    ) -> Result<(), LearnerError> {
+        let progress = self.outside.exchange.progress();
+        let trainer = &mut self.trainer;
+        if progress.foreign_actors > 0 {
+            trainer.folder.note_foreign_actors()?;
+        }
+        let mut metrics = trainer.surprise.report();
+        metrics.extend(learnt.report.iter().cloned());
+        let report = IterationReport {
+            iteration: trainer.iteration,
+            env_steps: trainer.env_steps(),
+            rollout_secs: collected.secs,
+            update_secs: learnt.update_secs,
+            episode_return: trainer.environments.mean_return(),
+            actors: progress.actors,
+            metrics,
+        };
+        trainer.metrics.iteration(&report, learnt.density_secs)?;
+        if let Some(behaviour) = behaviour {
+            trainer.trace(behaviour, &collected.rollouts, &learnt.report)?;
+        }
+        self.tell(&Event::Iteration(report));
+        Ok(())
+    }
+
+    /// Begins an evaluation of the newest policies if it is due; one that is still out comes first.
+    fn evaluate_if_due(&mut self) -> Result<(), LearnerError> {
+        if !self.trainer.evaluations.due(self.trainer.iteration) || !self.settle_evaluation()? {
+            return Ok(());
+        }
+        let (iteration, policy) = (self.trainer.iteration, self.trainer.policy.clone());
+        let evaluated = Evaluated { iteration, policy };
+        self.open_evaluation(&evaluated)?;
+        self.trainer.evaluations.begin(evaluated);
+        Ok(())
+    }
+
+    fn open_evaluation(&mut self, evaluated: &Evaluated) -> Result<(), LearnerError> {
+        let version = PolicyVersion(evaluated.iteration);
+        let exchange = &self.outside.exchange;
+        // No open work may have named these weights for a while, so they may have been dropped.
+        exchange.publish(version, evaluated.policy.clone())?;
+        exchange.open_evaluation(evaluated.iteration, version, self.trainer.evaluations.episodes());
+        Ok(())
+    }
+
+    fn tell(&mut self, event: &Event) {
+        (self.outside.observer)(event);
+    }
+}
+
+impl Trainer {
+    /// Densities fitted on `D_k` (Eq. 2), rewards relabelled by them (Eq. 4, 9), policies and critics
+    /// updated (Eq. 10). All arithmetic happens in the run's own pool of threads.
+    fn learn(&mut self, batch: &Batch) -> Result<Learnt, LearnerError> {
+        let begin = Instant::now();
+        let Self { pool, surprise, algorithm, iteration, .. } = self;
+        let rewards = pool.install(|| {
+            surprise.refit(batch);
+            surprise.relabel(batch)
+        });
+        let density_secs = begin.elapsed().as_secs_f64();
+        let report = pool.install(|| algorithm.update(batch, &rewards, *iteration))?;
+        self.policy = policy_bytes(self.algorithm.as_ref())?;
+        let update_secs = begin.elapsed().as_secs_f64();
+        Ok(Learnt { report, density_secs, update_secs })
+    }
+
+    fn trace(
+        &mut self,
+        behaviour: WeightsName,
+        rollouts: &[SlotRollout],
+        report: &Report,
+    ) -> Result<(), LearnerError> {
+        let weights = checkpoint::weights_sha256(&self.algorithm.arrays()?);
+        let density: NamedArrays = self.surprise.arrays();
+        self.provenance.iteration(&Origin {
+            iteration: self.iteration,
+            behaviour,
+            rollouts,
+            density: &density,
+            weights_sha256: &weights,
+            report,
+        })?;
+        Ok(())
+    }
+}
+
+/// The policies as actors get them.
+pub(crate) fn policy_bytes(algorithm: &dyn Algorithm) -> Result<Bytes, MarlError> {
+    Ok(Bytes::from(algorithm.snapshot()?.to_bytes()?))
+}

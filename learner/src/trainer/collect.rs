@@ -1,0 +1,164 @@
+//! Waiting for actors: rollouts, evaluation results, and what is told while nothing comes.
+
+use std::time::{Duration, Instant};
+
+use crate::error::LearnerError;
+use crate::evaluation::Spread;
+use crate::event::Event;
+use crate::exchange::{EvaluationOutcome, Progress, SlotRollout, Wake};
+use crate::trainer::Work;
+
+/// How long the trainer waits before it looks whether it should stop.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// Stillness after which it is told what is missing, and told again.
+const STILL: Duration = Duration::from_secs(10);
+
+/// An iteration's rollouts and how long they took.
+pub(super) struct Collected {
+    /// Ordered by slot, all complete.
+    pub(super) rollouts: Vec<SlotRollout>,
+    /// From the lease of the slots to the last chunk.
+    pub(super) secs: f64,
+}
+
+impl Work {
+    /// The rollouts of the open iteration; `None` if the run is to stop instead.
+    pub(super) fn collect(&mut self) -> Result<Option<Collected>, LearnerError> {
+        while !(self.outside.stop)() {
+            if let Some(collected) = self.arrived.take() {
+                return Ok(Some(collected));
+            }
+            self.wait()?;
+        }
+        Ok(None)
+    }
+
+    /// Waits for the evaluation that is still out, if there is one; false if the run is to stop first.
+    pub(super) fn settle_evaluation(&mut self) -> Result<bool, LearnerError> {
+        while self.trainer.evaluations.outstanding().is_some() {
+            if (self.outside.stop)() {
+                return Ok(false);
+            }
+            self.wait()?;
+        }
+        Ok(true)
+    }
+
+    fn wait(&mut self) -> Result<(), LearnerError> {
+        match self.outside.exchange.wait(GLANCE) {
+            Wake::Iteration(rollouts) => {
+                let secs = self.opened.elapsed().as_secs_f64();
+                self.arrived = Some(Collected { rollouts, secs });
+            }
+            Wake::Evaluation(outcome) => self.take_evaluation(&outcome)?,
+            Wake::Failed(error) => return Err(error.into()),
+            Wake::Patience => self.report_progress(),
+        }
+        Ok(())
+    }
+
+    fn take_evaluation(&mut self, outcome: &EvaluationOutcome) -> Result<(), LearnerError> {
+        let (iteration, episodes) = (outcome.iteration, outcome.episodes.len());
+        let env_steps = self.trainer.steps_after(iteration);
+        let spread = Spread::of(outcome);
+        self.trainer.metrics.evaluation(iteration, env_steps, &spread, episodes)?;
+        self.trainer.evaluations.end(iteration);
+        let Spread { mean, standard_deviation, minimum, maximum } = spread;
+        self.tell(&Event::Evaluation {
+            iteration,
+            env_steps,
+            mean,
+            standard_deviation,
+            minimum,
+            maximum,
+            episodes,
+        });
+        Ok(())
+    }
+
+    fn report_progress(&mut self) {
+        let progress = self.outside.exchange.progress();
+        let told = self.patience.look(Instant::now(), &progress);
+        if told.moved && self.arrived.is_none() {
+            let iteration = self.trainer.iteration;
+            let env_steps = self.trainer.env_steps() + progress.steps_collected;
+            self.tell(&Event::Collecting { iteration, env_steps });
+        }
+        if let Some(waiting) = told.waiting {
+            self.tell(&waiting);
+        }
+    }
+}
+
+/// Notices when nothing comes in.
+pub(super) struct Patience {
+    steps: u64,
+    moved: Instant,
+    told: Instant,
+}
+
+/// What a look at the progress showed.
+pub(super) struct Look {
+    /// Steps have come in since the last look.
+    pub(super) moved: bool,
+    /// What is missing, if nothing has come for long.
+    pub(super) waiting: Option<Event>,
+}
+
+impl Patience {
+    /// From now on.
+    pub(super) fn new(now: Instant) -> Self {
+        Self { steps: 0, moved: now, told: now }
+    }
+
+    /// Compares the progress with that of the last look.
+    pub(super) fn look(&mut self, now: Instant, progress: &Progress) -> Look {
+        if progress.steps_collected != self.steps {
+            self.steps = progress.steps_collected;
+            (self.moved, self.told) = (now, now);
+            return Look { moved: true, waiting: None };
+        }
+        if now.duration_since(self.told) < STILL {
+            return Look { moved: false, waiting: None };
+        }
+        self.told = now;
+        let seconds = now.duration_since(self.moved).as_secs_f64();
+        let reason = match progress.actors {
+            0 => "no actor is connected".to_owned(),
+            1 => "the one actor has sent nothing".to_owned(),
+            actors => format!("none of {actors} actors has sent anything"),
+        };
+        Look { moved: false, waiting: Some(Event::Waiting { seconds, reason }) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn progress(steps_collected: u64, actors: usize) -> Progress {
+        Progress { steps_collected, actors, ..Progress::default() }
+    }
+
+    #[test]
+    fn stillness_is_told_every_ten_seconds_with_what_is_missing() {
+        let start = Instant::now();
+        let mut patience = Patience::new(start);
+        let mut look = |secs, progress| patience.look(start + Duration::from_secs(secs), &progress);
+        assert!(look(1, progress(40, 2)).moved);
+        assert_eq!(look(9, progress(40, 2)).waiting, None);
+        let reason = "none of 2 actors has sent anything".to_owned();
+        assert_eq!(
+            look(11, progress(40, 2)).waiting,
+            Some(Event::Waiting { seconds: 10.0, reason })
+        );
+        assert_eq!(look(20, progress(40, 2)).waiting, None);
+        let reason = "no actor is connected".to_owned();
+        assert_eq!(
+            look(21, progress(40, 0)).waiting,
+            Some(Event::Waiting { seconds: 20.0, reason })
+        );
+        assert!(look(22, progress(80, 1)).moved);
+    }
+}

@@ -1,0 +1,96 @@
+//! One consistent cut of the run: what a checkpoint holds, and when it is written.
+
+use policy::arrays::{Array, NamedArrays};
+
+use crate::checkpoint::{self, Checkpoint, Saved};
+use crate::error::LearnerError;
+use crate::event::Event;
+use crate::trainer::{Trainer, Work};
+
+/// Periodic checkpoints that may fail one after the other before the run gives up.
+const FAILURES_LIMIT: u32 = 3;
+
+impl Work {
+    /// Writes a checkpoint every `checkpoint.every` iterations. One that fails is told loudly and
+    /// tried again after the next iteration; after three in a row the run ends.
+    pub(super) fn save_if_due(&mut self) -> Result<(), LearnerError> {
+        let trainer = &self.trainer;
+        let due = trainer.iteration.is_multiple_of(trainer.config.checkpoint.every);
+        if !due && trainer.failed_saves == 0 {
+            return Ok(());
+        }
+        match self.save_now() {
+            Ok(_) => self.trainer.failed_saves = 0,
+            Err(error) => {
+                self.trainer.failed_saves += 1;
+                let failures = self.trainer.failed_saves;
+                tracing::error!(failures, "the checkpoint could not be written: {error}");
+                if failures >= FAILURES_LIMIT {
+                    return Err(error);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a checkpoint of the last finished iteration, unless there is one.
+    pub(super) fn save_now(&mut self) -> Result<Saved, LearnerError> {
+        let iteration = self.trainer.iteration;
+        if let Some(saved) =
+            self.trainer.saved.as_ref().filter(|saved| saved.iteration == iteration)
+        {
+            return Ok(saved.clone());
+        }
+        let saved = self.trainer.save()?;
+        self.trainer.saved = Some(saved.clone());
+        self.tell(&Event::Checkpoint { path: saved.path.clone(), iteration });
+        Ok(saved)
+    }
+}
+
+impl Trainer {
+    /// The metrics reach the disk before the checkpoint that counts on them.
+    fn save(&self) -> Result<Saved, LearnerError> {
+        self.metrics.sync()?;
+        self.provenance.sync()?;
+        let checkpoint = Checkpoint {
+            iteration: self.iteration,
+            env_steps: self.env_steps(),
+            arrays: self.arrays()?,
+            policy: self.policy.to_vec(),
+        };
+        let (folder, keep_last) = (self.folder.path(), self.config.checkpoint.keep_last);
+        Ok(checkpoint::save(folder, &checkpoint, &self.config_sha256.to_string(), keep_last)?)
+    }
+
+    /// Everything that the next iteration depends on, and the evaluation that may be out.
+    fn arrays(&self) -> Result<NamedArrays, LearnerError> {
+        let mut arrays = self.algorithm.arrays()?;
+        arrays.extend(self.surprise.arrays());
+        arrays.extend(self.environments.arrays());
+        arrays.extend(self.evaluations.arrays());
+        for (name, count) in [("iteration", self.iteration), ("env_steps", self.env_steps())] {
+            let array = Array::I64 { shape: vec![1], data: vec![count as i64] };
+            arrays.insert(format!("counters/{name}"), array);
+        }
+        Ok(arrays)
+    }
+
+    /// Takes over a checkpoint's state.
+    pub(crate) fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), LearnerError> {
+        let arrays = &checkpoint.arrays;
+        self.iteration = checkpoint::fields::one_count(arrays, "counters/iteration")?;
+        self.algorithm.restore(&group(arrays, &["weights/", "optimizer/", "normalizer/"]))?;
+        self.surprise.restore(&group(arrays, &["density/"]))?;
+        self.environments.restore(arrays, self.iteration)?;
+        self.evaluations.restore(arrays)?;
+        self.policy = super::policy_bytes(self.algorithm.as_ref())?;
+        Ok(())
+    }
+}
+
+fn group(arrays: &NamedArrays, prefixes: &[&str]) -> NamedArrays {
+    let wanted = |name: &str| prefixes.iter().any(|prefix| name.starts_with(prefix));
+    let chosen = arrays.iter().filter(|(name, _)| wanted(name));
+    chosen.map(|(name, array)| (name.clone(), array.clone())).collect()
+}

@@ -1,0 +1,250 @@
+//! Checkpoints survive crashes and never load damaged.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use learner::checkpoint::{self, Checkpoint, CheckpointError, Loaded, Saved};
+use policy::arrays::{Array, NamedArrays};
+
+fn checkpoint(iteration: u64) -> Checkpoint {
+    let floats = |value: f32| Array::F32 { shape: vec![2, 2], data: vec![value, 0.5, -0.0, 1e-9] };
+    let count = Array::I64 { shape: vec![1], data: vec![iteration as i64] };
+    let arrays = NamedArrays::from([
+        ("weights/agent_0.head".to_owned(), floats(iteration as f32)),
+        ("weights/critic".to_owned(), floats(2.0)),
+        ("optimizer/agent_0.head.m".to_owned(), floats(3.0)),
+        ("environments/0000/state".to_owned(), Array::U8 { shape: vec![3], data: vec![1, 2, 3] }),
+        ("counters/iteration".to_owned(), count),
+    ]);
+    Checkpoint { iteration, env_steps: iteration * 40, arrays, policy: b"a policy".to_vec() }
+}
+
+struct Run(tempfile::TempDir);
+
+impl Run {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn with(iterations: &[u64]) -> Self {
+        let run = Self::new();
+        iterations.iter().for_each(|iteration| drop(run.save(*iteration, 10)));
+        run
+    }
+
+    fn save(&self, iteration: u64, keep_last: usize) -> Saved {
+        checkpoint::save(self.0.path(), &checkpoint(iteration), "c0ffee", keep_last).unwrap()
+    }
+
+    fn load(&self) -> Loaded {
+        checkpoint::load_newest(self.0.path()).unwrap()
+    }
+
+    fn folder(&self) -> PathBuf {
+        checkpoint::folder(self.0.path())
+    }
+
+    fn place(&self, iteration: u64) -> PathBuf {
+        self.folder().join(format!("iter_{iteration:08}"))
+    }
+}
+
+fn files(place: &Path) -> Vec<PathBuf> {
+    let mut files: Vec<PathBuf> =
+        fs::read_dir(place).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    files
+}
+
+/// The newest is passed over with a reason that names the file, and the one before it is loaded.
+fn falls_back(run: &Run, file: &Path) {
+    let loaded = run.load();
+    assert_eq!(loaded.checkpoint, checkpoint(1), "{}", file.display());
+    let (path, reason) = &loaded.skipped[0];
+    assert_eq!(*path, run.place(2));
+    let name = file.file_name().unwrap().to_str().unwrap();
+    assert!(reason.contains(name), "{name}: {reason}");
+    let error = checkpoint::load(path).unwrap_err().to_string();
+    assert!(error.contains(reason), "{error}");
+}
+
+#[test]
+fn a_checkpoint_survives_a_round_trip_with_its_hashes() {
+    let run = Run::new();
+    let saved = run.save(12, 3);
+    let loaded = run.load();
+    assert_eq!(loaded.checkpoint, checkpoint(12));
+    assert_eq!(loaded.saved(), saved);
+    assert!(loaded.skipped.is_empty());
+    assert_eq!(saved.path, run.place(12));
+    assert_eq!(loaded.manifest.weights_sha256, checkpoint(12).weights_sha256());
+    assert_eq!(loaded.manifest.state_sha256, checkpoint(12).state_sha256());
+    assert_eq!(loaded.manifest.config_sha256, "c0ffee");
+    assert_eq!(fs::read_to_string(run.folder().join("LATEST")).unwrap(), "iter_00000012\n");
+}
+
+#[test]
+fn the_state_hash_sees_all_but_the_evaluation_and_the_weights_hash_sees_weights() {
+    let base = checkpoint(1);
+    let with = |name: &str| {
+        let mut other = base.clone();
+        other.arrays.insert(name.to_owned(), Array::U8 { shape: vec![1], data: vec![9] });
+        (
+            other.weights_sha256() == base.weights_sha256(),
+            other.state_sha256() == base.state_sha256(),
+        )
+    };
+    assert_eq!(with("weights/x"), (false, false));
+    assert_eq!(with("density/x"), (true, false));
+    assert_eq!(with("evaluation/policy"), (true, true));
+}
+
+#[test]
+fn the_newest_checkpoints_stay_and_older_ones_go() {
+    let run = Run::new();
+    (1..=5).for_each(|iteration| drop(run.save(iteration, 2)));
+    let names: Vec<String> = files(&run.folder())
+        .iter()
+        .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
+        .collect();
+    assert_eq!(names, ["LATEST", "iter_00000004", "iter_00000005"]);
+}
+
+#[test]
+fn truncated_files_fall_back_to_the_previous_checkpoint() {
+    for file in files(&Run::with(&[1, 2]).place(2)) {
+        let size = fs::metadata(&file).map_or(100, |found| found.len());
+        for length in [0, 1, size / 2, size.saturating_sub(1)] {
+            let run = Run::with(&[1, 2]);
+            let file = run.place(2).join(file.file_name().unwrap());
+            let bytes = fs::read(&file).unwrap();
+            fs::write(&file, &bytes[..bytes.len().min(length as usize).min(bytes.len() - 1)])
+                .unwrap();
+            falls_back(&run, &file);
+        }
+    }
+}
+
+#[test]
+fn a_flipped_bit_in_any_byte_of_any_file_falls_back() {
+    let run = Run::with(&[1, 2]);
+    for file in files(&run.place(2)) {
+        let bytes = fs::read(&file).unwrap();
+        let stride = if bytes.len() > 400 { 7 } else { 1 };
+        for index in (0..bytes.len()).step_by(stride) {
+            let mut flipped = bytes.clone();
+            flipped[index] ^= 1 << (index % 8);
+            fs::write(&file, flipped).unwrap();
+            falls_back(&run, &file);
+        }
+        fs::write(&file, bytes).unwrap();
+    }
+    assert_eq!(run.load().checkpoint, checkpoint(2));
+}
+
+#[test]
+fn a_missing_file_and_two_swapped_files_fall_back() {
+    let names = files(&Run::with(&[1, 2]).place(2));
+    for file in &names {
+        let run = Run::with(&[1, 2]);
+        let file = run.place(2).join(file.file_name().unwrap());
+        fs::remove_file(&file).unwrap();
+        falls_back(&run, &file);
+    }
+    let run = Run::with(&[1, 2]);
+    let [one, two] =
+        ["optimizer", "weights"].map(|n| run.place(2).join(format!("{n}.safetensors")));
+    let bytes = fs::read(&one).unwrap();
+    fs::rename(&two, &one).unwrap();
+    fs::write(&two, bytes).unwrap();
+    falls_back(&run, &one);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_symbolic_link_is_no_part_of_a_checkpoint() {
+    let run = Run::with(&[1, 2]);
+    let file = run.place(2).join("weights.safetensors");
+    let elsewhere = run.0.path().join("elsewhere");
+    fs::rename(&file, &elsewhere).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, &file).unwrap();
+    falls_back(&run, &file);
+}
+
+#[test]
+fn a_checkpoint_in_the_wrong_place_and_another_schema_are_refused() {
+    let run = Run::with(&[1, 2]);
+    fs::rename(run.place(2), run.place(3)).unwrap();
+    let loaded = run.load();
+    assert_eq!(loaded.checkpoint, checkpoint(1));
+    assert!(loaded.skipped[0].1.contains("its manifest is that of iter_00000002"));
+
+    let file = run.place(1).join("manifest.json");
+    let newer = fs::read_to_string(&file).unwrap().replace("\"schema\": 1", "\"schema\": 2");
+    fs::write(&file, newer).unwrap();
+    let error = checkpoint::load_newest(run.0.path()).unwrap_err();
+    let text = error.to_string();
+    assert!(
+        text.contains("iter_00000001: manifest.json has schema 2, this program reads 1"),
+        "{text}"
+    );
+    assert!(matches!(error, CheckpointError::NoneUsable { skipped, .. } if skipped.len() == 2));
+}
+
+#[test]
+fn a_run_without_checkpoints_says_so() {
+    let error = checkpoint::load_newest(Run::new().0.path()).unwrap_err();
+    assert!(matches!(error, CheckpointError::None { .. }), "{error}");
+}
+
+#[test]
+fn a_crash_at_any_step_leaves_the_old_one_or_the_new_one() {
+    let whole = Run::with(&[2]);
+    let written = files(&whole.place(2));
+    // Before the rename: the draft holds the first n files, the last of them only in half.
+    for count in 0..=written.len() {
+        let run = Run::with(&[1]);
+        let draft = run.folder().join(".tmp-iter_00000002");
+        fs::create_dir(&draft).unwrap();
+        for (index, file) in written.iter().take(count).enumerate() {
+            let bytes = fs::read(file).unwrap();
+            let end = if index + 1 == count { bytes.len() / 2 } else { bytes.len() };
+            fs::write(draft.join(file.file_name().unwrap()), &bytes[..end]).unwrap();
+        }
+        let loaded = run.load();
+        assert_eq!((loaded.checkpoint, loaded.skipped), (checkpoint(1), vec![]));
+        // The next attempt clears the draft away.
+        run.save(2, 10);
+        assert_eq!(run.load().checkpoint, checkpoint(2));
+        assert!(!draft.exists());
+    }
+    // After the rename, before LATEST is replaced: the new one counts.
+    let run = Run::with(&[1, 2]);
+    fs::write(run.folder().join("LATEST"), "iter_00000001\n").unwrap();
+    assert_eq!(run.load().checkpoint, checkpoint(2));
+    // In the middle of replacing LATEST.
+    fs::write(run.folder().join(".tmp-LATEST"), "iter_0").unwrap();
+    assert_eq!(run.load().checkpoint, checkpoint(2));
+}
+
+#[test]
+fn a_damaged_checkpoint_is_replaced_when_its_iteration_comes_again() {
+    let run = Run::with(&[1, 3]);
+    fs::write(run.place(3).join("weights.safetensors"), "damaged").unwrap();
+    assert_eq!(run.load().checkpoint, checkpoint(1));
+    run.save(2, 1);
+    // The damaged one neither counts as one of the last nor hides the good one.
+    assert_eq!(run.load().checkpoint, checkpoint(2));
+    run.save(3, 1);
+    assert_eq!((run.load().checkpoint, run.load().skipped), (checkpoint(3), vec![]));
+}
+
+#[test]
+fn an_array_of_no_group_is_refused_by_name() {
+    let run = Run::new();
+    let mut odd = checkpoint(1);
+    odd.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
+    let error = checkpoint::save(run.0.path(), &odd, "c0ffee", 1).unwrap_err().to_string();
+    assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
+}

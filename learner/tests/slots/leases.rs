@@ -1,0 +1,154 @@
+//! How leases begin and end.
+
+use std::time::Duration;
+
+use learner::slots::{ConnectionId, Effect, Offer};
+use proto::{ActorId, Beat, EvaluationResult, Incarnation, PushHeader, Reason, Work};
+
+use crate::table::{
+    CHUNKS, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights, works,
+};
+
+fn second(count: u64) -> Duration {
+    Duration::from_secs(count)
+}
+
+#[test]
+fn the_lowest_free_slot_is_leased_first() {
+    let mut table = table(3);
+    let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
+    let first = lease(&mut table, a);
+    assert_eq!((slot(&first), slot(&lease(&mut table, b))), (0, 1));
+    table.refuse(first.id);
+    assert_eq!((slot(&lease(&mut table, b)), slot(&lease(&mut table, b))), (0, 2));
+    assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Nothing));
+}
+
+#[test]
+fn evaluations_are_leased_when_no_slot_is_free_and_end_once_all_episodes_are_in() {
+    let mut table = table(1);
+    table.open_evaluation(7, weights(), 2);
+    let a = actor(&mut table, 1);
+    assert_eq!(slot(&lease(&mut table, a)), 0);
+    table.effects();
+    let episodes = [lease(&mut table, a), lease(&mut table, a)];
+    for (i, lease) in episodes.iter().enumerate().rev() {
+        let Work::Evaluation(work) = lease.work else { panic!("{lease:?}") };
+        assert_eq!((work.iteration, work.episode), (7, i as u32));
+        let result = EvaluationResult { episode: i as u32, extrinsic_return: i as f64, steps: 5 };
+        let header = PushHeader::of(lease, result.digest());
+        assert!(table.evaluation(&header, result).unwrap().lease_finished);
+    }
+    let [Effect::Evaluation(outcome)] = &table.effects()[..] else { panic!("no outcome") };
+    let returns = outcome.episodes.iter().map(|episode| episode.extrinsic_return);
+    assert_eq!((outcome.iteration, returns.collect::<Vec<_>>()), (7, vec![0.0, 1.0]));
+}
+
+#[test]
+fn a_silent_lease_ends_after_its_time_to_live_and_the_slot_starts_again() {
+    let mut table = table(1);
+    let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
+    let late = lease(&mut table, a);
+    push(&mut table, &late, 0).unwrap();
+    table.tick(TTL - second(1));
+    assert_eq!(table.lease(b, INCARNATION), Ok(Offer::Nothing));
+    table.tick(TTL);
+    assert_eq!(table.effects(), [Effect::WorkFreed]);
+    let again = lease(&mut table, b);
+    assert_eq!(push(&mut table, &again, 1).unwrap_err().reason, Reason::OutOfOrder);
+    assert_eq!(push(&mut table, &late, 1).unwrap_err().reason, Reason::UnknownLease);
+    assert_eq!(table.counts().reissued, 1);
+}
+
+#[test]
+fn what_is_heard_of_a_lease_extends_it_until_the_work_stands_still_for_long() {
+    let mut table = table(1);
+    let a = actor(&mut table, 1);
+    let lease = lease(&mut table, a);
+    let beat = |slot_step| Beat { actor: a, incarnation: INCARNATION, lease: lease.id, slot_step };
+    for time in 1..20 {
+        table.tick(second(15 * time));
+        assert_eq!(table.heartbeat(&beat(time as u32)), Ok(true), "at {} s", 15 * time);
+    }
+    // It stands still from 285 s on: signs of life extend it only for six times to live.
+    let ended = (20..40).find(|time| {
+        table.tick(second(15 * time));
+        table.heartbeat(&beat(19)) == Ok(false)
+    });
+    let end = second(285) + 6 * TTL;
+    assert!(ended.map(|time| second(15 * time)).is_some_and(|at| at > end && at < end + 2 * TTL));
+}
+
+#[test]
+fn a_closed_connection_frees_its_leases_at_once() {
+    let mut table = table(2);
+    let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
+    let gone = [lease(&mut table, a), lease(&mut table, a)];
+    table.disconnect(ConnectionId(1));
+    assert_eq!((slot(&lease(&mut table, b)), table.counts().actors), (0, 1));
+    assert_eq!(push(&mut table, &gone[0], 0).unwrap_err().reason, Reason::UnknownLease);
+    assert_eq!(table.lease(a, INCARNATION).unwrap_err().reason, Reason::UnknownActor);
+}
+
+#[test]
+fn another_incarnation_or_an_unknown_actor_is_refused() {
+    let mut table = table(1);
+    let a = actor(&mut table, 1);
+    let other = Incarnation(10);
+    assert_eq!(table.lease(a, other).unwrap_err().reason, Reason::OtherIncarnation);
+    assert_eq!(table.lease(ActorId(99), INCARNATION).unwrap_err().reason, Reason::UnknownActor);
+    let mut lease = lease(&mut table, a);
+    lease.incarnation = other;
+    assert_eq!(push(&mut table, &lease, 0).unwrap_err().reason, Reason::OtherIncarnation);
+}
+
+#[test]
+fn an_actor_holds_four_leases_at_most() {
+    let mut table = table(5);
+    let a = actor(&mut table, 1);
+    (0..4).for_each(|_| drop(lease(&mut table, a)));
+    assert_eq!(table.lease(a, INCARNATION).unwrap_err().reason, Reason::TooManyLeases);
+}
+
+#[test]
+fn an_actor_that_is_refused_three_times_in_a_row_waits_while_others_work() {
+    let mut table = table(1);
+    let (bad, good) = (actor(&mut table, 1), actor(&mut table, 2));
+    for _ in 0..3 {
+        let lease = lease(&mut table, bad);
+        table.refuse(lease.id);
+    }
+    assert_eq!(table.lease(bad, INCARNATION), Ok(Offer::Quarantined(TTL)));
+    let kept = lease(&mut table, good);
+    table.refuse(kept.id);
+    table.tick(TTL);
+    assert_eq!(slot(&lease(&mut table, bad)), 0);
+}
+
+#[test]
+fn leases_of_an_iteration_end_when_the_next_one_opens() {
+    let mut table = table(1);
+    let a = actor(&mut table, 1);
+    let old = lease(&mut table, a);
+    table.open_iteration(1, weights(), works(1, 1));
+    assert_eq!(push(&mut table, &old, 0).unwrap_err().reason, Reason::UnknownLease);
+    let lease = lease_of(&mut table, a);
+    assert!(matches!(complete(&mut table, &lease)[..], [Effect::Iteration(_)]));
+}
+
+fn lease_of(table: &mut learner::slots::SlotTable, actor: ActorId) -> proto::Lease {
+    table.effects();
+    lease(table, actor)
+}
+
+#[test]
+fn a_finished_run_answers_done_and_a_draining_one_gives_no_work() {
+    let mut table = table(2);
+    let a = actor(&mut table, 1);
+    let open = lease(&mut table, a);
+    table.drain();
+    assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Nothing));
+    assert!((0..CHUNKS).all(|sequence| push(&mut table, &open, sequence).is_ok()));
+    table.finish();
+    assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Done));
+}

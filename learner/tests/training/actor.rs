@@ -1,0 +1,82 @@
+//! An actor on a thread of its own that plays the toy world for an exchange until the run is done.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use learner::Exchange;
+use learner::slots::ConnectionId;
+use policy::PolicySnapshot;
+use proto::{Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Registration, RunDescription, Work};
+
+use crate::toy;
+
+/// Actors at work.
+pub(crate) struct Actors {
+    threads: Vec<JoinHandle<()>>,
+    gone: Arc<AtomicBool>,
+}
+
+impl Actors {
+    /// Starts `count` of them.
+    pub(crate) fn start(count: u64, exchange: &Arc<Exchange>) -> Self {
+        let gone = Arc::new(AtomicBool::new(false));
+        let start = |index| {
+            let (exchange, gone) = (Arc::clone(exchange), Arc::clone(&gone));
+            let thread = std::thread::Builder::new().name(format!("actor-{index}"));
+            thread.spawn(move || work(&exchange, ConnectionId(index), &gone)).unwrap()
+        };
+        Self { threads: (0..count).map(start).collect(), gone }
+    }
+
+    /// Ends them, whatever they are at.
+    pub(crate) fn end(self) {
+        self.gone.store(true, Ordering::Relaxed);
+        self.threads.into_iter().for_each(|thread| thread.join().unwrap());
+    }
+}
+
+fn work(exchange: &Exchange, connection: ConnectionId, gone: &AtomicBool) {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    let run = exchange.run().clone();
+    let registered = exchange.register(connection, &registration(&run)).unwrap();
+    while !gone.load(Ordering::Relaxed) {
+        let answer =
+            exchange.lease(registered.actor, registered.incarnation, Duration::from_millis(50));
+        match runtime.block_on(answer).unwrap() {
+            LeaseAnswer::Lease(lease) => perform(exchange, &run, &lease),
+            LeaseAnswer::Retry { .. } => {}
+            LeaseAnswer::Done => break,
+        }
+    }
+    exchange.disconnect(connection);
+}
+
+fn registration(run: &RunDescription) -> Registration {
+    Registration {
+        client: "toy".to_owned(),
+        protocol_version: PROTOCOL_VERSION,
+        environment: toy::environment(),
+        rollout_fingerprint: Some(run.rollout_fingerprint),
+    }
+}
+
+/// A result that is not wanted any more is refused, as in a real run when the learner stops.
+fn perform(exchange: &Exchange, run: &RunDescription, lease: &Lease) {
+    let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };
+    let policy = PolicySnapshot::from_bytes(&snapshot).unwrap();
+    match &lease.work {
+        Work::Rollout(work) => {
+            for chunk in toy::roll_out(run, &policy, work) {
+                if exchange.accept_chunk(&PushHeader::of(lease, chunk.digest()), chunk).is_err() {
+                    return;
+                }
+            }
+        }
+        Work::Evaluation(work) => {
+            let result = toy::evaluate(run, &policy, work);
+            let _late = exchange.accept_evaluation(&PushHeader::of(lease, result.digest()), result);
+        }
+    }
+}

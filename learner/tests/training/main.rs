@@ -1,0 +1,205 @@
+//! Whole runs without sockets: a toy world, actors that call the exchange, and the trainer. What is
+//! trained depends on nothing but settings and seed.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod actor;
+mod settings;
+mod toy;
+
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use learner::checkpoint::load_newest;
+use learner::run_folder::RunFolderError;
+use learner::trainer::Outside;
+use learner::{Event, Exchange, Launch, LearnerError, Summary, launch};
+use serde_json::Value;
+
+use actor::Actors;
+use settings::{launch_in, resumed};
+
+/// Trains with `actors` actors; stops as soon as `enough` says so of the events so far.
+fn train_until(
+    launch: Launch,
+    actors: u64,
+    enough: impl Fn(&Event) -> bool + Send + 'static,
+) -> (Summary, Vec<Event>) {
+    let lease = launch.config.lease;
+    let (trainer, run) = launch::prepare(launch).unwrap();
+    let exchange = Exchange::new(run, lease);
+    let crew = Actors::start(actors, &exchange);
+    let events = Arc::new(Mutex::new(Vec::new()));
+    let stops = Arc::new(AtomicUsize::new(0));
+    let (kept, told) = (Arc::clone(&events), Arc::clone(&stops));
+    let observer = Box::new(move |event: &Event| {
+        told.fetch_add(usize::from(enough(event)), Ordering::Relaxed);
+        kept.lock().unwrap().push(event.clone());
+    });
+    let stop = Box::new(move || stops.load(Ordering::Relaxed) > 0);
+    let summary = trainer.train(Outside { exchange: Arc::clone(&exchange), observer, stop });
+    exchange.finish();
+    crew.end();
+    let events = std::mem::take(&mut *events.lock().unwrap());
+    (summary.unwrap(), events)
+}
+
+fn train(launch: Launch, actors: u64) -> Summary {
+    train_until(launch, actors, |_| false).0
+}
+
+fn lines(folder: &Path, name: &str) -> Vec<Value> {
+    let text = std::fs::read_to_string(folder.join(name)).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// The metrics without what was measured by the clock or depends on who was connected.
+fn timeless(folder: &Path) -> Vec<Value> {
+    let mut lines = lines(folder, "metrics.jsonl");
+    for line in &mut lines {
+        if line["kind"] == "evaluation" {
+            continue;
+        }
+        let line = line.as_object_mut().unwrap();
+        for name in ["rollout_secs", "update_secs", "density_secs", "actors"] {
+            line.remove(name).unwrap();
+        }
+    }
+    // A result comes in when it comes in: only its line, not its place, is the same in every run.
+    lines.sort_by_key(|line| (line["kind"].to_string(), line["iteration"].as_u64()));
+    lines
+}
+
+fn iterations(lines: &[Value], kind: Option<&str>) -> Vec<u64> {
+    let wanted = |line: &&Value| kind.is_none_or(|kind| line["kind"] == kind);
+    lines.iter().filter(wanted).map(|line| line["iteration"].as_u64().unwrap()).collect()
+}
+
+#[test]
+fn a_stopped_and_resumed_run_equals_an_undisturbed_one() {
+    let (whole, parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let undisturbed = train(launch_in(whole.path(), 5), 2);
+    assert!(!undisturbed.stopped_early);
+    assert_eq!((undisturbed.iteration, undisturbed.env_steps), (5, 5 * 4 * 8));
+
+    let third = |event: &Event| matches!(event, Event::Iteration(report) if report.iteration == 3);
+    let (stopped, _) = train_until(launch_in(parts.path(), 5), 1, third);
+    assert!(stopped.stopped_early);
+    assert_eq!(stopped.iteration, 3);
+    assert_ne!(stopped.state_sha256, undisturbed.state_sha256);
+    let ended = train(resumed(launch_in(parts.path(), 5)), 3);
+    assert_eq!(ended.weights_sha256, undisturbed.weights_sha256);
+    assert_eq!(ended.state_sha256, undisturbed.state_sha256);
+    assert_eq!(timeless(parts.path()), timeless(whole.path()));
+}
+
+#[test]
+fn threads_and_actors_change_nothing() {
+    let (one, many) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut launch = launch_in(one.path(), 2);
+    launch.config.learner.threads = 1;
+    let first = train(launch, 1);
+    let mut launch = launch_in(many.path(), 2);
+    launch.config.learner.threads = 3;
+    let second = train(launch, 4);
+    assert_eq!(first.state_sha256, second.state_sha256);
+    assert_eq!(timeless(one.path()), timeless(many.path()));
+}
+
+#[test]
+fn a_killed_run_goes_on_from_its_last_checkpoint_and_each_iteration_is_told_once() {
+    let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let undisturbed = train(launch_in(whole.path(), 5), 2);
+    // What is on disk when the learner dies after iteration 5: the checkpoint of iteration 4 and
+    // lines that are past it. The last checkpoint of iteration 5 never came to be.
+    train(launch_in(killed.path(), 5), 2);
+    std::fs::remove_dir_all(killed.path().join("checkpoints/iter_00000005")).unwrap();
+    let ended = train(resumed(launch_in(killed.path(), 5)), 2);
+    assert_eq!(ended.state_sha256, undisturbed.state_sha256);
+    let metrics = lines(killed.path(), "metrics.jsonl");
+    assert_eq!(iterations(&metrics, Some("iteration")), [1, 2, 3, 4, 5]);
+    assert_eq!(iterations(&lines(killed.path(), "provenance.jsonl"), None), [1, 2, 3, 4, 5]);
+    assert_eq!(timeless(killed.path()), timeless(whole.path()));
+}
+
+#[test]
+fn a_damaged_checkpoint_costs_iterations_and_no_bits() {
+    let (whole, damaged) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let undisturbed = train(launch_in(whole.path(), 5), 2);
+    train(launch_in(damaged.path(), 4), 2);
+    let file = damaged.path().join("checkpoints/iter_00000004/weights.safetensors");
+    std::fs::write(&file, "damaged").unwrap();
+    let ended = train(resumed(launch_in(damaged.path(), 5)), 2);
+    assert_eq!(ended.state_sha256, undisturbed.state_sha256);
+    assert!(load_newest(damaged.path()).unwrap().skipped.is_empty());
+}
+
+#[test]
+fn a_run_that_ended_before_its_first_checkpoint_begins_again() {
+    let (whole, lost) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let undisturbed = train(launch_in(whole.path(), 2), 1);
+    train(launch_in(lost.path(), 1), 1);
+    std::fs::remove_dir_all(lost.path().join("checkpoints")).unwrap();
+    let ended = train(resumed(launch_in(lost.path(), 2)), 1);
+    assert_eq!(ended.state_sha256, undisturbed.state_sha256);
+    let metrics = lines(lost.path(), "metrics.jsonl");
+    assert_eq!(iterations(&metrics, Some("iteration")), [1, 2]);
+}
+
+#[test]
+fn a_run_stopped_before_its_first_iteration_leaves_a_checkpoint_too() {
+    let (whole, parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let undisturbed = train(launch_in(whole.path(), 2), 1);
+    let (stopped, _) = train_until(launch_in(parts.path(), 2), 0, |_| true);
+    assert_eq!((stopped.iteration, stopped.stopped_early), (0, true));
+    let ended = train(resumed(launch_in(parts.path(), 2)), 1);
+    assert_eq!(ended.state_sha256, undisturbed.state_sha256);
+    assert_eq!(timeless(parts.path()), timeless(whole.path()));
+}
+
+#[test]
+fn evaluations_are_told_once_each_at_the_start_the_multiples_and_the_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, events) = train_until(launch_in(folder.path(), 5), 2, |_| false);
+    // 32 steps per iteration, an evaluation every 64.
+    let metrics = lines(folder.path(), "metrics.jsonl");
+    assert_eq!(iterations(&metrics, Some("evaluation")), [0, 2, 4, 5]);
+    let evaluation = metrics.iter().find(|line| line["kind"] == "evaluation").unwrap();
+    assert_eq!(evaluation["episodes"], 3);
+    assert!(evaluation["minimum"].as_f64() <= evaluation["mean"].as_f64());
+    assert!(evaluation["mean"].as_f64() <= evaluation["maximum"].as_f64());
+    let told = events.iter().filter(|event| matches!(event, Event::Evaluation { .. })).count();
+    assert_eq!(told, 4);
+}
+
+#[test]
+fn provenance_names_slots_actors_and_hashes() {
+    let folder = tempfile::tempdir().unwrap();
+    let summary = train(launch_in(folder.path(), 2), 2);
+    let provenance = lines(folder.path(), "provenance.jsonl");
+    assert_eq!(provenance[1]["weights_sha256"], summary.weights_sha256);
+    assert_eq!(provenance[1]["behaviour"]["version"], 1);
+    let slots = provenance[1]["slots"].as_array().unwrap();
+    assert_eq!(slots.iter().map(|slot| slot["slot"].as_u64().unwrap()).collect::<Vec<_>>(), [0, 1]);
+    // 8 steps in chunks of 4.
+    assert!(slots.iter().all(|slot| slot["digests"].as_array().unwrap().len() == 2));
+    assert_eq!(provenance[0]["density_sha256"].as_str().unwrap().len(), 64);
+    let mut order = provenance[0]["order"].as_array().unwrap().clone();
+    order.sort_by_key(Value::as_u64);
+    assert_eq!(order, [0, 1]);
+}
+
+#[test]
+fn other_semantic_settings_and_a_shorter_run_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    train(launch_in(folder.path(), 2), 1);
+    let mut other = resumed(launch_in(folder.path(), 3));
+    other.config_sha256 = proto::Digest([7; 32]);
+    let error = launch::prepare(other).map(drop).unwrap_err();
+    assert!(
+        matches!(error, LearnerError::RunFolder(RunFolderError::OtherConfig { .. })),
+        "{error}"
+    );
+    let error = launch::prepare(resumed(launch_in(folder.path(), 1))).map(drop).unwrap_err();
+    assert!(error.to_string().contains("stands at iteration 2, past the 1"), "{error}");
+}

@@ -1,0 +1,96 @@
+//! A run small enough for a test: 4 environments x 8 steps, two slots, short networks.
+
+use std::path::Path;
+
+use learner::{
+    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Launch, LeaseConfig, Phase,
+    ThreadsConfig,
+};
+use policy::{CoreKind, PolicyConfig, RunSeed};
+use proto::Digest;
+use serde_json::json;
+
+use crate::toy;
+
+/// A new run.
+pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
+    Launch {
+        config: config(),
+        training: training(),
+        policy: policy(),
+        environment: toy::environment(),
+        task_settings: "{}".to_owned(),
+        seed: RunSeed(7),
+        iterations,
+        run_id: "toy".to_owned(),
+        folder: folder.to_path_buf(),
+        config_toml: "task = \"toy\"\n".to_owned(),
+        config_sha256: Digest([1; 32]),
+        rollout_fingerprint: Digest([2; 32]),
+        learner_fingerprint: Digest([3; 32]),
+        manifest: json!({"program": "test"}),
+        resume: false,
+    }
+}
+
+/// The same run, gone on with.
+pub(crate) fn resumed(launch: Launch) -> Launch {
+    Launch { resume: true, ..launch }
+}
+
+fn config() -> Config {
+    Config {
+        environments: EnvironmentsConfig {
+            count: 4,
+            steps: 8,
+            per_slot: 2,
+            chunk_steps: 4,
+            phase: Phase::Staggered,
+        },
+        lease: LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 },
+        evaluation: EvaluationConfig { every_steps: 64, episodes: 3 },
+        checkpoint: CheckpointConfig { every: 2, keep_last: 3 },
+        learner: ThreadsConfig { threads: 2 },
+    }
+}
+
+fn policy() -> PolicyConfig {
+    PolicyConfig {
+        core: CoreKind::Gru,
+        encoder: 8,
+        hidden: 8,
+        width: 8,
+        layers: 1,
+        chunk_steps: 2,
+        initial_log_std: 1.0,
+        sigma_scale: 0.5,
+        sigma_floor: 0.05,
+        head_gain: 0.01,
+    }
+}
+
+/// Read as the binary reads it, so that the test names no type that it does not need.
+fn training() -> marl::Config {
+    serde_json::from_value(json!({
+        "update": {
+            "rule": "happo", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
+            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "entropy": 0.0,
+            "max_gradient_norm": 10.0, "shards": 2,
+        },
+        "critic": {
+            "mode": "per_agent", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
+            "minibatches": 1, "clip": 0.2, "huber_delta": 10.0, "normalizer_beta": 0.999,
+            "max_gradient_norm": 10.0,
+        },
+        "surprise": {
+            "alpha": 0.01, "density": "diagonal_gaussian", "fit": "current", "space": "policy_obs",
+            "reduce": "sum", "constant": "paper", "sigma_floor": 0.01, "mask_below": 1e-4,
+        },
+        "influence": {
+            "lambda": 0.01, "estimator": "variational_kl", "divergence": "kl_qp",
+            "q_training": "mle", "kappa": 1.0, "encoder": 8, "hidden": 8, "epochs": 2,
+            "learning_rate": 5e-4, "minibatches": 1, "sigma_floor": 0.05, "holdout_every": 2,
+        },
+    }))
+    .unwrap()
+}

@@ -1,0 +1,298 @@
+//! The centralised critic: the value of the global state, one head per agent.
+
+use candle_core::Tensor;
+use policy::arrays::{Array, NamedArrays};
+use policy::ops::Activation;
+use policy::parameters::Parameters;
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use rayon::prelude::*;
+
+use crate::advantage::next_values;
+use crate::batch::{Batch, Problem};
+use crate::config::CriticConfig;
+use crate::error::MarlError;
+use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::layers::{Builder, Dense, Norm, RELU_GAIN, rows};
+use crate::minibatch::minibatches;
+use crate::optimizer::{Adam, AdamConfig};
+use crate::surrogate::mean_and_deviation;
+use crate::value_normalizer::ValueNormalizer;
+
+/// LayerNorm, then layers of Linear, ReLU, LayerNorm, then one value per agent in units of that
+/// agent's normalised return.
+pub struct Critic {
+    config: CriticConfig,
+    seed: RunSeed,
+    agents: usize,
+    states: usize,
+    parameters: Parameters,
+    input: Norm,
+    layers: Vec<(Dense, Norm)>,
+    heads: Dense,
+    adam: Adam,
+    normalizers: Vec<ValueNormalizer>,
+}
+
+/// The critic's opinion of a batch before it learns from it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Values {
+    /// Normalised values as the network gives them, `[T * B, N]`.
+    pub normalized: Vec<f64>,
+    /// Value of every row's state, per agent `[T, B]`, in units of the return.
+    pub now: Vec<Vec<f32>>,
+    /// Value of every row's true next state, per agent `[T, B]`; 0 after a termination.
+    pub next: Vec<Vec<f32>>,
+}
+
+/// What a fit came to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CriticFigures {
+    /// Mean loss over all optimiser steps, squared normalised units.
+    pub loss: f64,
+    /// Mean norm of the gradient before clipping.
+    pub gradient_norm: f64,
+    /// Share of the returns' variance that the values explained before the fit, mean over agents.
+    pub explained_variance: f64,
+    /// Steps skipped so far because their gradient was not finite.
+    pub skipped: i64,
+}
+
+/// Huber's loss of an error and its slope: `e^2 / 2` within `delta`, linear beyond.
+#[must_use]
+pub fn huber(error: f64, delta: f64) -> (f64, f64) {
+    if error.abs() <= delta {
+        (0.5 * error * error, error)
+    } else {
+        (delta * (error.abs() - 0.5 * delta), delta * error.signum())
+    }
+}
+
+/// The clipped value loss of one element, `max(huber(v - R), huber(v_clip - R))` with `v_clip = v_old
+/// + clamp(v - v_old, +-clip)`, and its slope by `v`; all in normalised units.
+#[must_use]
+pub fn value_loss(value: f64, old: f64, target: f64, (clip, delta): (f64, f64)) -> (f64, f64) {
+    let moved = value - old;
+    let free = huber(value - target, delta);
+    let held = huber(old + moved.clamp(-clip, clip) - target, delta);
+    match held.0 > free.0 {
+        true => (held.0, if moved.abs() <= clip { held.1 } else { 0.0 }),
+        false => free,
+    }
+}
+
+impl Critic {
+    /// A critic for `problem`; `adam_epsilon` as in the actors' optimiser.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn new(
+        config: &CriticConfig,
+        adam_epsilon: f64,
+        problem: &Problem,
+        seed: RunSeed,
+    ) -> Result<Self, MarlError> {
+        let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation));
+        let mut builder = Builder { parameters: Parameters::new(), rng: &mut rng };
+        let input = builder.norm("norm", problem.state)?;
+        let mut layers = Vec::with_capacity(config.layers);
+        let mut from = problem.state;
+        for layer in 0..config.layers {
+            let (name, shape) = (format!("layers.{layer}"), (from, config.width));
+            let dense =
+                builder.dense(&format!("{name}.linear"), shape, RELU_GAIN, Activation::Relu)?;
+            layers.push((dense, builder.norm(&format!("{name}.norm"), config.width)?));
+            from = config.width;
+        }
+        let agents = problem.agents.len();
+        let heads = builder.dense("value", (from, agents), 1.0, Activation::Identity)?;
+        let parameters = builder.parameters;
+        let adam = AdamConfig {
+            learning_rate: config.learning_rate,
+            epsilon: adam_epsilon,
+            max_gradient_norm: config.max_gradient_norm,
+        };
+        Ok(Self {
+            config: config.clone(),
+            seed,
+            agents,
+            states: problem.state,
+            adam: Adam::new(adam, &parameters),
+            parameters,
+            input,
+            layers,
+            heads,
+            normalizers: vec![ValueNormalizer::new(config.normalizer_beta); agents],
+        })
+    }
+
+    /// Normalised values `[R, N]` of states `[R, S]`.
+    fn forward(&self, states: Vec<f32>) -> Result<Tensor, MarlError> {
+        let mut x = self.input.apply(&rows(states, self.states)?)?;
+        for (dense, norm) in &self.layers {
+            x = norm.apply(&dense.apply(&x)?)?;
+        }
+        self.heads.apply(&x)
+    }
+
+    /// Values of every state of `batch` and of every row's true next state.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn values(&self, batch: &Batch) -> Result<Values, MarlError> {
+        let normalized = numbers(&self.forward(batch.state.clone())?)?;
+        let last = batch.finals.iter().flat_map(|last| last.state.iter().copied()).collect();
+        let finals = numbers(&self.forward(last)?)?;
+        let (mut now, mut next) = (Vec::new(), Vec::new());
+        for agent in 0..self.agents {
+            let own = self.of_agent(&normalized, agent);
+            next.push(next_values(batch, &own, &self.of_agent(&finals, agent)));
+            now.push(own);
+        }
+        Ok(Values { normalized, now, next })
+    }
+
+    /// One agent's column of `[R, N]` normalised values, in units of the return.
+    fn of_agent(&self, normalized: &[f64], agent: usize) -> Vec<f32> {
+        let column = normalized.iter().skip(agent).step_by(self.agents);
+        column.map(|&value| self.normalizers[agent].denormalize(value) as f32).collect()
+    }
+
+    /// Learns every agent's returns `[N][T, B]`; `values` is what it thought of the batch before.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn fit(
+        &mut self,
+        batch: &Batch,
+        values: &Values,
+        returns: &[Vec<f32>],
+        iteration: u64,
+    ) -> Result<CriticFigures, MarlError> {
+        for (normalizer, returns) in self.normalizers.iter_mut().zip(returns) {
+            normalizer.update(returns);
+        }
+        let target = self.targets(returns);
+        let mut figures = CriticFigures::default();
+        let weight = 1.0 / (self.config.epochs * self.config.minibatches) as f64;
+        for epoch in 0..self.config.epochs {
+            let draw = Draw::of(Purpose::CriticMinibatch).iteration(iteration).step(epoch as u32);
+            for part in minibatches(batch.rows(), self.config.minibatches, self.seed, draw) {
+                let (loss, norm) = self.step(batch, &values.normalized, &target, &part)?;
+                figures.loss += weight * loss;
+                figures.gradient_norm += weight * norm;
+            }
+        }
+        figures.explained_variance = explained_variance(&values.now, returns);
+        figures.skipped = self.adam.skipped();
+        Ok(figures)
+    }
+
+    /// Normalised returns, `[T * B, N]`.
+    fn targets(&self, returns: &[Vec<f32>]) -> Vec<f64> {
+        let row = |row: usize| {
+            let agents = self.normalizers.iter().zip(returns);
+            agents.map(move |(normalizer, returns)| normalizer.normalize(f64::from(returns[row])))
+        };
+        (0..returns[0].len()).flat_map(row).collect()
+    }
+
+    fn step(
+        &mut self,
+        batch: &Batch,
+        old: &[f64],
+        target: &[f64],
+        part: &[usize],
+    ) -> Result<(f64, f64), MarlError> {
+        let width = self.states;
+        let states = part.iter().flat_map(|&row| &batch.state[row * width..(row + 1) * width]);
+        let output = self.forward(states.copied().collect())?;
+        let found = numbers(&output)?;
+        let share = 1.0 / found.len() as f64;
+        let bounds = (self.config.clip, self.config.huber_delta);
+        let places = part.iter().flat_map(|&row| row * self.agents..(row + 1) * self.agents);
+        let (mut loss, mut gradient) = (0.0, Vec::with_capacity(found.len()));
+        for (&value, place) in found.iter().zip(places) {
+            let (own, slope) = value_loss(value, old[place], target[place], bounds);
+            loss += share * own;
+            gradient.push(share * slope);
+        }
+        let root = root(&[OutputGradient { output: &output, gradient: &gradient }])?;
+        let gradients = Gradients::of(&self.parameters, &root)?;
+        Ok((loss, self.adam.step(&self.parameters, &gradients)?))
+    }
+
+    /// `weights/critic.*`, `optimizer/critic.*`, `normalizer/value_I`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.parameters.to_arrays("weights/critic.")?;
+        arrays.append(&mut self.adam.arrays("optimizer/critic."));
+        for (agent, normalizer) in self.normalizers.iter().enumerate() {
+            let array = Array::F64 { shape: vec![3], data: normalizer.state().to_vec() };
+            arrays.insert(format!("normalizer/value_{agent}"), array);
+        }
+        Ok(arrays)
+    }
+
+    /// Takes over what [`Critic::arrays`] gave.
+    ///
+    /// # Errors
+    /// Names an array that is missing or does not fit.
+    pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        self.parameters.load("weights/critic.", arrays)?;
+        self.adam.restore("optimizer/critic.", arrays)?;
+        for (agent, normalizer) in self.normalizers.iter_mut().enumerate() {
+            let name = format!("normalizer/value_{agent}");
+            match arrays.get(&name) {
+                Some(Array::F64 { data, .. }) if data.len() == 3 => {
+                    normalizer.restore([data[0], data[1], data[2]]);
+                }
+                _ => return Err(MarlError::Restore(format!("{name} is not 3 f64 numbers"))),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `1 - Var(R - V) / Var(R)`, mean over agents; 0 where returns do not vary.
+fn explained_variance(values: &[Vec<f32>], returns: &[Vec<f32>]) -> f64 {
+    let agent = |(values, returns): (&Vec<f32>, &Vec<f32>)| {
+        let rest: Vec<f32> = returns.iter().zip(values).map(|(r, v)| r - v).collect();
+        let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
+        if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
+    };
+    let shares: Vec<f64> = values.par_iter().zip(returns).map(agent).collect();
+    shares.iter().sum::<f64>() / shares.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hubers_loss_meets_hand_worked_cases_on_both_sides_of_delta() {
+        assert_eq!(huber(3.0, 10.0), (4.5, 3.0));
+        assert_eq!(huber(-12.0, 10.0), (70.0, -10.0)); // 10 (12 - 5)
+        assert_eq!(huber(10.0, 10.0), (50.0, 10.0));
+    }
+
+    #[test]
+    fn the_clipped_value_loss_takes_the_larger_of_the_two() {
+        let bounds = (0.2, 10.0);
+        // Not moved: plain squared error.
+        assert_eq!(value_loss(1.0, 1.0, 3.0, bounds), (2.0, -2.0));
+        // Moved past the clip towards the target: held at .2, its loss is larger, no slope.
+        let (loss, slope) = value_loss(2.0, 1.0, 3.0, bounds);
+        assert!((loss - 0.5 * 1.8 * 1.8).abs() < 1e-12 && slope == 0.0);
+        // Moved past the clip away from the target: the free loss is larger and pulls back.
+        assert_eq!(value_loss(0.0, 1.0, 3.0, bounds), (4.5, -3.0));
+    }
+
+    #[test]
+    fn values_that_equal_the_returns_explain_everything() {
+        let returns = vec![vec![1.0, 2.0, 3.0]];
+        assert_eq!(explained_variance(&returns, &returns), 1.0);
+        assert_eq!(explained_variance(&[vec![2.0; 3]], &returns), 0.0);
+    }
+}

@@ -1,0 +1,92 @@
+//! From a loss written by hand to gradients of parameters: the seam between our formulas and the
+//! networks' automatic differentiation.
+
+use candle_core::{DType, Device, Tensor};
+use policy::parameters::Parameters;
+
+use crate::error::MarlError;
+
+/// Gradients in the order of a network's parameters, one flat row-major vector each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gradients(pub Vec<Vec<f32>>);
+
+/// A network's output and the gradient of the loss by it, row-major.
+pub struct OutputGradient<'a> {
+    /// The output.
+    pub output: &'a Tensor,
+    /// Gradient of the loss by each of its elements.
+    pub gradient: &'a [f64],
+}
+
+/// A scalar whose gradient by every output is the given one, `sum <output, gradient>`: the chain
+/// rule's first step, after which backward passes of the networks do the rest. Its own value means
+/// nothing.
+///
+/// # Errors
+/// Passes on a tensor error.
+pub fn root(outputs: &[OutputGradient<'_>]) -> Result<Tensor, MarlError> {
+    let mut total = None;
+    for OutputGradient { output, gradient } in outputs {
+        let constant = like(output, gradient)?;
+        let part = (*output * constant)?.sum_all()?;
+        total = Some(match total {
+            None => part,
+            Some(sum) => (sum + part)?,
+        });
+    }
+    total.ok_or_else(|| MarlError::Batch("a loss without outputs".to_owned()))
+}
+
+impl Gradients {
+    /// Gradients of `root` by every parameter.
+    ///
+    /// # Errors
+    /// Names a parameter that the root does not reach: a silent hole in a backward pass would
+    /// otherwise leave it untrained.
+    pub fn of(parameters: &Parameters, root: &Tensor) -> Result<Self, MarlError> {
+        let store = root.backward()?;
+        let flat = |(name, var): (&str, &candle_core::Var)| {
+            let gradient =
+                store.get(var.as_tensor()).ok_or_else(|| MarlError::NoGradient(name.to_owned()))?;
+            Ok(gradient.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>()?)
+        };
+        Ok(Self(parameters.iter().map(flat).collect::<Result<_, MarlError>>()?))
+    }
+
+    /// The sum of several shards' gradients, added in their order.
+    #[must_use]
+    pub fn sum(shards: Vec<Self>) -> Self {
+        let mut shards = shards.into_iter();
+        let mut total = shards.next().unwrap_or(Self(Vec::new()));
+        for shard in shards {
+            for (total, part) in total.0.iter_mut().flatten().zip(shard.0.iter().flatten()) {
+                *total += part;
+            }
+        }
+        total
+    }
+
+    /// Euclidean norm over all parameters, summed in their order in f64.
+    #[must_use]
+    pub fn norm(&self) -> f64 {
+        let squares = self.0.iter().flatten().map(|&g| f64::from(g) * f64::from(g));
+        libm::sqrt(squares.sum())
+    }
+}
+
+/// The numbers of a tensor in f64, row-major.
+///
+/// # Errors
+/// Passes on a tensor error.
+pub fn numbers(tensor: &Tensor) -> Result<Vec<f64>, MarlError> {
+    Ok(tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?)
+}
+
+fn like(output: &Tensor, data: &[f64]) -> Result<Tensor, MarlError> {
+    let shape = output.shape().clone();
+    if output.dtype() == DType::F64 {
+        return Ok(Tensor::from_vec(data.to_vec(), shape, &Device::Cpu)?);
+    }
+    let data: Vec<f32> = data.iter().map(|&x| x as f32).collect();
+    Ok(Tensor::from_vec(data, shape, &Device::Cpu)?)
+}

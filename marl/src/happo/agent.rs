@@ -1,0 +1,224 @@
+//! One agent of the sweep: its network, its optimiser, its posterior, and what it has experienced.
+
+use candle_core::{DType, Tensor};
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig};
+use rayon::prelude::*;
+
+use crate::actor_loss::Coefficients;
+use crate::algorithm::Report;
+use crate::batch::{Batch, Problem};
+use crate::config::{Config, UpdateConfig};
+use crate::error::MarlError;
+use crate::gaussian;
+use crate::gradient::numbers;
+use crate::influence::mutual_information;
+use crate::influence::posterior::{Conditional, Conditions, Posterior, PosteriorShape};
+use crate::optimizer::{Adam, AdamConfig};
+use crate::sequence::{Layout, Sequences};
+
+/// A network in training. Its posterior is there if the influence term has a weight and there are
+/// other agents.
+pub(super) struct Agent {
+    pub(super) network: ActorNetwork,
+    pub(super) adam: Adam,
+    pub(super) coefficients: Coefficients,
+    pub(super) update: UpdateConfig,
+    posterior: Option<Posterior>,
+    holdout_every: usize,
+}
+
+/// What one agent has experienced, in chunked order, and what the behaviour weights made of it.
+pub(super) struct Experience {
+    pub(super) sequences: Sequences,
+    /// Normalised advantages, `[L, C]`.
+    pub(super) advantage: Vec<f64>,
+    /// Log-densities of the actions under the behaviour weights, `[L, C]`, nats.
+    pub(super) log_prob: Vec<f64>,
+    /// The trunk's features under the behaviour weights, `[L * C, F]`; a constant.
+    features: Tensor,
+    /// Every other agent's action, in agent order, `[L, C, others]`.
+    others: Vec<f32>,
+}
+
+/// What a posterior says about an agent's experience; empty without one.
+#[derive(Default)]
+pub(super) struct Influence {
+    pub(super) conditional: Conditional,
+    /// Mean log-likelihood on the rows trained on, nats.
+    log_likelihood: f64,
+    /// Mean of `log q - log p` on held-out rows, nats.
+    mi_estimate: Option<f64>,
+}
+
+impl Influence {
+    pub(super) fn report(&self, agent: usize) -> Report {
+        if self.conditional.sigma.is_empty() {
+            return Report::new();
+        }
+        let held_out = self.mi_estimate.map(|found| (format!("agent{agent}/mi_estimate"), found));
+        let trained = (format!("agent{agent}/posterior_log_likelihood"), self.log_likelihood);
+        std::iter::once(trained).chain(held_out).collect()
+    }
+}
+
+impl Agent {
+    pub(super) fn new(
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        (seed, index): (RunSeed, usize),
+    ) -> Result<Self, MarlError> {
+        let (shape, number) = (&problem.agents[index], index as u32);
+        let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
+        let network =
+            ActorNetwork::new(policy, shape.observation, shape.action, DType::F32, &mut rng)?;
+        let total: usize = problem.agents.iter().map(|agent| agent.action).sum();
+        let (update, influence) = (&config.update, &config.influence);
+        let adam = AdamConfig {
+            learning_rate: update.learning_rate,
+            epsilon: update.adam_epsilon,
+            max_gradient_norm: update.max_gradient_norm,
+        };
+        let own = PosteriorShape {
+            others: total - shape.action,
+            features: network.feature_size(),
+            action: shape.action,
+        };
+        let wanted = influence.lambda > 0.0 && own.others > 0;
+        let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
+        let posterior = wanted
+            .then(|| Posterior::new(influence, policy, q_adam, own, (seed, number)))
+            .transpose()?;
+        Ok(Self {
+            adam: Adam::new(adam, network.parameters()),
+            network,
+            coefficients: Coefficients {
+                clip: update.clip,
+                entropy: update.entropy,
+                lambda: influence.lambda,
+                kappa: influence.kappa,
+            },
+            update: update.clone(),
+            posterior,
+            holdout_every: influence.holdout_every,
+        })
+    }
+
+    pub(super) fn hidden_size(&self) -> usize {
+        self.network.hidden_size()
+    }
+
+    pub(super) fn policy(&self) -> Result<ActorPolicy, MarlError> {
+        Ok(self.network.policy()?)
+    }
+
+    pub(super) fn arrays(&self, index: usize) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.network.parameters().to_arrays(&format!("weights/agent_{index}."))?;
+        arrays.append(&mut self.adam.arrays(&format!("optimizer/agent_{index}.")));
+        if let Some(posterior) = &self.posterior {
+            arrays.append(&mut posterior.arrays(index)?);
+        }
+        Ok(arrays)
+    }
+
+    pub(super) fn restore(&mut self, index: usize, arrays: &NamedArrays) -> Result<(), MarlError> {
+        self.network.parameters().load(&format!("weights/agent_{index}."), arrays)?;
+        self.adam.restore(&format!("optimizer/agent_{index}."), arrays)?;
+        match &mut self.posterior {
+            Some(posterior) => posterior.restore(index, arrays),
+            None => Ok(()),
+        }
+    }
+
+    /// Log-densities of the actions `[R]` and the features of some chunks, under today's weights.
+    pub(super) fn log_prob(
+        &self,
+        sequences: &Sequences,
+        columns: &[usize],
+    ) -> Result<(Vec<f64>, Tensor), MarlError> {
+        let features = self.network.features(&sequences.input(columns, DType::F32)?)?;
+        let head = self.network.head(&features)?;
+        let (mean, sigma) = (numbers(&head.mean)?, numbers(&head.sigma)?);
+        let width = sigma.len();
+        let action = sequences.layout.columns(&sequences.action, width, columns);
+        let rows = action.chunks_exact(width).zip(mean.chunks_exact(width));
+        let log_prob = rows.map(|(action, mean)| gaussian::log_prob(action, mean, &sigma));
+        Ok((log_prob.collect(), features.detach()))
+    }
+
+    /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
+    /// held-out ones, and asks it about every row.
+    fn fit_posterior(
+        &mut self,
+        experience: &Experience,
+        (seed, draw): (RunSeed, Draw),
+    ) -> Result<Influence, MarlError> {
+        let Some(posterior) = &mut self.posterior else { return Ok(Influence::default()) };
+        let layout = experience.sequences.layout;
+        let last = self.holdout_every - 1;
+        let held_out =
+            |row: &usize| layout.environment(row % layout.chunks) % self.holdout_every == last;
+        let (holdout, trained): (Vec<usize>, Vec<usize>) = (0..layout.rows()).partition(held_out);
+        let action = &experience.sequences.action;
+        let data =
+            Conditions { features: &experience.features, others: &experience.others, action };
+        let log_likelihood = posterior.fit(&data, &trained, (seed, draw))?;
+        let conditional = posterior.conditional(&data)?;
+        let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
+        let mi_estimate = mutual_information(&conditional.log_prob(action, &holdout), &log_p);
+        Ok(Influence { conditional, log_likelihood, mi_estimate })
+    }
+}
+
+/// Every agent's experience under the behaviour weights, which are still the networks' own.
+pub(super) fn gather(
+    agents: &[Agent],
+    batch: &Batch,
+    layout: Layout,
+    advantages: &[Vec<f32>],
+) -> Result<Vec<Experience>, MarlError> {
+    let columns: Vec<usize> = (0..layout.chunks).collect();
+    let one = |index: usize| {
+        let agent = &agents[index];
+        let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
+        let (log_prob, features) = agent.log_prob(&sequences, &columns)?;
+        let advantage: Vec<f64> = advantages[index].iter().map(|&a| f64::from(a)).collect();
+        Ok(Experience {
+            sequences,
+            advantage: layout.chunked(&advantage, 1),
+            log_prob,
+            features,
+            others: other_actions(batch, index, layout),
+        })
+    };
+    (0..agents.len()).into_par_iter().map(one).collect()
+}
+
+/// The actions of all agents but `agent`, side by side in agent order, `[L, C, others]`.
+fn other_actions(batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
+    let rows = batch.rows();
+    let others = || batch.agents.iter().enumerate().filter(move |(index, _)| *index != agent);
+    let width = others().map(|(_, other)| other.action.len() / rows).sum();
+    let row = |row: usize| {
+        others().flat_map(move |(_, other)| {
+            let width = other.action.len() / rows;
+            other.action[row * width..(row + 1) * width].iter().copied()
+        })
+    };
+    layout.chunked(&(0..rows).flat_map(row).collect::<Vec<f32>>(), width)
+}
+
+/// All agents' posteriors, in parallel.
+pub(super) fn fit_posteriors(
+    agents: &mut [Agent],
+    experience: &[Experience],
+    seed: RunSeed,
+    iteration: u64,
+) -> Result<Vec<Influence>, MarlError> {
+    let one = |(index, (agent, experience)): (usize, (&mut Agent, &Experience))| {
+        let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration).agent(index as u32);
+        agent.fit_posterior(experience, (seed, draw))
+    };
+    agents.par_iter_mut().zip(experience).enumerate().map(one).collect()
+}

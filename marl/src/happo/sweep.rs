@@ -1,0 +1,170 @@
+//! The sweep itself: agent after agent, each weighing its advantage with what the ones before it did.
+
+use candle_core::DType;
+use policy::randomness::{Draw, Purpose, RunSeed};
+use rayon::prelude::*;
+
+use super::PerAgent;
+use super::agent::{Agent, Experience, Influence};
+use crate::actor_loss::{Figures, Rows, actor_loss};
+use crate::algorithm::Report;
+use crate::error::MarlError;
+use crate::gaussian;
+use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::minibatch::{minibatches, split};
+use crate::surrogate::sequential_factor;
+
+/// Updates every agent in `order`; the factor `M` starts at 1 and takes in each updated agent's
+/// ratio to its behaviour.
+pub(super) fn sweep(
+    agents: &mut [Agent],
+    experience: &[Experience],
+    influence: &[Influence],
+    order: &[usize],
+    (seed, iteration): (RunSeed, u64),
+) -> Result<Report, MarlError> {
+    let mut factor = vec![1.0; experience[0].log_prob.len()];
+    let mut reports = vec![Report::new(); agents.len()];
+    for (position, &index) in order.iter().enumerate() {
+        let (agent, known) = (&mut agents[index], (&experience[index], &influence[index]));
+        let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
+        let trained = maximise(agent, known, &factor, (seed, draw))?;
+        let spread = mean_and_largest(&factor);
+        reports[index] = report(agent, index, position, &trained, spread)?;
+        let log_prob_new = log_prob(agent, known.0)?;
+        factor = sequential_factor(&factor, &log_prob_new, &known.0.log_prob);
+    }
+    Ok(reports.concat())
+}
+
+/// What an agent's optimiser steps came to.
+struct Trained {
+    figures: Figures,
+    gradient_norm: f64,
+}
+
+/// Epochs of minibatches of whole chunks up the objective of Eq. (10).
+fn maximise(
+    agent: &mut Agent,
+    known: PerAgent<'_>,
+    factor: &[f64],
+    (seed, draw): (RunSeed, Draw),
+) -> Result<Trained, MarlError> {
+    let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
+    let weight = 1.0 / (epochs * parts) as f64;
+    let mut trained = Trained { figures: Figures::default(), gradient_norm: 0.0 };
+    for epoch in 0..epochs {
+        let draw = draw.step(epoch as u32);
+        for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
+            let (figures, gradients) = gradient(agent, known, factor, &columns)?;
+            let norm = agent.adam.step(agent.network.parameters(), &gradients)?;
+            agent.network.project()?;
+            trained.figures.add(weight, &figures);
+            trained.gradient_norm += weight * norm;
+        }
+    }
+    Ok(trained)
+}
+
+/// The gradient of a minibatch: a fixed number of shards, each a graph of its own, added in their
+/// order, so that the sum does not depend on how many threads computed it.
+fn gradient(
+    agent: &Agent,
+    known: PerAgent<'_>,
+    factor: &[f64],
+    columns: &[usize],
+) -> Result<(Figures, Gradients), MarlError> {
+    let ranges = split(columns.len(), agent.update.shards);
+    let shards = ranges
+        .into_par_iter()
+        .map(|range| shard(agent, known, factor, (&columns[range], columns.len())))
+        .collect::<Result<Vec<_>, MarlError>>()?;
+    let (mut figures, mut gradients) = (Figures::default(), Vec::with_capacity(shards.len()));
+    for (own, gradient) in shards {
+        figures.add(1.0, &own);
+        gradients.push(gradient);
+    }
+    Ok((figures, Gradients::sum(gradients)))
+}
+
+fn shard(
+    agent: &Agent,
+    (experience, influence): PerAgent<'_>,
+    factor: &[f64],
+    (columns, total): (&[usize], usize),
+) -> Result<(Figures, Gradients), MarlError> {
+    let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
+    let features = agent.network.features(&sequences.input(columns, DType::F32)?)?;
+    let head = agent.network.head(&features)?;
+    let (mean, sigma) = (numbers(&head.mean)?, numbers(&head.sigma)?);
+    let width = sigma.len();
+    let conditional = &influence.conditional;
+    let posterior = if conditional.sigma.is_empty() {
+        Default::default()
+    } else {
+        (layout.columns(&conditional.mean, width, columns), conditional.sigma.clone())
+    };
+    let rows = Rows {
+        action: layout.columns(&sequences.action, width, columns),
+        log_prob_old: layout.columns(&experience.log_prob, 1, columns),
+        advantage: layout.columns(&experience.advantage, 1, columns),
+        factor: layout.columns(factor, 1, columns),
+        posterior,
+    };
+    let loss = actor_loss(&mean, &sigma, &rows, layout.steps * total, &agent.coefficients);
+    let root = root(&[
+        OutputGradient { output: &head.mean, gradient: &loss.d_mean },
+        OutputGradient { output: &head.sigma, gradient: &loss.d_sigma },
+    ])?;
+    Ok((loss.figures, Gradients::of(agent.network.parameters(), &root)?))
+}
+
+/// Log-densities of all actions under today's weights, `[L, C]`, computed shard by shard.
+fn log_prob(agent: &Agent, experience: &Experience) -> Result<Vec<f64>, MarlError> {
+    let layout = experience.sequences.layout;
+    let parts = split(layout.chunks, agent.update.shards);
+    let shards = parts
+        .into_par_iter()
+        .map(|range| {
+            let columns: Vec<usize> = range.collect();
+            Ok((agent.log_prob(&experience.sequences, &columns)?.0, columns))
+        })
+        .collect::<Result<Vec<_>, MarlError>>()?;
+    let mut all = vec![0.0; layout.rows()];
+    for (log_prob, columns) in shards {
+        layout.scatter(&log_prob, &mut all, 1, &columns);
+    }
+    Ok(all)
+}
+
+fn report(
+    agent: &Agent,
+    index: usize,
+    position: usize,
+    trained: &Trained,
+    (factor_mean, factor_largest): (f64, f64),
+) -> Result<Report, MarlError> {
+    let policy = agent.policy()?;
+    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
+    let figures = &trained.figures;
+    let named = [
+        ("sweep_position", position as f64),
+        ("policy_loss", figures.policy_loss),
+        ("approx_kl", figures.approx_kl),
+        ("clip_fraction", figures.clip_fraction),
+        ("entropy", gaussian::entropy(&sigma)),
+        ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
+        ("gradient_norm", trained.gradient_norm),
+        ("skipped_steps", agent.adam.skipped() as f64),
+        ("factor_mean", factor_mean),
+        ("factor_largest", factor_largest),
+        ("influence_kl", figures.influence),
+        ("influence_capped", figures.capped_fraction),
+    ];
+    Ok(named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
+}
+
+fn mean_and_largest(numbers: &[f64]) -> (f64, f64) {
+    let mean = numbers.iter().sum::<f64>() / numbers.len() as f64;
+    (mean, numbers.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x)))
+}

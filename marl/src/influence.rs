@@ -1,0 +1,64 @@
+//! Social influence: what each equation of section 3.3 of the paper computes, and the posteriors
+//! that estimate it.
+//!
+//! For decentralised policies the true mutual information given `(o, h)` is 0: agents draw their
+//! noise independently. A posterior trained by maximum likelihood on the actions taken therefore
+//! converges to the behaviour policy, and `KL[q || p]` rewards a policy for moving away from it, up
+//! to the cap. `mutual_information` on held-out environments says how near to 0 the estimate is.
+
+pub mod posterior;
+
+use crate::gaussian::kl_divergence;
+
+/// Eq. (5): `J~ = J + lambda I`, an objective with the influence term; nats and reward as they come.
+#[must_use]
+pub fn regularized_objective(objective: f64, lambda: f64, influence: f64) -> f64 {
+    objective + lambda * influence
+}
+
+/// Eq. (6): `I = E[log p(a^i | a^-i, s) - log p(a^i | s)]`, its first line as a mean over rows, with
+/// `q_xi` in the conditional's place: a lower bound of the mutual information on rows that `q_xi`
+/// was not trained on. Both slices are `[R]`, nats; `None` of no rows.
+#[must_use]
+pub fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Option<f64> {
+    let count = log_conditional.len();
+    let difference = |(conditional, marginal): (&f64, &f64)| conditional - marginal;
+    let sum: f64 = log_conditional.iter().zip(log_marginal).map(difference).sum();
+    (count > 0).then(|| sum / count as f64)
+}
+
+/// Eq. (8): one row of the influence term, `min(KL[q_xi(. | a^-i, s) || p(. | s)], kappa act)`, nats,
+/// and its slope by the divergence (0 at the cap). Without the cap the divergence has no upper end.
+/// `q` and `p` are `(mean, sigma)`, all `[act]`.
+#[must_use]
+pub fn capped_divergence(q: (&[f64], &[f64]), p: (&[f64], &[f64]), kappa: f64) -> (f64, f64) {
+    let divergence = kl_divergence(q, p);
+    let cap = kappa * p.1.len() as f64;
+    // Written so that a divergence that is no number stays one, and is noticed.
+    if divergence >= cap { (cap, 0.0) } else { (divergence, 1.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn at_the_cap_the_divergence_stands_still() {
+        let p: (&[f64], &[f64]) = (&[0.0, 0.0], &[0.5, 0.5]);
+        let near: (&[f64], &[f64]) = (&[0.5, 0.0], &[0.5, 0.5]); // KL = 1/2
+        let far: (&[f64], &[f64]) = (&[5.0, 0.0], &[0.5, 0.5]); // KL = 50
+        assert_eq!(capped_divergence(near, p, 1.0), (0.5, 1.0));
+        assert_eq!(capped_divergence(far, p, 1.0), (2.0, 0.0));
+    }
+
+    #[test]
+    fn information_is_the_mean_gain_in_log_density() {
+        assert_eq!(mutual_information(&[1.0, 2.0], &[0.5, 0.5]), Some(1.0));
+        assert_eq!(mutual_information(&[], &[]), None);
+    }
+
+    #[test]
+    fn the_objective_gains_lambda_times_the_influence() {
+        assert_eq!(regularized_objective(2.0, 0.5, 3.0), 3.5);
+    }
+}

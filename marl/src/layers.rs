@@ -1,0 +1,86 @@
+//! The layers of the networks that never leave the learner: critic and posteriors.
+
+use candle_core::{DType, Device, Tensor, Var};
+use policy::initialise::orthogonal;
+use policy::ops::{Activation, layer_norm, linear};
+use policy::parameters::Parameters;
+use rand::RngCore;
+
+use crate::error::MarlError;
+
+/// Gain of an orthogonal start before a rectifier.
+pub(crate) const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
+/// Gain of an orthogonal start before a hyperbolic tangent.
+pub(crate) const TANH_GAIN: f64 = 5.0 / 3.0;
+
+/// A linear map with its activation.
+#[derive(Debug)]
+pub(crate) struct Dense {
+    weight: Var,
+    bias: Var,
+    activation: Activation,
+}
+
+/// A layer normalisation.
+#[derive(Debug)]
+pub(crate) struct Norm {
+    weight: Var,
+    bias: Var,
+}
+
+impl Dense {
+    /// `[R, in]` to `[R, out]`.
+    pub(crate) fn apply(&self, x: &Tensor) -> Result<Tensor, MarlError> {
+        Ok(linear(x, self.weight.as_tensor(), self.bias.as_tensor(), self.activation)?)
+    }
+}
+
+impl Norm {
+    /// `[R, F]` to `[R, F]`.
+    pub(crate) fn apply(&self, x: &Tensor) -> Result<Tensor, MarlError> {
+        Ok(layer_norm(x, self.weight.as_tensor(), self.bias.as_tensor())?)
+    }
+}
+
+/// Declares layers, drawing their starts in order.
+pub(crate) struct Builder<'a, R> {
+    pub(crate) parameters: Parameters,
+    pub(crate) rng: &'a mut R,
+}
+
+impl<R: RngCore> Builder<'_, R> {
+    pub(crate) fn parameter(
+        &mut self,
+        name: &str,
+        data: Vec<f32>,
+        shape: &[usize],
+    ) -> Result<Var, MarlError> {
+        Ok(self.parameters.add(name, Tensor::from_vec(data, shape, &Device::Cpu)?)?)
+    }
+
+    pub(crate) fn norm(&mut self, name: &str, width: usize) -> Result<Norm, MarlError> {
+        let weight = self.parameter(&format!("{name}.weight"), vec![1.0; width], &[width])?;
+        let bias = self.parameter(&format!("{name}.bias"), vec![0.0; width], &[width])?;
+        Ok(Norm { weight, bias })
+    }
+
+    /// A linear map of `from` to `to` numbers with an orthogonal start.
+    pub(crate) fn dense(
+        &mut self,
+        name: &str,
+        (from, to): (usize, usize),
+        gain: f64,
+        activation: Activation,
+    ) -> Result<Dense, MarlError> {
+        let start = orthogonal(self.rng, to, from, gain);
+        let weight = self.parameter(&format!("{name}.weight"), start, &[to, from])?;
+        let bias = self.parameter(&format!("{name}.bias"), vec![0.0; to], &[to])?;
+        Ok(Dense { weight, bias, activation })
+    }
+}
+
+/// `[R, width]` numbers as a constant tensor.
+pub(crate) fn rows(data: Vec<f32>, width: usize) -> Result<Tensor, MarlError> {
+    let count = data.len() / width;
+    Ok(Tensor::from_vec(data, (count, width), &Device::Cpu)?.to_dtype(DType::F32)?)
+}

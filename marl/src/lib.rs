@@ -1,0 +1,34 @@
+//! The paper: densities, mutual information, advantages, surrogates, critics, algorithms.
+//!
+//! One iteration, as the learner calls it: [`Surprise::refit`] fits the densities on `D_k` (Eq. 2),
+//! [`Surprise::relabel`] adds the surprise to the team reward (Eq. 9), [`Algorithm::update`] turns
+//! the relabelled batch into better policies (Eq. 10). Nothing here reads a file, a clock or a
+//! socket, and no result depends on the number of threads.
+
+pub mod actor_loss;
+pub mod advantage;
+pub mod algorithm;
+pub mod batch;
+pub mod config;
+pub mod critic;
+pub mod density;
+pub mod error;
+pub mod gaussian;
+pub mod gradient;
+pub mod happo;
+pub mod influence;
+mod layers;
+pub mod minibatch;
+pub mod optimizer;
+pub mod probe;
+pub mod sequence;
+pub mod surprise;
+pub mod surrogate;
+pub mod value_normalizer;
+
+pub use algorithm::{Algorithm, Report, build};
+pub use batch::{AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
+pub use config::{Config, CriticConfig, InfluenceConfig, SurpriseConfig, UpdateConfig};
+pub use error::MarlError;
+pub use probe::probe;
+pub use surprise::Surprise;

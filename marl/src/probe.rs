@@ -1,0 +1,172 @@
+//! A fixed update whose bits tell whether two machines learn alike.
+
+use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+use policy::{CoreKind, PolicyConfig, arrays};
+
+use crate::algorithm::build;
+use crate::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
+use crate::config::{
+    Config, Constant, CriticConfig, CriticMode, DensityKind, Divergence, Estimator, Fit,
+    InfluenceConfig, QTraining, Reduce, Rule, Space, SurpriseConfig, UpdateConfig,
+};
+use crate::error::MarlError;
+use crate::surprise::Surprise;
+
+const OBSERVATION: usize = 19;
+const ACTION: usize = 3;
+const STATE: usize = 17;
+const STEPS: usize = 20;
+const ENVIRONMENTS: usize = 10;
+
+/// SHA-256 of all weights after one small fixed update with every term switched on.
+///
+/// # Panics
+/// Never: the shapes are fixed and fit.
+#[must_use]
+pub fn probe() -> [u8; 32] {
+    updated_weights().expect("the probe's fixed shapes fit")
+}
+
+fn updated_weights() -> Result<[u8; 32], MarlError> {
+    let shape = AgentShape {
+        observation: OBSERVATION,
+        action: ACTION,
+        surprise_features: (0..STATE).collect(),
+    };
+    let problem = Problem { agents: vec![shape.clone(), shape], state: STATE };
+    let (config, batch) = (config(), batch());
+    let mut surprise = Surprise::new(&config.surprise, &problem);
+    surprise.refit(&batch);
+    let mut algorithm = build(&config, &policy(), &problem, RunSeed(0))?;
+    algorithm.update(&batch, &surprise.relabel(&batch), 0)?;
+    Ok(arrays::sha256(&algorithm.arrays()?))
+}
+
+fn batch() -> Batch {
+    let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe).step(2));
+    let rows = STEPS * ENVIRONMENTS;
+    let mut normals =
+        |count: usize| -> Vec<f32> { (0..count).map(|_| standard_normal(&mut rng)).collect() };
+    let agents = (0..2).map(|_| AgentBatch {
+        observation: normals(rows * OBSERVATION),
+        action: normals(rows * ACTION),
+        log_prob: vec![0.0; rows],
+        hidden: normals(STEPS / policy().chunk_steps * ENVIRONMENTS * policy().hidden),
+    });
+    let agents = agents.collect();
+    let finals = (0..ENVIRONMENTS).map(|environment| Final {
+        step: STEPS - 1,
+        environment,
+        state: normals(STATE),
+        observation: vec![normals(OBSERVATION), normals(OBSERVATION)],
+    });
+    let finals = finals.collect();
+    Batch {
+        steps: STEPS,
+        environments: ENVIRONMENTS,
+        agents,
+        state: normals(rows * STATE),
+        reward: normals(rows),
+        terminated: vec![false; rows],
+        truncated: vec![false; rows],
+        finals,
+    }
+}
+
+fn policy() -> PolicyConfig {
+    PolicyConfig {
+        core: CoreKind::Gru,
+        encoder: 64,
+        hidden: 64,
+        width: 64,
+        layers: 1,
+        chunk_steps: 10,
+        initial_log_std: 1.0,
+        sigma_scale: 0.5,
+        sigma_floor: 0.05,
+        head_gain: 0.01,
+    }
+}
+
+fn config() -> Config {
+    Config { update: update(), critic: critic(), surprise: surprise(), influence: influence() }
+}
+
+fn update() -> UpdateConfig {
+    UpdateConfig {
+        rule: Rule::Happo,
+        gamma: 0.99,
+        gae_lambda: 0.95,
+        learning_rate: 5e-4,
+        adam_epsilon: 1e-5,
+        clip: 0.2,
+        epochs: 2,
+        minibatches: 2,
+        entropy: 0.01,
+        max_gradient_norm: 10.0,
+        shards: 2,
+    }
+}
+
+fn critic() -> CriticConfig {
+    CriticConfig {
+        mode: CriticMode::PerAgent,
+        layers: 2,
+        width: 64,
+        learning_rate: 5e-4,
+        epochs: 2,
+        minibatches: 1,
+        clip: 0.2,
+        huber_delta: 10.0,
+        normalizer_beta: 0.999,
+        max_gradient_norm: 10.0,
+    }
+}
+
+fn surprise() -> SurpriseConfig {
+    SurpriseConfig {
+        alpha: 0.01,
+        density: DensityKind::DiagonalGaussian,
+        fit: Fit::Current,
+        space: Space::PolicyObs,
+        reduce: Reduce::Sum,
+        constant: Constant::Paper,
+        sigma_floor: 0.01,
+        mask_below: 1e-4,
+    }
+}
+
+fn influence() -> InfluenceConfig {
+    InfluenceConfig {
+        lambda: 0.01,
+        estimator: Estimator::VariationalKl,
+        divergence: Divergence::KlQp,
+        q_training: QTraining::Mle,
+        kappa: 1.0,
+        encoder: 32,
+        hidden: 32,
+        epochs: 2,
+        learning_rate: 5e-4,
+        minibatches: 1,
+        sigma_floor: 0.05,
+        holdout_every: 5,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_probe_gives_the_same_bits_on_pools_of_one_two_and_three_threads() {
+        let on = |threads: usize| {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("a pool")
+                .install(probe)
+        };
+        assert_eq!(on(1), on(2));
+        assert_eq!(on(1), on(3));
+    }
+}

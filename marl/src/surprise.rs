@@ -1,0 +1,237 @@
+//! Surprise minimisation: densities fitted on `D_k` and the rewards they give.
+//!
+//! If all agents see the same signal features (the tasks' `full_id` observations), all densities and
+//! hence all rewards are equal; surprise is individual only where observations are.
+
+use libm::sqrt;
+use policy::arrays::NamedArrays;
+use rayon::prelude::*;
+
+use crate::algorithm::Report;
+use crate::batch::{Batch, Problem, Rewards};
+use crate::config::{Constant, SurpriseConfig};
+use crate::density::{self, Density};
+use crate::error::MarlError;
+
+/// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`, the right-hand side per step: minus the mean
+/// log-density of the visited rows, `[R]`, nats. It bounds the entropy of what was visited and meets
+/// it where `p_theta` is the true density.
+#[must_use]
+pub fn entropy_bound(log_prob: &[f64]) -> f64 {
+    -log_prob.iter().sum::<f64>() / log_prob.len() as f64
+}
+
+/// Eq. (3): `r~ = r + alpha log p_theta(s)`, the reward with surprise.
+#[must_use]
+pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
+    reward + alpha * log_prob
+}
+
+/// One density per agent and the weight of its log-density in the agent's reward.
+pub struct Surprise {
+    alpha: f64,
+    constant: Constant,
+    agents: Vec<AgentSurprise>,
+}
+
+struct AgentSurprise {
+    density: Box<dyn Density>,
+    /// Bound of the observations' entropy, mean bonus and its deviation at the last fit.
+    at_fit: (f64, f64, f64),
+}
+
+impl Surprise {
+    /// Unfitted densities, one per agent; before the first [`Surprise::refit`] they give no bonus.
+    #[must_use]
+    pub fn new(config: &SurpriseConfig, problem: &Problem) -> Self {
+        let agent = |shape: &crate::batch::AgentShape| AgentSurprise {
+            density: density::build(config, &shape.surprise_features),
+            at_fit: (0.0, 0.0, 0.0),
+        };
+        let agents = problem.agents.iter().map(agent).collect();
+        Self { alpha: config.alpha, constant: config.constant, agents }
+    }
+
+    /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)`, for every agent.
+    pub fn refit(&mut self, batch: &Batch) {
+        let (rows, alpha, constant) = (batch.rows(), self.alpha, self.constant);
+        self.agents.par_iter_mut().zip(&batch.agents).for_each(|(agent, data)| {
+            let width = data.observation.len() / rows;
+            agent.density.fit(&data.observation, width);
+            let log_prob = log_probs(agent.density.as_ref(), &data.observation, width);
+            let bound = entropy_bound(&log_prob);
+            let square = |l: &f64| (l + bound) * (l + bound);
+            let variance = log_prob.iter().map(square).sum::<f64>() / rows as f64;
+            let bonus = alpha * (agent.density.offset(constant) - bound);
+            agent.at_fit = (bound, bonus, alpha * sqrt(variance));
+        });
+    }
+
+    /// Eq. (9): `r~(s_t, o_t^i) = r(s_t) + alpha log p_theta^i(o_t^i)`, per agent `[T, B]`. It scores
+    /// the observation before the step, so that a terminal observation is never scored.
+    #[must_use]
+    pub fn relabel(&self, batch: &Batch) -> Rewards {
+        let agent = |(agent, data): (&AgentSurprise, &crate::batch::AgentBatch)| {
+            let width = data.observation.len() / batch.rows();
+            let offset = agent.density.offset(self.constant);
+            let bonus = log_probs(agent.density.as_ref(), &data.observation, width);
+            let reward = batch.reward.iter().zip(bonus).map(|(&reward, log_prob)| {
+                reward_with_surprise(f64::from(reward), self.alpha, log_prob + offset) as f32
+            });
+            reward.collect()
+        };
+        self.agents.par_iter().zip(&batch.agents).map(agent).collect()
+    }
+
+    /// The densities as arrays, `density/agent_I.NAME`.
+    #[must_use]
+    pub fn arrays(&self) -> NamedArrays {
+        let agents = self.agents.iter().enumerate();
+        agents.flat_map(|(i, agent)| agent.density.arrays(&prefix(i))).collect()
+    }
+
+    /// Takes over kept densities.
+    ///
+    /// # Errors
+    /// Names the array that is missing, unknown, or of another shape or type.
+    pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        let known = self.arrays();
+        let stored = arrays.keys().filter(|name| name.starts_with("density/"));
+        if let Some(name) = stored.into_iter().find(|name| !known.contains_key(*name)) {
+            return Err(MarlError::Restore(format!("{name} belongs to no density of this run")));
+        }
+        for (i, agent) in self.agents.iter_mut().enumerate() {
+            agent.density.restore(&prefix(i), arrays)?;
+        }
+        Ok(())
+    }
+
+    /// Figures of the last fit, per agent: the entropy bound of the observations (nats), mean and
+    /// deviation of the bonus per step (reward), and how many features count and are left out.
+    #[must_use]
+    pub fn report(&self) -> Report {
+        let mut report = Report::new();
+        for (i, agent) in self.agents.iter().enumerate() {
+            let (bound, mean, deviation) = agent.at_fit;
+            let (counted, masked) = agent.density.features();
+            let mut add = |name: &str, value: f64| report.push((format!("agent{i}/{name}"), value));
+            add("surprise_entropy_bound", bound);
+            add("surprise_bonus_mean", mean);
+            add("surprise_bonus_std", deviation);
+            add("surprise_features", counted as f64);
+            add("surprise_masked", masked as f64);
+        }
+        report
+    }
+}
+
+fn prefix(agent: usize) -> String {
+    format!("density/agent_{agent}.")
+}
+
+fn log_probs(density: &dyn Density, rows: &[f32], width: usize) -> Vec<f64> {
+    rows.chunks_exact(width).map(|row| density.log_prob(row)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+
+    use super::*;
+    use crate::batch::{AgentBatch, AgentShape};
+    use crate::config::{DensityKind, Fit, Reduce, Space};
+    use crate::gaussian::entropy;
+
+    const ROWS: usize = 20_000;
+
+    fn surprise(alpha: f64, agents: usize) -> Surprise {
+        let config = SurpriseConfig {
+            alpha,
+            density: DensityKind::DiagonalGaussian,
+            fit: Fit::Current,
+            space: Space::PolicyObs,
+            reduce: Reduce::Sum,
+            constant: Constant::Density,
+            sigma_floor: 0.01,
+            mask_below: 1e-4,
+        };
+        let shape = AgentShape { observation: 1, action: 1, surprise_features: vec![0] };
+        Surprise::new(&config, &Problem { agents: vec![shape; agents], state: 1 })
+    }
+
+    fn batch(observations: Vec<Vec<f32>>) -> Batch {
+        let rows = observations[0].len();
+        let agent = |observation| AgentBatch { observation, ..AgentBatch::default() };
+        let agents = observations.into_iter().map(agent).collect();
+        Batch { steps: rows, environments: 1, agents, reward: vec![2.0; rows], ..Batch::default() }
+    }
+
+    fn bound(observation: Vec<f32>) -> f64 {
+        let mut surprise = surprise(1.0, 1);
+        surprise.refit(&batch(vec![observation]));
+        surprise.report()[0].1
+    }
+
+    #[test]
+    fn the_bound_meets_the_entropy_of_normal_states_and_lies_above_that_of_uniform_ones() {
+        let mut rng = generator(RunSeed(1), Draw::of(Purpose::Probe));
+        let normal = (0..ROWS).map(|_| 3.0 + 2.0 * standard_normal(&mut rng)).collect();
+        assert!((bound(normal) - entropy(&[2.0])).abs() < 0.02);
+        // Uniform on [0, 1): entropy 0, and 1/2 log(2 pi e / 12) for a normal of the same deviation.
+        let uniform = (0..ROWS).map(|row| row as f32 / ROWS as f32).collect();
+        assert!((bound(uniform) - 0.176_486).abs() < 1e-3);
+    }
+
+    #[test]
+    fn after_a_refit_the_bound_is_the_lowest_that_the_rows_allow() {
+        let (here, there) = (vec![0.0, 1.0, 2.0, 3.0], vec![10.0, 11.0, 12.0, 13.5]);
+        let mut surprise = surprise(1.0, 1);
+        surprise.refit(&batch(vec![there]));
+        let stale = log_probs(surprise.agents[0].density.as_ref(), &here, 1);
+        assert!(bound(here) < entropy_bound(&stale));
+    }
+
+    #[test]
+    fn the_reward_gains_alpha_times_the_log_density() {
+        assert_eq!(reward_with_surprise(2.0, 0.5, -3.0), 0.5);
+    }
+
+    #[test]
+    fn every_agent_is_paid_by_the_density_of_its_own_observation() {
+        let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
+        let mut surprise = surprise(0.1, 2);
+        surprise.refit(&batch);
+        let rewards = surprise.relabel(&batch);
+        // Means 2 and 6, variances 8/3 and 2.
+        let by_hand = |x: f64, mean: f64, variance: f64| {
+            let z = (x - mean) * (x - mean) / variance;
+            2.0 + 0.1 * (-0.5 * z - 0.5 * libm::log(variance) - 0.5 * crate::gaussian::LOG_TWO_PI)
+        };
+        for (row, &observation) in [0.0, 2.0, 4.0].iter().enumerate() {
+            assert!(
+                (f64::from(rewards[0][row]) - by_hand(observation, 2.0, 8.0 / 3.0)).abs() < 1e-6
+            );
+        }
+        for (row, &observation) in [5.0, 5.0, 8.0].iter().enumerate() {
+            assert!((f64::from(rewards[1][row]) - by_hand(observation, 6.0, 2.0)).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn agents_that_see_the_same_are_paid_the_same() {
+        let seen = vec![0.5, -2.0, 4.0];
+        let batch = batch(vec![seen.clone(), seen]);
+        let mut surprise = surprise(0.1, 2);
+        surprise.refit(&batch);
+        let rewards = surprise.relabel(&batch);
+        assert_eq!(rewards[0], rewards[1]);
+    }
+
+    #[test]
+    fn without_a_weight_the_reward_is_the_teams() {
+        let batch = batch(vec![vec![0.5, -2.0, 4.0]]);
+        let mut surprise = surprise(0.0, 1);
+        surprise.refit(&batch);
+        assert_eq!(surprise.relabel(&batch)[0], batch.reward);
+    }
+}

@@ -1,0 +1,103 @@
+//! Running mean and deviation of one agent's returns, so that its value is learnt in units near 1.
+
+use libm::sqrt;
+
+/// Below this share of collected weight the estimate is not trusted to be divided by.
+const MINIMAL_WEIGHT: f64 = 1e-5;
+/// Smallest variance that is assumed, in squared units of the return.
+const MINIMAL_VARIANCE: f64 = 1e-2;
+
+/// An exponential average of returns and their squares, corrected for its start at zero. Before the
+/// first update the mean is 0 and the deviation 0.1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ValueNormalizer {
+    beta: f64,
+    mean: f64,
+    square: f64,
+    weight: f64,
+}
+
+impl ValueNormalizer {
+    /// A normaliser without experience that keeps the share `beta` of what it knows per update.
+    #[must_use]
+    pub fn new(beta: f64) -> Self {
+        Self { beta, mean: 0.0, square: 0.0, weight: 0.0 }
+    }
+
+    /// Takes in the returns `[R]` of one iteration.
+    pub fn update(&mut self, returns: &[f32]) {
+        let count = returns.len() as f64;
+        let mean = returns.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
+        let square = returns.iter().map(|&x| f64::from(x) * f64::from(x)).sum::<f64>() / count;
+        let blend = |old: f64, new: f64| self.beta * old + (1.0 - self.beta) * new;
+        let (mean, square, weight) =
+            (blend(self.mean, mean), blend(self.square, square), blend(self.weight, 1.0));
+        (self.mean, self.square, self.weight) = (mean, square, weight);
+    }
+
+    /// Mean and deviation of the returns, in units of the return.
+    #[must_use]
+    pub fn mean_and_deviation(&self) -> (f64, f64) {
+        let weight = self.weight.max(MINIMAL_WEIGHT);
+        let mean = self.mean / weight;
+        (mean, sqrt((self.square / weight - mean * mean).max(MINIMAL_VARIANCE)))
+    }
+
+    /// A return in normalised units.
+    #[must_use]
+    pub fn normalize(&self, value: f64) -> f64 {
+        let (mean, deviation) = self.mean_and_deviation();
+        (value - mean) / deviation
+    }
+
+    /// A normalised value in units of the return.
+    #[must_use]
+    pub fn denormalize(&self, value: f64) -> f64 {
+        let (mean, deviation) = self.mean_and_deviation();
+        value * deviation + mean
+    }
+
+    /// The state to keep: weighted mean, weighted square, weight.
+    #[must_use]
+    pub fn state(&self) -> [f64; 3] {
+        [self.mean, self.square, self.weight]
+    }
+
+    /// Takes over a kept state.
+    pub fn restore(&mut self, [mean, square, weight]: [f64; 3]) {
+        (self.mean, self.square, self.weight) = (mean, square, weight);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_update_is_the_batch_mean_and_deviation_whatever_beta() {
+        for beta in [0.0, 0.9, 0.99999] {
+            let mut normalizer = ValueNormalizer::new(beta);
+            normalizer.update(&[1.0, 3.0, 5.0]); // mean 3, variance 8/3
+            let (mean, deviation) = normalizer.mean_and_deviation();
+            assert!((mean - 3.0).abs() < 1e-6, "beta {beta}: mean {mean}");
+            assert!((deviation - 1.632_993_161_8).abs() < 1e-6, "beta {beta}: {deviation}");
+        }
+    }
+
+    #[test]
+    fn two_updates_meet_a_hand_worked_case() {
+        let mut normalizer = ValueNormalizer::new(0.5);
+        normalizer.update(&[0.0, 2.0]); // mean .5, square 1, weight .5
+        normalizer.update(&[4.0]); // mean 2.25, square 8.5, weight .75
+        let (mean, deviation) = normalizer.mean_and_deviation();
+        assert!((mean - 3.0).abs() < 1e-12);
+        assert!((deviation * deviation - (8.5 / 0.75 - 9.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn before_experience_the_deviation_is_a_tenth_and_a_value_returns_to_itself() {
+        let normalizer = ValueNormalizer::new(0.99999);
+        assert_eq!(normalizer.mean_and_deviation(), (0.0, 0.1));
+        assert!((normalizer.denormalize(normalizer.normalize(3.7)) - 3.7).abs() < 1e-12);
+    }
+}

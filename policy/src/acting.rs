@@ -1,0 +1,320 @@
+//! The policy as an actor holds it: plain numbers, no graph.
+//!
+//! A row's result has the same bits whatever batch it stands in and on every machine: each row is
+//! computed by itself, in one fixed order, with multiplications and additions that are never fused.
+
+use serde::{Deserialize, Serialize};
+
+use crate::arrays::{Array, NamedArrays};
+use crate::config::{CoreKind, PolicyConfig};
+use crate::error::PolicyError;
+use crate::math::{sigmoid, tanh};
+use crate::ops::LAYER_NORM_EPSILON;
+
+/// Sizes of one agent's policy; travels with its weights.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActorSpec {
+    core: CoreKind,
+    observation: usize,
+    action: usize,
+    encoder: usize,
+    hidden: usize,
+    width: usize,
+    layers: usize,
+    chunk_steps: usize,
+    sigma_scale: f32,
+}
+
+impl ActorSpec {
+    pub(crate) fn new(config: &PolicyConfig, observation: usize, action: usize) -> Self {
+        Self {
+            core: config.core,
+            observation,
+            action,
+            encoder: config.encoder,
+            hidden: config.hidden,
+            width: config.width,
+            layers: config.layers,
+            chunk_steps: config.chunk_steps,
+            sigma_scale: config.sigma_scale,
+        }
+    }
+
+    pub(crate) fn feature_size(&self) -> usize {
+        match self.core {
+            CoreKind::Gru => self.hidden,
+            CoreKind::Mlp => self.width,
+        }
+    }
+
+    pub(crate) fn hidden_size(&self) -> usize {
+        match self.core {
+            CoreKind::Gru => self.hidden,
+            CoreKind::Mlp => 0,
+        }
+    }
+
+    pub(crate) fn sigma_scale(&self) -> f64 {
+        f64::from(self.sigma_scale)
+    }
+}
+
+/// One agent's policy.
+#[derive(Clone, Debug)]
+pub struct ActorPolicy {
+    spec: ActorSpec,
+    arrays: NamedArrays,
+    trunk: Trunk,
+    head: Dense,
+    sigma: Vec<f32>,
+}
+
+#[derive(Clone, Debug)]
+enum Trunk {
+    Gru { norm: Norm, encoder: Dense, input: Dense, recurrent: Dense, output: Norm },
+    Mlp { norm: Norm, layers: Vec<(Dense, Norm)> },
+}
+
+/// Weights `[in, out]`, so that the inner loop runs over outputs.
+#[derive(Clone, Debug)]
+struct Dense {
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+#[derive(Clone, Debug)]
+struct Norm {
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+/// Buffers of [`ActorPolicy::forward`], kept by the caller so that a step allocates nothing.
+#[derive(Clone, Debug, Default)]
+pub struct Scratch {
+    normal: Vec<f32>,
+    layer: Vec<f32>,
+    input: Vec<f32>,
+    recurrent: Vec<f32>,
+}
+
+impl Dense {
+    fn apply(&self, x: &[f32], y: &mut Vec<f32>) {
+        y.clear();
+        y.extend_from_slice(&self.bias);
+        self.add(x, y);
+    }
+
+    fn add(&self, x: &[f32], y: &mut [f32]) {
+        for (&x, weights) in x.iter().zip(self.weight.chunks_exact(y.len())) {
+            for (y, &weight) in y.iter_mut().zip(weights) {
+                *y += x * weight;
+            }
+        }
+    }
+}
+
+impl Norm {
+    fn apply(&self, x: &[f32], y: &mut Vec<f32>) {
+        let count = x.len() as f32;
+        let mean = x.iter().sum::<f32>() / count;
+        let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / count;
+        let inverse = 1.0 / (variance + LAYER_NORM_EPSILON as f32).sqrt();
+        let affine = self.weight.iter().zip(&self.bias);
+        y.clear();
+        y.extend(x.iter().zip(affine).map(|(x, (w, b))| (x - mean) * inverse * w + b));
+    }
+}
+
+/// The gated unit on one row, gates r, z, n; see `ops::gru_sequence`.
+fn cell(input: &[f32], recurrent: &[f32], state: &mut [f32]) {
+    let width = state.len();
+    for i in 0..width {
+        let r = sigmoid(input[i] + recurrent[i]);
+        let z = sigmoid(input[width + i] + recurrent[width + i]);
+        let n = tanh(input[2 * width + i] + r * recurrent[2 * width + i]);
+        state[i] = (1.0 - z) * n + z * state[i];
+    }
+}
+
+impl Trunk {
+    /// One row's features, left in `scratch.normal`.
+    fn features(&self, observation: &[f32], state: &mut [f32], scratch: &mut Scratch) {
+        match self {
+            Self::Gru { norm, encoder, input, recurrent, output } => {
+                norm.apply(observation, &mut scratch.normal);
+                encoder.apply(&scratch.normal, &mut scratch.layer);
+                scratch.layer.iter_mut().for_each(|x| *x = tanh(*x));
+                input.apply(&scratch.layer, &mut scratch.input);
+                recurrent.apply(state, &mut scratch.recurrent);
+                cell(&scratch.input, &scratch.recurrent, state);
+                output.apply(state, &mut scratch.normal);
+            }
+            Self::Mlp { norm, layers } => {
+                norm.apply(observation, &mut scratch.normal);
+                for (dense, norm) in layers {
+                    dense.apply(&scratch.normal, &mut scratch.layer);
+                    scratch.layer.iter_mut().for_each(|x| *x = x.max(0.0));
+                    norm.apply(&scratch.layer, &mut scratch.normal);
+                }
+            }
+        }
+    }
+}
+
+impl ActorPolicy {
+    /// A policy of this shape with these weights (PyTorch's names, `[out, in]`).
+    pub(crate) fn new(spec: ActorSpec, arrays: NamedArrays) -> Result<Self, PolicyError> {
+        let mut reader = Reader { arrays: &arrays, used: 0 };
+        let trunk = reader.trunk(&spec)?;
+        let head = reader.dense("head", spec.feature_size(), spec.action)?;
+        let log_std = reader.vector("head.log_std", spec.action)?;
+        if reader.used != arrays.len() {
+            let (found, used) = (arrays.len(), reader.used);
+            return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
+        }
+        let sigma = log_std.iter().map(|&x| sigmoid(x) * spec.sigma_scale).collect();
+        Ok(Self { spec, arrays, trunk, head, sigma })
+    }
+
+    /// Sizes of the policy.
+    #[must_use]
+    pub fn spec(&self) -> &ActorSpec {
+        &self.spec
+    }
+
+    /// The weights, as in PyTorch.
+    #[must_use]
+    pub fn arrays(&self) -> &NamedArrays {
+        &self.arrays
+    }
+
+    /// Number of observation features.
+    #[must_use]
+    pub fn observation_size(&self) -> usize {
+        self.spec.observation
+    }
+
+    /// Number of action dimensions.
+    #[must_use]
+    pub fn action_size(&self) -> usize {
+        self.spec.action
+    }
+
+    /// Width of the recurrent state, 0 without one.
+    #[must_use]
+    pub fn hidden_size(&self) -> usize {
+        self.spec.hidden_size()
+    }
+
+    /// Steps between stored recurrent states.
+    #[must_use]
+    pub fn chunk_steps(&self) -> usize {
+        self.spec.chunk_steps
+    }
+
+    /// Deviations of the action noise, `[act]`.
+    #[must_use]
+    pub fn sigma(&self) -> &[f32] {
+        &self.sigma
+    }
+
+    /// Mean actions `[rows, act]` for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
+    /// step.
+    pub fn forward(
+        &self,
+        rows: usize,
+        observation: &[f32],
+        hidden: &mut [f32],
+        mean: &mut [f32],
+        scratch: &mut Scratch,
+    ) {
+        let (width, state, action) = (self.spec.observation, self.hidden_size(), self.spec.action);
+        for row in 0..rows {
+            let observation = &observation[row * width..(row + 1) * width];
+            let state = &mut hidden[row * state..(row + 1) * state];
+            self.trunk.features(observation, state, scratch);
+            let mean = &mut mean[row * action..(row + 1) * action];
+            mean.copy_from_slice(&self.head.bias);
+            self.head.add(&scratch.normal, mean);
+        }
+    }
+}
+
+/// Takes arrays out of their map, checking names and shapes.
+struct Reader<'a> {
+    arrays: &'a NamedArrays,
+    used: usize,
+}
+
+impl Reader<'_> {
+    fn array(&mut self, name: &str, expected: &[usize]) -> Result<&[f32], PolicyError> {
+        let wrong = |what: String| PolicyError::Snapshot(format!("{name} {what}"));
+        match self.arrays.get(name) {
+            Some(Array::F32 { shape, data }) if shape == expected => {
+                if data.iter().any(|x| !x.is_finite()) {
+                    return Err(wrong("holds a number that is not finite".to_owned()));
+                }
+                self.used += 1;
+                Ok(data)
+            }
+            Some(other) => {
+                let found = other.shape();
+                Err(wrong(format!("has shape {found:?}, expected f32 numbers {expected:?}")))
+            }
+            None => Err(wrong("is missing".to_owned())),
+        }
+    }
+
+    fn vector(&mut self, name: &str, length: usize) -> Result<Vec<f32>, PolicyError> {
+        Ok(self.array(name, &[length])?.to_vec())
+    }
+
+    fn dense(&mut self, name: &str, from: usize, to: usize) -> Result<Dense, PolicyError> {
+        self.linear_map([&format!("{name}.weight"), &format!("{name}.bias")], from, to)
+    }
+
+    fn linear_map(
+        &mut self,
+        names: [&str; 2],
+        from: usize,
+        to: usize,
+    ) -> Result<Dense, PolicyError> {
+        let rows = self.array(names[0], &[to, from])?;
+        let columns = (0..from).flat_map(|i| (0..to).map(move |o| o * from + i));
+        let weight = columns.map(|index| rows[index]).collect();
+        Ok(Dense { weight, bias: self.vector(names[1], to)? })
+    }
+
+    fn norm(&mut self, name: &str, width: usize) -> Result<Norm, PolicyError> {
+        let weight = self.vector(&format!("{name}.weight"), width)?;
+        Ok(Norm { weight, bias: self.vector(&format!("{name}.bias"), width)? })
+    }
+
+    fn trunk(&mut self, spec: &ActorSpec) -> Result<Trunk, PolicyError> {
+        let norm = self.norm("encoder.norm", spec.observation)?;
+        match spec.core {
+            CoreKind::Gru => {
+                let gates = 3 * spec.hidden;
+                let (ih, hh) = (["gru.weight_ih", "gru.bias_ih"], ["gru.weight_hh", "gru.bias_hh"]);
+                Ok(Trunk::Gru {
+                    norm,
+                    encoder: self.dense("encoder.linear", spec.observation, spec.encoder)?,
+                    input: self.linear_map(ih, spec.encoder, gates)?,
+                    recurrent: self.linear_map(hh, spec.hidden, gates)?,
+                    output: self.norm("output.norm", spec.hidden)?,
+                })
+            }
+            CoreKind::Mlp => {
+                let mut layers = Vec::new();
+                let mut from = spec.observation;
+                for layer in 0..spec.layers {
+                    let dense = self.dense(&format!("layers.{layer}.linear"), from, spec.width)?;
+                    layers.push((dense, self.norm(&format!("layers.{layer}.norm"), spec.width)?));
+                    from = spec.width;
+                }
+                Ok(Trunk::Mlp { norm, layers })
+            }
+        }
+    }
+}

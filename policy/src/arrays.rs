@@ -1,0 +1,276 @@
+//! Named arrays: how weights and every other state travel and are kept, and how they are hashed.
+
+use std::collections::{BTreeMap, HashMap};
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+
+/// Numbers of one type with a shape, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Array {
+    /// 32-bit floats.
+    F32 {
+        /// Length of every axis.
+        shape: Vec<usize>,
+        /// Row-major numbers.
+        data: Vec<f32>,
+    },
+    /// 64-bit floats.
+    F64 {
+        /// Length of every axis.
+        shape: Vec<usize>,
+        /// Row-major numbers.
+        data: Vec<f64>,
+    },
+    /// 64-bit integers.
+    I64 {
+        /// Length of every axis.
+        shape: Vec<usize>,
+        /// Row-major numbers.
+        data: Vec<i64>,
+    },
+    /// Bytes.
+    U8 {
+        /// Length of every axis.
+        shape: Vec<usize>,
+        /// Row-major numbers.
+        data: Vec<u8>,
+    },
+}
+
+/// Arrays in the order of their names.
+pub type NamedArrays = BTreeMap<String, Array>;
+
+/// Arrays that cannot be written or bytes that hold none.
+#[derive(Debug, Error)]
+pub enum ArrayError {
+    /// Not a safetensors file.
+    #[error("not a safetensors file: {0}")]
+    Format(#[from] safetensors::SafeTensorError),
+    /// An element type that no array here has.
+    #[error("array {name} has the unknown element type {dtype:?}; known are F32, F64, I64, U8")]
+    ElementType {
+        /// Name of the array.
+        name: String,
+        /// What it has.
+        dtype: Dtype,
+    },
+    /// More or fewer numbers than the shape says.
+    #[error("array {name} has {found} numbers, its shape {shape:?} asks for {expected}")]
+    Length {
+        /// Name of the array.
+        name: String,
+        /// Its shape.
+        shape: Vec<usize>,
+        /// Numbers the shape asks for.
+        expected: usize,
+        /// Numbers there are.
+        found: usize,
+    },
+}
+
+impl Array {
+    /// Length of every axis.
+    #[must_use]
+    pub fn shape(&self) -> &[usize] {
+        match self {
+            Self::F32 { shape, .. }
+            | Self::F64 { shape, .. }
+            | Self::I64 { shape, .. }
+            | Self::U8 { shape, .. } => shape,
+        }
+    }
+
+    fn dtype(&self) -> Dtype {
+        match self {
+            Self::F32 { .. } => Dtype::F32,
+            Self::F64 { .. } => Dtype::F64,
+            Self::I64 { .. } => Dtype::I64,
+            Self::U8 { .. } => Dtype::U8,
+        }
+    }
+
+    /// Tag of the element type in the canonical hash.
+    fn tag(&self) -> u8 {
+        match self {
+            Self::F32 { .. } => 1,
+            Self::F64 { .. } => 2,
+            Self::I64 { .. } => 3,
+            Self::U8 { .. } => 4,
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::F32 { data, .. } => data.len(),
+            Self::F64 { data, .. } => data.len(),
+            Self::I64 { data, .. } => data.len(),
+            Self::U8 { data, .. } => data.len(),
+        }
+    }
+
+    /// The numbers as little-endian bytes.
+    fn bytes(&self) -> Vec<u8> {
+        match self {
+            Self::F32 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            Self::F64 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            Self::I64 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            Self::U8 { data, .. } => data.clone(),
+        }
+    }
+
+    fn check(&self, name: &str) -> Result<(), ArrayError> {
+        let shape = self.shape().to_vec();
+        let (expected, found) = (shape.iter().product(), self.len());
+        if expected == found {
+            return Ok(());
+        }
+        Err(ArrayError::Length { name: name.to_owned(), shape, expected, found })
+    }
+}
+
+fn numbers<const WIDTH: usize, N>(bytes: &[u8], number: impl Fn([u8; WIDTH]) -> N) -> Vec<N> {
+    let (whole, _) = bytes.as_chunks::<WIDTH>();
+    whole.iter().map(|chunk| number(*chunk)).collect()
+}
+
+fn from_view(name: &str, view: &TensorView<'_>) -> Result<Array, ArrayError> {
+    let (shape, bytes) = (view.shape().to_vec(), view.data());
+    match view.dtype() {
+        Dtype::F32 => Ok(Array::F32 { shape, data: numbers(bytes, f32::from_le_bytes) }),
+        Dtype::F64 => Ok(Array::F64 { shape, data: numbers(bytes, f64::from_le_bytes) }),
+        Dtype::I64 => Ok(Array::I64 { shape, data: numbers(bytes, i64::from_le_bytes) }),
+        Dtype::U8 => Ok(Array::U8 { shape, data: bytes.to_vec() }),
+        dtype => Err(ArrayError::ElementType { name: name.to_owned(), dtype }),
+    }
+}
+
+/// The arrays as a safetensors file. With at most one metadata entry the bytes depend on nothing
+/// but the content.
+///
+/// # Errors
+/// Names an array whose shape and length disagree.
+pub fn to_safetensors(
+    arrays: &NamedArrays,
+    metadata: &BTreeMap<String, String>,
+) -> Result<Vec<u8>, ArrayError> {
+    let mut contents = Vec::with_capacity(arrays.len());
+    for (name, array) in arrays {
+        array.check(name)?;
+        contents.push((name, array, array.bytes()));
+    }
+    let views = contents
+        .iter()
+        .map(|(name, array, bytes)| {
+            Ok((*name, TensorView::new(array.dtype(), array.shape().to_vec(), bytes)?))
+        })
+        .collect::<Result<Vec<_>, ArrayError>>()?;
+    let metadata: HashMap<String, String> = metadata.clone().into_iter().collect();
+    Ok(safetensors::serialize(views, (!metadata.is_empty()).then_some(metadata))?)
+}
+
+/// Arrays and metadata of a safetensors file. The format's own checks (header length, overlapping or
+/// missing bytes) come first, so that hostile bytes end in an error.
+///
+/// # Errors
+/// Says why the bytes are no such file, or names an array of an unknown element type.
+pub fn from_safetensors(
+    bytes: &[u8],
+) -> Result<(NamedArrays, BTreeMap<String, String>), ArrayError> {
+    let (_, header) = SafeTensors::read_metadata(bytes)?;
+    let metadata = header.metadata().clone().unwrap_or_default().into_iter().collect();
+    let file = SafeTensors::deserialize(bytes)?;
+    let mut arrays = NamedArrays::new();
+    for (name, view) in file.iter() {
+        arrays.insert(name.to_owned(), from_view(name, &view)?);
+    }
+    Ok((arrays, metadata))
+}
+
+/// SHA-256 of arrays. For each in the order of names: length of the name (8 bytes) and its bytes,
+/// tag of the element type (1 byte: f32 1, f64 2, i64 3, u8 4), number of axes (8), length of each
+/// axis (8), numbers. All little-endian.
+#[must_use]
+pub fn sha256(arrays: &NamedArrays) -> [u8; 32] {
+    let mut hash = Sha256::new();
+    for (name, array) in arrays {
+        hash.update((name.len() as u64).to_le_bytes());
+        hash.update(name.as_bytes());
+        hash.update([array.tag()]);
+        hash.update((array.shape().len() as u64).to_le_bytes());
+        for &axis in array.shape() {
+            hash.update((axis as u64).to_le_bytes());
+        }
+        hash.update(array.bytes());
+    }
+    hash.finalize().into()
+}
+
+/// Lower-case hexadecimal digits.
+#[must_use]
+pub fn hex(digest: &[u8]) -> String {
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> NamedArrays {
+        NamedArrays::from([
+            ("a".to_owned(), Array::F32 { shape: vec![2, 1], data: vec![1.5, -0.0] }),
+            ("b/c".to_owned(), Array::F64 { shape: vec![1], data: vec![f64::MIN_POSITIVE] }),
+            ("d".to_owned(), Array::I64 { shape: vec![], data: vec![-7] }),
+            ("e".to_owned(), Array::U8 { shape: vec![0], data: vec![] }),
+        ])
+    }
+
+    #[test]
+    fn arrays_survive_a_round_trip_with_their_metadata() {
+        let metadata = BTreeMap::from([("key".to_owned(), "value".to_owned())]);
+        let bytes = to_safetensors(&sample(), &metadata).expect("shapes fit");
+        let (arrays, back) = from_safetensors(&bytes).expect("own bytes");
+        assert_eq!((arrays, back), (sample(), metadata));
+    }
+
+    #[test]
+    fn the_hash_sees_names_types_shapes_and_every_bit() {
+        let base = sha256(&sample());
+        let mut renamed = sample();
+        let a = renamed.remove("a").expect("there");
+        renamed.insert("aa".to_owned(), a);
+        let mut reshaped = sample();
+        reshaped.insert("a".to_owned(), Array::F32 { shape: vec![1, 2], data: vec![1.5, -0.0] });
+        let mut signed = sample();
+        signed.insert("a".to_owned(), Array::F32 { shape: vec![2, 1], data: vec![1.5, 0.0] });
+        for other in [renamed, reshaped, signed] {
+            assert_ne!(sha256(&other), base);
+        }
+        assert_eq!(hex(&base).len(), 64);
+    }
+
+    #[test]
+    fn damaged_and_hostile_bytes_are_refused_without_a_panic() {
+        let bytes = to_safetensors(&sample(), &BTreeMap::new()).expect("shapes fit");
+        for length in 0..bytes.len() {
+            assert!(from_safetensors(&bytes[..length]).is_err(), "{length} bytes were accepted");
+        }
+        let mut huge = bytes.clone();
+        huge[..8].copy_from_slice(&u64::MAX.to_le_bytes());
+        assert!(from_safetensors(&huge).is_err());
+        for index in 0..bytes.len() {
+            let mut flipped = bytes.clone();
+            flipped[index] ^= 0x55;
+            let _ = from_safetensors(&flipped);
+        }
+    }
+
+    #[test]
+    fn a_shape_that_lies_is_refused_by_name() {
+        let wrong = Array::F32 { shape: vec![3], data: vec![1.0] };
+        let error = to_safetensors(&NamedArrays::from([("x".to_owned(), wrong)]), &BTreeMap::new())
+            .expect_err("lengths differ");
+        assert_eq!(error.to_string(), "array x has 1 numbers, its shape [3] asks for 3");
+    }
+}

@@ -1,0 +1,128 @@
+//! Settings of the actor networks.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// How an actor remembers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CoreKind {
+    /// LayerNorm, Linear, tanh, GRU, LayerNorm: the paper's actor.
+    Gru,
+    /// LayerNorm, then layers of Linear, ReLU, LayerNorm; no memory.
+    Mlp,
+}
+
+/// Sizes and start of every actor network. The defaults stand in `configs/base.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PolicyConfig {
+    /// Which core.
+    pub core: CoreKind,
+    /// Units of the GRU core's encoder.
+    pub encoder: usize,
+    /// Recurrent units of the GRU core.
+    pub hidden: usize,
+    /// Units per layer of the MLP core.
+    pub width: usize,
+    /// Layers of the MLP core.
+    pub layers: usize,
+    /// Steps of backpropagation through time, and between stored recurrent states.
+    pub chunk_steps: usize,
+    /// Start of `log_std`, of which `sigma = sigmoid(log_std) * sigma_scale`.
+    pub initial_log_std: f32,
+    /// Upper end of sigma, in units of the action.
+    pub sigma_scale: f32,
+    /// Lower end of sigma, in units of the action.
+    pub sigma_floor: f32,
+    /// Gain of the orthogonal start of the action head.
+    pub head_gain: f32,
+}
+
+/// A value outside its range.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error("{key} is {found}, expected {expected}")]
+pub struct ConfigError {
+    /// Key in the run's configuration.
+    pub key: &'static str,
+    /// What it is.
+    pub found: String,
+    /// What it may be.
+    pub expected: &'static str,
+}
+
+impl PolicyConfig {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// Names the first key that is out of range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let size = |size: usize| (size.to_string(), (1..=4096).contains(&size));
+        let count = |count: usize, most: usize| (count.to_string(), (1..=most).contains(&count));
+        let real = |x: f32, from: f32, to: f32| (x.to_string(), x > from && x <= to);
+        let floor = self.sigma_floor;
+        let below = floor > 0.0 && floor < self.sigma_scale;
+        let checks = [
+            ("policy.encoder", size(self.encoder), "1 to 4096"),
+            ("policy.hidden", size(self.hidden), "1 to 4096"),
+            ("policy.width", size(self.width), "1 to 4096"),
+            ("policy.layers", count(self.layers, 16), "1 to 16"),
+            ("policy.chunk_steps", count(self.chunk_steps, 10_000), "1 to 10000"),
+            (
+                "policy.initial_log_std",
+                real(self.initial_log_std, -20.0, 20.0),
+                "above -20, at most 20",
+            ),
+            ("policy.sigma_scale", real(self.sigma_scale, 0.0, 10.0), "above 0, at most 10"),
+            (
+                "policy.sigma_floor",
+                (floor.to_string(), below),
+                "above 0 and below policy.sigma_scale",
+            ),
+            ("policy.head_gain", real(self.head_gain, 0.0, 10.0), "above 0, at most 10"),
+        ];
+        match checks.into_iter().find(|(_, (_, holds), _)| !holds) {
+            Some((key, (found, _), expected)) => Err(ConfigError { key, found, expected }),
+            None => Ok(()),
+        }
+    }
+
+    /// Width of the recurrent state, 0 without one.
+    #[must_use]
+    pub fn hidden_size(&self) -> usize {
+        match self.core {
+            CoreKind::Gru => self.hidden,
+            CoreKind::Mlp => 0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(crate) fn valid() -> PolicyConfig {
+        PolicyConfig {
+            core: CoreKind::Gru,
+            encoder: 64,
+            hidden: 64,
+            width: 128,
+            layers: 3,
+            chunk_steps: 10,
+            initial_log_std: 1.0,
+            sigma_scale: 0.5,
+            sigma_floor: 0.05,
+            head_gain: 0.01,
+        }
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_named_with_what_it_may_be() {
+        assert_eq!(valid().validate(), Ok(()));
+        let error = PolicyConfig { hidden: 0, ..valid() }.validate().expect_err("no units");
+        assert_eq!(error.to_string(), "policy.hidden is 0, expected 1 to 4096");
+        let error = PolicyConfig { sigma_floor: 0.5, ..valid() }.validate().expect_err("too high");
+        assert_eq!(error.key, "policy.sigma_floor");
+        assert!(PolicyConfig { sigma_scale: f32::NAN, ..valid() }.validate().is_err());
+    }
+}

@@ -1,0 +1,31 @@
+//! What actors and the learner must agree on: actor networks, distributions, parameters, weight bytes.
+//!
+//! The learner trains an [`ActorNetwork`] (candle tensors, automatic differentiation, a few fused
+//! operations) and broadcasts a [`PolicySnapshot`] of it; an actor acts with the snapshot's
+//! [`ActorPolicy`]s, which are plain numbers. Every random draw of the system comes from
+//! [`randomness`]. Nothing here reads a file, a clock or a socket.
+
+pub mod acting;
+pub mod arrays;
+pub mod config;
+pub mod error;
+pub mod gaussian;
+pub mod initialise;
+pub mod math;
+pub mod network;
+pub mod ops;
+pub mod parameters;
+pub mod probe;
+pub mod randomness;
+pub mod snapshot;
+
+pub use acting::{ActorPolicy, ActorSpec, Scratch};
+pub use arrays::{Array, NamedArrays};
+pub use config::{CoreKind, PolicyConfig};
+pub use error::PolicyError;
+pub use gaussian::Gaussian;
+pub use network::{ActorNetwork, SequenceInput};
+pub use parameters::Parameters;
+pub use probe::probe;
+pub use randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+pub use snapshot::{PolicySnapshot, digest};

@@ -1,0 +1,152 @@
+//! Every random draw of a run, keyed by what it is for: no draw depends on time, thread, process or
+//! order of arrival.
+
+use rand::{RngCore, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// The one seed of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RunSeed(pub u64);
+
+/// What a draw is for. The numbers are part of a run's identity and never change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Purpose {
+    /// Initial state of a training episode.
+    Reset = 1,
+    /// Noise of a training action.
+    Action = 2,
+    /// Initial state of an evaluation episode.
+    EvaluationReset = 3,
+    /// Initial weights of an actor.
+    Initialisation = 4,
+    /// Order of the agents in an update.
+    AgentOrder = 5,
+    /// Order of an actor's minibatches.
+    Minibatch = 6,
+    /// Initial weights of a posterior.
+    PosteriorInitialisation = 7,
+    /// Order of a posterior's minibatches.
+    PosteriorMinibatch = 8,
+    /// Initial weights of the critic.
+    CriticInitialisation = 9,
+    /// Order of the critic's minibatches.
+    CriticMinibatch = 10,
+    /// Initial state of a recorded or separately evaluated episode.
+    Recording = 11,
+    /// The fixed computations of the numeric fingerprint.
+    Probe = 12,
+}
+
+/// The key of a draw. Fields that do not apply stay 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Draw {
+    /// What the draw is for.
+    pub purpose: Purpose,
+    /// Iteration; for resets the episode's index, for evaluation resets the evaluated iteration.
+    pub iteration: u64,
+    /// Environment, counted over the whole run.
+    pub environment: u32,
+    /// Step in the slot, or epoch.
+    pub step: u32,
+    /// Agent.
+    pub agent: u32,
+}
+
+impl Draw {
+    /// A draw for `purpose`, all other fields 0.
+    #[must_use]
+    pub fn of(purpose: Purpose) -> Self {
+        Self { purpose, iteration: 0, environment: 0, step: 0, agent: 0 }
+    }
+
+    /// With this iteration (or episode index).
+    #[must_use]
+    pub fn iteration(self, iteration: u64) -> Self {
+        Self { iteration, ..self }
+    }
+
+    /// With this environment.
+    #[must_use]
+    pub fn environment(self, environment: u32) -> Self {
+        Self { environment, ..self }
+    }
+
+    /// With this step (or epoch).
+    #[must_use]
+    pub fn step(self, step: u32) -> Self {
+        Self { step, ..self }
+    }
+
+    /// With this agent.
+    #[must_use]
+    pub fn agent(self, agent: u32) -> Self {
+        Self { agent, ..self }
+    }
+}
+
+/// The generator of one draw. The 32 bytes of its ChaCha key are, little-endian: run seed (8),
+/// purpose (4), agent (4), iteration (8), environment (4), step (4).
+#[must_use]
+pub fn generator(seed: RunSeed, draw: Draw) -> ChaCha8Rng {
+    let mut key = [0_u8; 32];
+    key[0..8].copy_from_slice(&seed.0.to_le_bytes());
+    key[8..12].copy_from_slice(&(draw.purpose as u32).to_le_bytes());
+    key[12..16].copy_from_slice(&draw.agent.to_le_bytes());
+    key[16..24].copy_from_slice(&draw.iteration.to_le_bytes());
+    key[24..28].copy_from_slice(&draw.environment.to_le_bytes());
+    key[28..32].copy_from_slice(&draw.step.to_le_bytes());
+    ChaCha8Rng::from_seed(key)
+}
+
+/// One standard normal number by Box and Muller: `sqrt(-2 ln u) cos(2 pi v)` with two 32-bit draws,
+/// `u` in (0, 1] and `v` in [0, 1). Computed in f64 with `libm`, so that every machine agrees.
+pub fn standard_normal(rng: &mut impl RngCore) -> f32 {
+    const UNIT: f64 = 1.0 / 4_294_967_296.0;
+    let u = (f64::from(rng.next_u32()) + 1.0) * UNIT;
+    let v = f64::from(rng.next_u32()) * UNIT;
+    let radius = libm::sqrt(-2.0 * libm::log(u));
+    (radius * libm::cos(core::f64::consts::TAU * v)) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_field_of_the_key_changes_the_stream() {
+        let draw = Draw::of(Purpose::Action);
+        let streams = [
+            generator(RunSeed(1), draw),
+            generator(RunSeed(2), draw),
+            generator(RunSeed(1), Draw::of(Purpose::Reset)),
+            generator(RunSeed(1), draw.iteration(1)),
+            generator(RunSeed(1), draw.environment(1)),
+            generator(RunSeed(1), draw.step(1)),
+            generator(RunSeed(1), draw.agent(1)),
+        ];
+        let firsts: BTreeSet<u64> = streams.into_iter().map(|mut rng| rng.next_u64()).collect();
+        assert_eq!(firsts.len(), 7);
+    }
+
+    #[test]
+    fn the_same_key_gives_the_same_stream() {
+        let draw = Draw::of(Purpose::Reset).iteration(7).environment(3);
+        let mut one = generator(RunSeed(9), draw);
+        let mut two = generator(RunSeed(9), draw);
+        assert!((0..100).all(|_| one.next_u64() == two.next_u64()));
+    }
+
+    #[test]
+    fn normal_numbers_have_the_normal_distributions_moments() {
+        let mut rng = generator(RunSeed(3), Draw::of(Purpose::Probe));
+        let numbers: Vec<f64> =
+            (0..100_000).map(|_| f64::from(standard_normal(&mut rng))).collect();
+        let mean = |power: fn(f64) -> f64| numbers.iter().map(|&x| power(x)).sum::<f64>() / 1e5;
+        assert!(mean(|x| x).abs() < 0.012);
+        assert!((mean(|x| x * x) - 1.0).abs() < 0.02);
+        assert!(mean(|x| x * x * x).abs() < 0.05);
+        assert!((mean(|x| x * x * x * x) - 3.0).abs() < 0.12);
+    }
+}

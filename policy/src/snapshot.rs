@@ -1,0 +1,83 @@
+//! All agents' policies of one iteration as bytes: what the learner broadcasts and a checkpoint keeps.
+
+use std::collections::BTreeMap;
+
+use sha2::{Digest, Sha256};
+
+use crate::acting::{ActorPolicy, ActorSpec};
+use crate::arrays::{NamedArrays, from_safetensors, to_safetensors};
+use crate::error::PolicyError;
+
+/// The metadata entry that holds the agents' shapes as JSON.
+const SPEC_KEY: &str = "s2mia.policy";
+/// More agents than this are no policy of ours.
+const MAX_AGENTS: usize = 1024;
+
+/// Every agent's policy, in the order of the agents.
+#[derive(Clone, Debug)]
+pub struct PolicySnapshot {
+    /// The policies.
+    pub agents: Vec<ActorPolicy>,
+}
+
+impl PolicySnapshot {
+    /// A safetensors file: arrays `agent_I.NAME` with PyTorch's names and layout, shapes as JSON in
+    /// the metadata. Equal policies give equal bytes.
+    ///
+    /// # Errors
+    /// Passes on an array error.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, PolicyError> {
+        let specs: Vec<&ActorSpec> = self.agents.iter().map(ActorPolicy::spec).collect();
+        let json = serde_json::to_string(&specs)
+            .map_err(|error| PolicyError::Snapshot(format!("shapes: {error}")))?;
+        let mut arrays = NamedArrays::new();
+        for (i, agent) in self.agents.iter().enumerate() {
+            let own = agent.arrays().iter();
+            arrays.extend(own.map(|(name, array)| (format!("agent_{i}.{name}"), array.clone())));
+        }
+        Ok(to_safetensors(&arrays, &BTreeMap::from([(SPEC_KEY.to_owned(), json)]))?)
+    }
+
+    /// Reads what [`PolicySnapshot::to_bytes`] wrote.
+    ///
+    /// # Errors
+    /// Says what is wrong: not the format, no shapes, an array that is missing, too much, of another
+    /// shape or not finite.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
+        let (mut arrays, metadata) = from_safetensors(bytes)?;
+        let json = metadata
+            .get(SPEC_KEY)
+            .ok_or_else(|| PolicyError::Snapshot(format!("no metadata entry {SPEC_KEY}")))?;
+        let specs: Vec<ActorSpec> = serde_json::from_str(json)
+            .map_err(|error| PolicyError::Snapshot(format!("{SPEC_KEY}: {error}")))?;
+        if specs.is_empty() || specs.len() > MAX_AGENTS {
+            let count = specs.len();
+            return Err(PolicyError::Snapshot(format!(
+                "{count} agents, expected 1 to {MAX_AGENTS}"
+            )));
+        }
+        let mut agents = Vec::with_capacity(specs.len());
+        for (i, spec) in specs.into_iter().enumerate() {
+            agents.push(ActorPolicy::new(spec, take_agent(&mut arrays, i))?);
+        }
+        match arrays.keys().next() {
+            None => Ok(Self { agents }),
+            Some(name) => Err(PolicyError::Snapshot(format!("{name} belongs to no agent"))),
+        }
+    }
+}
+
+/// Moves the arrays of agent `index` out of `arrays`, their prefix taken off.
+fn take_agent(arrays: &mut NamedArrays, index: usize) -> NamedArrays {
+    let prefix = format!("agent_{index}.");
+    let names: Vec<String> =
+        arrays.keys().filter(|name| name.starts_with(&prefix)).cloned().collect();
+    let own = names.into_iter().filter_map(|name| arrays.remove_entry(&name));
+    own.map(|(name, array)| (name[prefix.len()..].to_owned(), array)).collect()
+}
+
+/// SHA-256 of a snapshot's bytes, which names it on the wire.
+#[must_use]
+pub fn digest(bytes: &[u8]) -> [u8; 32] {
+    Sha256::digest(bytes).into()
+}

@@ -1,0 +1,99 @@
+//! Snapshots survive a round trip and refuse what is none.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::collections::BTreeMap;
+
+use candle_core::DType;
+use policy::arrays::{Array, from_safetensors, to_safetensors};
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{ActorNetwork, CoreKind, PolicyConfig, PolicySnapshot, Scratch};
+
+fn snapshot() -> PolicySnapshot {
+    let config = PolicyConfig {
+        core: CoreKind::Gru,
+        encoder: 4,
+        hidden: 3,
+        width: 4,
+        layers: 1,
+        chunk_steps: 5,
+        initial_log_std: 1.0,
+        sigma_scale: 0.5,
+        sigma_floor: 0.05,
+        head_gain: 1.0,
+    };
+    let agent = |(index, core): (usize, CoreKind)| {
+        let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation).agent(index as u32));
+        let config = PolicyConfig { core, ..config.clone() };
+        ActorNetwork::new(&config, 5 + index, 1 + index, DType::F32, &mut rng)
+            .unwrap()
+            .policy()
+            .unwrap()
+    };
+    let cores = [CoreKind::Gru, CoreKind::Mlp];
+    PolicySnapshot { agents: cores.into_iter().enumerate().map(agent).collect() }
+}
+
+#[test]
+fn a_snapshot_acts_alike_after_a_round_trip_and_equal_policies_have_equal_bytes() {
+    let (original, bytes) = (snapshot(), snapshot().to_bytes().unwrap());
+    let back = PolicySnapshot::from_bytes(&bytes).unwrap();
+    assert_eq!(back.to_bytes().unwrap(), bytes);
+    for (one, two) in original.agents.iter().zip(&back.agents) {
+        let observation = vec![0.3; one.observation_size()];
+        let run = |policy: &policy::ActorPolicy| {
+            let mut hidden = vec![0.1; policy.hidden_size()];
+            let mut mean = vec![0.0; policy.action_size()];
+            policy.forward(1, &observation, &mut hidden, &mut mean, &mut Scratch::default());
+            (mean, hidden, policy.sigma().to_vec())
+        };
+        assert_eq!(run(one), run(two));
+    }
+}
+
+#[test]
+fn an_array_that_is_missing_extra_reshaped_or_not_finite_is_named() {
+    let (arrays, metadata) = from_safetensors(&snapshot().to_bytes().unwrap()).unwrap();
+    let bias = "agent_0.head.bias";
+    let changes: [(Option<Array>, &str, &str); 4] = [
+        (None, bias, "head.bias is missing"),
+        (
+            Some(Array::F32 { shape: vec![1], data: vec![f32::NAN] }),
+            bias,
+            "head.bias holds a number",
+        ),
+        (Some(Array::F32 { shape: vec![2], data: vec![0.0; 2] }), bias, "head.bias has shape [2]"),
+        (
+            Some(Array::U8 { shape: vec![1], data: vec![0] }),
+            "agent_7.x",
+            "agent_7.x belongs to no agent",
+        ),
+    ];
+    for (change, name, expected) in changes {
+        let mut changed = arrays.clone();
+        changed.remove(name);
+        changed.extend(change.map(|array| (name.to_owned(), array)));
+        let bytes = to_safetensors(&changed, &metadata).unwrap();
+        let error = PolicySnapshot::from_bytes(&bytes).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn bytes_that_are_no_snapshot_are_refused_without_a_panic() {
+    let bytes = snapshot().to_bytes().unwrap();
+    for length in (0..bytes.len()).step_by(7) {
+        assert!(PolicySnapshot::from_bytes(&bytes[..length]).is_err());
+    }
+    for index in 0..bytes.len().min(4000) {
+        let mut flipped = bytes.clone();
+        flipped[index] ^= 0x21;
+        let _ = PolicySnapshot::from_bytes(&flipped);
+    }
+    let (arrays, _) = from_safetensors(&bytes).unwrap();
+    let lies = format!(
+        "[{{\"core\":\"gru\",\"observation\":{0},\"action\":1,\"encoder\":{0},\"hidden\":{0},\"width\":1,\"layers\":1,\"chunk_steps\":1,\"sigma_scale\":0.5}}]",
+        u64::MAX
+    );
+    let metadata = BTreeMap::from([("s2mia.policy".to_owned(), lies)]);
+    assert!(PolicySnapshot::from_bytes(&to_safetensors(&arrays, &metadata).unwrap()).is_err());
+}

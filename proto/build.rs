@@ -1,0 +1,20 @@
+//! Compiles the `.proto` files without an installed protoc, and keeps their descriptors for reflection.
+
+use std::error::Error;
+use std::path::PathBuf;
+
+use prost::Message;
+
+const ROOT: &str = "proto";
+const FILES: [&str; 4] = ["learner", "environment", "trajectory", "tensor"];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let files = FILES.map(|name| format!("{ROOT}/s2mia/v1/{name}.proto"));
+    println!("cargo::rerun-if-changed={ROOT}");
+    let descriptors = protox::compile(&files, [ROOT])?;
+    let out = PathBuf::from(std::env::var("OUT_DIR")?);
+    std::fs::write(out.join("s2mia_descriptors.bin"), descriptors.encode_to_vec())?;
+    // Payloads stay slices of the received message instead of copies.
+    tonic_prost_build::configure().bytes(".").compile_fds(descriptors)?;
+    Ok(())
+}

@@ -1,0 +1,341 @@
+//! What the calls carry besides work and results: registrations, answers, acknowledgements, signs of life.
+
+use bytes::Bytes;
+
+use crate::read::{digest, required};
+use crate::{
+    ActorId, Digest, EnvironmentSpec, Incarnation, Lease, LeaseId, Reason, Refusal, RunDescription,
+    WeightsName, wire,
+};
+
+/// An actor's request for admission.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Registration {
+    /// Names the program for people.
+    pub client: String,
+    /// The protocol version it speaks.
+    pub protocol_version: u32,
+    /// What it offers.
+    pub environment: EnvironmentSpec,
+    /// `None`: a client that is not this project's, so the run is not exactly repeatable.
+    pub rollout_fingerprint: Option<Digest>,
+}
+
+impl Registration {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::RegisterRequest {
+        let fingerprint = self.rollout_fingerprint.map(|digest| Bytes::copy_from_slice(&digest.0));
+        wire::RegisterRequest {
+            client: self.client.clone(),
+            protocol_version: self.protocol_version,
+            environment: Some(self.environment.to_wire()),
+            rollout_fingerprint: fingerprint,
+        }
+    }
+
+    /// Reads the message.
+    ///
+    /// # Errors
+    /// Refuses missing parts and a fingerprint that is no SHA-256.
+    pub fn from_wire(wire: wire::RegisterRequest) -> Result<Self, Refusal> {
+        let environment = required(wire.environment, "environment")?;
+        let fingerprint =
+            wire.rollout_fingerprint.map(|bytes| digest(&bytes, "rollout_fingerprint"));
+        Ok(Self {
+            client: wire.client,
+            protocol_version: wire.protocol_version,
+            environment: EnvironmentSpec::from_wire(environment, "environment")?,
+            rollout_fingerprint: fingerprint.transpose()?,
+        })
+    }
+
+    /// Whether the actor may work for `run`.
+    ///
+    /// # Errors
+    /// Refuses another protocol version, another environment (naming the first difference), and another
+    /// fingerprint if one is given.
+    pub fn check(&self, run: &RunDescription) -> Result<(), Refusal> {
+        let refuse = |reason, field: &str, detail| Err(Refusal::new(reason, field, detail));
+        let (found, expected) = (self.protocol_version, run.protocol_version);
+        if found != expected {
+            let detail = format!("the actor speaks version {found}, the learner {expected}");
+            return refuse(Reason::OtherProtocol, "protocol_version", detail);
+        }
+        if let Some(difference) = run.environment.first_difference(&self.environment) {
+            let field = format!("environment.{}", difference.field);
+            return refuse(Reason::OtherEnvironment, &field, difference.to_string());
+        }
+        match self.rollout_fingerprint {
+            Some(found) if found != run.rollout_fingerprint => {
+                let expected = run.rollout_fingerprint;
+                let detail = format!(
+                    "the actor's probes give {found}, the learner's {expected}: another program or CPU \
+                     family would change the run's numbers"
+                );
+                refuse(Reason::OtherFingerprint, "rollout_fingerprint", detail)
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// An admitted actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Registered {
+    /// Names it in later calls.
+    pub actor: ActorId,
+    /// This start of the learner.
+    pub incarnation: Incarnation,
+}
+
+impl Registered {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::RegisterResponse {
+        wire::RegisterResponse { actor_id: self.actor.0, incarnation: self.incarnation.0 }
+    }
+
+    /// Reads the message.
+    #[must_use]
+    pub fn from_wire(wire: &wire::RegisterResponse) -> Self {
+        Self { actor: ActorId(wire.actor_id), incarnation: Incarnation(wire.incarnation) }
+    }
+}
+
+/// The answer to a request for work.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LeaseAnswer {
+    /// Do this.
+    Lease(Lease),
+    /// Nothing is free.
+    Retry {
+        /// Ask again after this long.
+        wait_millis: u32,
+    },
+    /// The run is over.
+    Done,
+}
+
+impl LeaseAnswer {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::LeaseSlotsResponse {
+        use wire::lease_slots_response::Answer;
+        let answer = match self {
+            Self::Lease(lease) => Answer::Lease(lease.to_wire()),
+            Self::Retry { wait_millis } => Answer::Retry(wire::Retry { wait_millis: *wait_millis }),
+            Self::Done => Answer::Done(wire::Done {}),
+        };
+        wire::LeaseSlotsResponse { answer: Some(answer) }
+    }
+
+    /// Reads the message, for the run it belongs to.
+    ///
+    /// # Errors
+    /// Refuses what [`Lease::from_wire`] refuses.
+    pub fn from_wire(
+        wire: wire::LeaseSlotsResponse,
+        run: &RunDescription,
+    ) -> Result<Self, Refusal> {
+        use wire::lease_slots_response::Answer;
+        Ok(match required(wire.answer, "answer")? {
+            Answer::Lease(lease) => Self::Lease(Lease::from_wire(lease, run)?),
+            Answer::Retry(retry) => Self::Retry { wait_millis: retry.wait_millis },
+            Answer::Done(_) => Self::Done,
+        })
+    }
+}
+
+/// What a pushed message says about itself; its content is read afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PushHeader {
+    /// The lease it belongs to.
+    pub lease: LeaseId,
+    /// The lease's.
+    pub incarnation: Incarnation,
+    /// The weights acted with.
+    pub weights: WeightsName,
+    /// SHA-256 of the content.
+    pub digest: Digest,
+}
+
+impl PushHeader {
+    /// The header for the results of `lease`.
+    #[must_use]
+    pub fn of(lease: &Lease, digest: Digest) -> Self {
+        Self { lease: lease.id, incarnation: lease.incarnation, weights: lease.weights, digest }
+    }
+
+    /// The message with this header and `content`.
+    #[must_use]
+    pub fn to_wire(
+        &self,
+        content: wire::push_trajectory_request::Content,
+    ) -> wire::PushTrajectoryRequest {
+        wire::PushTrajectoryRequest {
+            lease_id: self.lease.0,
+            incarnation: self.incarnation.0,
+            weights: Some(self.weights.to_wire()),
+            digest: Bytes::copy_from_slice(&self.digest.0),
+            content: Some(content),
+        }
+    }
+
+    /// Reads the header and hands the content back unread.
+    ///
+    /// # Errors
+    /// Refuses missing parts and digests that are no SHA-256.
+    pub fn from_wire(
+        wire: wire::PushTrajectoryRequest,
+    ) -> Result<(Self, wire::push_trajectory_request::Content), Refusal> {
+        let header = Self {
+            lease: LeaseId(wire.lease_id),
+            incarnation: Incarnation(wire.incarnation),
+            weights: WeightsName::from_wire(wire.weights, "weights")?,
+            digest: digest(&wire.digest, "digest")?,
+        };
+        Ok((header, required(wire.content, "content")?))
+    }
+}
+
+/// Acknowledges one pushed message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ack {
+    /// The lease.
+    pub lease: LeaseId,
+    /// The chunk's; 0 for an evaluation.
+    pub sequence: u32,
+    /// How it was taken in.
+    pub state: AckState,
+    /// Whether the lease's result is complete.
+    pub lease_finished: bool,
+}
+
+/// How a message was taken in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AckState {
+    /// New.
+    Accepted,
+    /// The learner had it already.
+    Repeated,
+}
+
+impl Ack {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::PushTrajectoryResponse {
+        let state = match self.state {
+            AckState::Accepted => wire::AckState::Accepted,
+            AckState::Repeated => wire::AckState::Repeated,
+        };
+        wire::PushTrajectoryResponse {
+            lease_id: self.lease.0,
+            sequence: self.sequence,
+            state: state.into(),
+            lease_finished: self.lease_finished,
+        }
+    }
+
+    /// Reads the message.
+    ///
+    /// # Errors
+    /// Refuses an unknown state.
+    pub fn from_wire(wire: &wire::PushTrajectoryResponse) -> Result<Self, Refusal> {
+        let state = match wire::AckState::try_from(wire.state) {
+            Ok(wire::AckState::Accepted) => AckState::Accepted,
+            Ok(wire::AckState::Repeated) => AckState::Repeated,
+            _ => return Err(unknown("state", wire.state)),
+        };
+        let (lease, sequence) = (LeaseId(wire.lease_id), wire.sequence);
+        Ok(Self { lease, sequence, state, lease_finished: wire.lease_finished })
+    }
+}
+
+/// An actor's sign of life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Beat {
+    /// Who is alive.
+    pub actor: ActorId,
+    /// The registration's.
+    pub incarnation: Incarnation,
+    /// The lease to keep.
+    pub lease: LeaseId,
+    /// Steps done of it.
+    pub slot_step: u32,
+}
+
+impl Beat {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::HeartbeatRequest {
+        wire::HeartbeatRequest {
+            actor_id: self.actor.0,
+            incarnation: self.incarnation.0,
+            lease_id: self.lease.0,
+            slot_step: self.slot_step,
+        }
+    }
+
+    /// Reads the message.
+    #[must_use]
+    pub fn from_wire(wire: &wire::HeartbeatRequest) -> Self {
+        Self {
+            actor: ActorId(wire.actor_id),
+            incarnation: Incarnation(wire.incarnation),
+            lease: LeaseId(wire.lease_id),
+            slot_step: wire.slot_step,
+        }
+    }
+}
+
+/// What the run is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RunState {
+    /// Work comes.
+    Running,
+    /// The run is over.
+    Done,
+    /// The learner is about to stop.
+    Draining,
+}
+
+/// Answers a sign of life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeartbeatAnswer {
+    /// False: drop the work and lease again.
+    pub lease_valid: bool,
+    /// What the run is doing.
+    pub run_state: RunState,
+}
+
+impl HeartbeatAnswer {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::HeartbeatResponse {
+        let state = match self.run_state {
+            RunState::Running => wire::RunState::Running,
+            RunState::Done => wire::RunState::Done,
+            RunState::Draining => wire::RunState::Draining,
+        };
+        wire::HeartbeatResponse { lease_valid: self.lease_valid, run_state: state.into() }
+    }
+
+    /// Reads the message.
+    ///
+    /// # Errors
+    /// Refuses an unknown run state.
+    pub fn from_wire(wire: &wire::HeartbeatResponse) -> Result<Self, Refusal> {
+        let run_state = match wire::RunState::try_from(wire.run_state) {
+            Ok(wire::RunState::Running) => RunState::Running,
+            Ok(wire::RunState::Done) => RunState::Done,
+            Ok(wire::RunState::Draining) => RunState::Draining,
+            _ => return Err(unknown("run_state", wire.run_state)),
+        };
+        Ok(Self { lease_valid: wire.lease_valid, run_state })
+    }
+}
+
+fn unknown(field: &str, value: i32) -> Refusal {
+    Refusal::new(Reason::BadValue, field, format!("unknown value {value}"))
+}

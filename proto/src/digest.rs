@@ -1,0 +1,124 @@
+//! SHA-256, the digest used everywhere, and the canonical bytes of what is pushed. The `.proto` comments
+//! give the same bytes in Python.
+
+use std::fmt;
+
+use sha2::{Digest as _, Sha256};
+
+use crate::wire;
+
+/// A SHA-256. Shows as 64 hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Digest(pub [u8; 32]);
+
+impl Digest {
+    /// SHA-256 of `bytes`.
+    #[must_use]
+    pub fn of(bytes: &[u8]) -> Self {
+        Self(Sha256::digest(bytes).into())
+    }
+}
+
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Digest({self})")
+    }
+}
+
+/// The digest that `message TrajectoryChunk` documents. Missing submessages count as empty: they are
+/// refused by name elsewhere.
+pub(crate) fn of_chunk(chunk: &wire::TrajectoryChunk) -> Digest {
+    let mut canonical = Canonical::new(b"s2mia.v1.TrajectoryChunk");
+    canonical.integers(&[chunk.sequence, chunk.first_step, chunk.steps]);
+    for agent in &chunk.agents {
+        canonical.tensors([&agent.observation, &agent.action, &agent.log_prob, &agent.hidden]);
+    }
+    canonical.tensors([&chunk.state, &chunk.reward, &chunk.terminated, &chunk.truncated]);
+    let none = wire::FinalSteps::default();
+    let finals = chunk.finals.as_ref().unwrap_or(&none);
+    canonical.length(finals.steps.len());
+    for (step, environment) in finals.steps.iter().zip(&finals.environments) {
+        canonical.integers(&[*step, *environment]);
+    }
+    canonical.tensors([&finals.state]);
+    finals.observations.iter().for_each(|tensor| canonical.blob(&tensor.data));
+    canonical.0.update([u8::from(chunk.end.is_some())]);
+    if let Some(end) = &chunk.end {
+        end.environments.iter().for_each(|state| canonical.blob(state));
+        end.recurrent.iter().for_each(|tensor| canonical.blob(&tensor.data));
+    }
+    canonical.finish()
+}
+
+/// The digest that `message EvaluationResult` documents.
+pub(crate) fn of_evaluation(result: &wire::EvaluationResult) -> Digest {
+    let mut canonical = Canonical::new(b"s2mia.v1.EvaluationResult");
+    canonical.integers(&[result.episode]);
+    canonical.0.update(result.extrinsic_return.to_le_bytes());
+    canonical.integers(&[result.steps]);
+    canonical.finish()
+}
+
+struct Canonical(Sha256);
+
+impl Canonical {
+    fn new(domain: &[u8]) -> Self {
+        Self(Sha256::new_with_prefix(domain))
+    }
+
+    fn integers(&mut self, values: &[u32]) {
+        values.iter().for_each(|value| self.0.update(value.to_le_bytes()));
+    }
+
+    fn length(&mut self, length: usize) {
+        self.0.update((length as u64).to_le_bytes());
+    }
+
+    fn blob(&mut self, data: &[u8]) {
+        self.length(data.len());
+        self.0.update(data);
+    }
+
+    fn tensors<const N: usize>(&mut self, tensors: [&Option<wire::Tensor>; N]) {
+        for tensor in tensors {
+            self.blob(tensor.as_ref().map_or(&[], |tensor| &tensor.data));
+        }
+    }
+
+    fn finish(self) -> Digest {
+        Digest(self.0.finalize().into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_digest_of_abc_is_the_published_one() {
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(Digest::of(b"abc").to_string(), expected);
+    }
+
+    #[test]
+    fn an_evaluation_hashes_to_what_python_gives_for_the_documented_bytes() {
+        // hashlib.sha256(b"s2mia.v1.EvaluationResult" + struct.pack("<IdI", 3, 1.5, 1000)).hexdigest()
+        let result = wire::EvaluationResult { episode: 3, extrinsic_return: 1.5, steps: 1000 };
+        let expected = "a4c690a3aaa381b9c54db41891054120a97f26adea321f37ae9d19480bb4632b";
+        assert_eq!(of_evaluation(&result).to_string(), expected);
+    }
+
+    #[test]
+    fn an_empty_chunk_hashes_to_what_python_gives_for_the_documented_bytes() {
+        let chunk =
+            wire::TrajectoryChunk { sequence: 1, first_step: 2, steps: 3, ..Default::default() };
+        let expected = "47a6ca956970effcbf0f6375503568fccba851596884510c10013e8be8384ff3";
+        assert_eq!(of_chunk(&chunk).to_string(), expected);
+    }
+}

@@ -1,0 +1,240 @@
+//! What the two sides must agree on about the environment.
+
+use std::fmt::{Debug, Display};
+
+use crate::read::required;
+use crate::{Reason, Refusal, wire};
+
+/// Everything that the two sides must agree on about the environment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EnvironmentSpec {
+    /// For example `rapier/halfcheetah-2x3`.
+    pub task: String,
+    /// The team; everything per agent comes in this order.
+    pub agents: Vec<AgentSpec>,
+    /// Layout of the global state, `[S]`, which only the critic sees.
+    pub state: Vec<FeatureSpec>,
+    /// Simulated seconds of one step.
+    pub dt_secs: f64,
+    /// Steps after which an episode is truncated.
+    pub episode_steps: u32,
+    /// Names the encoding of an environment's state bytes.
+    pub state_kind: String,
+    /// Version of that encoding.
+    pub state_version: u32,
+    /// Longest encoded state, bytes.
+    pub max_state_bytes: u32,
+}
+
+/// One agent of the team.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AgentSpec {
+    /// For example `agent_0`.
+    pub name: String,
+    /// Joints it drives, in the order of its action.
+    pub joints: Vec<String>,
+    /// Layout of its observation, `[obs]`.
+    pub observation: Vec<FeatureSpec>,
+    /// Its action.
+    pub action: ActionSpec,
+}
+
+/// An agent's continuous action, `[size]`, which the world clamps to `low..=high`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ActionSpec {
+    /// Number of dimensions.
+    pub size: u32,
+    /// Smallest value that has an effect.
+    pub low: f32,
+    /// Largest value that has an effect.
+    pub high: f32,
+}
+
+/// One number of an observation or state.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FeatureSpec {
+    /// For people.
+    pub name: String,
+    /// What it tells.
+    pub role: FeatureRole,
+}
+
+/// What a feature tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FeatureRole {
+    /// A measured quantity.
+    Signal,
+    /// Part of a one-hot code that says whose observation it is.
+    Identity,
+    /// A copy of another feature of the same vector.
+    Duplicate,
+    /// Never changes.
+    Constant,
+}
+
+/// The first place where two descriptions differ.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field} is {found}, expected {expected}")]
+pub struct Difference {
+    /// Path of the field, for example `agents[1].action.size`.
+    pub field: String,
+    /// The value found.
+    pub found: String,
+    /// The value expected.
+    pub expected: String,
+}
+
+impl EnvironmentSpec {
+    /// Where `found` first differs from this description, in the order of the fields; `None` if equal.
+    #[must_use]
+    pub fn first_difference(&self, found: &Self) -> Option<Difference> {
+        differ("task", &found.task, &self.task)
+            .or_else(|| list("agents", &found.agents, &self.agents, agent))
+            .or_else(|| list("state", &found.state, &self.state, feature))
+            .or_else(|| differ("dt_secs", &found.dt_secs, &self.dt_secs))
+            .or_else(|| differ("episode_steps", &found.episode_steps, &self.episode_steps))
+            .or_else(|| differ("state_kind", &found.state_kind, &self.state_kind))
+            .or_else(|| differ("state_version", &found.state_version, &self.state_version))
+            .or_else(|| differ("max_state_bytes", &found.max_state_bytes, &self.max_state_bytes))
+    }
+
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::EnvironmentSpec {
+        wire::EnvironmentSpec {
+            task: self.task.clone(),
+            agents: self.agents.iter().map(AgentSpec::to_wire).collect(),
+            state: self.state.iter().map(FeatureSpec::to_wire).collect(),
+            dt_secs: self.dt_secs,
+            episode_steps: self.episode_steps,
+            state_kind: self.state_kind.clone(),
+            state_version: self.state_version,
+            max_state_bytes: self.max_state_bytes,
+        }
+    }
+
+    /// Reads the message at `field`.
+    ///
+    /// # Errors
+    /// Refuses missing parts and unknown roles.
+    pub fn from_wire(wire: wire::EnvironmentSpec, field: &str) -> Result<Self, Refusal> {
+        let agents = wire.agents.into_iter().enumerate();
+        let agents =
+            agents.map(|(i, agent)| AgentSpec::from_wire(agent, &format!("{field}.agents[{i}]")));
+        Ok(Self {
+            task: wire.task,
+            agents: agents.collect::<Result<_, _>>()?,
+            state: features(wire.state, &format!("{field}.state"))?,
+            dt_secs: wire.dt_secs,
+            episode_steps: wire.episode_steps,
+            state_kind: wire.state_kind,
+            state_version: wire.state_version,
+            max_state_bytes: wire.max_state_bytes,
+        })
+    }
+}
+
+impl AgentSpec {
+    fn to_wire(&self) -> wire::AgentSpec {
+        let ActionSpec { size, low, high } = self.action;
+        wire::AgentSpec {
+            name: self.name.clone(),
+            joints: self.joints.clone(),
+            observation: self.observation.iter().map(FeatureSpec::to_wire).collect(),
+            action: Some(wire::ActionSpec { size, low, high }),
+        }
+    }
+
+    fn from_wire(wire: wire::AgentSpec, field: &str) -> Result<Self, Refusal> {
+        let action = required(wire.action, &format!("{field}.action"))?;
+        Ok(Self {
+            name: wire.name,
+            joints: wire.joints,
+            observation: features(wire.observation, &format!("{field}.observation"))?,
+            action: ActionSpec { size: action.size, low: action.low, high: action.high },
+        })
+    }
+}
+
+impl FeatureSpec {
+    fn to_wire(&self) -> wire::FeatureSpec {
+        wire::FeatureSpec { name: self.name.clone(), role: self.role.to_wire().into() }
+    }
+}
+
+impl FeatureRole {
+    fn to_wire(self) -> wire::FeatureRole {
+        match self {
+            Self::Signal => wire::FeatureRole::Signal,
+            Self::Identity => wire::FeatureRole::Identity,
+            Self::Duplicate => wire::FeatureRole::Duplicate,
+            Self::Constant => wire::FeatureRole::Constant,
+        }
+    }
+
+    fn from_wire(wire: wire::FeatureRole) -> Option<Self> {
+        match wire {
+            wire::FeatureRole::Unspecified => None,
+            wire::FeatureRole::Signal => Some(Self::Signal),
+            wire::FeatureRole::Identity => Some(Self::Identity),
+            wire::FeatureRole::Duplicate => Some(Self::Duplicate),
+            wire::FeatureRole::Constant => Some(Self::Constant),
+        }
+    }
+}
+
+fn features(wire: Vec<wire::FeatureSpec>, field: &str) -> Result<Vec<FeatureSpec>, Refusal> {
+    let feature = |(i, wire): (usize, wire::FeatureSpec)| {
+        let role = wire::FeatureRole::try_from(wire.role).ok().and_then(FeatureRole::from_wire);
+        let unknown = || {
+            let detail = format!("unknown role {}", wire.role);
+            Refusal::new(Reason::BadValue, format!("{field}[{i}].role"), detail)
+        };
+        Ok(FeatureSpec { role: role.ok_or_else(unknown)?, name: wire.name })
+    };
+    wire.into_iter().enumerate().map(feature).collect()
+}
+
+fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<Difference> {
+    let (act, right) = (&found.action, &expected.action);
+    differ("name", &found.name, &expected.name)
+        .or_else(|| list("joints", &found.joints, &expected.joints, |a, b| differ("", a, b)))
+        .or_else(|| list("observation", &found.observation, &expected.observation, feature))
+        .or_else(|| differ("action.size", &act.size, &right.size))
+        .or_else(|| differ("action.low", &act.low, &right.low))
+        .or_else(|| differ("action.high", &act.high, &right.high))
+}
+
+fn feature(found: &FeatureSpec, expected: &FeatureSpec) -> Option<Difference> {
+    differ("name", &found.name, &expected.name)
+        .or_else(|| differ("role", &found.role, &expected.role))
+}
+
+fn differ<T: PartialEq + Debug>(field: &str, found: &T, expected: &T) -> Option<Difference> {
+    let difference = || Difference {
+        field: field.to_owned(),
+        found: format!("{found:?}"),
+        expected: format!("{expected:?}"),
+    };
+    (found != expected).then(difference)
+}
+
+fn list<T>(
+    field: &str,
+    found: &[T],
+    expected: &[T],
+    differ_in: impl Fn(&T, &T) -> Option<Difference>,
+) -> Option<Difference> {
+    if found.len() != expected.len() {
+        return differ(&format!("{field}.len"), &found.len(), &expected.len());
+    }
+    let mut pairs = found.iter().zip(expected).enumerate();
+    pairs.find_map(|(i, (a, b))| {
+        differ_in(a, b).map(|inner| inside(&format!("{field}[{i}]"), inner))
+    })
+}
+
+fn inside(outer: &impl Display, inner: Difference) -> Difference {
+    let dot = if inner.field.is_empty() { "" } else { "." };
+    Difference { field: format!("{outer}{dot}{}", inner.field), ..inner }
+}

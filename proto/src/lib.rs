@@ -1,0 +1,44 @@
+//! What actors and the learner say to each other: ids, domain types, the `.proto` files and their
+//! conversions, and the one place where a message is checked. No sockets, no clock, no learning.
+//!
+//! Code outside speaks the domain types; the generated ones, under [`wire`], are for the two files that
+//! face the network. Every domain type has `to_wire`, which cannot fail, and `from_wire`, which refuses
+//! what is wrong with a [`Refusal`] that names the field.
+
+pub mod calls;
+mod digest;
+mod environment;
+mod ids;
+mod read;
+mod refusal;
+mod run;
+mod tensor;
+mod trajectory;
+pub mod validate;
+pub mod wire;
+mod work;
+
+pub use calls::{
+    Ack, AckState, Beat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,
+    RunState,
+};
+pub use digest::Digest;
+pub use environment::{
+    ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
+};
+pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
+pub use refusal::{ERROR_DOMAIN, Reason, Refusal};
+pub use run::RunDescription;
+pub use trajectory::{AgentChunk, EvaluationResult, FinalStep, SlotEnd, TrajectoryChunk};
+pub use work::{EnvironmentStart, EvaluationWork, Lease, RolloutWork, Start, WeightsName, Work};
+
+/// Version of what the `.proto` files say. Both sides must have the same one.
+pub const PROTOCOL_VERSION: u32 = 1;
+/// Largest message in either direction, bytes.
+pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
+/// Largest piece of a policy snapshot, bytes.
+pub const MAX_WEIGHTS_PIECE_BYTES: usize = 1 << 20;
+/// Messages of one stream that may wait for their acknowledgement.
+pub const MAX_UNACKNOWLEDGED: usize = 4;
+/// Longest wait for a lease that the learner grants, milliseconds.
+pub const MAX_LEASE_WAIT_MILLIS: u32 = 30_000;

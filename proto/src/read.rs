@@ -1,0 +1,37 @@
+//! Small readers for fields of received messages, each of which names the field it refuses.
+
+use crate::{Digest, Reason, Refusal};
+
+/// A submessage that must be there.
+pub(crate) fn required<T>(value: Option<T>, field: &str) -> Result<T, Refusal> {
+    value.ok_or_else(|| Refusal::new(Reason::MissingField, field, "must be set"))
+}
+
+/// Exactly 32 bytes.
+pub(crate) fn digest(bytes: &[u8], field: &str) -> Result<Digest, Refusal> {
+    let found = bytes.len();
+    bytes.try_into().map(Digest).map_err(|_| {
+        Refusal::new(Reason::BadValue, field, format!("{found} bytes, a SHA-256 has 32"))
+    })
+}
+
+/// A list of known length.
+pub(crate) fn length(found: usize, expected: usize, field: &str) -> Result<(), Refusal> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(Refusal::new(Reason::BadShape, field, format!("{found} entries, expected {expected}")))
+}
+
+/// A number that must equal another one.
+pub(crate) fn equal(reason: Reason, found: u64, expected: u64, field: &str) -> Result<(), Refusal> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(Refusal::new(reason, field, format!("{found}, expected {expected}")))
+}
+
+/// A value that must hold a condition, which `detail` describes.
+pub(crate) fn hold(condition: Result<(), String>, field: &str) -> Result<(), Refusal> {
+    condition.map_err(|detail| Refusal::new(Reason::BadValue, field, detail))
+}

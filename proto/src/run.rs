@@ -1,0 +1,172 @@
+//! What an actor must know before its first lease, and the sizes that follow from it.
+
+use bytes::Bytes;
+
+use crate::read::{digest, hold, length, required};
+use crate::{Digest, EnvironmentSpec, Incarnation, MAX_MESSAGE_BYTES, Refusal, wire};
+
+/// Room in a message for everything but tensors: headers, shapes, names of fields.
+const MESSAGE_OVERHEAD_BYTES: u64 = 16 << 10;
+
+/// Everything an actor must know before its first lease.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunDescription {
+    /// Names the run for people.
+    pub run_id: String,
+    /// The learner's [`crate::PROTOCOL_VERSION`].
+    pub protocol_version: u32,
+    /// This start of the learner.
+    pub incarnation: Incarnation,
+    /// Root of every random draw.
+    pub seed: u64,
+    /// The task's settings as JSON, for actors that build the project's own environments.
+    pub task_settings: String,
+    /// What every actor must offer.
+    pub environment: EnvironmentSpec,
+    /// `E`.
+    pub environments_per_slot: u32,
+    /// Steps of each environment in one slot.
+    pub slot_steps: u32,
+    /// Steps of one chunk; divides `slot_steps`.
+    pub chunk_steps: u32,
+    /// `H` of each agent; 0 without a recurrent state.
+    pub hidden_sizes: Vec<u32>,
+    /// Steps between two stored recurrent states; divides `chunk_steps`.
+    pub hidden_every: u32,
+    /// SHA-256 over the probes of simulator and policy on the learner's machine.
+    pub rollout_fingerprint: Digest,
+    /// SHA-256 of the run's semantic settings.
+    pub config_sha256: Digest,
+    /// Seconds between two heartbeats.
+    pub heartbeat_secs: f64,
+}
+
+impl RunDescription {
+    /// Chunks of one slot.
+    #[must_use]
+    pub fn chunks_per_slot(&self) -> u32 {
+        self.slot_steps / self.chunk_steps
+    }
+
+    /// Refuses sizes that contradict each other, and chunks or leases that would not fit a message.
+    /// Everything past this check may multiply sizes without fear.
+    ///
+    /// # Errors
+    /// Names the field that is wrong.
+    pub fn validate(&self) -> Result<(), Refusal> {
+        let agents = self.environment.agents.len();
+        positive(agents as u64, "run.environment.agents")?;
+        positive(self.environment.max_state_bytes.into(), "run.environment.max_state_bytes")?;
+        positive(self.environment.episode_steps.into(), "run.environment.episode_steps")?;
+        seconds(self.environment.dt_secs, "run.environment.dt_secs")?;
+        positive(self.environments_per_slot.into(), "run.environments_per_slot")?;
+        divides(self.chunk_steps, self.slot_steps, "run.chunk_steps")?;
+        length(self.hidden_sizes.len(), agents, "run.hidden_sizes")?;
+        divides(self.hidden_every, self.chunk_steps, "run.hidden_every")?;
+        seconds(self.heartbeat_secs, "run.heartbeat_secs")?;
+        fits(self.most_chunk_bytes(), "run.chunk_steps")?;
+        fits(self.most_boundary_bytes(), "run.environments_per_slot")
+    }
+
+    /// Bytes of the largest chunk: every step ends an episode.
+    fn most_chunk_bytes(&self) -> Option<u64> {
+        let [mut observed, mut acted] = [self.environment.state.len() as u64, 2];
+        for agent in &self.environment.agents {
+            observed = observed.checked_add(agent.observation.len() as u64)?;
+            acted = acted.checked_add(u64::from(agent.action.size) + 1)?;
+        }
+        // Observations and states stand in the rows and again in the final steps.
+        let floats = observed.checked_mul(2)?.checked_add(acted)?;
+        let rows = u64::from(self.chunk_steps).checked_mul(self.environments_per_slot.into())?;
+        let stored = rows.div_ceil(self.hidden_every.into()).checked_mul(self.hidden())?;
+        let total = rows.checked_mul(floats.checked_add(2)?)?.checked_add(stored)?;
+        total.checked_mul(4)?.checked_add(self.most_boundary_bytes()?)
+    }
+
+    /// Bytes of the states that stand in a lease or at a slot's end.
+    fn most_boundary_bytes(&self) -> Option<u64> {
+        let state = u64::from(self.environment.max_state_bytes);
+        let each = self.hidden().checked_mul(4)?.checked_add(state)?;
+        each.checked_mul(self.environments_per_slot.into())
+    }
+
+    fn hidden(&self) -> u64 {
+        self.hidden_sizes.iter().map(|size| u64::from(*size)).sum()
+    }
+
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::RunDescription {
+        wire::RunDescription {
+            run_id: self.run_id.clone(),
+            protocol_version: self.protocol_version,
+            incarnation: self.incarnation.0,
+            seed: self.seed,
+            task_settings: self.task_settings.clone(),
+            environment: Some(self.environment.to_wire()),
+            environments_per_slot: self.environments_per_slot,
+            slot_steps: self.slot_steps,
+            chunk_steps: self.chunk_steps,
+            hidden_sizes: self.hidden_sizes.clone(),
+            hidden_every: self.hidden_every,
+            rollout_fingerprint: Bytes::copy_from_slice(&self.rollout_fingerprint.0),
+            config_sha256: Bytes::copy_from_slice(&self.config_sha256.0),
+            heartbeat_secs: self.heartbeat_secs,
+        }
+    }
+
+    /// Reads the message.
+    ///
+    /// # Errors
+    /// Refuses missing parts and whatever [`Self::validate`] refuses.
+    pub fn from_wire(wire: Option<wire::RunDescription>) -> Result<Self, Refusal> {
+        let wire = required(wire, "run")?;
+        let environment = required(wire.environment, "run.environment")?;
+        let run = Self {
+            run_id: wire.run_id,
+            protocol_version: wire.protocol_version,
+            incarnation: Incarnation(wire.incarnation),
+            seed: wire.seed,
+            task_settings: wire.task_settings,
+            environment: EnvironmentSpec::from_wire(environment, "run.environment")?,
+            environments_per_slot: wire.environments_per_slot,
+            slot_steps: wire.slot_steps,
+            chunk_steps: wire.chunk_steps,
+            hidden_sizes: wire.hidden_sizes,
+            hidden_every: wire.hidden_every,
+            rollout_fingerprint: digest(&wire.rollout_fingerprint, "run.rollout_fingerprint")?,
+            config_sha256: digest(&wire.config_sha256, "run.config_sha256")?,
+            heartbeat_secs: wire.heartbeat_secs,
+        };
+        run.validate()?;
+        Ok(run)
+    }
+}
+
+fn positive(value: u64, field: &str) -> Result<(), Refusal> {
+    hold((value > 0).then_some(()).ok_or_else(|| "must be at least 1".to_owned()), field)
+}
+
+fn divides(part: u32, whole: u32, field: &str) -> Result<(), Refusal> {
+    let good = part > 0 && whole > 0 && whole.is_multiple_of(part);
+    hold(good.then_some(()).ok_or_else(|| format!("{part} does not divide {whole} steps")), field)
+}
+
+fn seconds(value: f64, field: &str) -> Result<(), Refusal> {
+    let good = value.is_finite() && value > 0.0;
+    hold(good.then_some(()).ok_or_else(|| format!("{value} s is no positive time")), field)
+}
+
+fn fits(bytes: Option<u64>, field: &str) -> Result<(), Refusal> {
+    let most = MAX_MESSAGE_BYTES as u64 - MESSAGE_OVERHEAD_BYTES;
+    match bytes {
+        Some(bytes) if bytes <= most => Ok(()),
+        Some(bytes) => hold(
+            Err(format!(
+                "a message could take {bytes} bytes, {most} are allowed: choose it smaller"
+            )),
+            field,
+        ),
+        None => hold(Err("a message would have more bytes than can be counted".to_owned()), field),
+    }
+}

@@ -1,0 +1,137 @@
+//! Tensors on the wire: the check of a declared shape against the expected one and the bytes that came,
+//! and, only after that, decoding.
+
+use bytes::Bytes;
+
+use crate::{Reason, Refusal, wire};
+
+/// Largest magnitude of any float that is taken in. Squares and sums of such values stay finite in `f32`;
+/// nothing physical comes near it.
+pub(crate) const MAX_MAGNITUDE: f32 = 1e9;
+
+/// Floats as a tensor of `shape`.
+pub(crate) fn floats(shape: &[usize], values: &[f32]) -> wire::Tensor {
+    debug_assert_eq!(shape.iter().product::<usize>(), values.len(), "shape {shape:?}");
+    let data = values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<_>>();
+    tensor(wire::DataType::F32, shape, data)
+}
+
+/// Flags as a tensor of `shape`, one byte each.
+pub(crate) fn flags(shape: &[usize], values: &[bool]) -> wire::Tensor {
+    debug_assert_eq!(shape.iter().product::<usize>(), values.len(), "shape {shape:?}");
+    tensor(wire::DataType::Bool, shape, values.iter().copied().map(u8::from).collect())
+}
+
+fn tensor(data_type: wire::DataType, shape: &[usize], data: Vec<u8>) -> wire::Tensor {
+    let shape =
+        shape.iter().map(|size| u32::try_from(*size).expect("an axis fits 32 bits")).collect();
+    wire::Tensor { data_type: data_type.into(), shape, data: Bytes::from(data) }
+}
+
+/// A float tensor whose type, shape and length are right, but whose values nobody has looked at.
+pub(crate) struct Floats<'a> {
+    data: &'a [u8],
+    field: String,
+}
+
+impl<'a> Floats<'a> {
+    /// Checks everything that can be checked without reading a value or allocating for one.
+    pub(crate) fn check(
+        tensor: Option<&'a wire::Tensor>,
+        shape: &[usize],
+        field: String,
+    ) -> Result<Self, Refusal> {
+        let data = checked(tensor, wire::DataType::F32, shape, &field)?;
+        Ok(Self { data, field })
+    }
+
+    /// The values, all finite and of sane magnitude.
+    pub(crate) fn decode(&self) -> Result<Vec<f32>, Refusal> {
+        let bytes = self.data.as_chunks::<4>().0.iter();
+        let values = bytes.map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
+        let sane = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
+        match values.iter().position(|value| !sane.contains(value)) {
+            None => Ok(values),
+            Some(at) => {
+                let detail = format!("element {at} is {}", values[at]);
+                Err(Refusal::new(Reason::NotFinite, self.field.clone(), detail))
+            }
+        }
+    }
+}
+
+/// A flag tensor whose type, shape and length are right.
+pub(crate) struct Flags<'a> {
+    data: &'a [u8],
+    field: &'static str,
+}
+
+impl<'a> Flags<'a> {
+    /// Checks everything that can be checked without reading a value or allocating for one.
+    pub(crate) fn check(
+        tensor: Option<&'a wire::Tensor>,
+        shape: &[usize],
+        field: &'static str,
+    ) -> Result<Self, Refusal> {
+        Ok(Self { data: checked(tensor, wire::DataType::Bool, shape, field)?, field })
+    }
+
+    /// The values, each byte 0 or 1.
+    pub(crate) fn decode(&self) -> Result<Vec<bool>, Refusal> {
+        if let Some(at) = self.data.iter().position(|byte| *byte > 1) {
+            let detail = format!("element {at} is {}, a flag is 0 or 1", self.data[at]);
+            return Err(Refusal::new(Reason::BadValue, self.field, detail));
+        }
+        Ok(self.data.iter().map(|byte| *byte == 1).collect())
+    }
+}
+
+fn checked<'a>(
+    tensor: Option<&'a wire::Tensor>,
+    data_type: wire::DataType,
+    shape: &[usize],
+    field: &str,
+) -> Result<&'a [u8], Refusal> {
+    let bad = |reason, detail| Err(Refusal::new(reason, field, detail));
+    let Some(tensor) = tensor else {
+        // An array without elements may be left out, for example the state of a policy without memory.
+        return match shape.contains(&0) {
+            true => Ok(&[]),
+            false => bad(Reason::MissingField, "must be set".to_owned()),
+        };
+    };
+    if tensor.data_type != i32::from(data_type) {
+        let found = tensor.data_type().as_str_name();
+        return bad(Reason::BadType, format!("{found}, expected {}", data_type.as_str_name()));
+    }
+    let (declared, length) = (Declared(&tensor.shape), tensor.data.len());
+    let width = if data_type == wire::DataType::F32 { 4 } else { 1 };
+    let Some(bytes) = declared.elements().and_then(|elements| elements.checked_mul(width)) else {
+        return bad(Reason::BadShape, format!("{declared} has more elements than can be counted"));
+    };
+    if bytes != length as u64 {
+        return bad(Reason::BadShape, format!("{declared} takes {bytes} bytes, {length} came"));
+    }
+    if !tensor.shape.iter().map(|size| *size as usize).eq(shape.iter().copied()) {
+        return bad(Reason::BadShape, format!("{declared}, expected {shape:?}"));
+    }
+    Ok(&tensor.data)
+}
+
+/// A shape as a peer declares it: any length, any sizes.
+struct Declared<'a>(&'a [u32]);
+
+impl Declared<'_> {
+    fn elements(&self) -> Option<u64> {
+        self.0.iter().try_fold(1_u64, |product, size| product.checked_mul((*size).into()))
+    }
+}
+
+impl std::fmt::Display for Declared<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.0.len() {
+            0..=8 => write!(f, "{:?}", self.0),
+            rank => write!(f, "a shape with {rank} axes"),
+        }
+    }
+}

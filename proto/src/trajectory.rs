@@ -1,0 +1,250 @@
+//! What an actor brings back: chunks of a slot, results of evaluation episodes. Rows are time-major,
+//! `row = t * E + e`; how a received chunk is checked stands in `validate.rs`.
+
+use bytes::Bytes;
+
+use crate::{Digest, RunDescription, digest, tensor, wire};
+
+/// Consecutive steps of one slot: `t` steps of `E` environments.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrajectoryChunk {
+    /// Counts from 0 in the slot.
+    pub sequence: u32,
+    /// First step, counted from the slot's first.
+    pub first_step: u32,
+    /// `t`.
+    pub steps: u32,
+    /// One for each agent.
+    pub agents: Vec<AgentChunk>,
+    /// `[t, E, S]`, before each step.
+    pub state: Vec<f32>,
+    /// `[t, E]`, extrinsic, for the whole team.
+    pub reward: Vec<f32>,
+    /// `[t, E]`: the episode ended for good.
+    pub terminated: Vec<bool>,
+    /// `[t, E]`: the episode was cut; never together with `terminated`.
+    pub truncated: Vec<bool>,
+    /// For every step that ended an episode, and for each environment's last step of the slot; ordered by
+    /// `(step, environment)`, without duplicates.
+    pub finals: Vec<FinalStep>,
+    /// Exactly on the slot's last chunk.
+    pub end: Option<SlotEnd>,
+}
+
+/// One agent's part of a chunk.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AgentChunk {
+    /// `[t, E, obs]`, before each step.
+    pub observation: Vec<f32>,
+    /// `[t, E, act]`, before the world clamps it.
+    pub action: Vec<f32>,
+    /// `[t, E]`, of the whole action.
+    pub log_prob: Vec<f32>,
+    /// `[t / hidden_every, E, H]`, before the step and after any reset.
+    pub hidden: Vec<f32>,
+}
+
+/// What followed a step after which the next row does not tell.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FinalStep {
+    /// Counted from the slot's first step.
+    pub step: u32,
+    /// Position in the slot.
+    pub environment: u32,
+    /// True next state, `[S]`.
+    pub state: Vec<f32>,
+    /// True next observation of each agent, `[obs]`.
+    pub observation: Vec<Vec<f32>>,
+}
+
+/// Where the slot's environments stand after its last step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SlotEnd {
+    /// `[E]` encoded states, after any reset.
+    pub environments: Vec<Vec<u8>>,
+    /// For each agent `[E, H]`, zeros after a reset.
+    pub recurrent: Vec<Vec<f32>>,
+}
+
+/// What came out of one evaluation episode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EvaluationResult {
+    /// The episode.
+    pub episode: u32,
+    /// Sum of extrinsic rewards.
+    pub extrinsic_return: f64,
+    /// Steps until it ended.
+    pub steps: u32,
+}
+
+/// Sizes of one chunk of a run. Whoever builds one has validated the run's description.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sizes<'a> {
+    pub(crate) run: &'a RunDescription,
+    pub(crate) steps: usize,
+    pub(crate) environments: usize,
+    pub(crate) state: usize,
+}
+
+impl<'a> Sizes<'a> {
+    pub(crate) fn of(run: &'a RunDescription) -> Self {
+        Self {
+            run,
+            steps: run.chunk_steps as usize,
+            environments: run.environments_per_slot as usize,
+            state: run.environment.state.len(),
+        }
+    }
+
+    pub(crate) fn agents(&self) -> usize {
+        self.run.environment.agents.len()
+    }
+
+    pub(crate) fn observation(&self, agent: usize) -> usize {
+        self.run.environment.agents[agent].observation.len()
+    }
+
+    pub(crate) fn action(&self, agent: usize) -> usize {
+        self.run.environment.agents[agent].action.size as usize
+    }
+
+    pub(crate) fn hidden(&self, agent: usize) -> usize {
+        self.run.hidden_sizes[agent] as usize
+    }
+
+    pub(crate) fn stored(&self) -> usize {
+        self.steps / self.run.hidden_every as usize
+    }
+}
+
+impl TrajectoryChunk {
+    /// SHA-256 over the canonical bytes that `trajectory.proto` documents. It covers values, not shapes.
+    #[must_use]
+    pub fn digest(&self) -> Digest {
+        digest::of_chunk(&self.message(&Shapes::unknown(self)))
+    }
+
+    /// The message for it, and its digest.
+    ///
+    /// # Panics
+    /// If the arrays do not have the run's sizes: the chunk was built wrongly on this side.
+    #[must_use]
+    pub fn to_wire(&self, run: &RunDescription) -> (wire::TrajectoryChunk, Digest) {
+        let message = self.message(&Shapes::of(&Sizes::of(run), self));
+        let digest = digest::of_chunk(&message);
+        (message, digest)
+    }
+
+    fn message(&self, shapes: &Shapes) -> wire::TrajectoryChunk {
+        let rows = &shapes.rows;
+        let agents = self.agents.iter().zip(&shapes.agents);
+        wire::TrajectoryChunk {
+            sequence: self.sequence,
+            first_step: self.first_step,
+            steps: self.steps,
+            agents: agents.map(|(agent, shapes)| agent.message(rows, shapes)).collect(),
+            state: Some(tensor::floats(&shapes.state, &self.state)),
+            reward: Some(tensor::floats(rows, &self.reward)),
+            terminated: Some(tensor::flags(rows, &self.terminated)),
+            truncated: Some(tensor::flags(rows, &self.truncated)),
+            finals: Some(self.finals_message()),
+            end: self.end.as_ref().map(SlotEnd::message),
+        }
+    }
+
+    fn finals_message(&self) -> wire::FinalSteps {
+        let count = self.finals.len();
+        let observation = |agent: usize| {
+            let rows = self.finals.iter().map(|last| last.observation[agent].as_slice());
+            stacked(count, rows)
+        };
+        let agents = self.finals.first().map_or(0, |last| last.observation.len());
+        wire::FinalSteps {
+            steps: self.finals.iter().map(|last| last.step).collect(),
+            environments: self.finals.iter().map(|last| last.environment).collect(),
+            state: Some(stacked(count, self.finals.iter().map(|last| last.state.as_slice()))),
+            observations: (0..agents).map(observation).collect(),
+        }
+    }
+}
+
+/// `[count, width]` of equally long rows. Without rows the width is nobody's business: `[0]`.
+fn stacked<'a>(count: usize, rows: impl Iterator<Item = &'a [f32]>) -> wire::Tensor {
+    let values = rows.flatten().copied().collect::<Vec<_>>();
+    match count {
+        0 => tensor::floats(&[0], &values),
+        _ => tensor::floats(&[count, values.len() / count], &values),
+    }
+}
+
+impl AgentChunk {
+    fn message(&self, rows: &[usize], shapes: &[Vec<usize>; 3]) -> wire::AgentChunk {
+        let [observation, action, hidden] = shapes;
+        wire::AgentChunk {
+            observation: Some(tensor::floats(observation, &self.observation)),
+            action: Some(tensor::floats(action, &self.action)),
+            log_prob: Some(tensor::floats(rows, &self.log_prob)),
+            hidden: Some(tensor::floats(hidden, &self.hidden)),
+        }
+    }
+}
+
+impl SlotEnd {
+    fn message(&self) -> wire::SlotEnd {
+        let count = self.environments.len();
+        let recurrent = |all: &Vec<f32>| tensor::floats(&[count, all.len() / count.max(1)], all);
+        wire::SlotEnd {
+            environments: self
+                .environments
+                .iter()
+                .map(|state| Bytes::copy_from_slice(state))
+                .collect(),
+            recurrent: self.recurrent.iter().map(recurrent).collect(),
+        }
+    }
+}
+
+impl EvaluationResult {
+    /// SHA-256 over the canonical bytes that `trajectory.proto` documents.
+    #[must_use]
+    pub fn digest(&self) -> Digest {
+        digest::of_evaluation(&self.to_wire())
+    }
+
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::EvaluationResult {
+        let Self { episode, extrinsic_return, steps } = *self;
+        wire::EvaluationResult { episode, extrinsic_return, steps }
+    }
+}
+
+/// Shapes of a chunk's tensors; of each agent: observation, action, hidden.
+struct Shapes {
+    rows: Vec<usize>,
+    state: Vec<usize>,
+    agents: Vec<[Vec<usize>; 3]>,
+}
+
+impl Shapes {
+    fn of(sizes: &Sizes<'_>, chunk: &TrajectoryChunk) -> Self {
+        let (t, e) = (sizes.steps, sizes.environments);
+        assert_eq!(chunk.agents.len(), sizes.agents(), "the chunk's agents are not the run's");
+        assert_eq!(chunk.reward.len(), t * e, "the chunk's rewards are not [{t}, {e}]");
+        let agent = |i| {
+            let hidden = vec![sizes.stored(), e, sizes.hidden(i)];
+            [vec![t, e, sizes.observation(i)], vec![t, e, sizes.action(i)], hidden]
+        };
+        let agents = (0..sizes.agents()).map(agent).collect();
+        Self { rows: vec![t, e], state: vec![t, e, sizes.state], agents }
+    }
+
+    /// One axis each: enough for the digest, which covers values only.
+    fn unknown(chunk: &TrajectoryChunk) -> Self {
+        let agent = |agent: &AgentChunk| {
+            [vec![agent.observation.len()], vec![agent.action.len()], vec![agent.hidden.len()]]
+        };
+        let agents = chunk.agents.iter().map(agent).collect();
+        Self { rows: vec![chunk.reward.len()], state: vec![chunk.state.len()], agents }
+    }
+}

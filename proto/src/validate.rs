@@ -1,0 +1,288 @@
+//! The one place where pushed results are checked, in a fixed order: counters, then types, shapes and
+//! lengths of every tensor, then the digest; only then is anything allocated and are values looked at:
+//! finite, flags consistent, final steps and end states exactly where they must be. Past this point
+//! nobody checks again.
+
+use crate::read::{equal, hold, length, required};
+use crate::tensor::{Flags, Floats, MAX_MAGNITUDE};
+use crate::trajectory::Sizes;
+use crate::work::state_size;
+use crate::{
+    AgentChunk, Digest, EvaluationResult, FinalStep, Reason, Refusal, RunDescription, SlotEnd,
+    TrajectoryChunk, digest, wire,
+};
+
+impl TrajectoryChunk {
+    /// Reads a pushed chunk of a slot of `run` that came with the digest `claimed`. The run's description
+    /// has been validated.
+    ///
+    /// # Errors
+    /// Refuses whatever does not fit the run, by field, in the order that this file's head names.
+    pub fn from_wire(
+        wire: &wire::TrajectoryChunk,
+        run: &RunDescription,
+        claimed: Digest,
+    ) -> Result<Self, Refusal> {
+        let sizes = Sizes::of(run);
+        let last = check_counters(wire, run)?;
+        let shaped = Shaped::check(wire, &sizes, last)?;
+        same_digest(digest::of_chunk(wire), claimed)?;
+        let chunk = shaped.decode(wire)?;
+        check_flags(&chunk, sizes.environments)?;
+        check_finals(&chunk, &sizes, last)?;
+        Ok(chunk)
+    }
+}
+
+impl EvaluationResult {
+    /// Reads a pushed result of an episode of `run` that came with the digest `claimed`.
+    ///
+    /// # Errors
+    /// Refuses a wrong digest, a return that is not finite, and a length that no episode has.
+    pub fn from_wire(
+        wire: &wire::EvaluationResult,
+        run: &RunDescription,
+        claimed: Digest,
+    ) -> Result<Self, Refusal> {
+        same_digest(digest::of_evaluation(wire), claimed)?;
+        let total = wire.extrinsic_return;
+        let most = f64::from(MAX_MAGNITUDE) * f64::from(run.environment.episode_steps);
+        if !(-most..=most).contains(&total) {
+            let field = "evaluation.extrinsic_return";
+            return Err(Refusal::new(Reason::NotFinite, field, format!("is {total}")));
+        }
+        let most = run.environment.episode_steps;
+        let possible = (1..=most).contains(&wire.steps).then_some(());
+        let detail = || format!("{} steps, an episode has 1 to {most}", wire.steps);
+        hold(possible.ok_or_else(detail), "evaluation.steps")?;
+        Ok(Self { episode: wire.episode, extrinsic_return: total, steps: wire.steps })
+    }
+}
+
+/// Whether the chunk is the slot's last one.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Last {
+    Yes,
+    No,
+}
+
+fn check_counters(wire: &wire::TrajectoryChunk, run: &RunDescription) -> Result<Last, Refusal> {
+    let chunks = run.chunks_per_slot();
+    let possible = (wire.sequence < chunks).then_some(());
+    let detail = || format!("{}, a slot has {chunks} chunks", wire.sequence);
+    hold(possible.ok_or_else(detail), "chunk.sequence")?;
+    let first = u64::from(wire.sequence) * u64::from(run.chunk_steps);
+    equal(Reason::Inconsistent, wire.first_step.into(), first, "chunk.first_step")?;
+    equal(Reason::BadValue, wire.steps.into(), run.chunk_steps.into(), "chunk.steps")?;
+    Ok(if wire.sequence + 1 == chunks { Last::Yes } else { Last::No })
+}
+
+fn same_digest(found: Digest, claimed: Digest) -> Result<(), Refusal> {
+    if found == claimed {
+        return Ok(());
+    }
+    let detail = format!("the content has {found}, the message says {claimed}");
+    Err(Refusal::new(Reason::DigestMismatch, "digest", detail))
+}
+
+/// A chunk whose tensors all have the right type, shape and length, borrowed from the message.
+struct Shaped<'a> {
+    agents: Vec<[Floats<'a>; 4]>,
+    state: Floats<'a>,
+    reward: Floats<'a>,
+    terminated: Flags<'a>,
+    truncated: Flags<'a>,
+    finals: ShapedFinals<'a>,
+    end: Option<ShapedEnd<'a>>,
+}
+
+impl<'a> Shaped<'a> {
+    fn check(
+        wire: &'a wire::TrajectoryChunk,
+        sizes: &Sizes<'_>,
+        last: Last,
+    ) -> Result<Self, Refusal> {
+        let rows = [sizes.steps, sizes.environments];
+        length(wire.agents.len(), sizes.agents(), "chunk.agents")?;
+        let agents = wire.agents.iter().enumerate().map(|(i, agent)| check_agent(agent, sizes, i));
+        let states = [rows[0], rows[1], sizes.state];
+        Ok(Self {
+            agents: agents.collect::<Result<_, _>>()?,
+            state: Floats::check(wire.state.as_ref(), &states, "chunk.state".into())?,
+            reward: Floats::check(wire.reward.as_ref(), &rows, "chunk.reward".into())?,
+            terminated: Flags::check(wire.terminated.as_ref(), &rows, "chunk.terminated")?,
+            truncated: Flags::check(wire.truncated.as_ref(), &rows, "chunk.truncated")?,
+            finals: ShapedFinals::check(wire.finals.as_ref(), sizes)?,
+            end: ShapedEnd::check(wire.end.as_ref(), sizes, last)?,
+        })
+    }
+
+    fn decode(self, wire: &wire::TrajectoryChunk) -> Result<TrajectoryChunk, Refusal> {
+        let agents = self.agents.iter().map(|[observation, action, log_prob, hidden]| {
+            Ok(AgentChunk {
+                observation: observation.decode()?,
+                action: action.decode()?,
+                log_prob: log_prob.decode()?,
+                hidden: hidden.decode()?,
+            })
+        });
+        Ok(TrajectoryChunk {
+            sequence: wire.sequence,
+            first_step: wire.first_step,
+            steps: wire.steps,
+            agents: agents.collect::<Result<_, _>>()?,
+            state: self.state.decode()?,
+            reward: self.reward.decode()?,
+            terminated: self.terminated.decode()?,
+            truncated: self.truncated.decode()?,
+            finals: self.finals.decode()?,
+            end: self.end.map(|end| end.decode()).transpose()?,
+        })
+    }
+}
+
+fn check_agent<'a>(
+    wire: &'a wire::AgentChunk,
+    sizes: &Sizes<'_>,
+    agent: usize,
+) -> Result<[Floats<'a>; 4], Refusal> {
+    let (t, e) = (sizes.steps, sizes.environments);
+    let field = |name: &str| format!("chunk.agents[{agent}].{name}");
+    let observation = [t, e, sizes.observation(agent)];
+    let action = [t, e, sizes.action(agent)];
+    let hidden = [sizes.stored(), e, sizes.hidden(agent)];
+    Ok([
+        Floats::check(wire.observation.as_ref(), &observation, field("observation"))?,
+        Floats::check(wire.action.as_ref(), &action, field("action"))?,
+        Floats::check(wire.log_prob.as_ref(), &[t, e], field("log_prob"))?,
+        Floats::check(wire.hidden.as_ref(), &hidden, field("hidden"))?,
+    ])
+}
+
+/// Final steps whose tensors all have the right shape; none at all have no shape to check.
+struct ShapedFinals<'a> {
+    keys: Vec<(u32, u32)>,
+    values: Option<(Floats<'a>, Vec<Floats<'a>>)>,
+}
+
+impl<'a> ShapedFinals<'a> {
+    fn check(wire: Option<&'a wire::FinalSteps>, sizes: &Sizes<'_>) -> Result<Self, Refusal> {
+        let Some(wire) = wire.filter(|wire| !wire.steps.is_empty()) else {
+            return Ok(Self { keys: Vec::new(), values: None });
+        };
+        let (count, most) = (wire.steps.len(), sizes.steps * sizes.environments);
+        let possible = (count <= most).then_some(());
+        hold(
+            possible.ok_or_else(|| format!("{count} entries, {most} rows")),
+            "chunk.finals.steps",
+        )?;
+        length(wire.environments.len(), count, "chunk.finals.environments")?;
+        let state = [count, sizes.state];
+        let state = Floats::check(wire.state.as_ref(), &state, "chunk.finals.state".into())?;
+        length(wire.observations.len(), sizes.agents(), "chunk.finals.observations")?;
+        let observations = wire.observations.iter().enumerate().map(|(i, tensor)| {
+            let field = format!("chunk.finals.observations[{i}]");
+            Floats::check(Some(tensor), &[count, sizes.observation(i)], field)
+        });
+        let observations = observations.collect::<Result<_, _>>()?;
+        let keys = wire.steps.iter().copied().zip(wire.environments.iter().copied()).collect();
+        Ok(Self { keys, values: Some((state, observations)) })
+    }
+
+    fn decode(self) -> Result<Vec<FinalStep>, Refusal> {
+        let Some((state, observations)) = self.values else {
+            return Ok(Vec::new());
+        };
+        let count = self.keys.len();
+        let state = state.decode()?;
+        let observations =
+            observations.iter().map(Floats::decode).collect::<Result<Vec<_>, _>>()?;
+        let row = |all: &[f32], i: usize| {
+            all[i * all.len() / count..(i + 1) * all.len() / count].to_vec()
+        };
+        let last = |(i, (step, environment))| FinalStep {
+            step,
+            environment,
+            state: row(&state, i),
+            observation: observations.iter().map(|all| row(all, i)).collect(),
+        };
+        Ok(self.keys.into_iter().enumerate().map(last).collect())
+    }
+}
+
+/// End states of the right number and sizes.
+struct ShapedEnd<'a> {
+    environments: &'a [bytes::Bytes],
+    recurrent: Vec<Floats<'a>>,
+}
+
+impl<'a> ShapedEnd<'a> {
+    fn check(
+        wire: Option<&'a wire::SlotEnd>,
+        sizes: &Sizes<'_>,
+        last: Last,
+    ) -> Result<Option<Self>, Refusal> {
+        if last == Last::No {
+            let detail = "only the slot's last chunk has one";
+            let refusal = || Refusal::new(Reason::Inconsistent, "chunk.end", detail);
+            return wire.map_or(Ok(None), |_| Err(refusal()));
+        }
+        let wire = required(wire, "chunk.end")?;
+        length(wire.environments.len(), sizes.environments, "chunk.end.environments")?;
+        for (i, state) in wire.environments.iter().enumerate() {
+            state_size(state.len(), sizes.run, &format!("chunk.end.environments[{i}]"))?;
+        }
+        length(wire.recurrent.len(), sizes.agents(), "chunk.end.recurrent")?;
+        let recurrent = wire.recurrent.iter().enumerate().map(|(i, tensor)| {
+            let shape = [sizes.environments, sizes.hidden(i)];
+            Floats::check(Some(tensor), &shape, format!("chunk.end.recurrent[{i}]"))
+        });
+        Ok(Some(Self {
+            environments: &wire.environments,
+            recurrent: recurrent.collect::<Result<_, _>>()?,
+        }))
+    }
+
+    fn decode(self) -> Result<SlotEnd, Refusal> {
+        Ok(SlotEnd {
+            environments: self.environments.iter().map(|state| state.to_vec()).collect(),
+            recurrent: self.recurrent.iter().map(Floats::decode).collect::<Result<_, _>>()?,
+        })
+    }
+}
+
+fn check_flags(chunk: &TrajectoryChunk, environments: usize) -> Result<(), Refusal> {
+    let both = chunk.terminated.iter().zip(&chunk.truncated).position(|(a, b)| *a && *b);
+    let Some(row) = both else {
+        return Ok(());
+    };
+    let (t, e) = (row / environments, row % environments);
+    let detail = format!("step {t} of environment {e} is terminated too");
+    Err(Refusal::new(Reason::Inconsistent, "chunk.truncated", detail))
+}
+
+/// Every step that ended an episode and, in the slot's last chunk, each environment's last one, in order.
+fn check_finals(chunk: &TrajectoryChunk, sizes: &Sizes<'_>, last: Last) -> Result<(), Refusal> {
+    let e = sizes.environments;
+    let slot_end = |row: usize| last == Last::Yes && row / e + 1 == sizes.steps;
+    let needed = (0..sizes.steps * e)
+        .filter(|row| chunk.terminated[*row] || chunk.truncated[*row] || slot_end(*row))
+        .map(|row| (chunk.first_step + (row / e) as u32, (row % e) as u32));
+    let mut found = chunk.finals.iter().map(|last| (last.step, last.environment));
+    for (i, (step, environment)) in needed.enumerate() {
+        let got = found.next();
+        if got != Some((step, environment)) {
+            let got =
+                got.map_or("nothing".to_owned(), |(s, e)| format!("step {s} of environment {e}"));
+            let detail =
+                format!("entry {i} is {got}, expected step {step} of environment {environment}");
+            return Err(Refusal::new(Reason::Inconsistent, "chunk.finals", detail));
+        }
+    }
+    found.next().map_or(Ok(()), |(step, environment)| {
+        let detail = format!(
+            "step {step} of environment {environment} neither ends an episode nor the slot"
+        );
+        Err(Refusal::new(Reason::Inconsistent, "chunk.finals", detail))
+    })
+}

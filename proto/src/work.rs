@@ -1,0 +1,226 @@
+//! What an actor is asked to do: leases, rollout slots, evaluation episodes.
+
+use bytes::Bytes;
+
+use crate::read::{digest, hold, length, required};
+use crate::tensor::{self, Floats};
+use crate::{Digest, Incarnation, LeaseId, PolicyVersion, Refusal, RunDescription, wire};
+
+/// A piece of work for one actor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lease {
+    /// Names the lease.
+    pub id: LeaseId,
+    /// The start of the learner that gave it.
+    pub incarnation: Incarnation,
+    /// The weights to act with.
+    pub weights: WeightsName,
+    /// What to do.
+    pub work: Work,
+}
+
+/// A policy snapshot's name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct WeightsName {
+    /// Updates behind the weights.
+    pub version: PolicyVersion,
+    /// SHA-256 of the snapshot's bytes.
+    pub digest: Digest,
+}
+
+/// What to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Work {
+    /// Roll out a slot.
+    Rollout(RolloutWork),
+    /// Play an evaluation episode.
+    Evaluation(EvaluationWork),
+}
+
+/// One slot: all its steps, always from the first one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RolloutWork {
+    /// The iteration it belongs to.
+    pub iteration: u64,
+    /// The slot's index.
+    pub slot: u32,
+    /// `[E]`, in the order of the chunks' rows.
+    pub environments: Vec<EnvironmentStart>,
+}
+
+/// From where an environment goes on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EnvironmentStart {
+    /// Index over the whole run; part of the key of random draws.
+    pub environment: u32,
+    /// Its state.
+    pub start: Start,
+}
+
+/// From where an environment goes on.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Start {
+    /// A new episode; recurrent states are zero.
+    Fresh {
+        /// Part of the key of the reset's random draws.
+        episode: u64,
+        /// Steps until this episode is truncated.
+        limit: u32,
+    },
+    /// Where an earlier slot ended.
+    Continue {
+        /// The environment's encoded state.
+        state: Vec<u8>,
+        /// For each agent `[H]`.
+        recurrent: Vec<Vec<f32>>,
+    },
+}
+
+/// One whole episode with mean actions; its reset is keyed by the two fields.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EvaluationWork {
+    /// The iteration whose weights are evaluated.
+    pub iteration: u64,
+    /// The episode's index.
+    pub episode: u32,
+}
+
+impl Lease {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::Lease {
+        let work = match &self.work {
+            Work::Rollout(work) => wire::lease::Work::Rollout(work.to_wire()),
+            Work::Evaluation(work) => wire::lease::Work::Evaluation(wire::EvaluationWork {
+                iteration: work.iteration,
+                episode: work.episode,
+            }),
+        };
+        wire::Lease {
+            lease_id: self.id.0,
+            incarnation: self.incarnation.0,
+            weights: Some(self.weights.to_wire()),
+            work: Some(work),
+        }
+    }
+
+    /// Reads the message, for the run it belongs to.
+    ///
+    /// # Errors
+    /// Refuses missing parts and start states of other sizes than the run's.
+    pub fn from_wire(wire: wire::Lease, run: &RunDescription) -> Result<Self, Refusal> {
+        let work = match required(wire.work, "lease.work")? {
+            wire::lease::Work::Rollout(work) => Work::Rollout(RolloutWork::from_wire(work, run)?),
+            wire::lease::Work::Evaluation(work) => Work::Evaluation(EvaluationWork {
+                iteration: work.iteration,
+                episode: work.episode,
+            }),
+        };
+        Ok(Self {
+            id: LeaseId(wire.lease_id),
+            incarnation: Incarnation(wire.incarnation),
+            weights: WeightsName::from_wire(wire.weights, "lease.weights")?,
+            work,
+        })
+    }
+}
+
+impl WeightsName {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::WeightsName {
+        wire::WeightsName {
+            version: self.version.0,
+            digest: Bytes::copy_from_slice(&self.digest.0),
+        }
+    }
+
+    /// Reads the message at `field`.
+    ///
+    /// # Errors
+    /// Refuses a missing name and a digest that is no SHA-256.
+    pub fn from_wire(wire: Option<wire::WeightsName>, field: &str) -> Result<Self, Refusal> {
+        let wire = required(wire, field)?;
+        let digest = digest(&wire.digest, &format!("{field}.digest"))?;
+        Ok(Self { version: PolicyVersion(wire.version), digest })
+    }
+}
+
+impl RolloutWork {
+    fn to_wire(&self) -> wire::RolloutWork {
+        wire::RolloutWork {
+            iteration: self.iteration,
+            slot: self.slot,
+            environments: self.environments.iter().map(EnvironmentStart::to_wire).collect(),
+        }
+    }
+
+    fn from_wire(wire: wire::RolloutWork, run: &RunDescription) -> Result<Self, Refusal> {
+        let field = "lease.rollout.environments";
+        length(wire.environments.len(), run.environments_per_slot as usize, field)?;
+        let starts = wire.environments.into_iter().enumerate();
+        let start = |(i, wire)| EnvironmentStart::from_wire(wire, run, &format!("{field}[{i}]"));
+        let environments = starts.map(start).collect::<Result<_, _>>()?;
+        Ok(Self { iteration: wire.iteration, slot: wire.slot, environments })
+    }
+}
+
+impl EnvironmentStart {
+    fn to_wire(&self) -> wire::EnvironmentStart {
+        let start = match &self.start {
+            Start::Fresh { episode, limit } => {
+                wire::environment_start::Start::Fresh(wire::FreshStart {
+                    episode: *episode,
+                    limit: *limit,
+                })
+            }
+            Start::Continue { state, recurrent } => {
+                wire::environment_start::Start::Continued(wire::ContinuedStart {
+                    state: Bytes::copy_from_slice(state),
+                    recurrent: recurrent.iter().map(|h| tensor::floats(&[h.len()], h)).collect(),
+                })
+            }
+        };
+        wire::EnvironmentStart { environment: self.environment, start: Some(start) }
+    }
+
+    fn from_wire(
+        wire: wire::EnvironmentStart,
+        run: &RunDescription,
+        field: &str,
+    ) -> Result<Self, Refusal> {
+        let start = match required(wire.start, &format!("{field}.start"))? {
+            wire::environment_start::Start::Fresh(fresh) => {
+                Start::Fresh { episode: fresh.episode, limit: fresh.limit }
+            }
+            wire::environment_start::Start::Continued(continued) => {
+                continued_from_wire(continued, run, &format!("{field}.continued"))?
+            }
+        };
+        Ok(Self { environment: wire.environment, start })
+    }
+}
+
+fn continued_from_wire(
+    wire: wire::ContinuedStart,
+    run: &RunDescription,
+    field: &str,
+) -> Result<Start, Refusal> {
+    state_size(wire.state.len(), run, &format!("{field}.state"))?;
+    length(wire.recurrent.len(), run.hidden_sizes.len(), &format!("{field}.recurrent"))?;
+    let tensors = wire.recurrent.iter().zip(&run.hidden_sizes).enumerate();
+    let recurrent = tensors.map(|(i, (tensor, size))| {
+        Floats::check(Some(tensor), &[*size as usize], format!("{field}.recurrent[{i}]"))?.decode()
+    });
+    Ok(Start::Continue {
+        state: wire.state.to_vec(),
+        recurrent: recurrent.collect::<Result<_, _>>()?,
+    })
+}
+
+/// An encoded environment state is neither empty nor longer than the environment's description allows.
+pub(crate) fn state_size(found: usize, run: &RunDescription, field: &str) -> Result<(), Refusal> {
+    let most = run.environment.max_state_bytes as usize;
+    let fits = (1..=most).contains(&found);
+    hold(fits.then_some(()).ok_or_else(|| format!("{found} bytes, allowed are 1 to {most}")), field)
+}

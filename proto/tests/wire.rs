@@ -1,0 +1,13 @@
+//! What goes over the wire: every message survives the round trip, and one that lies is refused by name.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "wire/hostile.rs"]
+mod hostile;
+#[path = "wire/lies.rs"]
+mod lies;
+#[path = "wire/registration.rs"]
+mod registration;
+#[path = "wire/round_trips.rs"]
+mod round_trips;
+#[path = "wire/sample.rs"]
+mod sample;

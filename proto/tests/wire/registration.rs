@@ -1,0 +1,87 @@
+//! Who may work for a run.
+
+use proto::{
+    Digest, EnvironmentSpec, FeatureRole, PROTOCOL_VERSION, Reason, Refusal, Registration,
+};
+
+use crate::sample;
+
+fn registration() -> Registration {
+    Registration {
+        client: "test".to_owned(),
+        protocol_version: PROTOCOL_VERSION,
+        environment: sample::environment(),
+        rollout_fingerprint: Some(sample::run().rollout_fingerprint),
+    }
+}
+
+fn with_environment(change: fn(&mut EnvironmentSpec)) -> Refusal {
+    let mut registration = registration();
+    change(&mut registration.environment);
+    registration.check(&sample::run()).unwrap_err()
+}
+
+#[test]
+fn an_actor_with_the_same_environment_and_fingerprint_is_admitted() {
+    assert_eq!(registration().check(&sample::run()), Ok(()));
+}
+
+#[test]
+fn a_client_without_a_fingerprint_is_admitted() {
+    let foreign = Registration { rollout_fingerprint: None, ..registration() };
+    assert_eq!(foreign.check(&sample::run()), Ok(()));
+}
+
+#[test]
+fn another_fingerprint_or_protocol_is_refused() {
+    let other = Registration { rollout_fingerprint: Some(Digest([8; 32])), ..registration() };
+    assert_eq!(other.check(&sample::run()).unwrap_err().reason, Reason::OtherFingerprint);
+    let other = Registration { protocol_version: PROTOCOL_VERSION + 1, ..registration() };
+    assert_eq!(other.check(&sample::run()).unwrap_err().reason, Reason::OtherProtocol);
+}
+
+/// Spoils one field.
+type Change = fn(&mut EnvironmentSpec);
+
+#[test]
+fn another_environment_is_refused_with_its_first_difference() {
+    let cases: [(Change, &str, &str); 8] = [
+        (
+            |e| e.task = "ant".into(),
+            "environment.task",
+            r#"task is "ant", expected "rapier/halfcheetah-2x3""#,
+        ),
+        (|e| e.agents.truncate(1), "environment.agents.len", "agents.len is 1, expected 2"),
+        (
+            |e| e.agents[1].action.high = 2.0,
+            "environment.agents[1].action.high",
+            "agents[1].action.high is 2.0, expected 1.0",
+        ),
+        (
+            |e| e.agents[0].joints.swap(0, 1),
+            "environment.agents[0].joints[0]",
+            r#"agents[0].joints[0] is "agent_0.knee", expected "agent_0.hip""#,
+        ),
+        (
+            |e| e.agents[1].observation.truncate(1),
+            "environment.agents[1].observation.len",
+            "agents[1].observation.len is 1, expected 2",
+        ),
+        (
+            |e| e.state[1].role = FeatureRole::Signal,
+            "environment.state[1].role",
+            "state[1].role is Signal, expected Identity",
+        ),
+        (|e| e.dt_secs = f64::NAN, "environment.dt_secs", "dt_secs is NaN, expected 0.05"),
+        (
+            |e| e.max_state_bytes = 0,
+            "environment.max_state_bytes",
+            "max_state_bytes is 0, expected 64",
+        ),
+    ];
+    for (change, field, detail) in cases {
+        let refusal = with_environment(change);
+        let found = (refusal.reason, refusal.field.as_str(), refusal.detail.as_str());
+        assert_eq!(found, (Reason::OtherEnvironment, field, detail));
+    }
+}

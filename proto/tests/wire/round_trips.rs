@@ -1,0 +1,126 @@
+//! Every message survives the way to bytes and back.
+
+use prost::Message;
+use proto::wire::push_trajectory_request::Content;
+use proto::{
+    Ack, AckState, ActorId, Beat, Digest, EnvironmentSpec, EnvironmentStart, EvaluationResult,
+    EvaluationWork, HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId, PolicyVersion,
+    PushHeader, Registered, Registration, RolloutWork, RunDescription, RunState, Start,
+    TrajectoryChunk, WeightsName, Work, wire,
+};
+
+use crate::sample;
+
+/// To bytes and back.
+fn sent<M: Message + Default>(message: &M) -> M {
+    M::decode(message.encode_to_vec().as_slice()).unwrap()
+}
+
+fn weights() -> WeightsName {
+    WeightsName { version: PolicyVersion(3), digest: Digest([9; 32]) }
+}
+
+fn lease(work: Work) -> Lease {
+    Lease { id: LeaseId(4), incarnation: Incarnation(11), weights: weights(), work }
+}
+
+fn rollout() -> Work {
+    let fresh = Start::Fresh { episode: 2, limit: 500 };
+    let continued =
+        Start::Continue { state: vec![1, 2, 3], recurrent: vec![vec![0.5; 3], Vec::new()] };
+    let start = |environment, start| EnvironmentStart { environment, start };
+    let environments = vec![start(6, fresh), start(7, continued)];
+    Work::Rollout(RolloutWork { iteration: 5, slot: 3, environments })
+}
+
+#[test]
+fn an_environment_survives_the_round_trip() {
+    let environment = sample::environment();
+    let found = EnvironmentSpec::from_wire(sent(&environment.to_wire()), "environment");
+    assert_eq!(found, Ok(environment));
+}
+
+#[test]
+fn a_run_survives_the_round_trip() {
+    assert_eq!(RunDescription::from_wire(Some(sent(&sample::run().to_wire()))), Ok(sample::run()));
+}
+
+#[test]
+fn a_registration_survives_the_round_trip_with_and_without_a_fingerprint() {
+    for rollout_fingerprint in [None, Some(Digest([3; 32]))] {
+        let registration = Registration {
+            client: "test".to_owned(),
+            protocol_version: 1,
+            environment: sample::environment(),
+            rollout_fingerprint,
+        };
+        let found = Registration::from_wire(sent(&registration.to_wire()));
+        assert_eq!(found, Ok(registration));
+    }
+    let registered = Registered { actor: ActorId(5), incarnation: Incarnation(11) };
+    assert_eq!(Registered::from_wire(&sent(&registered.to_wire())), registered);
+}
+
+#[test]
+fn every_answer_to_a_request_for_work_survives_the_round_trip() {
+    let evaluation = Work::Evaluation(EvaluationWork { iteration: 5, episode: 9 });
+    let answers = [
+        LeaseAnswer::Lease(lease(rollout())),
+        LeaseAnswer::Lease(lease(evaluation)),
+        LeaseAnswer::Retry { wait_millis: 100 },
+        LeaseAnswer::Done,
+    ];
+    for answer in answers {
+        let found = LeaseAnswer::from_wire(sent(&answer.to_wire()), &sample::run());
+        assert_eq!(found, Ok(answer));
+    }
+}
+
+#[test]
+fn a_chunk_survives_the_round_trip_and_keeps_its_digest() {
+    let run = sample::run();
+    for sequence in [0, 1] {
+        let chunk = sample::chunk(sequence);
+        let (message, digest) = chunk.to_wire(&run);
+        assert_eq!(chunk.digest(), digest);
+        assert_eq!(TrajectoryChunk::from_wire(&sent(&message), &run, digest), Ok(chunk));
+    }
+}
+
+#[test]
+fn an_evaluation_survives_the_round_trip() {
+    let result = EvaluationResult { episode: 2, extrinsic_return: -17.25, steps: 1000 };
+    let message = sent(&result.to_wire());
+    assert_eq!(EvaluationResult::from_wire(&message, &sample::run(), result.digest()), Ok(result));
+}
+
+#[test]
+fn a_push_survives_the_round_trip() {
+    let (message, digest) = sample::chunk(0).to_wire(&sample::run());
+    let header = PushHeader::of(&lease(rollout()), digest);
+    let found = PushHeader::from_wire(sent(&header.to_wire(Content::Chunk(message.clone()))));
+    assert_eq!(found, Ok((header, Content::Chunk(message))));
+}
+
+#[test]
+fn acknowledgements_and_signs_of_life_survive_the_round_trip() {
+    for state in [AckState::Accepted, AckState::Repeated] {
+        let ack = Ack { lease: LeaseId(4), sequence: 3, state, lease_finished: true };
+        assert_eq!(Ack::from_wire(&sent(&ack.to_wire())), Ok(ack));
+    }
+    let beat =
+        Beat { actor: ActorId(1), incarnation: Incarnation(2), lease: LeaseId(3), slot_step: 4 };
+    assert_eq!(Beat::from_wire(&sent(&beat.to_wire())), beat);
+    for run_state in [RunState::Running, RunState::Done, RunState::Draining] {
+        let answer = HeartbeatAnswer { lease_valid: true, run_state };
+        assert_eq!(HeartbeatAnswer::from_wire(&sent(&answer.to_wire())), Ok(answer));
+    }
+}
+
+#[test]
+fn the_descriptors_hold_the_service_for_reflection() {
+    let files = String::from_utf8_lossy(wire::DESCRIPTORS);
+    for name in ["s2mia/v1/learner.proto", "s2mia/v1/tensor.proto"] {
+        assert!(files.contains(name), "{name} is missing");
+    }
+}

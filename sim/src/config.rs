@@ -1,0 +1,54 @@
+//! What a caller chooses about a task. There are no defaults here: they stand in the run's base configuration.
+
+use serde::{Deserialize, Serialize};
+
+/// One task and how its agents see and share the robot.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaskConfig {
+    /// One of [`crate::task_names`].
+    pub task: String,
+    /// What the agents observe.
+    pub observation: ObservationConfig,
+    /// Which agent drives which joint.
+    pub partition: PartitionSemantics,
+}
+
+/// What the agents observe.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObservationConfig {
+    /// Which features an agent sees.
+    pub mode: ObservationMode,
+    /// How the features are scaled.
+    pub norm: ObservationNorm,
+}
+
+/// Which features an agent sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObservationMode {
+    /// The global state and the agent's one-hot number, as the published results had it.
+    FullId,
+}
+
+/// How an observation's features are scaled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObservationNorm {
+    /// The vector is standardised by the mean and deviation over its own features, the one-hot number included.
+    /// See `observation.rs` for what that does.
+    FeatureZ,
+    /// Raw metres, radians and seconds.
+    None,
+}
+
+/// Which agent drives which joint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PartitionSemantics {
+    /// Contiguous slices in the order of the robot's actuators: what the published numbers used.
+    ActuatorSlices,
+    /// The joints that the task's published labels name.
+    Labels,
+}

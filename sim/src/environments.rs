@@ -1,0 +1,256 @@
+//! A slot's environments: one world each, stepped in order.
+
+mod describe;
+
+use std::sync::Arc;
+
+use rand::RngCore;
+
+use crate::config::TaskConfig;
+use crate::description::Description;
+use crate::error::{SimError, StateError};
+use crate::observation::Observation;
+use crate::partition::partition;
+use crate::robot::Robot;
+use crate::scene::Pose;
+use crate::state::{State, StateBounds};
+use crate::task::{self, Motion, Task};
+use crate::world::World;
+
+/// A slot's vectorised environments.
+pub struct Environments {
+    task: &'static Task,
+    robot: Arc<Robot>,
+    description: Description,
+    bounds: StateBounds,
+    observation: Observation,
+    /// For each number of the joint action the motor it drives `[A]`.
+    motors: Vec<usize>,
+    environments: Vec<Environment>,
+    /// Controls in motor order `[A]`.
+    controls: Vec<f32>,
+    /// The numbers after a step, until they are found good.
+    next: Numbers,
+}
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outcome {
+    /// The task's reward; 0 on a fault.
+    pub reward: f32,
+    /// The task's rules ended the episode.
+    pub terminated: bool,
+    /// The step limit, or a fault, ended the episode; never together with `terminated`.
+    pub truncated: bool,
+    /// The action or the world was no longer finite or left the bounds of a state. The state is the one before the
+    /// step.
+    pub fault: bool,
+}
+
+struct Environment {
+    world: World,
+    episode: u64,
+    step: u32,
+    limit: u32,
+    /// The numbers at the end of the last good step.
+    now: Numbers,
+}
+
+#[derive(Clone)]
+struct Numbers {
+    coordinates: Vec<f32>,
+    velocities: Vec<f32>,
+}
+
+impl Environments {
+    /// `count` environments at the robot's rest pose, episode 0.
+    pub fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
+        let task = task::find(&config.task)?;
+        if count == 0 {
+            return Err(SimError::NoEnvironments);
+        }
+        let robot = Arc::new(Robot::build(task.robot)?);
+        let actuators: Vec<&str> = robot.actuators().collect();
+        let agents = partition(task.agents, &actuators, config.partition);
+        let observation = Observation::new(&config.observation, agents.len());
+        let description = describe::describe(task, &robot, &agents, &observation)?;
+        let rest = Numbers {
+            coordinates: robot.rest().to_vec(),
+            velocities: vec![0.0; robot.velocity_names().len()],
+        };
+        let fresh = |_| Environment {
+            world: World::new(Arc::clone(&robot)),
+            episode: 0,
+            step: 0,
+            limit: task.episode_steps,
+            now: rest.clone(),
+        };
+        Ok(Self {
+            task,
+            bounds: robot.state_bounds(task.episode_steps),
+            motors: agents.concat(),
+            environments: (0..count).map(fresh).collect(),
+            controls: vec![0.0; agents.concat().len()],
+            next: rest.clone(),
+            robot,
+            description,
+            observation,
+        })
+    }
+
+    /// The task as seen from outside.
+    pub fn description(&self) -> &Description {
+        &self.description
+    }
+
+    /// Number of environments `E`.
+    pub fn count(&self) -> usize {
+        self.environments.len()
+    }
+
+    /// What an encoded state may hold.
+    pub fn state_bounds(&self) -> &StateBounds {
+        &self.bounds
+    }
+
+    /// A new episode with a drawn start. `limit` is the number of steps until truncation, brought into
+    /// `1..=episode_steps`.
+    pub fn reset(&mut self, environment: usize, episode: u64, limit: u32, rng: &mut impl RngCore) {
+        let mut state = State {
+            episode,
+            step: 0,
+            limit: limit.clamp(1, self.task.episode_steps),
+            coordinates: self.robot.rest().to_vec(),
+            velocities: vec![0.0; self.bounds.velocities],
+        };
+        self.task.rules.randomise(rng, &mut state.coordinates, &mut state.velocities);
+        let bytes = state.to_bytes(&self.bounds.kind);
+        self.rebuild(environment, &bytes).expect("a start lies within the bounds of a state");
+    }
+
+    /// Goes on from an encoded state; refused bytes change nothing.
+    pub fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
+        Ok(self.rebuild(environment, state)?)
+    }
+
+    /// The environment's state. Taken before a reset that is due, it is refused by [`Self::restore`]: that episode
+    /// is over.
+    pub fn encode(&self, environment: usize) -> Vec<u8> {
+        let environment = &self.environments[environment];
+        let state = State {
+            episode: environment.episode,
+            step: environment.step,
+            limit: environment.limit,
+            coordinates: environment.now.coordinates.clone(),
+            velocities: environment.now.velocities.clone(),
+        };
+        state.to_bytes(&self.bounds.kind)
+    }
+
+    /// The index of the environment's episode.
+    pub fn episode(&self, environment: usize) -> u64 {
+        self.environments[environment].episode
+    }
+
+    /// Steps taken in the environment's episode.
+    pub fn episode_step(&self, environment: usize) -> u32 {
+        self.environments[environment].step
+    }
+
+    /// One step of every environment. `actions` is `[E, A]`, each row all agents' actions in agent order;
+    /// `outcome` is `[E]`. A finished episode is not reset: the caller reads its last observation and state first.
+    ///
+    /// # Panics
+    /// If a length does not fit.
+    pub fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) {
+        let size = self.motors.len();
+        assert_eq!(actions.len(), self.count() * size, "actions [E, A]");
+        assert_eq!(outcome.len(), self.count(), "outcome [E]");
+        for (index, outcome) in outcome.iter_mut().enumerate() {
+            *outcome = self.step_one(index, &actions[index * size..][..size]);
+        }
+    }
+
+    /// What an agent sees, `[obs]`.
+    ///
+    /// # Panics
+    /// If `out` has another length.
+    pub fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
+        assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
+        self.task.rules.state(&self.motion(&self.environments[environment].now), out);
+        self.observation.finish(agent, out);
+    }
+
+    /// The global state, `[S]`.
+    ///
+    /// # Panics
+    /// If `out` has another length.
+    pub fn state(&self, environment: usize, out: &mut [f32]) {
+        assert_eq!(out.len(), self.description.state.len(), "state");
+        self.task.rules.state(&self.motion(&self.environments[environment].now), out);
+    }
+
+    /// Where the robot's links and joints are, for a recording.
+    pub fn pose(&self, environment: usize) -> Pose {
+        let world = &self.environments[environment].world;
+        Pose { links: world.link_poses(), joints: world.joint_poses() }
+    }
+
+    /// The environment's world, for measurements.
+    pub fn world(&self, environment: usize) -> &World {
+        &self.environments[environment].world
+    }
+
+    /// The one way into a world: from bytes.
+    fn rebuild(&mut self, environment: usize, bytes: &[u8]) -> Result<(), StateError> {
+        let state = State::from_bytes(bytes, &self.bounds)?;
+        let environment = &mut self.environments[environment];
+        environment.world.rebuild(&state.coordinates, &state.velocities);
+        environment.episode = state.episode;
+        environment.step = state.step;
+        environment.limit = state.limit;
+        environment.now = Numbers { coordinates: state.coordinates, velocities: state.velocities };
+        Ok(())
+    }
+
+    fn step_one(&mut self, index: usize, action: &[f32]) -> Outcome {
+        for (&motor, &number) in self.motors.iter().zip(action) {
+            self.controls[motor] = number;
+        }
+        let environment = &mut self.environments[index];
+        environment.step = environment.step.saturating_add(1);
+        let finite = action.iter().all(|number| number.is_finite());
+        let whole = finite && environment.world.step(&self.controls);
+        environment.world.coordinates(&mut self.next.coordinates);
+        environment.world.velocities(&mut self.next.velocities);
+        let bounded = self.bounds.check_motion(&self.next.coordinates, &self.next.velocities);
+        if !whole || bounded.is_err() {
+            environment.world.rebuild(&environment.now.coordinates, &environment.now.velocities);
+            return Outcome { truncated: true, fault: true, ..Outcome::default() };
+        }
+        std::mem::swap(&mut environment.now, &mut self.next);
+        self.judge(index, action)
+    }
+
+    /// After a good step `now` is the world's and `next` holds what it was before.
+    fn judge(&self, index: usize, action: &[f32]) -> Outcome {
+        let environment = &self.environments[index];
+        let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
+        let dt_secs = self.description.dt_secs as f32;
+        let terminated = self.task.rules.terminated(&after);
+        Outcome {
+            reward: self.task.rules.reward(&before, &after, action, dt_secs),
+            terminated,
+            truncated: !terminated && environment.step >= environment.limit,
+            fault: false,
+        }
+    }
+
+    fn motion<'a>(&'a self, numbers: &'a Numbers) -> Motion<'a> {
+        Motion {
+            coordinates: &numbers.coordinates,
+            reference: self.robot.reference(),
+            velocities: &numbers.velocities,
+        }
+    }
+}

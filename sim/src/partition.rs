@@ -1,0 +1,48 @@
+//! Which agent drives which actuator.
+
+use crate::config::PartitionSemantics;
+
+/// Each agent's actuators, as indices into the robot's motors, in the order of the agent's action.
+///
+/// `labels` are the published joint names of each agent. Under [`PartitionSemantics::ActuatorSlices`] only their
+/// counts matter: the published code joined the agents' actions end to end and handed them to the actuators in
+/// order, whatever the labels said.
+pub(crate) fn partition(
+    labels: &[&[&str]],
+    actuators: &[&str],
+    semantics: PartitionSemantics,
+) -> Vec<Vec<usize>> {
+    match semantics {
+        PartitionSemantics::ActuatorSlices => {
+            let mut all = 0..actuators.len();
+            labels.iter().map(|joints| all.by_ref().take(joints.len()).collect()).collect()
+        }
+        PartitionSemantics::Labels => labels
+            .iter()
+            .map(|joints| joints.iter().map(|joint| position(actuators, joint)).collect())
+            .collect(),
+    }
+}
+
+fn position(actuators: &[&str], joint: &str) -> usize {
+    actuators
+        .iter()
+        .position(|name| *name == joint)
+        .expect("a task's labels name actuators of its robot, which a test checks")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ACTUATORS: &[&str] = &["hip", "knee", "toe", "tail"];
+    const LABELS: &[&[&str]] = &[&["toe", "hip"], &["tail", "knee"]];
+
+    #[test]
+    fn slices_follow_the_actuators_and_labels_follow_the_names() {
+        let slices = partition(LABELS, ACTUATORS, PartitionSemantics::ActuatorSlices);
+        assert_eq!(slices, [[0, 1], [2, 3]]);
+        let labels = partition(LABELS, ACTUATORS, PartitionSemantics::Labels);
+        assert_eq!(labels, [[2, 0], [3, 1]]);
+    }
+}

@@ -1,0 +1,141 @@
+//! Robots: one row each, built once into a template world that every environment's world is cloned from.
+
+mod assemble;
+mod blueprint;
+mod layout;
+mod model;
+
+use crate::error::SimError;
+use crate::state::StateBounds;
+use crate::task;
+
+pub(crate) use assemble::{Template, empty_world};
+pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan};
+pub(crate) use layout::{JointMap, Layout, MapKind, MotorMap};
+
+/// One robot: its model and the settings that MJCF cannot say.
+#[derive(Debug)]
+pub(crate) struct RobotRow {
+    /// The robot's name; its states are of the kind `rapier/NAME`.
+    pub(crate) name: &'static str,
+    /// The model.
+    pub(crate) mjcf: &'static str,
+    /// Physics steps in an environment step.
+    pub(crate) frame_skip: u32,
+    /// Natural frequency (Hz) and damping ratio of the joint limits; `None` is rigid.
+    pub(crate) limit_softness: Option<[f32; 2]>,
+}
+
+pub(crate) const HALFCHEETAH: RobotRow = RobotRow {
+    name: "halfcheetah",
+    mjcf: include_str!("../assets/halfcheetah.xml"),
+    frame_skip: 5,
+    limit_softness: None,
+};
+
+/// A robot, ready to be put into worlds. Immutable and shared.
+pub struct Robot {
+    row: &'static RobotRow,
+    blueprint: Blueprint,
+    layout: Layout,
+    template: Template,
+}
+
+impl Robot {
+    /// The robot of a task.
+    pub fn of_task(task: &str) -> Result<Self, SimError> {
+        Self::build(task::find(task)?.robot)
+    }
+
+    pub(crate) fn build(row: &'static RobotRow) -> Result<Self, SimError> {
+        let model = |reason| SimError::Model { robot: row.name.to_owned(), reason };
+        let blueprint = model::read(row.mjcf).map_err(model)?;
+        let (template, layout) = assemble::assemble(&blueprint, row).map_err(model)?;
+        Ok(Self { row, blueprint, layout, template })
+    }
+
+    /// The robot's name.
+    pub fn name(&self) -> &'static str {
+        self.row.name
+    }
+
+    /// What its states are called on the wire.
+    pub fn state_kind(&self) -> String {
+        format!("rapier/{}", self.row.name)
+    }
+
+    /// Names of the generalised coordinates `[nq]`.
+    pub fn coordinate_names(&self) -> &[String] {
+        &self.layout.coordinate_names
+    }
+
+    /// Names of the generalised velocities `[nv]`.
+    pub fn velocity_names(&self) -> &[String] {
+        &self.layout.velocity_names
+    }
+
+    /// What a coordinate of 0 is in the model's own coordinates `[nq]`, m and rad.
+    pub fn reference(&self) -> &[f32] {
+        &self.layout.reference
+    }
+
+    /// The coordinates of the rest pose `[nq]`.
+    pub fn rest(&self) -> &[f32] {
+        &self.layout.rest
+    }
+
+    /// The hinges' names and limits (rad), where they have any.
+    pub fn hinges(&self) -> impl Iterator<Item = (&str, Option<[f32; 2]>)> {
+        self.blueprint.links.iter().filter_map(|link| match &link.joint {
+            JointPlan::Hinge(hinge) => Some((hinge.name.as_str(), hinge.range)),
+            JointPlan::Planar(_) | JointPlan::Free(_) => None,
+        })
+    }
+
+    /// The motors' joints, in the order of the model's actuators.
+    pub fn actuators(&self) -> impl Iterator<Item = &str> {
+        self.blueprint.motors.iter().map(|motor| motor.joint.as_str())
+    }
+
+    /// Each link's name, mass (kg), and principal inertia about its centre of mass (kg m^2) in ascending order.
+    pub fn masses(&self) -> impl Iterator<Item = (&str, f32, [f32; 3])> {
+        self.blueprint.links.iter().map(|link| {
+            let mut inertia = link.mass.principal_inertia().to_array();
+            inertia.sort_by(f32::total_cmp);
+            (link.name.as_str(), link.mass.mass(), inertia)
+        })
+    }
+
+    /// Seconds that one environment step simulates.
+    pub fn step_secs(&self) -> f64 {
+        self.blueprint.timestep_secs * f64::from(self.row.frame_skip)
+    }
+
+    /// What a state of this robot may hold in a task whose episodes last `longest` steps.
+    pub fn state_bounds(&self, longest: u32) -> StateBounds {
+        StateBounds {
+            kind: self.state_kind(),
+            longest,
+            coordinates: self.layout.coordinate_bounds.clone(),
+            velocities: self.layout.velocity_names.len(),
+            fastest: layout::FASTEST,
+            orientation: self.layout.orientation,
+        }
+    }
+
+    pub(crate) fn frame_skip(&self) -> u32 {
+        self.row.frame_skip
+    }
+
+    pub(crate) fn blueprint(&self) -> &Blueprint {
+        &self.blueprint
+    }
+
+    pub(crate) fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    pub(crate) fn template(&self) -> &Template {
+        &self.template
+    }
+}

@@ -1,0 +1,183 @@
+//! Builds a robot's template world on rapier: one multibody, one floor without a parent, floor contacts only.
+
+use rapier3d::prelude::*;
+
+use super::RobotRow;
+use super::blueprint::{Blueprint, Floor, Hinge, JointPlan, LinkPlan};
+use super::layout::Layout;
+
+/// Everything of a world that its history is in; cloning it is a reset.
+#[derive(Clone)]
+pub(crate) struct Template {
+    pub(crate) islands: IslandManager,
+    pub(crate) broad_phase: BroadPhaseBvh,
+    pub(crate) narrow_phase: NarrowPhase,
+    pub(crate) bodies: RigidBodySet,
+    pub(crate) colliders: ColliderSet,
+    pub(crate) impulse_joints: ImpulseJointSet,
+    pub(crate) multibody_joints: MultibodyJointSet,
+}
+
+const FLOOR: Group = Group::GROUP_1;
+const ROBOT: Group = Group::GROUP_2;
+
+/// The template in its rest pose, and where in it the robot's numbers are.
+pub(super) fn assemble(
+    blueprint: &Blueprint,
+    row: &RobotRow,
+) -> Result<(Template, Layout), String> {
+    let mut world = empty_world(blueprint);
+    insert_floor(&mut world, &blueprint.floor);
+    let ground = world.bodies.insert(RigidBodyBuilder::fixed());
+    let mut handles: Vec<RigidBodyHandle> = Vec::new();
+    let mut frames: Vec<Pose> = Vec::new();
+    for link in &blueprint.links {
+        let parent_frame = link.parent.map_or(Pose::IDENTITY, |parent| frames[parent]);
+        frames.push(parent_frame * link.rest);
+        let body = insert_link(&mut world, link, parent_frame * link.rest);
+        let parent = link.parent.map_or(ground, |parent| handles[parent]);
+        if let Some(joint) = joint(link, row) {
+            let inserted = world.multibody_joints.insert(parent, body, joint, true);
+            inserted.ok_or_else(|| format!("{}: rapier refuses the joint", link.name))?;
+        }
+        handles.push(body);
+    }
+    settle_root(&mut world, handles[0]);
+    let layout = Layout::new(blueprint, &world, &handles)?;
+    set_passive_terms(&mut world, blueprint, &layout);
+    fill_broad_phase(&mut world);
+    Ok((Template::of(world), layout))
+}
+
+impl Template {
+    fn of(world: PhysicsWorld) -> Self {
+        Self {
+            islands: world.islands,
+            broad_phase: world.broad_phase,
+            narrow_phase: world.narrow_phase,
+            bodies: world.bodies,
+            colliders: world.colliders,
+            impulse_joints: world.impulse_joints,
+            multibody_joints: world.multibody_joints,
+        }
+    }
+
+    /// Puts a copy of the template into `world`, whatever was there.
+    pub(crate) fn copy_into(&self, world: &mut PhysicsWorld) {
+        world.islands = self.islands.clone();
+        world.broad_phase = self.broad_phase.clone();
+        world.narrow_phase = self.narrow_phase.clone();
+        world.bodies = self.bodies.clone();
+        world.colliders = self.colliders.clone();
+        world.impulse_joints = self.impulse_joints.clone();
+        world.multibody_joints = self.multibody_joints.clone();
+    }
+}
+
+/// A world with the robot's step and gravity, and nothing in it.
+pub(crate) fn empty_world(blueprint: &Blueprint) -> PhysicsWorld {
+    let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
+    let parameters = &mut world.integration_parameters;
+    parameters.dt = blueprint.timestep_secs as f32;
+    parameters.num_solver_iterations = 1;
+    parameters.num_internal_pgs_iterations = 1;
+    parameters.num_internal_stabilization_iterations = 1;
+    parameters.max_ccd_substeps = 0;
+    parameters.contact_recycling = false;
+    // Feet move up to 10 cm in a step: contacts must be known before they happen.
+    parameters.normalized_prediction_distance = 0.1;
+    world
+}
+
+/// The floor has no parent: attached to the multibody's fixed root it would count as one of the robot's own parts,
+/// and self contacts are off.
+fn insert_floor(world: &mut PhysicsWorld, floor: &Floor) {
+    let collider = ColliderBuilder::new(SharedShape::halfspace(Vector::Z)).position(floor.pose);
+    world.colliders.insert(touching(collider, floor.friction, FLOOR, ROBOT));
+}
+
+fn insert_link(world: &mut PhysicsWorld, link: &LinkPlan, frame: Pose) -> RigidBodyHandle {
+    let body = RigidBodyBuilder::dynamic()
+        .pose(frame)
+        .can_sleep(false)
+        .additional_mass_properties(link.mass);
+    let handle = world.bodies.insert(body);
+    for plan in &link.shapes {
+        let collider = ColliderBuilder::new(plan.shape.collider()).position(plan.pose).density(0.0);
+        let collider = touching(collider, plan.friction, ROBOT, FLOOR);
+        world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
+    }
+    handle
+}
+
+fn touching(collider: ColliderBuilder, friction: f32, own: Group, other: Group) -> ColliderBuilder {
+    collider
+        .friction(friction)
+        .friction_combine_rule(CoefficientCombineRule::Max)
+        .collision_groups(InteractionGroups::new(own, other, InteractionTestMode::And))
+}
+
+/// A free root is the multibody's own root and needs no joint.
+fn joint(link: &LinkPlan, row: &RobotRow) -> Option<GenericJoint> {
+    match &link.joint {
+        JointPlan::Free(_) => None,
+        JointPlan::Planar(_) => {
+            let locked = JointAxesMask::LIN_Y | JointAxesMask::ANG_X | JointAxesMask::ANG_Z;
+            let builder = GenericJointBuilder::new(locked).local_frame1(link.rest);
+            Some(builder.local_frame2(Pose::IDENTITY).contacts_enabled(false).build())
+        }
+        JointPlan::Hinge(hinge) => Some(hinge_joint(link, hinge, row)),
+    }
+}
+
+fn hinge_joint(link: &LinkPlan, hinge: &Hinge, row: &RobotRow) -> GenericJoint {
+    let axes = [JointAxis::AngX, JointAxis::AngY, JointAxis::AngZ];
+    let masks = [JointAxesMask::ANG_X, JointAxesMask::ANG_Y, JointAxesMask::ANG_Z];
+    let free = hinge.axis.free;
+    let inside = Pose::from_parts(hinge.anchor, hinge.axis.frame);
+    let mut builder = GenericJointBuilder::new(JointAxesMask::all() & !masks[free])
+        .local_frame1(link.rest * inside)
+        .local_frame2(inside)
+        .contacts_enabled(false);
+    if let Some([low, high]) = hinge.range {
+        let limits = if hinge.axis.sign < 0.0 { [-high, -low] } else { [low, high] };
+        builder = builder.limits(axes[free], limits);
+    }
+    if let Some([frequency, ratio]) = row.limit_softness {
+        builder = builder.softness(SpringCoefficients::new(frequency, ratio));
+    }
+    builder.build()
+}
+
+/// Until its first kinematics a multibody counts a fixed root's six freedoms too, and every row is off by six.
+fn settle_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
+    let index = world.multibody_joints.rigid_body_link(root).map(|link| link.multibody);
+    if let Some(robot) = index.and_then(|index| world.multibody_joints.get_multibody_mut(index)) {
+        robot.forward_kinematics(&world.bodies, true);
+    }
+}
+
+/// Damping, armature and springs, after all inserts: inserting moves the multibody's rows. Everything else is set
+/// to zero, because rapier gives every angular freedom a damping of 0.1 that no model asked for.
+fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &Layout) {
+    let Some(robot) = world.multibody_joints.get_multibody_mut(layout.multibody) else { return };
+    robot.set_self_contacts_enabled(false);
+    robot.damping_mut().fill(0.0);
+    robot.armature_mut().fill(0.0);
+    for (link, map) in blueprint.links.iter().zip(&layout.joints) {
+        let JointPlan::Hinge(hinge) = &link.joint else { continue };
+        robot.damping_mut()[map.dof] = hinge.damping;
+        robot.armature_mut()[map.dof] = hinge.armature;
+        if let Some(link) = robot.link_mut(map.link) {
+            let rest = hinge.axis.sign * hinge.spring_rest;
+            link.joint.set_spring(3 + hinge.axis.free, hinge.stiffness, rest);
+        }
+    }
+}
+
+/// A step of no time fills the islands and the broad phase, so that clones start from the same history.
+fn fill_broad_phase(world: &mut PhysicsWorld) {
+    let dt = std::mem::replace(&mut world.integration_parameters.dt, 0.0);
+    world.step();
+    world.integration_parameters.dt = dt;
+}

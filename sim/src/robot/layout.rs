@@ -1,0 +1,185 @@
+//! Where in a robot's multibody its coordinates, velocities and motors are.
+
+use rapier3d::prelude::*;
+
+use super::blueprint::{Blueprint, JointPlan, LinkPlan};
+
+/// Largest speed in a state, m/s or rad/s: an order beyond anything the robots reach.
+pub(super) const FASTEST: f32 = 1e3;
+/// Farthest from the origin, m; f32 still resolves 8 mm there. Also the bound on a planar root's turns, rad.
+const FARTHEST: f32 = 1e5;
+/// How far beyond its limits a hinge may be in a state, rad.
+const LIMIT_SLACK: f32 = 3.0;
+
+/// The robot's numbers in its world. The order is the model's: the root first, then hinges as their bodies come.
+pub(crate) struct Layout {
+    pub(crate) multibody: MultibodyIndex,
+    /// One per link of the plan.
+    pub(crate) joints: Vec<JointMap>,
+    pub(crate) motors: Vec<MotorMap>,
+    pub(crate) coordinate_names: Vec<String>,
+    pub(crate) velocity_names: Vec<String>,
+    pub(crate) coordinate_bounds: Vec<[f32; 2]>,
+    pub(crate) reference: Vec<f32>,
+    pub(crate) rest: Vec<f32>,
+    /// First coordinate of the free root's quaternion (w x y z).
+    pub(crate) orientation: Option<usize>,
+}
+
+/// One link's joint.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct JointMap {
+    pub(crate) body: RigidBodyHandle,
+    /// The link's index in the multibody.
+    pub(crate) link: usize,
+    /// First row of its velocities in the multibody.
+    pub(crate) dof: usize,
+    /// First coordinate in a state.
+    pub(crate) coordinate: usize,
+    /// First velocity in a state.
+    pub(crate) velocity: usize,
+    pub(crate) kind: MapKind,
+}
+
+/// How a joint's coordinates are read and written.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum MapKind {
+    /// x, z, turn about y.
+    Planar,
+    /// Position, quaternion (w x y z); velocities linear and angular, both in the world's axes.
+    Free,
+    /// One angle about the joint frame's axis `free`, times `sign`.
+    Hinge { free: usize, sign: f32 },
+}
+
+/// One motor.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MotorMap {
+    /// Index into [`Layout::joints`].
+    pub(crate) joint: usize,
+    pub(crate) free: usize,
+    pub(crate) sign: f32,
+    pub(crate) gear: f32,
+    pub(crate) range: [f32; 2],
+    /// The hinge's own spring.
+    pub(crate) stiffness: f32,
+    pub(crate) spring_rest: f32,
+}
+
+impl Layout {
+    pub(super) fn new(
+        blueprint: &Blueprint,
+        world: &PhysicsWorld,
+        handles: &[RigidBodyHandle],
+    ) -> Result<Self, String> {
+        let lost = || "the robot is no multibody".to_owned();
+        let joints = &world.multibody_joints;
+        let multibody = joints.rigid_body_link(handles[0]).ok_or_else(lost)?.multibody;
+        let mut layout = Self::empty(multibody);
+        let robot = joints.get_multibody(multibody).ok_or_else(lost)?;
+        for (plan, &body) in blueprint.links.iter().zip(handles) {
+            let link = joints.rigid_body_link(body).ok_or_else(lost)?.id;
+            let dof = robot.link(link).ok_or_else(lost)?.assembly_id();
+            layout.add_joint(plan, body, link, dof)?;
+        }
+        for motor in &blueprint.motors {
+            layout.motors.push(motor_map(blueprint, motor)?);
+        }
+        Ok(layout)
+    }
+
+    fn empty(multibody: MultibodyIndex) -> Self {
+        Self {
+            multibody,
+            joints: Vec::new(),
+            motors: Vec::new(),
+            coordinate_names: Vec::new(),
+            velocity_names: Vec::new(),
+            coordinate_bounds: Vec::new(),
+            reference: Vec::new(),
+            rest: Vec::new(),
+            orientation: None,
+        }
+    }
+
+    fn add_joint(
+        &mut self,
+        plan: &LinkPlan,
+        body: RigidBodyHandle,
+        link: usize,
+        dof: usize,
+    ) -> Result<(), String> {
+        let (coordinate, velocity) = (self.coordinate_names.len(), self.velocity_names.len());
+        let kind = match &plan.joint {
+            JointPlan::Planar(planar) => {
+                for (name, reference) in planar.names.iter().zip(planar.reference) {
+                    self.add_number(name.clone(), [-FARTHEST, FARTHEST], reference, 0.0);
+                    self.velocity_names.push(name.clone());
+                }
+                MapKind::Planar
+            }
+            JointPlan::Free(name) => self.add_free(name, plan)?,
+            JointPlan::Hinge(hinge) => {
+                let [low, high] = hinge.range.unwrap_or([-FARTHEST, FARTHEST]);
+                let bounds = [low - LIMIT_SLACK, high + LIMIT_SLACK];
+                self.add_number(hinge.name.clone(), bounds, 0.0, 0.0);
+                self.velocity_names.push(hinge.name.clone());
+                MapKind::Hinge { free: hinge.axis.free, sign: hinge.axis.sign }
+            }
+        };
+        self.joints.push(JointMap { body, link, dof, coordinate, velocity, kind });
+        Ok(())
+    }
+
+    /// A free root whose centre of mass is not at its origin is refused: rapier turns it about the origin, which
+    /// bends its flight.
+    fn add_free(&mut self, name: &str, plan: &LinkPlan) -> Result<MapKind, String> {
+        let offset = plan.mass.local_com.length();
+        if offset > 1e-5 {
+            return Err(format!("{}: the root's mass centre is {offset} m off", plan.name));
+        }
+        let position = plan.rest.translation.to_array();
+        for (axis, rest) in ["x", "y", "z"].iter().zip(position) {
+            self.add_number(format!("{name}.{axis}"), [-FARTHEST, FARTHEST], 0.0, rest);
+        }
+        self.orientation = Some(self.coordinate_names.len());
+        let [x, y, z, w] = plan.rest.rotation.to_array();
+        for (axis, rest) in ["qw", "qx", "qy", "qz"].iter().zip([w, x, y, z]) {
+            self.add_number(format!("{name}.{axis}"), [-1.001, 1.001], 0.0, rest);
+        }
+        for axis in ["x", "y", "z", "wx", "wy", "wz"] {
+            self.velocity_names.push(format!("{name}.{axis}"));
+        }
+        Ok(MapKind::Free)
+    }
+
+    fn add_number(&mut self, name: String, bounds: [f32; 2], reference: f32, rest: f32) {
+        self.coordinate_names.push(name);
+        self.coordinate_bounds.push(bounds);
+        self.reference.push(reference);
+        self.rest.push(rest);
+    }
+}
+
+fn motor_map(
+    blueprint: &Blueprint,
+    motor: &super::blueprint::MotorPlan,
+) -> Result<MotorMap, String> {
+    let hinges = blueprint.links.iter().enumerate().filter_map(|(joint, link)| match &link.joint {
+        JointPlan::Hinge(hinge) => Some((joint, hinge)),
+        JointPlan::Planar(_) | JointPlan::Free(_) => None,
+    });
+    let (joint, hinge) = hinges
+        .into_iter()
+        .find(|(_, hinge)| hinge.name == motor.joint)
+        .ok_or_else(|| format!("{}: a motor drives no hinge of this name", motor.joint))?;
+    Ok(MotorMap {
+        joint,
+        free: hinge.axis.free,
+        sign: hinge.axis.sign,
+        gear: motor.gear,
+        range: motor.range,
+        stiffness: hinge.stiffness,
+        spring_rest: hinge.spring_rest,
+    })
+}

@@ -1,0 +1,193 @@
+//! Reads a robot's plan from an MJCF document. What the builder does not build is refused by name, never ignored.
+
+use mjcf_rs::Model;
+use mjcf_rs::body::{Body, Geom, GeomType, Joint, JointType};
+use mjcf_rs::extras::{Actuator, ActuatorKind};
+use rapier3d::math::{Pose, Rotation, Vector};
+use rapier3d::prelude::MassProperties;
+
+use super::blueprint::{
+    Blueprint, Floor, Hinge, HingeAxis, JointPlan, LinkPlan, MotorPlan, Planar, ShapePlan,
+};
+use crate::scene::Shape;
+
+/// Parses and converts; the error names the element.
+pub(super) fn read(mjcf: &str) -> Result<Blueprint, String> {
+    let model = Model::from_str(mjcf, ".").map_err(|error| error.to_string())?;
+    let mut links = read_links(&model)?;
+    scale_masses(&mut links, model.compiler.set_total_mass);
+    Ok(Blueprint {
+        timestep_secs: model.option.timestep,
+        gravity: vector(model.option.gravity),
+        floor: read_floor(&model.bodies[0].body)?,
+        links,
+        motors: model.actuators.iter().map(read_motor).collect::<Result<_, _>>()?,
+    })
+}
+
+fn read_links(model: &Model) -> Result<Vec<LinkPlan>, String> {
+    let mut links: Vec<LinkPlan> = Vec::new();
+    // For each body: the link it belongs to, and its frame in that link.
+    let mut homes: Vec<Option<(usize, Pose)>> = vec![None; model.bodies.len()];
+    for (id, entry) in model.bodies_iter() {
+        let parent = entry.parent.and_then(|parent| homes[parent]);
+        let inside = parent.map_or(Pose::IDENTITY, |(_, frame)| frame) * pose(&entry.body.pose);
+        let home = match (parent, entry.body.joints.is_empty()) {
+            (None, true) => return Err(format!("{}: the root needs a joint", name(&entry.body))),
+            (Some((link, _)), true) => (link, inside),
+            (_, false) => {
+                links.push(read_link(model, &entry.body, parent.map(|(link, _)| link), inside)?);
+                (links.len() - 1, Pose::IDENTITY)
+            }
+        };
+        add_shapes(model, &entry.body, &mut links[home.0], &home.1)?;
+        homes[id] = Some(home);
+    }
+    match links.iter().filter(|link| link.parent.is_none()).count() {
+        1 => Ok(links),
+        roots => Err(format!("one robot has one root, found {roots}")),
+    }
+}
+
+fn read_link(
+    model: &Model,
+    body: &Body,
+    parent: Option<usize>,
+    rest: Pose,
+) -> Result<LinkPlan, String> {
+    if body.inertial.is_some() {
+        return Err(format!("{}: masses come from shapes, not <inertial>", name(body)));
+    }
+    let joint = match (parent, body.joints.as_slice()) {
+        (None, [free]) if free.type_ == JointType::Free => JointPlan::Free(joint_name(free)),
+        (None, [x, z, turn]) => JointPlan::Planar(read_planar([x, z, turn])?),
+        (Some(_), [hinge]) => JointPlan::Hinge(read_hinge(model, hinge)?),
+        (_, joints) => return Err(format!("{}: {} joints do not fit", name(body), joints.len())),
+    };
+    let mass = MassProperties::default();
+    Ok(LinkPlan { name: name(body), parent, rest, joint, mass, shapes: Vec::new() })
+}
+
+fn read_planar(joints: [&Joint; 3]) -> Result<Planar, String> {
+    let kinds = [JointType::Slide, JointType::Slide, JointType::Hinge];
+    let axes = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]];
+    for ((joint, kind), axis) in joints.into_iter().zip(kinds).zip(axes) {
+        let passive = [joint.stiffness, joint.damping, joint.armature, joint.frictionloss];
+        if joint.type_ != kind || joint.axis != axis || joint.pos != [0.0; 3] {
+            let joint = joint_name(joint);
+            return Err(format!("{joint}: a planar root slides along x and z and turns about +y"));
+        }
+        if passive != [0.0; 4] {
+            return Err(format!("{}: a planar root has no passive terms", joint_name(joint)));
+        }
+    }
+    Ok(Planar { names: joints.map(joint_name), reference: joints.map(|joint| joint.ref_ as f32) })
+}
+
+fn read_hinge(model: &Model, joint: &Joint) -> Result<Hinge, String> {
+    if joint.type_ != JointType::Hinge || joint.frictionloss != 0.0 || joint.ref_ != 0.0 {
+        let joint = joint_name(joint);
+        return Err(format!(
+            "{joint}: links below the root hang on hinges without friction or ref"
+        ));
+    }
+    let limited = joint.limited.resolve(model.compiler.autolimits, joint.range.is_some());
+    Ok(Hinge {
+        name: joint_name(joint),
+        anchor: vector(joint.pos),
+        axis: HingeAxis::along(vector(joint.axis)),
+        range: joint.range.filter(|_| limited).map(|range| range.map(|end| end as f32)),
+        stiffness: joint.stiffness as f32,
+        spring_rest: joint.springref as f32,
+        damping: joint.damping as f32,
+        armature: joint.armature as f32,
+    })
+}
+
+fn add_shapes(model: &Model, body: &Body, link: &mut LinkPlan, frame: &Pose) -> Result<(), String> {
+    for geom in &body.geoms {
+        if geom.contype != 0 && geom.conaffinity != 0 {
+            return Err(format!("{}: links touch only the floor", name(body)));
+        }
+        let (shape, inside) = read_shape(geom).ok_or_else(|| unsupported(body, geom))?;
+        let pose = *frame * inside;
+        let density = geom.density.unwrap_or(model.compiler.inertia_density) as f32;
+        link.mass += shape.collider().mass_properties(density).transform_by(&pose);
+        link.shapes.push(ShapePlan { shape, pose, friction: geom.friction[0] as f32 });
+    }
+    Ok(())
+}
+
+fn read_shape(geom: &Geom) -> Option<(Shape, Pose)> {
+    let radius = geom.size[0] as f32;
+    match (geom.type_, geom.fromto, geom.mass) {
+        (GeomType::Sphere, None, None) => Some((Shape::Sphere { radius }, pose(&geom.pose))),
+        (GeomType::Capsule, None, None) => {
+            let half_length = geom.size[1] as f32;
+            Some((Shape::Capsule { half_length, radius }, pose(&geom.pose)))
+        }
+        (GeomType::Capsule, Some([ax, ay, az, bx, by, bz]), None) => {
+            let (a, b) = (vector([ax, ay, az]), vector([bx, by, bz]));
+            let turn = Rotation::from_rotation_arc(Vector::Z, (b - a).normalize());
+            let half_length = (b - a).length() / 2.0;
+            let middle = Pose::from_parts((a + b) / 2.0, turn);
+            Some((Shape::Capsule { half_length, radius }, middle))
+        }
+        _ => None,
+    }
+}
+
+fn read_floor(world: &Body) -> Result<Floor, String> {
+    match world.geoms.as_slice() {
+        [plane] if plane.type_ == GeomType::Plane => {
+            Ok(Floor { pose: pose(&plane.pose), friction: plane.friction[0] as f32 })
+        }
+        geoms => Err(format!("the world has one plane, found {} shapes", geoms.len())),
+    }
+}
+
+fn read_motor(actuator: &Actuator) -> Result<MotorPlan, String> {
+    match (&actuator.joint, actuator.kind, actuator.ctrl_range) {
+        (Some(joint), ActuatorKind::Motor, Some(range)) => Ok(MotorPlan {
+            joint: joint.clone(),
+            gear: actuator.gear[0] as f32,
+            range: range.map(|end| end as f32),
+        }),
+        _ => Err(format!("{:?}: only joint motors with a ctrlrange are driven", actuator.name)),
+    }
+}
+
+/// `settotalmass`: all masses and inertias by one factor; MJCF's -1 leaves them.
+fn scale_masses(links: &mut [LinkPlan], target: f64) {
+    if target <= 0.0 {
+        return;
+    }
+    let total: f32 = links.iter().map(|link| link.mass.mass()).sum();
+    for link in links {
+        let mass = link.mass.mass() * (target as f32 / total);
+        link.mass.set_mass(mass, true);
+    }
+}
+
+fn unsupported(body: &Body, geom: &Geom) -> String {
+    let geom = geom.name.as_deref().unwrap_or("unnamed");
+    format!("{}: {geom} is no sphere or capsule with a density", name(body))
+}
+
+fn name(body: &Body) -> String {
+    body.name.clone().unwrap_or_else(|| "unnamed body".to_owned())
+}
+
+fn joint_name(joint: &Joint) -> String {
+    joint.name.clone().unwrap_or_else(|| "unnamed joint".to_owned())
+}
+
+fn pose(pose: &mjcf_rs::Pose) -> Pose {
+    let [x, y, z, w] = pose.rotation.to_array();
+    let rotation = Rotation::from_xyzw(x as f32, y as f32, z as f32, w as f32);
+    Pose::from_parts(vector(pose.translation.to_array()), rotation)
+}
+
+fn vector([x, y, z]: [f64; 3]) -> Vector {
+    Vector::new(x as f32, y as f32, z as f32)
+}

@@ -1,0 +1,159 @@
+//! A complete environment state and its bytes: what travels between actors and into checkpoints.
+//!
+//! Little-endian: `s2st`, layout version u32, FNV-1a of the state's kind u32, episode u64, step u32, limit u32,
+//! coordinates f32 `[nq]`, velocities f32 `[nv]`.
+
+use crate::error::StateError;
+
+const MARK: &[u8; 4] = b"s2st";
+const HEADER_BYTES: usize = 28;
+
+/// Version of the layout above.
+pub(crate) const STATE_VERSION: u32 = 1;
+
+/// Everything from which an environment goes on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct State {
+    /// The episode's index in its environment.
+    pub episode: u64,
+    /// Steps already taken in the episode.
+    pub step: u32,
+    /// Steps after which the episode is truncated.
+    pub limit: u32,
+    /// Generalised coordinates relative to the model's rest pose `[nq]`, m and rad, in the order of
+    /// [`crate::Robot::coordinate_names`].
+    pub coordinates: Vec<f32>,
+    /// Generalised velocities `[nv]`, m/s and rad/s, in the order of [`crate::Robot::velocity_names`].
+    pub velocities: Vec<f32>,
+}
+
+/// What a robot and a task allow in a state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StateBounds {
+    /// The state's kind, `rapier/halfcheetah`.
+    pub kind: String,
+    /// The task's episode limit.
+    pub longest: u32,
+    /// Lowest and highest value of each coordinate `[nq]`.
+    pub coordinates: Vec<[f32; 2]>,
+    /// Number of velocities `nv`.
+    pub velocities: usize,
+    /// Largest velocity, m/s or rad/s.
+    pub fastest: f32,
+    /// First coordinate of a unit quaternion, if the root is free.
+    pub orientation: Option<usize>,
+}
+
+impl State {
+    /// The state's bytes.
+    pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
+        let values = self.coordinates.len() + self.velocities.len();
+        let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * values);
+        bytes.extend_from_slice(MARK);
+        bytes.extend_from_slice(&STATE_VERSION.to_le_bytes());
+        bytes.extend_from_slice(&fnv1a(kind).to_le_bytes());
+        bytes.extend_from_slice(&self.episode.to_le_bytes());
+        bytes.extend_from_slice(&self.step.to_le_bytes());
+        bytes.extend_from_slice(&self.limit.to_le_bytes());
+        for value in self.coordinates.iter().chain(&self.velocities) {
+            bytes.extend_from_slice(&value.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// Reads a state. Bytes that no world of this robot can have written are refused, in the order: length, mark,
+    /// version, kind, limit, step, numbers.
+    pub fn from_bytes(bytes: &[u8], bounds: &StateBounds) -> Result<Self, StateError> {
+        let expected = bounds.bytes();
+        if bytes.len() != expected {
+            let kind = bounds.kind.clone();
+            return Err(StateError::Length { got: bytes.len(), expected, kind });
+        }
+        bounds.check_header(bytes)?;
+        let numbers: Vec<f32> =
+            bytes[HEADER_BYTES..].chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect();
+        let (coordinates, velocities) = numbers.split_at(bounds.coordinates.len());
+        let state = Self {
+            episode: u64::from_le_bytes(array(&bytes[12..20])),
+            step: u32::from_le_bytes(array(&bytes[20..24])),
+            limit: u32::from_le_bytes(array(&bytes[24..28])),
+            coordinates: coordinates.to_vec(),
+            velocities: velocities.to_vec(),
+        };
+        bounds.check_episode(state.step, state.limit)?;
+        bounds.check_motion(&state.coordinates, &state.velocities)?;
+        Ok(state)
+    }
+}
+
+impl StateBounds {
+    /// Bytes of a state.
+    pub fn bytes(&self) -> usize {
+        HEADER_BYTES + 4 * (self.coordinates.len() + self.velocities)
+    }
+
+    /// Whether a world may be in this motion: every number finite and within bounds.
+    pub fn check_motion(&self, coordinates: &[f32], velocities: &[f32]) -> Result<(), StateError> {
+        for (index, (&value, &[low, high])) in coordinates.iter().zip(&self.coordinates).enumerate()
+        {
+            check_number("coordinate", index, value, low, high)?;
+        }
+        for (index, &value) in velocities.iter().enumerate() {
+            check_number("velocity", index, value, -self.fastest, self.fastest)?;
+        }
+        let Some(index) = self.orientation else { return Ok(()) };
+        let squared: f32 = coordinates[index..index + 4].iter().map(|q| q * q).sum();
+        if (squared - 1.0).abs() > 1e-3 {
+            return Err(StateError::Orientation { index, squared });
+        }
+        Ok(())
+    }
+
+    fn check_header(&self, bytes: &[u8]) -> Result<(), StateError> {
+        if &bytes[..4] != MARK {
+            return Err(StateError::Mark);
+        }
+        let version = u32::from_le_bytes(array(&bytes[4..8]));
+        if version != STATE_VERSION {
+            return Err(StateError::Version { got: version, expected: STATE_VERSION });
+        }
+        if u32::from_le_bytes(array(&bytes[8..12])) != fnv1a(&self.kind) {
+            return Err(StateError::Kind { kind: self.kind.clone() });
+        }
+        Ok(())
+    }
+
+    fn check_episode(&self, step: u32, limit: u32) -> Result<(), StateError> {
+        if limit == 0 || limit > self.longest {
+            return Err(StateError::Limit { limit, longest: self.longest });
+        }
+        if step >= limit {
+            return Err(StateError::Over { step, limit });
+        }
+        Ok(())
+    }
+}
+
+fn check_number(
+    field: &'static str,
+    index: usize,
+    value: f32,
+    low: f32,
+    high: f32,
+) -> Result<(), StateError> {
+    if !value.is_finite() {
+        return Err(StateError::NotFinite { field, index });
+    }
+    if value < low || value > high {
+        return Err(StateError::Beyond { field, index, value, low, high });
+    }
+    Ok(())
+}
+
+fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
+    bytes.try_into().expect("the slice was cut to this length")
+}
+
+fn fnv1a(text: &str) -> u32 {
+    text.bytes().fold(0x811c_9dc5, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193))
+}

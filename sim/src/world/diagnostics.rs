@@ -1,0 +1,88 @@
+//! What the physics is judged by: energy, mass centre, depth under the floor, contact impulse. Allocates; not for
+//! the stepping path.
+
+use rapier3d::math::Vector;
+
+use super::World;
+use crate::robot::{JointPlan, LinkPlan};
+use crate::scene::Shape;
+
+impl World {
+    /// Kinetic energy (armature included), weight and springs, J. With controls at zero this never rises.
+    pub fn mechanical_energy(&self) -> f64 {
+        self.kinetic_energy() + self.potential_energy()
+    }
+
+    /// The robot's mass centre in the world, m.
+    pub fn centre_of_mass(&self) -> [f32; 3] {
+        let total: f32 = self.robot.masses().map(|(_, mass, _)| mass).sum();
+        let weighted = self.mass_centres().map(|(link, centre)| centre * link.mass.mass());
+        (weighted.fold(Vector::ZERO, |sum, part| sum + part) / total).to_array()
+    }
+
+    /// Height of the robot's lowest point over a floor at z = 0, m; negative is penetration.
+    pub fn lowest_point(&self) -> f32 {
+        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        let heights = links.flat_map(|(plan, joint)| {
+            let frame = self.frame(joint);
+            plan.shapes.iter().map(move |shape| {
+                let pose = frame * shape.pose;
+                let along = pose.rotation * Vector::Z;
+                match shape.shape {
+                    Shape::Sphere { radius } => pose.translation.z - radius,
+                    Shape::Capsule { half_length, radius } => {
+                        pose.translation.z - half_length * along.z.abs() - radius
+                    }
+                }
+            })
+        });
+        heights.fold(f32::INFINITY, f32::min)
+    }
+
+    /// Sum of the normal impulses in the last physics step, N s.
+    pub fn contact_impulse(&self) -> f32 {
+        let manifolds = self.physics.narrow_phase.contact_pairs().flat_map(|pair| pair.manifolds());
+        manifolds.flat_map(|manifold| &manifold.points).map(|point| point.data.impulse).sum()
+    }
+
+    fn kinetic_energy(&self) -> f64 {
+        let multibody = self.multibody();
+        let speeds = multibody.generalized_velocity();
+        let armature = multibody.armature().iter().zip(speeds.iter());
+        let rotors: f64 = armature.map(|(a, v)| 0.5 * f64::from(a * v * v)).sum();
+        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        let links = links.map(|(plan, joint)| {
+            let twist = multibody.body_jacobian(joint.link) * speeds;
+            let linear = Vector::new(twist[0], twist[1], twist[2]);
+            let turn = self.frame(joint).rotation;
+            let angular = turn.inverse() * Vector::new(twist[3], twist[4], twist[5]);
+            let inertia = plan.mass.reconstruct_inertia_matrix();
+            let moved = 0.5 * plan.mass.mass() * linear.length_squared();
+            f64::from(moved + 0.5 * angular.dot(inertia * angular))
+        });
+        rotors + links.sum::<f64>()
+    }
+
+    fn potential_energy(&self) -> f64 {
+        let gravity = self.robot.blueprint().gravity;
+        let weight = self
+            .mass_centres()
+            .map(|(link, centre)| f64::from(-link.mass.mass() * gravity.dot(centre)));
+        let mut coordinates = vec![0.0; self.robot.coordinate_names().len()];
+        self.coordinates(&mut coordinates);
+        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        let springs = links.map(|(plan, joint)| match &plan.joint {
+            JointPlan::Hinge(hinge) => {
+                let stretch = coordinates[joint.coordinate] - hinge.spring_rest;
+                f64::from(0.5 * hinge.stiffness * stretch * stretch)
+            }
+            JointPlan::Planar(_) | JointPlan::Free(_) => 0.0,
+        });
+        weight.sum::<f64>() + springs.sum::<f64>()
+    }
+
+    fn mass_centres(&self) -> impl Iterator<Item = (&LinkPlan, Vector)> {
+        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        links.map(|(plan, joint)| (plan, self.frame(joint) * plan.mass.local_com))
+    }
+}

@@ -1,0 +1,115 @@
+//! What random and violent control may do to a cheetah.
+
+use crate::{coordinates, environments, seeded, uniform, velocities};
+use rand_chacha::ChaCha8Rng;
+use sim::{Environments, Outcome};
+
+/// Largest violation of a joint limit (rad), deepest point (m), fastest number seen.
+#[derive(Debug, Default)]
+struct Extremes {
+    beyond_limit: f32,
+    depth: f32,
+    fastest: f32,
+}
+
+impl Extremes {
+    fn note(&mut self, world: &Environments, environment: usize) {
+        let world = world.world(environment);
+        let angles = coordinates(world);
+        for ((_, range), angle) in world.robot().hinges().zip(&angles[3..]) {
+            let [low, high] = range.unwrap();
+            self.beyond_limit = self.beyond_limit.max(low - angle).max(angle - high);
+        }
+        self.depth = self.depth.max(-world.lowest_point());
+        let fastest = velocities(world).iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+        self.fastest = self.fastest.max(fastest);
+    }
+}
+
+fn play(episodes: u64, steps: u32, control: impl Fn(&mut ChaCha8Rng, u32) -> f32) -> Extremes {
+    let mut world = environments("halfcheetah-2x3", 1);
+    let mut extremes = Extremes::default();
+    for episode in 0..episodes {
+        let mut rng = seeded(100 + episode);
+        world.reset(0, episode, steps, &mut rng);
+        for index in 0..steps {
+            let actions: [f32; 6] = std::array::from_fn(|_| control(&mut rng, index));
+            let mut outcome = [Outcome::default()];
+            world.step(&actions, &mut outcome);
+            assert!(!outcome[0].fault && !outcome[0].terminated && outcome[0].reward.is_finite());
+            assert_eq!(outcome[0].truncated, index + 1 == steps);
+            extremes.note(&world, 0);
+        }
+    }
+    println!("{extremes:?}");
+    extremes
+}
+
+#[test]
+fn random_control_stays_within_limits_and_above_the_floor() {
+    let extremes = play(20, 1000, |rng, _| uniform(rng));
+    assert!(extremes.beyond_limit < 0.2, "{extremes:?}");
+    assert!(extremes.depth < 0.03, "{extremes:?}");
+    assert!(extremes.fastest < 60.0, "{extremes:?}");
+}
+
+#[test]
+fn bang_bang_control_stays_within_limits_and_above_the_floor() {
+    let extremes = play(20, 1000, |rng, _| if uniform(rng) < 0.0 { -1.0 } else { 1.0 });
+    assert!(extremes.beyond_limit < 0.3, "{extremes:?}");
+    assert!(extremes.depth < 0.05, "{extremes:?}");
+}
+
+#[test]
+fn slow_full_torque_swings_stay_within_limits_and_above_the_floor() {
+    let extremes = play(10, 1000, |_, index| if (index / 9) % 2 == 0 { 1.0 } else { -1.0 });
+    assert!(extremes.beyond_limit < 0.3, "{extremes:?}");
+    assert!(extremes.depth < 0.05, "{extremes:?}");
+}
+
+#[test]
+fn actions_beyond_the_range_cost_what_they_are_and_do_what_the_range_does() {
+    let (mut within, mut beyond) =
+        (environments("halfcheetah-2x3", 1), environments("halfcheetah-2x3", 1));
+    let inside = crate::step(&mut within, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0]);
+    let outside = crate::step(&mut beyond, &[3.0, -3.0, 3.0, -3.0, 3.0, -3.0]);
+    assert_eq!(within.encode(0), beyond.encode(0));
+    let saved = inside.reward - outside.reward;
+    assert!((saved - 0.1 * (54.0 - 6.0)).abs() < 1e-4, "{saved}");
+}
+
+#[test]
+fn a_fault_gives_back_the_last_good_state_and_a_reset_heals_it() {
+    let mut world = environments("halfcheetah-2x3", 2);
+    let mut outcome = [Outcome::default(); 2];
+    world.step(&[0.2; 12], &mut outcome);
+    let good = crate::coordinates(world.world(0));
+    let mut actions = [0.2; 12];
+    actions[4] = f32::NAN;
+    world.step(&actions, &mut outcome);
+    let fault = Outcome { fault: true, truncated: true, ..Outcome::default() };
+    assert_eq!(outcome[0], fault);
+    assert!(!outcome[1].fault, "the neighbour is not touched");
+    assert_eq!(crate::coordinates(world.world(0)), good);
+    world.reset(0, 1, 1000, &mut seeded(1));
+    world.step(&[0.2; 12], &mut outcome);
+    assert!(!outcome[0].fault);
+}
+
+#[test]
+fn a_world_torn_apart_by_its_speed_is_a_fault_and_not_a_nan() {
+    let mut world = environments("halfcheetah-2x3", 1);
+    let mut state = sim::State::from_bytes(&world.encode(0), world.state_bounds()).unwrap();
+    let signs = [1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0];
+    state.velocities = signs.iter().map(|sign| sign * 999.0).collect();
+    world.restore(0, &state.to_bytes(&world.state_bounds().kind)).unwrap();
+    for _ in 0..50 {
+        let outcome = crate::step(&mut world, &[1.0; 6]);
+        assert!(outcome.reward.is_finite());
+        let bytes = world.encode(0);
+        sim::State::from_bytes(&bytes, world.state_bounds()).unwrap();
+        let mut seen = vec![0.0; 17];
+        world.state(0, &mut seen);
+        assert!(seen.iter().all(|x| x.is_finite()));
+    }
+}

@@ -1,0 +1,42 @@
+//! Contacts after a rebuild: colliders must stand where the links stand, or the first step has no floor.
+
+use crate::{cheetah, coordinates, random_actions, seeded, velocities};
+
+#[test]
+fn rebuilt_contact_states_keep_their_contacts() {
+    let (mut rng, mut actions) = (seeded(11), [0.0; 6]);
+    let (mut straight, mut rebuilt) = (cheetah(), cheetah());
+    let (mut touching, mut kept) = (0, 0);
+    while touching < 200 {
+        for _ in 0..7 {
+            random_actions(&mut rng, &mut actions);
+            straight.step(&actions);
+        }
+        rebuilt.rebuild(&coordinates(&straight), &velocities(&straight));
+        random_actions(&mut rng, &mut actions);
+        straight.command(&actions);
+        rebuilt.command(&actions);
+        straight.substep();
+        rebuilt.substep();
+        if straight.contact_impulse() > 0.0 {
+            touching += 1;
+            kept += usize::from(rebuilt.contact_impulse() > 0.0);
+        }
+    }
+    println!("{kept} of {touching} contact states kept their contact");
+    assert!(kept * 100 >= touching * 95, "{kept} of {touching} contact states kept their contact");
+}
+
+#[test]
+fn only_the_floor_carries_the_cheetah() {
+    let mut world = cheetah();
+    for _ in 0..200 {
+        world.step(&[0.0; 6]);
+    }
+    // Seven links rest on the floor with 14 kg: the impulse of one physics step is m g h.
+    let weight = 14.0 * 9.81 * 0.01;
+    let impulse = world.contact_impulse();
+    println!("{impulse} N s against {weight}");
+    assert!((impulse - weight).abs() < 0.05 * weight, "{impulse} N s against {weight}");
+    assert!(world.lowest_point() > -0.01);
+}

@@ -1,0 +1,65 @@
+//! The simulator from outside: physics, restoring, bounds, observations, and MuJoCo's traces.
+
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod bounds;
+mod contacts;
+mod hostile;
+mod mujoco;
+mod observations;
+mod physics;
+mod rebuild;
+
+use std::sync::Arc;
+
+use rand::RngCore;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use sim::{Environments, Outcome, Robot, TaskConfig, World};
+
+fn config(task: &str, norm: &str, partition: &str) -> TaskConfig {
+    serde_json::from_value(serde_json::json!({
+        "task": task, "observation": { "mode": "full_id", "norm": norm }, "partition": partition,
+    }))
+    .unwrap()
+}
+
+fn environments(task: &str, count: usize) -> Environments {
+    Environments::new(&config(task, "feature_z", "actuator_slices"), count).unwrap()
+}
+
+fn cheetah() -> World {
+    World::new(Arc::new(Robot::of_task("halfcheetah-2x3").unwrap()))
+}
+
+fn seeded(seed: u64) -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(seed)
+}
+
+/// Uniform in [-1, 1).
+fn uniform(rng: &mut ChaCha8Rng) -> f32 {
+    (rng.next_u32() >> 8) as f32 / 8_388_608.0 - 1.0
+}
+
+fn random_actions(rng: &mut ChaCha8Rng, actions: &mut [f32]) {
+    actions.iter_mut().for_each(|action| *action = uniform(rng));
+}
+
+/// One step of a single cheetah.
+fn step(world: &mut Environments, actions: &[f32]) -> Outcome {
+    let mut outcome = [Outcome::default()];
+    world.step(actions, &mut outcome);
+    outcome[0]
+}
+
+fn coordinates(world: &World) -> Vec<f32> {
+    let mut out = vec![0.0; world.robot().coordinate_names().len()];
+    world.coordinates(&mut out);
+    out
+}
+
+fn velocities(world: &World) -> Vec<f32> {
+    let mut out = vec![0.0; world.robot().velocity_names().len()];
+    world.velocities(&mut out);
+    out
+}

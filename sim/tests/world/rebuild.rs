@@ -1,0 +1,118 @@
+//! Reset and restore: what follows depends on the state's bytes and the actions alone.
+
+use crate::{cheetah, environments, random_actions, seeded, step};
+use sim::Environments;
+
+fn bits(world: &Environments, environment: usize) -> Vec<u8> {
+    world.encode(environment)
+}
+
+#[test]
+fn a_reset_world_equals_a_fresh_one_bit_for_bit_over_a_thousand_steps() {
+    let (mut used, mut fresh) =
+        (environments("halfcheetah-6x1", 1), environments("halfcheetah-6x1", 1));
+    let (mut rng, mut actions) = (seeded(5), [0.0; 6]);
+    for _ in 0..500 {
+        random_actions(&mut rng, &mut actions);
+        step(&mut used, &actions);
+    }
+    used.reset(0, 7, 1000, &mut seeded(6));
+    fresh.reset(0, 7, 1000, &mut seeded(6));
+    for index in 0..1000 {
+        random_actions(&mut rng, &mut actions);
+        assert_eq!(step(&mut used, &actions), step(&mut fresh, &actions), "step {index}");
+        assert_eq!(bits(&used, 0), bits(&fresh, 0), "step {index}");
+    }
+}
+
+#[test]
+fn two_restores_of_the_same_bytes_go_on_alike_wherever_they_are() {
+    let mut source = environments("halfcheetah-2x3", 1);
+    let (mut rng, mut actions) = (seeded(8), [0.0; 6]);
+    source.reset(0, 3, 900, &mut rng);
+    for _ in 0..137 {
+        random_actions(&mut rng, &mut actions);
+        step(&mut source, &actions);
+    }
+    let bytes = source.encode(0);
+    let mut slot = environments("halfcheetah-2x3", 3);
+    source.restore(0, &bytes).unwrap();
+    slot.restore(2, &bytes).unwrap();
+    assert_eq!(bits(&slot, 2), bytes, "a restored state encodes to its own bytes");
+    assert_eq!((slot.episode(2), slot.episode_step(2)), (3, 137));
+    let mut outcome = [sim::Outcome::default(); 3];
+    for index in 137..900 {
+        random_actions(&mut rng, &mut actions);
+        let mut joint = [0.5; 18];
+        joint[12..].copy_from_slice(&actions);
+        slot.step(&joint, &mut outcome);
+        assert_eq!(outcome[2], step(&mut source, &actions));
+        assert_eq!(bits(&slot, 2), bits(&source, 0), "step {index}");
+        assert_eq!(outcome[2].truncated, index == 899);
+    }
+}
+
+#[test]
+fn a_restored_episode_stays_near_the_one_that_was_not_interrupted() {
+    let (mut straight, mut cut) =
+        (environments("halfcheetah-2x3", 1), environments("halfcheetah-2x3", 1));
+    let (mut rng, mut actions) = (seeded(9), [0.0; 6]);
+    let (mut worst, mut sum, states) = (0.0_f32, 0.0, 300);
+    for episode in 0..states {
+        straight.reset(0, episode, 1000, &mut rng);
+        for _ in 0..20 {
+            random_actions(&mut rng, &mut actions);
+            step(&mut straight, &actions);
+        }
+        cut.restore(0, &straight.encode(0)).unwrap();
+        random_actions(&mut rng, &mut actions);
+        step(&mut straight, &actions);
+        step(&mut cut, &actions);
+        let pair = [crate::coordinates(straight.world(0)), crate::coordinates(cut.world(0))];
+        let off = pair[0].iter().zip(&pair[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        worst = worst.max(off);
+        sum += off;
+    }
+    let mean = sum / states as f32;
+    println!("after one step of full random torque: mean {mean} rad, largest {worst} rad");
+    // The contacts' impulses begin the solver's single iteration elsewhere, and nothing else differs.
+    assert!(mean < 0.006 && worst < 0.1, "mean {mean} rad, largest {worst} rad");
+}
+
+#[test]
+fn a_settled_cheetah_rebuilt_in_place_stays() {
+    let mut world = cheetah();
+    for _ in 0..200 {
+        world.step(&[0.0; 6]);
+    }
+    let settled = crate::coordinates(&world);
+    world.rebuild(&settled, &[0.0; 9]);
+    let mut worst = 0.0_f32;
+    for _ in 0..10 {
+        world.step(&[0.0; 6]);
+        let now = crate::coordinates(&world);
+        let moved = libm::hypotf(now[0] - settled[0], now[1] - settled[1]);
+        worst = worst.max(moved);
+    }
+    println!("moved {worst} m");
+    assert!(worst < 1e-4, "moved {worst} m");
+}
+
+#[test]
+fn environments_can_be_handed_to_a_stepping_thread() {
+    let mut world = environments("halfcheetah-2x3", 1);
+    let here = step(&mut environments("halfcheetah-2x3", 1), &[0.3; 6]);
+    let there = std::thread::Builder::new()
+        .name("stepping".to_owned())
+        .spawn(move || step(&mut world, &[0.3; 6]))
+        .unwrap();
+    assert_eq!(there.join().unwrap(), here);
+}
+
+#[test]
+fn the_probe_is_the_same_twice_and_sees_contacts() {
+    let probe = sim::probe();
+    assert_eq!(probe, sim::probe());
+    assert_eq!(probe.len(), 100 * 18 * 4);
+    assert!(probe.chunks_exact(4).all(|b| f32::from_le_bytes(b.try_into().unwrap()).is_finite()));
+}

@@ -1,0 +1,164 @@
+//! Curves drawn with characters, for the terminal.
+
+/// Heights of one character cell, in eighths.
+const BLOCKS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+
+/// One line of blocks for the last values, scaled to their own range.
+pub(crate) fn sparkline(values: &[f64], width: usize) -> String {
+    let recent = &values[values.len().saturating_sub(width)..];
+    let (low, high) = range(recent);
+    recent.iter().map(|&value| BLOCKS[1 + eighths(value, low, high, 7)]).collect()
+}
+
+/// Which way the last values go: their newer half against their older half.
+pub(crate) fn trend(values: &[f64]) -> char {
+    let (older, newer) = values.split_at(values.len() / 2);
+    if older.is_empty() {
+        return '→';
+    }
+    let (low, high) = range(values);
+    let change = mean(newer) - mean(older);
+    match change {
+        change if change > 0.1 * (high - low) => '↗',
+        change if change < -0.1 * (high - low) => '↘',
+        _ => '→',
+    }
+}
+
+/// A filled curve of `(x, y)` with `y` on the left and the first and last `x` below; `rows` characters high.
+pub(crate) fn area(points: &[(f64, f64)], width: usize, rows: usize, x_label: &str) -> String {
+    let columns = resampled(points, width);
+    let (low, high) = range(&columns);
+    let heights: Vec<usize> =
+        columns.iter().map(|&y| 1 + eighths(y, low, high, rows * 8 - 1)).collect();
+    let labels: Vec<String> = (0..rows).map(|row| row_label(row, rows, low, high)).collect();
+    let margin = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0);
+    let mut lines = Vec::new();
+    for (row, label) in labels.iter().enumerate() {
+        let floor = (rows - 1 - row) * 8;
+        let cells: String =
+            heights.iter().map(|h| BLOCKS[h.saturating_sub(floor).min(8)]).collect();
+        lines.push(format!("  {label:>margin$} ┤{}", cells.trim_end()));
+    }
+    lines.push(format!("  {:margin$} └{}", "", "─".repeat(columns.len())));
+    lines.push(format!("  {:margin$}  {}", "", x_axis(points, columns.len(), x_label)));
+    lines.join("\n")
+}
+
+/// Labels at the top, the middle and the bottom of the y-axis.
+fn row_label(row: usize, rows: usize, low: f64, high: f64) -> String {
+    match row {
+        0 => format!("{high:.1}"),
+        row if row + 1 == rows => format!("{low:.1}"),
+        _ => String::new(),
+    }
+}
+
+fn x_axis(points: &[(f64, f64)], width: usize, label: &str) -> String {
+    let first = points.first().map_or(0.0, |point| point.0);
+    let last = points.last().map_or(0.0, |point| point.0);
+    let (left, right) = (thousands(first as u64), format!("{} {label}", thousands(last as u64)));
+    let gap = width.saturating_sub(left.len() + right.len()).max(2);
+    format!("{left}{}{right}", " ".repeat(gap))
+}
+
+/// `width` values over the x-range, joined by straight lines.
+fn resampled(points: &[(f64, f64)], width: usize) -> Vec<f64> {
+    let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
+    let step = (last.0 - first.0) / (width.max(2) - 1) as f64;
+    (0..width).map(|column| interpolated(points, first.0 + step * column as f64)).collect()
+}
+
+fn interpolated(points: &[(f64, f64)], x: f64) -> f64 {
+    let after = points.partition_point(|point| point.0 < x);
+    match (after.checked_sub(1).map(|before| points[before]), points.get(after)) {
+        (Some(left), Some(right)) => {
+            left.1 + (right.1 - left.1) * (x - left.0) / (right.0 - left.0)
+        }
+        (Some(only), None) => only.1,
+        (None, Some(only)) => only.1,
+        (None, None) => 0.0,
+    }
+}
+
+/// Position of `value` in `low..=high`, from 0 to `steps`; the middle where the range is a point.
+fn eighths(value: f64, low: f64, high: f64, steps: usize) -> usize {
+    if high <= low {
+        return steps / 2;
+    }
+    (((value - low) / (high - low)) * steps as f64).round().clamp(0.0, steps as f64) as usize
+}
+
+fn range(values: &[f64]) -> (f64, f64) {
+    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)))
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// A count with commas: `1,000,000`.
+pub(crate) fn thousands(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::new();
+    for (position, digit) in digits.chars().enumerate() {
+        if position > 0 && (digits.len() - position).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// Seconds as people say them: `42s`, `3m07s`, `2h05m`.
+pub(crate) fn duration(secs: f64) -> String {
+    let secs = secs.max(0.0).round() as u64;
+    match secs {
+        0..60 => format!("{secs}s"),
+        60..3600 => format!("{}m{:02}s", secs / 60, secs % 60),
+        _ => format!("{}h{:02}m", secs / 3600, secs % 3600 / 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sparkline_spans_its_own_range_and_keeps_the_newest_values() {
+        assert_eq!(sparkline(&[0.0, 1.0, 2.0], 8), "▁▅█");
+        assert_eq!(sparkline(&[9.0, 0.0, 7.0], 2), "▁█");
+        assert_eq!(sparkline(&[3.0, 3.0], 8), "▄▄");
+        assert_eq!(sparkline(&[], 8), "");
+    }
+
+    #[test]
+    fn the_trend_compares_the_newer_half_with_the_older_one() {
+        assert_eq!(trend(&[1.0, 2.0, 3.0, 4.0]), '↗');
+        assert_eq!(trend(&[4.0, 3.0, 2.0, 1.0]), '↘');
+        assert_eq!(trend(&[1.0, 1.0]), '→');
+        assert_eq!(trend(&[1.0]), '→');
+    }
+
+    #[test]
+    fn a_rising_curve_fills_the_lower_right_corner() {
+        let chart = area(&[(0.0, 0.0), (1000.0, 10.0)], 16, 2, "env steps");
+        let expected = "  10.0 ┤        ▁▂▃▄▅▆▇█\n   0.0 ┤▁▂▃▄▅▆▇█████████\n       └────────────────\n        0  1,000 env steps";
+        assert_eq!(chart, expected);
+    }
+
+    #[test]
+    fn a_single_point_is_a_flat_curve() {
+        assert!(area(&[(5.0, 1.0)], 10, 3, "env steps").contains("1.0"));
+    }
+
+    #[test]
+    fn counts_and_durations_read_well() {
+        assert_eq!(thousands(0), "0");
+        assert_eq!(thousands(999), "999");
+        assert_eq!(thousands(1_000_000), "1,000,000");
+        assert_eq!(duration(42.4), "42s");
+        assert_eq!(duration(187.0), "3m07s");
+        assert_eq!(duration(7500.0), "2h05m");
+    }
+}

@@ -1,0 +1,255 @@
+//! The arguments of every command, and how a wrong one is reported.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
+#[derive(Debug, Parser)]
+#[command(name = "s2mia", version, propagate_version = true, max_term_width = 100)]
+pub(crate) struct Arguments {
+    /// Form of the log lines on stderr.
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    pub(crate) log_format: LogFormat,
+    /// What is logged, as in RUST_LOG: a level, or target=level pairs [default: warn for train, else info].
+    #[arg(long, global = true, value_name = "FILTER")]
+    pub(crate) log: Option<String>,
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// Form of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// A role or a tool.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Train on this machine: a learner and actor processes, with progress and a return curve.
+    #[command(after_help = TRAIN_EXAMPLES)]
+    Train(TrainArguments),
+    /// Serve one run to actors on this or other machines.
+    Learner(LearnerArguments),
+    /// Roll out for a learner until its run is done.
+    Actor(ActorArguments),
+    /// Measure a trained policy: whole episodes, mean action, extrinsic return.
+    Eval(EvalArguments),
+    /// Record episodes of a trained policy as MCAP, ready for Foxglove.
+    Record(RecordArguments),
+    /// Draw the learning curves of runs as PNG and SVG.
+    Plot(PlotArguments),
+    /// Say what the newest good checkpoint of a run holds.
+    Inspect(InspectArguments),
+    /// List the tasks with their agents, joints and sizes.
+    Tasks(TasksArguments),
+    /// Print the resolved configuration with the origin of each value.
+    Config(SettingsArguments),
+}
+
+const TRAIN_EXAMPLES: &str = "\
+Examples:
+  s2mia train                                    halfcheetah-2x3, happo-s2mia, 1,000,000 env steps
+  s2mia train halfcheetah-6x1 algorithm=happo run.seed=7
+  s2mia train --resume runs/NAME run.env_steps=2000000
+
+`s2mia config` prints every key that can be set.";
+
+/// What decides the configuration.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct SettingsArguments {
+    /// Task, then settings as key.path=value.
+    #[arg(value_name = "TASK | KEY=VALUE")]
+    pub(crate) settings: Vec<String>,
+    /// TOML file with settings; may be given several times, later ones win.
+    #[arg(long = "config", value_name = "FILE")]
+    pub(crate) files: Vec<PathBuf>,
+}
+
+/// How an earlier run is taken up again.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct ResumeArguments {
+    /// Go on with this run folder from its newest good checkpoint.
+    #[arg(long, value_name = "RUN")]
+    pub(crate) resume: Option<PathBuf>,
+    /// Resume although this machine computes other last bits than the one before.
+    #[arg(long)]
+    pub(crate) allow_other_machine: bool,
+}
+
+/// `s2mia train`
+#[derive(Args, Debug)]
+pub(crate) struct TrainArguments {
+    /// Settings.
+    #[command(flatten)]
+    pub(crate) settings: SettingsArguments,
+    /// Resume.
+    #[command(flatten)]
+    pub(crate) resume: ResumeArguments,
+}
+
+/// `s2mia learner`
+#[derive(Args, Debug)]
+pub(crate) struct LearnerArguments {
+    /// Settings.
+    #[command(flatten)]
+    pub(crate) settings: SettingsArguments,
+    /// Resume.
+    #[command(flatten)]
+    pub(crate) resume: ResumeArguments,
+    /// Address for actors.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
+    pub(crate) listen: SocketAddr,
+    /// Listen beyond this machine although nothing is encrypted and nobody is asked who they are.
+    #[arg(long)]
+    pub(crate) insecure_allow_remote: bool,
+}
+
+/// `s2mia actor`
+#[derive(Args, Debug)]
+pub(crate) struct ActorArguments {
+    /// Where the learner listens.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
+    pub(crate) learner: String,
+    /// Name in the learner's log [default: host name and process id].
+    #[arg(long)]
+    pub(crate) name: Option<String>,
+    /// Give up when the learner cannot be reached for this long.
+    #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
+    pub(crate) max_outage_secs: f64,
+    /// End as soon as standard input closes, so that no actor outlives the process that started it.
+    #[arg(long)]
+    pub(crate) exit_with_stdin: bool,
+}
+
+/// `s2mia eval`
+#[derive(Args, Debug)]
+pub(crate) struct EvalArguments {
+    /// Run folder.
+    pub(crate) run: PathBuf,
+    /// Whole episodes to play.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) episodes: u32,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// `s2mia record`
+#[derive(Args, Debug)]
+pub(crate) struct RecordArguments {
+    /// Run folder.
+    pub(crate) run: PathBuf,
+    /// Whole episodes to record.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) episodes: u32,
+    /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap].
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+/// `s2mia plot`
+#[derive(Args, Debug)]
+pub(crate) struct PlotArguments {
+    /// Run folders; runs of the same task and algorithm are drawn as one mean with its range.
+    #[arg(required = true, value_name = "RUN")]
+    pub(crate) runs: Vec<PathBuf>,
+    /// Folder for learning_curve.svg and .png [default: the run folder; for several runs this folder].
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+/// `s2mia inspect`
+#[derive(Args, Debug)]
+pub(crate) struct InspectArguments {
+    /// Run folder.
+    pub(crate) run: PathBuf,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// `s2mia tasks`
+#[derive(Args, Debug)]
+pub(crate) struct TasksArguments {
+    /// Print one JSON array.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Prints help and version as clap does, and everything else as one line.
+pub(crate) fn report(error: &clap::Error) -> ExitCode {
+    let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
+    if asked || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        let printed = error.print();
+        return if asked && printed.is_ok() { ExitCode::SUCCESS } else { ExitCode::from(2) };
+    }
+    eprintln!("{}", one_line(&error.render().to_string()));
+    ExitCode::from(2)
+}
+
+/// The message and the tip of a report of clap, without its usage text.
+fn one_line(report: &str) -> String {
+    let paragraphs = report.split("\n\n").filter(|text| {
+        let text = text.trim_start();
+        text.starts_with("error:") || text.starts_with("tip:")
+    });
+    let words = paragraphs.map(|text| text.split_whitespace().collect::<Vec<_>>().join(" "));
+    words.collect::<Vec<_>>().join("; ") + "; see --help"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    fn refusal(arguments: &[&str]) -> String {
+        let arguments = [&["s2mia"], arguments].concat();
+        one_line(&Arguments::try_parse_from(arguments).unwrap_err().render().to_string())
+    }
+
+    #[test]
+    fn the_command_line_is_consistent_in_itself() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn the_contract_of_outside_scripts_parses() {
+        let line = "s2mia train halfcheetah-6x1 algorithm=happo-s2mia run.seed=7 run.iterations=5 \
+                    run.actors=2 run.dir=DIR";
+        let parsed = Arguments::try_parse_from(line.split_whitespace()).unwrap();
+        let Command::Train(train) = parsed.command else { panic!("not train") };
+        assert_eq!(train.settings.settings.len(), 6);
+        assert_eq!(train.settings.settings[0], "halfcheetah-6x1");
+        let parsed = Arguments::try_parse_from(["s2mia", "inspect", "DIR", "--json"]).unwrap();
+        assert!(matches!(parsed.command, Command::Inspect(InspectArguments { json: true, .. })));
+    }
+
+    #[test]
+    fn a_wrong_flag_is_one_line_with_the_flag_that_was_meant() {
+        let line = refusal(&["train", "--resum", "x"]);
+        assert!(line.starts_with("error: unexpected argument '--resum' found"), "{line}");
+        assert!(line.contains("--resume"), "{line}");
+        assert!(!line.contains('\n'), "{line}");
+    }
+
+    #[test]
+    fn a_missing_run_folder_is_one_line() {
+        let line = refusal(&["plot"]);
+        assert!(line.contains("<RUN>"), "{line}");
+        assert!(!line.contains('\n'), "{line}");
+    }
+
+    #[test]
+    fn episodes_start_at_one() {
+        assert!(refusal(&["eval", "runs/x", "--episodes", "0"]).contains("--episodes"));
+    }
+}

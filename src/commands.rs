@@ -1,0 +1,54 @@
+//! One file per command; here only the choice between them.
+
+mod actor;
+mod checkpointed;
+mod config;
+mod eval;
+mod inspect;
+mod learner;
+mod plot;
+mod record;
+mod tasks;
+mod train;
+
+use anyhow::Context as _;
+use tokio::runtime::Runtime;
+
+use crate::cli::Command;
+
+/// Arguments that cannot be followed; the program ends with status 2.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Usage(String);
+
+impl Usage {
+    /// One line that says what is wrong and what to do.
+    pub(crate) fn new(message: impl Into<String>) -> Self {
+        Self(message.into())
+    }
+}
+
+/// Runs one command to its end.
+pub(crate) fn run(command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Train(arguments) => train::run(&arguments),
+        Command::Learner(arguments) => learner::run(&arguments),
+        Command::Actor(arguments) => actor::run(arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
+        Command::Plot(arguments) => plot::run(&arguments),
+        Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Tasks(arguments) => tasks::run(&arguments),
+        Command::Config(arguments) => config::run(arguments),
+    }
+}
+
+/// Threads for sockets, signals and child processes; stepping and training have their own.
+fn runtime() -> anyhow::Result<Runtime> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .thread_name("network")
+        .enable_all()
+        .build()
+        .context("cannot start the network threads")
+}

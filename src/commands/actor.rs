@@ -1,0 +1,60 @@
+//! `s2mia actor`: rolls out for a learner until its run is done.
+
+use std::io::Read as _;
+
+use anyhow::Context as _;
+use tokio::sync::watch;
+
+use crate::cli::ActorArguments;
+use crate::commands::{Usage, runtime};
+use crate::signals;
+
+/// Ends with status 0 when the learner says that the run is done, or when it is told to stop.
+pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
+    check(&arguments)?;
+    let (stop_sender, stop) = watch::channel(false);
+    if arguments.exit_with_stdin {
+        stop_with_stdin(stop_sender.clone())?;
+    }
+    let config = actor::Config {
+        learner: arguments.learner,
+        max_outage_secs: arguments.max_outage_secs,
+        name: arguments.name.unwrap_or_else(default_name),
+    };
+    runtime()?.block_on(async {
+        signals::stop_on_signal(stop_sender, || tracing::info!("stopping"))?;
+        actor::run(config, stop).await.context("the actor failed")
+    })
+}
+
+fn check(arguments: &ActorArguments) -> Result<(), Usage> {
+    if !arguments.learner.starts_with("http://") {
+        let url = &arguments.learner;
+        return Err(Usage::new(format!(
+            "--learner must be a URL such as http://HOST:50051, is `{url}`"
+        )));
+    }
+    let patience = arguments.max_outage_secs;
+    if !(patience.is_finite() && patience >= 0.0) {
+        return Err(Usage::new(format!("--max-outage-secs must be at least 0, is {patience}")));
+    }
+    Ok(())
+}
+
+fn default_name() -> String {
+    let host = std::fs::read_to_string("/etc/hostname").unwrap_or_default();
+    let host = if host.trim().is_empty() { "actor" } else { host.trim() };
+    format!("{host}-{}", std::process::id())
+}
+
+/// The pipe closes when the process at its other end ends, however that happens.
+fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
+    let until_closed = move || {
+        let mut ignored = [0; 256];
+        while std::io::stdin().lock().read(&mut ignored).is_ok_and(|count| count > 0) {}
+        stop.send_replace(true);
+    };
+    let watcher = std::thread::Builder::new().name("stdin".to_owned()).spawn(until_closed);
+    // The thread ends with the process; nobody waits for it.
+    watcher.map(drop).context("cannot watch standard input")
+}

@@ -1,0 +1,45 @@
+//! A run's newest good checkpoint, as `eval`, `record` and `inspect` read it.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use learner::checkpoint::Loaded;
+use policy::PolicySnapshot;
+
+use crate::commands::Usage;
+use crate::run_config::RunConfig;
+
+/// A trained policy with the settings of its run.
+pub(super) struct Trained {
+    /// Settings of the run.
+    pub(super) config: RunConfig,
+    /// The checkpoint it comes from.
+    pub(super) iteration: u64,
+    /// Environment steps until then.
+    pub(super) env_steps: u64,
+    /// All agents.
+    pub(super) policy: PolicySnapshot,
+}
+
+/// The newest checkpoint whose hashes are right; tells of every newer one that it had to pass over.
+pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
+    if !run.is_dir() {
+        return Err(Usage::new(format!("{} is no run folder", run.display())).into());
+    }
+    let loaded = learner::checkpoint::load_newest(run)
+        .with_context(|| format!("{} has no good checkpoint", run.display()))?;
+    for (path, why) in &loaded.skipped {
+        tracing::warn!("{} is damaged and passed over: {why}", path.display());
+    }
+    Ok(loaded)
+}
+
+/// The newest policy of a run.
+pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
+    let loaded = load(run)?;
+    let config = RunConfig::of_run(run)?;
+    let policy = PolicySnapshot::from_bytes(&loaded.checkpoint.policy)
+        .with_context(|| format!("cannot read the policy in {}", loaded.path.display()))?;
+    let (iteration, env_steps) = (loaded.checkpoint.iteration, loaded.checkpoint.env_steps);
+    Ok(Trained { config, iteration, env_steps, policy })
+}

@@ -1,0 +1,15 @@
+//! `s2mia config`: the settings a run would have, each with its origin.
+
+use crate::cli::SettingsArguments;
+use crate::config::{Request, layers};
+use crate::output;
+use crate::run_config::RunConfig;
+
+/// Prints TOML that `--config` can read again.
+pub(super) fn run(arguments: SettingsArguments) -> anyhow::Result<()> {
+    let request = Request::from_process(arguments.files, arguments.settings);
+    let config = RunConfig::build(layers::resolve(&request)?)?;
+    output::line(config.resolved.to_toml_with_origins());
+    output::line(format!("# config_sha256 = {}", policy::arrays::hex(&config.resolved.sha256())));
+    Ok(())
+}

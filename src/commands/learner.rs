@@ -1,0 +1,72 @@
+//! `s2mia learner`: one run, served to actors that come from anywhere.
+
+use std::net::SocketAddr;
+
+use anyhow::Context as _;
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+
+use crate::cli::LearnerArguments;
+use crate::commands::{Usage, runtime};
+use crate::launch::{self, Prepared};
+use crate::progress::Progress;
+use crate::{output, signals};
+
+/// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.
+pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
+    if !arguments.insecure_allow_remote {
+        demand_loopback(arguments.listen)?;
+    }
+    let prepared = launch::prepare(&arguments.settings, &arguments.resume)?;
+    runtime()?.block_on(serve(prepared, arguments.listen))
+}
+
+/// Nothing on the wire is encrypted yet, so other machines are let in only on request.
+fn demand_loopback(address: SocketAddr) -> Result<(), Usage> {
+    if address.ip().is_loopback() {
+        return Ok(());
+    }
+    Err(Usage::new(format!(
+        "--listen {address} would let other machines in without encryption or identity; \
+         pass --insecure-allow-remote to allow that"
+    )))
+}
+
+async fn serve(prepared: Prepared, address: SocketAddr) -> anyhow::Result<()> {
+    let Prepared { config, folder, launch } = prepared;
+    let listener =
+        TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}"))?;
+    output::line(format!(
+        "{} waits for actors on http://{}",
+        folder.display(),
+        listener.local_addr()?
+    ));
+    let (stop_sender, stop) = watch::channel(false);
+    signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))?;
+    let mut progress = Progress::new(config.env_steps());
+    let observer = Box::new(move |event: &learner::Event| progress.observe(event));
+    let summary =
+        learner::run(launch, listener, observer, stop).await.context("the learner failed")?;
+    let done = if summary.stopped_early { "stopped" } else { "finished" };
+    output::line(format!(
+        "{done} after iteration {}: {}",
+        summary.iteration,
+        summary.checkpoint.display()
+    ));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_this_machine_is_let_in_without_being_told() {
+        for address in ["127.0.0.1:50051", "[::1]:0"] {
+            assert!(demand_loopback(address.parse().expect("an address")).is_ok());
+        }
+        for address in ["0.0.0.0:50051", "192.168.1.2:1", "[::]:0"] {
+            assert!(demand_loopback(address.parse().expect("an address")).is_err());
+        }
+    }
+}

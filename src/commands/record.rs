@@ -1,0 +1,57 @@
+//! `s2mia record`: episodes of a trained policy as MCAP.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use policy::RunSeed;
+
+use crate::cli::RecordArguments;
+use crate::commands::checkpointed::{self, Trained};
+use crate::{chart, output, run_path};
+
+/// Writes the file and says what is in it.
+pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
+    let trained = checkpointed::trained(&arguments.run)?;
+    let path = path(arguments, trained.iteration);
+    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
+    }
+    let seed = RunSeed(trained.config.run.seed);
+    let summary = actor::record(
+        &trained.config.task,
+        &trained.policy,
+        seed,
+        arguments.episodes,
+        &path,
+        &metadata(&trained),
+    )
+    .with_context(|| format!("cannot record {}", path.display()))?;
+    for (index, episode) in summary.episodes.iter().enumerate() {
+        let (value, steps) = (episode.extrinsic_return, episode.steps);
+        output::line(format!("episode {index}: return {value:.2}, {steps} steps"));
+    }
+    let megabytes = summary.bytes as f64 / 1e6;
+    let (messages, shown) = (chart::thousands(summary.messages), path.display());
+    output::line(format!("{shown}: {messages} messages, {megabytes:.1} MB; open it in Foxglove"));
+    Ok(())
+}
+
+fn path(arguments: &RecordArguments, iteration: u64) -> PathBuf {
+    let named = || run_path::logs(&arguments.run).join(format!("iter_{iteration:08}.mcap"));
+    arguments.out.clone().unwrap_or_else(named)
+}
+
+/// What tells later which run and policy the episodes show.
+fn metadata(trained: &Trained) -> BTreeMap<String, String> {
+    let resolved = &trained.config.resolved;
+    BTreeMap::from([
+        ("task".to_owned(), trained.config.task.task.clone()),
+        ("algorithm".to_owned(), resolved.text("algorithm").to_owned()),
+        ("seed".to_owned(), trained.config.run.seed.to_string()),
+        ("iteration".to_owned(), trained.iteration.to_string()),
+        ("env_steps".to_owned(), trained.env_steps.to_string()),
+        ("config_sha256".to_owned(), policy::arrays::hex(&resolved.sha256())),
+    ])
+}

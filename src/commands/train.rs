@@ -1,0 +1,89 @@
+//! `s2mia train`: a learner in this process and actors in their own, on this machine.
+
+mod closing;
+
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use learner::{LearnerError, Summary};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+
+use crate::chart;
+use crate::cli::TrainArguments;
+use crate::commands::runtime;
+use crate::launch::{self, Prepared};
+use crate::progress::Progress;
+use crate::run_config::RunConfig;
+use crate::supervisor::{self, Crew, Surrender};
+use crate::{learning_curve, output, run_path, signals};
+
+/// Trains to the end of the run, or until told to stop; both leave a checkpoint and end with status 0.
+pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
+    let prepared = launch::prepare(&arguments.settings, &arguments.resume)?;
+    runtime()?.block_on(train(prepared))
+}
+
+async fn train(prepared: Prepared) -> anyhow::Result<()> {
+    let Prepared { config, folder, launch } = prepared;
+    output::line(opening(&config, &folder));
+    let begin = Instant::now();
+    let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
+    let crew = crew(&config, &folder, &listener)?;
+    let (stop_sender, stop) = watch::channel(false);
+    let (end, ended) = watch::channel(false);
+    signals::stop_on_signal(stop_sender.clone(), || {
+        output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
+    })?;
+    let actors = tokio::spawn(supervisor::supervise(crew, ended, stop_sender));
+    let mut progress = Progress::new(config.env_steps());
+    let observer = Box::new(move |event: &learner::Event| progress.observe(event));
+    let summary = learner::run(launch, listener, observer, stop).await;
+    end.send_replace(true);
+    let surrender = actors.await.context("the watch over the actors failed")?;
+    finish(&folder, summary, &surrender, begin)
+}
+
+/// The first line: what runs, and where it is kept.
+fn opening(config: &RunConfig, folder: &Path) -> String {
+    format!(
+        "{}: task {}, algorithm {}, seed {}, {} actors, {} env steps",
+        folder.display(),
+        config.task.task,
+        config.resolved.text("algorithm"),
+        config.run.seed,
+        config.actors(),
+        chart::thousands(config.env_steps()),
+    )
+}
+
+fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Result<Crew> {
+    let logs = run_path::logs(folder);
+    std::fs::create_dir_all(&logs).with_context(|| format!("cannot make {}", logs.display()))?;
+    Ok(Crew {
+        program: std::env::current_exe().context("cannot find this program")?,
+        learner: format!("http://{}", listener.local_addr()?),
+        logs,
+        actors: config.actors(),
+    })
+}
+
+fn finish(
+    folder: &Path,
+    summary: Result<Summary, LearnerError>,
+    surrender: &Surrender,
+    begin: Instant,
+) -> anyhow::Result<()> {
+    let summary = match (summary.context("the learner failed"), surrender.reason()) {
+        (Ok(summary), None) => summary,
+        (Ok(summary), Some(reason)) => {
+            anyhow::bail!("{reason}; the run is kept in {}", summary.checkpoint.display());
+        }
+        (Err(error), None) => return Err(error),
+        (Err(error), Some(reason)) => return Err(error.context(reason)),
+    };
+    let points = learning_curve::evaluations(&run_path::metrics_file(folder))?;
+    output::line(closing::text(folder, &summary, &points, begin.elapsed()));
+    Ok(())
+}

@@ -1,0 +1,100 @@
+//! The last words of `s2mia train`: what was reached, where it is, what can be done with it.
+
+use std::path::Path;
+use std::time::Duration;
+
+use learner::Summary;
+
+use crate::chart;
+
+/// Size of the curve in characters.
+const WIDTH: usize = 60;
+const ROWS: usize = 8;
+
+/// All lines for a run that stands at `summary`, with its evaluations as (env steps, mean return).
+pub(super) fn text(
+    folder: &Path,
+    summary: &Summary,
+    evaluations: &[(f64, f64)],
+    elapsed: Duration,
+) -> String {
+    let mut parts = vec![reached(summary, elapsed)];
+    parts.extend(improvement(evaluations));
+    parts.push(format!("checkpoint: {}", summary.checkpoint.display()));
+    parts.push(next(folder, summary));
+    parts.join("\n")
+}
+
+fn reached(summary: &Summary, elapsed: Duration) -> String {
+    let done = if summary.stopped_early { "stopped" } else { "finished" };
+    format!(
+        "\n{done}: {} env steps, {} iterations, {} in this session",
+        chart::thousands(summary.env_steps),
+        chart::thousands(summary.iteration),
+        chart::duration(elapsed.as_secs_f64()),
+    )
+}
+
+/// First and last evaluation, and the curve between them.
+fn improvement(evaluations: &[(f64, f64)]) -> Option<String> {
+    let (first, last) = (evaluations.first()?, evaluations.last()?);
+    if evaluations.len() == 1 {
+        let steps = chart::thousands(last.0 as u64);
+        return Some(format!("evaluation return {:.1} at {steps} env steps", last.1));
+    }
+    let change = format!("evaluation return {:.1} -> {:.1}", first.1, last.1);
+    Some(format!("{change}\n\n{}\n", chart::area(evaluations, WIDTH, ROWS, "env steps")))
+}
+
+fn next(folder: &Path, summary: &Summary) -> String {
+    let run = folder.display();
+    let further = match summary.stopped_early {
+        true => String::new(),
+        false => format!(" run.iterations={}", summary.iteration * 2),
+    };
+    format!(
+        "next:\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  \
+         s2mia train --resume {run}{further}"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn summary() -> Summary {
+        Summary {
+            iteration: 250,
+            env_steps: 1_000_000,
+            checkpoint: "runs/a/checkpoints/iter_00000250".into(),
+            stopped_early: false,
+            weights_sha256: String::new(),
+            state_sha256: String::new(),
+        }
+    }
+
+    #[test]
+    fn a_finished_run_tells_return_checkpoint_and_next_commands() {
+        let evaluations = [(0.0, -3.25), (1_000_000.0, 2345.62)];
+        let text = text(Path::new("runs/a"), &summary(), &evaluations, Duration::from_secs(723));
+        for part in [
+            "finished: 1,000,000 env steps, 250 iterations, 12m03s",
+            "evaluation return -3.2 -> 2345.6",
+            "checkpoint: runs/a/checkpoints/iter_00000250",
+            "s2mia plot runs/a",
+            "s2mia eval runs/a",
+            "s2mia record runs/a",
+            "s2mia train --resume runs/a run.iterations=500",
+        ] {
+            assert!(text.contains(part), "{part} is not in:\n{text}");
+        }
+    }
+
+    #[test]
+    fn a_stopped_run_is_resumed_as_it_was() {
+        let stopped = Summary { stopped_early: true, ..summary() };
+        let text = text(Path::new("runs/a"), &stopped, &[], Duration::from_secs(1));
+        assert!(text.ends_with("s2mia train --resume runs/a"), "{text}");
+        assert!(text.contains("stopped: "), "{text}");
+    }
+}

@@ -1,0 +1,86 @@
+//! What can be wrong with a configuration, always with the place where the user wrote it.
+
+/// A configuration that cannot be used. Each message is one line.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub(crate) enum ConfigError {
+    /// A file that cannot be read, or is not TOML.
+    #[error("{place}: {detail}")]
+    Unreadable {
+        /// File, with the line where that is known.
+        place: String,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// A key that no part of the program reads.
+    #[error("{place}: unknown key `{key}`{}", suggestion(.nearest.as_deref()))]
+    UnknownKey {
+        /// Layer that sets the key.
+        place: String,
+        /// Dotted path.
+        key: String,
+        /// The known key that is spelled most alike.
+        nearest: Option<String>,
+    },
+    /// A value of another kind than the default's.
+    #[error("{place}: `{key}` must be {expected}, found {found}")]
+    WrongKind {
+        /// Layer that sets the key.
+        place: String,
+        /// Dotted path.
+        key: String,
+        /// Kind of value that fits.
+        expected: String,
+        /// The value that was found.
+        found: String,
+    },
+    /// A value of the right kind that its owner refuses: out of range, or an unknown choice.
+    #[error("{place}: {}", named(.key, .detail))]
+    Refused {
+        /// Layer that sets the key.
+        place: String,
+        /// Dotted path.
+        key: String,
+        /// The owner's reason, with the allowed values.
+        detail: String,
+    },
+    /// An unknown name of a task or an algorithm.
+    #[error("{place}: unknown {kind} `{name}`{}; known: {known}", suggestion(.nearest.as_deref()))]
+    UnknownName {
+        /// Layer that gives the name.
+        place: String,
+        /// `task` or `algorithm`.
+        kind: &'static str,
+        /// The name as given.
+        name: String,
+        /// The known name that is spelled most alike.
+        nearest: Option<String>,
+        /// All known names.
+        known: String,
+    },
+    /// An argument that is no `key.path=value`.
+    #[error("`{0}` is no setting; write key.path=value, for example run.seed=7")]
+    NoSetting(String),
+    /// A setting that a resumed run may not change.
+    #[error("{place}: `{key}` cannot change on resume: the run has {old}, found {new}; {allowed}")]
+    FixedOnResume {
+        /// Layer that sets the key.
+        place: String,
+        /// Dotted path.
+        key: String,
+        /// Value of the run.
+        old: String,
+        /// Value asked for.
+        new: String,
+        /// What a resume may change.
+        allowed: &'static str,
+    },
+}
+
+/// Owners name the key themselves where they refuse a range; serde does not where it refuses a choice.
+fn named(key: &str, detail: &str) -> String {
+    if detail.contains(key) { detail.to_owned() } else { format!("`{key}`: {detail}") }
+}
+
+fn suggestion(nearest: Option<&str>) -> String {
+    nearest.map_or_else(String::new, |name| format!("; did you mean `{name}`?"))
+}

@@ -1,0 +1,85 @@
+//! What is known of keys: which take part in the result of a run, and which are spelled alike.
+
+/// Keys and sections that decide who computes and when, never what.
+const OPERATIONAL: &[&str] =
+    &["run.actors", "run.dir", "lease.", "evaluation.", "checkpoint.", "learner."];
+
+/// Keys that only say how far a run goes; a resume may raise them.
+pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
+
+/// Whether a key's value changes what a run computes.
+pub(crate) fn is_semantic(key: &str) -> bool {
+    !is_length(key)
+        && !OPERATIONAL.iter().any(|o| *o == key || (o.ends_with('.') && key.starts_with(o)))
+}
+
+/// Whether a key only says how far the run goes.
+pub(crate) fn is_length(key: &str) -> bool {
+    LENGTH.contains(&key)
+}
+
+/// The candidate spelled most like `word`, if one is near enough to be meant.
+pub(crate) fn nearest<'a>(
+    word: &str,
+    candidates: impl IntoIterator<Item = &'a str>,
+) -> Option<&'a str> {
+    let limit = 2.max(word.len() / 3);
+    let ranked =
+        candidates.into_iter().map(|candidate| (distance_to_key(word, candidate), candidate));
+    ranked.filter(|(distance, _)| *distance <= limit).min_by_key(|(d, _)| *d).map(|(_, c)| c)
+}
+
+/// Edit distance; a word without its section is also compared with the last part of the key.
+fn distance_to_key(word: &str, key: &str) -> usize {
+    let whole = edit_distance(word, key);
+    match key.rsplit_once('.') {
+        Some((_, last)) if !word.contains('.') => whole.min(edit_distance(word, last)),
+        _ => whole,
+    }
+}
+
+/// Levenshtein distance in characters.
+fn edit_distance(left: &str, right: &str) -> usize {
+    let right: Vec<char> = right.chars().collect();
+    let mut row: Vec<usize> = (0..=right.len()).collect();
+    for (i, l) in left.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, r) in right.iter().enumerate() {
+            let replaced = diagonal + usize::from(l != *r);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(row[j] + 1).min(row[j + 1] + 1);
+        }
+    }
+    row[right.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edit_distance_of_known_pairs() {
+        assert_eq!(edit_distance("kitten", "sitting"), 3);
+        assert_eq!(edit_distance("", "abc"), 3);
+        assert_eq!(edit_distance("gamma", "gamma"), 0);
+    }
+
+    #[test]
+    fn the_nearest_key_is_found_with_and_without_its_section() {
+        let keys = ["update.gamma", "update.learning_rate", "run.seed"];
+        assert_eq!(nearest("update.lerning_rate", keys), Some("update.learning_rate"));
+        assert_eq!(nearest("seed", keys), Some("run.seed"));
+        assert_eq!(nearest("zebra.stripes", keys), None);
+    }
+
+    #[test]
+    fn operational_keys_are_told_from_semantic_ones() {
+        for key in ["run.actors", "run.dir", "lease.ttl_secs", "learner.threads", "run.env_steps"] {
+            assert!(!is_semantic(key), "{key}");
+        }
+        for key in ["task", "algorithm", "run.seed", "environments.count", "policy.core"] {
+            assert!(is_semantic(key), "{key}");
+        }
+    }
+}

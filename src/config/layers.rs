@@ -1,0 +1,239 @@
+//! Reads the layers of a configuration and lays them over each other. Later layers win; no layer may
+//! bring a key that `configs/base.toml` does not have.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::error::ConfigError;
+use super::keys;
+use super::presets::{self, Preset};
+use super::resolved::{Entry, Resolved};
+use super::scalar::Scalar;
+
+/// Prefix of the environment variables that are settings: `S2MIA__UPDATE__GAMMA` is `update.gamma`.
+pub(crate) const ENVIRONMENT_PREFIX: &str = "S2MIA__";
+
+/// How the command line is called in messages.
+const COMMAND_LINE: &str = "command line";
+
+/// A configuration file larger than this is a mistake.
+const FILE_LIMIT_BYTES: u64 = 1 << 20;
+
+/// What the user asks for, in the order of the layers.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Request {
+    /// The resolved configuration of a run to go on with; stands in the place of task and algorithm files.
+    pub(crate) resumed: Option<PathBuf>,
+    /// Files given with `--config`, later ones win.
+    pub(crate) files: Vec<PathBuf>,
+    /// Environment variables with the prefix.
+    pub(crate) environment: Vec<(String, String)>,
+    /// Arguments `key.path=value`; a first one without `=` is the task.
+    pub(crate) settings: Vec<String>,
+}
+
+impl Request {
+    /// A request with this process's environment variables.
+    pub(crate) fn from_process(files: Vec<PathBuf>, settings: Vec<String>) -> Self {
+        let environment = std::env::vars_os()
+            .filter_map(|(name, value)| Some((name.into_string().ok()?, value)))
+            .filter(|(name, _)| name.starts_with(ENVIRONMENT_PREFIX))
+            .map(|(name, value)| (name, value.to_string_lossy().into_owned()))
+            .collect();
+        Self { resumed: None, files, environment, settings }
+    }
+}
+
+/// Values of one place.
+struct Layer {
+    place: String,
+    values: BTreeMap<String, Scalar>,
+}
+
+/// The defaults: every key that exists, and the kind of its value.
+type Schema = BTreeMap<String, Scalar>;
+
+/// Lays all layers of a request over the defaults.
+pub(crate) fn resolve(request: &Request) -> Result<Resolved, ConfigError> {
+    let base = base_layer();
+    let schema = base.values.clone();
+    let asked = asked_layers(request, &schema)?;
+    let mut layers = vec![base];
+    match &request.resumed {
+        Some(file) => layers.push(file_layer(file, &schema)?),
+        None => layers.extend(named_layers(&layers[0], &asked, &schema)?),
+    }
+    layers.extend(asked);
+    Ok(laid_over(layers))
+}
+
+/// `configs/base.toml` alone.
+pub(crate) fn defaults() -> Resolved {
+    laid_over(vec![base_layer()])
+}
+
+/// `configs/base.toml`; a test shows that it is well formed.
+fn base_layer() -> Layer {
+    let table: toml::Table = presets::BASE.text.parse().expect("configs/base.toml is TOML");
+    let mut values = BTreeMap::new();
+    for (key, value) in leaves(&table) {
+        values.insert(key, Scalar::from_toml(value).expect("configs/base.toml holds scalars"));
+    }
+    Layer { place: presets::BASE.path.to_owned(), values }
+}
+
+/// The layers that the user wrote: files, environment, command line.
+fn asked_layers(request: &Request, schema: &Schema) -> Result<Vec<Layer>, ConfigError> {
+    let mut layers = Vec::new();
+    for file in &request.files {
+        layers.push(file_layer(file, schema)?);
+    }
+    for (name, value) in &request.environment {
+        let key = name[ENVIRONMENT_PREFIX.len()..].to_lowercase().replace("__", ".");
+        layers.push(setting_layer(&format!("environment variable {name}"), &key, value, schema)?);
+    }
+    for (position, argument) in request.settings.iter().enumerate() {
+        let (key, value) = match argument.split_once('=') {
+            Some((key, value)) => (key.trim(), value.trim()),
+            None if position == 0 => ("task", argument.as_str()),
+            None => return Err(ConfigError::NoSetting(argument.clone())),
+        };
+        layers.push(setting_layer(COMMAND_LINE, key, value, schema)?);
+    }
+    Ok(layers)
+}
+
+/// The files of the task and the algorithm that the other layers choose.
+fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<[Layer; 2], ConfigError> {
+    let task = chosen("task", presets::TASKS, base, asked)?;
+    let algorithm = chosen("algorithm", presets::ALGORITHMS, base, asked)?;
+    Ok([preset_layer(task, schema)?, preset_layer(algorithm, schema)?])
+}
+
+fn chosen(
+    kind: &'static str,
+    known: &[Preset],
+    base: &Layer,
+    asked: &[Layer],
+) -> Result<Preset, ConfigError> {
+    let layer = asked.iter().rev().find(|layer| layer.values.contains_key(kind)).unwrap_or(base);
+    let Some(Scalar::Text(name)) = layer.values.get(kind) else {
+        unreachable!("`{kind}` is text in configs/base.toml, and every layer is fitted to it")
+    };
+    presets::find(known, name).ok_or_else(|| {
+        let names: Vec<&str> = known.iter().map(|preset| preset.name).collect();
+        ConfigError::UnknownName {
+            place: layer.place.clone(),
+            kind,
+            name: name.clone(),
+            nearest: keys::nearest(name, names.iter().copied()).map(str::to_owned),
+            known: names.join(", "),
+        }
+    })
+}
+
+fn preset_layer(preset: Preset, schema: &Schema) -> Result<Layer, ConfigError> {
+    table_layer(preset.path, preset.text, schema)
+}
+
+fn file_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
+    let place = path.display().to_string();
+    let unreadable = |detail: String| ConfigError::Unreadable { place: place.clone(), detail };
+    let size = std::fs::metadata(path).map_err(|e| unreadable(e.to_string()))?.len();
+    if size > FILE_LIMIT_BYTES {
+        return Err(unreadable(format!("{size} bytes, the limit is {FILE_LIMIT_BYTES}")));
+    }
+    let text = std::fs::read_to_string(path).map_err(|e| unreadable(e.to_string()))?;
+    table_layer(&place, &text, schema)
+}
+
+fn table_layer(place: &str, text: &str, schema: &Schema) -> Result<Layer, ConfigError> {
+    let table: toml::Table = text.parse().map_err(|error| not_toml(place, text, &error))?;
+    let mut values = BTreeMap::new();
+    for (key, value) in leaves(&table) {
+        if value.is_table() && is_section(&key, schema) {
+            continue;
+        }
+        let default = known(place, &key, schema)?;
+        let fitted = Scalar::from_toml(value).and_then(|scalar| scalar.fitted(default));
+        let fitted = fitted.ok_or_else(|| wrong_kind(place, &key, default, &value.to_string()))?;
+        values.insert(key, fitted);
+    }
+    Ok(Layer { place: place.to_owned(), values })
+}
+
+fn setting_layer(
+    place: &str,
+    key: &str,
+    text: &str,
+    schema: &Schema,
+) -> Result<Layer, ConfigError> {
+    let default = known(place, key, schema)?;
+    let value = Scalar::parse(text, default)
+        .ok_or_else(|| wrong_kind(place, key, default, &format!("`{text}`")))?;
+    Ok(Layer { place: place.to_owned(), values: BTreeMap::from([(key.to_owned(), value)]) })
+}
+
+fn is_section(key: &str, schema: &Schema) -> bool {
+    schema.keys().any(|known| known.strip_prefix(key).is_some_and(|rest| rest.starts_with('.')))
+}
+
+/// The default under `key`, which tells the kind of value that belongs there.
+fn known<'a>(place: &str, key: &str, schema: &'a Schema) -> Result<&'a Scalar, ConfigError> {
+    if let Some(default) = schema.get(key) {
+        return Ok(default);
+    }
+    let (place, section) = (place.to_owned(), format!("{key}."));
+    if let Some(inside) = schema.keys().find(|known| known.starts_with(&section)) {
+        let expected = format!("a table with keys such as `{inside}`");
+        return Err(ConfigError::WrongKind {
+            place,
+            key: key.to_owned(),
+            expected,
+            found: "a value".into(),
+        });
+    }
+    let nearest = keys::nearest(key, schema.keys().map(String::as_str)).map(str::to_owned);
+    Err(ConfigError::UnknownKey { place, key: key.to_owned(), nearest })
+}
+
+fn wrong_kind(place: &str, key: &str, default: &Scalar, found: &str) -> ConfigError {
+    let found = found.split_whitespace().collect::<Vec<_>>().join(" ");
+    let expected = default.kind().to_owned();
+    ConfigError::WrongKind { place: place.to_owned(), key: key.to_owned(), expected, found }
+}
+
+/// A parser's message in one line, with the line of the file.
+fn not_toml(place: &str, text: &str, error: &toml::de::Error) -> ConfigError {
+    let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+    let line = before.matches('\n').count() + 1;
+    let detail = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    ConfigError::Unreadable { place: format!("{place}:{line}"), detail }
+}
+
+/// Every value that is not a table, with its dotted path, and every empty table.
+fn leaves(table: &toml::Table) -> Vec<(String, &toml::Value)> {
+    let mut found = Vec::new();
+    for (key, value) in table {
+        match value {
+            toml::Value::Table(inner) if !inner.is_empty() => {
+                found.extend(leaves(inner).into_iter().map(|(k, v)| (format!("{key}.{k}"), v)));
+            }
+            _ => found.push((key.clone(), value)),
+        }
+    }
+    found
+}
+
+fn laid_over(layers: Vec<Layer>) -> Resolved {
+    let mut entries = BTreeMap::new();
+    for layer in layers {
+        for (key, value) in layer.values {
+            entries.insert(key, Entry { value, origin: layer.place.clone() });
+        }
+    }
+    Resolved { entries }
+}
+
+#[cfg(test)]
+mod tests;

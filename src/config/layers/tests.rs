@@ -1,0 +1,182 @@
+//! Layering, origins and refusals of `layers.rs`.
+
+use super::*;
+
+fn request(settings: &[&str]) -> Request {
+    Request { settings: settings.iter().map(|s| (*s).to_owned()).collect(), ..Request::default() }
+}
+
+fn refusal(settings: &[&str]) -> String {
+    resolve(&request(settings)).unwrap_err().to_string()
+}
+
+fn file(folder: &tempfile::TempDir, text: &str) -> PathBuf {
+    let path = folder.path().join("mine.toml");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+#[test]
+fn every_layer_wins_over_the_one_before_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut request = request(&["halfcheetah-6x1", "algorithm=happo"]);
+    let clip = |request: &Request| resolve(request).unwrap().entries["update.clip"].clone();
+    assert_eq!(clip(&request).origin, "configs/tasks/halfcheetah-6x1.toml");
+
+    let path = file(&folder, "[update]\nclip = 0.11\n");
+    request.files = vec![path.clone()];
+    assert_eq!(clip(&request).origin, path.display().to_string());
+
+    request.environment = vec![("S2MIA__UPDATE__CLIP".into(), "0.12".into())];
+    assert_eq!(clip(&request).value, Scalar::Float(0.12));
+    assert_eq!(clip(&request).origin, "environment variable S2MIA__UPDATE__CLIP");
+
+    request.settings.push("update.clip=0.13".into());
+    assert_eq!(clip(&request), Entry { value: Scalar::Float(0.13), origin: "command line".into() });
+}
+
+#[test]
+fn the_algorithm_file_sets_the_three_weights_of_a_variant() {
+    let weights = |algorithm: &str| {
+        let resolved = resolve(&request(&[&format!("algorithm={algorithm}")])).unwrap();
+        ["surprise.alpha", "influence.lambda", "update.entropy"]
+            .map(|key| resolved.entries[key].value.clone())
+    };
+    assert_eq!(weights("happo-s2mia"), [0.01, 0.01, 0.0].map(Scalar::Float));
+    assert_eq!(weights("happo"), [0.0, 0.0, 0.01].map(Scalar::Float));
+}
+
+#[test]
+fn a_file_may_choose_the_task() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut request = request(&[]);
+    request.files = vec![file(&folder, "task = \"halfcheetah-3x2\"\n")];
+    let resolved = resolve(&request).unwrap();
+    assert_eq!(resolved.text("task"), "halfcheetah-3x2");
+    assert_eq!(resolved.origin("update.epochs"), "configs/tasks/halfcheetah-3x2.toml");
+}
+
+#[test]
+fn an_unknown_key_is_refused_with_the_nearest_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "[update]\nlerning_rate = 1e-3\n");
+    let request = Request { files: vec![path.clone()], ..Request::default() };
+    assert_eq!(
+        resolve(&request).unwrap_err().to_string(),
+        format!(
+            "{}: unknown key `update.lerning_rate`; did you mean `update.learning_rate`?",
+            path.display()
+        )
+    );
+    assert_eq!(refusal(&["zzzzzzzz=1"]), "command line: unknown key `zzzzzzzz`");
+}
+
+#[test]
+fn an_unknown_section_is_refused_even_when_it_is_empty() {
+    let folder = tempfile::tempdir().unwrap();
+    let request = |text: &str| Request { files: vec![file(&folder, text)], ..Request::default() };
+    assert!(resolve(&request("[update]\n")).is_ok());
+    let error = resolve(&request("[updates]\n")).unwrap_err().to_string();
+    assert!(error.contains("unknown key `updates`"), "{error}");
+}
+
+#[test]
+fn a_value_of_the_wrong_kind_is_refused_with_the_expected_one() {
+    assert_eq!(
+        refusal(&["update.epochs=many"]),
+        "command line: `update.epochs` must be a whole number, found `many`"
+    );
+    assert_eq!(
+        refusal(&["update=3"]),
+        "command line: `update` must be a table with keys such as `update.adam_epsilon`, found a value"
+    );
+}
+
+#[test]
+fn an_unknown_task_is_refused_with_the_nearest_and_all_known_ones() {
+    assert_eq!(
+        refusal(&["halfcheetah-6x2"]),
+        "command line: unknown task `halfcheetah-6x2`; did you mean `halfcheetah-3x2`?; \
+         known: halfcheetah-2x3, halfcheetah-3x2, halfcheetah-6x1"
+    );
+    assert!(refusal(&["algorithm=ppo"]).starts_with("command line: unknown algorithm `ppo`"));
+}
+
+#[test]
+fn an_argument_without_a_value_is_refused() {
+    assert_eq!(
+        refusal(&["halfcheetah-6x1", "verbose"]),
+        "`verbose` is no setting; write key.path=value, for example run.seed=7"
+    );
+}
+
+#[test]
+fn a_syntax_error_names_file_and_line_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "[update]\nclip = = 2\n");
+    let request = Request { files: vec![path.clone()], ..Request::default() };
+    let error = resolve(&request).unwrap_err().to_string();
+    assert!(error.starts_with(&format!("{}:2: ", path.display())), "{error}");
+    assert!(!error.contains('\n'), "{error}");
+}
+
+#[test]
+fn a_duplicate_key_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "[run]\nseed = 1\nseed = 2\n");
+    let request = Request { files: vec![path], ..Request::default() };
+    assert!(resolve(&request).unwrap_err().to_string().contains("duplicate key"));
+}
+
+#[test]
+fn a_resolved_configuration_reads_back_as_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = resolve(&request(&["halfcheetah-6x1", "run.seed=7", "update.clip=1"])).unwrap();
+    for text in [first.to_toml(), first.to_toml_with_origins()] {
+        let path = file(&folder, &text);
+        let again = resolve(&Request { files: vec![path], ..Request::default() }).unwrap();
+        let values = |r: &Resolved| r.entries.values().map(|e| e.value.clone()).collect::<Vec<_>>();
+        assert_eq!(values(&again), values(&first));
+        assert_eq!(again.sha256(), first.sha256());
+    }
+}
+
+#[test]
+fn a_resumed_run_keeps_its_own_values_where_the_presets_have_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "algorithm = \"happo\"\n[update]\nclip = 0.33\n");
+    let request = Request { resumed: Some(path), ..request(&["run.actors=3"]) };
+    let resolved = resolve(&request).unwrap();
+    assert_eq!(resolved.entries["update.clip"].value, Scalar::Float(0.33));
+    assert_eq!(resolved.origin("update.epochs"), "configs/base.toml");
+    assert_eq!(resolved.entries["run.actors"].value, Scalar::Integer(3));
+}
+
+#[test]
+fn the_hash_covers_what_is_computed_and_nothing_else() {
+    let hash = |settings: &[&str]| resolve(&request(settings)).unwrap().sha256();
+    let default = hash(&[]);
+    for same in
+        ["run.actors=5", "run.dir=x", "run.iterations=9", "run.env_steps=5", "learner.threads=2"]
+    {
+        assert_eq!(hash(&[same]), default, "{same}");
+    }
+    for other in ["run.seed=2", "update.gamma=0.98", "algorithm=happo", "environments.per_slot=4"] {
+        assert_ne!(hash(&[other]), default, "{other}");
+    }
+}
+
+#[test]
+fn the_hash_of_given_settings_never_changes() {
+    let entry = |value| Entry { value, origin: "test".into() };
+    let entries = BTreeMap::from([
+        ("task".to_owned(), entry(Scalar::Text("a".into()))),
+        ("update.clip".to_owned(), entry(Scalar::Float(0.5))),
+        ("run.actors".to_owned(), entry(Scalar::Integer(3))),
+    ]);
+    // printf 'task = "a"\nupdate.clip = 0.5\n' | sha256sum
+    assert_eq!(
+        policy::arrays::hex(&Resolved { entries }.sha256()),
+        "f12856c559702fd139a5677d0e48bc32781fd7b01c5b21bbf6a47f33d5594fc1"
+    );
+}

@@ -1,0 +1,69 @@
+//! The configuration files that stand inside the program, so that it runs from any folder.
+
+/// A file of `configs/`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Preset {
+    /// Name of the task or algorithm.
+    pub(crate) name: &'static str,
+    /// Path in the repository, for messages.
+    pub(crate) path: &'static str,
+    /// The TOML.
+    pub(crate) text: &'static str,
+}
+
+macro_rules! presets {
+    ($folder:literal: $($name:literal),+ $(,)?) => {
+        &[$(Preset {
+            name: $name,
+            path: concat!("configs/", $folder, "/", $name, ".toml"),
+            text: include_str!(concat!("../../configs/", $folder, "/", $name, ".toml")),
+        }),+]
+    };
+}
+
+/// Every default.
+pub(crate) const BASE: Preset = Preset {
+    name: "base",
+    path: "configs/base.toml",
+    text: include_str!("../../configs/base.toml"),
+};
+
+/// What is set per task.
+pub(crate) const TASKS: &[Preset] =
+    presets!("tasks": "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1");
+
+/// What is set per algorithm.
+pub(crate) const ALGORITHMS: &[Preset] = presets!("algorithms": "happo-s2mia", "happo");
+
+/// The preset of that name.
+pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
+    presets.iter().copied().find(|preset| preset.name == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    fn names_in(folder: &str) -> BTreeSet<String> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(folder);
+        let entries = std::fs::read_dir(folder).unwrap();
+        entries.map(|e| e.unwrap().path().file_stem().unwrap().to_str().unwrap().into()).collect()
+    }
+
+    #[test]
+    fn every_file_in_configs_is_in_the_program() {
+        for (folder, presets) in [("tasks", TASKS), ("algorithms", ALGORITHMS)] {
+            let inside: BTreeSet<String> = presets.iter().map(|p| p.name.to_owned()).collect();
+            assert_eq!(names_in(folder), inside, "{folder}");
+        }
+    }
+
+    #[test]
+    fn every_task_of_the_simulator_has_a_file() {
+        let files: BTreeSet<&str> = TASKS.iter().map(|preset| preset.name).collect();
+        let tasks: BTreeSet<&str> = sim::task_names().iter().copied().collect();
+        assert_eq!(files, tasks);
+    }
+}

@@ -1,0 +1,102 @@
+//! The settings of one run after all layers: every key with its value and where that came from.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use sha2::{Digest as _, Sha256};
+
+use super::keys;
+use super::scalar::Scalar;
+
+/// A value and the layer that set it last.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Entry {
+    /// The value.
+    pub(crate) value: Scalar,
+    /// Layer, as messages and `s2mia config` name it.
+    pub(crate) origin: String,
+}
+
+/// All keys by dotted path.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Resolved {
+    /// Sorted by path.
+    pub(crate) entries: BTreeMap<String, Entry>,
+}
+
+impl Resolved {
+    /// Text under `key`; empty where the key holds no text.
+    pub(crate) fn text(&self, key: &str) -> &str {
+        match self.entries.get(key) {
+            Some(Entry { value: Scalar::Text(text), .. }) => text,
+            _ => "",
+        }
+    }
+
+    /// The value under `key` as TOML writes it.
+    pub(crate) fn shown(&self, key: &str) -> String {
+        self.entries.get(key).map_or_else(String::new, |entry| entry.value.to_string())
+    }
+
+    /// The keys that decide what a run computes.
+    pub(crate) fn semantic(&self) -> impl Iterator<Item = (&str, &Scalar)> {
+        let all = self.entries.iter().map(|(key, entry)| (key.as_str(), &entry.value));
+        all.filter(|(key, _)| keys::is_semantic(key))
+    }
+
+    /// The layer that set `key`.
+    pub(crate) fn origin(&self, key: &str) -> &str {
+        self.entries.get(key).map_or("configs/base.toml", |entry| &entry.origin)
+    }
+
+    /// Sets a value that the program works out itself, such as the run folder's name.
+    pub(crate) fn set_text(&mut self, key: &str, value: &str, origin: &str) {
+        let entry = Entry { value: Scalar::Text(value.to_owned()), origin: origin.to_owned() };
+        self.entries.insert(key.to_owned(), entry);
+    }
+
+    /// SHA-256 over `key = value` lines of the semantic keys: what a run computes, not how far or where.
+    pub(crate) fn sha256(&self) -> [u8; 32] {
+        let mut hasher = Sha256::new();
+        for (key, value) in self.semantic() {
+            hasher.update(format!("{key} = {value}\n"));
+        }
+        hasher.finalize().into()
+    }
+
+    /// The settings as TOML that can be read again.
+    pub(crate) fn to_toml(&self) -> String {
+        self.lines(|_| String::new())
+    }
+
+    /// The settings as TOML, each line with the origin of its value as a comment.
+    pub(crate) fn to_toml_with_origins(&self) -> String {
+        self.lines(|entry| format!("  # {}", entry.origin))
+    }
+
+    /// Keys without a section come first: in TOML they could not follow one.
+    fn lines(&self, comment: impl Fn(&Entry) -> String) -> String {
+        let (mut top, mut sections) = (String::new(), String::new());
+        let mut current = "";
+        for (key, entry) in &self.entries {
+            let Some((section, name)) = key.rsplit_once('.') else {
+                push_line(&mut top, key, entry, &comment(entry));
+                continue;
+            };
+            if section != current {
+                push_text(&mut sections, &format!("\n[{section}]\n"));
+                current = section;
+            }
+            push_line(&mut sections, name, entry, &comment(entry));
+        }
+        top + &sections
+    }
+}
+
+fn push_line(text: &mut String, name: &str, entry: &Entry, comment: &str) {
+    push_text(text, &format!("{name} = {}{comment}\n", entry.value));
+}
+
+fn push_text(text: &mut String, more: &str) {
+    text.write_str(more).expect("writing to a string cannot fail");
+}

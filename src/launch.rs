@@ -1,0 +1,149 @@
+//! From the arguments of `train` and `learner` to everything the learner needs.
+
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use anyhow::Context as _;
+use learner::Launch;
+use policy::RunSeed;
+use proto::Digest;
+use serde_json::json;
+
+use crate::cli::{ResumeArguments, SettingsArguments};
+use crate::commands::Usage;
+use crate::config::{ConfigError, Request, layers};
+use crate::fingerprints::{Fingerprints, Kinship, ONE_KIND};
+use crate::run_config::RunConfig;
+use crate::{resume, run_path};
+
+/// A run that is ready to start.
+pub(crate) struct Prepared {
+    /// Its settings.
+    pub(crate) config: RunConfig,
+    /// Its folder.
+    pub(crate) folder: PathBuf,
+    /// What the learner is started with.
+    pub(crate) launch: Launch,
+}
+
+/// Checks the settings and the run folder; starts and writes nothing.
+pub(crate) fn prepare(
+    settings: &SettingsArguments,
+    resumed: &ResumeArguments,
+) -> anyhow::Result<Prepared> {
+    let mut config = configure(settings, resumed.resume.as_deref())?;
+    let folder = match &resumed.resume {
+        Some(folder) => folder.clone(),
+        None => new_folder(&config)?,
+    };
+    config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
+    let fingerprints = Fingerprints::measure();
+    let kinship = kinship(&fingerprints, resumed)?;
+    let mut launch = launch(&config, &folder, &fingerprints)?;
+    launch.resume = resumed.resume.is_some();
+    launch.manifest[ONE_KIND] = json!(kinship == Kinship::Exact);
+    Ok(Prepared { config, folder, launch })
+}
+
+/// Whether this machine computes as those did that worked on the run before.
+fn kinship(fingerprints: &Fingerprints, resumed: &ResumeArguments) -> anyhow::Result<Kinship> {
+    let Some(folder) = &resumed.resume else {
+        return Ok(Kinship::Exact);
+    };
+    let kinship = fingerprints.compare(folder)?;
+    if !resumed.allow_other_machine {
+        kinship.demand(folder)?;
+    }
+    Ok(kinship)
+}
+
+/// The settings of a new run, or those of `resumed` with what may change.
+fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Result<RunConfig> {
+    let mut request = Request::from_process(settings.files.clone(), settings.settings.clone());
+    let Some(folder) = resumed else {
+        return Ok(RunConfig::build(layers::resolve(&request)?)?);
+    };
+    let file = run_path::config_file(folder);
+    if !file.is_file() {
+        let why = format!("{} is no run folder: it has no config.toml", folder.display());
+        return Err(Usage::new(why).into());
+    }
+    request.resumed = Some(file);
+    let old = RunConfig::of_run(folder)?;
+    let new = RunConfig::build(layers::resolve(&request)?)?;
+    resume::check(&old, &new)?;
+    refuse_other_folder(&new, &old)?;
+    Ok(new)
+}
+
+/// The folder is the one that is resumed, also when it has been moved since.
+fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigError> {
+    if new.run.dir == old.run.dir {
+        return Ok(());
+    }
+    Err(ConfigError::Refused {
+        place: new.resolved.origin("run.dir").to_owned(),
+        key: "run.dir".to_owned(),
+        detail: "a resumed run stays in its folder".to_owned(),
+    })
+}
+
+/// The folder of a new run; refuses one that holds a run already.
+fn new_folder(config: &RunConfig) -> anyhow::Result<PathBuf> {
+    let run = &config.run;
+    let folder = match run.dir.as_str() {
+        "" => {
+            let algorithm = config.resolved.text("algorithm");
+            let now = SystemTime::now();
+            run_path::default_folder(&config.task.task, algorithm, run.seed, now)
+        }
+        given => PathBuf::from(given),
+    };
+    if run_path::config_file(&folder).exists() {
+        let shown = folder.display();
+        let why =
+            format!("{shown} holds a run already; go on with it by `s2mia train --resume {shown}`");
+        return Err(Usage::new(why).into());
+    }
+    Ok(folder)
+}
+
+/// How a new run of `config` is started.
+fn launch(
+    config: &RunConfig,
+    folder: &Path,
+    fingerprints: &Fingerprints,
+) -> anyhow::Result<Launch> {
+    let world = sim::Environments::new(&config.task, 1).context("cannot build the task")?;
+    Ok(Launch {
+        config: config.learner.clone(),
+        training: config.training.clone(),
+        policy: config.policy.clone(),
+        environment: actor::environment_spec(world.description()),
+        task_settings: serde_json::to_string(&config.task)
+            .context("cannot write the task's settings")?,
+        seed: RunSeed(config.run.seed),
+        iterations: config.iterations(),
+        run_id: run_path::name(folder),
+        folder: folder.to_path_buf(),
+        config_toml: config.resolved.to_toml(),
+        config_sha256: Digest(config.resolved.sha256()),
+        rollout_fingerprint: fingerprints.rollout,
+        learner_fingerprint: fingerprints.learner,
+        manifest: manifest(config),
+        resume: false,
+    })
+}
+
+/// What the manifest says besides the learner's own fields.
+fn manifest(config: &RunConfig) -> serde_json::Value {
+    json!({
+        "program": "s2mia",
+        "version": env!("CARGO_PKG_VERSION"),
+        "git_commit": env!("S2MIA_GIT_COMMIT"),
+        "rustc": env!("S2MIA_RUSTC"),
+        "task": config.task.task,
+        "algorithm": config.resolved.text("algorithm"),
+        "seed": config.run.seed,
+    })
+}

@@ -1,0 +1,59 @@
+//! The s2mia command line: starts the allocator, reads the arguments, runs one command, and turns what
+//! went wrong into one line and an exit status.
+
+mod chart;
+mod cli;
+mod commands;
+mod config;
+mod fingerprints;
+mod launch;
+mod learning_curve;
+mod logging;
+mod output;
+mod picture;
+mod progress;
+mod resume;
+mod run_config;
+mod run_path;
+mod signals;
+mod supervisor;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+
+use crate::commands::Usage;
+use crate::config::ConfigError;
+
+// The system's allocator holds the learner back; with this one its wide matrix kernels pay off.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+fn main() -> ExitCode {
+    single_threaded_candle();
+    let arguments = match cli::Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return cli::report(&error),
+    };
+    logging::start(&arguments);
+    match commands::run(arguments.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => failure(&error),
+    }
+}
+
+/// candle and gemm take their thread count from this variable at every product. The learner has a pool
+/// of its own over agents and shards, so inside a shard they must stay on one thread.
+#[expect(unsafe_code, reason = "no other thread exists yet that could read the environment")]
+fn single_threaded_candle() {
+    // SAFETY: this is the first statement of `main`; the process has one thread.
+    unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
+}
+
+/// One line on stderr; 2 for what the user wrote wrong, 1 for a run that failed.
+fn failure(error: &anyhow::Error) -> ExitCode {
+    let wrong_usage = error.is::<ConfigError>() || error.is::<Usage>();
+    let message = format!("{error:#}").split_whitespace().collect::<Vec<_>>().join(" ");
+    eprintln!("error: {message}");
+    ExitCode::from(if wrong_usage { 2 } else { 1 })
+}

@@ -1,0 +1,106 @@
+//! What `s2mia train` and `s2mia learner` show of a run while it goes on: a bar on a terminal, plain lines
+//! elsewhere. The words of both come from `progress/wording.rs`.
+
+mod wording;
+
+use std::io::IsTerminal as _;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use learner::Event;
+
+use crate::{logging, output};
+use wording::Standing;
+
+/// Time between two plain lines.
+const LINE_PERIOD: Duration = Duration::from_secs(10);
+
+/// Shows the events of one run.
+pub(crate) struct Progress {
+    standing: Standing,
+    screen: Screen,
+}
+
+enum Screen {
+    Bar(ProgressBar),
+    Lines { last: Option<Instant> },
+}
+
+impl Progress {
+    /// For a run of `total` env steps; a bar if stdout is a terminal.
+    pub(crate) fn new(total: u64) -> Self {
+        let screen = match std::io::stdout().is_terminal() {
+            true => Screen::Bar(bar(total)),
+            false => Screen::Lines { last: None },
+        };
+        Self { standing: Standing::new(total), screen }
+    }
+
+    /// Takes in one event and shows it.
+    pub(crate) fn observe(&mut self, event: &Event) {
+        self.standing.take_in(event, Instant::now());
+        match event {
+            Event::Iteration(_) => self.iteration(),
+            Event::Collecting { env_steps, .. } => self.collecting(*env_steps),
+            Event::Waiting { .. } | Event::Evaluation { .. } => {
+                self.line(&wording::notice(event).unwrap_or_default());
+            }
+            Event::Checkpoint { .. } => {}
+        }
+        if self.standing.is_complete() {
+            self.clear();
+        }
+    }
+
+    fn iteration(&mut self) {
+        let now = Instant::now();
+        match &mut self.screen {
+            Screen::Bar(bar) => {
+                bar.set_position(self.standing.env_steps());
+                bar.set_message(self.standing.figures());
+            }
+            Screen::Lines { last } => {
+                let due = last.is_none_or(|last| now.duration_since(last) >= LINE_PERIOD);
+                if due || self.standing.is_complete() {
+                    *last = Some(now);
+                    output::line(self.standing.line());
+                }
+            }
+        }
+    }
+
+    fn collecting(&self, env_steps: u64) {
+        if let Screen::Bar(bar) = &self.screen {
+            bar.set_position(env_steps);
+        }
+    }
+
+    fn line(&self, text: &str) {
+        match &self.screen {
+            Screen::Bar(bar) if !bar.is_finished() => bar.println(text),
+            _ => output::line(text),
+        }
+    }
+
+    fn clear(&self) {
+        if let Screen::Bar(bar) = &self.screen {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.clear();
+    }
+}
+
+fn bar(total: u64) -> ProgressBar {
+    let bars = logging::bars();
+    bars.set_draw_target(ProgressDrawTarget::stdout());
+    let style = ProgressStyle::with_template(
+        "{bar:20.cyan/black} {human_pos}/{human_len} steps  {wide_msg}",
+    );
+    let style = style.expect("the template is well formed").progress_chars("━╸─");
+    bars.add(ProgressBar::new(total).with_style(style))
+}

@@ -1,0 +1,83 @@
+//! What may differ between a run and its resumption.
+
+use crate::config::{ConfigError, Resolved, keys};
+use crate::run_config::RunConfig;
+
+const MAY_CHANGE: &str =
+    "a resume may change operational keys and raise run.iterations or run.env_steps";
+const MAY_RISE: &str = "it may only be raised";
+
+/// Refuses, by name, the first setting of `new` that would make the run another one.
+pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError> {
+    for (key, value) in old.resolved.semantic() {
+        if new.resolved.entries[key].value != *value {
+            return Err(fixed(&old.resolved, &new.resolved, key, MAY_CHANGE));
+        }
+    }
+    if new.iterations() < old.iterations() {
+        let lowered = |key: &&&str| new.resolved.shown(key) != old.resolved.shown(key);
+        let key = keys::LENGTH.iter().find(lowered).unwrap_or(&keys::LENGTH[0]);
+        return Err(fixed(&old.resolved, &new.resolved, key, MAY_RISE));
+    }
+    Ok(())
+}
+
+fn fixed(old: &Resolved, new: &Resolved, key: &str, allowed: &'static str) -> ConfigError {
+    ConfigError::FixedOnResume {
+        place: new.origin(key).to_owned(),
+        key: key.to_owned(),
+        old: old.shown(key),
+        new: new.shown(key),
+        allowed,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Request, layers};
+
+    fn config(settings: &[&str]) -> RunConfig {
+        let settings = settings.iter().map(|s| (*s).to_owned()).collect();
+        let resolved = layers::resolve(&Request { settings, ..Request::default() }).unwrap();
+        RunConfig::build(resolved).unwrap()
+    }
+
+    #[test]
+    fn operational_keys_may_change_and_the_length_may_rise() {
+        let old = config(&["run.iterations=5"]);
+        for more in [
+            &["run.iterations=5", "run.actors=7", "checkpoint.every=3"][..],
+            &["run.iterations=9"],
+            &["run.iterations=0", "run.env_steps=1e6"],
+        ] {
+            assert_eq!(check(&old, &config(more)), Ok(()), "{more:?}");
+        }
+    }
+
+    #[test]
+    fn any_other_change_is_refused_by_name() {
+        let old = config(&["run.iterations=5"]);
+        let error = check(&old, &config(&["run.iterations=5", "update.clip=0.3"])).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "command line: `update.clip` cannot change on resume: the run has 0.1, found 0.3; \
+             a resume may change operational keys and raise run.iterations or run.env_steps"
+        );
+        let error = check(&old, &config(&["run.iterations=5", "run.seed=2"])).unwrap_err();
+        assert!(error.to_string().contains("`run.seed`"), "{error}");
+    }
+
+    #[test]
+    fn a_run_cannot_be_made_shorter() {
+        let error =
+            check(&config(&["run.iterations=5"]), &config(&["run.iterations=4"])).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "command line: `run.iterations` cannot change on resume: the run has 5, found 4; \
+             it may only be raised"
+        );
+        let error = check(&config(&[]), &config(&["run.env_steps=8000"])).unwrap_err();
+        assert!(error.to_string().contains("`run.env_steps`"), "{error}");
+    }
+}

@@ -1,0 +1,234 @@
+//! A run's configuration as the crates' own types, each section checked by the crate it belongs to.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::config::{ConfigError, Request, Resolved, layers};
+use crate::run_path;
+
+/// More actor processes than this on one machine are a mistake.
+const ACTORS_LIMIT: usize = 1024;
+
+/// The section `run`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct RunSection {
+    /// Every random draw of the run comes from it.
+    pub(crate) seed: u64,
+    /// Environment steps after which the run ends, rounded up to whole iterations.
+    pub(crate) env_steps: u64,
+    /// Iterations after which the run ends; 0: from `env_steps`.
+    pub(crate) iterations: u64,
+    /// Actor processes on this machine; 0: one per core.
+    pub(crate) actors: usize,
+    /// Run folder; empty: named for task, algorithm, seed and time.
+    pub(crate) dir: String,
+}
+
+/// Everything a run is started with.
+#[derive(Clone, Debug)]
+pub(crate) struct RunConfig {
+    /// All settings with their origins.
+    pub(crate) resolved: Resolved,
+    /// Section `run`.
+    pub(crate) run: RunSection,
+    /// `task` and sections `observation`, `partition`.
+    pub(crate) task: sim::TaskConfig,
+    /// Section `policy`.
+    pub(crate) policy: policy::PolicyConfig,
+    /// Sections `update`, `critic`, `surprise`, `influence`.
+    pub(crate) training: marl::Config,
+    /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `learner`.
+    pub(crate) learner: learner::Config,
+}
+
+impl RunConfig {
+    /// Checks all settings and sorts them into the crates' types. A refusal is laid at the setting whose
+    /// default would change it, so that it names the place where the user wrote that setting.
+    pub(crate) fn build(resolved: Resolved) -> Result<Self, ConfigError> {
+        let detail = match Self::assemble(&resolved) {
+            Ok(config) => return Ok(config),
+            Err(detail) => detail,
+        };
+        let defaults = layers::defaults();
+        let to_blame = |key: &&String| {
+            let mut changed = resolved.clone();
+            changed.entries.insert((*key).clone(), defaults.entries[*key].clone());
+            Self::assemble(&changed).err().as_ref() != Some(&detail)
+        };
+        let set =
+            resolved.entries.iter().filter(|(key, e)| e.value != defaults.entries[*key].value);
+        let key = set.map(|(key, _)| key).find(to_blame).map_or("run", String::as_str);
+        let place = resolved.origin(key).to_owned();
+        Err(ConfigError::Refused { place, key: key.to_owned(), detail })
+    }
+
+    /// The configuration of an existing run.
+    pub(crate) fn of_run(folder: &Path) -> Result<Self, ConfigError> {
+        let resumed = Some(run_path::config_file(folder));
+        Self::build(layers::resolve(&Request { resumed, ..Request::default() })?)
+    }
+
+    /// The crates' types from the settings; the first thing that an owner refuses, in its words.
+    fn assemble(resolved: &Resolved) -> Result<Self, String> {
+        let config = Self {
+            run: section(resolved, "run")?,
+            task: task(resolved)?,
+            policy: section(resolved, "policy")?,
+            training: sections(resolved, &["update", "critic", "surprise", "influence"])?,
+            learner: sections(
+                resolved,
+                &["environments", "lease", "evaluation", "checkpoint", "learner"],
+            )?,
+            resolved: resolved.clone(),
+        };
+        config.validate()?;
+        Ok(config)
+    }
+
+    fn validate(&self) -> Result<(), String> {
+        self.policy.validate().map_err(|error| error.to_string())?;
+        self.training.validate().map_err(|error| error.to_string())?;
+        self.learner.validate().map_err(|error| error.to_string())?;
+        self.validate_run()?;
+        let (chunk, through_time) =
+            (self.learner.environments.chunk_steps, self.policy.chunk_steps);
+        if !chunk.is_multiple_of(through_time) {
+            return Err(format!(
+                "environments.chunk_steps must be a multiple of policy.chunk_steps = {through_time}, is {chunk}"
+            ));
+        }
+        Ok(())
+    }
+
+    fn validate_run(&self) -> Result<(), String> {
+        if self.run.iterations == 0 && self.run.env_steps == 0 {
+            return Err("one of run.env_steps and run.iterations must be at least 1".to_owned());
+        }
+        match self.run.actors {
+            0..=ACTORS_LIMIT => Ok(()),
+            actors => Err(format!("run.actors must lie in 0..={ACTORS_LIMIT}, is {actors}")),
+        }
+    }
+
+    /// Iterations of the whole run.
+    pub(crate) fn iterations(&self) -> u64 {
+        match self.run.iterations {
+            0 => self.run.env_steps.div_ceil(self.steps_per_iteration()),
+            iterations => iterations,
+        }
+    }
+
+    /// Environment steps of the whole run.
+    pub(crate) fn env_steps(&self) -> u64 {
+        self.iterations().saturating_mul(self.steps_per_iteration())
+    }
+
+    fn steps_per_iteration(&self) -> u64 {
+        let environments = &self.learner.environments;
+        (environments.count * environments.steps) as u64
+    }
+
+    /// Actor processes on this machine.
+    pub(crate) fn actors(&self) -> usize {
+        match self.run.actors {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            actors => actors,
+        }
+    }
+}
+
+/// `task` and its sections, in the shape of the simulator's own type.
+fn task(resolved: &Resolved) -> Result<sim::TaskConfig, String> {
+    let mut table = tables(resolved, &["observation"]);
+    table.insert("task".to_owned(), toml::Value::String(resolved.text("task").to_owned()));
+    let semantics = toml::Value::String(resolved.text("partition.semantics").to_owned());
+    table.insert("partition".to_owned(), semantics);
+    typed(table)
+}
+
+/// One section as a type with the section's keys as fields.
+fn section<T: DeserializeOwned>(resolved: &Resolved, name: &str) -> Result<T, String> {
+    match tables(resolved, &[name]).remove(name) {
+        Some(toml::Value::Table(table)) => typed(table),
+        _ => unreachable!("configs/base.toml has the section `{name}`"),
+    }
+}
+
+/// Several sections as a type with the sections as fields.
+fn sections<T: DeserializeOwned>(resolved: &Resolved, names: &[&str]) -> Result<T, String> {
+    typed(tables(resolved, names))
+}
+
+fn tables(resolved: &Resolved, names: &[&str]) -> toml::Table {
+    let mut tables = toml::Table::new();
+    for name in names {
+        let prefix = format!("{name}.");
+        let inside = resolved.entries.iter().filter_map(|(key, entry)| {
+            Some((key.strip_prefix(&prefix)?.to_owned(), entry.value.to_toml()))
+        });
+        tables.insert((*name).to_owned(), toml::Value::Table(inside.collect()));
+    }
+    tables
+}
+
+fn typed<T: DeserializeOwned>(table: toml::Table) -> Result<T, String> {
+    let error =
+        |error: toml::de::Error| error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    toml::Value::Table(table).try_into().map_err(error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::presets;
+
+    fn built(settings: &[&str]) -> Result<RunConfig, ConfigError> {
+        let settings = settings.iter().map(|s| (*s).to_owned()).collect();
+        RunConfig::build(layers::resolve(&Request { settings, ..Request::default() }).unwrap())
+    }
+
+    #[test]
+    fn every_task_with_every_algorithm_is_valid() {
+        for task in presets::TASKS {
+            for algorithm in presets::ALGORITHMS {
+                let config = built(&[task.name, &format!("algorithm={}", algorithm.name)]).unwrap();
+                assert_eq!(config.task.task, task.name);
+            }
+        }
+    }
+
+    #[test]
+    fn the_default_run_is_a_million_env_steps() {
+        let config = built(&[]).unwrap();
+        assert_eq!((config.iterations(), config.env_steps()), (250, 1_000_000));
+        assert_eq!(built(&["run.env_steps=4001"]).unwrap().iterations(), 2);
+        assert_eq!(built(&["run.iterations=5"]).unwrap().env_steps(), 20_000);
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_laid_at_its_key_and_place() {
+        for (setting, key) in [
+            ("update.gamma=1.5", "update.gamma"),
+            ("update.learning_rate=-1", "update.learning_rate"),
+            ("environments.count=0", "environments.count"),
+            ("environments.chunk_steps=25", "environments.chunk_steps"),
+            ("policy.core=lstm", "policy.core"),
+            ("policy.hidden=0", "policy.hidden"),
+            ("observation.mode=eyes", "observation.mode"),
+            ("run.seed=-1", "run.seed"),
+            ("run.actors=100000", "run.actors"),
+            ("run.env_steps=0", "run.env_steps"),
+            ("surprise.density=oracle", "surprise.density"),
+            ("influence.kappa=-1", "influence.kappa"),
+            ("lease.ttl_secs=0", "lease.ttl_secs"),
+        ] {
+            let message =
+                built(&["halfcheetah-6x1", "algorithm=happo", setting]).unwrap_err().to_string();
+            assert!(message.starts_with("command line: "), "{message}");
+            assert!(message.contains(key) && !message.contains('\n'), "{message}");
+        }
+    }
+}

@@ -1,0 +1,246 @@
+//! The actor processes of `s2mia train`: starts them, replaces those that die, gives up when they die
+//! again and again, and sees that none outlives the run.
+
+use std::fs::{File, OpenOptions};
+use std::path::{Path, PathBuf};
+use std::process::{ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use tokio::process::{Child, Command};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+/// How long an actor may take to leave after its standard input has closed.
+const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
+
+/// Pause before a replacement, so that a broken program does not spin.
+const REPLACEMENT_PAUSE: Duration = Duration::from_millis(200);
+
+/// What every actor process is started with.
+#[derive(Clone, Debug)]
+pub(crate) struct Crew {
+    /// This program.
+    pub(crate) program: PathBuf,
+    /// Where the learner listens.
+    pub(crate) learner: String,
+    /// Folder of `actor_<index>.log`.
+    pub(crate) logs: PathBuf,
+    /// Number of processes.
+    pub(crate) actors: usize,
+}
+
+/// Deaths of the last minute.
+#[derive(Debug, Default)]
+pub(crate) struct DeathCount {
+    recent: Vec<Duration>,
+}
+
+impl DeathCount {
+    /// Deaths within `WINDOW` after which a run gives up.
+    pub(crate) const LIMIT: usize = 5;
+    /// How long a death counts.
+    pub(crate) const WINDOW: Duration = Duration::from_secs(60);
+
+    /// Counts a death at `now` (since any fixed moment); true if there are now too many.
+    pub(crate) fn add(&mut self, now: Duration) -> bool {
+        self.recent.retain(|death| now.saturating_sub(*death) < Self::WINDOW);
+        self.recent.push(now);
+        self.recent.len() >= Self::LIMIT
+    }
+}
+
+/// Why a crew gave up; empty while it has not.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Surrender(Arc<Mutex<Option<String>>>);
+
+impl Surrender {
+    /// The reason, if the crew gave up.
+    pub(crate) fn reason(&self) -> Option<String> {
+        self.0.lock().expect("no thread panics while it holds this lock").clone()
+    }
+
+    fn set(&self, reason: String) {
+        *self.0.lock().expect("no thread panics while it holds this lock") = Some(reason);
+    }
+}
+
+/// Keeps the crew complete until `ended`. When too many die, sets `stop` and the reason.
+pub(crate) async fn supervise(
+    crew: Crew,
+    ended: watch::Receiver<bool>,
+    stop: watch::Sender<bool>,
+) -> Surrender {
+    let surrender = Surrender::default();
+    let watchman = Watchman {
+        crew: Arc::new(crew),
+        deaths: Arc::default(),
+        start: Instant::now(),
+        surrender: surrender.clone(),
+        stop,
+    };
+    let mut posts = JoinSet::new();
+    for index in 0..watchman.crew.actors {
+        posts.spawn(watchman.clone().hold_post(index, ended.clone()));
+    }
+    posts.join_all().await;
+    surrender
+}
+
+/// What the tasks of all posts share.
+#[derive(Clone)]
+struct Watchman {
+    crew: Arc<Crew>,
+    deaths: Arc<Mutex<DeathCount>>,
+    start: Instant,
+    surrender: Surrender,
+    stop: watch::Sender<bool>,
+}
+
+impl Watchman {
+    /// One actor after the other in one place. An actor that leaves by itself was told that the run is done.
+    async fn hold_post(self, index: usize, mut ended: watch::Receiver<bool>) {
+        while !*ended.borrow() && self.surrender.reason().is_none() {
+            let death = match self.crew.start(index) {
+                Ok(child) => match until_exit(child, &mut ended).await {
+                    Some(status) if !status.success() => self.crew.death_notice(index, status),
+                    _ => return,
+                },
+                Err(error) => format!("actor {index} did not start: {error:#}"),
+            };
+            if *self.stop.borrow() {
+                return;
+            }
+            self.report(&death);
+            tokio::time::sleep(REPLACEMENT_PAUSE).await;
+        }
+    }
+
+    fn report(&self, death: &str) {
+        let too_many = {
+            let mut deaths = self.deaths.lock().expect("no thread panics while it holds this lock");
+            deaths.add(self.start.elapsed())
+        };
+        if !too_many {
+            tracing::warn!("{death}; starting another in its place");
+            return;
+        }
+        self.surrender.set(format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
+        self.stop.send_replace(true);
+    }
+}
+
+impl Crew {
+    /// A process of its own group, so that Ctrl-C reaches it only through its learner.
+    fn start(&self, index: usize) -> anyhow::Result<Child> {
+        let log = self.log_path(index);
+        let log: File = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&log)
+            .with_context(|| format!("cannot write {}", log.display()))?;
+        Command::new(&self.program)
+            .args(["actor", "--exit-with-stdin", "--learner", &self.learner])
+            .args(["--name", &format!("local-{index}")])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .process_group(0)
+            .kill_on_drop(true)
+            .spawn()
+            .with_context(|| format!("cannot start {}", self.program.display()))
+    }
+
+    fn log_path(&self, index: usize) -> PathBuf {
+        self.logs.join(format!("actor_{index}.log"))
+    }
+
+    fn death_notice(&self, index: usize, status: ExitStatus) -> String {
+        let log = self.log_path(index);
+        let last = last_line(&log).map_or_else(String::new, |line| format!(": {line}"));
+        format!("actor {index} died ({status}{last}); its log is {}", log.display())
+    }
+}
+
+/// Waits for a process; after `ended` its standard input closes and it has a moment to leave.
+/// `None` if the run ended first.
+async fn until_exit(mut child: Child, ended: &mut watch::Receiver<bool>) -> Option<ExitStatus> {
+    // `Child::wait` would close the pipe at once, and the actor would take that for the end of its run.
+    let stdin = child.stdin.take();
+    tokio::select! {
+        status = child.wait() => return status.ok(),
+        _ = ended.wait_for(|over| *over) => {}
+    }
+    drop(stdin);
+    if tokio::time::timeout(LEAVE_PATIENCE, child.wait()).await.is_err() {
+        // The process ignores its closed input; nothing is lost by ending it.
+        let _killed = child.kill().await;
+    }
+    None
+}
+
+/// Last line of a log that says something.
+fn last_line(path: &Path) -> Option<String> {
+    let text = std::fs::read_to_string(path).ok()?;
+    text.lines().rev().find(|line| !line.trim().is_empty()).map(|line| line.trim().to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt as _;
+
+    fn crew_of(folder: &tempfile::TempDir, script: &str) -> Crew {
+        let program = folder.path().join("actor.sh");
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        Crew {
+            program,
+            learner: "http://127.0.0.1:1".into(),
+            logs: folder.path().into(),
+            actors: 2,
+        }
+    }
+
+    #[test]
+    fn five_deaths_within_a_minute_are_too_many() {
+        let mut deaths = DeathCount::default();
+        let verdicts: Vec<bool> = (0..5).map(|s| deaths.add(Duration::from_secs(s * 10))).collect();
+        assert_eq!(verdicts, [false, false, false, false, true]);
+    }
+
+    #[test]
+    fn deaths_a_quarter_of_a_minute_apart_never_are() {
+        let mut deaths = DeathCount::default();
+        assert!(!(0..100).any(|s| deaths.add(Duration::from_secs(s * 15))));
+    }
+
+    #[tokio::test]
+    async fn a_crew_that_keeps_dying_gives_up_and_says_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let crew = crew_of(&folder, "echo no rapier today >&2; exit 3");
+        let (stop, stopped) = watch::channel(false);
+        let (_end, ended) = watch::channel(false);
+        let reason = supervise(crew, ended, stop).await.reason().unwrap();
+        assert!(
+            reason.contains("5 actor deaths") && reason.contains("no rapier today"),
+            "{reason}"
+        );
+        assert!(*stopped.borrow());
+    }
+
+    #[tokio::test]
+    async fn actors_leave_when_the_run_ends() {
+        let folder = tempfile::tempdir().unwrap();
+        let crew = crew_of(&folder, "cat > /dev/null");
+        let (stop, _stopped) = watch::channel(false);
+        let (end, ended) = watch::channel(false);
+        let supervised = tokio::spawn(supervise(crew, ended, stop));
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        assert!(!supervised.is_finished());
+        end.send_replace(true);
+        let surrender = tokio::time::timeout(Duration::from_secs(5), supervised).await.unwrap();
+        assert_eq!(surrender.unwrap().reason(), None);
+    }
+}

@@ -1,0 +1,77 @@
+//! The program from outside: wrong input is one line on stderr and status 2; the tools print what they say.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::process::{Command, Output};
+
+fn s2mia(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap()
+}
+
+fn refusal(arguments: &[&str]) -> String {
+    let output = s2mia(arguments);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {line}");
+    assert_eq!(line.lines().count(), 1, "{arguments:?}: {line}");
+    assert!(output.stdout.is_empty(), "{arguments:?}");
+    line
+}
+
+#[test]
+fn wrong_settings_are_one_line_and_status_two() {
+    for (arguments, part) in [
+        (&["train", "update.lerning_rate=1"][..], "did you mean `update.learning_rate`?"),
+        (&["train", "update.gamma=2"], "update.gamma"),
+        (&["train", "update.gamma=much"], "must be a finite number"),
+        (&["train", "halfcheeta-2x3"], "did you mean `halfcheetah-2x3`?"),
+        (&["train", "algorithm=happ"], "did you mean `happo`?"),
+        (&["train", "halfcheetah-2x3", "happo"], "is no setting"),
+        (&["train", "--config", "no/such/file.toml"], "no/such/file.toml"),
+        (&["train", "--resume", "no/such/run"], "no/such/run"),
+        (&["train", "--frobnicate"], "--frobnicate"),
+        (&["learner", "--listen", "0.0.0.0:0"], "--insecure-allow-remote"),
+        (&["learner", "--listen", "here"], "--listen"),
+        (&["actor", "--learner", "localhost"], "--learner"),
+        (&["inspect", "no/such/run"], "no/such/run"),
+        (&["eval", "no/such/run"], "no/such/run"),
+        (&["record", "no/such/run"], "no/such/run"),
+        (&["plot", "no/such/run"], "no/such/run"),
+        (&["dance"], "dance"),
+    ] {
+        let line = refusal(arguments);
+        assert!(line.contains(part), "{arguments:?}: {line}");
+    }
+}
+
+#[test]
+fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
+    let run = |name: &str, value: &str| {
+        Command::new(env!("CARGO_BIN_EXE_s2mia")).arg("config").env(name, value).output().unwrap()
+    };
+    let good = String::from_utf8(run("S2MIA__UPDATE__CLIP", "0.125").stdout).unwrap();
+    assert!(good.contains("clip = 0.125  # environment variable S2MIA__UPDATE__CLIP"), "{good}");
+    let bad = run("S2MIA__UPDATE__CLAP", "0.125");
+    assert_eq!(bad.status.code(), Some(2));
+    assert!(String::from_utf8(bad.stderr).unwrap().contains("S2MIA__UPDATE__CLAP: unknown key"));
+}
+
+#[test]
+fn every_command_has_help() {
+    for command in
+        ["train", "learner", "actor", "eval", "record", "plot", "inspect", "tasks", "config"]
+    {
+        let output = s2mia(&[command, "--help"]);
+        assert!(output.status.success(), "{command}");
+        assert!(String::from_utf8(output.stdout).unwrap().contains("Usage: s2mia"), "{command}");
+    }
+}
+
+#[test]
+fn the_tasks_are_listed_with_their_agents() {
+    let output = s2mia(&["tasks", "--json"]);
+    let tasks: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let six = tasks.as_array().unwrap().iter().find(|t| t["task"] == "halfcheetah-6x1").unwrap();
+    assert_eq!(six["agents"].as_array().unwrap().len(), 6);
+    assert_eq!(six["agents"][0]["action"]["size"], 1);
+    let table = String::from_utf8(s2mia(&["tasks"]).stdout).unwrap();
+    assert!(table.contains("halfcheetah-2x3: 2 agents"), "{table}");
+}

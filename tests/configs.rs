@@ -1,0 +1,54 @@
+//! Every file in `configs/` loads and is valid, and a resolved configuration can be read again.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn files(folder: &str) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(folder);
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.retain(|path| path.is_file());
+    files.sort();
+    assert!(!files.is_empty());
+    files
+}
+
+fn resolved(arguments: &[&str]) -> String {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_s2mia")).arg("config").args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn every_task_and_algorithm_file_is_found_by_its_name() {
+    for task in files("tasks") {
+        for algorithm in files("algorithms") {
+            let (task, algorithm) = (task.file_stem().unwrap(), algorithm.file_stem().unwrap());
+            let (task, algorithm) = (task.to_str().unwrap(), algorithm.to_str().unwrap());
+            let text = resolved(&[task, &format!("algorithm={algorithm}")]);
+            assert!(text.contains(&format!("# configs/algorithms/{algorithm}.toml")), "{text}");
+            assert!(text.contains(&format!("# configs/tasks/{task}.toml")), "{text}");
+        }
+    }
+}
+
+#[test]
+fn every_file_also_loads_as_a_layer_of_its_own() {
+    for file in ["", "tasks", "algorithms"].into_iter().flat_map(files) {
+        resolved(&["--config", file.to_str().unwrap()]);
+    }
+}
+
+#[test]
+fn a_printed_configuration_reads_back_with_the_same_hash() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = resolved(&["halfcheetah-6x1", "algorithm=happo", "run.seed=9"]);
+    let path = folder.path().join("mine.toml");
+    std::fs::write(&path, &first).unwrap();
+    let again = resolved(&["--config", path.to_str().unwrap()]);
+    let hash = |text: &str| text.lines().last().unwrap().to_owned();
+    assert!(hash(&first).starts_with("# config_sha256 = "));
+    assert_eq!(hash(&again), hash(&first));
+}

@@ -1,0 +1,130 @@
+//! Which crate may use which, read from the `Cargo.toml` files. ARCHITECTURE.md gives the reasons.
+
+use std::collections::BTreeSet;
+
+use toml::Table;
+
+use crate::assert_none;
+use crate::repository::{LIBRARIES, read};
+
+/// Workspace crates that a crate may use. The root may use all of them.
+const ARROWS: [(&str, &[&str]); 6] = [
+    ("proto", &[]),
+    ("sim", &[]),
+    ("policy", &[]),
+    ("marl", &["policy"]),
+    ("actor", &["policy", "proto", "sim"]),
+    ("learner", &["marl", "policy", "proto"]),
+];
+
+const ROOT: &str = "s2mia";
+
+/// Outside crates that shape whatever uses them, and the only crates that may.
+const HEAVY: [(&str, &[&str]); 21] = [
+    ("anyhow", &[ROOT]),
+    ("clap", &[ROOT]),
+    ("indicatif", &[ROOT]),
+    ("kuva", &[ROOT]),
+    ("mimalloc", &[ROOT]),
+    ("toml", &[ROOT]),
+    ("tracing-subscriber", &[ROOT]),
+    ("candle-core", &["policy", "marl"]),
+    ("candle-nn", &["policy", "marl"]),
+    ("gemm", &["policy"]),
+    ("rand_chacha", &["policy"]),
+    ("rayon", &["marl", "learner"]),
+    ("mjcf-rs", &["sim"]),
+    ("rapier3d", &["sim"]),
+    ("foxglove", &["actor"]),
+    ("mcap", &["actor"]),
+    ("prost", &["proto", "actor"]),
+    ("tokio", &[ROOT, "actor", "learner"]),
+    ("tokio-stream", &[ROOT, "actor", "learner"]),
+    ("tonic", &["proto", "actor", "learner"]),
+    ("tonic-prost-build", &["proto"]),
+];
+
+fn manifest(name: &str) -> Table {
+    let path = if name == ROOT { "Cargo.toml".into() } else { format!("{name}/Cargo.toml") };
+    read(&path).parse().unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+fn section(manifest: &Table, name: &str) -> Table {
+    manifest.get(name).and_then(|value| value.as_table()).cloned().unwrap_or_default()
+}
+
+/// Names in the given sections of a crate's manifest.
+fn dependencies(name: &str, sections: &[&str]) -> BTreeSet<String> {
+    let manifest = manifest(name);
+    sections.iter().flat_map(|part| section(&manifest, part)).map(|(key, _)| key).collect()
+}
+
+const SHIPPED: [&str; 2] = ["dependencies", "build-dependencies"];
+const ALL: [&str; 3] = ["dependencies", "build-dependencies", "dev-dependencies"];
+
+#[test]
+fn a_crate_uses_only_the_crates_that_its_arrows_allow() {
+    let mut offenders = Vec::new();
+    for (name, allowed) in ARROWS {
+        let used = dependencies(name, &ALL);
+        let wrong = used.iter().filter(|other| LIBRARIES.contains(&other.as_str()));
+        let wrong = wrong.filter(|other| !allowed.contains(&other.as_str()));
+        offenders.extend(wrong.map(|other| format!("{name}/Cargo.toml: {name} -> {other}")));
+    }
+    assert_none("an arrow that ARCHITECTURE.md does not draw:", &offenders);
+}
+
+#[test]
+fn a_heavy_dependency_stays_in_its_room() {
+    let mut offenders = Vec::new();
+    for name in LIBRARIES.into_iter().chain([ROOT]) {
+        let used = dependencies(name, &SHIPPED);
+        let wrong =
+            HEAVY.iter().filter(|(heavy, rooms)| used.contains(*heavy) && !rooms.contains(&name));
+        offenders
+            .extend(wrong.map(|(heavy, rooms)| format!("{name}: {heavy} (only {rooms:?} may)")));
+    }
+    assert_none("a dependency outside the crates that may name it:", &offenders);
+}
+
+#[test]
+fn every_workspace_crate_has_its_arrows_written_down() {
+    let root = manifest(ROOT);
+    let members = root["workspace"]["members"].as_array().cloned().unwrap_or_default();
+    let members: BTreeSet<String> =
+        members.iter().filter_map(|member| member.as_str()).map(str::to_owned).collect();
+    let known: BTreeSet<String> = ARROWS.iter().map(|(name, _)| (*name).to_owned()).collect();
+    assert_eq!(members, known, "workspace members and ARROWS in tests/tidy/arrows.rs differ");
+}
+
+#[test]
+fn versions_and_lints_come_from_the_workspace() {
+    let mut offenders = Vec::new();
+    for name in LIBRARIES.into_iter().chain([ROOT]) {
+        let manifest = manifest(name);
+        for (key, value) in ALL.iter().flat_map(|part| section(&manifest, part)) {
+            if !inherited(&value) {
+                offenders.push(format!("{name}: {key} must be `{key}.workspace = true`"));
+            }
+        }
+        if !manifest.get("lints").is_some_and(inherited) {
+            offenders.push(format!("{name}: `[lints] workspace = true` is missing"));
+        }
+    }
+    assert_none("a version or a lint level is written twice:", &offenders);
+}
+
+fn inherited(value: &toml::Value) -> bool {
+    value.get("workspace").and_then(|flag| flag.as_bool()) == Some(true)
+}
+
+#[test]
+fn every_version_in_the_workspace_table_has_a_user() {
+    let table = manifest(ROOT)["workspace"]["dependencies"].as_table().cloned().unwrap_or_default();
+    let mut used = BTreeSet::new();
+    for name in LIBRARIES.into_iter().chain([ROOT]) {
+        used.extend(dependencies(name, &ALL));
+    }
+    let idle = table.keys().filter(|key| !used.contains(*key)).cloned().collect::<Vec<_>>();
+    assert_none("in [workspace.dependencies], but no crate uses it:", &idle);
+}
