@@ -62,6 +62,10 @@ pub struct IterationReport {
     pub episode_return: Option<f64>,
     /// Actors connected.
     pub actors: usize,
+    /// Messages refused since the learner started.
+    pub messages_refused: u64,
+    /// Slots and episodes leased again since the learner started.
+    pub leases_reissued: u64,
     /// The densities' and the algorithm's figures.
     pub metrics: Vec<(String, f64)>,
 }

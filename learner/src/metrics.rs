@@ -58,6 +58,8 @@ impl Metrics {
             "update_secs": report.update_secs,
             "density_secs": density_secs,
             "actors": report.actors,
+            "messages_refused": report.messages_refused,
+            "leases_reissued": report.leases_reissued,
         });
         line.extend(own.as_object().cloned().unwrap_or_default());
         self.lines.append(&Value::Object(line))
@@ -107,6 +109,8 @@ mod tests {
             update_secs: 0.25,
             episode_return: None,
             actors: 2,
+            messages_refused: 3,
+            leases_reissued: 1,
             metrics: vec![("losses/value".into(), 1.5), ("agent0/sigma".into(), f64::NAN)],
         }
     }
@@ -120,6 +124,7 @@ mod tests {
         let expected = json!({
             "kind": "iteration", "iteration": 1, "env_steps": 40, "episode_return": null,
             "rollout_secs": 0.5, "update_secs": 0.25, "density_secs": 0.125, "actors": 2,
+            "messages_refused": 3, "leases_reissued": 1,
             "losses/value": 1.5, "agent0/sigma": null,
         });
         assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), expected);

@@ -213,6 +213,8 @@ impl Work {
             update_secs: learnt.update_secs,
             episode_return: trainer.environments.mean_return(),
             actors: progress.actors,
+            messages_refused: progress.refusals.values().sum(),
+            leases_reissued: progress.leases_reissued,
             metrics,
         };
         trainer.metrics.iteration(&report, learnt.density_secs)?;

@@ -168,6 +168,8 @@ mod tests {
             update_secs: 3.0,
             episode_return,
             actors: 2,
+            messages_refused: 0,
+            leases_reissued: 0,
             metrics: Vec::new(),
         })
     }

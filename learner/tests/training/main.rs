@@ -53,7 +53,17 @@ fn lines(folder: &Path, name: &str) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// The metrics without what was measured by the clock or depends on who was connected.
+/// Fields that say how a run went, and differ from one run to the next.
+const OF_THE_DAY: [&str; 6] = [
+    "rollout_secs",
+    "update_secs",
+    "density_secs",
+    "actors",
+    "messages_refused",
+    "leases_reissued",
+];
+
+/// The metrics without those fields.
 fn timeless(folder: &Path) -> Vec<Value> {
     let mut lines = lines(folder, "metrics.jsonl");
     for line in &mut lines {
@@ -61,7 +71,7 @@ fn timeless(folder: &Path) -> Vec<Value> {
             continue;
         }
         let line = line.as_object_mut().unwrap();
-        for name in ["rollout_secs", "update_secs", "density_secs", "actors"] {
+        for name in OF_THE_DAY {
             line.remove(name).unwrap();
         }
     }

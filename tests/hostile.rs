@@ -1,0 +1,246 @@
+//! A client that sends rubbish to a learner at work: each message is refused with a status that names
+//! the field, all are counted, and the run ends with the weights of a run that was left in peace.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::io::{BufRead as _, BufReader, Lines, Write as _};
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+use proto::wire::learner_service_client::LearnerServiceClient;
+use proto::{
+    AgentChunk, Digest, Lease, LeaseAnswer, PushHeader, Reason, Refusal, Registered, Registration,
+    RunDescription, TrajectoryChunk, Work, wire,
+};
+use tonic::Status;
+use tonic::transport::Channel;
+
+const RUN: &[&str] = &[
+    "halfcheetah-2x3",
+    "run.seed=7",
+    "run.iterations=2",
+    "environments.count=4",
+    "environments.steps=20",
+    "environments.per_slot=2",
+    "environments.chunk_steps=10",
+    "policy.encoder=8",
+    "policy.hidden=8",
+    "critic.width=16",
+    "influence.encoder=8",
+    "influence.hidden=8",
+    "evaluation.every_steps=0",
+];
+
+fn s2mia(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(arguments);
+    command
+}
+
+/// A learner without actors, and where it listens.
+struct Learner {
+    process: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    url: String,
+}
+
+impl Learner {
+    fn start(folder: &Path) -> Self {
+        let dir = format!("run.dir={}", folder.display());
+        let arguments = [&["learner", "--listen", "127.0.0.1:0"], RUN, &[dir.as_str()]].concat();
+        let mut process =
+            s2mia(&arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        let first = lines.next().unwrap().unwrap();
+        let url = first.split_whitespace().last().unwrap().to_owned();
+        Self { process, lines, url }
+    }
+
+    /// Lets an honest actor do all the work.
+    fn finish(mut self) {
+        assert!(s2mia(&["actor", "--learner", &self.url]).output().unwrap().status.success());
+        let rest: Vec<String> = self.lines.map(Result::unwrap).collect();
+        assert!(self.process.wait().unwrap().success(), "{rest:?}");
+        assert!(rest.iter().any(|line| line.starts_with("finished after iteration 2")), "{rest:?}");
+    }
+}
+
+fn weights(folder: &Path) -> serde_json::Value {
+    let output = s2mia(&["inspect", folder.to_str().unwrap(), "--json"]).output().unwrap();
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// A connection of its own for every attack, so that one attack's consequences do not reach the next.
+struct Attacker {
+    service: LearnerServiceClient<Channel>,
+    run: RunDescription,
+    own: Registered,
+}
+
+impl Attacker {
+    async fn connect(url: &str) -> Self {
+        let mut service = LearnerServiceClient::connect(url.to_owned()).await.unwrap();
+        let run = service.describe_run(wire::DescribeRunRequest {}).await.unwrap().into_inner();
+        let run = RunDescription::from_wire(run.run).unwrap();
+        let registered = service.register(registration(&run).to_wire()).await.unwrap();
+        let own = Registered::from_wire(&registered.into_inner());
+        Self { service, run, own }
+    }
+
+    async fn lease(&mut self) -> Lease {
+        let request = wire::LeaseSlotsRequest {
+            actor_id: self.own.actor.0,
+            incarnation: self.own.incarnation.0,
+            wait_millis: 20_000,
+        };
+        let answer = self.service.lease_slots(request).await.unwrap().into_inner();
+        match LeaseAnswer::from_wire(answer, &self.run).unwrap() {
+            LeaseAnswer::Lease(lease) => lease,
+            other => panic!("expected a lease, got {other:?}"),
+        }
+    }
+
+    async fn push(&mut self, message: wire::PushTrajectoryRequest) -> Status {
+        let stream = self.service.push_trajectory(tokio_stream::iter([message])).await;
+        stream.unwrap().into_inner().message().await.unwrap_err()
+    }
+}
+
+fn registration(run: &RunDescription) -> Registration {
+    Registration {
+        client: "attacker".to_owned(),
+        protocol_version: run.protocol_version,
+        environment: run.environment.clone(),
+        rollout_fingerprint: Some(run.rollout_fingerprint),
+    }
+}
+
+/// A first chunk of the right shape that nobody has computed.
+fn invented(run: &RunDescription) -> TrajectoryChunk {
+    let rows = (run.chunk_steps * run.environments_per_slot) as usize;
+    let stored = (run.chunk_steps / run.hidden_every * run.environments_per_slot) as usize;
+    let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
+    let agents = agents.map(|(agent, hidden)| AgentChunk {
+        observation: vec![0.1; rows * agent.observation.len()],
+        action: vec![0.1; rows * agent.action.size as usize],
+        log_prob: vec![0.0; rows],
+        hidden: vec![0.0; stored * *hidden as usize],
+    });
+    TrajectoryChunk {
+        sequence: 0,
+        first_step: 0,
+        steps: run.chunk_steps,
+        agents: agents.collect(),
+        state: vec![0.1; rows * run.environment.state.len()],
+        reward: vec![0.0; rows],
+        terminated: vec![false; rows],
+        truncated: vec![false; rows],
+        finals: Vec::new(),
+        end: None,
+    }
+}
+
+/// The message that an actor with this lease would send.
+fn message(
+    lease: &Lease,
+    chunk: &TrajectoryChunk,
+    run: &RunDescription,
+) -> wire::PushTrajectoryRequest {
+    let (chunk, digest) = chunk.to_wire(run);
+    let content = wire::push_trajectory_request::Content::Chunk(chunk);
+    PushHeader::of(lease, digest).to_wire(content)
+}
+
+/// What is spoilt, the reason given, and the field named.
+type Attack =
+    (fn(&mut TrajectoryChunk), fn(&mut wire::PushTrajectoryRequest), Reason, &'static str);
+
+fn reward(message: &mut wire::PushTrajectoryRequest) -> &mut wire::Tensor {
+    match message.content.as_mut().unwrap() {
+        wire::push_trajectory_request::Content::Chunk(chunk) => chunk.reward.as_mut().unwrap(),
+        other => panic!("expected a chunk, got {other:?}"),
+    }
+}
+
+fn leave<T>(_: &mut T) {}
+
+const ATTACKS: &[Attack] = &[
+    (leave, |m| reward(m).shape = vec![9, 2], Reason::BadShape, "chunk.reward"),
+    (leave, |m| reward(m).shape = vec![u32::MAX, u32::MAX], Reason::BadShape, "chunk.reward"),
+    (|c| c.agents[1].action[4] = f32::NAN, leave, Reason::NotFinite, "chunk.agents[1].action"),
+    (|c| c.state[0] = f32::INFINITY, leave, Reason::NotFinite, "chunk.state"),
+    (|c| c.truncated[3] = true, leave, Reason::Inconsistent, "chunk.finals"),
+    (|c| c.sequence = 1, leave, Reason::OutOfOrder, "chunk.sequence"),
+    (leave, leave, Reason::CanaryMismatch, "chunk.agents[0].log_prob"),
+    (leave, |m| m.lease_id = 999_999, Reason::UnknownLease, "lease_id"),
+    (leave, |m| m.incarnation += 1, Reason::OtherIncarnation, "incarnation"),
+    (leave, |m| m.weights.as_mut().unwrap().version = 7, Reason::StaleWeights, "weights.version"),
+    (leave, |m| m.digest = vec![1; 32].into(), Reason::DigestMismatch, "digest"),
+    (leave, |m| m.content = None, Reason::MissingField, "content"),
+];
+
+async fn attack(url: &str, (spoil_chunk, spoil_message, reason, field): &Attack) {
+    let mut attacker = Attacker::connect(url).await;
+    let lease = attacker.lease().await;
+    assert!(matches!(lease.work, Work::Rollout(_)));
+    let mut chunk = invented(&attacker.run);
+    spoil_chunk(&mut chunk);
+    let mut message = message(&lease, &chunk, &attacker.run);
+    spoil_message(&mut message);
+    let status = attacker.push(message).await;
+    let refusal = Refusal::from_status(&status).unwrap_or_else(|| panic!("{field}: {status:?}"));
+    assert_eq!((refusal.reason, refusal.field.as_str()), (*reason, *field), "{refusal}");
+    assert_eq!(status.code(), reason.code());
+}
+
+/// Registrations, leases and snapshots that no honest actor asks for.
+async fn ask_for_the_impossible(url: &str) -> usize {
+    let mut attacker = Attacker::connect(url).await;
+    let run = attacker.run.clone();
+    let other_program =
+        Registration { rollout_fingerprint: Some(Digest([1; 32])), ..registration(&run) };
+    let mut other_robot = registration(&run);
+    other_robot.environment.state.pop();
+    let service = &mut attacker.service;
+    let refused = |status: Status| Refusal::from_status(&status).unwrap().reason;
+    let status = service.register(other_program.to_wire()).await.unwrap_err();
+    assert_eq!(refused(status), Reason::OtherFingerprint);
+    let status = service.register(other_robot.to_wire()).await.unwrap_err();
+    assert_eq!(refused(status), Reason::OtherEnvironment);
+    let stranger = wire::LeaseSlotsRequest {
+        actor_id: 77_777,
+        incarnation: attacker.own.incarnation.0,
+        wait_millis: 0,
+    };
+    let status = service.lease_slots(stranger).await.unwrap_err();
+    assert_eq!(refused(status), Reason::UnknownActor);
+    let ghost = wire::WeightsName { version: 99, digest: vec![3; 32].into() };
+    let status = service.get_weights(wire::GetWeightsRequest { weights: Some(ghost) }).await;
+    assert_eq!(refused(status.unwrap_err()), Reason::UnknownWeights);
+    4
+}
+
+fn no_protocol_at_all(url: &str) {
+    let address = url.strip_prefix("http://").unwrap();
+    let mut socket = std::net::TcpStream::connect(address).unwrap();
+    socket.write_all(&[0x5a; 4096]).unwrap();
+}
+
+#[tokio::test]
+async fn rubbish_is_refused_by_name_and_counted_and_the_run_goes_on_as_if_nothing_had_been() {
+    let folder = tempfile::tempdir().unwrap();
+    let (attacked, in_peace) = (folder.path().join("attacked"), folder.path().join("in-peace"));
+    let learner = Learner::start(&attacked);
+    no_protocol_at_all(&learner.url);
+    for each in ATTACKS {
+        attack(&learner.url, each).await;
+    }
+    let more = ask_for_the_impossible(&learner.url).await;
+    tokio::task::spawn_blocking(move || learner.finish()).await.unwrap();
+    let metrics = std::fs::read_to_string(attacked.join("metrics.jsonl")).unwrap();
+    let last: serde_json::Value = serde_json::from_str(metrics.lines().last().unwrap()).unwrap();
+    assert_eq!(last["messages_refused"], ATTACKS.len() + more);
+
+    let quiet = Learner::start(&in_peace);
+    tokio::task::spawn_blocking(move || quiet.finish()).await.unwrap();
+    assert_eq!(weights(&attacked), weights(&in_peace));
+}
