@@ -99,7 +99,7 @@ fn bar(total: u64) -> ProgressBar {
     let bars = logging::bars();
     bars.set_draw_target(ProgressDrawTarget::stdout());
     let style = ProgressStyle::with_template(
-        "{bar:20.cyan/black} {human_pos}/{human_len} steps  {wide_msg}",
+        "{bar:40.cyan/black} {human_pos}/{human_len} steps ({percent} %)\n{wide_msg}",
     );
     let style = style.expect("the template is well formed").progress_chars("━╸─");
     bars.add(ProgressBar::new(total).with_style(style))

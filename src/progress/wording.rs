@@ -72,7 +72,7 @@ impl Standing {
         }
     }
 
-    /// Speed, return, time left and phase shares, for the end of the bar; narrow terminals cut off the end.
+    /// Speed, return, time left and phase shares, for the line under the bar: at most 80 columns.
     pub(super) fn figures(&self) -> String {
         let mut parts = Vec::new();
         if let Some(speed) = self.steps_per_sec() {
