@@ -1,6 +1,6 @@
 //! All agents of a few environments acting together: observations in, joint actions out.
 
-use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator, standard_normal};
+use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
 use sim::Environments;
 
 /// Buffers of one slot's agents; `E` environments, rows in their order.
@@ -85,11 +85,11 @@ impl Agents {
         }
     }
 
-    /// Actions drawn around the means, and their log-densities. Each agent's noise in each
+    /// Actions drawn as each policy says, and their log-densities. Each agent's noise in each
     /// environment and step has its own key; `first` is the first environment's global index.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], noise: Noise) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let (width, sigma) = (self.sizes[agent].action, policy.sigma());
+            let width = self.sizes[agent].action;
             for (row, &environment) in indices.iter().enumerate() {
                 let key = Draw::of(Purpose::Action)
                     .iteration(noise.iteration)
@@ -99,10 +99,8 @@ impl Agents {
                 let mut rng = generator(noise.seed, key);
                 let of = row * width..(row + 1) * width;
                 let (mean, action) = (&self.mean[agent][of.clone()], &mut self.action[agent][of]);
-                for ((action, mean), sigma) in action.iter_mut().zip(mean).zip(sigma) {
-                    *action = mean + sigma * standard_normal(&mut rng);
-                }
-                self.log_prob[agent][row] = policy::gaussian::log_prob(mean, sigma, action);
+                policy.draw(mean, &mut rng, action);
+                self.log_prob[agent][row] = policy.log_prob(mean, action);
             }
         }
     }

@@ -2,7 +2,7 @@
 //! observations, from the stored recurrent states, and compares. Wrong weights, a wrong recurrent state
 //! or another order of observations show at once.
 
-use policy::{ActorPolicy, PolicySnapshot, Scratch, gaussian};
+use policy::{ActorPolicy, PolicySnapshot, Scratch};
 use proto::{AgentChunk, Reason, Refusal, RunDescription, TrajectoryChunk};
 
 /// Largest difference between the actor's and the learner's log-probability (nats) or recurrent state.
@@ -81,7 +81,7 @@ impl Replay<'_> {
         for e in 0..count {
             let at = step * count + e;
             let (action, mean) = (&self.rows.action[at * act..][..act], &mean[e * act..][..act]);
-            let expected = gaussian::log_prob(mean, self.policy.sigma(), action);
+            let expected = self.policy.log_prob(mean, action);
             let found = self.rows.log_prob[at];
             if differs(found, expected) {
                 let detail = format!(

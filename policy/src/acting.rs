@@ -3,15 +3,17 @@
 //! A row's result has the same bits whatever batch it stands in and on every machine: each row is
 //! computed by itself, in one fixed order, with multiplications and additions that are never fused.
 
+use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
 use crate::arrays::{Array, NamedArrays};
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
+use crate::head::Head;
 use crate::math::{sigmoid, tanh};
 use crate::ops::LAYER_NORM_EPSILON;
 
-/// Sizes of one agent's policy; travels with its weights.
+/// Sizes of one agent's policy and how it acts; travels with its weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActorSpec {
@@ -24,10 +26,15 @@ pub struct ActorSpec {
     layers: usize,
     chunk_steps: usize,
     sigma_scale: f32,
+    head: Head,
 }
 
 impl ActorSpec {
-    pub(crate) fn new(config: &PolicyConfig, observation: usize, action: usize) -> Self {
+    pub(crate) fn new(
+        config: &PolicyConfig,
+        (observation, action): (usize, usize),
+        head: Head,
+    ) -> Self {
         Self {
             core: config.core,
             observation,
@@ -38,6 +45,7 @@ impl ActorSpec {
             layers: config.layers,
             chunk_steps: config.chunk_steps,
             sigma_scale: config.sigma_scale,
+            head,
         }
     }
 
@@ -53,6 +61,12 @@ impl ActorSpec {
             CoreKind::Gru => self.hidden,
             CoreKind::Mlp => 0,
         }
+    }
+
+    /// What actions are drawn from.
+    #[must_use]
+    pub fn head(&self) -> Head {
+        self.head
     }
 
     pub(crate) fn sigma_scale(&self) -> f64 {
@@ -165,19 +179,25 @@ impl Trunk {
 impl ActorPolicy {
     /// A policy of this shape with these weights (PyTorch's names, `[out, in]`).
     pub(crate) fn new(spec: ActorSpec, arrays: NamedArrays) -> Result<Self, PolicyError> {
+        spec.head.check()?;
         let mut reader = Reader { arrays: &arrays, used: 0 };
         let trunk = reader.trunk(&spec)?;
         let head = reader.dense("head", spec.feature_size(), spec.action)?;
-        let log_std = reader.vector("head.log_std", spec.action)?;
+        let sigma = match spec.head.fixed_sigma() {
+            Some(sigma) => vec![sigma; spec.action],
+            None => {
+                let log_std = reader.vector("head.log_std", spec.action)?;
+                log_std.iter().map(|&x| sigmoid(x) * spec.sigma_scale).collect()
+            }
+        };
         if reader.used != arrays.len() {
             let (found, used) = (arrays.len(), reader.used);
             return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
         }
-        let sigma = log_std.iter().map(|&x| sigmoid(x) * spec.sigma_scale).collect();
         Ok(Self { spec, arrays, trunk, head, sigma })
     }
 
-    /// Sizes of the policy.
+    /// Sizes of the policy and how it acts.
     #[must_use]
     pub fn spec(&self) -> &ActorSpec {
         &self.spec
@@ -219,6 +239,32 @@ impl ActorPolicy {
         &self.sigma
     }
 
+    /// The same network, whose actions are now drawn uniformly from the range of its own.
+    ///
+    /// # Panics
+    /// If the policy is a Gaussian, which has no range.
+    #[must_use]
+    pub fn uniform(self) -> Self {
+        let (Head::Deterministic { low, high, .. } | Head::Uniform { low, high }) = self.spec.head
+        else {
+            panic!("{:?} has no range to draw from", self.spec.head)
+        };
+        let head = Head::Uniform { low, high };
+        let sigma = vec![head.fixed_sigma().expect("not learnt"); self.spec.action];
+        Self { spec: ActorSpec { head, ..self.spec }, sigma, ..self }
+    }
+
+    /// An action `[act]` drawn around one row's mean action.
+    pub fn draw(&self, mean: &[f32], rng: &mut impl RngCore, action: &mut [f32]) {
+        self.spec.head.draw(mean, &self.sigma, rng, action);
+    }
+
+    /// Log-density of one row's action `[act]` given its mean action, nats.
+    #[must_use]
+    pub fn log_prob(&self, mean: &[f32], action: &[f32]) -> f32 {
+        self.spec.head.log_prob(mean, &self.sigma, action)
+    }
+
     /// Mean actions `[rows, act]` for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
     /// step.
     pub fn forward(
@@ -237,6 +283,7 @@ impl ActorPolicy {
             let mean = &mut mean[row * action..(row + 1) * action];
             mean.copy_from_slice(&self.head.bias);
             self.head.add(&scratch.normal, mean);
+            self.spec.head.squash(mean);
         }
     }
 }

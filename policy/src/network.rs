@@ -7,6 +7,7 @@ use crate::acting::{ActorPolicy, ActorSpec};
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
 use crate::gaussian::Gaussian;
+use crate::head::Head;
 use crate::initialise::orthogonal;
 use crate::ops::{Activation, gru_sequence, layer_norm, linear, sigmoid};
 use crate::parameters::Parameters;
@@ -30,7 +31,8 @@ pub struct ActorNetwork {
     parameters: Parameters,
     trunk: Trunk,
     head: Dense,
-    log_std: Var,
+    /// Only where deviations are learnt.
+    log_std: Option<Var>,
 }
 
 #[derive(Debug)]
@@ -141,7 +143,8 @@ impl<R: RngCore> Builder<'_, R> {
 }
 
 impl ActorNetwork {
-    /// A network for `observation` features and `action` dimensions with weights drawn from `rng`.
+    /// A network for `observation` features and `action` dimensions with weights drawn from `rng`,
+    /// whose actions are Gaussian.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -152,15 +155,34 @@ impl ActorNetwork {
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
+        Self::with_head(config, (observation, action), Head::Gaussian, dtype, rng)
+    }
+
+    /// As [`ActorNetwork::new`], with another way to act; sizes are `(observation, action)`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn with_head(
+        config: &PolicyConfig,
+        (observation, action): (usize, usize),
+        head: Head,
+        dtype: DType,
+        rng: &mut impl RngCore,
+    ) -> Result<Self, PolicyError> {
         let mut builder = Builder { parameters: Parameters::new(), dtype, rng };
         let trunk = builder.trunk(config, observation)?;
-        let spec = ActorSpec::new(config, observation, action);
+        let spec = ActorSpec::new(config, (observation, action), head);
         let gain = f64::from(config.head_gain);
-        let head = builder.dense("head", spec.feature_size(), action, gain)?;
-        let start = vec![config.initial_log_std; action];
-        let log_std = builder.parameter("head.log_std", start, &[action])?;
+        let dense = builder.dense("head", spec.feature_size(), action, gain)?;
+        let log_std = match head.fixed_sigma() {
+            Some(_) => None,
+            None => {
+                let start = vec![config.initial_log_std; action];
+                Some(builder.parameter("head.log_std", start, &[action])?)
+            }
+        };
         let sigma_floor = f64::from(config.sigma_floor);
-        Ok(Self { spec, sigma_floor, parameters: builder.parameters, trunk, head, log_std })
+        Ok(Self { spec, sigma_floor, parameters: builder.parameters, trunk, head: dense, log_std })
     }
 
     /// All parameters, named as in PyTorch.
@@ -204,13 +226,27 @@ impl ActorNetwork {
         }
     }
 
-    /// The policy `p(a | o, h)` from the features `[R, F]`: `sigma = sigmoid(log_std) * sigma_scale`.
+    /// The policy `p(a | o, h)` from the features `[R, F]`: `sigma = sigmoid(log_std) * sigma_scale`
+    /// where it is learnt; else the squashed mean and the fixed deviation of its exploration.
     ///
     /// # Errors
     /// If shapes or element types do not fit.
     pub fn head(&self, features: &Tensor) -> Result<Gaussian, PolicyError> {
-        let mean = self.head.apply(features, Activation::Identity)?;
-        let sigma = (sigmoid(self.log_std.as_tensor())? * self.spec.sigma_scale())?;
+        let head = self.spec.head();
+        let mean = match head.scale() {
+            None => self.head.apply(features, Activation::Identity)?,
+            Some((half, middle)) => self
+                .head
+                .apply(features, Activation::Tanh)?
+                .affine(f64::from(half), f64::from(middle))?,
+        };
+        let sigma = match (&self.log_std, head.fixed_sigma()) {
+            (Some(log_std), _) => (sigmoid(log_std.as_tensor())? * self.spec.sigma_scale())?,
+            (None, sigma) => {
+                let sigma = f64::from(sigma.expect("either learnt or fixed"));
+                Tensor::full(sigma, mean.dim(1)?, &Device::Cpu)?.to_dtype(mean.dtype())?
+            }
+        };
         Ok(Gaussian { mean, sigma })
     }
 
@@ -221,14 +257,15 @@ impl ActorNetwork {
     /// # Errors
     /// Passes on a tensor error.
     pub fn project(&self) -> Result<(), PolicyError> {
+        let Some(log_std) = &self.log_std else { return Ok(()) };
         let share = self.sigma_floor / self.spec.sigma_scale();
         let lowest = libm::log(share / (1.0 - share));
-        let values = self.log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
+        let values = log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
         if values.iter().any(|&value| value < lowest) {
             let held: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
             let width = held.len();
             let held = Tensor::from_vec(held, width, &Device::Cpu)?;
-            self.log_std.set(&held.to_dtype(self.log_std.dtype())?)?;
+            log_std.set(&held.to_dtype(log_std.dtype())?)?;
         }
         Ok(())
     }

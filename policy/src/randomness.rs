@@ -36,6 +36,8 @@ pub enum Purpose {
     Recording = 11,
     /// The fixed computations of the numeric fingerprint.
     Probe = 12,
+    /// Transitions taken out of a replay to learn from.
+    Replay = 13,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.
@@ -107,6 +109,12 @@ pub fn standard_normal(rng: &mut impl RngCore) -> f32 {
     let v = f64::from(rng.next_u32()) * UNIT;
     let radius = libm::sqrt(-2.0 * libm::log(u));
     (radius * libm::cos(core::f64::consts::TAU * v)) as f32
+}
+
+/// One uniform number in [0, 1), a multiple of `2^-24`.
+pub fn uniform(rng: &mut impl RngCore) -> f32 {
+    const UNIT: f32 = 1.0 / 16_777_216.0;
+    (rng.next_u32() >> 8) as f32 * UNIT
 }
 
 #[cfg(test)]

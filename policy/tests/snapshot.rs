@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 use candle_core::DType;
 use policy::arrays::{Array, from_safetensors, to_safetensors};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, PolicyConfig, PolicySnapshot, Scratch};
+use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, Scratch};
 
-fn snapshot() -> PolicySnapshot {
-    let config = PolicyConfig {
+fn config() -> PolicyConfig {
+    PolicyConfig {
         core: CoreKind::Gru,
         encoder: 4,
         hidden: 3,
@@ -20,10 +20,13 @@ fn snapshot() -> PolicySnapshot {
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,
-    };
+    }
+}
+
+fn snapshot() -> PolicySnapshot {
     let agent = |(index, core): (usize, CoreKind)| {
         let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation).agent(index as u32));
-        let config = PolicyConfig { core, ..config.clone() };
+        let config = PolicyConfig { core, ..config() };
         ActorNetwork::new(&config, 5 + index, 1 + index, DType::F32, &mut rng)
             .unwrap()
             .policy()
@@ -48,6 +51,29 @@ fn a_snapshot_acts_alike_after_a_round_trip_and_equal_policies_have_equal_bytes(
         };
         assert_eq!(run(one), run(two));
     }
+}
+
+#[test]
+fn the_snapshot_says_how_to_act_and_a_deterministic_actor_has_no_deviations_to_learn() {
+    let head = Head::Deterministic { noise_sigma: 0.1, low: -1.0, high: 3.0 };
+    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
+    let config = PolicyConfig { core: CoreKind::Mlp, ..config() };
+    let network = ActorNetwork::with_head(&config, (5, 2), head, DType::F32, &mut rng).unwrap();
+    let exploring = network.policy().unwrap();
+    let warming_up = exploring.clone().uniform();
+    assert!(!exploring.arrays().contains_key("head.log_std"));
+    let mean = |policy: &policy::ActorPolicy| {
+        let mut mean = vec![0.0; 2];
+        policy.forward(1, &[0.3; 5], &mut [], &mut mean, &mut Scratch::default());
+        mean
+    };
+    let snapshot = PolicySnapshot { agents: vec![exploring.clone(), warming_up.clone()] };
+    let back = PolicySnapshot::from_bytes(&snapshot.to_bytes().unwrap()).unwrap();
+    let heads: Vec<Head> = back.agents.iter().map(|agent| agent.spec().head()).collect();
+    assert_eq!(heads, [head, Head::Uniform { low: -1.0, high: 3.0 }]);
+    assert_eq!(mean(&back.agents[0]), mean(&exploring));
+    assert_eq!(mean(&back.agents[1]), mean(&exploring));
+    assert_eq!(exploring.sigma(), [0.1, 0.1]);
 }
 
 #[test]
@@ -91,7 +117,7 @@ fn bytes_that_are_no_snapshot_are_refused_without_a_panic() {
     }
     let (arrays, _) = from_safetensors(&bytes).unwrap();
     let lies = format!(
-        "[{{\"core\":\"gru\",\"observation\":{0},\"action\":1,\"encoder\":{0},\"hidden\":{0},\"width\":1,\"layers\":1,\"chunk_steps\":1,\"sigma_scale\":0.5}}]",
+        "[{{\"core\":\"gru\",\"observation\":{0},\"action\":1,\"encoder\":{0},\"hidden\":{0},\"width\":1,\"layers\":1,\"chunk_steps\":1,\"sigma_scale\":0.5,\"head\":\"gaussian\"}}]",
         u64::MAX
     );
     let metadata = BTreeMap::from([("s2mia.policy".to_owned(), lies)]);

@@ -182,9 +182,10 @@ impl Slot<'_> {
         let mut actions = Vec::new();
         for (start, mean) in self.work.environments.iter().zip(&mean) {
             let mut rng = generator(RunSeed(self.run.seed), key.environment(start.environment));
-            let action = mean + policy.sigma()[0] * standard_normal(&mut rng);
-            chunk.log_prob.push(policy::gaussian::log_prob(&[*mean], policy.sigma(), &[action]));
-            actions.push(action);
+            let mut action = [0.0];
+            policy.draw(&[*mean], &mut rng, &mut action);
+            chunk.log_prob.push(policy.log_prob(&[*mean], &action));
+            actions.push(action[0]);
         }
         chunk.observation.extend_from_slice(&observation);
         chunk.action.extend_from_slice(&actions);

@@ -1,0 +1,174 @@
+//! How an actor turns its network's output into an action: what a snapshot says about acting.
+
+use rand::RngCore;
+use serde::{Deserialize, Serialize};
+
+use crate::error::PolicyError;
+use crate::gaussian;
+use crate::math::tanh;
+use crate::randomness::{standard_normal, uniform};
+
+/// What an action is drawn from; travels with the weights.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Head {
+    /// A Gaussian around the network's output with learnt deviations; never clamped.
+    Gaussian,
+    /// The network's output through tanh, spread over the range; explored with Gaussian noise and
+    /// clamped to the range. Its density is that of the noise before the clamp.
+    Deterministic {
+        /// Deviation of the noise, in units of the action.
+        noise_sigma: f32,
+        /// Lowest action.
+        low: f32,
+        /// Highest action.
+        high: f32,
+    },
+    /// Every action of the range is as likely as any other, whatever is observed. The mean action is
+    /// that of [`Head::Deterministic`], so that a policy that only warms up can be evaluated.
+    Uniform {
+        /// Lowest action.
+        low: f32,
+        /// Highest action.
+        high: f32,
+    },
+}
+
+impl Head {
+    /// Half the width and the middle of the range into which the network's output is squashed; none
+    /// where it is the action's mean as it stands.
+    #[must_use]
+    pub(crate) fn scale(self) -> Option<(f32, f32)> {
+        match self {
+            Self::Gaussian => None,
+            Self::Deterministic { low, high, .. } | Self::Uniform { low, high } => {
+                Some((0.5 * (high - low), 0.5 * (high + low)))
+            }
+        }
+    }
+
+    /// The deviation of every action dimension, where it is not learnt.
+    #[must_use]
+    pub(crate) fn fixed_sigma(self) -> Option<f32> {
+        match self {
+            Self::Gaussian => None,
+            Self::Deterministic { noise_sigma, .. } => Some(noise_sigma),
+            Self::Uniform { low, high } => Some((high - low) / 12.0_f32.sqrt()),
+        }
+    }
+
+    /// Refuses a range or a deviation that no action can be drawn from.
+    pub(crate) fn check(self) -> Result<(), PolicyError> {
+        let range = |low: f32, high: f32| low < high && low.is_finite() && high.is_finite();
+        let holds = match self {
+            Self::Gaussian => true,
+            Self::Deterministic { noise_sigma, low, high } => {
+                range(low, high) && noise_sigma > 0.0 && noise_sigma.is_finite()
+            }
+            Self::Uniform { low, high } => range(low, high),
+        };
+        match holds {
+            true => Ok(()),
+            false => Err(PolicyError::Snapshot(format!("no action can be drawn from {self:?}"))),
+        }
+    }
+
+    /// The network's output `[act]` becomes the mean action.
+    pub(crate) fn squash(self, output: &mut [f32]) {
+        if let Some((half, middle)) = self.scale() {
+            output.iter_mut().for_each(|x| *x = tanh(*x) * half + middle);
+        }
+    }
+
+    /// An action `[act]` around `mean`.
+    pub(crate) fn draw(
+        self,
+        mean: &[f32],
+        sigma: &[f32],
+        rng: &mut impl RngCore,
+        action: &mut [f32],
+    ) {
+        for ((action, mean), sigma) in action.iter_mut().zip(mean).zip(sigma) {
+            *action = match self {
+                Self::Gaussian => mean + sigma * standard_normal(rng),
+                Self::Deterministic { low, high, .. } => {
+                    (mean + sigma * standard_normal(rng)).clamp(low, high)
+                }
+                Self::Uniform { low, high } => low + (high - low) * uniform(rng),
+            };
+        }
+    }
+
+    /// Log-density of an action `[act]`, nats.
+    pub(crate) fn log_prob(self, mean: &[f32], sigma: &[f32], action: &[f32]) -> f32 {
+        match self {
+            Self::Gaussian | Self::Deterministic { .. } => gaussian::log_prob(mean, sigma, action),
+            Self::Uniform { low, high } => -(action.len() as f32) * libm::logf(high - low),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::randomness::{Draw, Purpose, RunSeed, generator};
+
+    const EXPLORING: Head = Head::Deterministic { noise_sigma: 0.5, low: -2.0, high: 4.0 };
+    const WARMING_UP: Head = Head::Uniform { low: -2.0, high: 4.0 };
+
+    fn drawn(head: Head, mean: f32, count: usize) -> Vec<f32> {
+        let mut rng = generator(RunSeed(1), Draw::of(Purpose::Action));
+        let mut actions = vec![0.0; count];
+        let sigma = vec![head.fixed_sigma().expect("not learnt"); count];
+        head.draw(&vec![mean; count], &sigma, &mut rng, &mut actions);
+        actions
+    }
+
+    #[test]
+    fn outputs_are_squashed_into_the_range_and_a_gaussians_are_left_alone() {
+        for head in [EXPLORING, WARMING_UP] {
+            let mut outputs = [0.0, 50.0, -50.0];
+            head.squash(&mut outputs);
+            let close = |found: f32, expected: f32| (found - expected).abs() < 1e-5;
+            assert!(close(outputs[0], 1.0) && close(outputs[1], 4.0) && close(outputs[2], -2.0));
+        }
+        let mut output = [7.0];
+        Head::Gaussian.squash(&mut output);
+        assert_eq!(output, [7.0]);
+    }
+
+    #[test]
+    fn exploration_stays_around_the_mean_and_inside_the_range() {
+        let actions = drawn(EXPLORING, 1.0, 10_000);
+        let mean = actions.iter().sum::<f32>() / 1e4;
+        let square = actions.iter().map(|a| (a - mean) * (a - mean)).sum::<f32>() / 1e4;
+        assert!((mean - 1.0).abs() < 0.02 && (square - 0.25).abs() < 0.02, "{mean} {square}");
+        assert!(drawn(EXPLORING, 3.9, 1000).iter().all(|a| (-2.0..=4.0).contains(a)));
+        assert!(drawn(EXPLORING, 3.9, 1000).contains(&4.0));
+    }
+
+    #[test]
+    fn warming_up_covers_the_range_evenly_with_a_constant_density() {
+        let actions = drawn(WARMING_UP, 3.0, 10_000);
+        let share = |from: f32, to: f32| {
+            actions.iter().filter(|a| (from..to).contains(*a)).count() as f32 / 1e4
+        };
+        assert!((share(-2.0, -1.0) - 1.0 / 6.0).abs() < 0.02 && share(-2.0, 4.0) == 1.0);
+        let one = WARMING_UP.log_prob(&[0.0; 2], &[1.0; 2], &[3.0, -1.0]);
+        assert!((one + 2.0 * libm::logf(6.0)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_head_without_a_range_or_without_noise_is_refused() {
+        for head in [EXPLORING, WARMING_UP, Head::Gaussian] {
+            assert!(head.check().is_ok());
+        }
+        for head in [
+            Head::Uniform { low: 1.0, high: 1.0 },
+            Head::Uniform { low: f32::NAN, high: 1.0 },
+            Head::Deterministic { noise_sigma: 0.0, low: -1.0, high: 1.0 },
+        ] {
+            assert!(head.check().is_err(), "{head:?}");
+        }
+    }
+}
