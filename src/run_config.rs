@@ -38,7 +38,7 @@ pub(crate) struct RunConfig {
     pub(crate) task: sim::TaskConfig,
     /// Section `policy`.
     pub(crate) policy: policy::PolicyConfig,
-    /// Sections `update`, `critic`, `surprise`, `influence`.
+    /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
     pub(crate) training: marl::Config,
     /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `learner`.
     pub(crate) learner: learner::Config,
@@ -77,7 +77,7 @@ impl RunConfig {
             run: section(resolved, "run")?,
             task: task(resolved)?,
             policy: section(resolved, "policy")?,
-            training: sections(resolved, &["update", "critic", "surprise", "influence"])?,
+            training: sections(resolved, &["update", "critic", "surprise", "influence", "maddpg"])?,
             learner: sections(
                 resolved,
                 &["environments", "lease", "evaluation", "checkpoint", "learner"],
@@ -91,6 +91,7 @@ impl RunConfig {
     fn validate(&self) -> Result<(), String> {
         self.policy.validate().map_err(|error| error.to_string())?;
         self.training.validate().map_err(|error| error.to_string())?;
+        self.training.suits(&self.policy).map_err(|error| error.to_string())?;
         self.learner.validate().map_err(|error| error.to_string())?;
         self.validate_run()?;
         let (chunk, through_time) =
@@ -209,6 +210,19 @@ mod tests {
     }
 
     #[test]
+    fn maddpg_lays_what_it_refuses_at_the_setting_that_the_user_wrote() {
+        for (setting, key) in [
+            ("surprise.alpha=0.01", "surprise.alpha"),
+            ("influence.lambda=0.01", "influence.lambda"),
+            ("policy.core=gru", "policy.core"),
+        ] {
+            let message = built(&["algorithm=maddpg", setting]).unwrap_err().to_string();
+            assert!(message.contains(&format!("{key} = ")), "{message}");
+            assert!(message.contains("with update.rule = maddpg"), "{message}");
+        }
+    }
+
+    #[test]
     fn a_value_out_of_range_is_laid_at_its_key_and_place() {
         for (setting, key) in [
             ("update.gamma=1.5", "update.gamma"),
@@ -224,6 +238,9 @@ mod tests {
             ("surprise.density=oracle", "surprise.density"),
             ("influence.kappa=-1", "influence.kappa"),
             ("lease.ttl_secs=0", "lease.ttl_secs"),
+            ("update.parameters=shared", "update.parameters"),
+            ("maddpg.replay=2000000", "maddpg.replay"),
+            ("maddpg.polyak=0", "maddpg.polyak"),
         ] {
             let message =
                 built(&["halfcheetah-6x1", "algorithm=happo", setting]).unwrap_err().to_string();

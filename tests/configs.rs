@@ -42,6 +42,17 @@ fn every_file_also_loads_as_a_layer_of_its_own() {
 }
 
 #[test]
+fn maddpg_leases_ten_slots_of_one_environment_and_fifty_steps() {
+    let text = resolved(&["algorithm=maddpg"]);
+    let value = |key: &str| {
+        let line = text.lines().find(|line| line.starts_with(&format!("{key} = "))).unwrap();
+        line.split(['=', '#']).nth(1).unwrap().trim().to_owned()
+    };
+    assert_eq!([value("count"), value("per_slot"), value("steps")], ["10", "1", "50"]);
+    assert_eq!([value("rule"), value("core")], ["\"maddpg\"", "\"mlp\""]);
+}
+
+#[test]
 fn a_printed_configuration_reads_back_with_the_same_hash() {
     let folder = tempfile::tempdir().unwrap();
     let first = resolved(&["halfcheetah-6x1", "algorithm=happo", "run.seed=9"]);

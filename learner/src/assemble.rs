@@ -109,6 +109,7 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
     let shape = |agent: &proto::AgentSpec| AgentShape {
         observation: agent.observation.len(),
         action: agent.action.size as usize,
+        action_range: (agent.action.low, agent.action.high),
         surprise_features: (0..agent.observation.len())
             .filter(|&index| agent.observation[index].role == FeatureRole::Signal)
             .collect(),

@@ -26,8 +26,16 @@ const DRAFT: &str = ".tmp-";
 /// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves.
 const LATEST: &str = "LATEST";
 /// The groups of arrays, one file each.
-const GROUPS: [&str; 7] =
-    ["counters", "density", "environments", "evaluation", "normalizer", "optimizer", "weights"];
+const GROUPS: [&str; 8] = [
+    "counters",
+    "density",
+    "environments",
+    "evaluation",
+    "normalizer",
+    "optimizer",
+    "replay",
+    "weights",
+];
 
 /// One consistent cut of a run: everything that the next iteration depends on.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,7 +45,7 @@ pub struct Checkpoint {
     /// Environment steps of all finished iterations.
     pub env_steps: u64,
     /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `normalizer`,
-    /// `environments`, `counters`, `evaluation`.
+    /// `replay`, `environments`, `counters`, `evaluation`.
     pub arrays: NamedArrays,
     /// The policies as actors get them: a `policy::PolicySnapshot`.
     pub policy: Vec<u8>,

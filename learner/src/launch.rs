@@ -60,6 +60,8 @@ impl Launch {
         self.config.validate()?;
         self.policy.validate().map_err(LearnerError::PolicyConfig)?;
         self.training.validate()?;
+        self.training.suits(&self.policy)?;
+        self.training.suits_agents(&problem(&self.environment))?;
         let (chunk, through_time) = (self.config.environments.chunk_steps, self.policy.chunk_steps);
         if !chunk.is_multiple_of(through_time) {
             let range = format!("a multiple of policy.chunk_steps = {through_time}");

@@ -274,7 +274,7 @@ impl Trainer {
         rollouts: &[SlotRollout],
         report: &Report,
     ) -> Result<(), LearnerError> {
-        let weights = checkpoint::weights_sha256(&self.algorithm.arrays()?);
+        let weights = checkpoint::weights_sha256(&self.algorithm.weights()?);
         let density: NamedArrays = self.surprise.arrays();
         self.provenance.iteration(&Origin {
             iteration: self.iteration,

@@ -6,9 +6,14 @@ use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Config, Rule};
 use crate::error::MarlError;
 use crate::happo::Happo;
+use crate::maddpg::Maddpg;
+use crate::mappo::Mappo;
 
 /// Figures of an update by name, in a fixed order.
 pub type Report = Vec<(String, f64)>;
+
+/// The first parts of the names of an algorithm's arrays.
+pub const PREFIXES: [&str; 4] = ["weights/", "optimizer/", "normalizer/", "replay/"];
 
 /// A learning rule: turns experience into better policies.
 pub trait Algorithm: Send {
@@ -30,11 +35,21 @@ pub trait Algorithm: Send {
     /// Passes on a tensor error.
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError>;
 
-    /// Everything that the next update depends on, under `weights/`, `optimizer/`, `normalizer/`.
+    /// Everything that the next update depends on, under [`PREFIXES`].
     ///
     /// # Errors
     /// Passes on a tensor error.
     fn arrays(&self) -> Result<NamedArrays, MarlError>;
+
+    /// The part of [`Algorithm::arrays`] under `weights/`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    fn weights(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.arrays()?;
+        arrays.retain(|name, _| name.starts_with("weights/"));
+        Ok(arrays)
+    }
 
     /// Takes over what [`Algorithm::arrays`] gave; arrays under other prefixes are not looked at.
     ///
@@ -46,14 +61,27 @@ pub trait Algorithm: Send {
 /// The configured learning rule, its weights drawn with `seed`.
 ///
 /// # Errors
-/// Passes on a tensor error.
+/// Refuses settings that do not suit each other or the problem; passes on a tensor error.
 pub fn build(
     config: &Config,
     policy: &PolicyConfig,
     problem: &Problem,
     seed: RunSeed,
 ) -> Result<Box<dyn Algorithm>, MarlError> {
+    config.suits(policy)?;
+    config.suits_agents(problem)?;
     match config.update.rule {
         Rule::Happo => Ok(Box::new(Happo::new(config, policy, problem, seed)?)),
+        Rule::Mappo => Ok(Box::new(Mappo::new(config, policy, problem, seed)?)),
+        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, seed)?)),
+    }
+}
+
+/// Refuses stored arrays of an algorithm that this one does not have.
+pub(crate) fn refuse_strange(stored: &NamedArrays, known: &NamedArrays) -> Result<(), MarlError> {
+    let own = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
+    match stored.keys().filter(own).find(|name| !known.contains_key(*name)) {
+        None => Ok(()),
+        Some(name) => Err(MarlError::Restore(format!("{name} belongs to nothing in this run"))),
     }
 }

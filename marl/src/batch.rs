@@ -2,8 +2,8 @@
 
 use crate::error::MarlError;
 
-/// What the algorithm is told about a task: sizes only, no names.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// What the algorithm is told about a task: sizes and ranges only, no names.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Problem {
     /// One shape per agent, in the task's agent order.
     pub agents: Vec<AgentShape>,
@@ -12,12 +12,14 @@ pub struct Problem {
 }
 
 /// One agent's sizes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct AgentShape {
     /// Features of the agent's observation.
     pub observation: usize,
     /// Dimensions of the agent's action.
     pub action: usize,
+    /// Lowest and highest number of an action, for policies that keep to a range.
+    pub action_range: (f32, f32),
     /// Indices of the observation features that carry a signal; surprise looks at no others
     /// (one-hot ids, duplicates and constants are left out).
     pub surprise_features: Vec<usize>,

@@ -1,8 +1,13 @@
 //! Settings of the update, the critic, surprise and influence. No defaults live here: the binary's
 //! configuration files hold them.
 
+mod maddpg;
+
+use policy::{CoreKind, PolicyConfig};
 use serde::{Deserialize, Serialize};
 
+pub use self::maddpg::MaddpgConfig;
+use crate::batch::Problem;
 use crate::error::MarlError;
 
 /// Everything that the learning rule is told.
@@ -17,6 +22,8 @@ pub struct Config {
     pub surprise: SurpriseConfig,
     /// Influence maximisation (Eq. 5-10).
     pub influence: InfluenceConfig,
+    /// What MADDPG alone is told.
+    pub maddpg: MaddpgConfig,
 }
 
 /// How policies are updated.
@@ -25,6 +32,8 @@ pub struct Config {
 pub struct UpdateConfig {
     /// The learning rule.
     pub rule: Rule,
+    /// Whether agents have networks of their own.
+    pub parameters: Sharing,
     /// Discount per step, in `[0, 1)`.
     pub gamma: f64,
     /// Decay of the advantage's trace, in `[0, 1]`.
@@ -54,6 +63,20 @@ pub struct UpdateConfig {
 pub enum Rule {
     /// Heterogeneous-agent PPO: one agent after the other, in random order.
     Happo,
+    /// Multi-agent PPO: all agents at once.
+    Mappo,
+    /// Multi-agent deterministic policy gradients out of a replay.
+    Maddpg,
+}
+
+/// Whether agents have networks of their own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sharing {
+    /// Each agent has its own.
+    Separate,
+    /// One network acts for all of them, which must then be of equal sizes.
+    Shared,
 }
 
 /// The value function and how it is fitted.
@@ -220,12 +243,58 @@ impl Config {
         self.update.validate()?;
         self.critic.validate()?;
         self.surprise.validate()?;
-        self.influence.validate()
+        self.influence.validate()?;
+        self.maddpg.validate()?;
+        if self.update.rule != Rule::Maddpg {
+            return Ok(());
+        }
+        let stale = "0 with update.rule = maddpg: rewards of a density that is fitted again in \
+                     every iteration would be stale in the replay";
+        within("surprise.alpha", self.surprise.alpha, 0.0..=0.0, stale)?;
+        let pointless = "0 with update.rule = maddpg: a deterministic policy has no density to \
+                         regularise";
+        within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
+    }
+
+    /// Refuses actor networks that the rule cannot train.
+    ///
+    /// # Errors
+    /// Names the key that does not fit.
+    pub fn suits(&self, policy: &PolicyConfig) -> Result<(), MarlError> {
+        if self.update.rule == Rule::Maddpg && policy.core == CoreKind::Gru {
+            let range = "mlp with update.rule = maddpg: the replay holds single steps, no \
+                         recurrent states";
+            return Err(refuse("policy.core", "gru", range));
+        }
+        Ok(())
+    }
+
+    /// Refuses agents that cannot share their parameters although they should.
+    ///
+    /// # Errors
+    /// Names the first agent whose sizes differ from the first one's.
+    pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
+        let sizes = |index: usize| {
+            let agent = &problem.agents[index];
+            (agent.observation, agent.action)
+        };
+        let odd = (0..problem.agents.len()).find(|&index| sizes(index) != sizes(0));
+        match (self.update.parameters, odd) {
+            (Sharing::Shared, Some(other)) => {
+                let (first, second) = (sizes(0), sizes(other));
+                Err(MarlError::Unequal { first, other, second })
+            }
+            _ => Ok(()),
+        }
     }
 }
 
 impl UpdateConfig {
     fn validate(&self) -> Result<(), MarlError> {
+        if self.rule != Rule::Mappo && self.parameters == Sharing::Shared {
+            let range = "separate; only update.rule = mappo can share them";
+            return Err(refuse("update.parameters", "shared", range));
+        }
         within("update.gamma", self.gamma, 0.0..1.0, "0 <= gamma < 1")?;
         within("update.gae_lambda", self.gae_lambda, 0.0..=1.0, "0 <= gae_lambda <= 1")?;
         positive("update.learning_rate", self.learning_rate)?;

@@ -13,6 +13,20 @@ pub enum MarlError {
         /// What is allowed.
         range: &'static str,
     },
+    /// Agents should share their parameters and have different sizes.
+    #[error(
+        "update.parameters = shared needs agents of equal sizes: agent 0 has {} observation \
+         features and {} action dimensions, agent {other} has {} and {}; use separate",
+        first.0, first.1, second.0, second.1
+    )]
+    Unequal {
+        /// Observation features and action dimensions of the first agent.
+        first: (usize, usize),
+        /// The agent that differs.
+        other: usize,
+        /// Its observation features and action dimensions.
+        second: (usize, usize),
+    },
     /// An array of the batch has another length than its shape asks for.
     #[error("batch.{field} has {found} numbers, its shape {shape} asks for {expected}")]
     Shape {

@@ -66,6 +66,15 @@ impl Gradients {
         total
     }
 
+    /// The mean of several agents' gradients of the same parameters, added in their order.
+    #[must_use]
+    pub fn mean(agents: Vec<Self>) -> Self {
+        let share = 1.0 / agents.len() as f32;
+        let mut mean = Self::sum(agents);
+        mean.0.iter_mut().flatten().for_each(|gradient| *gradient *= share);
+        mean
+    }
+
     /// Euclidean norm over all parameters, summed in their order in f64.
     #[must_use]
     pub fn norm(&self) -> f64 {

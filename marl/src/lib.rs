@@ -18,7 +18,10 @@ pub mod gradient;
 pub mod happo;
 pub mod influence;
 mod layers;
+pub mod maddpg;
+pub mod mappo;
 pub mod minibatch;
+mod on_policy;
 pub mod optimizer;
 pub mod probe;
 pub mod sequence;
@@ -28,7 +31,9 @@ pub mod value_normalizer;
 
 pub use algorithm::{Algorithm, Report, build};
 pub use batch::{AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
-pub use config::{Config, CriticConfig, InfluenceConfig, SurpriseConfig, UpdateConfig};
+pub use config::{
+    Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,
+};
 pub use error::MarlError;
 pub use probe::probe;
 pub use surprise::Surprise;

@@ -17,7 +17,7 @@ pub fn permutation(count: usize, rng: &mut impl RngCore) -> Vec<usize> {
 
 /// A uniform integer below `bound`, as the high half of a 64-bit product: the bias is below
 /// `bound / 2^64`.
-fn below(bound: usize, rng: &mut impl RngCore) -> usize {
+pub(crate) fn below(bound: usize, rng: &mut impl RngCore) -> usize {
     ((u128::from(rng.next_u64()) * bound as u128) >> 64) as usize
 }
 

@@ -7,7 +7,8 @@ use crate::algorithm::build;
 use crate::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
     Config, Constant, CriticConfig, CriticMode, DensityKind, Divergence, Estimator, Fit,
-    InfluenceConfig, QTraining, Reduce, Rule, Space, SurpriseConfig, UpdateConfig,
+    InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Sharing, Space, SurpriseConfig,
+    UpdateConfig,
 };
 use crate::error::MarlError;
 use crate::surprise::Surprise;
@@ -31,6 +32,7 @@ fn updated_weights() -> Result<[u8; 32], MarlError> {
     let shape = AgentShape {
         observation: OBSERVATION,
         action: ACTION,
+        action_range: (-1.0, 1.0),
         surprise_features: (0..STATE).collect(),
     };
     let problem = Problem { agents: vec![shape.clone(), shape], state: STATE };
@@ -89,12 +91,19 @@ fn policy() -> PolicyConfig {
 }
 
 fn config() -> Config {
-    Config { update: update(), critic: critic(), surprise: surprise(), influence: influence() }
+    Config {
+        update: update(),
+        critic: critic(),
+        surprise: surprise(),
+        influence: influence(),
+        maddpg: maddpg(),
+    }
 }
 
 fn update() -> UpdateConfig {
     UpdateConfig {
         rule: Rule::Happo,
+        parameters: Sharing::Separate,
         gamma: 0.99,
         gae_lambda: 0.95,
         learning_rate: 5e-4,
@@ -150,6 +159,19 @@ fn influence() -> InfluenceConfig {
         minibatches: 1,
         sigma_floor: 0.05,
         holdout_every: 5,
+    }
+}
+
+/// Not read by the probe's rule.
+fn maddpg() -> MaddpgConfig {
+    MaddpgConfig {
+        replay: 1000,
+        batch: 10,
+        n_step: 1,
+        warm_up: 0,
+        updates_per_step: 0.1,
+        noise: 0.1,
+        polyak: 0.005,
     }
 }
 

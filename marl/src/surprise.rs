@@ -155,7 +155,12 @@ mod tests {
             sigma_floor: 0.01,
             mask_below: 1e-4,
         };
-        let shape = AgentShape { observation: 1, action: 1, surprise_features: vec![0] };
+        let shape = AgentShape {
+            observation: 1,
+            action: 1,
+            action_range: (-1.0, 1.0),
+            surprise_features: vec![0],
+        };
         Surprise::new(&config, &Problem { agents: vec![shape; agents], state: 1 })
     }
 

@@ -2,11 +2,12 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use marl::config::{
-    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule, Space,
+    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
+    Sharing, Space,
 };
 use marl::{
     AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final, InfluenceConfig,
-    Problem, SurpriseConfig, UpdateConfig,
+    MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{
     CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
@@ -35,6 +36,7 @@ fn config(lambda: f64) -> Config {
     Config {
         update: UpdateConfig {
             rule: Rule::Happo,
+            parameters: Sharing::Separate,
             gamma: 0.9,
             gae_lambda: 0.95,
             learning_rate: 3e-3,
@@ -82,11 +84,25 @@ fn config(lambda: f64) -> Config {
             sigma_floor: 0.05,
             holdout_every: 5,
         },
+        maddpg: MaddpgConfig {
+            replay: 1000,
+            batch: 10,
+            n_step: 1,
+            warm_up: 0,
+            updates_per_step: 0.1,
+            noise: 0.1,
+            polyak: 0.005,
+        },
     }
 }
 
 fn problem() -> Problem {
-    let shape = AgentShape { observation: 3, action: 1, surprise_features: vec![0, 1] };
+    let shape = AgentShape {
+        observation: 3,
+        action: 1,
+        action_range: (-1.0, 1.0),
+        surprise_features: vec![0, 1],
+    };
     Problem { agents: vec![shape.clone(), shape], state: 2 }
 }
 

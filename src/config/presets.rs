@@ -33,7 +33,8 @@ pub(crate) const TASKS: &[Preset] =
     presets!("tasks": "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1");
 
 /// What is set per algorithm.
-pub(crate) const ALGORITHMS: &[Preset] = presets!("algorithms": "happo-s2mia", "happo");
+pub(crate) const ALGORITHMS: &[Preset] =
+    presets!("algorithms": "happo-s2mia", "happo", "maddpg", "mappo");
 
 /// The preset of that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {

@@ -80,7 +80,7 @@ impl Trainer {
     pub(crate) fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), LearnerError> {
         let arrays = &checkpoint.arrays;
         self.iteration = checkpoint::fields::one_count(arrays, "counters/iteration")?;
-        self.algorithm.restore(&group(arrays, &["weights/", "optimizer/", "normalizer/"]))?;
+        self.algorithm.restore(&group(arrays, &marl::algorithm::PREFIXES))?;
         self.surprise.restore(&group(arrays, &["density/"]))?;
         self.environments.restore(arrays, self.iteration)?;
         self.evaluations.restore(arrays)?;

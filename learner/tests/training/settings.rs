@@ -73,7 +73,7 @@ fn policy() -> PolicyConfig {
 fn training() -> marl::Config {
     serde_json::from_value(json!({
         "update": {
-            "rule": "happo", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
+            "rule": "happo", "parameters": "separate", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
             "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "entropy": 0.0,
             "max_gradient_norm": 10.0, "shards": 2,
         },
@@ -90,6 +90,10 @@ fn training() -> marl::Config {
             "lambda": 0.01, "estimator": "variational_kl", "divergence": "kl_qp",
             "q_training": "mle", "kappa": 1.0, "encoder": 8, "hidden": 8, "epochs": 2,
             "learning_rate": 5e-4, "minibatches": 1, "sigma_floor": 0.05, "holdout_every": 2,
+        },
+        "maddpg": {
+            "replay": 1000, "batch": 8, "n_step": 2, "warm_up": 0, "updates_per_step": 0.1,
+            "noise": 0.1, "polyak": 0.005,
         },
     }))
     .unwrap()

@@ -1,50 +1,30 @@
-//! The sweep itself: agent after agent, each weighing its advantage with what the ones before it did.
+//! Up the objective of Eq. (10): epochs of minibatches of whole chunks, for one agent or for agents
+//! that share their parameters.
 
 use candle_core::DType;
-use policy::randomness::{Draw, Purpose, RunSeed};
+use policy::randomness::{Draw, RunSeed};
 use rayon::prelude::*;
 
-use super::PerAgent;
 use super::agent::{Agent, Experience, Influence};
 use crate::actor_loss::{Figures, Rows, actor_loss};
-use crate::algorithm::Report;
 use crate::error::MarlError;
-use crate::gaussian;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::minibatch::{minibatches, split};
-use crate::surrogate::sequential_factor;
 
-/// Updates every agent in `order`; the factor `M` starts at 1 and takes in each updated agent's
-/// ratio to its behaviour.
-pub(super) fn sweep(
-    agents: &mut [Agent],
-    experience: &[Experience],
-    influence: &[Influence],
-    order: &[usize],
-    (seed, iteration): (RunSeed, u64),
-) -> Result<Report, MarlError> {
-    let mut factor = vec![1.0; experience[0].log_prob.len()];
-    let mut reports = vec![Report::new(); agents.len()];
-    for (position, &index) in order.iter().enumerate() {
-        let (agent, known) = (&mut agents[index], (&experience[index], &influence[index]));
-        let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
-        let trained = maximise(agent, known, &factor, (seed, draw))?;
-        let spread = mean_and_largest(&factor);
-        reports[index] = report(agent, index, position, &trained, spread)?;
-        let log_prob_new = log_prob(agent, known.0)?;
-        factor = sequential_factor(&factor, &log_prob_new, &known.0.log_prob);
-    }
-    Ok(reports.concat())
-}
+/// What is held constant while one agent climbs, all in chunked order.
+pub(crate) type PerAgent<'a> = (&'a Experience, &'a Influence);
 
 /// What an agent's optimiser steps came to.
-struct Trained {
-    figures: Figures,
-    gradient_norm: f64,
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Trained {
+    pub(crate) figures: Figures,
+    pub(crate) gradient_norm: f64,
+    /// Steps skipped so far because their gradient was not finite.
+    pub(crate) skipped: i64,
 }
 
-/// Epochs of minibatches of whole chunks up the objective of Eq. (10).
-fn maximise(
+/// One agent by itself, its advantages weighed with `factor`, `[L, C]`.
+pub(crate) fn maximise(
     agent: &mut Agent,
     known: PerAgent<'_>,
     factor: &[f64],
@@ -52,7 +32,7 @@ fn maximise(
 ) -> Result<Trained, MarlError> {
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
     let weight = 1.0 / (epochs * parts) as f64;
-    let mut trained = Trained { figures: Figures::default(), gradient_norm: 0.0 };
+    let mut trained = Trained::default();
     for epoch in 0..epochs {
         let draw = draw.step(epoch as u32);
         for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
@@ -61,6 +41,42 @@ fn maximise(
             agent.network.project()?;
             trained.figures.add(weight, &figures);
             trained.gradient_norm += weight * norm;
+        }
+    }
+    trained.skipped = agent.adam.skipped();
+    Ok(trained)
+}
+
+/// Agents that share one network, whose optimiser is the first one's: each step follows the mean of
+/// their gradients, as if a minibatch held the rows of all of them. `draws` are the agents' own.
+pub(crate) fn maximise_together(
+    agents: &mut [Agent],
+    known: &[PerAgent<'_>],
+    factor: &[f64],
+    (seed, draws): (RunSeed, &[Draw]),
+) -> Result<Vec<Trained>, MarlError> {
+    let (epochs, parts) = (agents[0].update.epochs, agents[0].update.minibatches);
+    let weight = 1.0 / (epochs * parts) as f64;
+    let mut trained = vec![Trained::default(); agents.len()];
+    for epoch in 0..epochs {
+        let deal = |(draw, known): (&Draw, &PerAgent<'_>)| {
+            minibatches(known.0.sequences.layout.chunks, parts, seed, draw.step(epoch as u32))
+        };
+        let dealt: Vec<_> = draws.iter().zip(known).map(deal).collect();
+        for part in 0..dealt[0].len() {
+            let one =
+                |index: usize| gradient(&agents[index], known[index], factor, &dealt[index][part]);
+            let found = (0..agents.len()).into_par_iter().map(one);
+            let (figures, gradients): (Vec<_>, Vec<_>) =
+                found.collect::<Result<Vec<_>, MarlError>>()?.into_iter().unzip();
+            let mean = Gradients::mean(gradients);
+            let norm = agents[0].adam.step(agents[0].network.parameters(), &mean)?;
+            agents[0].network.project()?;
+            for (trained, figures) in trained.iter_mut().zip(&figures) {
+                trained.figures.add(weight, figures);
+                trained.gradient_norm += weight * norm;
+                trained.skipped = agents[0].adam.skipped();
+            }
         }
     }
     Ok(trained)
@@ -120,7 +136,7 @@ fn shard(
 }
 
 /// Log-densities of all actions under today's weights, `[L, C]`, computed shard by shard.
-fn log_prob(agent: &Agent, experience: &Experience) -> Result<Vec<f64>, MarlError> {
+pub(crate) fn log_prob(agent: &Agent, experience: &Experience) -> Result<Vec<f64>, MarlError> {
     let layout = experience.sequences.layout;
     let parts = split(layout.chunks, agent.update.shards);
     let shards = parts
@@ -135,36 +151,4 @@ fn log_prob(agent: &Agent, experience: &Experience) -> Result<Vec<f64>, MarlErro
         layout.scatter(&log_prob, &mut all, 1, &columns);
     }
     Ok(all)
-}
-
-fn report(
-    agent: &Agent,
-    index: usize,
-    position: usize,
-    trained: &Trained,
-    (factor_mean, factor_largest): (f64, f64),
-) -> Result<Report, MarlError> {
-    let policy = agent.policy()?;
-    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
-    let figures = &trained.figures;
-    let named = [
-        ("sweep_position", position as f64),
-        ("policy_loss", figures.policy_loss),
-        ("approx_kl", figures.approx_kl),
-        ("clip_fraction", figures.clip_fraction),
-        ("entropy", gaussian::entropy(&sigma)),
-        ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
-        ("gradient_norm", trained.gradient_norm),
-        ("skipped_steps", agent.adam.skipped() as f64),
-        ("factor_mean", factor_mean),
-        ("factor_largest", factor_largest),
-        ("influence_kl", figures.influence),
-        ("influence_capped", figures.capped_fraction),
-    ];
-    Ok(named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
-}
-
-fn mean_and_largest(numbers: &[f64]) -> (f64, f64) {
-    let mean = numbers.iter().sum::<f64>() / numbers.len() as f64;
-    (mean, numbers.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x)))
 }

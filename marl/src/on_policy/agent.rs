@@ -1,4 +1,6 @@
-//! One agent of the sweep: its network, its optimiser, its posterior, and what it has experienced.
+//! One agent: its network, its optimiser, its posterior, and what it has experienced.
+
+use std::sync::Arc;
 
 use candle_core::{DType, Tensor};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
@@ -19,22 +21,23 @@ use crate::sequence::{Layout, Sequences};
 
 /// A network in training. Its posterior is there if the influence term has a weight and there are
 /// other agents.
-pub(super) struct Agent {
-    pub(super) network: ActorNetwork,
-    pub(super) adam: Adam,
-    pub(super) coefficients: Coefficients,
-    pub(super) update: UpdateConfig,
+pub(crate) struct Agent {
+    /// Agents that share their parameters hold the same network.
+    pub(crate) network: Arc<ActorNetwork>,
+    pub(crate) adam: Adam,
+    pub(crate) coefficients: Coefficients,
+    pub(crate) update: UpdateConfig,
     posterior: Option<Posterior>,
     holdout_every: usize,
 }
 
 /// What one agent has experienced, in chunked order, and what the behaviour weights made of it.
-pub(super) struct Experience {
-    pub(super) sequences: Sequences,
+pub(crate) struct Experience {
+    pub(crate) sequences: Sequences,
     /// Normalised advantages, `[L, C]`.
-    pub(super) advantage: Vec<f64>,
+    pub(crate) advantage: Vec<f64>,
     /// Log-densities of the actions under the behaviour weights, `[L, C]`, nats.
-    pub(super) log_prob: Vec<f64>,
+    pub(crate) log_prob: Vec<f64>,
     /// The trunk's features under the behaviour weights, `[L * C, F]`; a constant.
     features: Tensor,
     /// Every other agent's action, in agent order, `[L, C, others]`.
@@ -43,8 +46,8 @@ pub(super) struct Experience {
 
 /// What a posterior says about an agent's experience; empty without one.
 #[derive(Default)]
-pub(super) struct Influence {
-    pub(super) conditional: Conditional,
+pub(crate) struct Influence {
+    pub(crate) conditional: Conditional,
     /// Mean log-likelihood on the rows trained on, nats.
     log_likelihood: f64,
     /// Mean of `log q - log p` on held-out rows, nats.
@@ -52,7 +55,7 @@ pub(super) struct Influence {
 }
 
 impl Influence {
-    pub(super) fn report(&self, agent: usize) -> Report {
+    pub(crate) fn report(&self, agent: usize) -> Report {
         if self.conditional.sigma.is_empty() {
             return Report::new();
         }
@@ -63,7 +66,7 @@ impl Influence {
 }
 
 impl Agent {
-    pub(super) fn new(
+    pub(crate) fn new(
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
@@ -92,7 +95,7 @@ impl Agent {
             .transpose()?;
         Ok(Self {
             adam: Adam::new(adam, network.parameters()),
-            network,
+            network: Arc::new(network),
             coefficients: Coefficients {
                 clip: update.clip,
                 entropy: update.entropy,
@@ -105,34 +108,44 @@ impl Agent {
         })
     }
 
-    pub(super) fn hidden_size(&self) -> usize {
+    pub(crate) fn hidden_size(&self) -> usize {
         self.network.hidden_size()
     }
 
-    pub(super) fn policy(&self) -> Result<ActorPolicy, MarlError> {
+    pub(crate) fn policy(&self) -> Result<ActorPolicy, MarlError> {
         Ok(self.network.policy()?)
     }
 
-    pub(super) fn arrays(&self, index: usize) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.network.parameters().to_arrays(&format!("weights/agent_{index}."))?;
-        arrays.append(&mut self.adam.arrays(&format!("optimizer/agent_{index}.")));
-        if let Some(posterior) = &self.posterior {
-            arrays.append(&mut posterior.arrays(index)?);
-        }
+    /// The network and its optimiser, under the name of whom they belong to.
+    pub(crate) fn network_arrays(&self, owner: &str) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.network.parameters().to_arrays(&format!("weights/{owner}."))?;
+        arrays.append(&mut self.adam.arrays(&format!("optimizer/{owner}.")));
         Ok(arrays)
     }
 
-    pub(super) fn restore(&mut self, index: usize, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.network.parameters().load(&format!("weights/agent_{index}."), arrays)?;
-        self.adam.restore(&format!("optimizer/agent_{index}."), arrays)?;
-        match &mut self.posterior {
-            Some(posterior) => posterior.restore(index, arrays),
-            None => Ok(()),
-        }
+    pub(crate) fn posterior_arrays(&self, index: usize) -> Result<NamedArrays, MarlError> {
+        self.posterior.as_ref().map_or_else(|| Ok(NamedArrays::new()), |own| own.arrays(index))
+    }
+
+    pub(crate) fn restore_network(
+        &mut self,
+        owner: &str,
+        arrays: &NamedArrays,
+    ) -> Result<(), MarlError> {
+        self.network.parameters().load(&format!("weights/{owner}."), arrays)?;
+        self.adam.restore(&format!("optimizer/{owner}."), arrays)
+    }
+
+    pub(crate) fn restore_posterior(
+        &mut self,
+        index: usize,
+        arrays: &NamedArrays,
+    ) -> Result<(), MarlError> {
+        self.posterior.as_mut().map_or(Ok(()), |own| own.restore(index, arrays))
     }
 
     /// Log-densities of the actions `[R]` and the features of some chunks, under today's weights.
-    pub(super) fn log_prob(
+    pub(crate) fn log_prob(
         &self,
         sequences: &Sequences,
         columns: &[usize],
@@ -172,7 +185,7 @@ impl Agent {
 }
 
 /// Every agent's experience under the behaviour weights, which are still the networks' own.
-pub(super) fn gather(
+pub(crate) fn gather(
     agents: &[Agent],
     batch: &Batch,
     layout: Layout,
@@ -210,7 +223,7 @@ fn other_actions(batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
 }
 
 /// All agents' posteriors, in parallel.
-pub(super) fn fit_posteriors(
+pub(crate) fn fit_posteriors(
     agents: &mut [Agent],
     experience: &[Experience],
     seed: RunSeed,

@@ -1,0 +1,94 @@
+//! MAPPO with the paper's two terms: all agents climb at once, each as if the others stood still, with
+//! one network for all of them or one each.
+
+use policy::randomness::{Draw, Purpose, RunSeed};
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot};
+use rayon::prelude::*;
+
+use crate::algorithm::{Algorithm, Report};
+use crate::batch::{Batch, Problem, Rewards};
+use crate::config::{Config, Sharing};
+use crate::error::MarlError;
+use crate::on_policy::agent::Agent;
+use crate::on_policy::ascent::{PerAgent, Trained, maximise, maximise_together};
+use crate::on_policy::{Prepared, Team, agent_report, critic_report};
+
+/// MAPPO; its surrogate is HAPPO's with a factor of 1.
+pub struct Mappo {
+    sharing: Sharing,
+    team: Team,
+}
+
+impl Mappo {
+    /// Networks for `problem`, their weights drawn with `seed`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn new(
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        seed: RunSeed,
+    ) -> Result<Self, MarlError> {
+        let sharing = config.update.parameters;
+        Ok(Self { sharing, team: Team::new(config, policy, problem, seed)? })
+    }
+}
+
+impl Algorithm for Mappo {
+    fn update(
+        &mut self,
+        batch: &Batch,
+        rewards: &Rewards,
+        iteration: u64,
+    ) -> Result<Report, MarlError> {
+        let prepared = self.team.prepare(batch, rewards, iteration)?;
+        let (sharing, Team { agents, critic, seed, .. }) = (self.sharing, &mut self.team);
+        let (climbed, fitted) = rayon::join(
+            || climb(agents, &prepared, sharing, (*seed, iteration)),
+            || critic.fit(batch, &prepared.values, &prepared.returns, iteration),
+        );
+        let mut report = critic_report(&fitted?);
+        for (index, (agent, trained)) in self.team.agents.iter().zip(&climbed?).enumerate() {
+            report.extend(agent_report(agent, index, trained)?);
+        }
+        report.extend(prepared.influence.iter().enumerate().flat_map(|(i, q)| q.report(i)));
+        Ok(report)
+    }
+
+    fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
+        self.team.snapshot()
+    }
+
+    fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        self.team.arrays()
+    }
+
+    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        self.team.restore(arrays)
+    }
+}
+
+/// Updates all agents against the behaviour of all others.
+fn climb(
+    agents: &mut [Agent],
+    prepared: &Prepared,
+    sharing: Sharing,
+    (seed, iteration): (RunSeed, u64),
+) -> Result<Vec<Trained>, MarlError> {
+    let factor = vec![1.0; prepared.experience[0].log_prob.len()];
+    let draw = |agent: usize| Draw::of(Purpose::Minibatch).iteration(iteration).agent(agent as u32);
+    match sharing {
+        Sharing::Shared => {
+            let known: Vec<PerAgent<'_>> = (0..agents.len()).map(|i| prepared.of(i)).collect();
+            let draws: Vec<Draw> = (0..agents.len()).map(draw).collect();
+            maximise_together(agents, &known, &factor, (seed, &draws))
+        }
+        Sharing::Separate => {
+            let one = |(index, agent): (usize, &mut Agent)| {
+                maximise(agent, prepared.of(index), &factor, (seed, draw(index)))
+            };
+            agents.par_iter_mut().enumerate().map(one).collect()
+        }
+    }
+}

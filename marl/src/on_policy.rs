@@ -1,0 +1,182 @@
+//! What every rule shares that learns from `D_k` alone and then forgets it: critic, advantages,
+//! posteriors, and how the state is kept. How the policies climb is the rule's own matter.
+
+pub(crate) mod agent;
+pub(crate) mod ascent;
+
+use std::sync::Arc;
+
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot, RunSeed};
+use rayon::prelude::*;
+
+use crate::advantage::{Horizon, advantage};
+use crate::algorithm::{Report, refuse_strange};
+use crate::batch::{Batch, Problem, Rewards};
+use crate::config::{Config, Sharing};
+use crate::critic::{Critic, CriticFigures, Values};
+use crate::error::MarlError;
+use crate::gaussian;
+use crate::on_policy::agent::{Agent, Experience, Influence};
+use crate::on_policy::ascent::{PerAgent, Trained};
+use crate::sequence::Layout;
+use crate::surrogate::normalized_advantage;
+
+/// All agents and their critic.
+pub(crate) struct Team {
+    config: Config,
+    problem: Problem,
+    chunk_steps: usize,
+    pub(crate) seed: RunSeed,
+    pub(crate) agents: Vec<Agent>,
+    pub(crate) critic: Critic,
+}
+
+/// What is known of `D_k` before any policy moves.
+pub(crate) struct Prepared {
+    pub(crate) experience: Vec<Experience>,
+    pub(crate) influence: Vec<Influence>,
+    pub(crate) values: Values,
+    /// Every agent's returns, `[N][T, B]`.
+    pub(crate) returns: Vec<Vec<f32>>,
+}
+
+impl Prepared {
+    /// What one agent knows.
+    pub(crate) fn of(&self, agent: usize) -> PerAgent<'_> {
+        (&self.experience[agent], &self.influence[agent])
+    }
+}
+
+impl Team {
+    /// Networks for `problem`, their weights drawn with `seed`. Agents that share their parameters
+    /// all hold the first one's network.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub(crate) fn new(
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        seed: RunSeed,
+    ) -> Result<Self, MarlError> {
+        let mut agents = (0..problem.agents.len())
+            .map(|index| Agent::new(config, policy, problem, (seed, index)))
+            .collect::<Result<Vec<_>, _>>()?;
+        if config.update.parameters == Sharing::Shared {
+            let network = Arc::clone(&agents[0].network);
+            agents.iter_mut().for_each(|agent| agent.network = Arc::clone(&network));
+        }
+        let critic = Critic::new(&config.critic, config.update.adam_epsilon, problem, seed)?;
+        let (config, problem) = (config.clone(), problem.clone());
+        Ok(Self { config, problem, chunk_steps: policy.chunk_steps, seed, agents, critic })
+    }
+
+    /// Checks the batch, values it, and fits the posteriors.
+    ///
+    /// # Errors
+    /// Refuses a batch that does not fit the problem.
+    pub(crate) fn prepare(
+        &mut self,
+        batch: &Batch,
+        rewards: &Rewards,
+        iteration: u64,
+    ) -> Result<Prepared, MarlError> {
+        let hidden: Vec<usize> = self.agents.iter().map(Agent::hidden_size).collect();
+        batch.check(&self.problem, self.chunk_steps, &hidden)?;
+        let layout = Layout::of(batch, self.chunk_steps);
+        let values = self.critic.values(batch)?;
+        let (advantages, returns) = self.advantages(batch, rewards, &values);
+        let experience = agent::gather(&self.agents, batch, layout, &advantages)?;
+        let (agents, seed) = (&mut self.agents, self.seed);
+        let influence = agent::fit_posteriors(agents, &experience, seed, iteration)?;
+        Ok(Prepared { experience, influence, values, returns })
+    }
+
+    /// Every agent's advantages and returns `[N][T, B]` under its own rewards.
+    fn advantages(
+        &self,
+        batch: &Batch,
+        rewards: &Rewards,
+        values: &Values,
+    ) -> (Vec<Vec<f32>>, Vec<Vec<f32>>) {
+        let update = &self.config.update;
+        let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
+        let agent = |agent: usize| {
+            let (now, next) = (&values.now[agent], &values.next[agent]);
+            let advantage = advantage(batch, &rewards[agent], now, next, horizon);
+            let returns = advantage.iter().zip(now).map(|(a, v)| a + v).collect();
+            (normalized_advantage(&advantage), returns)
+        };
+        (0..rewards.len()).into_par_iter().map(agent).unzip()
+    }
+
+    pub(crate) fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
+        let agents = self.agents.iter().map(Agent::policy).collect::<Result<_, _>>()?;
+        Ok(PolicySnapshot { agents })
+    }
+
+    /// Who owns the network of agent `index`; nobody where an earlier agent shares it.
+    fn owner(&self, index: usize) -> Option<String> {
+        match (self.config.update.parameters, index) {
+            (Sharing::Separate, _) => Some(format!("agent_{index}")),
+            (Sharing::Shared, 0) => Some("shared".to_owned()),
+            (Sharing::Shared, _) => None,
+        }
+    }
+
+    pub(crate) fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.critic.arrays()?;
+        for (index, agent) in self.agents.iter().enumerate() {
+            if let Some(owner) = self.owner(index) {
+                arrays.append(&mut agent.network_arrays(&owner)?);
+            }
+            arrays.append(&mut agent.posterior_arrays(index)?);
+        }
+        Ok(arrays)
+    }
+
+    pub(crate) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        refuse_strange(arrays, &self.arrays()?)?;
+        self.critic.restore(arrays)?;
+        for index in 0..self.agents.len() {
+            if let Some(owner) = self.owner(index) {
+                self.agents[index].restore_network(&owner, arrays)?;
+            }
+            self.agents[index].restore_posterior(index, arrays)?;
+        }
+        Ok(())
+    }
+}
+
+/// What the critic's fit came to.
+pub(crate) fn critic_report(figures: &CriticFigures) -> Report {
+    vec![
+        ("losses/value_loss".to_owned(), figures.loss),
+        ("losses/value_gradient_norm".to_owned(), figures.gradient_norm),
+        ("losses/explained_variance".to_owned(), figures.explained_variance),
+        ("losses/value_skipped_steps".to_owned(), figures.skipped as f64),
+    ]
+}
+
+/// What one agent's climb came to.
+pub(crate) fn agent_report(
+    agent: &Agent,
+    index: usize,
+    trained: &Trained,
+) -> Result<Report, MarlError> {
+    let policy = agent.policy()?;
+    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
+    let figures = &trained.figures;
+    let named = [
+        ("policy_loss", figures.policy_loss),
+        ("approx_kl", figures.approx_kl),
+        ("clip_fraction", figures.clip_fraction),
+        ("entropy", gaussian::entropy(&sigma)),
+        ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
+        ("gradient_norm", trained.gradient_norm),
+        ("skipped_steps", trained.skipped as f64),
+        ("influence_kl", figures.influence),
+        ("influence_capped", figures.capped_fraction),
+    ];
+    Ok(named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
+}

@@ -1,0 +1,330 @@
+//! What every learning rule has to show on one small game, with actors that have no memory.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use marl::config::{
+    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
+    Sharing, Space,
+};
+use marl::{
+    AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final, InfluenceConfig,
+    MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
+};
+use policy::{
+    CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch, generator,
+    standard_normal,
+};
+
+const ENVIRONMENTS: usize = 40;
+const STEPS: usize = 4;
+const RULES: [(Rule, Sharing); 4] = [
+    (Rule::Happo, Sharing::Separate),
+    (Rule::Mappo, Sharing::Separate),
+    (Rule::Mappo, Sharing::Shared),
+    (Rule::Maddpg, Sharing::Separate),
+];
+
+fn policy() -> PolicyConfig {
+    PolicyConfig {
+        core: CoreKind::Mlp,
+        encoder: 8,
+        hidden: 8,
+        width: 16,
+        layers: 1,
+        chunk_steps: 2,
+        initial_log_std: 1.0,
+        sigma_scale: 0.5,
+        sigma_floor: 0.05,
+        head_gain: 0.01,
+    }
+}
+
+fn config(rule: Rule, parameters: Sharing) -> Config {
+    Config {
+        update: update_config(rule, parameters),
+        critic: CriticConfig {
+            mode: CriticMode::PerAgent,
+            layers: 1,
+            width: 32,
+            learning_rate: 3e-3,
+            epochs: 5,
+            minibatches: 2,
+            clip: 0.2,
+            huber_delta: 10.0,
+            normalizer_beta: 0.99,
+            max_gradient_norm: 10.0,
+        },
+        surprise: SurpriseConfig {
+            alpha: 0.0,
+            density: DensityKind::DiagonalGaussian,
+            fit: Fit::Current,
+            space: Space::PolicyObs,
+            reduce: Reduce::Sum,
+            constant: Constant::Paper,
+            sigma_floor: 0.01,
+            mask_below: 1e-4,
+        },
+        influence: influence_config(0.0),
+        maddpg: MaddpgConfig {
+            replay: 2000,
+            batch: 64,
+            n_step: 2,
+            warm_up: 320,
+            updates_per_step: 0.1,
+            noise: 0.1,
+            polyak: 0.05,
+        },
+    }
+}
+
+fn update_config(rule: Rule, parameters: Sharing) -> UpdateConfig {
+    UpdateConfig {
+        rule,
+        parameters,
+        gamma: 0.9,
+        gae_lambda: 0.95,
+        learning_rate: 3e-3,
+        adam_epsilon: 1e-5,
+        clip: 0.2,
+        epochs: 5,
+        minibatches: 2,
+        entropy: 0.0,
+        max_gradient_norm: 10.0,
+        shards: 2,
+    }
+}
+
+fn influence_config(lambda: f64) -> InfluenceConfig {
+    InfluenceConfig {
+        lambda,
+        estimator: Estimator::VariationalKl,
+        divergence: Divergence::KlQp,
+        q_training: QTraining::Mle,
+        kappa: 1.0,
+        encoder: 8,
+        hidden: 8,
+        epochs: 2,
+        learning_rate: 3e-3,
+        minibatches: 2,
+        sigma_floor: 0.05,
+        holdout_every: 5,
+    }
+}
+
+fn problem() -> Problem {
+    let shape = AgentShape {
+        observation: 3,
+        action: 1,
+        action_range: (-1.0, 1.0),
+        surprise_features: vec![0, 1],
+    };
+    Problem { agents: vec![shape.clone(), shape], state: 2 }
+}
+
+fn algorithm(rule: (Rule, Sharing)) -> Box<dyn Algorithm> {
+    marl::build(&config(rule.0, rule.1), &policy(), &problem(), RunSeed(1)).unwrap()
+}
+
+/// One step of the game pays `1 - (a_0 + a_1 - x)^2`, a sum that neither agent commands alone; the
+/// next state has nothing to do with it. Every second step ends an episode, for good in one half of
+/// the environments and by a limit in the other. `draw` says how an agent acts.
+fn play_with(
+    snapshot: &PolicySnapshot,
+    iteration: u64,
+    mut draw: impl FnMut(usize, &[f32], &mut [f32]),
+) -> Batch {
+    let mut rng = generator(RunSeed(9), Draw::of(Purpose::Reset).iteration(iteration));
+    let mut batch = Batch {
+        steps: STEPS,
+        environments: ENVIRONMENTS,
+        agents: vec![AgentBatch::default(); 2],
+        ..Batch::default()
+    };
+    for step in 0..STEPS {
+        let states: Vec<f32> =
+            (0..ENVIRONMENTS * 2).map(|_| 0.5 * standard_normal(&mut rng)).collect();
+        let mut sums = [0.0; ENVIRONMENTS];
+        for (agent, policy) in snapshot.agents.iter().enumerate() {
+            let data = &mut batch.agents[agent];
+            let seen: Vec<f32> =
+                states.chunks_exact(2).flat_map(|at| [at[0], at[1], agent as f32]).collect();
+            let mut mean = vec![0.0; ENVIRONMENTS];
+            policy.forward(ENVIRONMENTS, &seen, &mut [], &mut mean, &mut Scratch::default());
+            for (sum, mean) in sums.iter_mut().zip(mean) {
+                let mut action = [0.0];
+                draw(agent, &[mean], &mut action);
+                *sum += action[0];
+                data.log_prob.push(policy.log_prob(&[mean], &action));
+                data.action.extend(action);
+            }
+            data.observation.extend(seen);
+        }
+        let error = |(sum, state): (&f32, &[f32])| (sum - state[0]) * (sum - state[0]);
+        batch.reward.extend(sums.iter().zip(states.chunks_exact(2)).map(|pair| 1.0 - error(pair)));
+        batch.state.extend(states);
+        end_episodes(&mut batch, step);
+    }
+    batch
+}
+
+fn end_episodes(batch: &mut Batch, step: usize) {
+    let done = step % 2 == 1;
+    batch.terminated.extend((0..ENVIRONMENTS).map(|e| done && e % 2 == 0));
+    batch.truncated.extend((0..ENVIRONMENTS).map(|e| done && e % 2 == 1));
+    let (state, observation) = (vec![0.0; 2], vec![vec![0.0; 3]; 2]);
+    let last = |environment| Final {
+        step,
+        environment,
+        state: state.clone(),
+        observation: observation.clone(),
+    };
+    batch.finals.extend((0..ENVIRONMENTS).filter(|_| done).map(last));
+}
+
+/// As the snapshot says.
+fn play(snapshot: &PolicySnapshot, iteration: u64) -> Batch {
+    let mut rng = generator(RunSeed(9), Draw::of(Purpose::Action).iteration(iteration));
+    play_with(snapshot, iteration, |agent, mean, action| {
+        snapshot.agents[agent].draw(mean, &mut rng, action);
+    })
+}
+
+/// Mean reward of the mean actions.
+fn skill(algorithm: &dyn Algorithm) -> f32 {
+    let snapshot = algorithm.snapshot().unwrap();
+    let batch = play_with(&snapshot, 1_000_000, |_, mean, action| action.copy_from_slice(mean));
+    batch.reward.iter().sum::<f32>() / batch.reward.len() as f32
+}
+
+fn update(algorithm: &mut dyn Algorithm, iteration: u64) {
+    let batch = play(&algorithm.snapshot().unwrap(), iteration);
+    let rewards = vec![batch.reward.clone(); 2];
+    algorithm.update(&batch, &rewards, iteration).unwrap();
+}
+
+#[test]
+fn every_rule_learns_a_sum_that_no_agent_commands_alone() {
+    for rule in RULES {
+        let mut algorithm = algorithm(rule);
+        let before = skill(algorithm.as_ref());
+        (0..60).for_each(|iteration| update(algorithm.as_mut(), iteration));
+        let after = skill(algorithm.as_ref());
+        // Means of zero leave all of x, whose variance is .25, unanswered.
+        assert!(before < 0.8 && after > 0.95, "{rule:?}: {before} {after}");
+    }
+}
+
+#[test]
+fn mappo_takes_both_terms_by_configuration_alone() {
+    for sharing in [Sharing::Separate, Sharing::Shared] {
+        let mut config = config(Rule::Mappo, sharing);
+        config.influence = influence_config(0.01);
+        let mut algorithm = marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
+        let batch = play(&algorithm.snapshot().unwrap(), 0);
+        // What the learner would add for surprise differs from agent to agent.
+        let rewards = vec![batch.reward.clone(), batch.reward.iter().map(|r| 0.9 * r).collect()];
+        let report = algorithm.update(&batch, &rewards, 0).unwrap();
+        let named = |name: &str| report.iter().find(|(own, _)| own == name).unwrap().1;
+        assert!(named("agent0/influence_kl") > 0.0 && named("agent1/influence_kl") > 0.0);
+        assert!(algorithm.arrays().unwrap().keys().any(|name| name.contains("posterior")));
+    }
+}
+
+#[test]
+fn every_rule_goes_on_bit_for_bit_from_what_it_stored() {
+    for rule in RULES {
+        let (mut kept, mut other) = (algorithm(rule), algorithm(rule));
+        (0..4).for_each(|iteration| update(kept.as_mut(), iteration));
+        update(other.as_mut(), 7);
+        other.restore(&kept.arrays().unwrap()).unwrap();
+        for iteration in 4..20 {
+            update(kept.as_mut(), iteration);
+            update(other.as_mut(), iteration);
+        }
+        assert_eq!(kept.arrays().unwrap(), other.arrays().unwrap(), "{rule:?}");
+        let bytes = |algorithm: &dyn Algorithm| algorithm.snapshot().unwrap().to_bytes().unwrap();
+        assert_eq!(bytes(kept.as_ref()), bytes(other.as_ref()), "{rule:?}");
+    }
+}
+
+#[test]
+fn every_rule_gives_the_same_bits_on_one_two_and_three_threads() {
+    for rule in RULES {
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut algorithm = algorithm(rule);
+                (0..5).for_each(|iteration| update(algorithm.as_mut(), iteration));
+                algorithm.arrays().unwrap()
+            })
+        };
+        let one = on(1);
+        assert_eq!(one, on(2), "{rule:?}");
+        assert_eq!(one, on(3), "{rule:?}");
+    }
+}
+
+#[test]
+fn weights_are_the_part_of_the_arrays_that_has_their_name() {
+    for rule in RULES {
+        let algorithm = algorithm(rule);
+        let mut arrays = algorithm.arrays().unwrap();
+        arrays.retain(|name, _| name.starts_with("weights/"));
+        assert_eq!(algorithm.weights().unwrap(), arrays);
+        let shared = arrays.keys().any(|name| name.starts_with("weights/shared."));
+        let own = arrays.keys().any(|name| name.starts_with("weights/agent_1."));
+        assert_eq!((shared, own), (rule.1 == Sharing::Shared, rule.1 == Sharing::Separate));
+    }
+}
+
+#[test]
+fn agents_that_share_their_parameters_act_alike_and_must_be_of_equal_sizes() {
+    let mut algorithm = algorithm((Rule::Mappo, Sharing::Shared));
+    update(algorithm.as_mut(), 0);
+    let agents = algorithm.snapshot().unwrap().agents;
+    assert_eq!(agents.len(), 2);
+    assert_eq!(agents[0].arrays(), agents[1].arrays());
+    let mut unequal = problem();
+    unequal.agents[1].observation = 5;
+    let config = config(Rule::Mappo, Sharing::Shared);
+    let error = marl::build(&config, &policy(), &unequal, RunSeed(1)).map(drop).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "update.parameters = shared needs agents of equal sizes: agent 0 has 3 observation \
+         features and 1 action dimensions, agent 1 has 5 and 1; use separate"
+    );
+}
+
+#[test]
+fn maddpg_warms_up_for_as_many_steps_as_it_was_told_and_learns_nothing_meanwhile() {
+    let mut algorithm = algorithm((Rule::Maddpg, Sharing::Separate));
+    let start = algorithm.weights().unwrap();
+    let head = |algorithm: &dyn Algorithm| algorithm.snapshot().unwrap().agents[1].spec().head();
+    // 160 steps an iteration, a warm-up of 320.
+    for iteration in 0..2 {
+        assert_eq!(head(algorithm.as_ref()), Head::Uniform { low: -1.0, high: 1.0 });
+        update(algorithm.as_mut(), iteration);
+    }
+    assert_eq!(algorithm.weights().unwrap(), start);
+    assert!(matches!(head(algorithm.as_ref()), Head::Deterministic { .. }));
+    update(algorithm.as_mut(), 2);
+    assert_ne!(algorithm.weights().unwrap(), start);
+}
+
+#[test]
+fn maddpg_refuses_what_a_replay_cannot_hold_and_says_why() {
+    let refused = |change: &dyn Fn(&mut Config)| {
+        let mut config = config(Rule::Maddpg, Sharing::Separate);
+        change(&mut config);
+        config.validate().unwrap_err().to_string()
+    };
+    let message = refused(&|config| config.surprise.alpha = 0.01);
+    assert!(message.contains("surprise.alpha = 0.01") && message.contains("stale"), "{message}");
+    let message = refused(&|config| config.influence.lambda = 0.01);
+    assert!(message.contains("influence.lambda") && message.contains("density"), "{message}");
+    let message = refused(&|config| config.update.parameters = Sharing::Shared);
+    assert!(message.contains("update.parameters = shared"), "{message}");
+    let gru = PolicyConfig { core: CoreKind::Gru, ..policy() };
+    let config = config(Rule::Maddpg, Sharing::Separate);
+    let message = config.suits(&gru).unwrap_err().to_string();
+    assert!(message.contains("policy.core = gru") && message.contains("mlp"), "{message}");
+}
