@@ -84,15 +84,20 @@ fn config(lambda: f64) -> Config {
             sigma_floor: 0.05,
             holdout_every: 5,
         },
-        maddpg: MaddpgConfig {
-            replay: 1000,
-            batch: 10,
-            n_step: 1,
-            warm_up: 0,
-            updates_per_step: 0.1,
-            noise: 0.1,
-            polyak: 0.005,
-        },
+        maddpg: unread(),
+    }
+}
+
+/// HAPPO reads none of it.
+fn unread() -> MaddpgConfig {
+    MaddpgConfig {
+        replay: 1000,
+        batch: 10,
+        n_step: 1,
+        warm_up: 0,
+        updates_per_step: 0.1,
+        noise: 0.1,
+        polyak: 0.005,
     }
 }
 

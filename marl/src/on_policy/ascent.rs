@@ -64,8 +64,8 @@ pub(crate) fn maximise_together(
         };
         let dealt: Vec<_> = draws.iter().zip(known).map(deal).collect();
         for part in 0..dealt[0].len() {
-            let one =
-                |index: usize| gradient(&agents[index], known[index], factor, &dealt[index][part]);
+            let columns: Vec<&[usize]> = dealt.iter().map(|own| own[part].as_slice()).collect();
+            let one = |index: usize| gradient(&agents[index], known[index], factor, columns[index]);
             let found = (0..agents.len()).into_par_iter().map(one);
             let (figures, gradients): (Vec<_>, Vec<_>) =
                 found.collect::<Result<Vec<_>, MarlError>>()?.into_iter().unzip();
