@@ -72,6 +72,26 @@ fn one_actor_and_two_actors_train_the_same_weights() {
 }
 
 #[test]
+fn robots_that_fall_train_the_same_weights_with_any_number_of_actors() {
+    let runs = Runs::new();
+    let settings = [
+        ("walker2d-2x3", "observation.mode=k_nearest"),
+        ("ant-4x2", "observation.contact_forces=real"),
+    ];
+    for (task, setting) in settings {
+        let weights = |actors: &str| {
+            let folder = runs.folder(&format!("{task}-{actors}"));
+            let actors = format!("run.actors={actors}");
+            // The task named last is the one that is trained.
+            let task = format!("task={task}");
+            train(&folder, &[&task, setting, &actors, "run.iterations=3"]);
+            inspect(&folder)
+        };
+        assert_eq!(weights("1"), weights("2"), "{task}");
+    }
+}
+
+#[test]
 fn stopping_and_resuming_changes_nothing() {
     let runs = Runs::new();
     let (whole, parts) = (runs.folder("whole"), runs.folder("parts"));

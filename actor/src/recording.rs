@@ -106,7 +106,7 @@ fn record_episode(
         if written.is_ok() {
             written = channels.step(step, index, total);
         }
-    });
+    })?;
     written?;
     channels.pause();
     Ok(episode)

@@ -206,6 +206,7 @@ impl Work {
         }
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());
+        metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
         let report = IterationReport {
             iteration: trainer.iteration,
             env_steps: trainer.env_steps(),

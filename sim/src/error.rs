@@ -29,6 +29,36 @@ pub enum SimError {
     /// An encoded state is refused.
     #[error("the environment state is refused: {0}")]
     State(#[from] StateError),
+    /// Actions are refused.
+    #[error(transparent)]
+    Action(#[from] ActionError),
+}
+
+/// Actions that no robot can follow; nothing has moved.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ActionError {
+    /// Not one number per environment and action dimension.
+    #[error("{got} numbers of actions, {environments} environments need {environments} x {size}")]
+    Length {
+        /// Numbers received.
+        got: usize,
+        /// Environments in the slot.
+        environments: usize,
+        /// Numbers in all agents' joint action.
+        size: usize,
+    },
+    /// A number that is not finite.
+    #[error("the action of agent {agent} in environment {environment} is {value} at index {index}")]
+    NotFinite {
+        /// Place of the environment in the slot.
+        environment: usize,
+        /// The agent.
+        agent: usize,
+        /// Place in the agent's action.
+        index: usize,
+        /// The number.
+        value: f32,
+    },
 }
 
 /// Why an encoded state is refused.

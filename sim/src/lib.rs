@@ -19,11 +19,12 @@ mod task;
 mod world;
 
 pub use config::{
-    ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics, TaskConfig,
+    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
+    RootView, TaskConfig,
 };
 pub use description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
 pub use environments::{Environments, Outcome};
-pub use error::{SimError, StateError};
+pub use error::{ActionError, SimError, StateError};
 pub use probe::probe;
 pub use robot::Robot;
 pub use scene::{JointPose, LinkPose, LinkShape, Pose, Shape, shapes};
