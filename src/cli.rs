@@ -83,6 +83,9 @@ pub(crate) struct ResumeArguments {
     /// Resume although this machine computes other last bits than the one before.
     #[arg(long)]
     pub(crate) allow_other_machine: bool,
+    /// Die without a farewell at POINT@ITERATION, such as after-publish@3: for tests of what comes after.
+    #[arg(long, value_name = "POINT@ITERATION", hide = true)]
+    pub(crate) die_at: Option<learner::Fault>,
 }
 
 /// `s2mia train`

@@ -21,6 +21,7 @@ use crate::error::LearnerError;
 use crate::evaluation::{Evaluated, Evaluations};
 use crate::event::{Event, IterationReport};
 use crate::exchange::{Exchange, SlotRollout};
+use crate::fault::{self, Fault, Point};
 use crate::metrics::Metrics;
 use crate::provenance::{Origin, Provenance};
 use crate::run_folder::RunFolder;
@@ -64,6 +65,7 @@ pub struct Trainer {
     pub(crate) saved: Option<Saved>,
     pub(crate) failed_saves: u32,
     pub(crate) pool: ThreadPool,
+    pub(crate) fault: Option<Fault>,
 }
 
 /// What a trainer has to do with the outside while it runs.
@@ -124,6 +126,11 @@ impl Trainer {
         result
     }
 
+    /// Dies here if a test asked for it.
+    pub(crate) fn fault_at(&self, point: Point) {
+        fault::at(self.fault, point, self.iteration);
+    }
+
     fn steps_after(&self, iteration: u64) -> u64 {
         iteration * self.config.environments.steps_per_iteration()
     }
@@ -134,6 +141,7 @@ impl Work {
         self.begin()?;
         while self.trainer.iteration < self.trainer.last_iteration {
             let Some(collected) = self.collect()? else { break };
+            self.trainer.fault_at(Point::AfterCollect);
             let batch = assemble(&self.trainer.layout, &collected.rollouts)?;
             let learnt = self.trainer.learn(&batch)?;
             self.trainer.environments.advance(&batch, &collected.rollouts);
@@ -141,6 +149,7 @@ impl Work {
             let behaviour = self.behaviour;
             self.publish()?;
             self.lease();
+            self.trainer.fault_at(Point::AfterPublish);
             self.record(&collected, &learnt, behaviour)?;
             self.evaluate_if_due()?;
             self.save_if_due()?;
@@ -257,6 +266,7 @@ impl Trainer {
     /// updated (Eq. 10). All arithmetic happens in the run's own pool of threads.
     fn learn(&mut self, batch: &Batch) -> Result<Learnt, LearnerError> {
         let begin = Instant::now();
+        self.fault_at(Point::MidUpdate);
         let Self { pool, surprise, algorithm, iteration, .. } = self;
         let rewards = pool.install(|| {
             surprise.refit(batch);

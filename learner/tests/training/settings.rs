@@ -30,6 +30,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         learner_fingerprint: Digest([3; 32]),
         manifest: json!({"program": "test"}),
         resume: false,
+        fault: None,
     }
 }
 
