@@ -223,6 +223,8 @@ mod tests {
             ("run.env_steps=0", "run.env_steps"),
             ("surprise.density=oracle", "surprise.density"),
             ("influence.kappa=-1", "influence.kappa"),
+            ("influence.estimator=count", "influence.estimator"),
+            ("influence.estimator=barber_agakov", "influence.divergence"),
             ("lease.ttl_secs=0", "lease.ttl_secs"),
         ] {
             let message =

@@ -28,13 +28,7 @@ pub fn probe() -> [u8; 32] {
 }
 
 fn updated_weights() -> Result<[u8; 32], MarlError> {
-    let shape = AgentShape {
-        observation: OBSERVATION,
-        action: ACTION,
-        surprise_features: (0..STATE).collect(),
-    };
-    let problem = Problem { agents: vec![shape.clone(), shape], state: STATE };
-    let (config, batch) = (config(), batch());
+    let (problem, config, batch) = (problem(), config(), batch());
     let mut surprise = Surprise::new(&config.surprise, &problem);
     surprise.refit(&batch);
     let mut algorithm = build(&config, &policy(), &problem, RunSeed(0))?;
@@ -42,7 +36,16 @@ fn updated_weights() -> Result<[u8; 32], MarlError> {
     Ok(arrays::sha256(&algorithm.arrays()?))
 }
 
-fn batch() -> Batch {
+pub(crate) fn problem() -> Problem {
+    let shape = AgentShape {
+        observation: OBSERVATION,
+        action: ACTION,
+        surprise_features: (0..STATE).collect(),
+    };
+    Problem { agents: vec![shape.clone(), shape], state: STATE }
+}
+
+pub(crate) fn batch() -> Batch {
     let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe).step(2));
     let rows = STEPS * ENVIRONMENTS;
     let mut normals =
@@ -73,7 +76,7 @@ fn batch() -> Batch {
     }
 }
 
-fn policy() -> PolicyConfig {
+pub(crate) fn policy() -> PolicyConfig {
     PolicyConfig {
         core: CoreKind::Gru,
         encoder: 64,
@@ -88,7 +91,7 @@ fn policy() -> PolicyConfig {
     }
 }
 
-fn config() -> Config {
+pub(crate) fn config() -> Config {
     Config { update: update(), critic: critic(), surprise: surprise(), influence: influence() }
 }
 
