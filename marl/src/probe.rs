@@ -29,8 +29,8 @@ pub fn probe() -> [u8; 32] {
 
 fn updated_weights() -> Result<[u8; 32], MarlError> {
     let (problem, config, batch) = (problem(), config(), batch());
-    let mut surprise = Surprise::new(&config.surprise, &problem);
-    surprise.refit(&batch);
+    let mut surprise = Surprise::new(&config.surprise, &problem, RunSeed(0))?;
+    surprise.refit(&batch, 0)?;
     let mut algorithm = build(&config, &policy(), &problem, RunSeed(0))?;
     algorithm.update(&batch, &surprise.relabel(&batch), 0)?;
     Ok(arrays::sha256(&algorithm.arrays()?))
@@ -126,16 +126,28 @@ fn critic() -> CriticConfig {
     }
 }
 
-fn surprise() -> SurpriseConfig {
+pub(crate) fn surprise() -> SurpriseConfig {
     SurpriseConfig {
         alpha: 0.01,
         density: DensityKind::DiagonalGaussian,
         fit: Fit::Current,
+        ema_memory: 0.9,
         space: Space::PolicyObs,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
+        clip: 0.0,
         sigma_floor: 0.01,
         mask_below: 1e-4,
+        components: 3,
+        em_steps: 20,
+        vae_hidden: 16,
+        vae_latent: 2,
+        vae_epochs: 5,
+        vae_minibatches: 4,
+        vae_learning_rate: 1e-2,
+        embedding: 4,
+        neighbours: 3,
+        references: 256,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{not_negative, positive};
+use super::{count, not_negative, positive, refuse, within};
 use crate::error::MarlError;
 
 /// Surprise minimisation (Eq. 2-4, 9).
@@ -15,16 +15,40 @@ pub struct SurpriseConfig {
     pub density: DensityKind,
     /// Which experience the density that scores `D_k` was fitted on.
     pub fit: Fit,
+    /// Weight of the moments that were known before, in `[0, 1)`, if `fit` is `ema`.
+    pub ema_memory: f64,
     /// What is scored.
     pub space: Space,
     /// How features are joined.
     pub reduce: Reduce,
     /// The additive constant of the bonus.
     pub constant: Constant,
+    /// Largest magnitude of what alpha multiplies, nats; 0 for none.
+    pub clip: f64,
     /// Smallest deviation that a density assumes, in units of the feature.
     pub sigma_floor: f64,
     /// Features with a smaller deviation on `D_k` are left out, in units of the feature.
     pub mask_below: f64,
+    /// Components of a mixture.
+    pub components: usize,
+    /// Steps of expectation and maximisation in the fit of a mixture.
+    pub em_steps: usize,
+    /// Units of the hidden layers of a variational autoencoder.
+    pub vae_hidden: usize,
+    /// Its latent dimensions.
+    pub vae_latent: usize,
+    /// Its passes over `D_k`.
+    pub vae_epochs: usize,
+    /// Parts of one pass, each an optimiser step.
+    pub vae_minibatches: usize,
+    /// Adam's step size.
+    pub vae_learning_rate: f64,
+    /// Dimensions of a random projection; more than there are features means as many as those.
+    pub embedding: usize,
+    /// The neighbour, counted from 1, whose distance is the measure.
+    pub neighbours: usize,
+    /// Most rows of `D_k` among which neighbours are sought.
+    pub references: usize,
 }
 
 /// The classes of densities.
@@ -33,6 +57,14 @@ pub struct SurpriseConfig {
 pub enum DensityKind {
     /// An independent Gaussian per feature, as in the paper.
     DiagonalGaussian,
+    /// Independent frequencies per feature, for features that take few values.
+    Categorical,
+    /// A mixture of diagonal Gaussians.
+    GaussianMixture,
+    /// A variational autoencoder, trained on from iteration to iteration.
+    Vae,
+    /// Nearest neighbours in a random projection.
+    RandomEncoder,
 }
 
 /// Which experience the density that scores `D_k` was fitted on.
@@ -41,6 +73,10 @@ pub enum DensityKind {
 pub enum Fit {
     /// On `D_k` itself, as the paper's text has it.
     Current,
+    /// On `D_(k-1)`: the density that was known when `D_k` was collected. Iteration 0 has no bonus.
+    Previous,
+    /// On all experience, the older the lighter.
+    Ema,
 }
 
 /// What surprise scores.
@@ -57,6 +93,8 @@ pub enum Space {
 pub enum Reduce {
     /// Their sum, as in Eq. 4.
     Sum,
+    /// The sum divided by the number of features that count.
+    Mean,
 }
 
 /// The additive constant of the surprise bonus. Inside an episode it changes nothing; where
@@ -76,6 +114,39 @@ impl SurpriseConfig {
     pub(super) fn validate(&self) -> Result<(), MarlError> {
         not_negative("surprise.alpha", self.alpha)?;
         positive("surprise.sigma_floor", self.sigma_floor)?;
-        not_negative("surprise.mask_below", self.mask_below)
+        not_negative("surprise.mask_below", self.mask_below)?;
+        not_negative("surprise.clip", self.clip)?;
+        let memory = "0 <= ema_memory < 1";
+        within("surprise.ema_memory", self.ema_memory, 0.0..1.0, memory)?;
+        count("surprise.components", self.components)?;
+        count("surprise.em_steps", self.em_steps)?;
+        count("surprise.vae_hidden", self.vae_hidden)?;
+        count("surprise.vae_latent", self.vae_latent)?;
+        count("surprise.vae_epochs", self.vae_epochs)?;
+        count("surprise.vae_minibatches", self.vae_minibatches)?;
+        positive("surprise.vae_learning_rate", self.vae_learning_rate)?;
+        count("surprise.embedding", self.embedding)?;
+        count("surprise.neighbours", self.neighbours)?;
+        if self.references <= self.neighbours {
+            let range = "more than surprise.neighbours";
+            return Err(refuse("surprise.references", self.references, range));
+        }
+        self.validate_density()
+    }
+
+    /// Refuses what the class of densities gives no meaning to.
+    fn validate_density(&self) -> Result<(), MarlError> {
+        let gaussian = self.density == DensityKind::DiagonalGaussian;
+        if self.fit == Fit::Ema && !gaussian {
+            let range = "current or previous: only diagonal_gaussian has moments to average";
+            return Err(refuse("surprise.fit", "ema", range));
+        }
+        let free = matches!(self.density, DensityKind::Categorical | DensityKind::RandomEncoder);
+        if self.constant == Constant::Paper && free {
+            let range = "density or centered: categorical and random_encoder have no Gaussian whose \
+                         constant could be left out";
+            return Err(refuse("surprise.constant", "paper", range));
+        }
+        Ok(())
     }
 }
