@@ -222,7 +222,12 @@ mod tests {
             ("run.actors=100000", "run.actors"),
             ("run.env_steps=0", "run.env_steps"),
             ("surprise.density=oracle", "surprise.density"),
+            ("surprise.density=categorical", "surprise.constant"),
+            ("surprise.references=5", "surprise.references"),
+            ("surprise.clip=-1", "surprise.clip"),
             ("influence.kappa=-1", "influence.kappa"),
+            ("influence.estimator=count", "influence.estimator"),
+            ("influence.estimator=barber_agakov", "influence.divergence"),
             ("lease.ttl_secs=0", "lease.ttl_secs"),
         ] {
             let message =

@@ -185,7 +185,7 @@ fn build(
     let layout = Layout::of(description, environments.slots());
     let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
     Ok(Trainer {
-        surprise: Surprise::new(&launch.training.surprise, &problem),
+        surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
         environments: Environments::fresh(
             layout.clone(),
             launch.environment.episode_steps,

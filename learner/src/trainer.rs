@@ -269,9 +269,9 @@ impl Trainer {
         self.fault_at(Point::MidUpdate);
         let Self { pool, surprise, algorithm, iteration, .. } = self;
         let rewards = pool.install(|| {
-            surprise.refit(batch);
-            surprise.relabel(batch)
-        });
+            surprise.refit(batch, *iteration)?;
+            Ok::<_, MarlError>(surprise.relabel(batch))
+        })?;
         let density_secs = begin.elapsed().as_secs_f64();
         let report = pool.install(|| algorithm.update(batch, &rewards, *iteration))?;
         self.policy = policy_bytes(self.algorithm.as_ref())?;
@@ -286,7 +286,7 @@ impl Trainer {
         report: &Report,
     ) -> Result<(), LearnerError> {
         let weights = checkpoint::weights_sha256(&self.algorithm.arrays()?);
-        let density: NamedArrays = self.surprise.arrays();
+        let density: NamedArrays = self.surprise.arrays()?;
         self.provenance.iteration(&Origin {
             iteration: self.iteration,
             behaviour,

@@ -2,7 +2,8 @@
 //! and sigma. Written by hand in f64, because it runs once per optimiser step over every row.
 
 use crate::gaussian;
-use crate::influence::{capped_divergence, regularized_objective};
+use crate::influence::divergence::add_gradient;
+use crate::influence::{Term, regularized_objective};
 use crate::surrogate::{clipped_surrogate, ratio};
 
 /// Weights of the loss's terms.
@@ -14,8 +15,8 @@ pub struct Coefficients {
     pub entropy: f64,
     /// Weight of the influence term.
     pub lambda: f64,
-    /// Cap of the divergence, nats per action dimension.
-    pub kappa: f64,
+    /// How the influence term is computed.
+    pub term: Term,
 }
 
 /// What the loss needs to know about its rows and holds constant; `R` rows of `A` actions.
@@ -55,7 +56,7 @@ pub struct Figures {
     pub approx_kl: f64,
     /// Share of rows whose ratio is outside the trust region.
     pub clip_fraction: f64,
-    /// Mean capped `KL[q || p]`, nats.
+    /// Mean influence term: the paper's is the capped `KL[q || p]`, nats.
     pub influence: f64,
     /// Share of rows whose divergence has reached its cap.
     pub capped_fraction: f64,
@@ -143,11 +144,12 @@ fn influence_rows(
         let of_row = row * width..(row + 1) * width;
         let p = (&mean[of_row.clone()], sigma);
         let q = (&rows.posterior.0[of_row.clone()], rows.posterior.1.as_slice());
-        let (divergence, slope) = capped_divergence(q, p, coefficients.kappa);
-        loss.figures.influence += share * divergence;
-        loss.figures.capped_fraction += share * (1.0 - slope);
+        let (value, slope) = coefficients.term.row(q, p);
+        loss.figures.influence += share * value;
+        loss.figures.capped_fraction += share * (1.0 - slope.abs());
         let gradient = (&mut loss.d_mean[of_row], loss.d_sigma.as_mut_slice());
-        gaussian::add_kl_gradient(-coefficients.lambda * share * slope, q, p, gradient);
+        let weight = -coefficients.lambda * share * slope;
+        add_gradient(coefficients.term.divergence, weight, q, p, gradient);
     }
 }
 
@@ -161,8 +163,11 @@ fn entropy_bonus(sigma: &[f64], share: f64, weight: f64, loss: &mut ActorLoss) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Divergence, Estimator};
 
-    const ALL: Coefficients = Coefficients { clip: 0.2, entropy: 0.03, lambda: 0.4, kappa: 1.0 };
+    const TERM: Term =
+        Term { estimator: Estimator::VariationalKl, divergence: Divergence::KlQp, kappa: 1.0 };
+    const ALL: Coefficients = Coefficients { clip: 0.2, entropy: 0.03, lambda: 0.4, term: TERM };
     /// Means of three rows of two action dimensions, and the deviations.
     const MEAN: [f64; 6] = [0.1, -0.2, 0.4, 0.3, -0.5, 0.2];
     const SIGMA: [f64; 2] = [0.3, 0.45];
@@ -205,14 +210,24 @@ mod tests {
 
     #[test]
     fn the_gradient_meets_finite_differences() {
+        let (cauchy_schwarz, kl_pq) = (Divergence::CauchySchwarz, Divergence::KlPq);
+        gradient_meets_finite_differences(TERM);
+        gradient_meets_finite_differences(Term { divergence: kl_pq, ..TERM });
+        gradient_meets_finite_differences(Term { divergence: cauchy_schwarz, ..TERM });
+        let estimator = Estimator::BarberAgakov;
+        gradient_meets_finite_differences(Term { estimator, divergence: kl_pq, ..TERM });
+    }
+
+    fn gradient_meets_finite_differences(term: Term) {
+        let all = Coefficients { term, ..ALL };
         let value =
-            |mean: &[f64], sigma: &[f64]| actor_loss(mean, sigma, &rows(), 3, &ALL).figures.loss;
+            |mean: &[f64], sigma: &[f64]| actor_loss(mean, sigma, &rows(), 3, &all).figures.loss;
         let moved = |from: &[f64], at: usize, by: f64| {
             let mut to = from.to_vec();
             to[at] += by;
             to
         };
-        let found = actor_loss(&MEAN, &SIGMA, &rows(), 3, &ALL);
+        let found = actor_loss(&MEAN, &SIGMA, &rows(), 3, &all);
         let h = 1e-6;
         let close = |up: f64, down: f64, found: f64| {
             let slope = (up - down) / (2.0 * h);

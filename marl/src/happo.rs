@@ -1,6 +1,7 @@
 //! HAPPO with the paper's two terms: a sequential sweep over agents in random order.
 
 mod agent;
+mod joint;
 mod sweep;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};

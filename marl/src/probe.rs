@@ -28,21 +28,24 @@ pub fn probe() -> [u8; 32] {
 }
 
 fn updated_weights() -> Result<[u8; 32], MarlError> {
-    let shape = AgentShape {
-        observation: OBSERVATION,
-        action: ACTION,
-        surprise_features: (0..STATE).collect(),
-    };
-    let problem = Problem { agents: vec![shape.clone(), shape], state: STATE };
-    let (config, batch) = (config(), batch());
-    let mut surprise = Surprise::new(&config.surprise, &problem);
-    surprise.refit(&batch);
+    let (problem, config, batch) = (problem(), config(), batch());
+    let mut surprise = Surprise::new(&config.surprise, &problem, RunSeed(0))?;
+    surprise.refit(&batch, 0)?;
     let mut algorithm = build(&config, &policy(), &problem, RunSeed(0))?;
     algorithm.update(&batch, &surprise.relabel(&batch), 0)?;
     Ok(arrays::sha256(&algorithm.arrays()?))
 }
 
-fn batch() -> Batch {
+pub(crate) fn problem() -> Problem {
+    let shape = AgentShape {
+        observation: OBSERVATION,
+        action: ACTION,
+        surprise_features: (0..STATE).collect(),
+    };
+    Problem { agents: vec![shape.clone(), shape], state: STATE }
+}
+
+pub(crate) fn batch() -> Batch {
     let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe).step(2));
     let rows = STEPS * ENVIRONMENTS;
     let mut normals =
@@ -73,7 +76,7 @@ fn batch() -> Batch {
     }
 }
 
-fn policy() -> PolicyConfig {
+pub(crate) fn policy() -> PolicyConfig {
     PolicyConfig {
         core: CoreKind::Gru,
         encoder: 64,
@@ -88,7 +91,7 @@ fn policy() -> PolicyConfig {
     }
 }
 
-fn config() -> Config {
+pub(crate) fn config() -> Config {
     Config { update: update(), critic: critic(), surprise: surprise(), influence: influence() }
 }
 
@@ -123,16 +126,28 @@ fn critic() -> CriticConfig {
     }
 }
 
-fn surprise() -> SurpriseConfig {
+pub(crate) fn surprise() -> SurpriseConfig {
     SurpriseConfig {
         alpha: 0.01,
         density: DensityKind::DiagonalGaussian,
         fit: Fit::Current,
+        ema_memory: 0.9,
         space: Space::PolicyObs,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
+        clip: 0.0,
         sigma_floor: 0.01,
         mask_below: 1e-4,
+        components: 3,
+        em_steps: 20,
+        vae_hidden: 16,
+        vae_latent: 2,
+        vae_epochs: 5,
+        vae_minibatches: 4,
+        vae_learning_rate: 1e-2,
+        embedding: 4,
+        neighbours: 3,
+        references: 256,
     }
 }
 

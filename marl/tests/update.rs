@@ -58,16 +58,7 @@ fn config(lambda: f64) -> Config {
             normalizer_beta: 0.99,
             max_gradient_norm: 10.0,
         },
-        surprise: SurpriseConfig {
-            alpha: 0.0,
-            density: DensityKind::DiagonalGaussian,
-            fit: Fit::Current,
-            space: Space::PolicyObs,
-            reduce: Reduce::Sum,
-            constant: Constant::Paper,
-            sigma_floor: 0.01,
-            mask_below: 1e-4,
-        },
+        surprise: surprise(),
         influence: InfluenceConfig {
             lambda,
             estimator: Estimator::VariationalKl,
@@ -82,6 +73,31 @@ fn config(lambda: f64) -> Config {
             sigma_floor: 0.05,
             holdout_every: 5,
         },
+    }
+}
+
+fn surprise() -> SurpriseConfig {
+    SurpriseConfig {
+        alpha: 0.0,
+        density: DensityKind::DiagonalGaussian,
+        fit: Fit::Current,
+        ema_memory: 0.9,
+        space: Space::PolicyObs,
+        reduce: Reduce::Sum,
+        constant: Constant::Paper,
+        clip: 0.0,
+        sigma_floor: 0.01,
+        mask_below: 1e-4,
+        components: 3,
+        em_steps: 20,
+        vae_hidden: 16,
+        vae_latent: 2,
+        vae_epochs: 5,
+        vae_minibatches: 4,
+        vae_learning_rate: 1e-2,
+        embedding: 4,
+        neighbours: 3,
+        references: 256,
     }
 }
 

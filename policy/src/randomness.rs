@@ -36,6 +36,12 @@ pub enum Purpose {
     Recording = 11,
     /// The fixed computations of the numeric fingerprint.
     Probe = 12,
+    /// Initial weights of a density.
+    DensityInitialisation = 20,
+    /// Order of a density's minibatches.
+    DensityMinibatch = 21,
+    /// Latent noise of a density, at its fit and where it is asked.
+    DensityNoise = 22,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.

@@ -1,7 +1,5 @@
 //! Stepping allocates nothing of its own: what is allocated in a step is the physics engine's.
 
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
 use std::sync::Arc;
 
 use allocation_counter::measure;

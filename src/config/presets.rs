@@ -37,7 +37,15 @@ pub(crate) const TASKS: &[Preset] = presets!(
 );
 
 /// What is set per algorithm.
-pub(crate) const ALGORITHMS: &[Preset] = presets!("algorithms": "happo-s2mia", "happo");
+pub(crate) const ALGORITHMS: &[Preset] = presets!(
+    "algorithms":
+    "happo-s2mia",
+    "happo-sm",
+    "happo-smh",
+    "happo-mi",
+    "happo-0",
+    "happo",
+);
 
 /// The preset of that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {

@@ -69,7 +69,7 @@ impl Trainer {
     /// Everything that the next iteration depends on, and the evaluation that may be out.
     fn arrays(&self) -> Result<NamedArrays, LearnerError> {
         let mut arrays = self.algorithm.arrays()?;
-        arrays.extend(self.surprise.arrays());
+        arrays.extend(self.surprise.arrays()?);
         arrays.extend(self.environments.arrays());
         arrays.extend(self.evaluations.arrays());
         for (name, count) in [("iteration", self.iteration), ("env_steps", self.env_steps())] {

@@ -8,14 +8,15 @@ use rayon::prelude::*;
 use crate::actor_loss::Coefficients;
 use crate::algorithm::Report;
 use crate::batch::{Batch, Problem};
-use crate::config::{Config, UpdateConfig};
+use crate::config::{Config, QTraining, UpdateConfig};
 use crate::error::MarlError;
 use crate::gaussian;
 use crate::gradient::numbers;
-use crate::influence::mutual_information;
 use crate::influence::posterior::{Conditional, Conditions, Posterior, PosteriorShape};
+use crate::influence::{Term, mutual_information};
 use crate::optimizer::{Adam, AdamConfig};
 use crate::sequence::{Layout, Sequences};
+use crate::surprise::entropy_bound;
 
 /// A network in training. Its posterior is there if the influence term has a weight and there are
 /// other agents.
@@ -24,7 +25,8 @@ pub(super) struct Agent {
     pub(super) adam: Adam,
     pub(super) coefficients: Coefficients,
     pub(super) update: UpdateConfig,
-    posterior: Option<Posterior>,
+    pub(super) posterior: Option<Posterior>,
+    pub(super) q_training: QTraining,
     holdout_every: usize,
 }
 
@@ -41,8 +43,16 @@ pub(super) struct Experience {
     others: Vec<f32>,
 }
 
+impl Experience {
+    /// What a posterior is asked about, every row.
+    pub(super) fn conditions(&self) -> Conditions<'_> {
+        let (features, others) = (&self.features, self.others.as_slice());
+        Conditions { features, others, action: &self.sequences.action }
+    }
+}
+
 /// What a posterior says about an agent's experience; empty without one.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct Influence {
     pub(super) conditional: Conditional,
     /// Mean log-likelihood on the rows trained on, nats.
@@ -97,10 +107,11 @@ impl Agent {
                 clip: update.clip,
                 entropy: update.entropy,
                 lambda: influence.lambda,
-                kappa: influence.kappa,
+                term: Term::of(influence),
             },
             update: update.clone(),
             posterior,
+            q_training: influence.q_training,
             holdout_every: influence.holdout_every,
         })
     }
@@ -148,7 +159,7 @@ impl Agent {
     }
 
     /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
-    /// held-out ones, and asks it about every row.
+    /// held-out ones, and asks it about every row. One that is trained jointly is only asked.
     fn fit_posterior(
         &mut self,
         experience: &Experience,
@@ -161,10 +172,14 @@ impl Agent {
             |row: &usize| layout.environment(row % layout.chunks) % self.holdout_every == last;
         let (holdout, trained): (Vec<usize>, Vec<usize>) = (0..layout.rows()).partition(held_out);
         let action = &experience.sequences.action;
-        let data =
-            Conditions { features: &experience.features, others: &experience.others, action };
-        let log_likelihood = posterior.fit(&data, &trained, (seed, draw))?;
+        let data = experience.conditions();
+        let fitted = match self.q_training {
+            QTraining::Mle => Some(posterior.fit(&data, &trained, (seed, draw))?),
+            QTraining::Joint => None,
+        };
         let conditional = posterior.conditional(&data)?;
+        let found = || -entropy_bound(&conditional.log_prob(action, &trained));
+        let log_likelihood = fitted.unwrap_or_else(found);
         let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
         let mi_estimate = mutual_information(&conditional.log_prob(action, &holdout), &log_p);
         Ok(Influence { conditional, log_likelihood, mi_estimate })

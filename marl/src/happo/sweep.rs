@@ -53,10 +53,12 @@ fn maximise(
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
     let weight = 1.0 / (epochs * parts) as f64;
     let mut trained = Trained { figures: Figures::default(), gradient_norm: 0.0 };
+    let mut influence = known.1.clone();
     for epoch in 0..epochs {
         let draw = draw.step(epoch as u32);
         for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
-            let (figures, gradients) = gradient(agent, known, factor, &columns)?;
+            agent.climb_posterior(known.0, &mut influence, &columns)?;
+            let (figures, gradients) = gradient(agent, (known.0, &influence), factor, &columns)?;
             let norm = agent.adam.step(agent.network.parameters(), &gradients)?;
             agent.network.project()?;
             trained.figures.add(weight, &figures);

@@ -11,6 +11,8 @@ use crate::config::InfluenceConfig;
 use crate::error::MarlError;
 use crate::gaussian;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::influence::Term;
+use crate::influence::divergence::add_gradient_by_posterior;
 use crate::layers::{Builder, Dense, TANH_GAIN, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
@@ -132,13 +134,24 @@ impl Posterior {
         Ok(likelihood)
     }
 
-    fn step(&mut self, data: &Conditions<'_>, part: &[usize]) -> Result<f64, MarlError> {
-        let (width, others) = (self.shape.action, self.shape.others);
+    /// Means and deviations of some rows. The features are constants here, so that nothing reaches
+    /// the trunk through the posterior.
+    fn forward_rows(
+        &self,
+        data: &Conditions<'_>,
+        part: &[usize],
+    ) -> Result<(Tensor, Tensor), MarlError> {
+        let others = self.shape.others;
         let index: Vec<u32> = part.iter().map(|&row| row as u32).collect();
         let index = Tensor::from_vec(index, part.len(), &Device::Cpu)?;
         let features = data.features.index_select(&index, 0)?.detach();
         let actions = part.iter().flat_map(|&row| &data.others[row * others..(row + 1) * others]);
-        let (mean, sigma) = self.forward(&features, actions.copied().collect())?;
+        self.forward(&features, actions.copied().collect())
+    }
+
+    fn step(&mut self, data: &Conditions<'_>, part: &[usize]) -> Result<f64, MarlError> {
+        let width = self.shape.action;
+        let (mean, sigma) = self.forward_rows(data, part)?;
         let (means, sigmas) = (numbers(&mean)?, numbers(&sigma)?);
         let (mut d_mean, mut d_sigma) = (vec![0.0; means.len()], vec![0.0; width]);
         let (mut likelihood, share) = (0.0, 1.0 / part.len() as f64);
@@ -151,13 +164,49 @@ impl Posterior {
             let gradient = (&mut d_mean[here], d_sigma.as_mut_slice());
             gaussian::add_log_prob_gradient(-share, action, q, gradient);
         }
+        self.descend((&mean, &d_mean), (&sigma, &d_sigma))?;
+        Ok(likelihood)
+    }
+
+    /// One optimiser step up `lambda` times the influence term of the rows `part`, the posterior's
+    /// share of Eq. 10. The policy's mean `[part, act]` and sigma `[act]` are constants.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn climb(
+        &mut self,
+        data: &Conditions<'_>,
+        part: &[usize],
+        (p_mean, p_sigma): (&[f64], &[f64]),
+        (lambda, term): (f64, Term),
+    ) -> Result<(), MarlError> {
+        let width = self.shape.action;
+        let (mean, sigma) = self.forward_rows(data, part)?;
+        let (means, sigmas) = (numbers(&mean)?, numbers(&sigma)?);
+        let (mut d_mean, mut d_sigma) = (vec![0.0; means.len()], vec![0.0; width]);
+        let weight = -lambda / part.len() as f64;
+        for place in 0..part.len() {
+            let here = place * width..(place + 1) * width;
+            let (q, p) = ((&means[here.clone()], &sigmas[..]), (&p_mean[here.clone()], p_sigma));
+            let (_, slope) = term.row(q, p);
+            let gradient = (&mut d_mean[here], d_sigma.as_mut_slice());
+            add_gradient_by_posterior(term.divergence, weight * slope, q, p, gradient);
+        }
+        self.descend((&mean, &d_mean), (&sigma, &d_sigma))
+    }
+
+    /// One optimiser step down the given gradients of the outputs.
+    fn descend(
+        &mut self,
+        (mean, d_mean): (&Tensor, &[f64]),
+        (sigma, d_sigma): (&Tensor, &[f64]),
+    ) -> Result<(), MarlError> {
         let root = root(&[
-            OutputGradient { output: &mean, gradient: &d_mean },
-            OutputGradient { output: &sigma, gradient: &d_sigma },
+            OutputGradient { output: mean, gradient: d_mean },
+            OutputGradient { output: sigma, gradient: d_sigma },
         ])?;
         self.adam.step(&self.parameters, &Gradients::of(&self.parameters, &root)?)?;
-        self.project()?;
-        Ok(likelihood)
+        self.project()
     }
 
     /// Holds sigma at its floor, as the actors' networks do.
