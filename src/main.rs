@@ -10,6 +10,7 @@ mod launch;
 mod learning_curve;
 mod logging;
 mod output;
+mod palette;
 mod picture;
 mod progress;
 mod resume;
