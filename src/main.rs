@@ -5,6 +5,7 @@ mod chart;
 mod cli;
 mod commands;
 mod config;
+mod film;
 mod fingerprints;
 mod launch;
 mod learning_curve;
