@@ -118,9 +118,38 @@ fn every_tool_reads_what_a_run_leaves() {
     succeeded(&["record", run, "--out", log.to_str().unwrap()]);
     assert!(std::fs::read(&log).unwrap().starts_with(b"\x89MCAP0\r\n"));
 
+    let told = succeeded(&["film", run, "--frames", "5"]);
+    assert!(told.contains("5 frames from 5.00 s to 5.20 s") && told.contains("m/s"), "{told}");
+    let film = std::fs::read(folder.join("film.png")).unwrap();
+    assert!(film.starts_with(b"\x89PNG"));
+    // Four frames of 400 pixels side by side, two rows of 270 with their times, six agents below.
+    assert_eq!(film[16..24], [1660_u32.to_be_bytes(), 634_u32.to_be_bytes()].concat());
+
     succeeded(&["plot", run]);
     assert!(std::fs::read(folder.join("learning_curve.png")).unwrap().starts_with(b"\x89PNG"));
     assert!(std::fs::read_to_string(folder.join("learning_curve.svg")).unwrap().contains("seed 7"));
+}
+
+#[test]
+fn a_strip_that_cannot_be_drawn_is_refused_in_one_line() {
+    let runs = Runs::new();
+    let (folder, empty) = (runs.folder("run"), runs.folder("empty"));
+    train(&folder, &["run.iterations=1", "run.actors=1"]);
+    std::fs::create_dir(&empty).unwrap();
+    let (run, empty) = (folder.to_str().unwrap(), empty.to_str().unwrap());
+    for (arguments, code, words) in [
+        (vec![run, "--frames", "0"], 2, "--frames"),
+        (vec![run, "--every-secs", "0.01"], 2, "the shortest interval is one step, 0.05 s"),
+        (vec![run, "--from-secs", "49.9"], 2, "the episode from 0 s to 50.00 s"),
+        (vec!["no/such/run"], 2, "no/such/run is no run folder"),
+        (vec![empty], 1, "has no good checkpoint"),
+    ] {
+        let output = s2mia(&[&["film"], arguments.as_slice()].concat());
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{told}");
+        assert!(told.contains(words) && told.lines().count() == 1, "{told}");
+    }
+    assert!(!folder.join("film.png").exists());
 }
 
 #[test]
