@@ -138,7 +138,7 @@ mod tests {
     use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
     use super::*;
-    use crate::batch::{AgentBatch, AgentShape};
+    use crate::batch::{ActionKind, AgentBatch, AgentShape};
     use crate::config::{DensityKind, Fit, Reduce, Space};
     use crate::gaussian::entropy;
 
@@ -155,7 +155,8 @@ mod tests {
             sigma_floor: 0.01,
             mask_below: 1e-4,
         };
-        let shape = AgentShape { observation: 1, action: 1, surprise_features: vec![0] };
+        let kind = ActionKind::Continuous;
+        let shape = AgentShape { observation: 1, action: 1, kind, surprise_features: vec![0] };
         Surprise::new(&config, &Problem { agents: vec![shape; agents], state: 1 })
     }
 

@@ -30,7 +30,7 @@ pub(crate) const BASE: Preset = Preset {
 
 /// What is set per task.
 pub(crate) const TASKS: &[Preset] =
-    presets!("tasks": "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1");
+    presets!("tasks": "cue-2x1", "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1");
 
 /// What is set per algorithm.
 pub(crate) const ALGORITHMS: &[Preset] = presets!("algorithms": "happo-s2mia", "happo");
