@@ -23,6 +23,39 @@ fn one_actor_and_two_actors_train_the_same_weights() {
     assert_eq!(one, two);
 }
 
+/// The whole of a game's training, from its task file, in less time than a robot's first steps.
+fn train_cue(folder: &Path, more: &[&str]) -> String {
+    let dir = format!("run.dir={}", folder.display());
+    succeeded(&[&["train", "cue-2x1", "run.seed=3", dir.as_str()], more].concat())
+}
+
+#[test]
+fn one_actor_and_two_actors_train_the_same_choices() {
+    let runs = Runs::new();
+    let (one, two) = (runs.folder("one"), runs.folder("two"));
+    train_cue(&one, &["run.iterations=6", "run.actors=1"]);
+    train_cue(&two, &["run.iterations=3", "run.actors=2"]);
+    succeeded(&["train", "--resume", two.to_str().unwrap(), "run.iterations=6"]);
+    let (one, two) = (inspect(&one), inspect(&two));
+    assert_eq!(one["env_steps"], 6 * 20 * 50);
+    assert_eq!(one, two);
+}
+
+#[test]
+fn a_cue_that_both_see_is_learnt_by_either_algorithm() {
+    for algorithm in ["algorithm=happo", "algorithm=happo-s2mia"] {
+        let runs = Runs::new();
+        let folder = runs.folder("run");
+        train_cue(&folder, &[algorithm, "run.env_steps=30000", "run.actors=2"]);
+        let run = folder.to_str().unwrap();
+        let measured = succeeded(&["eval", run, "--episodes", "4", "--json"]);
+        let measured: serde_json::Value = serde_json::from_str(&measured).unwrap();
+        // Guessing earns 50 / 9; matching every cue 50.
+        assert!(measured["return_mean"].as_f64().unwrap() > 45.0, "{algorithm}: {measured}");
+        succeeded(&["record", run, "--out", folder.join("game.mcap").to_str().unwrap()]);
+    }
+}
+
 #[test]
 fn robots_that_fall_train_the_same_weights_with_any_number_of_actors() {
     let runs = Runs::new();

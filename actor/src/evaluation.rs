@@ -1,4 +1,4 @@
-//! One whole episode with mean actions: what evaluation, `eval` and recordings play.
+//! One whole episode with mean actions, or the likeliest choices: what evaluation, `eval` and recordings play.
 
 use policy::PolicySnapshot;
 use rand::RngCore;
@@ -54,7 +54,7 @@ pub(crate) fn play_on(
     loop {
         agents.observe(world);
         agents.think(policy);
-        agents.settle();
+        agents.settle(policy);
         world.step(agents.join(), &mut outcomes)?;
         let outcome = outcomes[0];
         episode.extrinsic_return += f64::from(outcome.reward);

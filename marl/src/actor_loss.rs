@@ -1,6 +1,8 @@
 //! Eq. (10): the actor's loss over the rows of a minibatch, and its gradient by the policy's mean
 //! and sigma. Written by hand in f64, because it runs once per optimiser step over every row.
 
+pub mod categorical;
+
 use crate::gaussian;
 use crate::influence::divergence::add_gradient;
 use crate::influence::{Term, regularized_objective};
@@ -30,7 +32,8 @@ pub struct Rows {
     pub advantage: Vec<f64>,
     /// Sequential factor `M`, `[R]`.
     pub factor: Vec<f64>,
-    /// The posterior's mean `[R, A]` and sigma `[A]`; empty without an influence term.
+    /// The posterior's mean `[R, A]` and sigma `[A]`; for choices its logits `[R, K]` and nothing. Empty without
+    /// an influence term.
     pub posterior: (Vec<f64>, Vec<f64>),
 }
 
@@ -60,6 +63,8 @@ pub struct Figures {
     pub influence: f64,
     /// Share of rows whose divergence has reached its cap.
     pub capped_fraction: f64,
+    /// Mean entropy of the policy, nats.
+    pub entropy: f64,
 }
 
 impl Figures {
@@ -71,6 +76,7 @@ impl Figures {
         self.clip_fraction += weight * other.clip_fraction;
         self.influence += weight * other.influence;
         self.capped_fraction += weight * other.capped_fraction;
+        self.entropy += weight * other.entropy;
     }
 }
 
@@ -118,17 +124,31 @@ fn surrogate_row(
 ) {
     let width = p.1.len();
     let action = &rows.action[row * width..(row + 1) * width];
-    let log_ratio = gaussian::log_prob(action, p.0, p.1) - rows.log_prob_old[row];
+    let log_prob = gaussian::log_prob(action, p.0, p.1);
+    let slope = surrogate_slope(row, log_prob, rows, share, clip, figures);
+    gaussian::add_log_prob_gradient(slope, action, p, gradient);
+}
+
+/// Counts one row's surrogate among the figures; the loss's slope by the row's new log-density.
+fn surrogate_slope(
+    row: usize,
+    log_prob: f64,
+    rows: &Rows,
+    share: f64,
+    clip: f64,
+    figures: &mut Figures,
+) -> f64 {
+    let log_ratio = log_prob - rows.log_prob_old[row];
     let ratio_now = ratio(log_ratio, 0.0);
     let (value, slope) = clipped_surrogate(ratio_now, rows.advantage[row], clip);
     let weight = rows.factor[row] * share;
     // Beyond the guard the ratio is constant: its slope by the log-ratio is 0, not the ratio.
     let guarded = log_ratio.abs() > crate::surrogate::LOG_RATIO_LIMIT;
     let ratio_slope = if guarded { 0.0 } else { ratio_now };
-    gaussian::add_log_prob_gradient(-weight * slope * ratio_slope, action, p, gradient);
     figures.policy_loss -= weight * value;
     figures.approx_kl += share * (ratio_now - 1.0 - log_ratio);
     figures.clip_fraction += if (ratio_now - 1.0).abs() > clip { share } else { 0.0 };
+    -weight * slope * ratio_slope
 }
 
 fn influence_rows(
@@ -154,6 +174,7 @@ fn influence_rows(
 }
 
 fn entropy_bonus(sigma: &[f64], share: f64, weight: f64, loss: &mut ActorLoss) {
+    loss.figures.entropy += share * gaussian::entropy(sigma);
     loss.figures.loss -= weight * share * gaussian::entropy(sigma);
     for (d_sigma, sigma) in loss.d_sigma.iter_mut().zip(sigma) {
         *d_sigma -= weight * share / sigma;

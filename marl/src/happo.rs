@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::advantage::{Horizon, advantage};
 use crate::algorithm::{Algorithm, Report};
-use crate::batch::{Batch, Problem, Rewards};
+use crate::batch::{ActionKind, Batch, Problem, Rewards};
 use crate::config::Config;
 use crate::critic::{Critic, CriticFigures, Values};
 use crate::error::MarlError;
@@ -40,6 +40,9 @@ impl Happo {
         problem: &Problem,
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
+        if problem.agents.iter().any(|agent| agent.kind != ActionKind::Continuous) {
+            config.influence.check_for_choices()?;
+        }
         let agents = (0..problem.agents.len())
             .map(|index| Agent::new(config, policy, problem, (seed, index)))
             .collect::<Result<_, _>>()?;

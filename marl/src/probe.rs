@@ -4,7 +4,7 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{CoreKind, PolicyConfig, arrays};
 
 use crate::algorithm::build;
-use crate::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
+use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
     Config, Constant, CriticConfig, CriticMode, DensityKind, Divergence, Estimator, Fit,
     InfluenceConfig, QTraining, Reduce, Rule, Space, SurpriseConfig, UpdateConfig,
@@ -40,6 +40,7 @@ pub(crate) fn problem() -> Problem {
     let shape = AgentShape {
         observation: OBSERVATION,
         action: ACTION,
+        kind: ActionKind::Continuous,
         surprise_features: (0..STATE).collect(),
     };
     Problem { agents: vec![shape.clone(), shape], state: STATE }

@@ -146,7 +146,7 @@ mod tests {
     use policy::randomness::{Draw, Purpose, generator, standard_normal};
 
     use super::*;
-    use crate::batch::{AgentBatch, AgentShape};
+    use crate::batch::{ActionKind, AgentBatch, AgentShape};
     use crate::config::Constant;
     use crate::gaussian::entropy;
 
@@ -155,7 +155,8 @@ mod tests {
     fn surprise(alpha: f64, agents: usize) -> Surprise {
         let constant = Constant::Density;
         let config = SurpriseConfig { alpha, constant, ..crate::probe::surprise() };
-        let shape = AgentShape { observation: 1, action: 1, surprise_features: vec![0] };
+        let kind = ActionKind::Continuous;
+        let shape = AgentShape { observation: 1, action: 1, kind, surprise_features: vec![0] };
         let problem = Problem { agents: vec![shape; agents], state: 1 };
         Surprise::new(&config, &problem, RunSeed(0)).unwrap()
     }

@@ -5,8 +5,8 @@ use marl::config::{
     Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule, Space,
 };
 use marl::{
-    AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final, InfluenceConfig,
-    Problem, SurpriseConfig, UpdateConfig,
+    ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
+    InfluenceConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{
     CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
@@ -102,7 +102,8 @@ fn surprise() -> SurpriseConfig {
 }
 
 fn problem() -> Problem {
-    let shape = AgentShape { observation: 3, action: 1, surprise_features: vec![0, 1] };
+    let kind = ActionKind::Continuous;
+    let shape = AgentShape { observation: 3, action: 1, kind, surprise_features: vec![0, 1] };
     Problem { agents: vec![shape.clone(), shape], state: 2 }
 }
 

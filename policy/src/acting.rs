@@ -3,11 +3,13 @@
 //! A row's result has the same bits whatever batch it stands in and on every machine: each row is
 //! computed by itself, in one fixed order, with multiplications and additions that are never fused.
 
+use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
 use crate::arrays::{Array, NamedArrays};
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
+use crate::head::Head;
 use crate::math::{sigmoid, tanh};
 use crate::ops::LAYER_NORM_EPSILON;
 
@@ -24,11 +26,18 @@ pub struct ActorSpec {
     layers: usize,
     chunk_steps: usize,
     sigma_scale: f32,
+    /// Left out of a Gaussian policy's snapshot, so that its bytes do not depend on which other heads exist.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    head: Option<Head>,
 }
 
 impl ActorSpec {
-    pub(crate) fn new(config: &PolicyConfig, observation: usize, action: usize) -> Self {
-        Self {
+    pub(crate) fn new(
+        config: &PolicyConfig,
+        observation: usize,
+        (action, head): (usize, Head),
+    ) -> Result<Self, PolicyError> {
+        let spec = Self {
             core: config.core,
             observation,
             action,
@@ -38,7 +47,26 @@ impl ActorSpec {
             layers: config.layers,
             chunk_steps: config.chunk_steps,
             sigma_scale: config.sigma_scale,
+            head: Some(head).filter(|head| *head != Head::Gaussian),
+        };
+        spec.check()?;
+        Ok(spec)
+    }
+
+    fn check(&self) -> Result<(), PolicyError> {
+        if self.head().fits(self.action) {
+            return Ok(());
         }
+        let (head, action) = (self.head(), self.action);
+        Err(PolicyError::Snapshot(format!("{head:?} gives no actions of {action} numbers")))
+    }
+
+    pub(crate) fn head(&self) -> Head {
+        self.head.unwrap_or(Head::Gaussian)
+    }
+
+    pub(crate) fn outputs(&self) -> usize {
+        self.head().outputs(self.action)
     }
 
     pub(crate) fn feature_size(&self) -> usize {
@@ -165,10 +193,14 @@ impl Trunk {
 impl ActorPolicy {
     /// A policy of this shape with these weights (PyTorch's names, `[out, in]`).
     pub(crate) fn new(spec: ActorSpec, arrays: NamedArrays) -> Result<Self, PolicyError> {
+        spec.check()?;
         let mut reader = Reader { arrays: &arrays, used: 0 };
         let trunk = reader.trunk(&spec)?;
-        let head = reader.dense("head", spec.feature_size(), spec.action)?;
-        let log_std = reader.vector("head.log_std", spec.action)?;
+        let head = reader.dense("head", spec.feature_size(), spec.outputs())?;
+        let log_std = match spec.head() {
+            Head::Gaussian => reader.vector("head.log_std", spec.action)?,
+            Head::Categorical { .. } => Vec::new(),
+        };
         if reader.used != arrays.len() {
             let (found, used) = (arrays.len(), reader.used);
             return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
@@ -195,10 +227,22 @@ impl ActorPolicy {
         self.spec.observation
     }
 
-    /// Number of action dimensions.
+    /// Numbers in an action.
     #[must_use]
     pub fn action_size(&self) -> usize {
         self.spec.action
+    }
+
+    /// The kind of its action distribution.
+    #[must_use]
+    pub fn head(&self) -> Head {
+        self.spec.head()
+    }
+
+    /// Numbers that the network gives for an action: means or logits.
+    #[must_use]
+    pub fn output_size(&self) -> usize {
+        self.spec.outputs()
     }
 
     /// Width of the recurrent state, 0 without one.
@@ -213,30 +257,48 @@ impl ActorPolicy {
         self.spec.chunk_steps
     }
 
-    /// Deviations of the action noise, `[act]`.
+    /// Deviations of the action noise, `[act]`; none of a choice.
     #[must_use]
     pub fn sigma(&self) -> &[f32] {
         &self.sigma
     }
 
-    /// Mean actions `[rows, act]` for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
+    /// An action `[act]` drawn from one row's output `[out]`.
+    pub fn draw(&self, output: &[f32], rng: &mut impl RngCore, action: &mut [f32]) {
+        self.head().draw(output, &self.sigma, rng, action);
+    }
+
+    /// The action `[act]` that evaluation takes: the mean, or the likeliest choice.
+    pub fn settle(&self, output: &[f32], action: &mut [f32]) {
+        self.head().settle(output, action);
+    }
+
+    /// Log-probability of an action `[act]` under one row's output `[out]`, nats. The index of a choice has
+    /// been validated.
+    #[must_use]
+    pub fn log_prob(&self, output: &[f32], action: &[f32]) -> f32 {
+        self.head().log_prob(output, &self.sigma, action)
+    }
+
+    /// Outputs `[rows, out]`, means or logits, for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
     /// step.
     pub fn forward(
         &self,
         rows: usize,
         observation: &[f32],
         hidden: &mut [f32],
-        mean: &mut [f32],
+        output: &mut [f32],
         scratch: &mut Scratch,
     ) {
-        let (width, state, action) = (self.spec.observation, self.hidden_size(), self.spec.action);
+        let (width, state, outputs) =
+            (self.spec.observation, self.hidden_size(), self.spec.outputs());
         for row in 0..rows {
             let observation = &observation[row * width..(row + 1) * width];
             let state = &mut hidden[row * state..(row + 1) * state];
             self.trunk.features(observation, state, scratch);
-            let mean = &mut mean[row * action..(row + 1) * action];
-            mean.copy_from_slice(&self.head.bias);
-            self.head.add(&scratch.normal, mean);
+            let output = &mut output[row * outputs..(row + 1) * outputs];
+            output.copy_from_slice(&self.head.bias);
+            self.head.add(&scratch.normal, output);
         }
     }
 }

@@ -4,9 +4,11 @@ use candle_core::{DType, Device, Tensor, Var};
 use rand::RngCore;
 
 use crate::acting::{ActorPolicy, ActorSpec};
+use crate::categorical::Categorical;
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
 use crate::gaussian::Gaussian;
+use crate::head::{Distribution, Head};
 use crate::initialise::orthogonal;
 use crate::ops::{Activation, gru_sequence, layer_norm, linear, sigmoid};
 use crate::parameters::Parameters;
@@ -30,7 +32,8 @@ pub struct ActorNetwork {
     parameters: Parameters,
     trunk: Trunk,
     head: Dense,
-    log_std: Var,
+    /// Of a Gaussian head alone.
+    log_std: Option<Var>,
 }
 
 #[derive(Debug)]
@@ -141,7 +144,8 @@ impl<R: RngCore> Builder<'_, R> {
 }
 
 impl ActorNetwork {
-    /// A network for `observation` features and `action` dimensions with weights drawn from `rng`.
+    /// A network for `observation` features and `action` dimensions with a Gaussian head, its weights drawn
+    /// from `rng`.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -152,13 +156,32 @@ impl ActorNetwork {
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
+        Self::with_head(config, observation, (action, Head::Gaussian), dtype, rng)
+    }
+
+    /// As [`ActorNetwork::new`], for actions of `action` numbers that `head` gives.
+    ///
+    /// # Errors
+    /// If such actions cannot come from `head`; passes on a tensor error.
+    pub fn with_head(
+        config: &PolicyConfig,
+        observation: usize,
+        (action, kind): (usize, Head),
+        dtype: DType,
+        rng: &mut impl RngCore,
+    ) -> Result<Self, PolicyError> {
         let mut builder = Builder { parameters: Parameters::new(), dtype, rng };
         let trunk = builder.trunk(config, observation)?;
-        let spec = ActorSpec::new(config, observation, action);
+        let spec = ActorSpec::new(config, observation, (action, kind))?;
         let gain = f64::from(config.head_gain);
-        let head = builder.dense("head", spec.feature_size(), action, gain)?;
-        let start = vec![config.initial_log_std; action];
-        let log_std = builder.parameter("head.log_std", start, &[action])?;
+        let head = builder.dense("head", spec.feature_size(), spec.outputs(), gain)?;
+        let log_std = match kind {
+            Head::Gaussian => {
+                let start = vec![config.initial_log_std; action];
+                Some(builder.parameter("head.log_std", start, &[action])?)
+            }
+            Head::Categorical { .. } => None,
+        };
         let sigma_floor = f64::from(config.sigma_floor);
         Ok(Self { spec, sigma_floor, parameters: builder.parameters, trunk, head, log_std })
     }
@@ -204,14 +227,17 @@ impl ActorNetwork {
         }
     }
 
-    /// The policy `p(a | o, h)` from the features `[R, F]`: `sigma = sigmoid(log_std) * sigma_scale`.
+    /// The policy `p(a | o, h)` from the features `[R, F]`: `sigma = sigmoid(log_std) * sigma_scale`, or logits.
     ///
     /// # Errors
     /// If shapes or element types do not fit.
-    pub fn head(&self, features: &Tensor) -> Result<Gaussian, PolicyError> {
-        let mean = self.head.apply(features, Activation::Identity)?;
-        let sigma = (sigmoid(self.log_std.as_tensor())? * self.spec.sigma_scale())?;
-        Ok(Gaussian { mean, sigma })
+    pub fn head(&self, features: &Tensor) -> Result<Distribution, PolicyError> {
+        let output = self.head.apply(features, Activation::Identity)?;
+        let Some(log_std) = &self.log_std else {
+            return Ok(Distribution::Categorical(Categorical { logits: output }));
+        };
+        let sigma = (sigmoid(log_std.as_tensor())? * self.spec.sigma_scale())?;
+        Ok(Distribution::Gaussian(Gaussian { mean: output, sigma }))
     }
 
     /// Brings the parameters back to where sigma is at least its floor; to be called after every
@@ -221,14 +247,15 @@ impl ActorNetwork {
     /// # Errors
     /// Passes on a tensor error.
     pub fn project(&self) -> Result<(), PolicyError> {
+        let Some(log_std) = &self.log_std else { return Ok(()) };
         let share = self.sigma_floor / self.spec.sigma_scale();
         let lowest = libm::log(share / (1.0 - share));
-        let values = self.log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
+        let values = log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
         if values.iter().any(|&value| value < lowest) {
             let held: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
             let width = held.len();
             let held = Tensor::from_vec(held, width, &Device::Cpu)?;
-            self.log_std.set(&held.to_dtype(self.log_std.dtype())?)?;
+            log_std.set(&held.to_dtype(log_std.dtype())?)?;
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! A slot's environments: one world each, stepped in order.
+//! A slot's environments with a robot in each: one world each, stepped in order.
 
 mod describe;
 
@@ -18,8 +18,8 @@ use crate::task::{self, Motion, Task};
 use crate::world::World;
 use crate::world::contact_forces::PER_BODY;
 
-/// A slot's vectorised environments.
-pub struct Environments {
+/// A slot's robots.
+pub(crate) struct RobotEnvironments {
     task: &'static Task,
     robot: Arc<Robot>,
     description: Description,
@@ -76,9 +76,9 @@ fn effective(config: &ObservationConfig, task: &Task) -> ObservationConfig {
     ObservationConfig { contact_forces, ..config.clone() }
 }
 
-impl Environments {
+impl RobotEnvironments {
     /// `count` environments at the robot's rest pose, episode 0.
-    pub fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
+    pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
         let task = task::find(&config.task)?;
         if count == 0 {
             return Err(SimError::NoEnvironments);
@@ -122,23 +122,29 @@ impl Environments {
     }
 
     /// The task as seen from outside.
-    pub fn description(&self) -> &Description {
+    pub(crate) fn description(&self) -> &Description {
         &self.description
     }
 
     /// Number of environments `E`.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.environments.len()
     }
 
     /// What an encoded state may hold.
-    pub fn state_bounds(&self) -> &StateBounds {
+    pub(crate) fn state_bounds(&self) -> &StateBounds {
         &self.bounds
     }
 
     /// A new episode with a drawn start. `limit` is the number of steps until truncation, brought into
     /// `1..=episode_steps`.
-    pub fn reset(&mut self, environment: usize, episode: u64, limit: u32, rng: &mut impl RngCore) {
+    pub(crate) fn reset(
+        &mut self,
+        environment: usize,
+        episode: u64,
+        limit: u32,
+        rng: &mut impl RngCore,
+    ) {
         let mut state = State {
             episode,
             step: 0,
@@ -153,13 +159,13 @@ impl Environments {
     }
 
     /// Goes on from an encoded state; refused bytes change nothing.
-    pub fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
+    pub(crate) fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
         Ok(self.rebuild(environment, state)?)
     }
 
     /// The environment's state. Taken before a reset that is due, it is refused by [`Self::restore`]: that episode
     /// is over.
-    pub fn encode(&self, environment: usize) -> Vec<u8> {
+    pub(crate) fn encode(&self, environment: usize) -> Vec<u8> {
         let environment = &self.environments[environment];
         let state = State {
             episode: environment.episode,
@@ -173,12 +179,12 @@ impl Environments {
     }
 
     /// The index of the environment's episode.
-    pub fn episode(&self, environment: usize) -> u64 {
+    pub(crate) fn episode(&self, environment: usize) -> u64 {
         self.environments[environment].episode
     }
 
     /// Steps taken in the environment's episode.
-    pub fn episode_step(&self, environment: usize) -> u32 {
+    pub(crate) fn episode_step(&self, environment: usize) -> u32 {
         self.environments[environment].step
     }
 
@@ -190,7 +196,11 @@ impl Environments {
     ///
     /// # Panics
     /// If `outcome` has another length.
-    pub fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), ActionError> {
+    pub(crate) fn step(
+        &mut self,
+        actions: &[f32],
+        outcome: &mut [Outcome],
+    ) -> Result<(), ActionError> {
         let size = self.motors.len();
         assert_eq!(outcome.len(), self.count(), "outcome [E]");
         self.check(actions)?;
@@ -220,7 +230,7 @@ impl Environments {
     ///
     /// # Panics
     /// If `out` has another length.
-    pub fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
+    pub(crate) fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
         self.observation.see(agent, &self.environments[environment].seen, out);
     }
@@ -229,19 +239,19 @@ impl Environments {
     ///
     /// # Panics
     /// If `out` has another length.
-    pub fn state(&self, environment: usize, out: &mut [f32]) {
+    pub(crate) fn state(&self, environment: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.state.len(), "state");
         out.copy_from_slice(&self.environments[environment].seen);
     }
 
     /// Where the robot's links and joints are, for a recording.
-    pub fn pose(&self, environment: usize) -> Pose {
+    pub(crate) fn pose(&self, environment: usize) -> Pose {
         let world = &self.environments[environment].world;
         Pose { links: world.link_poses(), joints: world.joint_poses() }
     }
 
     /// The environment's world, for measurements.
-    pub fn world(&self, environment: usize) -> &World {
+    pub(crate) fn world(&self, environment: usize) -> &World {
         &self.environments[environment].world
     }
 

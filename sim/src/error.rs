@@ -26,6 +26,14 @@ pub enum SimError {
         /// The element and what is wrong with it.
         reason: String,
     },
+    /// A game shows its features one way only.
+    #[error(
+        "{task} shows plain one-hot features: observation.mode must be full_id and observation.norm none"
+    )]
+    OnlyPlain {
+        /// The task.
+        task: &'static str,
+    },
     /// An encoded state is refused.
     #[error("the environment state is refused: {0}")]
     State(#[from] StateError),
@@ -58,6 +66,20 @@ pub enum ActionError {
         index: usize,
         /// The number.
         value: f32,
+    },
+    /// A number that is no choice's index.
+    #[error(
+        "the action of agent {agent} in environment {environment} is {value}, not one of {choices} choices"
+    )]
+    NoChoice {
+        /// Place of the environment in the slot.
+        environment: usize,
+        /// The agent.
+        agent: usize,
+        /// The number.
+        value: f32,
+        /// Choices there are; the first one's index is 0.
+        choices: usize,
     },
 }
 
@@ -128,6 +150,16 @@ pub enum StateError {
         low: f32,
         /// Highest value allowed.
         high: f32,
+    },
+    /// A number that counts something is no whole number.
+    #[error("{field} {index} is {value}, not a whole number")]
+    Fraction {
+        /// `coordinate` or `velocity`.
+        field: &'static str,
+        /// Which one.
+        index: usize,
+        /// Value received.
+        value: f32,
     },
     /// The orientation is no unit quaternion.
     #[error("the orientation at coordinate {index} has squared length {squared}, not 1")]

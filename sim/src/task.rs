@@ -10,6 +10,7 @@ use rand::RngCore;
 
 use crate::description::{Feature, FeatureRole};
 use crate::error::SimError;
+use crate::game;
 use crate::robot::{Robot, RobotRow};
 
 /// One task: everything but what a caller configures.
@@ -75,10 +76,11 @@ const TASKS: &[Task] = &[
     #[cfg(test)]
     hopper::TWO,
 ];
-const NAMES: [&str; TASKS.len()] = names();
+/// The robots' tasks, then the games.
+const NAMES: [&str; TASKS.len() + 1] = names();
 
-const fn names() -> [&'static str; TASKS.len()] {
-    let mut names = [""; TASKS.len()];
+const fn names() -> [&'static str; TASKS.len() + 1] {
+    let mut names = [game::cue::NAME; TASKS.len() + 1];
     let mut index = 0;
     while index < TASKS.len() {
         names[index] = TASKS[index].name;
@@ -92,7 +94,7 @@ pub fn task_names() -> &'static [&'static str] {
     &NAMES
 }
 
-/// The task of this name.
+/// The robot's task of this name.
 pub(crate) fn find(name: &str) -> Result<&'static Task, SimError> {
     let found = TASKS.iter().find(|task| task.name == name);
     found.ok_or_else(|| SimError::UnknownTask {

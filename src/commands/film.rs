@@ -10,6 +10,7 @@ use policy::{Draw, Purpose, RunSeed, generator};
 use sim::{Environments, Outcome};
 
 use crate::cli::FilmArguments;
+use crate::commands::Usage;
 use crate::commands::checkpointed::{self, Trained};
 use crate::commands::film::measures::{Measures, Moment};
 use crate::film::{self, Cast, Frame};
@@ -70,6 +71,10 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     let task = &trained.config.task;
     let mut world = Environments::new(task, 1).context("cannot build the task")?;
     let shapes = sim::shapes(&task.task).context("cannot build the robot")?;
+    if shapes.is_empty() {
+        let why = format!("{} is a game: there is nothing to draw", task.task);
+        return Err(Usage::new(why).into());
+    }
     let cast = Cast::new(world.description(), shapes, &world.pose(0));
     let dt_secs = world.description().dt_secs;
     let draw = Draw::of(Purpose::EvaluationReset).iteration(trained.iteration).environment(episode);

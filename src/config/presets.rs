@@ -31,6 +31,7 @@ pub(crate) const BASE: Preset = Preset {
 /// What is set per task.
 pub(crate) const TASKS: &[Preset] = presets!(
     "tasks":
+    "cue-2x1",
     "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1",
     "walker2d-2x3", "walker2d-3x2", "walker2d-6x1",
     "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",

@@ -110,6 +110,9 @@ fn of_every_task_each_agent_drives_as_many_links_as_it_has_joints() {
         let config = RunConfig::build(layers::resolve(&request).unwrap()).unwrap();
         let world = sim::Environments::new(&config.task, 1).unwrap();
         let pose = world.pose(0);
+        if pose.links.is_empty() {
+            continue; // a game has nothing to draw
+        }
         let cast = Cast::new(world.description(), sim::shapes(task).unwrap(), &pose);
         assert_eq!(cast.drivers.len(), pose.links.len(), "{task}");
         assert_eq!(pose.links.len(), pose.joints.len() + 1, "{task}");

@@ -89,7 +89,8 @@ fn finals_are_sorted_by_step_and_environment() {
 #[test]
 fn the_algorithm_accepts_the_batch() {
     let batch = assemble(&layout(), &[rollout(0), rollout(1)]).unwrap();
-    let shape = AgentShape { observation: 1, action: 2, surprise_features: vec![0] };
+    let kind = ActionKind::Continuous;
+    let shape = AgentShape { observation: 1, action: 2, kind, surprise_features: vec![0] };
     let problem = Problem { agents: vec![shape], state: 1 };
     batch.check(&problem, 2, &[1]).unwrap();
 }

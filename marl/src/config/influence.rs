@@ -86,9 +86,20 @@ impl InfluenceConfig {
         self.validate_estimator()
     }
 
+    /// Refuses what is not defined for choices: only the paper's own term is.
+    pub(crate) fn check_for_choices(&self) -> Result<(), MarlError> {
+        let asked = (self.estimator, self.divergence, self.q_training);
+        let paper = (Estimator::VariationalKl, Divergence::KlQp, QTraining::Mle);
+        if self.lambda == 0.0 || asked == paper {
+            return Ok(());
+        }
+        let range = "variational_kl with kl_qp and mle for a task of choices";
+        Err(refuse("influence", format!("{asked:?}"), range))
+    }
+
     fn validate_estimator(&self) -> Result<(), MarlError> {
         let bound = "kl_pq with estimator = barber_agakov, whose bound is -KL[p || q]";
-        let discrete = "variational_kl or barber_agakov: count needs discrete actions";
+        let discrete = "variational_kl or barber_agakov: counts have no gradient to train by";
         match (self.estimator, self.divergence) {
             (Estimator::Count, _) => Err(refuse("influence.estimator", "count", discrete)),
             (Estimator::BarberAgakov, Divergence::KlQp) => {

@@ -3,7 +3,7 @@
 use super::agent::{Agent, Experience, Influence};
 use crate::config::QTraining;
 use crate::error::MarlError;
-use crate::gradient::numbers;
+use crate::head_rows::HeadRows;
 
 impl Agent {
     /// One step of the posterior up the influence term of some chunks, before the policy's own, and
@@ -20,13 +20,12 @@ impl Agent {
         };
         let layout = experience.sequences.layout;
         let input = experience.sequences.input(columns, candle_core::DType::F32)?;
-        let head = self.network.head(&self.network.features(&input)?)?;
-        let (mean, sigma) = (numbers(&head.mean)?, numbers(&head.sigma)?);
+        let p = HeadRows::of(&self.network.head(&self.network.features(&input)?)?)?;
         let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
         let part: Vec<usize> = (0..layout.steps).flat_map(row).collect();
         let weight = (self.coefficients.lambda, self.coefficients.term);
-        posterior.climb(&experience.conditions(), &part, (&mean, &sigma), weight)?;
-        influence.conditional = posterior.conditional(&experience.conditions())?;
+        posterior.climb(&experience.conditions(), &part, &p, weight)?;
+        influence.conditional = Some(posterior.conditional(&experience.conditions())?);
         Ok(())
     }
 }
@@ -68,10 +67,17 @@ mod tests {
         let columns: Vec<usize> = (0..experience.sequences.layout.chunks).collect();
         let input = experience.sequences.input(&columns, candle_core::DType::F32).unwrap();
         let head = agent.network.head(&agent.network.features(&input).unwrap()).unwrap();
-        let (mean, sigma) = (numbers(&head.mean).unwrap(), numbers(&head.sigma).unwrap());
-        let q = &influence.conditional;
-        let rows = mean.chunks_exact(sigma.len()).zip(q.mean.chunks_exact(sigma.len()));
-        rows.map(|(p, q_mean)| agent.coefficients.term.row((q_mean, &q.sigma), (p, &sigma)).0).sum()
+        let p = HeadRows::of(&head).unwrap();
+        let q = influence.conditional.clone().unwrap();
+        let (
+            HeadRows::Gaussian { mean: q_mean, sigma: q_sigma },
+            HeadRows::Gaussian { mean, sigma },
+        ) = (q, p)
+        else {
+            panic!("the probe's actions are continuous")
+        };
+        let rows = mean.chunks_exact(sigma.len()).zip(q_mean.chunks_exact(sigma.len()));
+        rows.map(|(p, q)| agent.coefficients.term.row((q, &q_sigma), (p, &sigma)).0).sum()
     }
 
     #[test]

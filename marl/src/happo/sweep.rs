@@ -2,15 +2,17 @@
 
 use candle_core::DType;
 use policy::randomness::{Draw, Purpose, RunSeed};
+use policy::{ActorPolicy, Head};
 use rayon::prelude::*;
 
 use super::PerAgent;
 use super::agent::{Agent, Experience, Influence};
-use crate::actor_loss::{Figures, Rows, actor_loss};
+use crate::actor_loss::{Figures, Rows};
 use crate::algorithm::Report;
 use crate::error::MarlError;
 use crate::gaussian;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::gradient::Gradients;
+use crate::head_rows::HeadRows;
 use crate::minibatch::{minibatches, split};
 use crate::surrogate::sequential_factor;
 
@@ -98,27 +100,17 @@ fn shard(
     let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
     let features = agent.network.features(&sequences.input(columns, DType::F32)?)?;
     let head = agent.network.head(&features)?;
-    let (mean, sigma) = (numbers(&head.mean)?, numbers(&head.sigma)?);
-    let width = sigma.len();
-    let conditional = &influence.conditional;
-    let posterior = if conditional.sigma.is_empty() {
-        Default::default()
-    } else {
-        (layout.columns(&conditional.mean, width, columns), conditional.sigma.clone())
-    };
+    let p = HeadRows::of(&head)?;
+    let posterior = influence.conditional.as_ref().map(|q| q.posterior(layout, columns));
     let rows = Rows {
-        action: layout.columns(&sequences.action, width, columns),
+        action: layout.columns(&sequences.action, p.action_size(), columns),
         log_prob_old: layout.columns(&experience.log_prob, 1, columns),
         advantage: layout.columns(&experience.advantage, 1, columns),
         factor: layout.columns(factor, 1, columns),
-        posterior,
+        posterior: posterior.unwrap_or_default(),
     };
-    let loss = actor_loss(&mean, &sigma, &rows, layout.steps * total, &agent.coefficients);
-    let root = root(&[
-        OutputGradient { output: &head.mean, gradient: &loss.d_mean },
-        OutputGradient { output: &head.sigma, gradient: &loss.d_sigma },
-    ])?;
-    Ok((loss.figures, Gradients::of(agent.network.parameters(), &root)?))
+    let (figures, gradient) = p.loss(&rows, layout.steps * total, &agent.coefficients);
+    Ok((figures, Gradients::of(agent.network.parameters(), &gradient.root(&head)?)?))
 }
 
 /// Log-densities of all actions under today's weights, `[L, C]`, computed shard by shard.
@@ -146,16 +138,12 @@ fn report(
     trained: &Trained,
     (factor_mean, factor_largest): (f64, f64),
 ) -> Result<Report, MarlError> {
-    let policy = agent.policy()?;
-    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
     let figures = &trained.figures;
     let named = [
         ("sweep_position", position as f64),
         ("policy_loss", figures.policy_loss),
         ("approx_kl", figures.approx_kl),
         ("clip_fraction", figures.clip_fraction),
-        ("entropy", gaussian::entropy(&sigma)),
-        ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
         ("gradient_norm", trained.gradient_norm),
         ("skipped_steps", agent.adam.skipped() as f64),
         ("factor_mean", factor_mean),
@@ -163,7 +151,20 @@ fn report(
         ("influence_kl", figures.influence),
         ("influence_capped", figures.capped_fraction),
     ];
-    Ok(named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
+    let named = named.into_iter().chain(spread(&agent.policy()?, figures));
+    Ok(named.map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
+}
+
+/// How widely the policy draws: a Gaussian after the update, choices on average over it.
+fn spread(policy: &ActorPolicy, figures: &Figures) -> Vec<(&'static str, f64)> {
+    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
+    match policy.head() {
+        Head::Gaussian => vec![
+            ("entropy", gaussian::entropy(&sigma)),
+            ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
+        ],
+        Head::Categorical { .. } => vec![("entropy", figures.entropy)],
+    }
 }
 
 fn mean_and_largest(numbers: &[f64]) -> (f64, f64) {

@@ -48,7 +48,9 @@ fn action_range(robot: &Robot, motors: &[usize]) -> Result<ActionRange, SimError
     let mut ranges = ranges.collect::<Vec<_>>();
     ranges.dedup();
     match ranges.as_slice() {
-        [[low, high]] => Ok(ActionRange { size: motors.len(), low: *low, high: *high }),
+        [[low, high]] => {
+            Ok(ActionRange { size: motors.len(), low: *low, high: *high, choices: None })
+        }
         _ => {
             let reason = format!("an agent's motors have {} control ranges", ranges.len());
             Err(SimError::Model { robot: robot.name().to_owned(), reason })

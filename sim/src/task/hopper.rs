@@ -75,7 +75,8 @@ mod tests {
         ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
         RootView, TaskConfig,
     };
-    use crate::environments::{Environments, Outcome};
+    use crate::environments::Outcome;
+    use crate::simulation::Environments;
 
     fn hopper(mode: ObservationMode) -> Environments {
         let observation = ObservationConfig {

@@ -244,7 +244,7 @@ fn rebuilt_contact_states_keep_their_contacts() {
 
 #[test]
 fn every_task_goes_on_bit_for_bit_from_its_bytes() {
-    for task in sim::task_names() {
+    for task in sim::task_names().iter().filter(|task| Robot::of_task(task).is_ok()) {
         let mut source = environments(task, 1);
         let size = source.description().agents.iter().map(|agent| agent.action.size).sum();
         let (mut rng, mut actions) = (seeded(8), vec![0.0; size]);
