@@ -5,8 +5,9 @@ use std::process::Command;
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     // Commits, checkouts and resets all append to this file.
-    if std::path::Path::new(".git/logs/HEAD").exists() {
-        println!("cargo:rerun-if-changed=.git/logs/HEAD");
+    let log = Command::new("git").args(["rev-parse", "--git-path", "logs/HEAD"]).output();
+    if let Some(log) = log.ok().filter(|output| output.status.success()) {
+        println!("cargo:rerun-if-changed={}", String::from_utf8_lossy(&log.stdout).trim());
     }
     let rustc = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
     tell("S2MIA_GIT_COMMIT", Command::new("git").args(["rev-parse", "HEAD"]));

@@ -45,6 +45,8 @@ pub(crate) enum Command {
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.
     Record(RecordArguments),
+    /// Draw a moving robot as a strip of pictures, and say how far and how honestly it went.
+    Film(FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
     Plot(PlotArguments),
     /// Say what the newest good checkpoint of a run holds.
@@ -83,6 +85,9 @@ pub(crate) struct ResumeArguments {
     /// Resume although this machine computes other last bits than the one before.
     #[arg(long)]
     pub(crate) allow_other_machine: bool,
+    /// Die without a farewell at POINT@ITERATION, such as after-publish@3: for tests of what comes after.
+    #[arg(long, value_name = "POINT@ITERATION", hide = true)]
+    pub(crate) die_at: Option<learner::Fault>,
 }
 
 /// `s2mia train`
@@ -152,6 +157,28 @@ pub(crate) struct RecordArguments {
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
     /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap].
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+/// `s2mia film`
+#[derive(Args, Debug)]
+pub(crate) struct FilmArguments {
+    /// Run folder.
+    pub(crate) run: PathBuf,
+    /// Which of the episodes that `s2mia eval` plays.
+    #[arg(long, value_name = "INDEX", default_value_t = 0)]
+    pub(crate) episode: u32,
+    /// Pictures in the strip.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub(crate) frames: u32,
+    /// Time of the first picture [default: 5, or the middle of a shorter episode].
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) from_secs: Option<f64>,
+    /// Time from one picture to the next.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.05)]
+    pub(crate) every_secs: f64,
+    /// PNG file to write [default: RUN/film.png].
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
 }
@@ -251,5 +278,11 @@ mod tests {
     #[test]
     fn episodes_start_at_one() {
         assert!(refusal(&["eval", "runs/x", "--episodes", "0"]).contains("--episodes"));
+    }
+
+    #[test]
+    fn a_strip_without_frames_is_refused() {
+        let line = refusal(&["film", "runs/x", "--frames", "0"]);
+        assert!(line.contains("--frames") && !line.contains('\n'), "{line}");
     }
 }

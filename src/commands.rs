@@ -4,6 +4,7 @@ mod actor;
 mod checkpointed;
 mod config;
 mod eval;
+mod film;
 mod inspect;
 mod learner;
 mod plot;
@@ -36,6 +37,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Actor(arguments) => actor::run(arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),

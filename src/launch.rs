@@ -41,6 +41,7 @@ pub(crate) fn prepare(
     let kinship = kinship(&fingerprints, resumed)?;
     let mut launch = launch(&config, &folder, &fingerprints)?;
     launch.resume = resumed.resume.is_some();
+    launch.fault = resumed.die_at;
     launch.manifest[ONE_KIND] = json!(kinship == Kinship::Exact);
     Ok(Prepared { config, folder, launch })
 }
@@ -132,6 +133,7 @@ fn launch(
         learner_fingerprint: fingerprints.learner,
         manifest: manifest(config),
         resume: false,
+        fault: None,
     })
 }
 

@@ -11,10 +11,10 @@ use std::sync::Arc;
 
 use crate::chart;
 use crate::learning_curve::Series;
+use crate::palette::{OKABE_ITO, Rgb, hex};
 
-/// Okabe and Ito's colours, which people with any kind of colour vision can tell apart.
-const COLOURS: [&str; 7] =
-    ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
+/// Colours that a thin line on white can have.
+const COLOURS: [Rgb; 7] = *OKABE_ITO.first_chunk().expect("the palette has more");
 
 /// Size of the axes' area in SVG units; the PNG has twice as many pixels.
 const WIDTH: f64 = 720.0;
@@ -62,7 +62,7 @@ fn line(index: usize, series: &Series) -> LinePlot {
     };
     let line = LinePlot::new()
         .with_data(series.points.iter().map(|point| (point.env_steps, point.mean)))
-        .with_color(COLOURS[index % COLOURS.len()])
+        .with_color(hex(COLOURS[index % COLOURS.len()]))
         .with_stroke_width(2.0)
         .with_line_style(style)
         .with_legend(series.label.as_str());
@@ -103,10 +103,7 @@ mod tests {
         let picture =
             draw(&[rising("happo (3 seeds)", 3), rising("other (seed 1)", 1)], "a task").unwrap();
         assert!(picture.svg.starts_with("<svg") && picture.svg.contains("happo (3 seeds)"));
-        assert!(
-            picture.svg.contains(&COLOURS[0].to_lowercase())
-                && picture.svg.contains(&COLOURS[1].to_lowercase())
-        );
+        assert!(picture.svg.contains(&hex(COLOURS[0])) && picture.svg.contains(&hex(COLOURS[1])));
         assert!(picture.png.starts_with(b"\x89PNG"));
     }
 

@@ -74,4 +74,5 @@ fn the_tasks_are_listed_with_their_agents() {
     assert_eq!(six["agents"][0]["action"]["size"], 1);
     let table = String::from_utf8(s2mia(&["tasks"]).stdout).unwrap();
     assert!(table.contains("halfcheetah-2x3: 2 agents"), "{table}");
+    assert!(table.contains("one choice among 3"), "{table}");
 }

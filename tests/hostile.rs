@@ -56,11 +56,18 @@ impl Learner {
     }
 
     /// Lets an honest actor do all the work.
-    fn finish(mut self) {
+    fn finish(&mut self) {
         assert!(s2mia(&["actor", "--learner", &self.url]).output().unwrap().status.success());
-        let rest: Vec<String> = self.lines.map(Result::unwrap).collect();
+        let rest: Vec<String> = self.lines.by_ref().map(Result::unwrap).collect();
         assert!(self.process.wait().unwrap().success(), "{rest:?}");
         assert!(rest.iter().any(|line| line.starts_with("finished after iteration 2")), "{rest:?}");
+    }
+}
+
+impl Drop for Learner {
+    fn drop(&mut self) {
+        // Only a failed test leaves a learner that still runs.
+        let _ended = self.process.kill();
     }
 }
 
@@ -229,7 +236,7 @@ fn no_protocol_at_all(url: &str) {
 async fn rubbish_is_refused_by_name_and_counted_and_the_run_goes_on_as_if_nothing_had_been() {
     let folder = tempfile::tempdir().unwrap();
     let (attacked, in_peace) = (folder.path().join("attacked"), folder.path().join("in-peace"));
-    let learner = Learner::start(&attacked);
+    let mut learner = Learner::start(&attacked);
     no_protocol_at_all(&learner.url);
     for each in ATTACKS {
         attack(&learner.url, each).await;
@@ -240,7 +247,7 @@ async fn rubbish_is_refused_by_name_and_counted_and_the_run_goes_on_as_if_nothin
     let last: serde_json::Value = serde_json::from_str(metrics.lines().last().unwrap()).unwrap();
     assert_eq!(last["messages_refused"], ATTACKS.len() + more);
 
-    let quiet = Learner::start(&in_peace);
+    let mut quiet = Learner::start(&in_peace);
     tokio::task::spawn_blocking(move || quiet.finish()).await.unwrap();
     assert_eq!(weights(&attacked), weights(&in_peace));
 }

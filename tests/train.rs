@@ -2,62 +2,14 @@
 //! and every tool reads what a run leaves.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[path = "system/runs.rs"]
+mod runs;
+
 use std::io::{BufRead as _, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::path::Path;
+use std::process::{Command, Stdio};
 
-/// A run small enough for a test: 4 environments x 20 steps, two slots, short networks.
-const TINY: &[&str] = &[
-    "halfcheetah-6x1",
-    "run.seed=7",
-    "environments.count=4",
-    "environments.steps=20",
-    "environments.per_slot=2",
-    "environments.chunk_steps=10",
-    "policy.encoder=8",
-    "policy.hidden=8",
-    "critic.width=16",
-    "influence.encoder=8",
-    "influence.hidden=8",
-    "update.epochs=2",
-    "critic.epochs=2",
-    "influence.epochs=2",
-    "evaluation.every_steps=160",
-    "evaluation.episodes=1",
-    "checkpoint.every=2",
-];
-
-fn s2mia(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap()
-}
-
-fn succeeded(arguments: &[&str]) -> String {
-    let output = s2mia(arguments);
-    let (out, err) = (String::from_utf8(output.stdout).unwrap(), output.stderr);
-    assert!(output.status.success(), "{arguments:?}\n{out}\n{}", String::from_utf8_lossy(&err));
-    out
-}
-
-fn train(folder: &Path, more: &[&str]) -> String {
-    let dir = format!("run.dir={}", folder.display());
-    succeeded(&[&["train"], TINY, &[dir.as_str()], more].concat())
-}
-
-fn inspect(folder: &Path) -> serde_json::Value {
-    serde_json::from_str(&succeeded(&["inspect", folder.to_str().unwrap(), "--json"])).unwrap()
-}
-
-struct Runs(tempfile::TempDir);
-
-impl Runs {
-    fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    fn folder(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-}
+use runs::{Runs, TINY, children, inspect, s2mia, succeeded, train};
 
 #[test]
 fn one_actor_and_two_actors_train_the_same_weights() {
@@ -69,6 +21,59 @@ fn one_actor_and_two_actors_train_the_same_weights() {
     assert_eq!(one["iteration"], 5);
     assert_eq!(one["env_steps"], 5 * 4 * 20);
     assert_eq!(one, two);
+}
+
+/// The whole of a game's training, from its task file, in less time than a robot's first steps.
+fn train_cue(folder: &Path, more: &[&str]) -> String {
+    let dir = format!("run.dir={}", folder.display());
+    succeeded(&[&["train", "cue-2x1", "run.seed=3", dir.as_str()], more].concat())
+}
+
+#[test]
+fn one_actor_and_two_actors_train_the_same_choices() {
+    let runs = Runs::new();
+    let (one, two) = (runs.folder("one"), runs.folder("two"));
+    train_cue(&one, &["run.iterations=6", "run.actors=1"]);
+    train_cue(&two, &["run.iterations=3", "run.actors=2"]);
+    succeeded(&["train", "--resume", two.to_str().unwrap(), "run.iterations=6"]);
+    let (one, two) = (inspect(&one), inspect(&two));
+    assert_eq!(one["env_steps"], 6 * 20 * 50);
+    assert_eq!(one, two);
+}
+
+#[test]
+fn a_cue_that_both_see_is_learnt_by_either_algorithm() {
+    for algorithm in ["algorithm=happo", "algorithm=happo-s2mia"] {
+        let runs = Runs::new();
+        let folder = runs.folder("run");
+        train_cue(&folder, &[algorithm, "run.env_steps=30000", "run.actors=2"]);
+        let run = folder.to_str().unwrap();
+        let measured = succeeded(&["eval", run, "--episodes", "4", "--json"]);
+        let measured: serde_json::Value = serde_json::from_str(&measured).unwrap();
+        // Guessing earns 50 / 9; matching every cue 50.
+        assert!(measured["return_mean"].as_f64().unwrap() > 45.0, "{algorithm}: {measured}");
+        succeeded(&["record", run, "--out", folder.join("game.mcap").to_str().unwrap()]);
+    }
+}
+
+#[test]
+fn robots_that_fall_train_the_same_weights_with_any_number_of_actors() {
+    let runs = Runs::new();
+    let settings = [
+        ("walker2d-2x3", "observation.mode=k_nearest"),
+        ("ant-4x2", "observation.contact_forces=real"),
+    ];
+    for (task, setting) in settings {
+        let weights = |actors: &str| {
+            let folder = runs.folder(&format!("{task}-{actors}"));
+            let actors = format!("run.actors={actors}");
+            // The task named last is the one that is trained.
+            let task = format!("task={task}");
+            train(&folder, &[&task, setting, &actors, "run.iterations=3"]);
+            inspect(&folder)
+        };
+        assert_eq!(weights("1"), weights("2"), "{task}");
+    }
 }
 
 #[test]
@@ -146,20 +151,38 @@ fn every_tool_reads_what_a_run_leaves() {
     succeeded(&["record", run, "--out", log.to_str().unwrap()]);
     assert!(std::fs::read(&log).unwrap().starts_with(b"\x89MCAP0\r\n"));
 
+    let told = succeeded(&["film", run, "--frames", "5"]);
+    assert!(told.contains("5 frames from 5.00 s to 5.20 s") && told.contains("m/s"), "{told}");
+    let film = std::fs::read(folder.join("film.png")).unwrap();
+    assert!(film.starts_with(b"\x89PNG"));
+    // Four frames of 400 pixels side by side, two rows of 270 with their times, six agents below.
+    assert_eq!(film[16..24], [1660_u32.to_be_bytes(), 634_u32.to_be_bytes()].concat());
+
     succeeded(&["plot", run]);
     assert!(std::fs::read(folder.join("learning_curve.png")).unwrap().starts_with(b"\x89PNG"));
     assert!(std::fs::read_to_string(folder.join("learning_curve.svg")).unwrap().contains("seed 7"));
 }
 
-/// Processes started by `parent`, from the fourth field of their `stat`.
-fn children(parent: u32) -> Vec<u32> {
-    let processes = std::fs::read_dir("/proc").unwrap();
-    let ids = processes.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse::<u32>().ok());
-    let parent_of = |id: &u32| {
-        let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
-        stat.rsplit_once(')')?.1.split_whitespace().nth(1)?.parse::<u32>().ok()
-    };
-    ids.filter(|id| parent_of(id) == Some(parent)).collect()
+#[test]
+fn a_strip_that_cannot_be_drawn_is_refused_in_one_line() {
+    let runs = Runs::new();
+    let (folder, empty) = (runs.folder("run"), runs.folder("empty"));
+    train(&folder, &["run.iterations=1", "run.actors=1"]);
+    std::fs::create_dir(&empty).unwrap();
+    let (run, empty) = (folder.to_str().unwrap(), empty.to_str().unwrap());
+    for (arguments, code, words) in [
+        (vec![run, "--frames", "0"], 2, "--frames"),
+        (vec![run, "--every-secs", "0.01"], 2, "the shortest interval is one step, 0.05 s"),
+        (vec![run, "--from-secs", "49.9"], 2, "the episode from 0 s to 50.00 s"),
+        (vec!["no/such/run"], 2, "no/such/run is no run folder"),
+        (vec![empty], 1, "has no good checkpoint"),
+    ] {
+        let output = s2mia(&[&["film"], arguments.as_slice()].concat());
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{told}");
+        assert!(told.contains(words) && told.lines().count() == 1, "{told}");
+    }
+    assert!(!folder.join("film.png").exists());
 }
 
 #[test]

@@ -12,8 +12,8 @@ pub(crate) struct Agents {
     pub(crate) observation: Vec<Vec<f32>>,
     /// For each agent `[E, H]`.
     pub(crate) hidden: Vec<Vec<f32>>,
-    /// For each agent `[E, act]`.
-    pub(crate) mean: Vec<Vec<f32>>,
+    /// For each agent `[E, out]`: means, or logits of choices.
+    pub(crate) output: Vec<Vec<f32>>,
     /// For each agent `[E, act]`.
     pub(crate) action: Vec<Vec<f32>>,
     /// For each agent `[E]`.
@@ -26,6 +26,7 @@ pub(crate) struct Agents {
 #[derive(Clone, Copy, Debug)]
 struct Sizes {
     observation: usize,
+    output: usize,
     action: usize,
     hidden: usize,
 }
@@ -47,6 +48,7 @@ impl Agents {
             .iter()
             .map(|agent| Sizes {
                 observation: agent.observation_size(),
+                output: agent.output_size(),
                 action: agent.action_size(),
                 hidden: agent.hidden_size(),
             })
@@ -58,7 +60,7 @@ impl Agents {
             environments: count,
             observation: rows(|size| size.observation),
             hidden: rows(|size| size.hidden),
-            mean: rows(|size| size.action),
+            output: rows(|size| size.output),
             action: rows(|size| size.action),
             log_prob: rows(|_| 1),
             joint: vec![0.0; count * sizes.iter().map(|size| size.action).sum::<usize>()],
@@ -76,20 +78,20 @@ impl Agents {
         }
     }
 
-    /// Mean actions of every agent; recurrent states move on by a step.
+    /// What every agent's network gives; recurrent states move on by a step.
     pub(crate) fn think(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let (hidden, mean) = (&mut self.hidden[agent], &mut self.mean[agent]);
+            let (hidden, output) = (&mut self.hidden[agent], &mut self.output[agent]);
             let observation = &self.observation[agent];
-            policy.forward(self.environments, observation, hidden, mean, &mut self.scratch);
+            policy.forward(self.environments, observation, hidden, output, &mut self.scratch);
         }
     }
 
-    /// Actions drawn as each policy says, and their log-densities. Each agent's noise in each
+    /// Actions drawn as the networks say, and their log-probabilities. Each agent's draw in each
     /// environment and step has its own key; `first` is the first environment's global index.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], noise: Noise) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let width = self.sizes[agent].action;
+            let Sizes { action: width, output, .. } = self.sizes[agent];
             for (row, &environment) in indices.iter().enumerate() {
                 let key = Draw::of(Purpose::Action)
                     .iteration(noise.iteration)
@@ -97,18 +99,22 @@ impl Agents {
                     .step(noise.step)
                     .agent(agent as u32);
                 let mut rng = generator(noise.seed, key);
-                let of = row * width..(row + 1) * width;
-                let (mean, action) = (&self.mean[agent][of.clone()], &mut self.action[agent][of]);
-                policy.draw(mean, &mut rng, action);
-                self.log_prob[agent][row] = policy.log_prob(mean, action);
+                let output = &self.output[agent][row * output..(row + 1) * output];
+                let action = &mut self.action[agent][row * width..(row + 1) * width];
+                policy.draw(output, &mut rng, action);
+                self.log_prob[agent][row] = policy.log_prob(output, action);
             }
         }
     }
 
-    /// Takes the means as actions.
-    pub(crate) fn settle(&mut self) {
-        for (action, mean) in self.action.iter_mut().zip(&self.mean) {
-            action.copy_from_slice(mean);
+    /// Takes the means, or the likeliest choices, as actions.
+    pub(crate) fn settle(&mut self, policy: &PolicySnapshot) {
+        for (agent, policy) in policy.agents.iter().enumerate() {
+            let Sizes { action: width, output, .. } = self.sizes[agent];
+            let outputs = self.output[agent].chunks_exact(output);
+            for (action, output) in self.action[agent].chunks_exact_mut(width).zip(outputs) {
+                policy.settle(output, action);
+            }
         }
     }
 

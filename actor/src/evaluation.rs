@@ -1,8 +1,8 @@
-//! One whole episode with mean actions: what evaluation, `eval` and recordings play.
+//! One whole episode with mean actions, or the likeliest choices: what evaluation, `eval` and recordings play.
 
 use policy::PolicySnapshot;
 use rand::RngCore;
-use sim::{Environments, Outcome};
+use sim::{Environments, Outcome, SimError};
 
 use crate::acting::Agents;
 
@@ -29,12 +29,15 @@ pub struct PlayedStep<'a> {
 
 /// Plays environment 0 from a start drawn with `rng` to the end of its episode, every agent taking
 /// its mean action, and shows each step to `on_step`. `world` has one environment.
+///
+/// # Errors
+/// If a policy's action is not finite.
 pub fn play_episode(
     world: &mut Environments,
     policy: &PolicySnapshot,
     rng: &mut impl RngCore,
     mut on_step: impl FnMut(&PlayedStep<'_>),
-) -> Episode {
+) -> Result<Episode, SimError> {
     world.reset(0, 0, world.description().episode_steps, rng);
     play_on(world, policy, &mut on_step)
 }
@@ -44,21 +47,21 @@ pub(crate) fn play_on(
     world: &mut Environments,
     policy: &PolicySnapshot,
     on_step: &mut impl FnMut(&PlayedStep<'_>),
-) -> Episode {
+) -> Result<Episode, SimError> {
     let mut agents = Agents::new(world, policy);
     let mut outcomes = vec![Outcome::default(); world.count()];
     let mut episode = Episode::default();
     loop {
         agents.observe(world);
         agents.think(policy);
-        agents.settle();
-        world.step(agents.join(), &mut outcomes);
+        agents.settle(policy);
+        world.step(agents.join(), &mut outcomes)?;
         let outcome = outcomes[0];
         episode.extrinsic_return += f64::from(outcome.reward);
         episode.steps += 1;
         on_step(&PlayedStep { world, action: &agents.joint, outcome, step: episode.steps });
         if outcome.terminated || outcome.truncated {
-            return episode;
+            return Ok(episode);
         }
     }
 }

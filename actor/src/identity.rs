@@ -36,6 +36,7 @@ fn agent(agent: &sim::AgentDescription) -> AgentSpec {
             size: agent.action.size as u32,
             low: agent.action.low,
             high: agent.action.high,
+            choices: agent.action.choices,
         },
     }
 }

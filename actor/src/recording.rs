@@ -1,7 +1,8 @@
 //! Episodes as MCAP files that Foxglove shows without set-up and any MCAP reader opens.
 //!
 //! Topics: `/tf` (every link's frame), `/scene` (the links' real shapes and the floor, once per
-//! episode), `/joint_states`, and as JSON `/agents/I/action` and `/episode`. Times count from 0 in
+//! episode), `/joint_states`, and as JSON `/agents/I/action` and `/episode`. A game has no links: it is shown as
+//! JSON on `/state`, the global state feature by feature. Times count from 0 in
 //! simulated time; episodes follow one another with a second between them.
 
 mod channels;
@@ -97,8 +98,10 @@ fn record_episode(
     index: u32,
     channels: &mut Channels<BufWriter<File>>,
 ) -> Result<Episode, RecordError> {
-    channels.scene(&scene::update(&world.description().task, channels.now())?)?;
-    channels.pose(world)?;
+    if channels.shows_links() {
+        channels.scene(&scene::update(&world.description().task, channels.now())?)?;
+    }
+    channels.stand(world)?;
     let mut written = Ok(());
     let mut total = 0.0;
     let episode = play_on(world, policy, &mut |step: &PlayedStep<'_>| {
@@ -106,7 +109,7 @@ fn record_episode(
         if written.is_ok() {
             written = channels.step(step, index, total);
         }
-    });
+    })?;
     written?;
     channels.pause();
     Ok(episode)

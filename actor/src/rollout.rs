@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
 use proto::{RolloutWork, RunDescription, Start, TrajectoryChunk};
-use sim::{Environments, Outcome, SimError};
+use sim::{ActionError, Environments, Outcome, SimError};
 
 use crate::acting::{Agents, Noise};
 use crate::chunk::ChunkBuilder;
@@ -25,7 +25,7 @@ struct Slot<'a> {
 /// break off. Calls `tick` with the number of steps done before each step.
 ///
 /// # Errors
-/// If the lease's environment states are none of this task's.
+/// If the lease's environment states are none of this task's, or a policy's action is not finite.
 pub fn roll_out(
     run: &RunDescription,
     work: &RolloutWork,
@@ -37,7 +37,7 @@ pub fn roll_out(
     let mut slot = Slot::begin(run, work, policy, world)?;
     for step in 0..run.slot_steps {
         tick(step);
-        slot.step(step);
+        slot.step(step)?;
         if let Some(chunk) = slot.full_chunk(step)
             && emit(chunk).is_break()
         {
@@ -79,7 +79,7 @@ impl<'a> Slot<'a> {
     }
 
     /// Observe, act, step, record, reset what is done.
-    fn step(&mut self, step: u32) {
+    fn step(&mut self, step: u32) -> Result<(), ActionError> {
         if step.is_multiple_of(self.run.hidden_every) {
             self.chunk.store_hidden(&self.agents);
         }
@@ -89,11 +89,12 @@ impl<'a> Slot<'a> {
         let seed = RunSeed(self.run.seed);
         let noise = Noise { seed, iteration: self.work.iteration, step };
         self.agents.draw(self.policy, &self.indices, noise);
-        self.world.step(self.agents.join(), &mut self.outcomes);
+        self.world.step(self.agents.join(), &mut self.outcomes)?;
         self.chunk.push_step(&self.agents, &self.outcomes);
         for position in 0..self.outcomes.len() {
             self.finish(step, position);
         }
+        Ok(())
     }
 
     /// After a step that ended an episode, or the slot's last one, keeps the true next state; then

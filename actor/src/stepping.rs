@@ -100,7 +100,7 @@ impl Worlds {
                 })
             }
             Work::Evaluation(work) => {
-                let result = evaluate(&self.run, *work, policy, &mut self.evaluation);
+                let result = evaluate(&self.run, *work, policy, &mut self.evaluation)?;
                 // Nobody waits behind an evaluation's only message.
                 let _ = send(job, result.digest(), Content::Evaluation(result.to_wire()), results);
                 Ok(())
@@ -114,16 +114,16 @@ fn evaluate(
     work: EvaluationWork,
     policy: &PolicySnapshot,
     world: &mut Environments,
-) -> EvaluationResult {
+) -> Result<EvaluationResult, SimError> {
     let key =
         Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
     let mut rng = generator(RunSeed(run.seed), key);
-    let episode = play_episode(world, policy, &mut rng, |_| {});
-    EvaluationResult {
+    let episode = play_episode(world, policy, &mut rng, |_| {})?;
+    Ok(EvaluationResult {
         episode: work.episode,
         extrinsic_return: episode.extrinsic_return,
         steps: episode.steps,
-    }
+    })
 }
 
 fn send(

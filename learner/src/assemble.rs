@@ -1,7 +1,7 @@
 //! From the slots' rollouts to the iteration's batch `D_k`. Pure copying: whoever computed a slot,
 //! and in which order slots arrived, leaves no trace in the batch.
 
-use marl::{AgentBatch, AgentShape, Batch, Final, Problem};
+use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use proto::{EnvironmentSpec, FeatureRole, FinalStep, RunDescription, TrajectoryChunk};
 
 use crate::exchange::SlotRollout;
@@ -103,13 +103,17 @@ impl Layout {
     }
 }
 
-/// What the algorithm is told about the environment: sizes, and which features carry a signal.
+/// What the algorithm is told about the environment: sizes, kinds of action, and which features carry a signal.
 #[must_use]
 pub fn problem(environment: &EnvironmentSpec) -> Problem {
     let shape = |agent: &proto::AgentSpec| AgentShape {
         observation: agent.observation.len(),
         action: agent.action.size as usize,
         action_range: (agent.action.low, agent.action.high),
+        kind: match agent.action.choices {
+            None => ActionKind::Continuous,
+            Some(choices) => ActionKind::Discrete { choices: choices as usize },
+        },
         surprise_features: (0..agent.observation.len())
             .filter(|&index| agent.observation[index].role == FeatureRole::Signal)
             .collect(),

@@ -50,12 +50,12 @@ impl Replay<'_> {
     fn run(&self, every: usize) -> Result<(), Mismatch> {
         let steps = self.done.len() / self.environments;
         let width = self.environments * self.policy.hidden_size();
-        let mut mean = vec![0.0; self.environments * self.policy.action_size()];
+        let mut output = vec![0.0; self.environments * self.policy.output_size()];
         let mut scratch = Scratch::default();
         for (block, first) in (0..steps).step_by(every).enumerate() {
             let mut hidden = self.rows.hidden[block * width..(block + 1) * width].to_vec();
             for step in first..first + every {
-                self.step(step, &mut hidden, &mut mean, &mut scratch)?;
+                self.step(step, &mut hidden, &mut output, &mut scratch)?;
             }
             let next = match first + every == steps {
                 true => self.end,
@@ -71,17 +71,18 @@ impl Replay<'_> {
         &self,
         step: usize,
         hidden: &mut [f32],
-        mean: &mut [f32],
+        output: &mut [f32],
         scratch: &mut Scratch,
     ) -> Result<(), Mismatch> {
         let (count, act) = (self.environments, self.policy.action_size());
+        let out = self.policy.output_size();
         let row = count * self.policy.observation_size();
         let observation = &self.rows.observation[step * row..(step + 1) * row];
-        self.policy.forward(count, observation, hidden, mean, scratch);
+        self.policy.forward(count, observation, hidden, output, scratch);
         for e in 0..count {
             let at = step * count + e;
-            let (action, mean) = (&self.rows.action[at * act..][..act], &mean[e * act..][..act]);
-            let expected = self.policy.log_prob(mean, action);
+            let action = &self.rows.action[at * act..][..act];
+            let expected = self.policy.log_prob(&output[e * out..][..out], action);
             let found = self.rows.log_prob[at];
             if differs(found, expected) {
                 let detail = format!(

@@ -163,7 +163,8 @@ pub fn folder(run_folder: &Path) -> PathBuf {
 }
 
 /// Writes a checkpoint and removes all but the newest `keep_last`. A checkpoint of the same iteration
-/// with the same state is left as it is; one that differs or is damaged is replaced.
+/// with the same state is left as it is; one that differs or is damaged is replaced. `before_rename` is called when
+/// all is written and nothing is in its place yet.
 ///
 /// # Errors
 /// Names the file that could not be written. The checkpoints before it are untouched.
@@ -172,6 +173,7 @@ pub fn save(
     checkpoint: &Checkpoint,
     config_sha256: &str,
     keep_last: usize,
+    before_rename: impl FnOnce(),
 ) -> Result<Saved, CheckpointError> {
     let folder = folder(run_folder);
     let place = folder.join(name(checkpoint.iteration));
@@ -179,6 +181,7 @@ pub fn save(
     durable::make_folder(&folder)?;
     if !stands(&place, &saved, config_sha256) {
         let draft = write_draft(&folder, checkpoint, config_sha256)?;
+        before_rename();
         durable::remove_folder(&place)?;
         std::fs::rename(&draft, &place).map_err(FileError::of("rename", &draft))?;
         durable::sync_folder(&folder)?;

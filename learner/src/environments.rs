@@ -25,6 +25,9 @@ pub struct Environments {
     episode_length: Vec<u64>,
     finished: Vec<u64>,
     recent: VecDeque<f64>,
+    episode_steps: u32,
+    /// Episodes of the last iteration that were cut before their limit.
+    faults: u64,
 }
 
 /// Step limit of an environment's first episode.
@@ -52,6 +55,8 @@ impl Environments {
             episode_length: vec![0; count],
             finished: vec![0; count],
             recent: VecDeque::new(),
+            episode_steps,
+            faults: 0,
         }
     }
 
@@ -76,15 +81,33 @@ impl Environments {
     /// Takes in an iteration: its rewards, and the states at the slots' ends. `rollouts` are those
     /// that `assemble` made `batch` of.
     pub fn advance(&mut self, batch: &Batch, rollouts: &[SlotRollout]) {
+        self.faults = 0;
         for row in 0..batch.rows() {
             let environment = row % batch.environments;
             self.episode_return[environment] += f64::from(batch.reward[row]);
             self.episode_length[environment] += 1;
+            if batch.truncated[row] && self.episode_length[environment] < self.limit(environment) {
+                self.faults += 1;
+            }
             if batch.done(row) {
                 self.finish_episode(environment);
             }
         }
         self.starts = rollouts.iter().flat_map(|rollout| self.continuations(rollout)).collect();
+    }
+
+    /// Steps after which the environment's running episode is truncated by rule.
+    fn limit(&self, environment: usize) -> u64 {
+        match self.finished[environment] {
+            0 => self.limits[environment].steps.into(),
+            _ => self.episode_steps.into(),
+        }
+    }
+
+    /// Episodes of the last iteration that a fault of their world cut before their limit.
+    #[must_use]
+    pub fn faults(&self) -> u64 {
+        self.faults
     }
 
     fn finish_episode(&mut self, environment: usize) {

@@ -15,6 +15,7 @@ use crate::config::{Config, ConfigError};
 use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::Evaluations;
+use crate::fault::Fault;
 use crate::metrics::Metrics;
 use crate::provenance::Provenance;
 use crate::run_folder::{RunFolder, RunFolderError};
@@ -53,6 +54,8 @@ pub struct Launch {
     pub manifest: Value,
     /// Whether to go on with the run in the folder.
     pub resume: bool,
+    /// Where to die, to test what comes after.
+    pub fault: Option<Fault>,
 }
 
 impl Launch {
@@ -184,7 +187,7 @@ fn build(
     let layout = Layout::of(description, environments.slots());
     let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
     Ok(Trainer {
-        surprise: Surprise::new(&launch.training.surprise, &problem),
+        surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
         environments: Environments::fresh(
             layout.clone(),
             launch.environment.episode_steps,
@@ -208,6 +211,7 @@ fn build(
         saved: None,
         failed_saves: 0,
         pool,
+        fault: launch.fault,
         config: launch.config,
     })
 }

@@ -14,6 +14,7 @@ pub mod error;
 pub mod evaluation;
 pub mod event;
 pub mod exchange;
+pub mod fault;
 pub mod json_lines;
 pub mod launch;
 pub mod metrics;
@@ -30,6 +31,7 @@ pub use config::{
 pub use error::LearnerError;
 pub use event::{Event, IterationReport};
 pub use exchange::{Exchange, LeaseConfig};
+pub use fault::Fault;
 pub use launch::Launch;
 pub use run::run;
 pub use trainer::Summary;

@@ -21,6 +21,7 @@ use crate::error::LearnerError;
 use crate::evaluation::{Evaluated, Evaluations};
 use crate::event::{Event, IterationReport};
 use crate::exchange::{Exchange, SlotRollout};
+use crate::fault::{self, Fault, Point};
 use crate::metrics::Metrics;
 use crate::provenance::{Origin, Provenance};
 use crate::run_folder::RunFolder;
@@ -64,6 +65,7 @@ pub struct Trainer {
     pub(crate) saved: Option<Saved>,
     pub(crate) failed_saves: u32,
     pub(crate) pool: ThreadPool,
+    pub(crate) fault: Option<Fault>,
 }
 
 /// What a trainer has to do with the outside while it runs.
@@ -124,6 +126,11 @@ impl Trainer {
         result
     }
 
+    /// Dies here if a test asked for it.
+    pub(crate) fn fault_at(&self, point: Point) {
+        fault::at(self.fault, point, self.iteration);
+    }
+
     fn steps_after(&self, iteration: u64) -> u64 {
         iteration * self.config.environments.steps_per_iteration()
     }
@@ -134,6 +141,7 @@ impl Work {
         self.begin()?;
         while self.trainer.iteration < self.trainer.last_iteration {
             let Some(collected) = self.collect()? else { break };
+            self.trainer.fault_at(Point::AfterCollect);
             let batch = assemble(&self.trainer.layout, &collected.rollouts)?;
             let learnt = self.trainer.learn(&batch)?;
             self.trainer.environments.advance(&batch, &collected.rollouts);
@@ -141,6 +149,7 @@ impl Work {
             let behaviour = self.behaviour;
             self.publish()?;
             self.lease();
+            self.trainer.fault_at(Point::AfterPublish);
             self.record(&collected, &learnt, behaviour)?;
             self.evaluate_if_due()?;
             self.save_if_due()?;
@@ -206,6 +215,7 @@ impl Work {
         }
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());
+        metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
         let report = IterationReport {
             iteration: trainer.iteration,
             env_steps: trainer.env_steps(),
@@ -256,11 +266,12 @@ impl Trainer {
     /// updated (Eq. 10). All arithmetic happens in the run's own pool of threads.
     fn learn(&mut self, batch: &Batch) -> Result<Learnt, LearnerError> {
         let begin = Instant::now();
+        self.fault_at(Point::MidUpdate);
         let Self { pool, surprise, algorithm, iteration, .. } = self;
         let rewards = pool.install(|| {
-            surprise.refit(batch);
-            surprise.relabel(batch)
-        });
+            surprise.refit(batch, *iteration)?;
+            Ok::<_, MarlError>(surprise.relabel(batch))
+        })?;
         let density_secs = begin.elapsed().as_secs_f64();
         let report = pool.install(|| algorithm.update(batch, &rewards, *iteration))?;
         self.policy = policy_bytes(self.algorithm.as_ref())?;
@@ -275,7 +286,7 @@ impl Trainer {
         report: &Report,
     ) -> Result<(), LearnerError> {
         let weights = checkpoint::weights_sha256(&self.algorithm.weights()?);
-        let density: NamedArrays = self.surprise.arrays();
+        let density: NamedArrays = self.surprise.arrays()?;
         self.provenance.iteration(&Origin {
             iteration: self.iteration,
             behaviour,

@@ -34,7 +34,7 @@ impl Run {
     }
 
     fn save(&self, iteration: u64, keep_last: usize) -> Saved {
-        checkpoint::save(self.0.path(), &checkpoint(iteration), "c0ffee", keep_last).unwrap()
+        checkpoint::save(self.0.path(), &checkpoint(iteration), "c0ffee", keep_last, || {}).unwrap()
     }
 
     fn load(&self) -> Loaded {
@@ -245,6 +245,6 @@ fn an_array_of_no_group_is_refused_by_name() {
     let run = Run::new();
     let mut odd = checkpoint(1);
     odd.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
-    let error = checkpoint::save(run.0.path(), &odd, "c0ffee", 1).unwrap_err().to_string();
+    let error = checkpoint::save(run.0.path(), &odd, "c0ffee", 1, || {}).unwrap_err().to_string();
     assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
 }

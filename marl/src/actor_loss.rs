@@ -1,8 +1,11 @@
 //! Eq. (10): the actor's loss over the rows of a minibatch, and its gradient by the policy's mean
 //! and sigma. Written by hand in f64, because it runs once per optimiser step over every row.
 
+pub mod categorical;
+
 use crate::gaussian;
-use crate::influence::{capped_divergence, regularized_objective};
+use crate::influence::divergence::add_gradient;
+use crate::influence::{Term, regularized_objective};
 use crate::surrogate::{clipped_surrogate, ratio};
 
 /// Weights of the loss's terms.
@@ -14,8 +17,8 @@ pub struct Coefficients {
     pub entropy: f64,
     /// Weight of the influence term.
     pub lambda: f64,
-    /// Cap of the divergence, nats per action dimension.
-    pub kappa: f64,
+    /// How the influence term is computed.
+    pub term: Term,
 }
 
 /// What the loss needs to know about its rows and holds constant; `R` rows of `A` actions.
@@ -29,7 +32,8 @@ pub struct Rows {
     pub advantage: Vec<f64>,
     /// Sequential factor `M`, `[R]`.
     pub factor: Vec<f64>,
-    /// The posterior's mean `[R, A]` and sigma `[A]`; empty without an influence term.
+    /// The posterior's mean `[R, A]` and sigma `[A]`; for choices its logits `[R, K]` and nothing. Empty without
+    /// an influence term.
     pub posterior: (Vec<f64>, Vec<f64>),
 }
 
@@ -55,10 +59,12 @@ pub struct Figures {
     pub approx_kl: f64,
     /// Share of rows whose ratio is outside the trust region.
     pub clip_fraction: f64,
-    /// Mean capped `KL[q || p]`, nats.
+    /// Mean influence term: the paper's is the capped `KL[q || p]`, nats.
     pub influence: f64,
     /// Share of rows whose divergence has reached its cap.
     pub capped_fraction: f64,
+    /// Mean entropy of the policy, nats.
+    pub entropy: f64,
 }
 
 impl Figures {
@@ -70,6 +76,7 @@ impl Figures {
         self.clip_fraction += weight * other.clip_fraction;
         self.influence += weight * other.influence;
         self.capped_fraction += weight * other.capped_fraction;
+        self.entropy += weight * other.entropy;
     }
 }
 
@@ -117,17 +124,31 @@ fn surrogate_row(
 ) {
     let width = p.1.len();
     let action = &rows.action[row * width..(row + 1) * width];
-    let log_ratio = gaussian::log_prob(action, p.0, p.1) - rows.log_prob_old[row];
+    let log_prob = gaussian::log_prob(action, p.0, p.1);
+    let slope = surrogate_slope(row, log_prob, rows, share, clip, figures);
+    gaussian::add_log_prob_gradient(slope, action, p, gradient);
+}
+
+/// Counts one row's surrogate among the figures; the loss's slope by the row's new log-density.
+fn surrogate_slope(
+    row: usize,
+    log_prob: f64,
+    rows: &Rows,
+    share: f64,
+    clip: f64,
+    figures: &mut Figures,
+) -> f64 {
+    let log_ratio = log_prob - rows.log_prob_old[row];
     let ratio_now = ratio(log_ratio, 0.0);
     let (value, slope) = clipped_surrogate(ratio_now, rows.advantage[row], clip);
     let weight = rows.factor[row] * share;
     // Beyond the guard the ratio is constant: its slope by the log-ratio is 0, not the ratio.
     let guarded = log_ratio.abs() > crate::surrogate::LOG_RATIO_LIMIT;
     let ratio_slope = if guarded { 0.0 } else { ratio_now };
-    gaussian::add_log_prob_gradient(-weight * slope * ratio_slope, action, p, gradient);
     figures.policy_loss -= weight * value;
     figures.approx_kl += share * (ratio_now - 1.0 - log_ratio);
     figures.clip_fraction += if (ratio_now - 1.0).abs() > clip { share } else { 0.0 };
+    -weight * slope * ratio_slope
 }
 
 fn influence_rows(
@@ -143,15 +164,17 @@ fn influence_rows(
         let of_row = row * width..(row + 1) * width;
         let p = (&mean[of_row.clone()], sigma);
         let q = (&rows.posterior.0[of_row.clone()], rows.posterior.1.as_slice());
-        let (divergence, slope) = capped_divergence(q, p, coefficients.kappa);
-        loss.figures.influence += share * divergence;
-        loss.figures.capped_fraction += share * (1.0 - slope);
+        let (value, slope) = coefficients.term.row(q, p);
+        loss.figures.influence += share * value;
+        loss.figures.capped_fraction += share * (1.0 - slope.abs());
         let gradient = (&mut loss.d_mean[of_row], loss.d_sigma.as_mut_slice());
-        gaussian::add_kl_gradient(-coefficients.lambda * share * slope, q, p, gradient);
+        let weight = -coefficients.lambda * share * slope;
+        add_gradient(coefficients.term.divergence, weight, q, p, gradient);
     }
 }
 
 fn entropy_bonus(sigma: &[f64], share: f64, weight: f64, loss: &mut ActorLoss) {
+    loss.figures.entropy += share * gaussian::entropy(sigma);
     loss.figures.loss -= weight * share * gaussian::entropy(sigma);
     for (d_sigma, sigma) in loss.d_sigma.iter_mut().zip(sigma) {
         *d_sigma -= weight * share / sigma;
@@ -161,8 +184,11 @@ fn entropy_bonus(sigma: &[f64], share: f64, weight: f64, loss: &mut ActorLoss) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Divergence, Estimator};
 
-    const ALL: Coefficients = Coefficients { clip: 0.2, entropy: 0.03, lambda: 0.4, kappa: 1.0 };
+    const TERM: Term =
+        Term { estimator: Estimator::VariationalKl, divergence: Divergence::KlQp, kappa: 1.0 };
+    const ALL: Coefficients = Coefficients { clip: 0.2, entropy: 0.03, lambda: 0.4, term: TERM };
     /// Means of three rows of two action dimensions, and the deviations.
     const MEAN: [f64; 6] = [0.1, -0.2, 0.4, 0.3, -0.5, 0.2];
     const SIGMA: [f64; 2] = [0.3, 0.45];
@@ -205,14 +231,24 @@ mod tests {
 
     #[test]
     fn the_gradient_meets_finite_differences() {
+        let (cauchy_schwarz, kl_pq) = (Divergence::CauchySchwarz, Divergence::KlPq);
+        gradient_meets_finite_differences(TERM);
+        gradient_meets_finite_differences(Term { divergence: kl_pq, ..TERM });
+        gradient_meets_finite_differences(Term { divergence: cauchy_schwarz, ..TERM });
+        let estimator = Estimator::BarberAgakov;
+        gradient_meets_finite_differences(Term { estimator, divergence: kl_pq, ..TERM });
+    }
+
+    fn gradient_meets_finite_differences(term: Term) {
+        let all = Coefficients { term, ..ALL };
         let value =
-            |mean: &[f64], sigma: &[f64]| actor_loss(mean, sigma, &rows(), 3, &ALL).figures.loss;
+            |mean: &[f64], sigma: &[f64]| actor_loss(mean, sigma, &rows(), 3, &all).figures.loss;
         let moved = |from: &[f64], at: usize, by: f64| {
             let mut to = from.to_vec();
             to[at] += by;
             to
         };
-        let found = actor_loss(&MEAN, &SIGMA, &rows(), 3, &ALL);
+        let found = actor_loss(&MEAN, &SIGMA, &rows(), 3, &all);
         let h = 1e-6;
         let close = |up: f64, down: f64, found: f64| {
             let slope = (up - down) / (2.0 * h);

@@ -1,5 +1,7 @@
 //! The experience `D_k` of one iteration, and the shapes it must have.
 
+use policy::Head;
+
 use crate::error::MarlError;
 
 /// What the algorithm is told about a task: sizes and ranges only, no names.
@@ -16,13 +18,68 @@ pub struct Problem {
 pub struct AgentShape {
     /// Features of the agent's observation.
     pub observation: usize,
-    /// Dimensions of the agent's action.
+    /// Numbers in the agent's action.
     pub action: usize,
     /// Lowest and highest number of an action, for policies that keep to a range.
     pub action_range: (f32, f32),
+    /// What these numbers are.
+    pub kind: ActionKind,
     /// Indices of the observation features that carry a signal; surprise looks at no others
     /// (one-hot ids, duplicates and constants are left out).
     pub surprise_features: Vec<usize>,
+}
+
+/// What an agent's action is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ActionKind {
+    /// Real numbers.
+    Continuous,
+    /// One number, the index of a choice.
+    Discrete {
+        /// `K`, number of choices.
+        choices: usize,
+    },
+}
+
+impl ActionKind {
+    /// The head of a policy that draws such actions.
+    #[must_use]
+    pub fn head(self) -> Head {
+        match self {
+            Self::Continuous => Head::Gaussian,
+            Self::Discrete { choices } => Head::Categorical { choices },
+        }
+    }
+
+    /// Numbers as which others see an action of `action` numbers: a choice is seen one-hot.
+    #[must_use]
+    pub fn seen_size(self, action: usize) -> usize {
+        match self {
+            Self::Continuous => action,
+            Self::Discrete { choices } => choices,
+        }
+    }
+
+    /// Adds an action `[act]` to `to` as others see it.
+    pub fn see(self, action: &[f32], to: &mut Vec<f32>) {
+        match self {
+            Self::Continuous => to.extend_from_slice(action),
+            Self::Discrete { choices } => {
+                let chosen = action[0] as usize;
+                to.extend((0..choices).map(|k| if k == chosen { 1.0 } else { 0.0 }));
+            }
+        }
+    }
+
+    /// Refuses actions that are no choices.
+    fn check(self, field: &str, actions: &[f32]) -> Result<(), MarlError> {
+        let Self::Discrete { choices } = self else { return Ok(()) };
+        let is_choice = |a: &f32| *a >= 0.0 && *a < choices as f32 && a.fract() == 0.0;
+        actions.iter().position(|a| !is_choice(a)).map_or(Ok(()), |at| {
+            let found = actions[at];
+            Err(MarlError::Batch(format!("{field}[{at}] is {found}, no choice among {choices}")))
+        })
+    }
 }
 
 /// Rewards of every agent, `[N][T * B]`, row `t * B + b`.
@@ -151,6 +208,7 @@ impl AgentBatch {
         let observation = rows * shape.observation;
         floats(&at("observation"), "[T, B, obs]", &self.observation, observation)?;
         floats(&at("action"), "[T, B, act]", &self.action, rows * shape.action)?;
+        shape.kind.check(&at("action"), &self.action)?;
         floats(&at("log_prob"), "[T, B]", &self.log_prob, rows)?;
         floats(&at("hidden"), "[T / chunk, B, H]", &self.hidden, hidden)
     }

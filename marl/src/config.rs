@@ -1,13 +1,17 @@
 //! Settings of the update, the critic, surprise and influence. No defaults live here: the binary's
 //! configuration files hold them.
 
+mod influence;
 mod maddpg;
+mod surprise;
 
 use policy::{CoreKind, PolicyConfig};
 use serde::{Deserialize, Serialize};
 
+pub use self::influence::{Divergence, Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
-use crate::batch::Problem;
+pub use self::surprise::{Constant, DensityKind, Fit, Reduce, Space, SurpriseConfig};
+use crate::batch::{ActionKind, Problem};
 use crate::error::MarlError;
 
 /// Everything that the learning rule is told.
@@ -113,127 +117,6 @@ pub enum CriticMode {
     PerAgent,
 }
 
-/// Surprise minimisation (Eq. 2-4, 9).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SurpriseConfig {
-    /// Weight of the log-density in the reward.
-    pub alpha: f64,
-    /// The class of densities.
-    pub density: DensityKind,
-    /// Which experience the density that scores `D_k` was fitted on.
-    pub fit: Fit,
-    /// What is scored.
-    pub space: Space,
-    /// How features are joined.
-    pub reduce: Reduce,
-    /// The additive constant of the bonus.
-    pub constant: Constant,
-    /// Smallest deviation that a density assumes, in units of the feature.
-    pub sigma_floor: f64,
-    /// Features with a smaller deviation on `D_k` are left out, in units of the feature.
-    pub mask_below: f64,
-}
-
-/// The classes of densities.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DensityKind {
-    /// An independent Gaussian per feature, as in the paper.
-    DiagonalGaussian,
-}
-
-/// Which experience the density that scores `D_k` was fitted on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Fit {
-    /// On `D_k` itself, as the paper's text has it.
-    Current,
-}
-
-/// What surprise scores.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Space {
-    /// Observations as the policy sees them.
-    PolicyObs,
-}
-
-/// How the features' log-densities are joined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Reduce {
-    /// Their sum, as in Eq. 4.
-    Sum,
-}
-
-/// The additive constant of the surprise bonus. Inside an episode it changes nothing; where
-/// episodes can end early it pays or charges for staying alive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Constant {
-    /// Eq. 4: the log-density without `-1/2 log 2 pi` per feature.
-    Paper,
-    /// Eq. 3: the log-density itself.
-    Density,
-    /// The log-density minus its mean at the fit: no pay for staying alive.
-    Centered,
-}
-
-/// Influence maximisation (Eq. 5-10).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct InfluenceConfig {
-    /// Weight of the influence term (Eq. 5, 10). At 0 no posterior is built.
-    pub lambda: f64,
-    /// How mutual information is estimated.
-    pub estimator: Estimator,
-    /// Which divergence stands in the regulariser.
-    pub divergence: Divergence,
-    /// How the posterior is trained.
-    pub q_training: QTraining,
-    /// Cap of the divergence, nats per action dimension.
-    pub kappa: f64,
-    /// Units of the encoder of the other agents' actions.
-    pub encoder: usize,
-    /// Units of the layer that joins it with the policy's features.
-    pub hidden: usize,
-    /// Passes over `D_k`.
-    pub epochs: usize,
-    /// Adam's step size.
-    pub learning_rate: f64,
-    /// Parts of one pass, each an optimiser step.
-    pub minibatches: usize,
-    /// Smallest deviation of a posterior, in units of the action.
-    pub sigma_floor: f64,
-    /// Environments `e` with `e mod n = n - 1` train no posterior; they measure the estimate.
-    pub holdout_every: usize,
-}
-
-/// How mutual information is estimated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Estimator {
-    /// Eq. 8: the divergence of a learnt posterior from the policy.
-    VariationalKl,
-}
-
-/// Which divergence stands in the regulariser.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Divergence {
-    /// `KL[q || p]`, as in Eq. 8 and 10.
-    KlQp,
-}
-
-/// How the posterior is trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum QTraining {
-    /// By maximum likelihood of the actions taken, before the policies move.
-    Mle,
-}
-
 impl Config {
     /// Refuses values outside their ranges.
     ///
@@ -269,11 +152,19 @@ impl Config {
         Ok(())
     }
 
-    /// Refuses agents that cannot share their parameters although they should.
+    /// Refuses agents that cannot share their parameters although they should, and choices where the rule or the
+    /// influence term is not defined for them.
     ///
     /// # Errors
-    /// Names the first agent whose sizes differ from the first one's.
+    /// Names the first agent whose sizes differ from the first one's, or the key that does not fit.
     pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
+        if problem.agents.iter().any(|agent| agent.kind != ActionKind::Continuous) {
+            self.influence.check_for_choices()?;
+            if self.update.rule == Rule::Maddpg {
+                let range = "happo or mappo for a task of choices";
+                return Err(refuse("update.rule", "maddpg", range));
+            }
+        }
         let sizes = |index: usize| {
             let agent = &problem.agents[index];
             (agent.observation, agent.action)
@@ -319,32 +210,6 @@ impl CriticConfig {
         positive("critic.huber_delta", self.huber_delta)?;
         within("critic.normalizer_beta", self.normalizer_beta, 0.0..1.0, "0 <= beta < 1")?;
         positive("critic.max_gradient_norm", self.max_gradient_norm)
-    }
-}
-
-impl SurpriseConfig {
-    fn validate(&self) -> Result<(), MarlError> {
-        not_negative("surprise.alpha", self.alpha)?;
-        positive("surprise.sigma_floor", self.sigma_floor)?;
-        not_negative("surprise.mask_below", self.mask_below)
-    }
-}
-
-impl InfluenceConfig {
-    fn validate(&self) -> Result<(), MarlError> {
-        not_negative("influence.lambda", self.lambda)?;
-        positive("influence.kappa", self.kappa)?;
-        count("influence.encoder", self.encoder)?;
-        count("influence.hidden", self.hidden)?;
-        count("influence.epochs", self.epochs)?;
-        positive("influence.learning_rate", self.learning_rate)?;
-        count("influence.minibatches", self.minibatches)?;
-        positive("influence.sigma_floor", self.sigma_floor)?;
-        if self.holdout_every < 2 {
-            let range = "at least 2: with 1 no environment would be left to train on";
-            return Err(refuse("influence.holdout_every", self.holdout_every, range));
-        }
-        Ok(())
     }
 }
 

@@ -6,9 +6,50 @@
 //! converges to the behaviour policy, and `KL[q || p]` rewards a policy for moving away from it, up
 //! to the cap. `mutual_information` on held-out environments says how near to 0 the estimate is.
 
+pub mod count;
+pub mod divergence;
 pub mod posterior;
 
-use crate::gaussian::kl_divergence;
+use crate::config::{Divergence, Estimator, InfluenceConfig};
+use divergence::divergence;
+
+/// How one row of the influence term is computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Term {
+    /// What it estimates mutual information by.
+    pub estimator: Estimator,
+    /// The divergence in it.
+    pub divergence: Divergence,
+    /// Cap of a divergence that is climbed, nats per action dimension.
+    pub kappa: f64,
+}
+
+impl Term {
+    /// The term that `config` asks for.
+    #[must_use]
+    pub fn of(config: &InfluenceConfig) -> Self {
+        let InfluenceConfig { estimator, divergence, kappa, .. } = *config;
+        Self { estimator, divergence, kappa }
+    }
+
+    /// One row of the term, nats, and its slope by the divergence: Eq. (8)'s capped divergence, or
+    /// Barber and Agakov's `E_p[log q + H[p]] = -KL[p || q]`. The latter is a lower bound of the
+    /// information and needs no cap: it is at most 0, and highest where the policy is the posterior.
+    /// `q` and `p` are `(mean, sigma)`, all `[act]`.
+    ///
+    /// # Panics
+    /// For counting, which has no gradient: the configuration refuses it for continuous actions.
+    #[must_use]
+    pub fn row(&self, q: (&[f64], &[f64]), p: (&[f64], &[f64])) -> (f64, f64) {
+        match self.estimator {
+            Estimator::VariationalKl => capped_divergence(self.divergence, q, p, self.kappa),
+            Estimator::BarberAgakov => (-divergence(self.divergence, q, p), -1.0),
+            Estimator::Count => {
+                unreachable!("the configuration refuses to count continuous actions")
+            }
+        }
+    }
+}
 
 /// Eq. (5): `J~ = J + lambda I`, an objective with the influence term; nats and reward as they come.
 #[must_use]
@@ -28,11 +69,17 @@ pub fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Opti
 }
 
 /// Eq. (8): one row of the influence term, `min(KL[q_xi(. | a^-i, s) || p(. | s)], kappa act)`, nats,
-/// and its slope by the divergence (0 at the cap). Without the cap the divergence has no upper end.
-/// `q` and `p` are `(mean, sigma)`, all `[act]`.
+/// and its slope by the divergence (0 at the cap), with `kind` for the divergence's kind: the paper's
+/// is `KlQp`. Without the cap the divergence has no upper end. `q` and `p` are `(mean, sigma)`, all
+/// `[act]`.
 #[must_use]
-pub fn capped_divergence(q: (&[f64], &[f64]), p: (&[f64], &[f64]), kappa: f64) -> (f64, f64) {
-    let divergence = kl_divergence(q, p);
+pub fn capped_divergence(
+    kind: Divergence,
+    q: (&[f64], &[f64]),
+    p: (&[f64], &[f64]),
+    kappa: f64,
+) -> (f64, f64) {
+    let divergence = divergence(kind, q, p);
     let cap = kappa * p.1.len() as f64;
     // Written so that a divergence that is no number stays one, and is noticed.
     if divergence >= cap { (cap, 0.0) } else { (divergence, 1.0) }
@@ -47,8 +94,17 @@ mod tests {
         let p: (&[f64], &[f64]) = (&[0.0, 0.0], &[0.5, 0.5]);
         let near: (&[f64], &[f64]) = (&[0.5, 0.0], &[0.5, 0.5]); // KL = 1/2
         let far: (&[f64], &[f64]) = (&[5.0, 0.0], &[0.5, 0.5]); // KL = 50
-        assert_eq!(capped_divergence(near, p, 1.0), (0.5, 1.0));
-        assert_eq!(capped_divergence(far, p, 1.0), (2.0, 0.0));
+        assert_eq!(capped_divergence(Divergence::KlQp, near, p, 1.0), (0.5, 1.0));
+        assert_eq!(capped_divergence(Divergence::KlQp, far, p, 1.0), (2.0, 0.0));
+    }
+
+    #[test]
+    fn barber_and_agakovs_bound_is_highest_where_the_policy_is_the_posterior() {
+        let (estimator, divergence) = (Estimator::BarberAgakov, Divergence::KlPq);
+        let term = Term { estimator, divergence, kappa: 1.0 };
+        let p: (&[f64], &[f64]) = (&[0.0, 0.0], &[0.5, 0.5]);
+        assert_eq!(term.row(p, p), (0.0, -1.0));
+        assert_eq!(term.row((&[5.0, 0.0], &[0.5, 0.5]), p), (-50.0, -1.0));
     }
 
     #[test]

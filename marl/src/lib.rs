@@ -9,6 +9,7 @@ pub mod actor_loss;
 pub mod advantage;
 pub mod algorithm;
 pub mod batch;
+pub mod categorical;
 pub mod config;
 pub mod critic;
 pub mod density;
@@ -16,6 +17,7 @@ pub mod error;
 pub mod gaussian;
 pub mod gradient;
 pub mod happo;
+pub mod head_rows;
 pub mod influence;
 mod layers;
 pub mod maddpg;
@@ -30,7 +32,7 @@ pub mod surrogate;
 pub mod value_normalizer;
 
 pub use algorithm::{Algorithm, Report, build};
-pub use batch::{AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
+pub use batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use config::{
     Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,
 };

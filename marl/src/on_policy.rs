@@ -3,12 +3,14 @@
 
 pub(crate) mod agent;
 pub(crate) mod ascent;
+mod joint;
 
 use std::sync::Arc;
 
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot, RunSeed};
+use policy::{ActorPolicy, Head, NamedArrays, PolicyConfig, PolicySnapshot, RunSeed};
 use rayon::prelude::*;
 
+use crate::actor_loss::Figures;
 use crate::advantage::{Horizon, advantage};
 use crate::algorithm::{Report, refuse_strange};
 use crate::batch::{Batch, Problem, Rewards};
@@ -164,19 +166,28 @@ pub(crate) fn agent_report(
     index: usize,
     trained: &Trained,
 ) -> Result<Report, MarlError> {
-    let policy = agent.policy()?;
-    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
     let figures = &trained.figures;
     let named = [
         ("policy_loss", figures.policy_loss),
         ("approx_kl", figures.approx_kl),
         ("clip_fraction", figures.clip_fraction),
-        ("entropy", gaussian::entropy(&sigma)),
-        ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
         ("gradient_norm", trained.gradient_norm),
         ("skipped_steps", trained.skipped as f64),
         ("influence_kl", figures.influence),
         ("influence_capped", figures.capped_fraction),
     ];
-    Ok(named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
+    let named = named.into_iter().chain(spread(&agent.policy()?, figures));
+    Ok(named.map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
+}
+
+/// How widely the policy draws: a Gaussian after the update, choices on average over it.
+fn spread(policy: &ActorPolicy, figures: &Figures) -> Vec<(&'static str, f64)> {
+    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
+    match policy.head() {
+        Head::Categorical { .. } => vec![("entropy", figures.entropy)],
+        Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => vec![
+            ("entropy", gaussian::entropy(&sigma)),
+            ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
+        ],
+    }
 }

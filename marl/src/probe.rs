@@ -4,7 +4,7 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{CoreKind, PolicyConfig, arrays};
 
 use crate::algorithm::build;
-use crate::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
+use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
     Config, Constant, CriticConfig, CriticMode, DensityKind, Divergence, Estimator, Fit,
     InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Sharing, Space, SurpriseConfig,
@@ -29,22 +29,26 @@ pub fn probe() -> [u8; 32] {
 }
 
 fn updated_weights() -> Result<[u8; 32], MarlError> {
-    let shape = AgentShape {
-        observation: OBSERVATION,
-        action: ACTION,
-        action_range: (-1.0, 1.0),
-        surprise_features: (0..STATE).collect(),
-    };
-    let problem = Problem { agents: vec![shape.clone(), shape], state: STATE };
-    let (config, batch) = (config(), batch());
-    let mut surprise = Surprise::new(&config.surprise, &problem);
-    surprise.refit(&batch);
+    let (problem, config, batch) = (problem(), config(), batch());
+    let mut surprise = Surprise::new(&config.surprise, &problem, RunSeed(0))?;
+    surprise.refit(&batch, 0)?;
     let mut algorithm = build(&config, &policy(), &problem, RunSeed(0))?;
     algorithm.update(&batch, &surprise.relabel(&batch), 0)?;
     Ok(arrays::sha256(&algorithm.arrays()?))
 }
 
-fn batch() -> Batch {
+pub(crate) fn problem() -> Problem {
+    let shape = AgentShape {
+        observation: OBSERVATION,
+        action: ACTION,
+        action_range: (-1.0, 1.0),
+        kind: ActionKind::Continuous,
+        surprise_features: (0..STATE).collect(),
+    };
+    Problem { agents: vec![shape.clone(), shape], state: STATE }
+}
+
+pub(crate) fn batch() -> Batch {
     let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe).step(2));
     let rows = STEPS * ENVIRONMENTS;
     let mut normals =
@@ -75,7 +79,7 @@ fn batch() -> Batch {
     }
 }
 
-fn policy() -> PolicyConfig {
+pub(crate) fn policy() -> PolicyConfig {
     PolicyConfig {
         core: CoreKind::Gru,
         encoder: 64,
@@ -90,7 +94,7 @@ fn policy() -> PolicyConfig {
     }
 }
 
-fn config() -> Config {
+pub(crate) fn config() -> Config {
     Config {
         update: update(),
         critic: critic(),
@@ -132,16 +136,28 @@ fn critic() -> CriticConfig {
     }
 }
 
-fn surprise() -> SurpriseConfig {
+pub(crate) fn surprise() -> SurpriseConfig {
     SurpriseConfig {
         alpha: 0.01,
         density: DensityKind::DiagonalGaussian,
         fit: Fit::Current,
+        ema_memory: 0.9,
         space: Space::PolicyObs,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
+        clip: 0.0,
         sigma_floor: 0.01,
         mask_below: 1e-4,
+        components: 3,
+        em_steps: 20,
+        vae_hidden: 16,
+        vae_latent: 2,
+        vae_epochs: 5,
+        vae_minibatches: 4,
+        vae_learning_rate: 1e-2,
+        embedding: 4,
+        neighbours: 3,
+        references: 256,
     }
 }
 

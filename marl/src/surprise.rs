@@ -3,15 +3,18 @@
 //! If all agents see the same signal features (the tasks' `full_id` observations), all densities and
 //! hence all rewards are equal; surprise is individual only where observations are.
 
-use libm::sqrt;
+mod agent;
+
 use policy::arrays::NamedArrays;
+use policy::randomness::RunSeed;
 use rayon::prelude::*;
 
 use crate::algorithm::Report;
 use crate::batch::{Batch, Problem, Rewards};
-use crate::config::{Constant, SurpriseConfig};
-use crate::density::{self, Density};
+use crate::config::SurpriseConfig;
+use crate::density::{self, Observations, Occasion};
 use crate::error::MarlError;
+use crate::surprise::agent::{AgentSurprise, Rule};
 
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`, the right-hand side per step: minus the mean
 /// log-density of the visited rows, `[R]`, nats. It bounds the entropy of what was visited and meets
@@ -29,65 +32,74 @@ pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
 
 /// One density per agent and the weight of its log-density in the agent's reward.
 pub struct Surprise {
-    alpha: f64,
-    constant: Constant,
+    seed: RunSeed,
+    rule: Rule,
     agents: Vec<AgentSurprise>,
 }
 
-struct AgentSurprise {
-    density: Box<dyn Density>,
-    /// Bound of the observations' entropy, mean bonus and its deviation at the last fit.
-    at_fit: (f64, f64, f64),
-}
-
 impl Surprise {
-    /// Unfitted densities, one per agent; before the first [`Surprise::refit`] they give no bonus.
-    #[must_use]
-    pub fn new(config: &SurpriseConfig, problem: &Problem) -> Self {
-        let agent = |shape: &crate::batch::AgentShape| AgentSurprise {
-            density: density::build(config, &shape.surprise_features),
-            at_fit: (0.0, 0.0, 0.0),
+    /// Unfitted densities, one per agent, whatever they draw drawn with `seed`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn new(
+        config: &SurpriseConfig,
+        problem: &Problem,
+        seed: RunSeed,
+    ) -> Result<Self, MarlError> {
+        let agent = |(index, shape): (usize, &crate::batch::AgentShape)| {
+            let signal = &shape.surprise_features;
+            Ok(AgentSurprise::new(density::build(config, signal, (seed, index as u32))?))
         };
-        let agents = problem.agents.iter().map(agent).collect();
-        Self { alpha: config.alpha, constant: config.constant, agents }
+        let agents = problem.agents.iter().enumerate().map(agent);
+        let agents = agents.collect::<Result<_, MarlError>>()?;
+        Ok(Self { seed, rule: Rule::of(config), agents })
     }
 
-    /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)`, for every agent.
-    pub fn refit(&mut self, batch: &Batch) {
-        let (rows, alpha, constant) = (batch.rows(), self.alpha, self.constant);
-        self.agents.par_iter_mut().zip(&batch.agents).for_each(|(agent, data)| {
+    /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)`, for every agent, and the scores of `D_k`
+    /// under `theta_k`, or under whatever `surprise.fit` says.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn refit(&mut self, batch: &Batch, iteration: u64) -> Result<(), MarlError> {
+        let (rows, rule, seed) = (batch.rows(), self.rule, self.seed);
+        let agents = self.agents.par_iter_mut().zip(&batch.agents).enumerate();
+        agents.try_for_each(|(index, (agent, data))| {
             let width = data.observation.len() / rows;
-            agent.density.fit(&data.observation, width);
-            let log_prob = log_probs(agent.density.as_ref(), &data.observation, width);
-            let bound = entropy_bound(&log_prob);
-            let square = |l: &f64| (l + bound) * (l + bound);
-            let variance = log_prob.iter().map(square).sum::<f64>() / rows as f64;
-            let bonus = alpha * (agent.density.offset(constant) - bound);
-            agent.at_fit = (bound, bonus, alpha * sqrt(variance));
-        });
+            let observations = Observations { data: &data.observation, width };
+            let occasion = Occasion { seed, iteration, agent: index as u32, memory: 0.0 };
+            agent.refit(observations, occasion, rule)
+        })
     }
 
     /// Eq. (9): `r~(s_t, o_t^i) = r(s_t) + alpha log p_theta^i(o_t^i)`, per agent `[T, B]`. It scores
     /// the observation before the step, so that a terminal observation is never scored.
+    ///
+    /// # Panics
+    /// If `batch` is not the one that the last [`Surprise::refit`] has scored.
     #[must_use]
     pub fn relabel(&self, batch: &Batch) -> Rewards {
-        let agent = |(agent, data): (&AgentSurprise, &crate::batch::AgentBatch)| {
-            let width = data.observation.len() / batch.rows();
-            let offset = agent.density.offset(self.constant);
-            let bonus = log_probs(agent.density.as_ref(), &data.observation, width);
-            let reward = batch.reward.iter().zip(bonus).map(|(&reward, log_prob)| {
-                reward_with_surprise(f64::from(reward), self.alpha, log_prob + offset) as f32
+        let agent = |agent: &AgentSurprise| {
+            let scores = agent.scores();
+            assert_eq!(scores.len(), batch.rows(), "relabel is for the batch that was refitted on");
+            let reward = batch.reward.iter().zip(scores).map(|(&reward, &score)| {
+                reward_with_surprise(f64::from(reward), self.rule.alpha, score) as f32
             });
             reward.collect()
         };
-        self.agents.par_iter().zip(&batch.agents).map(agent).collect()
+        self.agents.par_iter().map(agent).collect()
     }
 
     /// The densities as arrays, `density/agent_I.NAME`.
-    #[must_use]
-    pub fn arrays(&self) -> NamedArrays {
-        let agents = self.agents.iter().enumerate();
-        agents.flat_map(|(i, agent)| agent.density.arrays(&prefix(i))).collect()
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = NamedArrays::new();
+        for (index, agent) in self.agents.iter().enumerate() {
+            arrays.append(&mut agent.arrays(&prefix(index))?);
+        }
+        Ok(arrays)
     }
 
     /// Takes over kept densities.
@@ -95,13 +107,13 @@ impl Surprise {
     /// # Errors
     /// Names the array that is missing, unknown, or of another shape or type.
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        let known = self.arrays();
+        let known = self.arrays()?;
         let stored = arrays.keys().filter(|name| name.starts_with("density/"));
         if let Some(name) = stored.into_iter().find(|name| !known.contains_key(*name)) {
             return Err(MarlError::Restore(format!("{name} belongs to no density of this run")));
         }
-        for (i, agent) in self.agents.iter_mut().enumerate() {
-            agent.density.restore(&prefix(i), arrays)?;
+        for (index, agent) in self.agents.iter_mut().enumerate() {
+            agent.restore(&prefix(index), arrays)?;
         }
         Ok(())
     }
@@ -112,8 +124,8 @@ impl Surprise {
     pub fn report(&self) -> Report {
         let mut report = Report::new();
         for (i, agent) in self.agents.iter().enumerate() {
-            let (bound, mean, deviation) = agent.at_fit;
-            let (counted, masked) = agent.density.features();
+            let (bound, mean, deviation) = agent.at_fit();
+            let (counted, masked) = agent.features();
             let mut add = |name: &str, value: f64| report.push((format!("agent{i}/{name}"), value));
             add("surprise_entropy_bound", bound);
             add("surprise_bonus_mean", mean);
@@ -129,39 +141,29 @@ fn prefix(agent: usize) -> String {
     format!("density/agent_{agent}.")
 }
 
-fn log_probs(density: &dyn Density, rows: &[f32], width: usize) -> Vec<f64> {
-    rows.chunks_exact(width).map(|row| density.log_prob(row)).collect()
-}
-
 #[cfg(test)]
 mod tests {
-    use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+    use policy::randomness::{Draw, Purpose, generator, standard_normal};
 
     use super::*;
-    use crate::batch::{AgentBatch, AgentShape};
-    use crate::config::{DensityKind, Fit, Reduce, Space};
+    use crate::batch::{ActionKind, AgentBatch, AgentShape};
+    use crate::config::Constant;
     use crate::gaussian::entropy;
 
     const ROWS: usize = 20_000;
 
     fn surprise(alpha: f64, agents: usize) -> Surprise {
-        let config = SurpriseConfig {
-            alpha,
-            density: DensityKind::DiagonalGaussian,
-            fit: Fit::Current,
-            space: Space::PolicyObs,
-            reduce: Reduce::Sum,
-            constant: Constant::Density,
-            sigma_floor: 0.01,
-            mask_below: 1e-4,
-        };
+        let constant = Constant::Density;
+        let config = SurpriseConfig { alpha, constant, ..crate::probe::surprise() };
         let shape = AgentShape {
             observation: 1,
             action: 1,
             action_range: (-1.0, 1.0),
+            kind: ActionKind::Continuous,
             surprise_features: vec![0],
         };
-        Surprise::new(&config, &Problem { agents: vec![shape; agents], state: 1 })
+        let problem = Problem { agents: vec![shape; agents], state: 1 };
+        Surprise::new(&config, &problem, RunSeed(0)).unwrap()
     }
 
     fn batch(observations: Vec<Vec<f32>>) -> Batch {
@@ -173,7 +175,7 @@ mod tests {
 
     fn bound(observation: Vec<f32>) -> f64 {
         let mut surprise = surprise(1.0, 1);
-        surprise.refit(&batch(vec![observation]));
+        surprise.refit(&batch(vec![observation]), 0).unwrap();
         surprise.report()[0].1
     }
 
@@ -191,8 +193,8 @@ mod tests {
     fn after_a_refit_the_bound_is_the_lowest_that_the_rows_allow() {
         let (here, there) = (vec![0.0, 1.0, 2.0, 3.0], vec![10.0, 11.0, 12.0, 13.5]);
         let mut surprise = surprise(1.0, 1);
-        surprise.refit(&batch(vec![there]));
-        let stale = log_probs(surprise.agents[0].density.as_ref(), &here, 1);
+        surprise.refit(&batch(vec![there]), 0).unwrap();
+        let stale = surprise.agents[0].log_prob(&here);
         assert!(bound(here) < entropy_bound(&stale));
     }
 
@@ -205,7 +207,7 @@ mod tests {
     fn every_agent_is_paid_by_the_density_of_its_own_observation() {
         let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
         let mut surprise = surprise(0.1, 2);
-        surprise.refit(&batch);
+        surprise.refit(&batch, 0).unwrap();
         let rewards = surprise.relabel(&batch);
         // Means 2 and 6, variances 8/3 and 2.
         let by_hand = |x: f64, mean: f64, variance: f64| {
@@ -227,7 +229,7 @@ mod tests {
         let seen = vec![0.5, -2.0, 4.0];
         let batch = batch(vec![seen.clone(), seen]);
         let mut surprise = surprise(0.1, 2);
-        surprise.refit(&batch);
+        surprise.refit(&batch, 0).unwrap();
         let rewards = surprise.relabel(&batch);
         assert_eq!(rewards[0], rewards[1]);
     }
@@ -236,7 +238,7 @@ mod tests {
     fn without_a_weight_the_reward_is_the_teams() {
         let batch = batch(vec![vec![0.5, -2.0, 4.0]]);
         let mut surprise = surprise(0.0, 1);
-        surprise.refit(&batch);
+        surprise.refit(&batch, 0).unwrap();
         assert_eq!(surprise.relabel(&batch)[0], batch.reward);
     }
 }

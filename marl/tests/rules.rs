@@ -6,8 +6,8 @@ use marl::config::{
     Sharing, Space,
 };
 use marl::{
-    AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final, InfluenceConfig,
-    MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
+    ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
+    InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{
     CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch, generator,
@@ -53,16 +53,7 @@ fn config(rule: Rule, parameters: Sharing) -> Config {
             normalizer_beta: 0.99,
             max_gradient_norm: 10.0,
         },
-        surprise: SurpriseConfig {
-            alpha: 0.0,
-            density: DensityKind::DiagonalGaussian,
-            fit: Fit::Current,
-            space: Space::PolicyObs,
-            reduce: Reduce::Sum,
-            constant: Constant::Paper,
-            sigma_floor: 0.01,
-            mask_below: 1e-4,
-        },
+        surprise: surprise(),
         influence: influence_config(0.0),
         maddpg: MaddpgConfig {
             replay: 2000,
@@ -110,11 +101,37 @@ fn influence_config(lambda: f64) -> InfluenceConfig {
     }
 }
 
+fn surprise() -> SurpriseConfig {
+    SurpriseConfig {
+        alpha: 0.0,
+        density: DensityKind::DiagonalGaussian,
+        fit: Fit::Current,
+        ema_memory: 0.9,
+        space: Space::PolicyObs,
+        reduce: Reduce::Sum,
+        constant: Constant::Paper,
+        clip: 0.0,
+        sigma_floor: 0.01,
+        mask_below: 1e-4,
+        components: 3,
+        em_steps: 20,
+        vae_hidden: 16,
+        vae_latent: 2,
+        vae_epochs: 5,
+        vae_minibatches: 4,
+        vae_learning_rate: 1e-2,
+        embedding: 4,
+        neighbours: 3,
+        references: 256,
+    }
+}
+
 fn problem() -> Problem {
     let shape = AgentShape {
         observation: 3,
         action: 1,
         action_range: (-1.0, 1.0),
+        kind: ActionKind::Continuous,
         surprise_features: vec![0, 1],
     };
     Problem { agents: vec![shape.clone(), shape], state: 2 }

@@ -26,16 +26,18 @@ pub struct ActorSpec {
     layers: usize,
     chunk_steps: usize,
     sigma_scale: f32,
-    head: Head,
+    /// Left out of a Gaussian policy's snapshot, so that its bytes do not depend on which other heads exist.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    head: Option<Head>,
 }
 
 impl ActorSpec {
     pub(crate) fn new(
         config: &PolicyConfig,
-        (observation, action): (usize, usize),
-        head: Head,
-    ) -> Self {
-        Self {
+        observation: usize,
+        (action, head): (usize, Head),
+    ) -> Result<Self, PolicyError> {
+        let spec = Self {
             core: config.core,
             observation,
             action,
@@ -45,8 +47,24 @@ impl ActorSpec {
             layers: config.layers,
             chunk_steps: config.chunk_steps,
             sigma_scale: config.sigma_scale,
-            head,
-        }
+            head: Some(head).filter(|head| *head != Head::Gaussian),
+        };
+        spec.check()?;
+        Ok(spec)
+    }
+
+    fn check(&self) -> Result<(), PolicyError> {
+        self.head().check(self.action)
+    }
+
+    /// What actions are drawn from.
+    #[must_use]
+    pub fn head(&self) -> Head {
+        self.head.unwrap_or(Head::Gaussian)
+    }
+
+    pub(crate) fn outputs(&self) -> usize {
+        self.head().outputs(self.action)
     }
 
     pub(crate) fn feature_size(&self) -> usize {
@@ -61,12 +79,6 @@ impl ActorSpec {
             CoreKind::Gru => self.hidden,
             CoreKind::Mlp => 0,
         }
-    }
-
-    /// What actions are drawn from.
-    #[must_use]
-    pub fn head(&self) -> Head {
-        self.head
     }
 
     pub(crate) fn sigma_scale(&self) -> f64 {
@@ -179,13 +191,14 @@ impl Trunk {
 impl ActorPolicy {
     /// A policy of this shape with these weights (PyTorch's names, `[out, in]`).
     pub(crate) fn new(spec: ActorSpec, arrays: NamedArrays) -> Result<Self, PolicyError> {
-        spec.head.check()?;
+        spec.check()?;
         let mut reader = Reader { arrays: &arrays, used: 0 };
         let trunk = reader.trunk(&spec)?;
-        let head = reader.dense("head", spec.feature_size(), spec.action)?;
-        let sigma = match spec.head.fixed_sigma() {
-            Some(sigma) => vec![sigma; spec.action],
-            None => {
+        let head = reader.dense("head", spec.feature_size(), spec.outputs())?;
+        let sigma = match (spec.head(), spec.head().fixed_sigma()) {
+            (_, Some(sigma)) => vec![sigma; spec.action],
+            (Head::Categorical { .. }, None) => Vec::new(),
+            (_, None) => {
                 let log_std = reader.vector("head.log_std", spec.action)?;
                 log_std.iter().map(|&x| sigmoid(x) * spec.sigma_scale).collect()
             }
@@ -215,10 +228,22 @@ impl ActorPolicy {
         self.spec.observation
     }
 
-    /// Number of action dimensions.
+    /// Numbers in an action.
     #[must_use]
     pub fn action_size(&self) -> usize {
         self.spec.action
+    }
+
+    /// The kind of its action distribution.
+    #[must_use]
+    pub fn head(&self) -> Head {
+        self.spec.head()
+    }
+
+    /// Numbers that the network gives for an action: means or logits.
+    #[must_use]
+    pub fn output_size(&self) -> usize {
+        self.spec.outputs()
     }
 
     /// Width of the recurrent state, 0 without one.
@@ -233,7 +258,7 @@ impl ActorPolicy {
         self.spec.chunk_steps
     }
 
-    /// Deviations of the action noise, `[act]`.
+    /// Deviations of the action noise, `[act]`; none of a choice.
     #[must_use]
     pub fn sigma(&self) -> &[f32] {
         &self.sigma
@@ -242,48 +267,55 @@ impl ActorPolicy {
     /// The same network, whose actions are now drawn uniformly from the range of its own.
     ///
     /// # Panics
-    /// If the policy is a Gaussian, which has no range.
+    /// If the policy has no range.
     #[must_use]
     pub fn uniform(self) -> Self {
-        let (Head::Deterministic { low, high, .. } | Head::Uniform { low, high }) = self.spec.head
+        let (Head::Deterministic { low, high, .. } | Head::Uniform { low, high }) = self.head()
         else {
-            panic!("{:?} has no range to draw from", self.spec.head)
+            panic!("{:?} has no range to draw from", self.head())
         };
         let head = Head::Uniform { low, high };
         let sigma = vec![head.fixed_sigma().expect("not learnt"); self.spec.action];
-        Self { spec: ActorSpec { head, ..self.spec }, sigma, ..self }
+        Self { spec: ActorSpec { head: Some(head), ..self.spec }, sigma, ..self }
     }
 
-    /// An action `[act]` drawn around one row's mean action.
-    pub fn draw(&self, mean: &[f32], rng: &mut impl RngCore, action: &mut [f32]) {
-        self.spec.head.draw(mean, &self.sigma, rng, action);
+    /// An action `[act]` drawn from one row's output `[out]`.
+    pub fn draw(&self, output: &[f32], rng: &mut impl RngCore, action: &mut [f32]) {
+        self.head().draw(output, &self.sigma, rng, action);
     }
 
-    /// Log-density of one row's action `[act]` given its mean action, nats.
+    /// The action `[act]` that evaluation takes: the mean, or the likeliest choice.
+    pub fn settle(&self, output: &[f32], action: &mut [f32]) {
+        self.head().settle(output, action);
+    }
+
+    /// Log-probability of an action `[act]` under one row's output `[out]`, nats. The index of a choice has
+    /// been validated.
     #[must_use]
-    pub fn log_prob(&self, mean: &[f32], action: &[f32]) -> f32 {
-        self.spec.head.log_prob(mean, &self.sigma, action)
+    pub fn log_prob(&self, output: &[f32], action: &[f32]) -> f32 {
+        self.head().log_prob(output, &self.sigma, action)
     }
 
-    /// Mean actions `[rows, act]` for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
+    /// Outputs `[rows, out]`, means or logits, for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
     /// step.
     pub fn forward(
         &self,
         rows: usize,
         observation: &[f32],
         hidden: &mut [f32],
-        mean: &mut [f32],
+        output: &mut [f32],
         scratch: &mut Scratch,
     ) {
-        let (width, state, action) = (self.spec.observation, self.hidden_size(), self.spec.action);
+        let (width, state, outputs) =
+            (self.spec.observation, self.hidden_size(), self.spec.outputs());
         for row in 0..rows {
             let observation = &observation[row * width..(row + 1) * width];
             let state = &mut hidden[row * state..(row + 1) * state];
             self.trunk.features(observation, state, scratch);
-            let mean = &mut mean[row * action..(row + 1) * action];
-            mean.copy_from_slice(&self.head.bias);
-            self.head.add(&scratch.normal, mean);
-            self.spec.head.squash(mean);
+            let output = &mut output[row * outputs..(row + 1) * outputs];
+            output.copy_from_slice(&self.head.bias);
+            self.head.add(&scratch.normal, output);
+            self.head().squash(output);
         }
     }
 }

@@ -1,10 +1,12 @@
-//! How an actor turns its network's output into an action: what a snapshot says about acting.
+//! How an actor turns its network's output into an action: what a snapshot says about acting, and the kind of
+//! distribution that is trained.
 
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
+use crate::categorical::{self, Categorical};
 use crate::error::PolicyError;
-use crate::gaussian;
+use crate::gaussian::{self, Gaussian};
 use crate::math::tanh;
 use crate::randomness::{standard_normal, uniform};
 
@@ -14,6 +16,11 @@ use crate::randomness::{standard_normal, uniform};
 pub enum Head {
     /// A Gaussian around the network's output with learnt deviations; never clamped.
     Gaussian,
+    /// One number, the index of a choice.
+    Categorical {
+        /// `K`, number of choices.
+        choices: usize,
+    },
     /// The network's output through tanh, spread over the range; explored with Gaussian noise and
     /// clamped to the range. Its density is that of the noise before the clamp.
     Deterministic {
@@ -40,7 +47,7 @@ impl Head {
     #[must_use]
     pub(crate) fn scale(self) -> Option<(f32, f32)> {
         match self {
-            Self::Gaussian => None,
+            Self::Gaussian | Self::Categorical { .. } => None,
             Self::Deterministic { low, high, .. } | Self::Uniform { low, high } => {
                 Some((0.5 * (high - low), 0.5 * (high + low)))
             }
@@ -51,17 +58,27 @@ impl Head {
     #[must_use]
     pub(crate) fn fixed_sigma(self) -> Option<f32> {
         match self {
-            Self::Gaussian => None,
+            Self::Gaussian | Self::Categorical { .. } => None,
             Self::Deterministic { noise_sigma, .. } => Some(noise_sigma),
             Self::Uniform { low, high } => Some((high - low) / 12.0_f32.sqrt()),
         }
     }
 
-    /// Refuses a range or a deviation that no action can be drawn from.
-    pub(crate) fn check(self) -> Result<(), PolicyError> {
+    /// Numbers that the network gives for an action of `action` numbers: means or logits.
+    #[must_use]
+    pub fn outputs(self, action: usize) -> usize {
+        match self {
+            Self::Categorical { choices } => choices,
+            _ => action,
+        }
+    }
+
+    /// Refuses a range, a deviation or a number of choices that no action of `action` numbers can be drawn from.
+    pub(crate) fn check(self, action: usize) -> Result<(), PolicyError> {
         let range = |low: f32, high: f32| low < high && low.is_finite() && high.is_finite();
         let holds = match self {
             Self::Gaussian => true,
+            Self::Categorical { choices } => action == 1 && choices > 0,
             Self::Deterministic { noise_sigma, low, high } => {
                 range(low, high) && noise_sigma > 0.0 && noise_sigma.is_finite()
             }
@@ -69,7 +86,9 @@ impl Head {
         };
         match holds {
             true => Ok(()),
-            false => Err(PolicyError::Snapshot(format!("no action can be drawn from {self:?}"))),
+            false => Err(PolicyError::Snapshot(format!(
+                "no action of {action} numbers can be drawn from {self:?}"
+            ))),
         }
     }
 
@@ -80,32 +99,56 @@ impl Head {
         }
     }
 
-    /// An action `[act]` around `mean`.
+    /// An action `[act]` drawn from one row's output `[out]`: around the mean, evenly, or a choice.
     pub(crate) fn draw(
         self,
-        mean: &[f32],
+        output: &[f32],
         sigma: &[f32],
         rng: &mut impl RngCore,
         action: &mut [f32],
     ) {
-        for ((action, mean), sigma) in action.iter_mut().zip(mean).zip(sigma) {
+        if let Self::Categorical { .. } = self {
+            action[0] = categorical::draw(output, rng) as f32;
+            return;
+        }
+        for ((action, mean), sigma) in action.iter_mut().zip(output).zip(sigma) {
             *action = match self {
-                Self::Gaussian => mean + sigma * standard_normal(rng),
                 Self::Deterministic { low, high, .. } => {
                     (mean + sigma * standard_normal(rng)).clamp(low, high)
                 }
                 Self::Uniform { low, high } => low + (high - low) * uniform(rng),
+                Self::Gaussian | Self::Categorical { .. } => mean + sigma * standard_normal(rng),
             };
         }
     }
 
-    /// Log-density of an action `[act]`, nats.
-    pub(crate) fn log_prob(self, mean: &[f32], sigma: &[f32], action: &[f32]) -> f32 {
+    /// The action that evaluation takes: the mean, or the likeliest choice.
+    pub(crate) fn settle(self, output: &[f32], action: &mut [f32]) {
         match self {
-            Self::Gaussian | Self::Deterministic { .. } => gaussian::log_prob(mean, sigma, action),
+            Self::Categorical { .. } => action[0] = categorical::mode(output) as f32,
+            _ => action.copy_from_slice(output),
+        }
+    }
+
+    /// Log-density or log-probability of an action `[act]`, nats. A choice's index has been validated.
+    pub(crate) fn log_prob(self, output: &[f32], sigma: &[f32], action: &[f32]) -> f32 {
+        match self {
+            Self::Gaussian | Self::Deterministic { .. } => {
+                gaussian::log_prob(output, sigma, action)
+            }
+            Self::Categorical { .. } => categorical::log_prob(output, action[0] as usize),
             Self::Uniform { low, high } => -(action.len() as f32) * libm::logf(high - low),
         }
     }
+}
+
+/// A trainable distribution over `R` rows of actions.
+#[derive(Clone, Debug)]
+pub enum Distribution {
+    /// Real numbers.
+    Gaussian(Gaussian),
+    /// Choices.
+    Categorical(Categorical),
 }
 
 #[cfg(test)]
@@ -161,14 +204,15 @@ mod tests {
     #[test]
     fn a_head_without_a_range_or_without_noise_is_refused() {
         for head in [EXPLORING, WARMING_UP, Head::Gaussian] {
-            assert!(head.check().is_ok());
+            assert!(head.check(1).is_ok());
         }
         for head in [
             Head::Uniform { low: 1.0, high: 1.0 },
             Head::Uniform { low: f32::NAN, high: 1.0 },
             Head::Deterministic { noise_sigma: 0.0, low: -1.0, high: 1.0 },
+            Head::Categorical { choices: 0 },
         ] {
-            assert!(head.check().is_err(), "{head:?}");
+            assert!(head.check(1).is_err(), "{head:?}");
         }
     }
 }

@@ -7,6 +7,7 @@
 
 pub mod acting;
 pub mod arrays;
+pub mod categorical;
 pub mod config;
 pub mod error;
 pub mod gaussian;
@@ -22,10 +23,11 @@ pub mod snapshot;
 
 pub use acting::{ActorPolicy, ActorSpec, Scratch};
 pub use arrays::{Array, NamedArrays};
+pub use categorical::Categorical;
 pub use config::{CoreKind, PolicyConfig};
 pub use error::PolicyError;
 pub use gaussian::Gaussian;
-pub use head::Head;
+pub use head::{Distribution, Head};
 pub use network::{ActorNetwork, SequenceInput};
 pub use parameters::Parameters;
 pub use probe::probe;

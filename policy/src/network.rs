@@ -4,10 +4,11 @@ use candle_core::{DType, Device, Tensor, Var};
 use rand::RngCore;
 
 use crate::acting::{ActorPolicy, ActorSpec};
+use crate::categorical::Categorical;
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
 use crate::gaussian::Gaussian;
-use crate::head::Head;
+use crate::head::{Distribution, Head};
 use crate::initialise::orthogonal;
 use crate::ops::{Activation, gru_sequence, layer_norm, linear, sigmoid};
 use crate::parameters::Parameters;
@@ -143,8 +144,8 @@ impl<R: RngCore> Builder<'_, R> {
 }
 
 impl ActorNetwork {
-    /// A network for `observation` features and `action` dimensions with weights drawn from `rng`,
-    /// whose actions are Gaussian.
+    /// A network for `observation` features and `action` dimensions with a Gaussian head, its weights drawn
+    /// from `rng`.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -155,31 +156,31 @@ impl ActorNetwork {
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
-        Self::with_head(config, (observation, action), Head::Gaussian, dtype, rng)
+        Self::with_head(config, observation, (action, Head::Gaussian), dtype, rng)
     }
 
-    /// As [`ActorNetwork::new`], with another way to act; sizes are `(observation, action)`.
+    /// As [`ActorNetwork::new`], for actions of `action` numbers that `head` gives.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If such actions cannot come from `head`; passes on a tensor error.
     pub fn with_head(
         config: &PolicyConfig,
-        (observation, action): (usize, usize),
-        head: Head,
+        observation: usize,
+        (action, kind): (usize, Head),
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
         let mut builder = Builder { parameters: Parameters::new(), dtype, rng };
         let trunk = builder.trunk(config, observation)?;
-        let spec = ActorSpec::new(config, (observation, action), head);
+        let spec = ActorSpec::new(config, observation, (action, kind))?;
         let gain = f64::from(config.head_gain);
-        let dense = builder.dense("head", spec.feature_size(), action, gain)?;
-        let log_std = match head.fixed_sigma() {
-            Some(_) => None,
-            None => {
+        let dense = builder.dense("head", spec.feature_size(), spec.outputs(), gain)?;
+        let log_std = match kind {
+            Head::Gaussian => {
                 let start = vec![config.initial_log_std; action];
                 Some(builder.parameter("head.log_std", start, &[action])?)
             }
+            Head::Categorical { .. } | Head::Deterministic { .. } | Head::Uniform { .. } => None,
         };
         let sigma_floor = f64::from(config.sigma_floor);
         Ok(Self { spec, sigma_floor, parameters: builder.parameters, trunk, head: dense, log_std })
@@ -226,14 +227,14 @@ impl ActorNetwork {
         }
     }
 
-    /// The policy `p(a | o, h)` from the features `[R, F]`: `sigma = sigmoid(log_std) * sigma_scale`
-    /// where it is learnt; else the squashed mean and the fixed deviation of its exploration.
+    /// The policy `p(a | o, h)` from the features `[R, F]`: logits; or the mean with `sigma = sigmoid(log_std) *
+    /// sigma_scale` where it is learnt, and the squashed mean with the deviation of its exploration where not.
     ///
     /// # Errors
     /// If shapes or element types do not fit.
-    pub fn head(&self, features: &Tensor) -> Result<Gaussian, PolicyError> {
+    pub fn head(&self, features: &Tensor) -> Result<Distribution, PolicyError> {
         let head = self.spec.head();
-        let mean = match head.scale() {
+        let output = match head.scale() {
             None => self.head.apply(features, Activation::Identity)?,
             Some((half, middle)) => self
                 .head
@@ -242,12 +243,15 @@ impl ActorNetwork {
         };
         let sigma = match (&self.log_std, head.fixed_sigma()) {
             (Some(log_std), _) => (sigmoid(log_std.as_tensor())? * self.spec.sigma_scale())?,
-            (None, sigma) => {
-                let sigma = f64::from(sigma.expect("either learnt or fixed"));
-                Tensor::full(sigma, mean.dim(1)?, &Device::Cpu)?.to_dtype(mean.dtype())?
+            (None, Some(sigma)) => {
+                let size = output.dim(1)?;
+                Tensor::full(f64::from(sigma), size, &Device::Cpu)?.to_dtype(output.dtype())?
+            }
+            (None, None) => {
+                return Ok(Distribution::Categorical(Categorical { logits: output }));
             }
         };
-        Ok(Gaussian { mean, sigma })
+        Ok(Distribution::Gaussian(Gaussian { mean: output, sigma }))
     }
 
     /// Brings the parameters back to where sigma is at least its floor; to be called after every

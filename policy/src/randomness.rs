@@ -38,6 +38,12 @@ pub enum Purpose {
     Probe = 12,
     /// Transitions taken out of a replay to learn from.
     Replay = 13,
+    /// Initial weights of a density.
+    DensityInitialisation = 20,
+    /// Order of a density's minibatches.
+    DensityMinibatch = 21,
+    /// Latent noise of a density, at its fit and where it is asked.
+    DensityNoise = 22,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.

@@ -3,7 +3,10 @@
 
 use candle_core::{DType, Device, Tensor};
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
-use policy::{ActorNetwork, ActorPolicy, CoreKind, PolicyConfig, Scratch, SequenceInput, gaussian};
+use policy::{
+    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, PolicyConfig, Scratch,
+    SequenceInput, gaussian,
+};
 
 const OBSERVATION: usize = 23;
 const ACTION: usize = 2;
@@ -31,6 +34,14 @@ fn network(core: CoreKind) -> ActorNetwork {
 fn normals(seed: u64, count: usize) -> Vec<f32> {
     let mut rng = generator(RunSeed(seed), Draw::of(Purpose::Probe));
     (0..count).map(|_| standard_normal(&mut rng)).collect()
+}
+
+/// The Gaussian that a network with a Gaussian head gives.
+fn gaussian_of(network: &ActorNetwork, input: &SequenceInput) -> Gaussian {
+    match network.head(&network.features(input).unwrap()).unwrap() {
+        Distribution::Gaussian(gaussian) => gaussian,
+        Distribution::Categorical(_) => panic!("a categorical head"),
+    }
 }
 
 /// Steps `policy` through `[T, B, obs]`, resetting where the mask is 0: means `[T, B, act]`.
@@ -71,7 +82,7 @@ fn acting_step_by_step_gives_the_log_probs_of_the_training_network() {
             hidden,
             mask: tensor(&mask, (steps, sequences)),
         };
-        let trained = network.head(&network.features(&input).unwrap()).unwrap();
+        let trained = gaussian_of(&network, &input);
         let (mean, sigma) = (
             trained.mean.flatten_all().unwrap().to_vec1::<f32>().unwrap(),
             trained.sigma.to_vec1::<f32>().unwrap(),
@@ -128,7 +139,7 @@ fn every_parameter_has_a_gradient() {
                 .unwrap(),
             mask: Tensor::ones((4, 3), DType::F32, &Device::Cpu).unwrap(),
         };
-        let head = network.head(&network.features(&input).unwrap()).unwrap();
+        let head = gaussian_of(&network, &input);
         let loss = (head.mean.sqr().unwrap().sum_all().unwrap()
             + head.sigma.log().unwrap().sum_all().unwrap())
         .unwrap();

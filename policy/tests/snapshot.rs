@@ -58,7 +58,7 @@ fn the_snapshot_says_how_to_act_and_a_deterministic_actor_has_no_deviations_to_l
     let head = Head::Deterministic { noise_sigma: 0.1, low: -1.0, high: 3.0 };
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
     let config = PolicyConfig { core: CoreKind::Mlp, ..config() };
-    let network = ActorNetwork::with_head(&config, (5, 2), head, DType::F32, &mut rng).unwrap();
+    let network = ActorNetwork::with_head(&config, 5, (2, head), DType::F32, &mut rng).unwrap();
     let exploring = network.policy().unwrap();
     let warming_up = exploring.clone().uniform();
     assert!(!exploring.arrays().contains_key("head.log_std"));

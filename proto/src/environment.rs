@@ -5,6 +5,9 @@ use std::fmt::{Debug, Display};
 use crate::read::required;
 use crate::{Reason, Refusal, wire};
 
+/// Most choices of a discrete action.
+const MOST_CHOICES: u32 = 1 << 16;
+
 /// Everything that the two sides must agree on about the environment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentSpec {
@@ -39,7 +42,7 @@ pub struct AgentSpec {
     pub action: ActionSpec,
 }
 
-/// An agent's continuous action, `[size]`, which the world clamps to `low..=high`.
+/// An agent's action, `[size]`: continuous, which the world clamps to `low..=high`, or one choice.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActionSpec {
     /// Number of dimensions.
@@ -48,6 +51,9 @@ pub struct ActionSpec {
     pub low: f32,
     /// Largest value that has an effect.
     pub high: f32,
+    /// Of a discrete action the number of choices: the action is one number, a choice's index. `None`:
+    /// continuous.
+    pub choices: Option<u32>,
 }
 
 /// One number of an observation or state.
@@ -136,12 +142,13 @@ impl EnvironmentSpec {
 
 impl AgentSpec {
     fn to_wire(&self) -> wire::AgentSpec {
-        let ActionSpec { size, low, high } = self.action;
+        let ActionSpec { size, low, high, choices } = self.action;
+        let choices = choices.unwrap_or(0);
         wire::AgentSpec {
             name: self.name.clone(),
             joints: self.joints.clone(),
             observation: self.observation.iter().map(FeatureSpec::to_wire).collect(),
-            action: Some(wire::ActionSpec { size, low, high }),
+            action: Some(wire::ActionSpec { size, low, high, choices }),
         }
     }
 
@@ -151,8 +158,28 @@ impl AgentSpec {
             name: wire.name,
             joints: wire.joints,
             observation: features(wire.observation, &format!("{field}.observation"))?,
-            action: ActionSpec { size: action.size, low: action.low, high: action.high },
+            action: ActionSpec::from_wire(action),
         })
+    }
+}
+
+impl ActionSpec {
+    fn from_wire(wire: wire::ActionSpec) -> Self {
+        let choices = Some(wire.choices).filter(|choices| *choices > 0);
+        Self { size: wire.size, low: wire.low, high: wire.high, choices }
+    }
+
+    /// What is wrong with it, if anything: a choice is one number, and every index exact as an f32.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        match self.choices {
+            Some(choices) if self.size != 1 => {
+                Err(format!("{choices} choices with size {}, a choice has size 1", self.size))
+            }
+            Some(choices) if choices > MOST_CHOICES => {
+                Err(format!("{choices} choices, at most {MOST_CHOICES} are allowed"))
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -203,6 +230,7 @@ fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<Difference> {
         .or_else(|| differ("action.size", &act.size, &right.size))
         .or_else(|| differ("action.low", &act.low, &right.low))
         .or_else(|| differ("action.high", &act.high, &right.high))
+        .or_else(|| differ("action.choices", &act.choices, &right.choices))
 }
 
 fn feature(found: &FeatureSpec, expected: &FeatureSpec) -> Option<Difference> {

@@ -56,6 +56,9 @@ impl RunDescription {
     pub fn validate(&self) -> Result<(), Refusal> {
         let agents = self.environment.agents.len();
         positive(agents as u64, "run.environment.agents")?;
+        for (i, agent) in self.environment.agents.iter().enumerate() {
+            hold(agent.action.check(), &format!("run.environment.agents[{i}].action.choices"))?;
+        }
         positive(self.environment.max_state_bytes.into(), "run.environment.max_state_bytes")?;
         positive(self.environment.episode_steps.into(), "run.environment.episode_steps")?;
         seconds(self.environment.dt_secs, "run.environment.dt_secs")?;

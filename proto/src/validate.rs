@@ -1,6 +1,6 @@
 //! The one place where pushed results are checked, in a fixed order: counters, then types, shapes and
 //! lengths of every tensor, then the digest; only then is anything allocated and are values looked at:
-//! finite, flags consistent, final steps and end states exactly where they must be. Past this point
+//! finite, choices among those there are, flags consistent, final steps and end states exactly where they must be. Past this point
 //! nobody checks again.
 
 use crate::read::{equal, hold, length, required};
@@ -28,6 +28,7 @@ impl TrajectoryChunk {
         let shaped = Shaped::check(wire, &sizes, last)?;
         same_digest(digest::of_chunk(wire), claimed)?;
         let chunk = shaped.decode(wire)?;
+        check_choices(&chunk, run)?;
         check_flags(&chunk, sizes.environments)?;
         check_finals(&chunk, &sizes, last)?;
         Ok(chunk)
@@ -249,6 +250,24 @@ impl<'a> ShapedEnd<'a> {
             recurrent: self.recurrent.iter().map(Floats::decode).collect::<Result<_, _>>()?,
         })
     }
+}
+
+/// Every number of a discrete action is the index of one of its choices.
+fn check_choices(chunk: &TrajectoryChunk, run: &RunDescription) -> Result<(), Refusal> {
+    for (i, (rows, agent)) in chunk.agents.iter().zip(&run.environment.agents).enumerate() {
+        let Some(choices) = agent.action.choices else { continue };
+        let is_choice = |a: &f32| *a >= 0.0 && *a < choices as f32 && a.fract() == 0.0;
+        if let Some(at) = rows.action.iter().position(|a| !is_choice(a)) {
+            let detail =
+                format!("element {at} is {}, a choice is 0 to {}", rows.action[at], choices - 1);
+            return Err(Refusal::new(
+                Reason::BadValue,
+                format!("chunk.agents[{i}].action"),
+                detail,
+            ));
+        }
+    }
+    Ok(())
 }
 
 fn check_flags(chunk: &TrajectoryChunk, environments: usize) -> Result<(), Refusal> {

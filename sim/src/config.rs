@@ -22,6 +22,12 @@ pub struct ObservationConfig {
     pub mode: ObservationMode,
     /// How the features are scaled.
     pub norm: ObservationNorm,
+    /// How far an agent sees in `k_nearest`: 0 its own joints, 1 their neighbours' angles too, and so on.
+    pub nearest: usize,
+    /// Whether an agent in `k_nearest` also sees how the root stands and moves.
+    pub globals: RootView,
+    /// Whether contact forces are observed, where the task knows them.
+    pub contact_forces: ContactForces,
 }
 
 /// Which features an agent sees.
@@ -30,6 +36,30 @@ pub struct ObservationConfig {
 pub enum ObservationMode {
     /// The global state and the agent's one-hot number, as the published results had it.
     FullId,
+    /// The agent's own joints, what touches them, and joints near them: local views, all of one length.
+    KNearest,
+}
+
+/// Whether an agent that sees only its own surroundings also sees the root.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RootView {
+    /// Height, orientation and velocities of the root, as in Gymnasium-Robotics.
+    Shown,
+    /// Joints alone, as in Multi-Agent MuJoCo.
+    Hidden,
+}
+
+/// Whether contact forces are observed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ContactForces {
+    /// No such features.
+    Absent,
+    /// The features are there and always zero, as in the published runs.
+    Zeros,
+    /// From the contacts' impulses in the last physics step; they then cost reward, too.
+    Real,
 }
 
 /// How an observation's features are scaled.

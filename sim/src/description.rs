@@ -44,6 +44,9 @@ pub struct ActionRange {
     pub low: f32,
     /// Highest value that still changes the torque.
     pub high: f32,
+    /// Of a discrete action the number of choices: the action is one number, the index of a choice. `None`:
+    /// continuous.
+    pub choices: Option<u32>,
 }
 
 /// One feature of a state or an observation.

@@ -1,4 +1,4 @@
-//! A slot's environments: one world each, stepped in order.
+//! A slot's environments with a robot in each: one world each, stepped in order.
 
 mod describe;
 
@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use rand::RngCore;
 
-use crate::config::TaskConfig;
+use crate::config::{ContactForces, ObservationConfig, TaskConfig};
 use crate::description::Description;
-use crate::error::{SimError, StateError};
+use crate::error::{ActionError, SimError, StateError};
 use crate::observation::Observation;
 use crate::partition::partition;
 use crate::robot::Robot;
@@ -16,14 +16,16 @@ use crate::scene::Pose;
 use crate::state::{State, StateBounds};
 use crate::task::{self, Motion, Task};
 use crate::world::World;
+use crate::world::contact_forces::PER_BODY;
 
-/// A slot's vectorised environments.
-pub struct Environments {
+/// A slot's robots.
+pub(crate) struct RobotEnvironments {
     task: &'static Task,
     robot: Arc<Robot>,
     description: Description,
     bounds: StateBounds,
     observation: Observation,
+    contact_forces: ContactForces,
     /// For each number of the joint action the motor it drives `[A]`.
     motors: Vec<usize>,
     environments: Vec<Environment>,
@@ -42,7 +44,7 @@ pub struct Outcome {
     pub terminated: bool,
     /// The step limit, or a fault, ended the episode; never together with `terminated`.
     pub truncated: bool,
-    /// The action or the world was no longer finite or left the bounds of a state. The state is the one before the
+    /// The world was no longer finite or left the bounds of a state. The state is the one before the
     /// step.
     pub fault: bool,
 }
@@ -54,17 +56,29 @@ struct Environment {
     limit: u32,
     /// The numbers at the end of the last good step.
     now: Numbers,
+    /// The global state that they make, `[S]`.
+    seen: Vec<f32>,
 }
 
 #[derive(Clone)]
 struct Numbers {
     coordinates: Vec<f32>,
     velocities: Vec<f32>,
+    contact_forces: Vec<f32>,
 }
 
-impl Environments {
+/// Contact forces are absent from tasks that do not know them.
+fn effective(config: &ObservationConfig, task: &Task) -> ObservationConfig {
+    let contact_forces = match task.rules.feels_contacts() {
+        true => config.contact_forces,
+        false => ContactForces::Absent,
+    };
+    ObservationConfig { contact_forces, ..config.clone() }
+}
+
+impl RobotEnvironments {
     /// `count` environments at the robot's rest pose, episode 0.
-    pub fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
+    pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
         let task = task::find(&config.task)?;
         if count == 0 {
             return Err(SimError::NoEnvironments);
@@ -72,11 +86,16 @@ impl Environments {
         let robot = Arc::new(Robot::build(task.robot)?);
         let actuators: Vec<&str> = robot.actuators().collect();
         let agents = partition(task.agents, &actuators, config.partition);
-        let observation = Observation::new(&config.observation, agents.len());
-        let description = describe::describe(task, &robot, &agents, &observation)?;
+        let view = effective(&config.observation, task);
+        let mut bounds = robot.state_bounds(task.episode_steps);
+        if view.contact_forces == ContactForces::Real {
+            bounds.contact_forces = PER_BODY * robot.bodies().len();
+        }
+        let (description, observation) = describe::describe(task, &robot, &agents, &view, &bounds)?;
         let rest = Numbers {
             coordinates: robot.rest().to_vec(),
             velocities: vec![0.0; robot.velocity_names().len()],
+            contact_forces: vec![0.0; bounds.contact_forces],
         };
         let fresh = |_| Environment {
             world: World::new(Arc::clone(&robot)),
@@ -84,10 +103,11 @@ impl Environments {
             step: 0,
             limit: task.episode_steps,
             now: rest.clone(),
+            seen: vec![0.0; description.state.len()],
         };
-        Ok(Self {
+        let mut environments = Self {
             task,
-            bounds: robot.state_bounds(task.episode_steps),
+            bounds,
             motors: agents.concat(),
             environments: (0..count).map(fresh).collect(),
             controls: vec![0.0; agents.concat().len()],
@@ -95,33 +115,43 @@ impl Environments {
             robot,
             description,
             observation,
-        })
+            contact_forces: view.contact_forces,
+        };
+        (0..count).for_each(|index| environments.look(index));
+        Ok(environments)
     }
 
     /// The task as seen from outside.
-    pub fn description(&self) -> &Description {
+    pub(crate) fn description(&self) -> &Description {
         &self.description
     }
 
     /// Number of environments `E`.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.environments.len()
     }
 
     /// What an encoded state may hold.
-    pub fn state_bounds(&self) -> &StateBounds {
+    pub(crate) fn state_bounds(&self) -> &StateBounds {
         &self.bounds
     }
 
     /// A new episode with a drawn start. `limit` is the number of steps until truncation, brought into
     /// `1..=episode_steps`.
-    pub fn reset(&mut self, environment: usize, episode: u64, limit: u32, rng: &mut impl RngCore) {
+    pub(crate) fn reset(
+        &mut self,
+        environment: usize,
+        episode: u64,
+        limit: u32,
+        rng: &mut impl RngCore,
+    ) {
         let mut state = State {
             episode,
             step: 0,
             limit: limit.clamp(1, self.task.episode_steps),
             coordinates: self.robot.rest().to_vec(),
             velocities: vec![0.0; self.bounds.velocities],
+            contact_forces: vec![0.0; self.bounds.contact_forces],
         };
         self.task.rules.randomise(rng, &mut state.coordinates, &mut state.velocities);
         let bytes = state.to_bytes(&self.bounds.kind);
@@ -129,13 +159,13 @@ impl Environments {
     }
 
     /// Goes on from an encoded state; refused bytes change nothing.
-    pub fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
+    pub(crate) fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
         Ok(self.rebuild(environment, state)?)
     }
 
     /// The environment's state. Taken before a reset that is due, it is refused by [`Self::restore`]: that episode
     /// is over.
-    pub fn encode(&self, environment: usize) -> Vec<u8> {
+    pub(crate) fn encode(&self, environment: usize) -> Vec<u8> {
         let environment = &self.environments[environment];
         let state = State {
             episode: environment.episode,
@@ -143,73 +173,102 @@ impl Environments {
             limit: environment.limit,
             coordinates: environment.now.coordinates.clone(),
             velocities: environment.now.velocities.clone(),
+            contact_forces: environment.now.contact_forces.clone(),
         };
         state.to_bytes(&self.bounds.kind)
     }
 
     /// The index of the environment's episode.
-    pub fn episode(&self, environment: usize) -> u64 {
+    pub(crate) fn episode(&self, environment: usize) -> u64 {
         self.environments[environment].episode
     }
 
     /// Steps taken in the environment's episode.
-    pub fn episode_step(&self, environment: usize) -> u32 {
+    pub(crate) fn episode_step(&self, environment: usize) -> u32 {
         self.environments[environment].step
     }
 
     /// One step of every environment. `actions` is `[E, A]`, each row all agents' actions in agent order;
     /// `outcome` is `[E]`. A finished episode is not reset: the caller reads its last observation and state first.
     ///
+    /// # Errors
+    /// Refuses actions of another length and numbers that are not finite, before anything moves.
+    ///
     /// # Panics
-    /// If a length does not fit.
-    pub fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) {
+    /// If `outcome` has another length.
+    pub(crate) fn step(
+        &mut self,
+        actions: &[f32],
+        outcome: &mut [Outcome],
+    ) -> Result<(), ActionError> {
         let size = self.motors.len();
-        assert_eq!(actions.len(), self.count() * size, "actions [E, A]");
         assert_eq!(outcome.len(), self.count(), "outcome [E]");
+        self.check(actions)?;
         for (index, outcome) in outcome.iter_mut().enumerate() {
             *outcome = self.step_one(index, &actions[index * size..][..size]);
         }
+        Ok(())
+    }
+
+    fn check(&self, actions: &[f32]) -> Result<(), ActionError> {
+        let (environments, size) = (self.count(), self.motors.len());
+        if actions.len() != environments * size {
+            return Err(ActionError::Length { got: actions.len(), environments, size });
+        }
+        let Some(at) = actions.iter().position(|number| !number.is_finite()) else {
+            return Ok(());
+        };
+        let (environment, mut index, mut agent) = (at / size, at % size, 0);
+        while index >= self.description.agents[agent].action.size {
+            index -= self.description.agents[agent].action.size;
+            agent += 1;
+        }
+        Err(ActionError::NotFinite { environment, agent, index, value: actions[at] })
     }
 
     /// What an agent sees, `[obs]`.
     ///
     /// # Panics
     /// If `out` has another length.
-    pub fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
+    pub(crate) fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
-        self.task.rules.state(&self.motion(&self.environments[environment].now), out);
-        self.observation.finish(agent, out);
+        self.observation.see(agent, &self.environments[environment].seen, out);
     }
 
     /// The global state, `[S]`.
     ///
     /// # Panics
     /// If `out` has another length.
-    pub fn state(&self, environment: usize, out: &mut [f32]) {
+    pub(crate) fn state(&self, environment: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.state.len(), "state");
-        self.task.rules.state(&self.motion(&self.environments[environment].now), out);
+        out.copy_from_slice(&self.environments[environment].seen);
     }
 
     /// Where the robot's links and joints are, for a recording.
-    pub fn pose(&self, environment: usize) -> Pose {
+    pub(crate) fn pose(&self, environment: usize) -> Pose {
         let world = &self.environments[environment].world;
         Pose { links: world.link_poses(), joints: world.joint_poses() }
     }
 
     /// The environment's world, for measurements.
-    pub fn world(&self, environment: usize) -> &World {
+    pub(crate) fn world(&self, environment: usize) -> &World {
         &self.environments[environment].world
     }
 
     /// The one way into a world: from bytes.
-    fn rebuild(&mut self, environment: usize, bytes: &[u8]) -> Result<(), StateError> {
+    fn rebuild(&mut self, index: usize, bytes: &[u8]) -> Result<(), StateError> {
         let state = State::from_bytes(bytes, &self.bounds)?;
-        let environment = &mut self.environments[environment];
+        let environment = &mut self.environments[index];
         environment.world.rebuild(&state.coordinates, &state.velocities);
         environment.episode = state.episode;
         environment.step = state.step;
         environment.limit = state.limit;
-        environment.now = Numbers { coordinates: state.coordinates, velocities: state.velocities };
+        environment.now = Numbers {
+            coordinates: state.coordinates,
+            velocities: state.velocities,
+            contact_forces: state.contact_forces,
+        };
+        self.look(index);
         Ok(())
     }
 
@@ -219,8 +278,7 @@ impl Environments {
         }
         let environment = &mut self.environments[index];
         environment.step = environment.step.saturating_add(1);
-        let finite = action.iter().all(|number| number.is_finite());
-        let whole = finite && environment.world.step(&self.controls);
+        let whole = environment.world.step(&self.controls);
         environment.world.coordinates(&mut self.next.coordinates);
         environment.world.velocities(&mut self.next.velocities);
         let bounded = self.bounds.check_motion(&self.next.coordinates, &self.next.velocities);
@@ -228,8 +286,22 @@ impl Environments {
             environment.world.rebuild(&environment.now.coordinates, &environment.now.velocities);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }
+        if self.contact_forces == ContactForces::Real {
+            environment.world.contact_forces(&mut self.next.contact_forces);
+        }
         std::mem::swap(&mut environment.now, &mut self.next);
+        self.look(index);
         self.judge(index, action)
+    }
+
+    /// The global state from the numbers: the rules' part, then the contact forces.
+    fn look(&mut self, index: usize) {
+        let mut seen = std::mem::take(&mut self.environments[index].seen);
+        let now = &self.environments[index].now;
+        self.task.rules.state(&self.motion(now), &mut seen);
+        let contacts = seen.len() - now.contact_forces.len();
+        seen[contacts..].copy_from_slice(&now.contact_forces);
+        self.environments[index].seen = seen;
     }
 
     /// After a good step `now` is the world's and `next` holds what it was before.
@@ -251,6 +323,7 @@ impl Environments {
             coordinates: &numbers.coordinates,
             reference: self.robot.reference(),
             velocities: &numbers.velocities,
+            contact_forces: &numbers.contact_forces,
         }
     }
 }

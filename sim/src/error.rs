@@ -26,9 +26,61 @@ pub enum SimError {
         /// The element and what is wrong with it.
         reason: String,
     },
+    /// A game shows its features one way only.
+    #[error(
+        "{task} shows plain one-hot features: observation.mode must be full_id and observation.norm none"
+    )]
+    OnlyPlain {
+        /// The task.
+        task: &'static str,
+    },
     /// An encoded state is refused.
     #[error("the environment state is refused: {0}")]
     State(#[from] StateError),
+    /// Actions are refused.
+    #[error(transparent)]
+    Action(#[from] ActionError),
+}
+
+/// Actions that no robot can follow; nothing has moved.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ActionError {
+    /// Not one number per environment and action dimension.
+    #[error("{got} numbers of actions, {environments} environments need {environments} x {size}")]
+    Length {
+        /// Numbers received.
+        got: usize,
+        /// Environments in the slot.
+        environments: usize,
+        /// Numbers in all agents' joint action.
+        size: usize,
+    },
+    /// A number that is not finite.
+    #[error("the action of agent {agent} in environment {environment} is {value} at index {index}")]
+    NotFinite {
+        /// Place of the environment in the slot.
+        environment: usize,
+        /// The agent.
+        agent: usize,
+        /// Place in the agent's action.
+        index: usize,
+        /// The number.
+        value: f32,
+    },
+    /// A number that is no choice's index.
+    #[error(
+        "the action of agent {agent} in environment {environment} is {value}, not one of {choices} choices"
+    )]
+    NoChoice {
+        /// Place of the environment in the slot.
+        environment: usize,
+        /// The agent.
+        agent: usize,
+        /// The number.
+        value: f32,
+        /// Choices there are; the first one's index is 0.
+        choices: usize,
+    },
 }
 
 /// Why an encoded state is refused.
@@ -98,6 +150,16 @@ pub enum StateError {
         low: f32,
         /// Highest value allowed.
         high: f32,
+    },
+    /// A number that counts something is no whole number.
+    #[error("{field} {index} is {value}, not a whole number")]
+    Fraction {
+        /// `coordinate` or `velocity`.
+        field: &'static str,
+        /// Which one.
+        index: usize,
+        /// Value received.
+        value: f32,
     },
     /// The orientation is no unit quaternion.
     #[error("the orientation at coordinate {index} has squared length {squared}, not 1")]

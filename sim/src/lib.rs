@@ -1,32 +1,36 @@
 //! The world: robots and tasks, stepped on rapier3d; knows no learning.
 //!
 //! A robot is an MJCF file in `assets/` and a row in `robot.rs`; a task is a file in `task/` and a row in
-//! `task.rs`. What the physics does between two slot boundaries is a function of the encoded state's bytes and the
+//! `task.rs`. A game, a task without physics, is a file in `game/`. What the physics does between two slot boundaries is a function of the encoded state's bytes and the
 //! actions alone: `reset` and `restore` both end in the one function that rebuilds a world from bytes.
 
 mod config;
 mod description;
 mod environments;
 mod error;
+mod game;
 mod noise;
 mod observation;
 mod partition;
 mod probe;
 mod robot;
 mod scene;
+mod simulation;
 mod state;
 mod task;
 mod world;
 
 pub use config::{
-    ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics, TaskConfig,
+    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
+    RootView, TaskConfig,
 };
 pub use description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
-pub use environments::{Environments, Outcome};
-pub use error::{SimError, StateError};
+pub use environments::Outcome;
+pub use error::{ActionError, SimError, StateError};
 pub use probe::probe;
 pub use robot::Robot;
 pub use scene::{JointPose, LinkPose, LinkShape, Pose, Shape, shapes};
+pub use simulation::Environments;
 pub use state::{State, StateBounds};
 pub use task::task_names;
 pub use world::World;

@@ -14,6 +14,11 @@ pub(crate) fn normal(rng: &mut impl RngCore) -> f32 {
     (radius * libm::cos(angle)) as f32
 }
 
+/// One of `0..count`, equally likely up to `count / 2^32`: the high half of one `u32` times `count`.
+pub(crate) fn choice(rng: &mut impl RngCore, count: usize) -> usize {
+    ((u64::from(rng.next_u32()) * count as u64) >> 32) as usize
+}
+
 /// Uniform in `[0, 1)` on a grid of 2^-24, so that `1 - unit` is exact and never zero.
 fn unit(rng: &mut impl RngCore) -> f32 {
     (rng.next_u32() >> 8) as f32 / 16_777_216.0

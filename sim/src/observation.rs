@@ -8,56 +8,161 @@
 //! `(1 - m) / s` and `-m / s`; they move with the state, and because they carry `m` and `s`, standardising loses
 //! nothing. They stay declared as `Identity`, so densities leave them out.
 
-use crate::config::{ObservationConfig, ObservationMode, ObservationNorm};
+use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
 use crate::description::{Feature, FeatureRole};
+use crate::robot::Robot;
+use crate::world::contact_forces::PER_BODY;
 
 /// Below this deviation a vector counts as constant and is only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;
+/// What a body's six contact numbers are called, in the order of the model.
+const CONTACT_NAMES: [&str; PER_BODY] =
+    ["torque.x", "torque.y", "torque.z", "force.x", "force.y", "force.z"];
 
 /// The layout of a task's observations.
 #[derive(Clone, Debug)]
 pub(crate) struct Observation {
-    mode: ObservationMode,
     norm: ObservationNorm,
     agents: usize,
+    view: View,
+}
+
+#[derive(Clone, Debug)]
+enum View {
+    /// The whole state, then the agent's one-hot number.
+    Whole,
+    /// Per agent, places in the global state; `None` is padding.
+    Places(Vec<Vec<Option<usize>>>),
+}
+
+/// The features of contact forces, as the state carries them; none if they are absent.
+pub(crate) fn contact_features(robot: &Robot, forces: ContactForces) -> Vec<Feature> {
+    let role = match forces {
+        ContactForces::Absent => return Vec::new(),
+        ContactForces::Zeros => FeatureRole::Constant,
+        ContactForces::Real => FeatureRole::Signal,
+    };
+    let of_body = |body: &String| {
+        CONTACT_NAMES.map(|part| Feature { name: contact_name(body, part), role }).into_iter()
+    };
+    robot.bodies().iter().flat_map(of_body).collect()
+}
+
+fn contact_name(body: &str, part: &str) -> String {
+    format!("contact.{body}.{part}")
 }
 
 impl Observation {
-    pub(crate) fn new(config: &ObservationConfig, agents: usize) -> Self {
-        Self { mode: config.mode, norm: config.norm, agents }
+    /// `agents` holds the joints of each agent, `state` the global state's features.
+    pub(crate) fn new(
+        config: &ObservationConfig,
+        robot: &Robot,
+        agents: &[Vec<&str>],
+        state: &[Feature],
+    ) -> Self {
+        let view = match config.mode {
+            ObservationMode::FullId => View::Whole,
+            ObservationMode::KNearest => View::Places(padded(
+                agents.iter().map(|own| places(config, robot, own, state)).collect(),
+            )),
+        };
+        Self { norm: config.norm, agents: agents.len(), view }
     }
 
-    /// The features of any agent's observation, given the global state's names.
-    pub(crate) fn features(&self, state: &[Feature]) -> Vec<Feature> {
-        match self.mode {
-            ObservationMode::FullId => {
+    /// The features of an agent's observation, given the global state's.
+    pub(crate) fn features(&self, agent: usize, state: &[Feature]) -> Vec<Feature> {
+        match &self.view {
+            View::Whole => {
                 let number = (0..self.agents)
                     .map(|k| Feature { name: format!("id.{k}"), role: FeatureRole::Identity });
                 state.iter().cloned().chain(number).collect()
             }
+            View::Places(agents) => {
+                let padding = || Feature { name: "padding".into(), role: FeatureRole::Constant };
+                let feature =
+                    |place: &Option<usize>| place.map_or_else(padding, |at| state[at].clone());
+                agents[agent].iter().map(feature).collect()
+            }
         }
     }
 
-    /// Fills `out`, whose front already holds the global state in its first `out.len() - n` places.
-    pub(crate) fn finish(&self, agent: usize, out: &mut [f32]) {
-        let signals = out.len() - self.agents;
-        out[signals..].fill(0.0);
-        out[signals + agent] = 1.0;
-        match self.norm {
-            ObservationNorm::None => {}
-            ObservationNorm::FeatureZ => standardise(out, signals),
+    /// What `agent` sees of the global state.
+    pub(crate) fn see(&self, agent: usize, state: &[f32], out: &mut [f32]) {
+        match &self.view {
+            View::Whole => {
+                out[..state.len()].copy_from_slice(state);
+                out[state.len()..].fill(0.0);
+                out[state.len() + agent] = 1.0;
+                if self.norm == ObservationNorm::FeatureZ {
+                    standardise_with_number(out, state.len());
+                }
+            }
+            View::Places(agents) => {
+                let places = &agents[agent];
+                for (to, place) in out.iter_mut().zip(places) {
+                    *to = place.map_or(0.0, |at| state[at]);
+                }
+                if self.norm == ObservationNorm::FeatureZ {
+                    let seen = places.iter().filter(|place| place.is_some()).count();
+                    standardise(&mut out[..seen]);
+                }
+            }
         }
     }
 }
 
+/// Own joints with angle, speed and contacts, then the angles of joints farther and farther away, then the root.
+fn places(
+    config: &ObservationConfig,
+    robot: &Robot,
+    own: &[&str],
+    state: &[Feature],
+) -> Vec<Option<usize>> {
+    let neighbourhood = robot.neighbourhood();
+    let levels = neighbourhood.levels(own, config.nearest);
+    let mut names: Vec<String> = Vec::new();
+    names.extend(levels[0].iter().map(|joint| format!("{joint}.position")));
+    names.extend(levels[0].iter().map(|joint| format!("{joint}.velocity")));
+    if config.contact_forces != ContactForces::Absent {
+        let bodies = neighbourhood.bodies(&levels[0]);
+        let of_body = |body: &'static str| CONTACT_NAMES.map(|part| contact_name(body, part));
+        names.extend(bodies.into_iter().flat_map(of_body));
+    }
+    names.extend(levels[1..].iter().flatten().map(|joint| format!("{joint}.position")));
+    if config.globals == RootView::Shown {
+        names.extend(neighbourhood.globals.iter().map(|&name| name.to_owned()));
+    }
+    let place = |name: &String| state.iter().position(|feature| feature.name == *name);
+    names.iter().map(|name| Some(place(name).expect("neighbourhoods name features"))).collect()
+}
+
+/// All of the longest one's length.
+fn padded(mut agents: Vec<Vec<Option<usize>>>) -> Vec<Vec<Option<usize>>> {
+    let longest = agents.iter().map(Vec::len).max().unwrap_or(0);
+    agents.iter_mut().for_each(|places| places.resize(longest, None));
+    agents
+}
+
+/// `(x - m) / s` over these features.
+fn standardise(out: &mut [f32]) {
+    let count = out.len() as f64;
+    let mean = out.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
+    let variance = out.iter().map(|&x| square(f64::from(x) - mean)).sum::<f64>() / count;
+    scale(out, mean, variance);
+}
+
 /// `(x - m) / s` over all features; the one-hot part's sums are taken in closed form.
-fn standardise(out: &mut [f32], signals: usize) {
+fn standardise_with_number(out: &mut [f32], signals: usize) {
     let count = out.len() as f64;
     let zeros = (out.len() - signals - 1) as f64;
     let sum: f64 = out[..signals].iter().map(|&x| f64::from(x)).sum();
     let mean = (sum + 1.0) / count;
     let squares: f64 = out[..signals].iter().map(|&x| square(f64::from(x) - mean)).sum();
     let variance = (squares + square(1.0 - mean) + zeros * square(mean)) / count;
+    scale(out, mean, variance);
+}
+
+fn scale(out: &mut [f32], mean: f64, variance: f64) {
     let deviation = variance.sqrt().max(SMALLEST_DEVIATION);
     for x in out {
         *x = ((f64::from(*x) - mean) / deviation) as f32;
@@ -73,9 +178,8 @@ mod tests {
     use super::*;
 
     fn observe(norm: ObservationNorm, agent: usize) -> [f32; 5] {
-        let config = ObservationConfig { mode: ObservationMode::FullId, norm };
-        let mut out = [3.0, -1.0, 2.0, 9.0, 9.0];
-        Observation::new(&config, 2).finish(agent, &mut out);
+        let mut out = [9.0; 5];
+        Observation { norm, agents: 2, view: View::Whole }.see(agent, &[3.0, -1.0, 2.0], &mut out);
         out
     }
 
@@ -92,6 +196,16 @@ mod tests {
         for (got, want) in observe(ObservationNorm::FeatureZ, 0).iter().zip(expected) {
             assert!((got - want).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn a_local_view_gathers_its_places_and_leaves_padding_at_zero() {
+        let view = View::Places(vec![vec![Some(2), Some(0)], vec![Some(1), None]]);
+        let observation = Observation { norm: ObservationNorm::FeatureZ, agents: 2, view };
+        let (mut first, mut second) = ([9.0; 2], [9.0; 2]);
+        observation.see(0, &[3.0, -1.0, 2.0], &mut first);
+        observation.see(1, &[3.0, -1.0, 2.0], &mut second);
+        assert_eq!((first, second), ([-1.0, 1.0], [0.0, 0.0]));
     }
 
     #[test]

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::robot::{HALFCHEETAH, Robot, RobotRow};
+use crate::robot::{ANT, HALFCHEETAH, Robot, RobotRow, WALKER2D};
 use crate::world::World;
 
-const ROBOTS: &[&RobotRow] = &[&HALFCHEETAH];
+const ROBOTS: &[&RobotRow] = &[&HALFCHEETAH, &WALKER2D, &ANT];
 const STEPS: usize = 100;
 
 /// The bits of every coordinate and velocity over 100 environment steps of each robot, dropped from its rest pose

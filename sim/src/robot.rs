@@ -4,6 +4,7 @@ mod assemble;
 mod blueprint;
 mod layout;
 mod model;
+mod neighbourhood;
 
 use crate::error::SimError;
 use crate::state::StateBounds;
@@ -12,6 +13,7 @@ use crate::task;
 pub(crate) use assemble::{Template, empty_world};
 pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan};
 pub(crate) use layout::{JointMap, Layout, MapKind, MotorMap};
+pub(crate) use neighbourhood::Neighbourhood;
 
 /// One robot: its model and the settings that MJCF cannot say.
 #[derive(Debug)]
@@ -22,15 +24,39 @@ pub(crate) struct RobotRow {
     pub(crate) mjcf: &'static str,
     /// Physics steps in an environment step.
     pub(crate) frame_skip: u32,
+    /// Who is next to whom, for agents that see only what is near.
+    pub(crate) neighbourhood: &'static Neighbourhood,
     /// Natural frequency (Hz) and damping ratio of the joint limits; `None` is rigid.
     pub(crate) limit_softness: Option<[f32; 2]>,
+    /// The same of contacts; `None` is the engine's own.
+    pub(crate) contact_softness: Option<[f32; 2]>,
 }
 
 pub(crate) const HALFCHEETAH: RobotRow = RobotRow {
     name: "halfcheetah",
     mjcf: include_str!("../assets/halfcheetah.xml"),
     frame_skip: 5,
+    neighbourhood: &neighbourhood::HALFCHEETAH,
     limit_softness: None,
+    contact_softness: None,
+};
+
+pub(crate) const WALKER2D: RobotRow = RobotRow {
+    name: "walker2d",
+    mjcf: include_str!("../assets/walker2d.xml"),
+    frame_skip: 4,
+    neighbourhood: &neighbourhood::WALKER2D,
+    limit_softness: Some([30.0, 1.0]),
+    contact_softness: None,
+};
+
+pub(crate) const ANT: RobotRow = RobotRow {
+    name: "ant",
+    mjcf: include_str!("../assets/ant.xml"),
+    frame_skip: 5,
+    neighbourhood: &neighbourhood::ANT,
+    limit_softness: Some([30.0, 1.0]),
+    contact_softness: Some([15.0, 1.0]),
 };
 
 /// A robot, ready to be put into worlds. Immutable and shared.
@@ -84,6 +110,11 @@ impl Robot {
         &self.layout.rest
     }
 
+    /// The model's bodies, the world first; those without a joint are part of a link.
+    pub fn bodies(&self) -> &[String] {
+        &self.blueprint.bodies
+    }
+
     /// The hinges' names and limits (rad), where they have any.
     pub fn hinges(&self) -> impl Iterator<Item = (&str, Option<[f32; 2]>)> {
         self.blueprint.links.iter().filter_map(|link| match &link.joint {
@@ -111,6 +142,11 @@ impl Robot {
         self.blueprint.timestep_secs * f64::from(self.row.frame_skip)
     }
 
+    /// Seconds of one physics step.
+    pub fn physics_step_secs(&self) -> f64 {
+        self.blueprint.timestep_secs
+    }
+
     /// What a state of this robot may hold in a task whose episodes last `longest` steps.
     pub fn state_bounds(&self, longest: u32) -> StateBounds {
         StateBounds {
@@ -119,8 +155,17 @@ impl Robot {
             coordinates: self.layout.coordinate_bounds.clone(),
             velocities: self.layout.velocity_names.len(),
             fastest: layout::FASTEST,
+            contact_forces: 0,
             orientation: self.layout.orientation,
         }
+    }
+
+    pub(crate) fn neighbourhood(&self) -> &'static Neighbourhood {
+        self.row.neighbourhood
+    }
+
+    pub(crate) fn row(&self) -> &'static RobotRow {
+        self.row
     }
 
     pub(crate) fn frame_skip(&self) -> u32 {

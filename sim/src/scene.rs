@@ -4,6 +4,7 @@ use rapier3d::math::Pose as Transform;
 use rapier3d::prelude::SharedShape;
 
 use crate::error::SimError;
+use crate::game;
 use crate::robot::Robot;
 use crate::task;
 
@@ -77,8 +78,11 @@ impl Shape {
     }
 }
 
-/// The shapes of a task's robot, link by link.
+/// The shapes of a task's robot, link by link; none of a game.
 pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
+    if task == game::cue::NAME {
+        return Ok(Vec::new());
+    }
     let robot = Robot::build(task::find(task)?.robot)?;
     let links = robot.blueprint().links.iter();
     Ok(links

@@ -1,9 +1,10 @@
 //! A complete environment state and its bytes: what travels between actors and into checkpoints.
 //!
 //! Little-endian: `s2st`, layout version u32, FNV-1a of the state's kind u32, episode u64, step u32, limit u32,
-//! coordinates f32 `[nq]`, velocities f32 `[nv]`.
+//! coordinates f32 `[nq]`, velocities f32 `[nv]`, contact forces f32 `[nc]`.
 
 use crate::error::StateError;
+use crate::world::contact_forces::LARGEST;
 
 const MARK: &[u8; 4] = b"s2st";
 const HEADER_BYTES: usize = 28;
@@ -25,6 +26,8 @@ pub struct State {
     pub coordinates: Vec<f32>,
     /// Generalised velocities `[nv]`, m/s and rad/s, in the order of [`crate::Robot::velocity_names`].
     pub velocities: Vec<f32>,
+    /// What contacts did to each of the model's bodies in the last step, clipped, `[nc]`; empty unless observed.
+    pub contact_forces: Vec<f32>,
 }
 
 /// What a robot and a task allow in a state.
@@ -40,6 +43,8 @@ pub struct StateBounds {
     pub velocities: usize,
     /// Largest velocity, m/s or rad/s.
     pub fastest: f32,
+    /// Number of contact forces `nc`.
+    pub contact_forces: usize,
     /// First coordinate of a unit quaternion, if the root is free.
     pub orientation: Option<usize>,
 }
@@ -47,15 +52,16 @@ pub struct StateBounds {
 impl State {
     /// The state's bytes.
     pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
-        let values = self.coordinates.len() + self.velocities.len();
-        let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * values);
+        let numbers =
+            || self.coordinates.iter().chain(&self.velocities).chain(&self.contact_forces);
+        let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * numbers().count());
         bytes.extend_from_slice(MARK);
         bytes.extend_from_slice(&STATE_VERSION.to_le_bytes());
         bytes.extend_from_slice(&fnv1a(kind).to_le_bytes());
         bytes.extend_from_slice(&self.episode.to_le_bytes());
         bytes.extend_from_slice(&self.step.to_le_bytes());
         bytes.extend_from_slice(&self.limit.to_le_bytes());
-        for value in self.coordinates.iter().chain(&self.velocities) {
+        for value in numbers() {
             bytes.extend_from_slice(&value.to_le_bytes());
         }
         bytes
@@ -72,16 +78,19 @@ impl State {
         bounds.check_header(bytes)?;
         let numbers: Vec<f32> =
             bytes[HEADER_BYTES..].chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect();
-        let (coordinates, velocities) = numbers.split_at(bounds.coordinates.len());
+        let (coordinates, rest) = numbers.split_at(bounds.coordinates.len());
+        let (velocities, contact_forces) = rest.split_at(bounds.velocities);
         let state = Self {
             episode: u64::from_le_bytes(array(&bytes[12..20])),
             step: u32::from_le_bytes(array(&bytes[20..24])),
             limit: u32::from_le_bytes(array(&bytes[24..28])),
             coordinates: coordinates.to_vec(),
             velocities: velocities.to_vec(),
+            contact_forces: contact_forces.to_vec(),
         };
         bounds.check_episode(state.step, state.limit)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
+        bounds.check_contact_forces(&state.contact_forces)?;
         Ok(state)
     }
 }
@@ -89,7 +98,7 @@ impl State {
 impl StateBounds {
     /// Bytes of a state.
     pub fn bytes(&self) -> usize {
-        HEADER_BYTES + 4 * (self.coordinates.len() + self.velocities)
+        HEADER_BYTES + 4 * (self.coordinates.len() + self.velocities + self.contact_forces)
     }
 
     /// Whether a world may be in this motion: every number finite and within bounds.
@@ -105,6 +114,13 @@ impl StateBounds {
         let squared: f32 = coordinates[index..index + 4].iter().map(|q| q * q).sum();
         if (squared - 1.0).abs() > 1e-3 {
             return Err(StateError::Orientation { index, squared });
+        }
+        Ok(())
+    }
+
+    fn check_contact_forces(&self, forces: &[f32]) -> Result<(), StateError> {
+        for (index, &value) in forces.iter().enumerate() {
+            check_number("contact force", index, value, -LARGEST, LARGEST)?;
         }
         Ok(())
     }

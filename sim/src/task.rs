@@ -1,11 +1,16 @@
 //! Tasks: a robot, who drives what, and the rules that start, pay and end an episode.
 
+mod ant;
 mod halfcheetah;
+#[cfg(test)]
+mod hopper;
+mod walker2d;
 
 use rand::RngCore;
 
 use crate::description::{Feature, FeatureRole};
 use crate::error::SimError;
+use crate::game;
 use crate::robot::{Robot, RobotRow};
 
 /// One task: everything but what a caller configures.
@@ -27,9 +32,13 @@ pub(crate) trait Rules: Sync {
     fn reward(&self, before: &Motion<'_>, after: &Motion<'_>, action: &[f32], dt_secs: f32) -> f32;
     /// Whether the episode is over for another reason than its length.
     fn terminated(&self, after: &Motion<'_>) -> bool;
-    /// The global state's features.
+    /// Whether contact forces may be part of what is observed.
+    fn feels_contacts(&self) -> bool {
+        false
+    }
+    /// The global state's features, contact forces apart.
     fn state_features(&self, robot: &Robot) -> Vec<Feature>;
-    /// The global state, into the first places of `out`.
+    /// The global state, contact forces apart, into the first places of `out`.
     fn state(&self, motion: &Motion<'_>, out: &mut [f32]);
 }
 
@@ -42,6 +51,8 @@ pub(crate) struct Motion<'a> {
     pub(crate) reference: &'a [f32],
     /// `[nv]`.
     pub(crate) velocities: &'a [f32],
+    /// What contacts do to the model's bodies, `[bodies, 6]`, clipped; empty unless the task is asked for it.
+    pub(crate) contact_forces: &'a [f32],
 }
 
 impl Motion<'_> {
@@ -51,11 +62,25 @@ impl Motion<'_> {
     }
 }
 
-const TASKS: &[Task] = &[halfcheetah::TWO, halfcheetah::THREE, halfcheetah::SIX];
-const NAMES: [&str; TASKS.len()] = names();
+const TASKS: &[Task] = &[
+    halfcheetah::TWO,
+    halfcheetah::THREE,
+    halfcheetah::SIX,
+    walker2d::TWO,
+    walker2d::THREE,
+    walker2d::SIX,
+    ant::TWO,
+    ant::TWO_DIAGONAL,
+    ant::FOUR,
+    ant::EIGHT,
+    #[cfg(test)]
+    hopper::TWO,
+];
+/// The robots' tasks, then the games.
+const NAMES: [&str; TASKS.len() + 1] = names();
 
-const fn names() -> [&'static str; TASKS.len()] {
-    let mut names = [""; TASKS.len()];
+const fn names() -> [&'static str; TASKS.len() + 1] {
+    let mut names = [game::cue::NAME; TASKS.len() + 1];
     let mut index = 0;
     while index < TASKS.len() {
         names[index] = TASKS[index].name;
@@ -69,7 +94,7 @@ pub fn task_names() -> &'static [&'static str] {
     &NAMES
 }
 
-/// The task of this name.
+/// The robot's task of this name.
 pub(crate) fn find(name: &str) -> Result<&'static Task, SimError> {
     let found = TASKS.iter().find(|task| task.name == name);
     found.ok_or_else(|| SimError::UnknownTask {

@@ -34,7 +34,8 @@ fn play(trained: &Trained, episodes: u32) -> anyhow::Result<Vec<(f64, u32)>> {
         let draw =
             Draw::of(Purpose::EvaluationReset).iteration(trained.iteration).environment(episode);
         let mut rng = generator(seed, draw);
-        let played = actor::play_episode(&mut world, &trained.policy, &mut rng, |_| {});
+        let played = actor::play_episode(&mut world, &trained.policy, &mut rng, |_| {})
+            .context("the episode broke off")?;
         returns.push((played.extrinsic_return, played.steps));
     }
     Ok(returns)

@@ -41,8 +41,12 @@ fn as_table(task: &sim::Description) -> String {
     );
     for agent in &task.agents {
         let (name, joints) = (&agent.name, agent.joints.join(" "));
-        let (observation, action) = (agent.observation.len(), agent.action.size);
-        text += &format!("  {name:<8} observation {observation:>3}, action {action}: {joints}\n");
+        let observation = agent.observation.len();
+        let action = match agent.action.choices {
+            None => format!("action {}: {joints}", agent.action.size),
+            Some(choices) => format!("one choice among {choices}"),
+        };
+        text += &format!("  {name:<8} observation {observation:>3}, {action}\n");
     }
     text
 }
@@ -56,7 +60,12 @@ fn as_json(task: &sim::Description) -> serde_json::Value {
                 "name": agent.name,
                 "joints": agent.joints,
                 "observation": agent.observation.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(),
-                "action": { "size": agent.action.size, "low": agent.action.low, "high": agent.action.high },
+                "action": {
+                    "size": agent.action.size,
+                    "low": agent.action.low,
+                    "high": agent.action.high,
+                    "choices": agent.action.choices,
+                },
             })
         })
         .collect();

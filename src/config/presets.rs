@@ -29,12 +29,26 @@ pub(crate) const BASE: Preset = Preset {
 };
 
 /// What is set per task.
-pub(crate) const TASKS: &[Preset] =
-    presets!("tasks": "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1");
+pub(crate) const TASKS: &[Preset] = presets!(
+    "tasks":
+    "cue-2x1",
+    "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1",
+    "walker2d-2x3", "walker2d-3x2", "walker2d-6x1",
+    "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",
+);
 
 /// What is set per algorithm.
-pub(crate) const ALGORITHMS: &[Preset] =
-    presets!("algorithms": "happo-s2mia", "happo", "maddpg", "mappo");
+pub(crate) const ALGORITHMS: &[Preset] = presets!(
+    "algorithms":
+    "happo-s2mia",
+    "happo-sm",
+    "happo-smh",
+    "happo-mi",
+    "happo-0",
+    "happo",
+    "mappo",
+    "maddpg",
+);
 
 /// The preset of that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {

@@ -20,12 +20,13 @@ const ARROWS: [(&str, &[&str]); 6] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 21] = [
+const HEAVY: [(&str, &[&str]); 22] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
     ("kuva", &[ROOT]),
     ("mimalloc", &[ROOT]),
+    ("tiny-skia", &[ROOT]),
     ("toml", &[ROOT]),
     ("tracing-subscriber", &[ROOT]),
     ("candle-core", &["policy", "marl"]),

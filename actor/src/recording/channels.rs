@@ -32,9 +32,7 @@ struct Channel {
 /// An MCAP file in the making.
 pub(super) struct Channels<W: Write + Seek> {
     writer: Writer<W>,
-    transforms: Channel,
-    joints: Channel,
-    scene: Channel,
+    show: Show,
     episode: Channel,
     /// For each agent its channel and how many numbers of the joint action are its own.
     actions: Vec<(Channel, usize)>,
@@ -42,6 +40,39 @@ pub(super) struct Channels<W: Write + Seek> {
     nanos: u64,
     messages: u64,
     buffer: Vec<u8>,
+}
+
+/// How the world is shown.
+struct Show {
+    /// Of a robot those of transforms, joints and scene; of a game the one of its state.
+    channels: Vec<Channel>,
+    /// Of a game the names of its global state's features.
+    features: Option<Vec<String>>,
+}
+
+const TRANSFORMS: usize = 0;
+const JOINTS: usize = 1;
+const SCENE: usize = 2;
+const STATE: usize = 0;
+
+impl Show {
+    fn create(
+        writer: &mut Writer<impl Write + Seek>,
+        world: &Environments,
+    ) -> Result<Self, RecordError> {
+        if world.pose(0).links.is_empty() {
+            let state = world.description().state.iter();
+            let features: Vec<String> = state.map(|feature| feature.name.clone()).collect();
+            let channels = vec![json_channel(writer, "/state", &state_schema(&features))?];
+            return Ok(Self { channels, features: Some(features) });
+        }
+        let channels = vec![
+            message_channel::<FrameTransforms>(writer, "/tf")?,
+            message_channel::<JointStates>(writer, "/joint_states")?,
+            message_channel::<SceneUpdate>(writer, "/scene")?,
+        ];
+        Ok(Self { channels, features: None })
+    }
 }
 
 impl<W: Write + Seek> Channels<W> {
@@ -57,9 +88,7 @@ impl<W: Write + Seek> Channels<W> {
             actions.push((json_channel(&mut writer, &topic, &schema)?, agent.action.size));
         }
         Ok(Self {
-            transforms: message_channel::<FrameTransforms>(&mut writer, "/tf")?,
-            joints: message_channel::<JointStates>(&mut writer, "/joint_states")?,
-            scene: message_channel::<SceneUpdate>(&mut writer, "/scene")?,
+            show: Show::create(&mut writer, world)?,
             episode: json_channel(&mut writer, "/episode", &episode_schema())?,
             actions,
             writer,
@@ -94,13 +123,28 @@ impl<W: Write + Seek> Channels<W> {
         Timestamp::new((self.nanos / 1_000_000_000) as u32, (self.nanos % 1_000_000_000) as u32)
     }
 
+    /// Whether the world has links to show.
+    pub(super) fn shows_links(&self) -> bool {
+        self.show.features.is_none()
+    }
+
     /// The shapes, at an episode's start.
     pub(super) fn scene(&mut self, scene: &SceneUpdate) -> Result<(), RecordError> {
-        self.message(|channels| &mut channels.scene, scene)
+        self.message(|channels| &mut channels.show.channels[SCENE], scene)
+    }
+
+    /// The world as it stands.
+    pub(super) fn stand(&mut self, world: &Environments) -> Result<(), RecordError> {
+        let Some(features) = &self.show.features else { return self.pose(world) };
+        let mut state = vec![0.0; features.len()];
+        world.state(0, &mut state);
+        let fields = features.iter().cloned().zip(state.into_iter().map(|x| json!(x)));
+        let text = serde_json::Value::Object(fields.collect()).to_string();
+        self.write(|channels| &mut channels.show.channels[STATE], text.as_bytes())
     }
 
     /// Where links and joints are.
-    pub(super) fn pose(&mut self, world: &Environments) -> Result<(), RecordError> {
+    fn pose(&mut self, world: &Environments) -> Result<(), RecordError> {
         let (now, pose) = (self.now(), world.pose(0));
         let transform = |link: &sim::LinkPose| FrameTransform {
             timestamp: Some(now),
@@ -116,10 +160,10 @@ impl<W: Write + Seek> Channels<W> {
             ..JointState::default()
         };
         let transforms = FrameTransforms { transforms: pose.links.iter().map(transform).collect() };
-        self.message(|channels| &mut channels.transforms, &transforms)?;
+        self.message(|channels| &mut channels.show.channels[TRANSFORMS], &transforms)?;
         let joints =
             JointStates { timestamp: Some(now), joints: pose.joints.iter().map(joint).collect() };
-        self.message(|channels| &mut channels.joints, &joints)
+        self.message(|channels| &mut channels.show.channels[JOINTS], &joints)
     }
 
     /// A step of episode `episode` whose rewards add up to `total` so far.
@@ -130,7 +174,7 @@ impl<W: Write + Seek> Channels<W> {
         total: f64,
     ) -> Result<(), RecordError> {
         self.nanos += self.dt_nanos;
-        self.pose(step.world)?;
+        self.stand(step.world)?;
         let mut from = 0;
         for agent in 0..self.actions.len() {
             let to = from + self.actions[agent].1;
@@ -241,6 +285,12 @@ fn action_schema(joints: &[String]) -> serde_json::Value {
             "description": format!("before clamping, one number per joint: {}", joints.join(", ")),
         } },
     })
+}
+
+fn state_schema(features: &[String]) -> serde_json::Value {
+    let number = |name: &String| (name.clone(), json!({ "type": "number" }));
+    let properties: serde_json::Map<_, _> = features.iter().map(number).collect();
+    json!({ "title": "s2mia.State", "type": "object", "properties": properties })
 }
 
 fn episode_schema() -> serde_json::Value {

@@ -6,8 +6,8 @@ use proto::{
     Digest, EnvironmentStart, Incarnation, PROTOCOL_VERSION, RolloutWork, RunDescription, Start,
 };
 use sim::{
-    Environments, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
-    TaskConfig,
+    ContactForces, Environments, ObservationConfig, ObservationMode, ObservationNorm,
+    PartitionSemantics, RootView, TaskConfig,
 };
 
 pub(crate) const ENVIRONMENTS: usize = 2;
@@ -22,6 +22,9 @@ pub(crate) fn task() -> TaskConfig {
         observation: ObservationConfig {
             mode: ObservationMode::FullId,
             norm: ObservationNorm::FeatureZ,
+            nearest: 1,
+            globals: RootView::Hidden,
+            contact_forces: ContactForces::Absent,
         },
         partition: PartitionSemantics::ActuatorSlices,
     }

@@ -1,6 +1,7 @@
 //! The actor from outside: roll-outs, recordings, sessions with a learner.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod choices;
 mod fixture;
 mod recording;
 mod rollout;

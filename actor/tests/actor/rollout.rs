@@ -126,7 +126,7 @@ fn an_evaluation_episode_repeats_itself_and_lasts_to_the_limit() {
         let mut world = sim::Environments::new(&task(), 1).unwrap();
         let mut rng = generator(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
         let mut shown = 0;
-        let episode = actor::play_episode(&mut world, &policy(), &mut rng, |_| shown += 1);
+        let episode = actor::play_episode(&mut world, &policy(), &mut rng, |_| shown += 1).unwrap();
         assert_eq!(shown, episode.steps);
         episode
     };

@@ -89,10 +89,12 @@ fn finals_are_sorted_by_step_and_environment() {
 #[test]
 fn the_algorithm_accepts_the_batch() {
     let batch = assemble(&layout(), &[rollout(0), rollout(1)]).unwrap();
+    let kind = ActionKind::Continuous;
     let shape = AgentShape {
         observation: 1,
         action: 2,
         action_range: (-1.0, 1.0),
+        kind,
         surprise_features: vec![0],
     };
     let problem = Problem { agents: vec![shape], state: 1 };

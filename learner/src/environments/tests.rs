@@ -69,6 +69,16 @@ fn environments_are_numbered_over_all_slots() {
 }
 
 #[test]
+fn an_episode_cut_before_its_limit_is_counted_as_a_fault() {
+    // Limits 2 and 4: environment 0 ends by rule after step 1; environment 1's end after step 0 is a fault.
+    let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);
+    environments.advance(&batch([0.0; 6], &[1, 2]), &[rollout()]);
+    assert_eq!(environments.faults(), 1);
+    environments.advance(&batch([0.0; 6], &[]), &[rollout()]);
+    assert_eq!(environments.faults(), 0);
+}
+
+#[test]
 fn a_shortened_first_episode_is_not_counted_and_the_next_one_is() {
     // Limits 2 and 4: environment 0 ends after step 1 (not counted), environment 1 goes on.
     let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use bytes::Bytes;
-use policy::{ActorPolicy, PolicySnapshot};
+use policy::{ActorPolicy, Head, PolicySnapshot};
 use proto::{Digest, PolicyVersion, Reason, Refusal, RunDescription, WeightsName};
 
 /// Versions kept although no open work names them: the one just published, and the one before it.
@@ -68,18 +68,23 @@ pub(super) fn parse(
 ) -> Result<Published, String> {
     let policy = PolicySnapshot::from_bytes(&bytes).map_err(|error| error.to_string())?;
     let sizes = |policy: &ActorPolicy| {
-        (policy.observation_size(), policy.action_size(), policy.hidden_size())
+        let choices = match policy.head() {
+            Head::Categorical { choices } => Some(choices),
+            Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => None,
+        };
+        (policy.observation_size(), policy.action_size(), choices, policy.hidden_size())
     };
     let found = policy.agents.iter().map(sizes).collect::<Vec<_>>();
     let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
     let expected = agents
         .map(|(agent, hidden)| {
-            (agent.observation.len(), agent.action.size as usize, *hidden as usize)
+            let choices = agent.action.choices.map(|choices| choices as usize);
+            (agent.observation.len(), agent.action.size as usize, choices, *hidden as usize)
         })
         .collect::<Vec<_>>();
     if found != expected {
         return Err(format!(
-            "the agents' (observation, action, hidden) sizes are {found:?}, the run has {expected:?}"
+            "the agents' (observation, action, choices, hidden) sizes are {found:?}, the run has {expected:?}"
         ));
     }
     let digest = Digest(policy::digest(&bytes));

@@ -5,6 +5,7 @@ use policy::arrays::{Array, NamedArrays};
 use crate::checkpoint::{self, Checkpoint, Saved};
 use crate::error::LearnerError;
 use crate::event::Event;
+use crate::fault::Point;
 use crate::trainer::{Trainer, Work};
 
 /// Periodic checkpoints that may fail one after the other before the run gives up.
@@ -60,13 +61,15 @@ impl Trainer {
             policy: self.policy.to_vec(),
         };
         let (folder, keep_last) = (self.folder.path(), self.config.checkpoint.keep_last);
-        Ok(checkpoint::save(folder, &checkpoint, &self.config_sha256.to_string(), keep_last)?)
+        let config = self.config_sha256.to_string();
+        let fault = || self.fault_at(Point::MidCheckpoint);
+        Ok(checkpoint::save(folder, &checkpoint, &config, keep_last, fault)?)
     }
 
     /// Everything that the next iteration depends on, and the evaluation that may be out.
     fn arrays(&self) -> Result<NamedArrays, LearnerError> {
         let mut arrays = self.algorithm.arrays()?;
-        arrays.extend(self.surprise.arrays());
+        arrays.extend(self.surprise.arrays()?);
         arrays.extend(self.environments.arrays());
         arrays.extend(self.evaluations.arrays());
         for (name, count) in [("iteration", self.iteration), ("env_steps", self.env_steps())] {

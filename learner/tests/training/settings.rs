@@ -30,6 +30,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         learner_fingerprint: Digest([3; 32]),
         manifest: json!({"program": "test"}),
         resume: false,
+        fault: None,
     }
 }
 
@@ -69,7 +70,8 @@ fn policy() -> PolicyConfig {
     }
 }
 
-/// Read as the binary reads it, so that the test names no type that it does not need.
+/// Read as the binary reads it, so that the test names no type that it does not need. The density is
+/// the one with the most to remember from one iteration to the next.
 fn training() -> marl::Config {
     serde_json::from_value(json!({
         "update": {
@@ -83,8 +85,11 @@ fn training() -> marl::Config {
             "max_gradient_norm": 10.0,
         },
         "surprise": {
-            "alpha": 0.01, "density": "diagonal_gaussian", "fit": "current", "space": "policy_obs",
-            "reduce": "sum", "constant": "paper", "sigma_floor": 0.01, "mask_below": 1e-4,
+            "alpha": 0.01, "density": "vae", "fit": "previous", "ema_memory": 0.9,
+            "space": "policy_obs", "reduce": "sum", "constant": "centered", "clip": 0.0,
+            "sigma_floor": 0.01, "mask_below": 1e-4, "components": 2, "em_steps": 5,
+            "vae_hidden": 8, "vae_latent": 2, "vae_epochs": 1, "vae_minibatches": 2,
+            "vae_learning_rate": 1e-3, "embedding": 4, "neighbours": 2, "references": 16,
         },
         "influence": {
             "lambda": 0.01, "estimator": "variational_kl", "divergence": "kl_qp",

@@ -27,7 +27,7 @@ pub(crate) fn environment() -> EnvironmentSpec {
             feature("y", FeatureRole::Signal),
             feature("self", FeatureRole::Identity),
         ],
-        action: ActionSpec { size: 1, low: -1.0, high: 1.0 },
+        action: ActionSpec { size: 1, low: -1.0, high: 1.0, choices: None },
     };
     EnvironmentSpec {
         task: "toy/marks-2x1".to_owned(),

@@ -1,16 +1,18 @@
 //! The variational posterior `q_xi(a^i | a^-i, o^i, h^i)`: the second head of the paper's network.
 
 use candle_core::{DType, Device, Tensor, Var};
-use policy::PolicyConfig;
 use policy::arrays::NamedArrays;
 use policy::ops::{Activation, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{Categorical, Distribution, Gaussian, PolicyConfig};
 
+use crate::batch::ActionKind;
 use crate::config::InfluenceConfig;
 use crate::error::MarlError;
-use crate::gaussian;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::gradient::Gradients;
+use crate::head_rows::HeadRows;
+use crate::influence::Term;
 use crate::layers::{Builder, Dense, TANH_GAIN, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
@@ -18,16 +20,19 @@ use crate::optimizer::{Adam, AdamConfig};
 /// Sizes around one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PosteriorShape {
-    /// Numbers in the other agents' joint action `a^-i`.
+    /// Numbers in the other agents' joint action `a^-i`, choices one-hot.
     pub others: usize,
     /// Features of the trunk.
     pub features: usize,
-    /// Dimensions of the own action.
+    /// Numbers in the own action.
     pub action: usize,
+    /// What these numbers are.
+    pub kind: ActionKind,
 }
 
-/// A diagonal Gaussian over the own action: `a^-i` encoded (Linear, tanh) and joined with the trunk's
-/// features, then Linear, tanh, and the mean; sigma as in the policy's head, a parameter of its own.
+/// A distribution over the own action of the policy's kind: `a^-i` encoded (Linear, tanh) and joined with the
+/// trunk's features, then Linear, tanh, and the logits or the mean; sigma as in the policy's head, a parameter of
+/// its own.
 pub struct Posterior {
     config: InfluenceConfig,
     sigma_scale: f64,
@@ -36,7 +41,8 @@ pub struct Posterior {
     encoder: Dense,
     joined: Dense,
     head: Dense,
-    log_std: Var,
+    /// Of a Gaussian alone.
+    log_std: Option<Var>,
     adam: Adam,
 }
 
@@ -44,32 +50,10 @@ pub struct Posterior {
 pub struct Conditions<'a> {
     /// The trunk's features under the behaviour weights, `[R, F]`; a constant.
     pub features: &'a Tensor,
-    /// The other agents' actions, `[R, others]`.
+    /// The other agents' actions, choices one-hot, `[R, others]`.
     pub others: &'a [f32],
     /// The own actions taken, `[R, act]`.
     pub action: &'a [f64],
-}
-
-/// A posterior's answer for every row.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Conditional {
-    /// Means, `[R, act]`.
-    pub mean: Vec<f64>,
-    /// Deviations, `[act]`.
-    pub sigma: Vec<f64>,
-}
-
-impl Conditional {
-    /// `log q(a | a^-i, o, h)` of the actions `[R, act]`, for the given rows; nats.
-    #[must_use]
-    pub fn log_prob(&self, action: &[f64], of: &[usize]) -> Vec<f64> {
-        let width = self.sigma.len();
-        let row = |&row: &usize| {
-            let of_row = row * width..(row + 1) * width;
-            gaussian::log_prob(&action[of_row.clone()], &self.mean[of_row], &self.sigma)
-        };
-        of.iter().map(row).collect()
-    }
 }
 
 impl Posterior {
@@ -88,24 +72,32 @@ impl Posterior {
         let mut builder = Builder { parameters: Parameters::new(), rng: &mut rng };
         let (others, joined) = (config.encoder, shape.features + config.encoder);
         let (tanh, gain) = (Activation::Tanh, f64::from(policy.head_gain));
+        let outputs = shape.kind.head().outputs(shape.action);
         let encoder = builder.dense("encoder", (shape.others, others), TANH_GAIN, tanh)?;
         let joined = builder.dense("joined", (joined, config.hidden), TANH_GAIN, tanh)?;
-        let head =
-            builder.dense("head", (config.hidden, shape.action), gain, Activation::Identity)?;
-        let start = vec![policy.initial_log_std; shape.action];
-        let log_std = builder.parameter("log_std", start, &[shape.action])?;
+        let head = builder.dense("head", (config.hidden, outputs), gain, Activation::Identity)?;
+        let log_std = match shape.kind {
+            ActionKind::Continuous => {
+                let start = vec![policy.initial_log_std; shape.action];
+                Some(builder.parameter("log_std", start, &[shape.action])?)
+            }
+            ActionKind::Discrete { .. } => None,
+        };
         let parameters = builder.parameters;
         let (config, adam) = (config.clone(), Adam::new(adam_config, &parameters));
         let sigma_scale = f64::from(policy.sigma_scale);
         Ok(Self { config, sigma_scale, shape, parameters, encoder, joined, head, log_std, adam })
     }
 
-    /// Means `[R, act]` and deviations `[act]`.
-    fn forward(&self, features: &Tensor, others: Vec<f32>) -> Result<(Tensor, Tensor), MarlError> {
+    fn forward(&self, features: &Tensor, others: Vec<f32>) -> Result<Distribution, MarlError> {
         let encoded = self.encoder.apply(&rows(others, self.shape.others)?)?;
         let joined = Tensor::cat(&[features, &encoded], 1)?;
-        let mean = self.head.apply(&self.joined.apply(&joined)?)?;
-        Ok((mean, (sigmoid(self.log_std.as_tensor())? * self.sigma_scale)?))
+        let output = self.head.apply(&self.joined.apply(&joined)?)?;
+        let Some(log_std) = &self.log_std else {
+            return Ok(Distribution::Categorical(Categorical { logits: output }));
+        };
+        let sigma = (sigmoid(log_std.as_tensor())? * self.sigma_scale)?;
+        Ok(Distribution::Gaussian(Gaussian { mean: output, sigma }))
     }
 
     /// Maximum likelihood on the rows `trained` of `data`: `max_xi mean log q_xi(a^i | a^-i, o^i, h^i)`.
@@ -132,44 +124,71 @@ impl Posterior {
         Ok(likelihood)
     }
 
-    fn step(&mut self, data: &Conditions<'_>, part: &[usize]) -> Result<f64, MarlError> {
-        let (width, others) = (self.shape.action, self.shape.others);
+    /// What the head says of some rows. The features are constants here, so that nothing reaches
+    /// the trunk through the posterior.
+    fn forward_rows(
+        &self,
+        data: &Conditions<'_>,
+        part: &[usize],
+    ) -> Result<Distribution, MarlError> {
+        let others = self.shape.others;
         let index: Vec<u32> = part.iter().map(|&row| row as u32).collect();
         let index = Tensor::from_vec(index, part.len(), &Device::Cpu)?;
         let features = data.features.index_select(&index, 0)?.detach();
         let actions = part.iter().flat_map(|&row| &data.others[row * others..(row + 1) * others]);
-        let (mean, sigma) = self.forward(&features, actions.copied().collect())?;
-        let (means, sigmas) = (numbers(&mean)?, numbers(&sigma)?);
-        let (mut d_mean, mut d_sigma) = (vec![0.0; means.len()], vec![0.0; width]);
+        self.forward(&features, actions.copied().collect())
+    }
+
+    fn step(&mut self, data: &Conditions<'_>, part: &[usize]) -> Result<f64, MarlError> {
+        let width = self.shape.action;
+        let head = self.forward_rows(data, part)?;
+        let q = HeadRows::of(&head)?;
+        let mut gradient = q.zeros();
         let (mut likelihood, share) = (0.0, 1.0 / part.len() as f64);
         for (place, &row) in part.iter().enumerate() {
-            let (here, action) =
-                (place * width..(place + 1) * width, row * width..(row + 1) * width);
-            let q = (&means[here.clone()], sigmas.as_slice());
-            let action = &data.action[action];
-            likelihood += share * gaussian::log_prob(action, q.0, q.1);
-            let gradient = (&mut d_mean[here], d_sigma.as_mut_slice());
-            gaussian::add_log_prob_gradient(-share, action, q, gradient);
+            let action = &data.action[row * width..(row + 1) * width];
+            likelihood += share * q.log_prob_of(place, action);
+            gradient.add_log_prob_gradient(-share, place, action, &q);
         }
-        let root = root(&[
-            OutputGradient { output: &mean, gradient: &d_mean },
-            OutputGradient { output: &sigma, gradient: &d_sigma },
-        ])?;
-        self.adam.step(&self.parameters, &Gradients::of(&self.parameters, &root)?)?;
-        self.project()?;
+        self.descend(&head, &gradient)?;
         Ok(likelihood)
+    }
+
+    /// One optimiser step up `lambda` times the influence term of the rows `part`, the posterior's
+    /// share of Eq. 10. The policy `p` of these rows is a constant.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn climb(
+        &mut self,
+        data: &Conditions<'_>,
+        part: &[usize],
+        p: &HeadRows,
+        (lambda, term): (f64, Term),
+    ) -> Result<(), MarlError> {
+        let head = self.forward_rows(data, part)?;
+        let q = HeadRows::of(&head)?;
+        let weight = -lambda / part.len() as f64;
+        self.descend(&head, &q.influence_gradient(weight, p, term))
+    }
+
+    /// One optimiser step down the gradient of the head's numbers.
+    fn descend(&mut self, head: &Distribution, gradient: &HeadRows) -> Result<(), MarlError> {
+        let root = gradient.root(head)?;
+        self.adam.step(&self.parameters, &Gradients::of(&self.parameters, &root)?)?;
+        self.project()
     }
 
     /// Holds sigma at its floor, as the actors' networks do.
     fn project(&self) -> Result<(), MarlError> {
+        let Some(log_std) = &self.log_std else { return Ok(()) };
         let share = self.config.sigma_floor / self.sigma_scale;
         let lowest = libm::log(share / (1.0 - share)) as f32;
-        let values = self.log_std.as_tensor().to_vec1::<f32>()?;
+        let values = log_std.as_tensor().to_vec1::<f32>()?;
         if values.iter().any(|&value| value < lowest) {
             let held: Vec<f32> = values.into_iter().map(|value| value.max(lowest)).collect();
             let width = held.len();
-            self.log_std
-                .set(&Tensor::from_vec(held, width, &Device::Cpu)?.to_dtype(DType::F32)?)?;
+            log_std.set(&Tensor::from_vec(held, width, &Device::Cpu)?.to_dtype(DType::F32)?)?;
         }
         Ok(())
     }
@@ -178,9 +197,8 @@ impl Posterior {
     ///
     /// # Errors
     /// Passes on a tensor error.
-    pub fn conditional(&self, data: &Conditions<'_>) -> Result<Conditional, MarlError> {
-        let (mean, sigma) = self.forward(&data.features.detach(), data.others.to_vec())?;
-        Ok(Conditional { mean: numbers(&mean)?, sigma: numbers(&sigma)? })
+    pub fn conditional(&self, data: &Conditions<'_>) -> Result<HeadRows, MarlError> {
+        HeadRows::of(&self.forward(&data.features.detach(), data.others.to_vec())?)
     }
 
     /// `weights/posterior_I.*` and `optimizer/posterior_I.*`.
@@ -210,6 +228,7 @@ mod tests {
 
     use super::*;
     use crate::config::{Divergence, Estimator, QTraining};
+    use crate::gaussian;
     use crate::influence::mutual_information;
 
     const ROWS: usize = 20_000;
@@ -248,8 +267,12 @@ mod tests {
     }
 
     fn posterior() -> Posterior {
+        let kind = ActionKind::Continuous;
+        of_shape(PosteriorShape { others: 1, features: 2, action: 1, kind })
+    }
+
+    fn of_shape(shape: PosteriorShape) -> Posterior {
         let adam = AdamConfig { learning_rate: 2e-2, epsilon: 1e-5, max_gradient_norm: 10.0 };
-        let shape = PosteriorShape { others: 1, features: 2, action: 1 };
         Posterior::new(&config(), &policy(), adam, shape, (RunSeed(3), 0)).unwrap()
     }
 
@@ -291,6 +314,33 @@ mod tests {
             let found = estimate(rho);
             assert!((found - truth).abs() < 0.05, "rho {rho}: {found}, truth {truth}");
         }
+    }
+
+    #[test]
+    fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat() {
+        // The other's choice is even; the own one is the same with probability 0.8, else either of the rest.
+        let mut rng = generator(RunSeed(6), Draw::of(Purpose::Probe));
+        let kind = ActionKind::Discrete { choices: 3 };
+        let (mut action, mut others) = (Vec::new(), Vec::new());
+        for row in 0..ROWS {
+            let chance = policy::categorical::draw(
+                &[libm::logf(0.8), libm::logf(0.1), libm::logf(0.1)],
+                &mut rng,
+            );
+            action.push(((row + chance) % 3) as f64);
+            kind.see(&[(row % 3) as f32], &mut others);
+        }
+        let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+        let data = Conditions { features: &features, others: &others, action: &action };
+        let (held_out, trained): (Vec<usize>, Vec<usize>) = (0..ROWS).partition(|row| row % 5 == 4);
+        let mut posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
+        let draw = Draw::of(Purpose::PosteriorMinibatch);
+        posterior.fit(&data, &trained, (RunSeed(3), draw)).unwrap();
+        let log_q = posterior.conditional(&data).unwrap().log_prob(&action, &held_out);
+        let log_p = vec![-libm::log(3.0); held_out.len()];
+        let found = mutual_information(&log_q, &log_p).unwrap();
+        let truth = libm::log(3.0) + 0.8 * libm::log(0.8) + 0.2 * libm::log(0.1);
+        assert!((found - truth).abs() < 0.02, "{found}, truth {truth}");
     }
 
     #[test]

@@ -3,7 +3,9 @@
 use candle_core::{DType, Device, Tensor};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, ActorPolicy, Head, NamedArrays, PolicyConfig, SequenceInput};
+use policy::{
+    ActorNetwork, ActorPolicy, Distribution, Head, NamedArrays, PolicyConfig, SequenceInput,
+};
 
 use crate::batch::Problem;
 use crate::config::Config;
@@ -47,10 +49,10 @@ impl Agent {
         let (low, high) = shape.action_range;
         let noise_sigma = config.maddpg.noise as f32 * 0.5 * (high - low);
         let head = Head::Deterministic { noise_sigma, low, high };
-        let sizes = (shape.observation, shape.action);
         let actor = || {
             let mut rng = draw(Purpose::Initialisation);
-            ActorNetwork::with_head(policy, sizes, head, DType::F32, &mut rng)
+            let action = (shape.action, head);
+            ActorNetwork::with_head(policy, shape.observation, action, DType::F32, &mut rng)
         };
         let inputs = problem.state + problem.agents.iter().map(|agent| agent.action).sum::<usize>();
         let value =
@@ -181,7 +183,10 @@ fn actions(actor: &ActorNetwork, observation: &[f32], count: usize) -> Result<Te
         hidden: unread.clone(),
         mask: unread,
     };
-    Ok(actor.head(&actor.features(&input)?)?.mean)
+    match actor.head(&actor.features(&input)?)? {
+        Distribution::Gaussian(gaussian) => Ok(gaussian.mean),
+        Distribution::Categorical(_) => unreachable!("MADDPG's own heads are deterministic"),
+    }
 }
 
 /// States `[R, S]` and all agents' actions side by side, `[R, S + A]`.

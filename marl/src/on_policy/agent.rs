@@ -9,15 +9,15 @@ use rayon::prelude::*;
 
 use crate::actor_loss::Coefficients;
 use crate::algorithm::Report;
-use crate::batch::{Batch, Problem};
-use crate::config::{Config, UpdateConfig};
+use crate::batch::{ActionKind, Batch, Problem};
+use crate::config::{Config, QTraining, UpdateConfig};
 use crate::error::MarlError;
-use crate::gaussian;
-use crate::gradient::numbers;
-use crate::influence::mutual_information;
-use crate::influence::posterior::{Conditional, Conditions, Posterior, PosteriorShape};
+use crate::head_rows::HeadRows;
+use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
+use crate::influence::{Term, mutual_information};
 use crate::optimizer::{Adam, AdamConfig};
 use crate::sequence::{Layout, Sequences};
+use crate::surprise::entropy_bound;
 
 /// A network in training. Its posterior is there if the influence term has a weight and there are
 /// other agents.
@@ -27,7 +27,9 @@ pub(crate) struct Agent {
     pub(crate) adam: Adam,
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
-    posterior: Option<Posterior>,
+    kind: ActionKind,
+    pub(super) posterior: Option<Posterior>,
+    pub(super) q_training: QTraining,
     holdout_every: usize,
 }
 
@@ -44,10 +46,18 @@ pub(crate) struct Experience {
     others: Vec<f32>,
 }
 
+impl Experience {
+    /// What a posterior is asked about, every row.
+    pub(super) fn conditions(&self) -> Conditions<'_> {
+        let (features, others) = (&self.features, self.others.as_slice());
+        Conditions { features, others, action: &self.sequences.action }
+    }
+}
+
 /// What a posterior says about an agent's experience; empty without one.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(crate) struct Influence {
-    pub(crate) conditional: Conditional,
+    pub(crate) conditional: Option<HeadRows>,
     /// Mean log-likelihood on the rows trained on, nats.
     log_likelihood: f64,
     /// Mean of `log q - log p` on held-out rows, nats.
@@ -56,7 +66,7 @@ pub(crate) struct Influence {
 
 impl Influence {
     pub(crate) fn report(&self, agent: usize) -> Report {
-        if self.conditional.sigma.is_empty() {
+        if self.conditional.is_none() {
             return Report::new();
         }
         let held_out = self.mi_estimate.map(|found| (format!("agent{agent}/mi_estimate"), found));
@@ -74,9 +84,11 @@ impl Agent {
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
+        let action = (shape.action, shape.kind.head());
         let network =
-            ActorNetwork::new(policy, shape.observation, shape.action, DType::F32, &mut rng)?;
-        let total: usize = problem.agents.iter().map(|agent| agent.action).sum();
+            ActorNetwork::with_head(policy, shape.observation, action, DType::F32, &mut rng)?;
+        let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
+        let total: usize = seen.sum();
         let (update, influence) = (&config.update, &config.influence);
         let adam = AdamConfig {
             learning_rate: update.learning_rate,
@@ -84,9 +96,10 @@ impl Agent {
             max_gradient_norm: update.max_gradient_norm,
         };
         let own = PosteriorShape {
-            others: total - shape.action,
+            others: total - shape.kind.seen_size(shape.action),
             features: network.feature_size(),
             action: shape.action,
+            kind: shape.kind,
         };
         let wanted = influence.lambda > 0.0 && own.others > 0;
         let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
@@ -100,10 +113,12 @@ impl Agent {
                 clip: update.clip,
                 entropy: update.entropy,
                 lambda: influence.lambda,
-                kappa: influence.kappa,
+                term: Term::of(influence),
             },
             update: update.clone(),
+            kind: shape.kind,
             posterior,
+            q_training: influence.q_training,
             holdout_every: influence.holdout_every,
         })
     }
@@ -151,17 +166,16 @@ impl Agent {
         columns: &[usize],
     ) -> Result<(Vec<f64>, Tensor), MarlError> {
         let features = self.network.features(&sequences.input(columns, DType::F32)?)?;
-        let head = self.network.head(&features)?;
-        let (mean, sigma) = (numbers(&head.mean)?, numbers(&head.sigma)?);
-        let width = sigma.len();
+        let rows = HeadRows::of(&self.network.head(&features)?)?;
+        let width = rows.action_size();
         let action = sequences.layout.columns(&sequences.action, width, columns);
-        let rows = action.chunks_exact(width).zip(mean.chunks_exact(width));
-        let log_prob = rows.map(|(action, mean)| gaussian::log_prob(action, mean, &sigma));
+        let actions = action.chunks_exact(width).enumerate();
+        let log_prob = actions.map(|(row, action)| rows.log_prob_of(row, action));
         Ok((log_prob.collect(), features.detach()))
     }
 
     /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
-    /// held-out ones, and asks it about every row.
+    /// held-out ones, and asks it about every row. One that is trained jointly is only asked.
     fn fit_posterior(
         &mut self,
         experience: &Experience,
@@ -174,13 +188,17 @@ impl Agent {
             |row: &usize| layout.environment(row % layout.chunks) % self.holdout_every == last;
         let (holdout, trained): (Vec<usize>, Vec<usize>) = (0..layout.rows()).partition(held_out);
         let action = &experience.sequences.action;
-        let data =
-            Conditions { features: &experience.features, others: &experience.others, action };
-        let log_likelihood = posterior.fit(&data, &trained, (seed, draw))?;
+        let data = experience.conditions();
+        let fitted = match self.q_training {
+            QTraining::Mle => Some(posterior.fit(&data, &trained, (seed, draw))?),
+            QTraining::Joint => None,
+        };
         let conditional = posterior.conditional(&data)?;
+        let found = || -entropy_bound(&conditional.log_prob(action, &trained));
+        let log_likelihood = fitted.unwrap_or_else(found);
         let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
         let mi_estimate = mutual_information(&conditional.log_prob(action, &holdout), &log_p);
-        Ok(Influence { conditional, log_likelihood, mi_estimate })
+        Ok(Influence { conditional: Some(conditional), log_likelihood, mi_estimate })
     }
 }
 
@@ -202,24 +220,28 @@ pub(crate) fn gather(
             advantage: layout.chunked(&advantage, 1),
             log_prob,
             features,
-            others: other_actions(batch, index, layout),
+            others: other_actions(agents, batch, index, layout),
         })
     };
     (0..agents.len()).into_par_iter().map(one).collect()
 }
 
-/// The actions of all agents but `agent`, side by side in agent order, `[L, C, others]`.
-fn other_actions(batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
+/// The actions of all agents but `agent` as others see them, side by side in agent order, `[L, C, others]`.
+fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
     let rows = batch.rows();
-    let others = || batch.agents.iter().enumerate().filter(move |(index, _)| *index != agent);
-    let width = others().map(|(_, other)| other.action.len() / rows).sum();
-    let row = |row: usize| {
-        others().flat_map(move |(_, other)| {
-            let width = other.action.len() / rows;
-            other.action[row * width..(row + 1) * width].iter().copied()
-        })
-    };
-    layout.chunked(&(0..rows).flat_map(row).collect::<Vec<f32>>(), width)
+    let others: Vec<(ActionKind, &[f32])> = (0..agents.len())
+        .filter(|&index| index != agent)
+        .map(|index| (agents[index].kind, batch.agents[index].action.as_slice()))
+        .collect();
+    let mut seen = Vec::new();
+    for row in 0..rows {
+        for (kind, actions) in &others {
+            let width = actions.len() / rows;
+            kind.see(&actions[row * width..(row + 1) * width], &mut seen);
+        }
+    }
+    let width = seen.len() / rows;
+    layout.chunked(&seen, width)
 }
 
 /// All agents' posteriors, in parallel.

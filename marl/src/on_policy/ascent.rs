@@ -6,9 +6,10 @@ use policy::randomness::{Draw, RunSeed};
 use rayon::prelude::*;
 
 use super::agent::{Agent, Experience, Influence};
-use crate::actor_loss::{Figures, Rows, actor_loss};
+use crate::actor_loss::{Figures, Rows};
 use crate::error::MarlError;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::gradient::Gradients;
+use crate::head_rows::HeadRows;
 use crate::minibatch::{minibatches, split};
 
 /// What is held constant while one agent climbs, all in chunked order.
@@ -33,10 +34,12 @@ pub(crate) fn maximise(
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
     let weight = 1.0 / (epochs * parts) as f64;
     let mut trained = Trained::default();
+    let mut influence = known.1.clone();
     for epoch in 0..epochs {
         let draw = draw.step(epoch as u32);
         for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
-            let (figures, gradients) = gradient(agent, known, factor, &columns)?;
+            agent.climb_posterior(known.0, &mut influence, &columns)?;
+            let (figures, gradients) = gradient(agent, (known.0, &influence), factor, &columns)?;
             let norm = agent.adam.step(agent.network.parameters(), &gradients)?;
             agent.network.project()?;
             trained.figures.add(weight, &figures);
@@ -58,6 +61,7 @@ pub(crate) fn maximise_together(
     let (epochs, parts) = (agents[0].update.epochs, agents[0].update.minibatches);
     let weight = 1.0 / (epochs * parts) as f64;
     let mut trained = vec![Trained::default(); agents.len()];
+    let mut influence: Vec<Influence> = known.iter().map(|known| known.1.clone()).collect();
     for epoch in 0..epochs {
         let deal = |(draw, known): (&Draw, &PerAgent<'_>)| {
             minibatches(known.0.sequences.layout.chunks, parts, seed, draw.step(epoch as u32))
@@ -65,7 +69,11 @@ pub(crate) fn maximise_together(
         let dealt: Vec<_> = draws.iter().zip(known).map(deal).collect();
         for part in 0..dealt[0].len() {
             let columns: Vec<&[usize]> = dealt.iter().map(|own| own[part].as_slice()).collect();
-            let one = |index: usize| gradient(&agents[index], known[index], factor, columns[index]);
+            for (index, agent) in agents.iter_mut().enumerate() {
+                agent.climb_posterior(known[index].0, &mut influence[index], columns[index])?;
+            }
+            let now = |index: usize| (known[index].0, &influence[index]);
+            let one = |index: usize| gradient(&agents[index], now(index), factor, columns[index]);
             let found = (0..agents.len()).into_par_iter().map(one);
             let (figures, gradients): (Vec<_>, Vec<_>) =
                 found.collect::<Result<Vec<_>, MarlError>>()?.into_iter().unzip();
@@ -112,27 +120,17 @@ fn shard(
     let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
     let features = agent.network.features(&sequences.input(columns, DType::F32)?)?;
     let head = agent.network.head(&features)?;
-    let (mean, sigma) = (numbers(&head.mean)?, numbers(&head.sigma)?);
-    let width = sigma.len();
-    let conditional = &influence.conditional;
-    let posterior = if conditional.sigma.is_empty() {
-        Default::default()
-    } else {
-        (layout.columns(&conditional.mean, width, columns), conditional.sigma.clone())
-    };
+    let p = HeadRows::of(&head)?;
+    let posterior = influence.conditional.as_ref().map(|q| q.posterior(layout, columns));
     let rows = Rows {
-        action: layout.columns(&sequences.action, width, columns),
+        action: layout.columns(&sequences.action, p.action_size(), columns),
         log_prob_old: layout.columns(&experience.log_prob, 1, columns),
         advantage: layout.columns(&experience.advantage, 1, columns),
         factor: layout.columns(factor, 1, columns),
-        posterior,
+        posterior: posterior.unwrap_or_default(),
     };
-    let loss = actor_loss(&mean, &sigma, &rows, layout.steps * total, &agent.coefficients);
-    let root = root(&[
-        OutputGradient { output: &head.mean, gradient: &loss.d_mean },
-        OutputGradient { output: &head.sigma, gradient: &loss.d_sigma },
-    ])?;
-    Ok((loss.figures, Gradients::of(agent.network.parameters(), &root)?))
+    let (figures, gradient) = p.loss(&rows, layout.steps * total, &agent.coefficients);
+    Ok((figures, Gradients::of(agent.network.parameters(), &gradient.root(&head)?)?))
 }
 
 /// Log-densities of all actions under today's weights, `[L, C]`, computed shard by shard.

@@ -26,7 +26,7 @@ pub(super) fn assemble(
     blueprint: &Blueprint,
     row: &RobotRow,
 ) -> Result<(Template, Layout), String> {
-    let mut world = empty_world(blueprint);
+    let mut world = empty_world(blueprint, row);
     insert_floor(&mut world, &blueprint.floor);
     let ground = world.bodies.insert(RigidBodyBuilder::fixed());
     let mut handles: Vec<RigidBodyHandle> = Vec::new();
@@ -75,7 +75,7 @@ impl Template {
 }
 
 /// A world with the robot's step and gravity, and nothing in it.
-pub(crate) fn empty_world(blueprint: &Blueprint) -> PhysicsWorld {
+pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow) -> PhysicsWorld {
     let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
     let parameters = &mut world.integration_parameters;
     parameters.dt = blueprint.timestep_secs as f32;
@@ -86,6 +86,9 @@ pub(crate) fn empty_world(blueprint: &Blueprint) -> PhysicsWorld {
     parameters.contact_recycling = false;
     // Feet move up to 10 cm in a step: contacts must be known before they happen.
     parameters.normalized_prediction_distance = 0.1;
+    if let Some([frequency, ratio]) = row.contact_softness {
+        parameters.static_contact_softness = SpringCoefficients::new(frequency, ratio);
+    }
     world
 }
 
@@ -104,7 +107,7 @@ fn insert_link(world: &mut PhysicsWorld, link: &LinkPlan, frame: Pose) -> RigidB
     let handle = world.bodies.insert(body);
     for plan in &link.shapes {
         let collider = ColliderBuilder::new(plan.shape.collider()).position(plan.pose).density(0.0);
-        let collider = touching(collider, plan.friction, ROBOT, FLOOR);
+        let collider = touching(collider, plan.friction, ROBOT, FLOOR).user_data(plan.body as u128);
         world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
     }
     handle

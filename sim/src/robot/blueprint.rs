@@ -18,6 +18,8 @@ pub(crate) struct Blueprint {
     pub(crate) links: Vec<LinkPlan>,
     /// Motors in the order of the model's actuators.
     pub(crate) motors: Vec<MotorPlan>,
+    /// The model's bodies in its order, the world first; those without a joint are part of a link.
+    pub(crate) bodies: Vec<String>,
 }
 
 /// A half-space whose free side is its z.
@@ -46,6 +48,8 @@ pub(crate) struct ShapePlan {
     pub(crate) shape: Shape,
     pub(crate) pose: Pose,
     pub(crate) friction: f32,
+    /// Index of the model's body that it belongs to.
+    pub(crate) body: usize,
 }
 
 /// How a link moves against its parent.

@@ -22,6 +22,9 @@ pub(super) fn read(mjcf: &str) -> Result<Blueprint, String> {
         floor: read_floor(&model.bodies[0].body)?,
         links,
         motors: model.actuators.iter().map(read_motor).collect::<Result<_, _>>()?,
+        bodies: std::iter::once("world".to_owned())
+            .chain(model.bodies_iter().map(|(_, entry)| name(&entry.body)))
+            .collect(),
     })
 }
 
@@ -40,7 +43,7 @@ fn read_links(model: &Model) -> Result<Vec<LinkPlan>, String> {
                 (links.len() - 1, Pose::IDENTITY)
             }
         };
-        add_shapes(model, &entry.body, &mut links[home.0], &home.1)?;
+        add_shapes(model, (&entry.body, id), &mut links[home.0], &home.1)?;
         homes[id] = Some(home);
     }
     match links.iter().filter(|link| link.parent.is_none()).count() {
@@ -104,7 +107,12 @@ fn read_hinge(model: &Model, joint: &Joint) -> Result<Hinge, String> {
     })
 }
 
-fn add_shapes(model: &Model, body: &Body, link: &mut LinkPlan, frame: &Pose) -> Result<(), String> {
+fn add_shapes(
+    model: &Model,
+    (body, index): (&Body, usize),
+    link: &mut LinkPlan,
+    frame: &Pose,
+) -> Result<(), String> {
     for geom in &body.geoms {
         if geom.contype != 0 && geom.conaffinity != 0 {
             return Err(format!("{}: links touch only the floor", name(body)));
@@ -113,7 +121,8 @@ fn add_shapes(model: &Model, body: &Body, link: &mut LinkPlan, frame: &Pose) -> 
         let pose = *frame * inside;
         let density = geom.density.unwrap_or(model.compiler.inertia_density) as f32;
         link.mass += shape.collider().mass_properties(density).transform_by(&pose);
-        link.shapes.push(ShapePlan { shape, pose, friction: geom.friction[0] as f32 });
+        let friction = geom.friction[0] as f32;
+        link.shapes.push(ShapePlan { shape, pose, friction, body: index });
     }
     Ok(())
 }

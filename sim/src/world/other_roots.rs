@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::World;
 use crate::error::SimError;
-use crate::robot::{Robot, RobotRow};
+use crate::robot::{Neighbourhood, Robot, RobotRow};
 
 /// A ball with two opposite arms fixed to it, one leg about a skew axis and one about -y.
 const STRIDER: RobotRow = RobotRow {
@@ -34,7 +34,9 @@ const STRIDER: RobotRow = RobotRow {
       <actuator><motor joint="skew" gear="2"/><motor joint="reversed" gear="3"/></actuator>
     </mujoco>"#,
     frame_skip: 5,
+    neighbourhood: &Neighbourhood { edges: &[], touching: &[], globals: &[] },
     limit_softness: Some([30.0, 1.0]),
+    contact_softness: None,
 };
 
 fn strider() -> World {

@@ -35,7 +35,7 @@ fn play(episodes: u64, steps: u32, control: impl Fn(&mut ChaCha8Rng, u32) -> f32
         for index in 0..steps {
             let actions: [f32; 6] = std::array::from_fn(|_| control(&mut rng, index));
             let mut outcome = [Outcome::default()];
-            world.step(&actions, &mut outcome);
+            world.step(&actions, &mut outcome).unwrap();
             assert!(!outcome[0].fault && !outcome[0].terminated && outcome[0].reward.is_finite());
             assert_eq!(outcome[0].truncated, index + 1 == steps);
             extremes.note(&world, 0);
@@ -79,20 +79,36 @@ fn actions_beyond_the_range_cost_what_they_are_and_do_what_the_range_does() {
 }
 
 #[test]
+fn actions_that_are_no_actions_are_refused_with_agent_and_index_and_move_nothing() {
+    let mut world = environments("halfcheetah-2x3", 2);
+    let (mut outcome, before) = ([Outcome::default(); 2], world.encode(0));
+    let mut actions = [0.2; 12];
+    actions[6 + 4] = f32::NAN;
+    let error = world.step(&actions, &mut outcome).unwrap_err();
+    assert_eq!(error.to_string(), "the action of agent 1 in environment 1 is NaN at index 1");
+    let error = world.step(&[0.2; 11], &mut outcome).unwrap_err();
+    assert_eq!(error.to_string(), "11 numbers of actions, 2 environments need 2 x 6");
+    assert_eq!(world.encode(0), before);
+    assert_eq!(world.episode_step(0), 0);
+}
+
+#[test]
 fn a_fault_gives_back_the_last_good_state_and_a_reset_heals_it() {
     let mut world = environments("halfcheetah-2x3", 2);
     let mut outcome = [Outcome::default(); 2];
-    world.step(&[0.2; 12], &mut outcome);
+    let mut state = sim::State::from_bytes(&world.encode(0), world.state_bounds()).unwrap();
+    // At the very edge of what a state may hold: the next step leaves it.
+    state.velocities[0] = world.state_bounds().fastest;
+    state.coordinates[0] = world.state_bounds().coordinates[0][1];
+    world.restore(0, &state.to_bytes(&world.state_bounds().kind)).unwrap();
     let good = crate::coordinates(world.world(0));
-    let mut actions = [0.2; 12];
-    actions[4] = f32::NAN;
-    world.step(&actions, &mut outcome);
+    world.step(&[0.2; 12], &mut outcome).unwrap();
     let fault = Outcome { fault: true, truncated: true, ..Outcome::default() };
     assert_eq!(outcome[0], fault);
     assert!(!outcome[1].fault, "the neighbour is not touched");
     assert_eq!(crate::coordinates(world.world(0)), good);
     world.reset(0, 1, 1000, &mut seeded(1));
-    world.step(&[0.2; 12], &mut outcome);
+    world.step(&[0.2; 12], &mut outcome).unwrap();
     assert!(!outcome[0].fault);
 }
 

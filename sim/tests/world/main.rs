@@ -4,11 +4,14 @@
 
 mod bounds;
 mod contacts;
+mod fidelity;
 mod hostile;
 mod mujoco;
 mod observations;
 mod physics;
 mod rebuild;
+mod robots;
+mod views;
 
 use std::sync::Arc;
 
@@ -19,7 +22,11 @@ use sim::{Environments, Outcome, Robot, TaskConfig, World};
 
 fn config(task: &str, norm: &str, partition: &str) -> TaskConfig {
     serde_json::from_value(serde_json::json!({
-        "task": task, "observation": { "mode": "full_id", "norm": norm }, "partition": partition,
+        "task": task, "observation": {
+            "mode": "full_id", "norm": norm, "nearest": 1, "globals": "hidden",
+            "contact_forces": "absent",
+        },
+        "partition": partition,
     }))
     .unwrap()
 }
@@ -48,7 +55,7 @@ fn random_actions(rng: &mut ChaCha8Rng, actions: &mut [f32]) {
 /// One step of a single cheetah.
 fn step(world: &mut Environments, actions: &[f32]) -> Outcome {
     let mut outcome = [Outcome::default()];
-    world.step(actions, &mut outcome);
+    world.step(actions, &mut outcome).unwrap();
     outcome[0]
 }
 

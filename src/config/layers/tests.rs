@@ -97,7 +97,8 @@ fn an_unknown_task_is_refused_with_the_nearest_and_all_known_ones() {
     assert_eq!(
         refusal(&["halfcheetah-6x2"]),
         "command line: unknown task `halfcheetah-6x2`; did you mean `halfcheetah-3x2`?; \
-         known: halfcheetah-2x3, halfcheetah-3x2, halfcheetah-6x1"
+         known: cue-2x1, halfcheetah-2x3, halfcheetah-3x2, halfcheetah-6x1, \
+         walker2d-2x3, walker2d-3x2, walker2d-6x1, ant-2x4, ant-2x4d, ant-4x2, ant-8x1"
     );
     assert!(refusal(&["algorithm=ppo"]).starts_with("command line: unknown algorithm `ppo`"));
 }

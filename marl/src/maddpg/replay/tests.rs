@@ -3,7 +3,7 @@
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use super::*;
-use crate::batch::{AgentBatch, AgentShape, Final};
+use crate::batch::{ActionKind, AgentBatch, AgentShape, Final};
 
 const HALF: Horizon = Horizon { gamma: 0.5, steps: 3 };
 
@@ -12,6 +12,7 @@ fn problem() -> Problem {
         observation: 1,
         action: 1,
         action_range: (-1.0, 1.0),
+        kind: ActionKind::Continuous,
         surprise_features: vec![],
     };
     Problem { agents: vec![shape], state: 1 }

@@ -1,0 +1,117 @@
+//! A task of choices goes the same way: chunks that the wire takes, log-probabilities that the policy gives
+//! again, episodes and recordings.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, Scratch};
+use proto::{EnvironmentStart, RolloutWork, RunDescription, Start, TrajectoryChunk};
+use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
+
+use crate::fixture;
+
+const OUT: usize = 3;
+
+fn task() -> TaskConfig {
+    let observation =
+        ObservationConfig { norm: ObservationNorm::None, ..fixture::task().observation };
+    TaskConfig { task: "cue-2x1".to_owned(), observation, ..fixture::task() }
+}
+
+fn world() -> Environments {
+    Environments::new(&task(), fixture::ENVIRONMENTS).unwrap()
+}
+
+fn policy() -> PolicySnapshot {
+    let config = PolicyConfig {
+        core: CoreKind::Gru,
+        encoder: 8,
+        hidden: fixture::HIDDEN,
+        width: 8,
+        layers: 1,
+        chunk_steps: fixture::HIDDEN_EVERY as usize,
+        initial_log_std: 1.0,
+        sigma_scale: 0.5,
+        sigma_floor: 0.05,
+        head_gain: 1.0,
+    };
+    let agent = |index: u32| {
+        let mut rng = generator(RunSeed(5), Draw::of(Purpose::Initialisation).agent(index));
+        let action = (1, Head::Categorical { choices: OUT });
+        let dtype = candle_core::DType::F32;
+        ActorNetwork::with_head(&config, 9, action, dtype, &mut rng).unwrap().policy().unwrap()
+    };
+    PolicySnapshot { agents: vec![agent(0), agent(1)] }
+}
+
+fn run() -> RunDescription {
+    RunDescription { environment: actor::environment_spec(world().description()), ..fixture::run() }
+}
+
+fn roll(world: &mut Environments) -> Vec<TrajectoryChunk> {
+    let start = |environment| EnvironmentStart {
+        environment,
+        start: Start::Fresh { episode: 0, limit: 30 },
+    };
+    let work = RolloutWork { iteration: 4, slot: 3, environments: vec![start(6), start(7)] };
+    let mut chunks = Vec::new();
+    let emit = |chunk| {
+        chunks.push(chunk);
+        ControlFlow::Continue(())
+    };
+    actor::roll_out(&run(), &work, &policy(), world, |_| {}, emit).unwrap();
+    chunks
+}
+
+#[test]
+fn a_slot_of_choices_repeats_bit_for_bit_and_the_wire_takes_it() {
+    let mut used = world();
+    let first = roll(&mut used);
+    assert_eq!(roll(&mut used), first);
+    assert_eq!(run().validate(), Ok(()));
+    for chunk in &first {
+        let (message, digest) = chunk.to_wire(&run());
+        assert_eq!(&TrajectoryChunk::from_wire(&message, &run(), digest).unwrap(), chunk);
+    }
+    let actions: Vec<f32> = first.iter().flat_map(|chunk| chunk.agents[1].action.clone()).collect();
+    for choice in [0.0, 1.0, 2.0] {
+        assert!(actions.contains(&choice), "{choice} was never chosen");
+    }
+}
+
+#[test]
+fn the_stored_states_reproduce_the_log_probs_of_choices() {
+    let (chunks, policy) = (roll(&mut world()), policy());
+    let rows = fixture::ENVIRONMENTS;
+    for (own, agent) in policy.agents.iter().zip(&chunks[0].agents) {
+        let mut hidden = agent.hidden[..rows * fixture::HIDDEN].to_vec();
+        for step in 0..fixture::HIDDEN_EVERY as usize {
+            let mut output = vec![0.0; rows * OUT];
+            let observation = &agent.observation[step * rows * 9..(step + 1) * rows * 9];
+            own.forward(rows, observation, &mut hidden, &mut output, &mut Scratch::default());
+            for (position, output) in output.chunks_exact(OUT).enumerate() {
+                let row = step * rows + position;
+                assert_eq!(own.log_prob(output, &agent.action[row..=row]), agent.log_prob[row]);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_game_is_recorded_without_links_by_its_states_and_choices() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("game.mcap");
+    let none = BTreeMap::new();
+    let summary = actor::record(&task(), &policy(), RunSeed(1), 2, &path, &none).unwrap();
+    assert_eq!(summary.episodes[0].steps, 50);
+    let bytes = std::fs::read(&path).unwrap();
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        *counts.entry(message.unwrap().channel.topic.clone()).or_default() += 1;
+    }
+    let expected =
+        [("/agents/0/action", 100), ("/agents/1/action", 100), ("/episode", 100), ("/state", 102)];
+    let expected = expected.map(|(topic, count)| (topic.to_owned(), count));
+    assert_eq!(counts, BTreeMap::from(expected));
+}

@@ -1,0 +1,114 @@
+//! Settings of the influence term and its posteriors.
+
+use serde::{Deserialize, Serialize};
+
+use super::{count, not_negative, positive, refuse};
+use crate::error::MarlError;
+
+/// Influence maximisation (Eq. 5-10).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InfluenceConfig {
+    /// Weight of the influence term (Eq. 5, 10). At 0 no posterior is built.
+    pub lambda: f64,
+    /// How mutual information is estimated.
+    pub estimator: Estimator,
+    /// Which divergence stands in the regulariser.
+    pub divergence: Divergence,
+    /// How the posterior is trained.
+    pub q_training: QTraining,
+    /// Cap of the divergence, nats per action dimension.
+    pub kappa: f64,
+    /// Units of the encoder of the other agents' actions.
+    pub encoder: usize,
+    /// Units of the layer that joins it with the policy's features.
+    pub hidden: usize,
+    /// Passes over `D_k`.
+    pub epochs: usize,
+    /// Adam's step size.
+    pub learning_rate: f64,
+    /// Parts of one pass, each an optimiser step.
+    pub minibatches: usize,
+    /// Smallest deviation of a posterior, in units of the action.
+    pub sigma_floor: f64,
+    /// Environments `e` with `e mod n = n - 1` train no posterior; they measure the estimate.
+    pub holdout_every: usize,
+}
+
+/// How mutual information is estimated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Estimator {
+    /// Eq. 8: the divergence of a learnt posterior from the policy.
+    VariationalKl,
+    /// Barber and Agakov's lower bound, `E_p[log q + H[p]] = -KL[p || q]` for each row.
+    BarberAgakov,
+    /// Eq. 7: from how often each joint action occurs. It needs discrete actions.
+    Count,
+}
+
+/// Which divergence stands in the regulariser.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Divergence {
+    /// `KL[q || p]`, as in Eq. 8 and 10.
+    KlQp,
+    /// `KL[p || q]`: it grows where the policy acts and the posterior does not expect it.
+    KlPq,
+    /// Cauchy and Schwarz's: symmetric, and it grows only with the logarithm as sigma shrinks.
+    CauchySchwarz,
+}
+
+/// How the posterior is trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum QTraining {
+    /// By maximum likelihood of the actions taken, before the policies move.
+    Mle,
+    /// By Eq. 10 itself, inside the policy's epochs: posterior and policy climb the term together.
+    Joint,
+}
+
+impl InfluenceConfig {
+    pub(super) fn validate(&self) -> Result<(), MarlError> {
+        not_negative("influence.lambda", self.lambda)?;
+        positive("influence.kappa", self.kappa)?;
+        count("influence.encoder", self.encoder)?;
+        count("influence.hidden", self.hidden)?;
+        count("influence.epochs", self.epochs)?;
+        positive("influence.learning_rate", self.learning_rate)?;
+        count("influence.minibatches", self.minibatches)?;
+        positive("influence.sigma_floor", self.sigma_floor)?;
+        if self.holdout_every < 2 {
+            let range = "at least 2: with 1 no environment would be left to train on";
+            return Err(refuse("influence.holdout_every", self.holdout_every, range));
+        }
+        self.validate_estimator()
+    }
+
+    /// Refuses what is not defined for choices: only the paper's own term is.
+    pub(crate) fn check_for_choices(&self) -> Result<(), MarlError> {
+        let asked = (self.estimator, self.divergence, self.q_training);
+        let paper = (Estimator::VariationalKl, Divergence::KlQp, QTraining::Mle);
+        if self.lambda == 0.0 || asked == paper {
+            return Ok(());
+        }
+        let range = "variational_kl with kl_qp and mle for a task of choices";
+        Err(refuse("influence", format!("{asked:?}"), range))
+    }
+
+    fn validate_estimator(&self) -> Result<(), MarlError> {
+        let bound = "kl_pq with estimator = barber_agakov, whose bound is -KL[p || q]";
+        let discrete = "variational_kl or barber_agakov: counts have no gradient to train by";
+        match (self.estimator, self.divergence) {
+            (Estimator::Count, _) => Err(refuse("influence.estimator", "count", discrete)),
+            (Estimator::BarberAgakov, Divergence::KlQp) => {
+                Err(refuse("influence.divergence", "kl_qp", bound))
+            }
+            (Estimator::BarberAgakov, Divergence::CauchySchwarz) => {
+                Err(refuse("influence.divergence", "cauchy_schwarz", bound))
+            }
+            _ => Ok(()),
+        }
+    }
+}

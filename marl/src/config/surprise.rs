@@ -1,0 +1,152 @@
+//! Settings of the densities and of the reward that they give.
+
+use serde::{Deserialize, Serialize};
+
+use super::{count, not_negative, positive, refuse, within};
+use crate::error::MarlError;
+
+/// Surprise minimisation (Eq. 2-4, 9).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SurpriseConfig {
+    /// Weight of the log-density in the reward.
+    pub alpha: f64,
+    /// The class of densities.
+    pub density: DensityKind,
+    /// Which experience the density that scores `D_k` was fitted on.
+    pub fit: Fit,
+    /// Weight of the moments that were known before, in `[0, 1)`, if `fit` is `ema`.
+    pub ema_memory: f64,
+    /// What is scored.
+    pub space: Space,
+    /// How features are joined.
+    pub reduce: Reduce,
+    /// The additive constant of the bonus.
+    pub constant: Constant,
+    /// Largest magnitude of what alpha multiplies, nats; 0 for none.
+    pub clip: f64,
+    /// Smallest deviation that a density assumes, in units of the feature.
+    pub sigma_floor: f64,
+    /// Features with a smaller deviation on `D_k` are left out, in units of the feature.
+    pub mask_below: f64,
+    /// Components of a mixture.
+    pub components: usize,
+    /// Steps of expectation and maximisation in the fit of a mixture.
+    pub em_steps: usize,
+    /// Units of the hidden layers of a variational autoencoder.
+    pub vae_hidden: usize,
+    /// Its latent dimensions.
+    pub vae_latent: usize,
+    /// Its passes over `D_k`.
+    pub vae_epochs: usize,
+    /// Parts of one pass, each an optimiser step.
+    pub vae_minibatches: usize,
+    /// Adam's step size.
+    pub vae_learning_rate: f64,
+    /// Dimensions of a random projection; more than there are features means as many as those.
+    pub embedding: usize,
+    /// The neighbour, counted from 1, whose distance is the measure.
+    pub neighbours: usize,
+    /// Most rows of `D_k` among which neighbours are sought.
+    pub references: usize,
+}
+
+/// The classes of densities.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DensityKind {
+    /// An independent Gaussian per feature, as in the paper.
+    DiagonalGaussian,
+    /// Independent frequencies per feature, for features that take few values.
+    Categorical,
+    /// A mixture of diagonal Gaussians.
+    GaussianMixture,
+    /// A variational autoencoder, trained on from iteration to iteration.
+    Vae,
+    /// Nearest neighbours in a random projection.
+    RandomEncoder,
+}
+
+/// Which experience the density that scores `D_k` was fitted on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// On `D_k` itself, as the paper's text has it.
+    Current,
+    /// On `D_(k-1)`: the density that was known when `D_k` was collected. Iteration 0 has no bonus.
+    Previous,
+    /// On all experience, the older the lighter.
+    Ema,
+}
+
+/// What surprise scores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Space {
+    /// Observations as the policy sees them.
+    PolicyObs,
+}
+
+/// How the features' log-densities are joined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reduce {
+    /// Their sum, as in Eq. 4.
+    Sum,
+    /// The sum divided by the number of features that count.
+    Mean,
+}
+
+/// The additive constant of the surprise bonus. Inside an episode it changes nothing; where
+/// episodes can end early it pays or charges for staying alive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Constant {
+    /// Eq. 4: the log-density without `-1/2 log 2 pi` per feature.
+    Paper,
+    /// Eq. 3: the log-density itself.
+    Density,
+    /// The log-density minus its mean at the fit: no pay for staying alive.
+    Centered,
+}
+
+impl SurpriseConfig {
+    pub(super) fn validate(&self) -> Result<(), MarlError> {
+        not_negative("surprise.alpha", self.alpha)?;
+        positive("surprise.sigma_floor", self.sigma_floor)?;
+        not_negative("surprise.mask_below", self.mask_below)?;
+        not_negative("surprise.clip", self.clip)?;
+        let memory = "0 <= ema_memory < 1";
+        within("surprise.ema_memory", self.ema_memory, 0.0..1.0, memory)?;
+        count("surprise.components", self.components)?;
+        count("surprise.em_steps", self.em_steps)?;
+        count("surprise.vae_hidden", self.vae_hidden)?;
+        count("surprise.vae_latent", self.vae_latent)?;
+        count("surprise.vae_epochs", self.vae_epochs)?;
+        count("surprise.vae_minibatches", self.vae_minibatches)?;
+        positive("surprise.vae_learning_rate", self.vae_learning_rate)?;
+        count("surprise.embedding", self.embedding)?;
+        count("surprise.neighbours", self.neighbours)?;
+        if self.references <= self.neighbours {
+            let range = "more than surprise.neighbours";
+            return Err(refuse("surprise.references", self.references, range));
+        }
+        self.validate_density()
+    }
+
+    /// Refuses what the class of densities gives no meaning to.
+    fn validate_density(&self) -> Result<(), MarlError> {
+        let gaussian = self.density == DensityKind::DiagonalGaussian;
+        if self.fit == Fit::Ema && !gaussian {
+            let range = "current or previous: only diagonal_gaussian has moments to average";
+            return Err(refuse("surprise.fit", "ema", range));
+        }
+        let free = matches!(self.density, DensityKind::Categorical | DensityKind::RandomEncoder);
+        if self.constant == Constant::Paper && free {
+            let range = "density or centered: categorical and random_encoder have no Gaussian whose \
+                         constant could be left out";
+            return Err(refuse("surprise.constant", "paper", range));
+        }
+        Ok(())
+    }
+}

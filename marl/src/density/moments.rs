@@ -1,0 +1,112 @@
+//! Mean and deviation of every signal feature: all that a Gaussian needs, and the units in which the
+//! other densities see the world.
+
+use libm::{log, sqrt};
+use policy::arrays::{Array, NamedArrays};
+
+use super::stored;
+use crate::density::Observations;
+use crate::error::MarlError;
+
+/// Moments of the signal features. A feature whose deviation is below the mask carries no surprise and
+/// is left out; the others' deviations are held above the floor.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Moments {
+    signal: Vec<usize>,
+    sigma_floor: f64,
+    mask_below: f64,
+    pub(super) mean: Vec<f64>,
+    /// As they were found; `sigma` has the floor.
+    variance: Vec<f64>,
+    pub(super) sigma: Vec<f64>,
+    pub(super) active: Vec<bool>,
+}
+
+impl Moments {
+    /// Moments of nothing yet, of the features `signal`; floor and mask in units of the feature.
+    pub(super) fn new(signal: Vec<usize>, sigma_floor: f64, mask_below: f64) -> Self {
+        let count = signal.len();
+        let (mean, variance, sigma) = (vec![0.0; count], vec![1.0; count], vec![1.0; count]);
+        let active = vec![false; count];
+        Self { signal, sigma_floor, mask_below, mean, variance, sigma, active }
+    }
+
+    /// Sample mean and deviation (the likelihood's maximum divides by `R`), in two passes. What was
+    /// known before has the weight `memory`, as if its rows were among these.
+    pub(super) fn fit(&mut self, observations: Observations<'_>, memory: f64) {
+        let count = observations.count() as f64;
+        for (i, &feature) in self.signal.iter().enumerate() {
+            let column = || observations.column(feature).map(f64::from);
+            let mean = column().sum::<f64>() / count;
+            let variance = column().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
+            let (apart, weight) = (self.mean[i] - mean, 1.0 - memory);
+            let between = memory * weight * apart * apart;
+            self.variance[i] = memory * self.variance[i] + weight * variance + between;
+            self.mean[i] = memory * self.mean[i] + weight * mean;
+            let sigma = sqrt(self.variance[i]);
+            self.active[i] = sigma >= self.mask_below;
+            self.sigma[i] = sigma.max(self.sigma_floor);
+        }
+    }
+
+    /// Signal features.
+    pub(super) fn signals(&self) -> usize {
+        self.signal.len()
+    }
+
+    /// Where the signal feature stands in an observation.
+    pub(super) fn feature(&self, signal: usize) -> usize {
+        self.signal[signal]
+    }
+
+    /// Signal features that count, in their order.
+    pub(super) fn counted(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.signal.len()).filter(|&i| self.active[i])
+    }
+
+    /// `(o_j - mu_j) / sigma_j` of the signal feature `i`.
+    pub(super) fn standard(&self, row: &[f32], i: usize) -> f64 {
+        (f64::from(row[self.signal[i]]) - self.mean[i]) / self.sigma[i]
+    }
+
+    /// The smallest deviation of the signal feature `i` in units of its own, at most 1.
+    pub(super) fn floor(&self, i: usize) -> f64 {
+        self.sigma_floor / self.sigma[i]
+    }
+
+    /// `sum_j log sigma_j` over the features that count: what a log-density of standardised features
+    /// has above that of the features themselves, nats.
+    pub(super) fn log_volume(&self) -> f64 {
+        self.counted().map(|i| log(self.sigma[i])).sum()
+    }
+
+    /// Features that count and that do not.
+    pub(super) fn features(&self) -> (usize, usize) {
+        let counted = self.counted().count();
+        (counted, self.signal.len() - counted)
+    }
+
+    pub(super) fn arrays(&self, prefix: &str) -> NamedArrays {
+        let shape = vec![self.signal.len()];
+        let real = |name: &str, data: &[f64]| {
+            (format!("{prefix}{name}"), Array::F64 { shape: shape.clone(), data: data.to_vec() })
+        };
+        let data = self.active.iter().map(|&a| i64::from(a)).collect();
+        NamedArrays::from([
+            real("mean", &self.mean),
+            real("variance", &self.variance),
+            real("sigma", &self.sigma),
+            (format!("{prefix}active"), Array::I64 { shape: shape.clone(), data }),
+        ])
+    }
+
+    pub(super) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+        let shape = [Some(self.signal.len())];
+        let real = |name: &str| stored::reals(arrays, &format!("{prefix}{name}"), &shape);
+        let (mean, variance, sigma) = (real("mean")?, real("variance")?, real("sigma")?);
+        let active = stored::integers(arrays, &format!("{prefix}active"), &shape)?;
+        self.active = active.into_iter().map(|a| a == 1).collect();
+        (self.mean, self.variance, self.sigma) = (mean, variance, sigma);
+        Ok(())
+    }
+}

@@ -1,0 +1,188 @@
+//! What holds for every class of densities, and the bound of Eq. (2) for those whose truth is known.
+
+use policy::randomness::{Draw, Purpose, generator, standard_normal};
+use rand::RngCore;
+
+use super::*;
+use crate::gaussian::entropy;
+use crate::probe;
+use crate::surprise::entropy_bound;
+
+const KINDS: [DensityKind; 5] = [
+    DensityKind::DiagonalGaussian,
+    DensityKind::Categorical,
+    DensityKind::GaussianMixture,
+    DensityKind::Vae,
+    DensityKind::RandomEncoder,
+];
+const ROWS: usize = 4000;
+
+fn config(density: DensityKind) -> SurpriseConfig {
+    SurpriseConfig { density, ..probe::surprise() }
+}
+
+fn at(iteration: u64) -> Occasion {
+    Occasion { seed: RunSeed(4), iteration, agent: 1, memory: 0.0 }
+}
+
+fn density(config: &SurpriseConfig, features: usize) -> Box<dyn Density> {
+    let signal: Vec<usize> = (0..features).collect();
+    build(config, &signal, (RunSeed(4), 1)).unwrap()
+}
+
+fn fit(density: &mut dyn Density, data: &[f32], width: usize, iteration: u64) -> Vec<f64> {
+    let observations = Observations { data, width };
+    density.fit(observations, at(iteration)).unwrap();
+    density.log_prob(observations, at(iteration)).unwrap()
+}
+
+/// The entropy that a density finds in its own rows, nats.
+fn found_entropy(config: &SurpriseConfig, data: &[f32], width: usize) -> f64 {
+    entropy_bound(&fit(density(config, width).as_mut(), data, width, 0))
+}
+
+fn normals(count: usize) -> Vec<f32> {
+    let mut rng = generator(RunSeed(6), Draw::of(Purpose::Probe));
+    (0..count).map(|_| standard_normal(&mut rng)).collect()
+}
+
+/// Pairs of independent normal numbers of deviations 2 and 1/2; entropy `2.8379`.
+fn normal_pairs() -> Vec<f32> {
+    normals(2 * ROWS).chunks_exact(2).flat_map(|z| [3.0 + 2.0 * z[0], 0.5 * z[1]]).collect()
+}
+
+/// Half of the rows around -4, half around 4, each with deviation 1/2.
+fn two_hills() -> Vec<f32> {
+    let side = |row: usize| if row.is_multiple_of(2) { 4.0 } else { -4.0 };
+    normals(ROWS).into_iter().enumerate().map(|(row, z)| side(row) + 0.5 * z).collect()
+}
+
+/// 0, 1 and 2 with probabilities 1/2, 1/4 and 1/4.
+fn symbols() -> Vec<f32> {
+    let mut rng = generator(RunSeed(7), Draw::of(Purpose::Probe));
+    (0..ROWS).map(|_| [0.0, 0.0, 1.0, 2.0][rng.next_u32() as usize % 4]).collect()
+}
+
+#[test]
+fn a_true_model_meets_the_entropy() {
+    let pairs = entropy(&[2.0, 0.5]);
+    let found = found_entropy(&config(DensityKind::DiagonalGaussian), &normal_pairs(), 2);
+    assert!((found - pairs).abs() < 0.04, "{found} {pairs}");
+    // Two hills that do not meet: one bit more than one of them.
+    let hills = entropy(&[0.5]) + libm::log(2.0);
+    let two = SurpriseConfig { components: 2, ..config(DensityKind::GaussianMixture) };
+    let found = found_entropy(&two, &two_hills(), 1);
+    assert!((found - hills).abs() < 0.03, "{found} {hills}");
+    let letters = 1.5 * libm::log(2.0);
+    let found = found_entropy(&config(DensityKind::Categorical), &symbols(), 1);
+    assert!((found - letters).abs() < 0.02, "{found} {letters}");
+}
+
+#[test]
+fn a_model_that_is_not_the_truth_lies_above_the_entropy() {
+    let hills = entropy(&[0.5]) + libm::log(2.0);
+    let gaussian = found_entropy(&config(DensityKind::DiagonalGaussian), &two_hills(), 1);
+    assert!(gaussian > hills + 0.5, "{gaussian} {hills}");
+    // The lower bound of a log-density stays one with training.
+    let (pairs, data) = (entropy(&[2.0, 0.5]), normal_pairs());
+    let mut vae = density(&config(DensityKind::Vae), 2);
+    let bounds = (0..20).map(|iteration| entropy_bound(&fit(vae.as_mut(), &data, 2, iteration)));
+    let bounds: Vec<f64> = bounds.collect();
+    assert!(bounds.iter().all(|bound| *bound > pairs - 0.04), "{bounds:?} {pairs}");
+    assert!(bounds[19] < pairs + 0.3, "{bounds:?} {pairs}");
+}
+
+#[test]
+fn a_mixture_of_one_is_a_gaussian() {
+    let data = normal_pairs();
+    let one = SurpriseConfig { components: 1, ..config(DensityKind::GaussianMixture) };
+    let mixture = fit(density(&one, 2).as_mut(), &data, 2, 0);
+    let gaussian = fit(density(&config(DensityKind::DiagonalGaussian), 2).as_mut(), &data, 2, 0);
+    assert!(mixture.iter().zip(&gaussian).all(|(m, g)| (m - g).abs() < 1e-9));
+}
+
+#[test]
+fn a_symbols_probability_is_its_smoothed_frequency() {
+    let mut density = density(&config(DensityKind::Categorical), 1);
+    density.fit(Observations { data: &[5.0, 5.0, 7.0, 0.0], width: 1 }, at(0)).unwrap();
+    let asked = Observations { data: &[5.0, -0.0, 9.0], width: 1 };
+    // Three values and the unseen ones: each counts one more, 8 in all.
+    let found = density.log_prob(asked, at(0)).unwrap();
+    assert_eq!(found, [3.0 / 8.0, 2.0 / 8.0, 1.0 / 8.0].map(libm::log));
+}
+
+#[test]
+fn an_autoencoder_learns_on_from_iteration_to_iteration() {
+    // A ring: no Gaussian per feature comes near it.
+    let normal = normals(ROWS);
+    let ring: Vec<f32> = normal
+        .iter()
+        .flat_map(|z| {
+            let angle = 3.0 * f64::from(*z);
+            [libm::cos(angle) as f32, libm::sin(angle) as f32]
+        })
+        .collect();
+    let mut density = density(&config(DensityKind::Vae), 2);
+    let bounds: Vec<f64> = (0..20)
+        .map(|iteration| entropy_bound(&fit(density.as_mut(), &ring, 2, iteration)))
+        .collect();
+    let gaussian = found_entropy(&config(DensityKind::DiagonalGaussian), &ring, 2);
+    assert!(bounds[19] < bounds[0] - 0.3, "{bounds:?}");
+    assert!(bounds[19] < gaussian - 0.3, "{bounds:?} {gaussian}");
+}
+
+#[test]
+fn neighbours_find_the_entropy_where_the_projection_keeps_all_features() {
+    let pairs = entropy(&[2.0, 0.5]);
+    let found = found_entropy(&config(DensityKind::RandomEncoder), &normal_pairs(), 2);
+    assert!((found - pairs).abs() < 0.1, "{found} {pairs}");
+}
+
+#[test]
+fn a_restored_density_goes_on_bit_for_bit_whatever_it_was_before() {
+    let (first, second) = (normal_pairs(), normals(2 * ROWS));
+    for kind in KINDS {
+        let (mut kept, mut other) = (density(&config(kind), 2), density(&config(kind), 2));
+        fit(kept.as_mut(), &first, 2, 0);
+        fit(other.as_mut(), &second, 2, 5);
+        other.restore("density/", &kept.arrays("density/").unwrap()).unwrap();
+        let asked = Observations { data: &second, width: 2 };
+        assert_eq!(kept.log_prob(asked, at(1)).unwrap(), other.log_prob(asked, at(1)).unwrap());
+        let (mine, yours) = (fit(kept.as_mut(), &second, 2, 1), fit(other.as_mut(), &second, 2, 1));
+        assert_eq!(mine, yours, "{kind:?}");
+        assert_eq!(kept.arrays("").unwrap(), other.arrays("").unwrap(), "{kind:?}");
+        let lacking = NamedArrays::new();
+        let error = other.restore("density/", &lacking).unwrap_err().to_string();
+        assert!(error.contains("density/"), "{kind:?} {error}");
+    }
+}
+
+#[test]
+fn every_density_gives_the_same_bits_on_one_two_and_three_threads() {
+    let data = normal_pairs();
+    for kind in KINDS {
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| fit(density(&config(kind), 2).as_mut(), &data, 2, 0))
+        };
+        assert_eq!(on(1), on(2), "{kind:?}");
+        assert_eq!(on(1), on(3), "{kind:?}");
+    }
+}
+
+#[test]
+fn a_feature_that_never_varies_is_left_out_and_rows_that_are_all_one_are_scored_with_numbers() {
+    // Feature 1 never varies; with no mask, nothing is left out and the floors must hold.
+    let data: Vec<f32> = normals(300).into_iter().flat_map(|z| [z, 2.0]).collect();
+    let same = [0.5, -0.5].repeat(50);
+    for kind in KINDS {
+        let mut masked = density(&config(kind), 2);
+        fit(masked.as_mut(), &data, 2, 0);
+        assert_eq!(masked.features(), (1, 1));
+        let unmasked = SurpriseConfig { mask_below: 0.0, ..config(kind) };
+        for rows in [&data, &same, &same[..2].to_vec()] {
+            let found = fit(density(&unmasked, 2).as_mut(), rows, 2, 0);
+            assert!(found.iter().all(|l| l.is_finite()), "{kind:?} {found:?}");
+        }
+    }
+}

@@ -1,0 +1,352 @@
+//! A variational autoencoder over the standardised features, whose evidence lower bound stands for the
+//! log-density. It is trained on from iteration to iteration.
+
+use candle_core::backprop::GradStore;
+use candle_core::{Device, Tensor, Var};
+use libm::{exp, log};
+use policy::arrays::NamedArrays;
+use policy::ops::Activation;
+use policy::parameters::Parameters;
+use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+
+use super::moments::Moments;
+use crate::config::SurpriseConfig;
+use crate::density::{Density, Observations, Occasion};
+use crate::error::MarlError;
+use crate::gaussian::LOG_TWO_PI;
+use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::layers::{Builder, Dense, TANH_GAIN, rows};
+use crate::minibatch::minibatches;
+use crate::optimizer::{Adam, AdamConfig};
+
+/// Gain of the decoder's output: its means differ from the start, so that the latent has a use.
+const DECODER_GAIN: f64 = 1.0;
+/// Gain of the encoder's output: at the start the latent is nearly the prior.
+const ENCODER_GAIN: f64 = 0.01;
+/// The decoder's deviations at the start, in the features' own. At 1 no latent at all would be a local
+/// optimum, which is hard to leave.
+const START_LOG_SIGMA: f32 = -1.0;
+/// Adam's epsilon, as Kingma and Ba have it.
+const EPSILON: f64 = 1e-8;
+/// The actors' limit, which their gradients hardly reach either.
+const MAX_GRADIENT_NORM: f64 = 10.0;
+
+/// `q(z | o)` and `p(o | z)`, each Linear, tanh, Linear, with diagonal Gaussians; the decoder's
+/// deviations are parameters of their own.
+pub struct Vae {
+    epochs: usize,
+    minibatches: usize,
+    latent: usize,
+    moments: Moments,
+    parameters: Parameters,
+    encoder: [Dense; 2],
+    decoder: [Dense; 2],
+    log_sigma: Var,
+    adam: Adam,
+}
+
+/// The latent of some rows: `[R, latent]` each, `spread` being `exp(log variance / 2)`.
+struct Latent {
+    encoded: Tensor,
+    mean: Vec<f64>,
+    log_variance: Vec<f64>,
+}
+
+impl Latent {
+    fn spread(&self, i: usize) -> f64 {
+        exp(0.5 * self.log_variance[i])
+    }
+
+    /// `mean + spread * noise`.
+    fn sample(&self, noise: &[f64]) -> Vec<f32> {
+        let one = |i: usize| (self.mean[i] + self.spread(i) * noise[i]) as f32;
+        (0..noise.len()).map(one).collect()
+    }
+
+    /// `KL[q(z | o) || N(0, 1)]` of the row's numbers `of`, nats.
+    fn divergence(&self, of: std::ops::Range<usize>) -> f64 {
+        let one = |i: usize| {
+            let (mean, log_variance) = (self.mean[i], self.log_variance[i]);
+            0.5 * (mean * mean + exp(log_variance) - 1.0 - log_variance)
+        };
+        of.map(one).sum()
+    }
+}
+
+impl Vae {
+    /// Networks for the moments' features, drawn for agent `agent`.
+    pub(super) fn new(
+        config: &SurpriseConfig,
+        moments: Moments,
+        (seed, agent): (RunSeed, u32),
+    ) -> Result<Self, MarlError> {
+        let mut rng = generator(seed, Draw::of(Purpose::DensityInitialisation).agent(agent));
+        let mut builder = Builder { parameters: Parameters::new(), rng: &mut rng };
+        let (features, hidden, latent) = (moments.signals(), config.vae_hidden, config.vae_latent);
+        let (tanh, identity) = (Activation::Tanh, Activation::Identity);
+        let mut pair = |name: &str, from: usize, to: usize, gain: f64| {
+            let (first, second) = (format!("{name}.hidden"), format!("{name}.output"));
+            let first = builder.dense(&first, (from, hidden), TANH_GAIN, tanh)?;
+            Ok::<_, MarlError>([first, builder.dense(&second, (hidden, to), gain, identity)?])
+        };
+        let encoder = pair("encoder", features, 2 * latent, ENCODER_GAIN)?;
+        let decoder = pair("decoder", latent, features, DECODER_GAIN)?;
+        let start = vec![START_LOG_SIGMA; features];
+        let log_sigma = builder.parameter("log_sigma", start, &[features])?;
+        let parameters = builder.parameters;
+        let adam = AdamConfig {
+            learning_rate: config.vae_learning_rate,
+            epsilon: EPSILON,
+            max_gradient_norm: MAX_GRADIENT_NORM,
+        };
+        let (epochs, minibatches) = (config.vae_epochs, config.vae_minibatches);
+        let adam = Adam::new(adam, &parameters);
+        Ok(Self {
+            epochs,
+            minibatches,
+            latent,
+            moments,
+            parameters,
+            encoder,
+            decoder,
+            log_sigma,
+            adam,
+        })
+    }
+
+    /// The rows as the networks see them, `[R, S]`: features that are left out are 0.
+    fn inputs(&self, observations: Observations<'_>) -> Vec<f32> {
+        let feature = |row, i| match self.moments.active[i] {
+            true => self.moments.standard(row, i) as f32,
+            false => 0.0,
+        };
+        let signals = 0..self.moments.signals();
+        observations.rows().flat_map(|row| signals.clone().map(move |i| feature(row, i))).collect()
+    }
+
+    fn latent(&self, inputs: &[f32]) -> Result<Latent, MarlError> {
+        let hidden = self.encoder[0].apply(&rows(inputs.to_vec(), self.moments.signals())?)?;
+        let encoded = self.encoder[1].apply(&hidden)?;
+        let all = numbers(&encoded)?;
+        let half = |from: usize| -> Vec<f64> {
+            let rows = all.chunks_exact(2 * self.latent);
+            rows.flat_map(|row| row[from..from + self.latent].iter().copied()).collect()
+        };
+        Ok(Latent { mean: half(0), log_variance: half(self.latent), encoded })
+    }
+
+    fn decoded(&self, z: &Tensor) -> Result<Tensor, MarlError> {
+        self.decoder[1].apply(&self.decoder[0].apply(z)?)
+    }
+
+    /// `log p(x | z)` of every row, nats, over the features that count.
+    fn reconstruction(
+        &self,
+        inputs: &[f32],
+        latent: &Latent,
+        noise: &[f64],
+    ) -> Result<Vec<f64>, MarlError> {
+        let mean = numbers(&self.decoded(&rows(latent.sample(noise), self.latent)?)?)?;
+        let (log_sigma, width) = (numbers(self.log_sigma.as_tensor())?, self.moments.signals());
+        let row = |(x, mean): (&[f32], &[f64])| -> f64 {
+            let term = |i: usize| {
+                let z = (f64::from(x[i]) - mean[i]) / exp(log_sigma[i]);
+                -0.5 * z * z - log_sigma[i] - 0.5 * LOG_TWO_PI
+            };
+            self.moments.counted().map(term).sum()
+        };
+        Ok(inputs.chunks_exact(width).zip(mean.chunks_exact(width)).map(row).collect())
+    }
+
+    /// One step up the mean evidence lower bound of some rows.
+    fn step(&mut self, inputs: &[f32], noise: &[f64]) -> Result<(), MarlError> {
+        self.adam.step(&self.parameters, &self.gradients(inputs, noise)?)?;
+        self.project()
+    }
+
+    /// Gradients of minus the mean evidence lower bound of some rows, with one draw of the latent each.
+    /// The draw cuts the graph in two: the decoder's gradient by it goes on by hand.
+    fn gradients(&self, inputs: &[f32], noise: &[f64]) -> Result<Gradients, MarlError> {
+        let latent = self.latent(inputs)?;
+        let z = Var::from_tensor(&rows(latent.sample(noise), self.latent)?)?;
+        let decoded = self.decoded(z.as_tensor())?;
+        let (d_decoded, d_log_sigma) = self.reconstruction_gradient(inputs, &numbers(&decoded)?)?;
+        let outer = root(&[
+            OutputGradient { output: &decoded, gradient: &d_decoded },
+            OutputGradient { output: self.log_sigma.as_tensor(), gradient: &d_log_sigma },
+        ])?
+        .backward()?;
+        let d_z = numbers(of(&outer, &z, "latent")?)?;
+        let d_encoded = latent_gradient(&latent, noise, &d_z, self.latent);
+        let inner = root(&[OutputGradient { output: &latent.encoded, gradient: &d_encoded }])?;
+        let inner = inner.backward()?;
+        let gradient = |(name, var): (&str, &Var)| {
+            let store = if name.starts_with("encoder") { &inner } else { &outer };
+            Ok(of(store, var, name)?.flatten_all()?.to_vec1::<f32>()?)
+        };
+        let all = self.parameters.iter().map(gradient).collect::<Result<_, MarlError>>()?;
+        Ok(Gradients(all))
+    }
+
+    /// Gradient of minus the mean of [`Vae::reconstruction`] by the decoded means and `log_sigma`.
+    fn reconstruction_gradient(
+        &self,
+        inputs: &[f32],
+        mean: &[f64],
+    ) -> Result<(Vec<f64>, Vec<f64>), MarlError> {
+        let (log_sigma, width) = (numbers(self.log_sigma.as_tensor())?, self.moments.signals());
+        let share = width as f64 / inputs.len() as f64;
+        let (mut d_mean, mut d_log_sigma) = (vec![0.0; mean.len()], vec![0.0; width]);
+        for row in (0..mean.len()).step_by(width) {
+            for i in self.moments.counted() {
+                let sigma = exp(log_sigma[i]);
+                let z = (f64::from(inputs[row + i]) - mean[row + i]) / sigma;
+                d_mean[row + i] = -share * z / sigma;
+                d_log_sigma[i] += share * (1.0 - z * z);
+            }
+        }
+        Ok((d_mean, d_log_sigma))
+    }
+
+    /// Holds the decoder's deviations at the features' floor.
+    fn project(&self) -> Result<(), MarlError> {
+        let values = self.log_sigma.as_tensor().to_vec1::<f32>()?;
+        let held = |(i, value): (usize, f32)| value.max(log(self.moments.floor(i)) as f32);
+        let held: Vec<f32> = values.into_iter().enumerate().map(held).collect();
+        let width = held.len();
+        Ok(self.log_sigma.set(&Tensor::from_vec(held, width, &Device::Cpu)?)?)
+    }
+
+    /// Standard normal noise of the latent of `count` rows.
+    fn noise(&self, count: usize, occasion: Occasion, step: usize) -> Vec<f64> {
+        let Occasion { seed, iteration, agent, .. } = occasion;
+        let draw = Draw::of(Purpose::DensityNoise).iteration(iteration).agent(agent);
+        let mut rng = generator(seed, draw.step(step as u32));
+        (0..count * self.latent).map(|_| f64::from(standard_normal(&mut rng))).collect()
+    }
+}
+
+/// Gradient of the mean loss by the encoder's output `[R, 2 latent]`: through the draw, and of
+/// [`Latent::divergence`].
+fn latent_gradient(latent: &Latent, noise: &[f64], d_z: &[f64], width: usize) -> Vec<f64> {
+    let share = width as f64 / d_z.len() as f64;
+    let by_mean = |i: usize| d_z[i] + share * latent.mean[i];
+    let by_log_variance = |i: usize| {
+        let spread = latent.spread(i);
+        0.5 * (d_z[i] * spread * noise[i] + share * (spread * spread - 1.0))
+    };
+    let row = |start: usize| {
+        let here = start..start + width;
+        here.clone().map(by_mean).chain(here.map(by_log_variance)).collect::<Vec<_>>()
+    };
+    (0..d_z.len()).step_by(width).flat_map(row).collect()
+}
+
+fn of<'a>(store: &'a GradStore, var: &Var, name: &str) -> Result<&'a Tensor, MarlError> {
+    store.get(var.as_tensor()).ok_or_else(|| MarlError::NoGradient(name.to_owned()))
+}
+
+impl Density for Vae {
+    fn fit(&mut self, observations: Observations<'_>, occasion: Occasion) -> Result<(), MarlError> {
+        self.moments.fit(observations, 0.0);
+        if self.moments.features().0 == 0 {
+            return Ok(());
+        }
+        let (inputs, width) = (self.inputs(observations), self.moments.signals());
+        let Occasion { seed, iteration, agent, .. } = occasion;
+        let draw = Draw::of(Purpose::DensityMinibatch).iteration(iteration).agent(agent);
+        for epoch in 0..self.epochs {
+            let noise = self.noise(observations.count(), occasion, epoch);
+            let draw = draw.step(epoch as u32);
+            for part in minibatches(observations.count(), self.minibatches, seed, draw) {
+                self.step(&picked(&inputs, &part, width), &picked(&noise, &part, self.latent))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// `E_q[log p(o | z)] - KL[q(z | o) || N(0, 1)]`, the expectation over a draw and its mirror image,
+    /// so that what is linear in the noise cancels. The noise is not that of the fit.
+    fn log_prob(
+        &self,
+        observations: Observations<'_>,
+        occasion: Occasion,
+    ) -> Result<Vec<f64>, MarlError> {
+        let inputs = self.inputs(observations);
+        let latent = self.latent(&inputs)?;
+        let noise = self.noise(observations.count(), occasion, self.epochs);
+        let mirrored: Vec<f64> = noise.iter().map(|x| -x).collect();
+        let there = self.reconstruction(&inputs, &latent, &noise)?;
+        let back = self.reconstruction(&inputs, &latent, &mirrored)?;
+        let volume = self.moments.log_volume();
+        let row = |(i, (there, back)): (usize, (f64, f64))| {
+            let divergence = latent.divergence(i * self.latent..(i + 1) * self.latent);
+            0.5 * (there + back) - divergence - volume
+        };
+        Ok(there.into_iter().zip(back).enumerate().map(row).collect())
+    }
+
+    fn features(&self) -> (usize, usize) {
+        self.moments.features()
+    }
+
+    /// The moments, `network.NAME` and `optimizer.NAME`.
+    fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.moments.arrays(prefix);
+        arrays.append(&mut self.parameters.to_arrays(&format!("{prefix}network."))?);
+        arrays.append(&mut self.adam.arrays(&format!("{prefix}optimizer.")));
+        Ok(arrays)
+    }
+
+    fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+        self.moments.restore(prefix, arrays)?;
+        self.parameters.load(&format!("{prefix}network."), arrays)?;
+        self.adam.restore(&format!("{prefix}optimizer."), arrays)
+    }
+}
+
+/// The rows `part` of `[R, width]` numbers.
+fn picked<V: Copy>(from: &[V], part: &[usize], width: usize) -> Vec<V> {
+    part.iter().flat_map(|&row| from[row * width..(row + 1) * width].iter().copied()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::probe;
+
+    #[test]
+    fn the_gradient_meets_finite_differences() {
+        let moments = Moments::new(vec![0, 1], 0.01, 1e-4);
+        let mut vae = Vae::new(&probe::surprise(), moments, (RunSeed(1), 0)).unwrap();
+        let data = [0.3, -1.0, 2.0, 0.4, -0.7, 1.5];
+        let (observations, occasion) = (
+            Observations { data: &data, width: 2 },
+            Occasion { seed: RunSeed(1), iteration: 0, agent: 0, memory: 0.0 },
+        );
+        vae.fit(observations, occasion).unwrap();
+        let (inputs, noise) = (vae.inputs(observations), vae.noise(3, occasion, 7));
+        let loss = || {
+            let latent = vae.latent(&inputs).unwrap();
+            let likelihood: f64 =
+                vae.reconstruction(&inputs, &latent, &noise).unwrap().iter().sum();
+            (latent.divergence(0..latent.mean.len()) - likelihood) / 3.0
+        };
+        let found = vae.gradients(&inputs, &noise).unwrap();
+        for ((_, var), gradient) in vae.parameters.iter().zip(&found.0) {
+            let values = var.as_tensor().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            let moved = |at: usize, by: f32| {
+                let mut values = values.clone();
+                values[at] += by;
+                var.set(&Tensor::from_vec(values, var.shape().clone(), &Device::Cpu).unwrap())
+                    .unwrap();
+                loss()
+            };
+            for (at, found) in gradient.iter().enumerate() {
+                let slope = (moved(at, 1e-3) - moved(at, -1e-3)) / 2e-3;
+                let _ = moved(at, 0.0);
+                assert!((slope - f64::from(*found)).abs() < 2e-3 * (1.0 + slope.abs()));
+            }
+        }
+    }
+}

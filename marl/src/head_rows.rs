@@ -1,0 +1,188 @@
+//! What a head says of every row, as numbers in f64: the one place that tells kinds of action distribution apart
+//! between the networks' tensors and the formulas.
+
+use candle_core::Tensor;
+use policy::Distribution;
+
+use crate::actor_loss::categorical::categorical_loss;
+use crate::actor_loss::{Coefficients, Figures, Rows, actor_loss};
+use crate::error::MarlError;
+use crate::gradient::{self, OutputGradient, numbers};
+use crate::influence::Term;
+use crate::influence::divergence::add_gradient_by_posterior;
+use crate::sequence::Layout;
+use crate::{categorical, gaussian};
+
+/// A distribution for each of `R` rows, or a gradient by its numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub enum HeadRows {
+    /// Diagonal Gaussians with common deviations.
+    Gaussian {
+        /// Means, `[R, act]`.
+        mean: Vec<f64>,
+        /// Deviations, `[act]`.
+        sigma: Vec<f64>,
+    },
+    /// Choices among `K`.
+    Categorical {
+        /// Logits, `[R, K]`.
+        logits: Vec<f64>,
+        /// `K`.
+        choices: usize,
+    },
+}
+
+impl HeadRows {
+    /// The numbers of a head's tensors.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn of(distribution: &Distribution) -> Result<Self, MarlError> {
+        Ok(match distribution {
+            Distribution::Gaussian(gaussian) => {
+                Self::Gaussian { mean: numbers(&gaussian.mean)?, sigma: numbers(&gaussian.sigma)? }
+            }
+            Distribution::Categorical(categorical) => Self::Categorical {
+                logits: numbers(&categorical.logits)?,
+                choices: categorical.logits.dim(1)?,
+            },
+        })
+    }
+
+    /// Numbers in an action, `act`.
+    #[must_use]
+    pub fn action_size(&self) -> usize {
+        match self {
+            Self::Gaussian { sigma, .. } => sigma.len(),
+            Self::Categorical { .. } => 1,
+        }
+    }
+
+    /// A gradient of zeros by these numbers.
+    #[must_use]
+    pub fn zeros(&self) -> Self {
+        match self {
+            Self::Gaussian { mean, sigma } => {
+                Self::Gaussian { mean: vec![0.0; mean.len()], sigma: vec![0.0; sigma.len()] }
+            }
+            Self::Categorical { logits, choices } => {
+                Self::Categorical { logits: vec![0.0; logits.len()], choices: *choices }
+            }
+        }
+    }
+
+    /// `log p(a)` of the given rows' actions; `action` is `[R, act]`; nats.
+    #[must_use]
+    pub fn log_prob(&self, action: &[f64], of: &[usize]) -> Vec<f64> {
+        let width = self.action_size();
+        let row = |&row: &usize| self.log_prob_of(row, &action[row * width..(row + 1) * width]);
+        of.iter().map(row).collect()
+    }
+
+    /// `log p(a)` of an action `[act]` in row `row`, nats.
+    #[must_use]
+    pub fn log_prob_of(&self, row: usize, action: &[f64]) -> f64 {
+        match self {
+            Self::Gaussian { mean, sigma } => {
+                let width = sigma.len();
+                gaussian::log_prob(action, &mean[row * width..(row + 1) * width], sigma)
+            }
+            Self::Categorical { logits, choices } => {
+                categorical::log_prob(action[0] as usize, &logits[row * choices..][..*choices])
+            }
+        }
+    }
+
+    /// Adds `weight` times the gradient of [`HeadRows::log_prob_of`] by the numbers of `p` to this one, which is
+    /// of the same kind.
+    ///
+    /// # Panics
+    /// If the kinds differ.
+    pub fn add_log_prob_gradient(&mut self, weight: f64, row: usize, action: &[f64], p: &Self) {
+        match (self, p) {
+            (Self::Gaussian { mean: d_mean, sigma: d_sigma }, Self::Gaussian { mean, sigma }) => {
+                let here = row * sigma.len()..(row + 1) * sigma.len();
+                let gradient = (&mut d_mean[here.clone()], d_sigma.as_mut_slice());
+                gaussian::add_log_prob_gradient(weight, action, (&mean[here], sigma), gradient);
+            }
+            (Self::Categorical { logits: d, .. }, Self::Categorical { logits, choices }) => {
+                let here = row * choices..(row + 1) * choices;
+                let (choice, logits) = (action[0] as usize, &logits[here.clone()]);
+                categorical::add_log_prob_gradient(weight, choice, logits, &mut d[here]);
+            }
+            (own, p) => panic!("a gradient {own:?} by {p:?}"),
+        }
+    }
+
+    /// `weight` times the gradient of the influence term of all rows by these numbers, a posterior's; the policy `p`
+    /// is a constant.
+    ///
+    /// # Panics
+    /// For choices: the configuration refuses to train their posteriors so.
+    #[must_use]
+    pub fn influence_gradient(&self, weight: f64, p: &Self, term: Term) -> Self {
+        let (Self::Gaussian { mean, sigma }, Self::Gaussian { mean: p_mean, sigma: p_sigma }) =
+            (self, p)
+        else {
+            panic!("posteriors of choices are trained by likelihood alone")
+        };
+        let (mut d_mean, mut d_sigma) = (vec![0.0; mean.len()], vec![0.0; sigma.len()]);
+        for row in 0..mean.len() / sigma.len() {
+            let here = row * sigma.len()..(row + 1) * sigma.len();
+            let q = (&mean[here.clone()], sigma.as_slice());
+            let p = (&p_mean[here.clone()], p_sigma.as_slice());
+            let (_, slope) = term.row(q, p);
+            let gradient = (&mut d_mean[here], d_sigma.as_mut_slice());
+            add_gradient_by_posterior(term.divergence, weight * slope, q, p, gradient);
+        }
+        Self::Gaussian { mean: d_mean, sigma: d_sigma }
+    }
+
+    /// Chunked rows `[L, C]` of some chunks, in the form in which [`Rows`] hold a posterior.
+    #[must_use]
+    pub fn posterior(&self, layout: Layout, columns: &[usize]) -> (Vec<f64>, Vec<f64>) {
+        match self {
+            Self::Gaussian { mean, sigma } => {
+                (layout.columns(mean, sigma.len(), columns), sigma.clone())
+            }
+            Self::Categorical { logits, choices } => {
+                (layout.columns(logits, *choices, columns), Vec::new())
+            }
+        }
+    }
+
+    /// The actor's loss over these rows, as a share of `total`, and its gradient by their numbers.
+    #[must_use]
+    pub fn loss(&self, rows: &Rows, total: usize, coefficients: &Coefficients) -> (Figures, Self) {
+        match self {
+            Self::Gaussian { mean, sigma } => {
+                let loss = actor_loss(mean, sigma, rows, total, coefficients);
+                (loss.figures, Self::Gaussian { mean: loss.d_mean, sigma: loss.d_sigma })
+            }
+            Self::Categorical { logits, choices } => {
+                let loss = categorical_loss(logits, *choices, rows, total, coefficients);
+                (loss.figures, Self::Categorical { logits: loss.d_logits, choices: *choices })
+            }
+        }
+    }
+
+    /// A scalar whose gradient by the tensors of `distribution` is this one; see [`gradient::root`].
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    ///
+    /// # Panics
+    /// If the kinds differ.
+    pub fn root(&self, distribution: &Distribution) -> Result<Tensor, MarlError> {
+        match (self, distribution) {
+            (Self::Gaussian { mean, sigma }, Distribution::Gaussian(head)) => gradient::root(&[
+                OutputGradient { output: &head.mean, gradient: mean },
+                OutputGradient { output: &head.sigma, gradient: sigma },
+            ]),
+            (Self::Categorical { logits, .. }, Distribution::Categorical(head)) => {
+                gradient::root(&[OutputGradient { output: &head.logits, gradient: logits }])
+            }
+            (own, head) => panic!("a gradient {own:?} of {head:?}"),
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Mutual information of small discrete joint actions, by counting.
+
+use std::collections::BTreeMap;
+
+use libm::log;
+
+/// One joint action and where it was taken. The numbers are names and have no order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct JointSample {
+    /// What stands for `s^i`: the same number wherever the agent knew the same.
+    pub state: u64,
+    /// The own action `a^i`.
+    pub own: u32,
+    /// The other agents' joint action `a^-i`.
+    pub others: u64,
+}
+
+/// Occurrences of every own action, under each condition.
+type Counts<Condition> = BTreeMap<Condition, BTreeMap<u32, u64>>;
+
+/// Eq. (7): `I = 1/R sum_R KL[p(. | a_n^-i, s) || p(. | s)]` with the ratio of counts `N1(a^i, a^-i, s) /
+/// N2(a^-i, s)` as conditional and `N(a^i, s) / N(s)` as marginal, over `R` samples; nats, never
+/// negative, `None` of no samples. Of independent actions it exceeds 0 by about
+/// `(|A^i| - 1)(|A^-i| - 1) / (2 R)` for each state.
+#[must_use]
+pub fn counted_information(samples: &[JointSample]) -> Option<f64> {
+    let joint = counts(samples, |sample| (sample.state, sample.others));
+    let marginal = counts(samples, |sample| sample.state);
+    // Rows with the same condition have the same divergence, so each condition counts `N2` times.
+    let weighted = |(&(state, _), own): (&(u64, u64), &BTreeMap<u32, u64>)| {
+        total(own) as f64 * divergence(own, &marginal[&state])
+    };
+    let sum: f64 = joint.iter().map(weighted).sum();
+    (!samples.is_empty()).then(|| sum / samples.len() as f64)
+}
+
+fn counts<Condition: Ord>(
+    samples: &[JointSample],
+    condition: impl Fn(&JointSample) -> Condition,
+) -> Counts<Condition> {
+    let mut counts = Counts::new();
+    for sample in samples {
+        *counts.entry(condition(sample)).or_default().entry(sample.own).or_default() += 1;
+    }
+    counts
+}
+
+fn total(counts: &BTreeMap<u32, u64>) -> u64 {
+    counts.values().sum()
+}
+
+/// `KL[conditional || marginal]` of two tables of counts; the marginal has all that the other has.
+fn divergence(conditional: &BTreeMap<u32, u64>, marginal: &BTreeMap<u32, u64>) -> f64 {
+    let (n, of) = (total(conditional) as f64, total(marginal) as f64);
+    let term = |(own, &count): (&u32, &u64)| {
+        let (p, q) = (count as f64 / n, marginal[own] as f64 / of);
+        p * log(p / q)
+    };
+    conditional.iter().map(term).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use policy::randomness::{Draw, Purpose, RunSeed, generator};
+    use rand::RngCore;
+
+    use super::*;
+
+    /// Two coins that agree `same` times of 10, once for every state.
+    fn coins(states: u64, same: u64) -> Vec<JointSample> {
+        let toss = |state: u64| {
+            (0..2_u32).flat_map(move |own| {
+                (0..10_u64).map(move |n| {
+                    let others = u64::from(if n < same { own } else { 1 - own });
+                    JointSample { state, own, others }
+                })
+            })
+        };
+        (0..states).flat_map(toss).collect()
+    }
+
+    #[test]
+    fn the_information_of_two_coins_that_agree_nine_times_of_ten_meets_its_closed_form() {
+        // log 2 + .9 log .9 + .1 log .1
+        let found = counted_information(&coins(3, 9)).unwrap();
+        assert!((found - 0.368_064_2).abs() < 1e-6, "{found}");
+        assert!((counted_information(&coins(1, 10)).unwrap() - log(2.0)).abs() < 1e-12);
+        assert!(counted_information(&coins(2, 5)).unwrap().abs() < 1e-12);
+        assert_eq!(counted_information(&[]), None);
+    }
+
+    #[test]
+    fn what_both_know_from_the_state_is_not_information_between_them() {
+        let sample = |n: u64| JointSample { state: n % 2, own: (n % 2) as u32, others: n % 2 };
+        let mut samples: Vec<JointSample> = (0..20).map(sample).collect();
+        assert_eq!(counted_information(&samples), Some(0.0));
+        samples.iter_mut().for_each(|sample| sample.state = 0);
+        assert!((counted_information(&samples).unwrap() - log(2.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn independent_actions_have_no_more_than_the_bias_of_counting() {
+        let mut rng = generator(RunSeed(2), Draw::of(Purpose::Probe));
+        let mut below = |bound: u32| rng.next_u32() % bound;
+        let mut sample = |_| JointSample {
+            state: u64::from(below(2)),
+            own: below(3),
+            others: u64::from(below(4)),
+        };
+        let samples: Vec<JointSample> = (0..20_000).map(&mut sample).collect();
+        let found = counted_information(&samples).unwrap();
+        // Two states of (3 - 1)(4 - 1) degrees of freedom: 12 / (2 * 20,000) = 0.0003 on average.
+        assert!((0.0..0.001).contains(&found), "{found}");
+    }
+}

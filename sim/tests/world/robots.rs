@@ -1,0 +1,270 @@
+//! Walker2d and Ant: masses, friction, flight, limits, energy, rebuilding.
+
+use std::sync::Arc;
+
+use sim::{Outcome, Robot, World};
+
+use crate::{coordinates, environments, random_actions, seeded, uniform, velocities};
+
+fn world(task: &str) -> World {
+    World::new(Arc::new(Robot::of_task(task).unwrap()))
+}
+
+fn hold(world: &mut World, controls: &[f32], steps: u32) {
+    for _ in 0..steps {
+        world.step(controls);
+    }
+}
+
+fn close(got: f32, expected: f64) -> bool {
+    (f64::from(got) - expected).abs() < 1e-3 * expected.abs()
+}
+
+fn check_masses(task: &str, expected: &[(&str, f64, [f64; 3])], total: f64) {
+    let robot = Robot::of_task(task).unwrap();
+    for (name, kilograms, moments) in expected {
+        let (_, mass, inertia) = robot.masses().find(|(link, ..)| link == name).unwrap();
+        assert!(close(mass, *kilograms), "{name}: {mass} kg against {kilograms}");
+        for (got, expected) in inertia.into_iter().zip(moments) {
+            assert!(close(got, *expected), "{name}: {got} kg m^2 against {expected}");
+        }
+    }
+    assert!(close(robot.masses().map(|(_, mass, _)| mass).sum(), total));
+}
+
+#[test]
+fn the_walkers_masses_and_inertias_are_those_that_mujoco_compiles() {
+    let thigh = (4.057891, [0.00494146, 0.09329876, 0.09329876]);
+    let leg = (2.781357, [0.00218219, 0.07230254, 0.07230254]);
+    let foot = (3.166725, [0.00537439, 0.02399775, 0.02399775]);
+    let expected = [
+        ("torso", 3.665191, [0.00445059, 0.06924594, 0.06924594]),
+        ("thigh", thigh.0, thigh.1),
+        ("leg", leg.0, leg.1),
+        ("foot", foot.0, foot.1),
+        ("thigh_left", thigh.0, thigh.1),
+        ("leg_left", leg.0, leg.1),
+        ("foot_left", foot.0, foot.1),
+    ];
+    check_masses("walker2d-2x3", &expected, 23.677138);
+}
+
+#[test]
+fn the_ants_masses_and_inertias_are_those_that_mujoco_compiles() {
+    let (thigh, shank) =
+        ([0.00011844, 0.00056797, 0.00056797], [0.00020943, 0.00267479, 0.00267479]);
+    // The jointless shoulders are part of the torso: moments about their common centre.
+    let mut expected = vec![("torso", 0.48388025, [0.01112036, 0.01112036, 0.01358572])];
+    for leg in 1..=4 {
+        expected.push((["", "thigh_1", "thigh_2", "thigh_3", "thigh_4"][leg], 0.03915839, thigh));
+        expected.push((["", "shank_1", "shank_2", "shank_3", "shank_4"][leg], 0.06759232, shank));
+    }
+    check_masses("ant-2x4", &expected, 0.91088008);
+}
+
+/// Slides a settled robot at 4 m/s and says how far it comes.
+fn slide(task: &str, along: usize) -> f32 {
+    let mut world = world(task);
+    let controls = vec![0.0; world.robot().actuators().count()];
+    for _ in 0..1000 {
+        world.step(&controls);
+    }
+    let settled = coordinates(&world);
+    let mut sliding = velocities(&world);
+    sliding.fill(0.0);
+    sliding[along] = 4.0;
+    world.rebuild(&settled, &sliding);
+    for _ in 0..1000 {
+        world.step(&controls);
+    }
+    let rest = velocities(&world)[along].abs();
+    assert!(rest < 0.05, "{task} still moves at {rest} m/s");
+    coordinates(&world)[along] - settled[along]
+}
+
+#[test]
+fn robots_sliding_at_four_metres_a_second_stop_where_friction_stops_them() {
+    let (walker, ant) = (slide("walker2d-2x3", 0), slide("ant-2x4", 0));
+    println!("walker {walker} m, ant {ant} m");
+    assert!((1.5..2.1).contains(&walker), "walker slid {walker} m; MuJoCo 1.91");
+    assert!((0.6..1.4).contains(&ant), "ant slid {ant} m; MuJoCo 1.20");
+}
+
+#[test]
+fn the_mass_centre_of_a_spinning_ant_in_flight_follows_a_parabola() {
+    let mut world = world("ant-2x4");
+    let mut at = coordinates(&world);
+    at[2] = 30.0;
+    (at[8], at[10], at[12], at[14]) = (0.9, -0.9, -0.9, 0.9);
+    let mut motion = velocities(&world);
+    motion[..6].copy_from_slice(&[2.0, 1.0, 3.0, 1.0, 2.0, 3.0]);
+    world.rebuild(&at, &motion);
+    let controls = [0.0; 8];
+    let (dt, h, g, steps) = (0.05_f32, 0.01_f32, 9.81_f32, 30);
+    let start = world.centre_of_mass();
+    world.step(&controls);
+    let first = world.centre_of_mass();
+    hold(&mut world, &controls, steps - 1);
+    let end = world.centre_of_mass();
+    let seconds = steps as f32 * dt;
+    let speed: [f32; 3] = std::array::from_fn(|axis| (first[axis] - start[axis]) / dt);
+    let falls = |t: f32| g * t * (t + h) / 2.0;
+    let expected = [
+        start[0] + speed[0] * seconds,
+        start[1] + speed[1] * seconds,
+        start[2] + (speed[2] + falls(dt) / dt) * seconds - falls(seconds),
+    ];
+    for axis in 0..3 {
+        assert!((end[axis] - expected[axis]).abs() < 0.05, "{end:?} against {expected:?}");
+    }
+    assert!(velocities(&world)[5].abs() > 0.3, "it still spins");
+}
+
+/// Largest violation of a joint limit (rad) and deepest point (m) over episodes of 1,000 steps.
+fn extremes(task: &str, control: impl Fn(&mut rand_chacha::ChaCha8Rng) -> f32) -> (f32, f32) {
+    let mut world = environments(task, 1);
+    let size = world.description().agents.iter().map(|agent| agent.action.size).sum();
+    let mut actions = vec![0.0_f32; size];
+    let (mut beyond, mut depth) = (0.0_f32, 0.0_f32);
+    for episode in 0..4 {
+        let mut rng = seeded(200 + episode);
+        world.reset(0, episode, 1000, &mut rng);
+        for step in 0..1000 {
+            actions.iter_mut().for_each(|action| *action = control(&mut rng));
+            let mut outcome = [Outcome::default()];
+            world.step(&actions, &mut outcome).unwrap();
+            assert!(!outcome[0].fault && outcome[0].reward.is_finite());
+            // The published start of the ant has its ankles 30 degrees outside their limits.
+            if step >= 20 {
+                let inner = world.world(0);
+                let angles = coordinates(inner);
+                let first = angles.len() - inner.robot().hinges().count();
+                for ((_, range), angle) in inner.robot().hinges().zip(&angles[first..]) {
+                    let [low, high] = range.unwrap();
+                    beyond = beyond.max(low - angle).max(angle - high);
+                }
+                depth = depth.max(-inner.lowest_point());
+            }
+        }
+    }
+    println!("{task}: {beyond} rad beyond a limit, {depth} m deep");
+    (beyond, depth)
+}
+
+#[test]
+fn random_and_bang_bang_control_stay_within_limits_and_above_the_floor() {
+    for (task, most, deepest) in [("walker2d-6x1", 0.45, 0.03), ("ant-8x1", 0.35, 0.12)] {
+        let (beyond, depth) = extremes(task, uniform);
+        assert!(beyond < most && depth < deepest, "{task}: {beyond} rad, {depth} m");
+        let bang = |rng: &mut _| if uniform(rng) < 0.0 { -1.0 } else { 1.0 };
+        let (beyond, depth) = extremes(task, bang);
+        assert!(beyond < most && depth < deepest, "{task}: {beyond} rad, {depth} m");
+    }
+}
+
+#[test]
+fn without_control_energy_never_rises() {
+    for task in ["walker2d-2x3", "ant-2x4"] {
+        let mut rng = seeded(3);
+        let (mut worst, mut lost) = (f64::NEG_INFINITY, 0.0);
+        for episode in 0..20 {
+            let mut world = world(task);
+            let mut slot = environments(task, 1);
+            slot.reset(0, episode, 1000, &mut rng);
+            let start = coordinates(slot.world(0));
+            let controls = vec![0.0; world.robot().actuators().count()];
+            world.rebuild(&start, &velocities(slot.world(0)));
+            // Joints outside their limits begin with energy that no spring accounts for.
+            hold(&mut world, &controls, 8);
+            let mut energy = world.mechanical_energy();
+            for _ in 0..100 {
+                world.step(&controls);
+                let now = world.mechanical_energy();
+                worst = worst.max(now - energy);
+                lost += energy - now;
+                energy = now;
+            }
+        }
+        println!("{task}: largest rise {worst} J, lost {lost} J");
+        assert!(worst < 0.3, "{task}: rose by {worst} J in a step");
+        assert!(lost > 0.0);
+    }
+}
+
+#[test]
+fn settled_robots_rebuilt_in_place_stay() {
+    for (task, most) in [("walker2d-2x3", 1e-4), ("ant-2x4", 1e-3)] {
+        let mut world = world(task);
+        let controls = vec![0.0; world.robot().actuators().count()];
+        hold(&mut world, &controls, 2000);
+        let settled = coordinates(&world);
+        let still = vec![0.0; velocities(&world).len()];
+        world.rebuild(&settled, &still);
+        hold(&mut world, &controls, 10);
+        let now = coordinates(&world);
+        let moved = (0..3).map(|axis| (now[axis] - settled[axis]).abs()).fold(0.0, f32::max);
+        println!("{task} moved {moved} m");
+        assert!(moved < most, "{task} moved {moved} m");
+    }
+}
+
+#[test]
+fn rebuilt_contact_states_keep_their_contacts() {
+    // A foot that just taps the floor may miss it for one physics step, because the contacts forget. Without
+    // moved colliders nine states of ten lose the floor.
+    for (task, least) in [("walker2d-2x3", 80), ("ant-2x4", 80)] {
+        let mut rng = seeded(11);
+        let mut slot = environments(task, 1);
+        let (mut straight, mut rebuilt) = (world(task), world(task));
+        let mut actions = vec![0.0; straight.robot().actuators().count()];
+        let (mut touching, mut kept, mut episode) = (0, 0, 0);
+        while touching < 100 {
+            slot.reset(0, episode, 1000, &mut rng);
+            episode += 1;
+            straight.rebuild(&coordinates(slot.world(0)), &velocities(slot.world(0)));
+            for _ in 0..25 {
+                random_actions(&mut rng, &mut actions);
+                straight.step(&actions);
+            }
+            rebuilt.rebuild(&coordinates(&straight), &velocities(&straight));
+            random_actions(&mut rng, &mut actions);
+            straight.command(&actions);
+            rebuilt.command(&actions);
+            straight.substep();
+            rebuilt.substep();
+            if straight.contact_impulse() > 0.0 {
+                touching += 1;
+                kept += usize::from(rebuilt.contact_impulse() > 0.0);
+            }
+        }
+        println!("{task}: {kept} of {touching} kept their contact");
+        assert!(kept * 100 >= touching * least, "{task}: {kept} of {touching}");
+    }
+}
+
+#[test]
+fn every_task_goes_on_bit_for_bit_from_its_bytes() {
+    for task in sim::task_names().iter().filter(|task| Robot::of_task(task).is_ok()) {
+        let mut source = environments(task, 1);
+        let size = source.description().agents.iter().map(|agent| agent.action.size).sum();
+        let (mut rng, mut actions) = (seeded(8), vec![0.0; size]);
+        source.reset(0, 3, 900, &mut rng);
+        let mut outcome = [Outcome::default()];
+        for _ in 0..23 {
+            random_actions(&mut rng, &mut actions);
+            source.step(&actions, &mut outcome).unwrap();
+        }
+        let bytes = source.encode(0);
+        let mut other = environments(task, 1);
+        source.restore(0, &bytes).unwrap();
+        other.restore(0, &bytes).unwrap();
+        assert_eq!(other.encode(0), bytes, "{task}");
+        for _ in 0..40 {
+            random_actions(&mut rng, &mut actions);
+            let mut second = [Outcome::default()];
+            source.step(&actions, &mut outcome).unwrap();
+            other.step(&actions, &mut second).unwrap();
+            assert_eq!((outcome, source.encode(0)), (second, other.encode(0)), "{task}");
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! What an episode came to in metres, and signs of a policy that lives off the simulator's weaknesses.
+
+use std::fmt;
+
+use sim::{Environments, Pose};
+
+use crate::film::is_upside_down;
+
+/// A robot after a step.
+pub(super) struct Moment {
+    /// Where its links are.
+    pub(super) pose: Pose,
+    /// With which the floor pushed it in the last physics step, N s.
+    impulse: f32,
+    /// Height of its lowest point over the floor, metres; negative is penetration.
+    lowest: f32,
+}
+
+impl Moment {
+    /// Environment 0 as it stands.
+    pub(super) fn of(world: &Environments) -> Self {
+        let (pose, world) = (world.pose(0), world.world(0));
+        Self { pose, impulse: world.contact_impulse(), lowest: world.lowest_point() }
+    }
+
+    /// The root's, metres.
+    fn x(&self) -> f64 {
+        f64::from(self.pose.links[0].position[0])
+    }
+}
+
+/// Figures of one episode.
+#[derive(Debug, PartialEq)]
+pub(super) struct Measures {
+    /// Of the root along x, metres.
+    distance: f64,
+    secs: f64,
+    /// Share of steps after which nothing touched the floor.
+    airborne: f64,
+    /// Share of steps after which the root's upper side pointed down.
+    upside_down: f64,
+    /// Deepest penetration of the floor, metres.
+    deepest: f64,
+}
+
+impl Measures {
+    /// `moments` begins with the start, which counts for the distance only, and has at least one step.
+    pub(super) fn of(moments: &[Moment], dt_secs: f64) -> Self {
+        let (start, steps) = (&moments[0], &moments[1..]);
+        let share = |what: &dyn Fn(&Moment) -> bool| {
+            steps.iter().filter(|moment| what(moment)).count() as f64 / steps.len() as f64
+        };
+        Self {
+            distance: moments[steps.len()].x() - start.x(),
+            secs: steps.len() as f64 * dt_secs,
+            airborne: share(&|moment| moment.impulse <= 0.0),
+            upside_down: share(&|moment| is_upside_down(&moment.pose)),
+            deepest: steps.iter().map(|moment| -f64::from(moment.lowest)).fold(0.0, f64::max),
+        }
+    }
+}
+
+impl fmt::Display for Measures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { distance, secs, airborne, upside_down, deepest } = self;
+        let (speed, millimetres) = (distance / secs, 1000.0 * deepest);
+        let (airborne, upside_down) = (100.0 * airborne, 100.0 * upside_down);
+        write!(f, "{distance:.2} m in {secs:.2} s, {speed:.2} m/s; in the air {airborne:.0} %, ")?;
+        write!(f, "upside down {upside_down:.0} %, into the floor {millimetres:.1} mm at most")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sim::LinkPose;
+
+    use super::*;
+
+    fn moment(x: f32, quaternion: [f32; 4], impulse: f32, lowest: f32) -> Moment {
+        let root = LinkPose { name: "root".to_owned(), position: [x, 0.0, 1.0], quaternion };
+        Moment { pose: Pose { links: vec![root], joints: Vec::new() }, impulse, lowest }
+    }
+
+    #[test]
+    fn the_figures_of_four_steps() {
+        let (upright, over) = ([0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]);
+        let moments = [
+            moment(1.0, upright, 0.0, 0.5),
+            moment(1.5, upright, 2.0, -0.25),
+            moment(2.0, upright, 0.0, 0.1),
+            moment(3.0, over, 2.0, 0.0),
+            moment(4.0, upright, 2.0, 0.0),
+        ];
+        let measures = Measures::of(&moments, 0.5);
+        let (airborne, upside_down) = (0.25, 0.25);
+        let by_hand = Measures { distance: 3.0, secs: 2.0, airborne, upside_down, deepest: 0.25 };
+        assert_eq!(measures, by_hand);
+        assert_eq!(
+            measures.to_string(),
+            "3.00 m in 2.00 s, 1.50 m/s; in the air 25 %, upside down 25 %, into the floor \
+             250.0 mm at most"
+        );
+    }
+}

@@ -1,0 +1,91 @@
+//! After which steps of an episode its frames are taken.
+
+use crate::cli::FilmArguments;
+use crate::commands::Usage;
+
+/// Where frames begin when nobody says, seconds: the robot has left its start behind.
+const UNDER_WAY: f64 = 5.0;
+/// What is lost when seconds become steps, in steps.
+const ROUNDING: f64 = 1e-6;
+
+/// Steps in rising order, in an episode of `length` steps of `dt_secs` seconds each. Each is the one nearest to its
+/// time.
+pub(super) fn steps(
+    arguments: &FilmArguments,
+    dt_secs: f64,
+    length: usize,
+) -> Result<Vec<usize>, Usage> {
+    let every = arguments.every_secs / dt_secs;
+    if !every.is_finite() || every < 1.0 - ROUNDING {
+        let asked = arguments.every_secs;
+        return Err(Usage::new(format!(
+            "--every-secs {asked} does not fit: the shortest interval is one step, {dt_secs} s"
+        )));
+    }
+    let span = f64::from(arguments.frames - 1) * every;
+    let from =
+        arguments.from_secs.map_or(usual_start(dt_secs, length, span), |from| from / dt_secs);
+    let last = from + span;
+    if !(from >= 0.0 && last.round() <= length as f64) {
+        let (end, first, last) = (length as f64 * dt_secs, from * dt_secs, last * dt_secs);
+        return Err(Usage::new(format!(
+            "the frames reach from {first:.2} s to {last:.2} s, the episode from 0 s to {end:.2} s; \
+             change --from-secs, --every-secs or --frames"
+        )));
+    }
+    Ok((0..arguments.frames)
+        .map(|frame| (from + f64::from(frame) * every).round() as usize)
+        .collect())
+}
+
+/// In steps. An episode that is too short is shown from its middle, or from where the frames still fit.
+fn usual_start(dt_secs: f64, length: usize, span: f64) -> f64 {
+    let (usual, length) = (UNDER_WAY / dt_secs, length as f64);
+    if usual + span <= length { usual } else { (length / 2.0).min(length - span).max(0.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+
+    fn arguments(frames: u32, from_secs: Option<f64>, every_secs: f64) -> FilmArguments {
+        FilmArguments { run: PathBuf::new(), episode: 0, frames, from_secs, every_secs, out: None }
+    }
+
+    fn refusal(arguments: &FilmArguments, length: usize) -> String {
+        steps(arguments, 0.05, length).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn frames_are_evenly_spaced_from_five_seconds_on() {
+        assert_eq!(steps(&arguments(3, None, 0.05), 0.05, 1000).unwrap(), [100, 101, 102]);
+        assert_eq!(steps(&arguments(3, None, 0.5), 0.05, 1000).unwrap(), [100, 110, 120]);
+        // 0.05 s is 6.25 steps of 8 ms.
+        assert_eq!(steps(&arguments(3, Some(0.0), 0.05), 0.008, 1000).unwrap(), [0, 6, 13]);
+    }
+
+    #[test]
+    fn a_short_episode_is_shown_from_its_middle_or_from_where_the_frames_fit() {
+        assert_eq!(steps(&arguments(3, None, 0.05), 0.05, 40).unwrap(), [20, 21, 22]);
+        assert_eq!(steps(&arguments(4, None, 0.05), 0.05, 4).unwrap(), [1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn times_beyond_the_episode_are_refused_with_both_ranges() {
+        let line = refusal(&arguments(8, Some(49.9), 0.05), 1000);
+        assert!(line.contains("49.90 s to 50.25 s") && line.contains("50.00 s"), "{line}");
+        refusal(&arguments(8, None, 0.05), 3);
+        refusal(&arguments(1, Some(f64::NAN), 0.05), 1000);
+        refusal(&arguments(1, Some(-1.0), 0.05), 1000);
+    }
+
+    #[test]
+    fn an_interval_shorter_than_a_step_is_refused() {
+        for every_secs in [0.0, 0.04, -1.0, f64::INFINITY, f64::NAN] {
+            let line = refusal(&arguments(2, None, every_secs), 1000);
+            assert!(line.contains("one step, 0.05 s"), "{line}");
+        }
+    }
+}

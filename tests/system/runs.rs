@@ -1,0 +1,68 @@
+//! Small runs with real processes.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// A run small enough for a test: 4 environments x 20 steps, two slots, short networks.
+pub(crate) const TINY: &[&str] = &[
+    "halfcheetah-6x1",
+    "run.seed=7",
+    "environments.count=4",
+    "environments.steps=20",
+    "environments.per_slot=2",
+    "environments.chunk_steps=10",
+    "policy.encoder=8",
+    "policy.hidden=8",
+    "critic.width=16",
+    "influence.encoder=8",
+    "influence.hidden=8",
+    "update.epochs=2",
+    "critic.epochs=2",
+    "influence.epochs=2",
+    "evaluation.every_steps=160",
+    "evaluation.episodes=1",
+    "checkpoint.every=2",
+];
+
+pub(crate) fn s2mia(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap()
+}
+
+pub(crate) fn succeeded(arguments: &[&str]) -> String {
+    let output = s2mia(arguments);
+    let (out, err) = (String::from_utf8(output.stdout).unwrap(), output.stderr);
+    assert!(output.status.success(), "{arguments:?}\n{out}\n{}", String::from_utf8_lossy(&err));
+    out
+}
+
+pub(crate) fn train(folder: &Path, more: &[&str]) -> String {
+    let dir = format!("run.dir={}", folder.display());
+    succeeded(&[&["train"], TINY, &[dir.as_str()], more].concat())
+}
+
+pub(crate) fn inspect(folder: &Path) -> serde_json::Value {
+    serde_json::from_str(&succeeded(&["inspect", folder.to_str().unwrap(), "--json"])).unwrap()
+}
+
+pub(crate) struct Runs(tempfile::TempDir);
+
+impl Runs {
+    pub(crate) fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    pub(crate) fn folder(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+}
+
+/// Processes started by `parent`, from the fourth field of their `stat`.
+pub(crate) fn children(parent: u32) -> Vec<u32> {
+    let processes = std::fs::read_dir("/proc").unwrap();
+    let ids = processes.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse::<u32>().ok());
+    let parent_of = |id: &u32| {
+        let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+        stat.rsplit_once(')')?.1.split_whitespace().nth(1)?.parse::<u32>().ok()
+    };
+    ids.filter(|id| parent_of(id) == Some(parent)).collect()
+}
