@@ -128,6 +128,12 @@ impl Robot {
         self.blueprint.motors.iter().map(|motor| motor.joint.as_str())
     }
 
+    /// Torque with which the motor of `joint` answers a control, clamped to its range, N m; `None` without a motor.
+    pub fn torque(&self, joint: &str, control: f32) -> Option<f32> {
+        let motor = self.blueprint.motors.iter().find(|motor| motor.joint == joint)?;
+        Some(motor.gear * control.clamp(motor.range[0], motor.range[1]))
+    }
+
     /// Each link's name, mass (kg), and principal inertia about its centre of mass (kg m^2) in ascending order.
     pub fn masses(&self) -> impl Iterator<Item = (&str, f32, [f32; 3])> {
         self.blueprint.links.iter().map(|link| {

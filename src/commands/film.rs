@@ -84,7 +84,9 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     let mut moments = vec![Moment::of(&world)];
     let mut end = Outcome::default();
     actor::play_episode(&mut world, &trained.policy, &mut rng(), |step| {
-        moments.push(Moment::of(step.world));
+        let before = moments.last().expect("the start is there");
+        let now = Moment::after(step, before);
+        moments.push(now);
         end = step.outcome;
     })
     .context("the episode broke off")?;

@@ -2,9 +2,13 @@
 
 use std::fmt;
 
+use actor::PlayedStep;
 use sim::{Environments, Pose};
 
 use crate::film::is_upside_down;
+
+/// How long a start may take to bring joints inside their limits, which frees energy.
+const SETTLING_SECS: f64 = 0.5;
 
 /// A robot after a step.
 pub(super) struct Moment {
@@ -14,13 +18,39 @@ pub(super) struct Moment {
     impulse: f32,
     /// Height of its lowest point over the floor, metres; negative is penetration.
     lowest: f32,
+    /// Kinetic and potential, springs included, joules.
+    energy: f64,
+    /// What the motors put in during the step, joules.
+    work: f64,
 }
 
 impl Moment {
     /// Environment 0 as it stands.
     pub(super) fn of(world: &Environments) -> Self {
         let (pose, world) = (world.pose(0), world.world(0));
-        Self { pose, impulse: world.contact_impulse(), lowest: world.lowest_point() }
+        Self {
+            pose,
+            impulse: world.contact_impulse(),
+            lowest: world.lowest_point(),
+            energy: world.mechanical_energy(),
+            work: 0.0,
+        }
+    }
+
+    /// After a step from `before`. A motor's torque is constant within a step, so its work is torque times turn.
+    pub(super) fn after(step: &PlayedStep<'_>, before: &Self) -> Self {
+        let now = Self::of(step.world);
+        let robot = step.world.world(0).robot();
+        let joints = step.world.description().agents.iter().flat_map(|agent| &agent.joints);
+        let work = joints.zip(step.action).map(|(joint, control)| {
+            let angle =
+                |pose: &Pose| pose.joints.iter().find(|j| j.name == *joint).map(|j| j.position);
+            let turn =
+                angle(&now.pose).zip(angle(&before.pose)).map_or(0.0, |(to, from)| to - from);
+            f64::from(robot.torque(joint, *control).unwrap_or(0.0) * turn)
+        });
+        let work = work.sum();
+        Self { work, ..now }
     }
 
     /// The root's, metres.
@@ -41,12 +71,15 @@ pub(super) struct Measures {
     upside_down: f64,
     /// Deepest penetration of the floor, metres.
     deepest: f64,
+    /// Most that a step's energy rose beyond the motors' work after the start, joules.
+    created: f64,
 }
 
 impl Measures {
     /// `moments` begins with the start, which counts for the distance only, and has at least one step.
     pub(super) fn of(moments: &[Moment], dt_secs: f64) -> Self {
         let (start, steps) = (&moments[0], &moments[1..]);
+        let settled = (SETTLING_SECS / dt_secs).ceil() as usize;
         let share = |what: &dyn Fn(&Moment) -> bool| {
             steps.iter().filter(|moment| what(moment)).count() as f64 / steps.len() as f64
         };
@@ -56,17 +89,25 @@ impl Measures {
             airborne: share(&|moment| moment.impulse <= 0.0),
             upside_down: share(&|moment| is_upside_down(&moment.pose)),
             deepest: steps.iter().map(|moment| -f64::from(moment.lowest)).fold(0.0, f64::max),
+            created: risen(&moments[settled.min(steps.len())..]),
         }
     }
 }
 
+/// Most that energy rose in one step beyond the motors' work, joules.
+fn risen(moments: &[Moment]) -> f64 {
+    let pairs = moments.windows(2);
+    pairs.map(|pair| pair[1].energy - pair[0].energy - pair[1].work).fold(0.0, f64::max)
+}
+
 impl fmt::Display for Measures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { distance, secs, airborne, upside_down, deepest } = self;
+        let Self { distance, secs, airborne, upside_down, deepest, created } = self;
         let (speed, millimetres) = (distance / secs, 1000.0 * deepest);
         let (airborne, upside_down) = (100.0 * airborne, 100.0 * upside_down);
         write!(f, "{distance:.2} m in {secs:.2} s, {speed:.2} m/s; in the air {airborne:.0} %, ")?;
-        write!(f, "upside down {upside_down:.0} %, into the floor {millimetres:.1} mm at most")
+        write!(f, "upside down {upside_down:.0} %, into the floor {millimetres:.1} mm at most, ")?;
+        write!(f, "energy from nowhere {created:.1} J in a step at most")
     }
 }
 
@@ -78,7 +119,8 @@ mod tests {
 
     fn moment(x: f32, quaternion: [f32; 4], impulse: f32, lowest: f32) -> Moment {
         let root = LinkPose { name: "root".to_owned(), position: [x, 0.0, 1.0], quaternion };
-        Moment { pose: Pose { links: vec![root], joints: Vec::new() }, impulse, lowest }
+        let pose = Pose { links: vec![root], joints: Vec::new() };
+        Moment { pose, impulse, lowest, energy: f64::from(x), work: 0.75 }
     }
 
     #[test]
@@ -93,12 +135,15 @@ mod tests {
         ];
         let measures = Measures::of(&moments, 0.5);
         let (airborne, upside_down) = (0.25, 0.25);
-        let by_hand = Measures { distance: 3.0, secs: 2.0, airborne, upside_down, deepest: 0.25 };
+        // Energy rises by half a joule, twice, and by a whole one, twice; the motors bring three quarters.
+        let (deepest, created) = (0.25, 0.25);
+        let by_hand =
+            Measures { distance: 3.0, secs: 2.0, airborne, upside_down, deepest, created };
         assert_eq!(measures, by_hand);
         assert_eq!(
             measures.to_string(),
             "3.00 m in 2.00 s, 1.50 m/s; in the air 25 %, upside down 25 %, into the floor \
-             250.0 mm at most"
+             250.0 mm at most, energy from nowhere 0.2 J in a step at most"
         );
     }
 }
