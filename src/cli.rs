@@ -41,6 +41,8 @@ pub(crate) enum Command {
     Learner(LearnerArguments),
     /// Roll out for a learner until its run is done.
     Actor(ActorArguments),
+    /// Ask a learner whether it serves; the exit status is the answer.
+    Health(HealthArguments),
     /// Measure a trained policy: whole episodes, mean action, extrinsic return.
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.
@@ -133,6 +135,17 @@ pub(crate) struct ActorArguments {
     /// End as soon as standard input closes, so that no actor outlives the process that started it.
     #[arg(long)]
     pub(crate) exit_with_stdin: bool,
+}
+
+/// `s2mia health`
+#[derive(Args, Debug)]
+pub(crate) struct HealthArguments {
+    /// Where the learner listens.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
+    pub(crate) learner: String,
+    /// How long to wait for its answer.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    pub(crate) timeout_secs: f64,
 }
 
 /// `s2mia eval`

@@ -5,6 +5,7 @@ mod checkpointed;
 mod config;
 mod eval;
 mod film;
+mod health;
 mod inspect;
 mod learner;
 mod plot;
@@ -39,6 +40,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Record(arguments) => record::run(&arguments),
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
+        Command::Health(arguments) => health::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
         Command::Config(arguments) => config::run(arguments),

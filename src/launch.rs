@@ -46,6 +46,26 @@ pub(crate) fn prepare(
     Ok(Prepared { config, folder, launch })
 }
 
+/// As [`prepare`], but a run that stands in the configured folder already is gone on with, so that
+/// whoever restarts a learner need not know how far it came.
+pub(crate) fn prepare_or_resume(
+    settings: &SettingsArguments,
+    resumed: &ResumeArguments,
+) -> anyhow::Result<Prepared> {
+    let resume = match &resumed.resume {
+        Some(folder) => Some(folder.clone()),
+        None => run_in_place(&configure(settings, None)?),
+    };
+    prepare(settings, &ResumeArguments { resume, ..resumed.clone() })
+}
+
+/// The run that stands in the configured folder.
+fn run_in_place(config: &RunConfig) -> Option<PathBuf> {
+    let folder = Path::new(&config.run.dir);
+    let there = !config.run.dir.is_empty() && run_path::config_file(folder).is_file();
+    there.then(|| folder.to_path_buf())
+}
+
 /// Whether this machine computes as those did that worked on the run before.
 fn kinship(fingerprints: &Fingerprints, resumed: &ResumeArguments) -> anyhow::Result<Kinship> {
     let Some(folder) = &resumed.resume else {

@@ -4,6 +4,8 @@
 //! Every pair of values of two columns stands in some row of `CELLS`.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[path = "system/processes.rs"]
+mod processes;
 #[path = "system/runs.rs"]
 mod runs;
 
@@ -66,7 +68,7 @@ fn start(folder: &Path, more: &[&str]) -> Child {
 fn actors(run: &Child, wanted: u32) -> Vec<u32> {
     let patience = Instant::now() + Duration::from_secs(30);
     loop {
-        let found = runs::children(run.id());
+        let found = processes::children(run.id());
         if found.len() as u32 >= wanted {
             return found;
         }

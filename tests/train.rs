@@ -2,6 +2,8 @@
 //! and every tool reads what a run leaves.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[path = "system/processes.rs"]
+mod processes;
 #[path = "system/runs.rs"]
 mod runs;
 
@@ -9,7 +11,8 @@ use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use runs::{Runs, TINY, children, inspect, s2mia, succeeded, train};
+use processes::children;
+use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 
 #[test]
 fn one_actor_and_two_actors_train_the_same_weights() {

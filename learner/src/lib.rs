@@ -15,6 +15,7 @@ pub mod evaluation;
 pub mod event;
 pub mod exchange;
 pub mod fault;
+pub mod health;
 pub mod json_lines;
 pub mod launch;
 pub mod metrics;

@@ -23,8 +23,8 @@ const FAREWELL: Duration = Duration::from_secs(2);
 const CLOSING: Duration = Duration::from_secs(1);
 
 /// Runs from the start, or from the newest good checkpoint, to the last iteration and its evaluation,
-/// or until `stop` is true. Both ends leave a checkpoint, tell the actors that the run is done, and
-/// return within seconds.
+/// or until `stop` is true. Both ends leave a checkpoint and return within seconds. Actors are told that a
+/// run is done when it is; of one that was stopped they wait for the next learner.
 ///
 /// # Errors
 /// Says what could not start or broke; a resume goes on from the last checkpoint.
@@ -47,8 +47,11 @@ pub async fn run(
         stop: Box::new(move || *stop.borrow() || broken.load(Ordering::Relaxed)),
     };
     let result = on_own_thread(trainer, outside).await;
-    exchange.finish();
-    let served = server.end(&exchange).await;
+    let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
+    let served = match complete {
+        true => server.bid_farewell(&exchange).await.close().await,
+        false => server.close().await,
+    };
     result.and_then(|summary| served.map(|()| summary))
 }
 
@@ -77,8 +80,9 @@ impl Server {
         Self { task, close, broken }
     }
 
-    /// Lets actors hear that the run is done, then closes.
-    async fn end(mut self, exchange: &Exchange) -> Result<(), LearnerError> {
+    /// Lets actors hear that the run is done.
+    async fn bid_farewell(self, exchange: &Exchange) -> Self {
+        exchange.finish();
         let farewell = async {
             while exchange.progress().actors > 0 {
                 tokio::time::sleep(Duration::from_millis(20)).await;
@@ -86,6 +90,10 @@ impl Server {
         };
         // Actors that do not come back for an answer find a closed door, which they survive.
         let _left = tokio::time::timeout(FAREWELL, farewell).await;
+        self
+    }
+
+    async fn close(mut self) -> Result<(), LearnerError> {
         let _told = self.close.send(());
         match tokio::time::timeout(CLOSING, &mut self.task).await {
             Ok(Ok(Ok(()))) => Ok(()),

@@ -17,7 +17,7 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     if !arguments.insecure_allow_remote {
         demand_loopback(arguments.listen)?;
     }
-    let prepared = launch::prepare(&arguments.settings, &arguments.resume)?;
+    let prepared = launch::prepare_or_resume(&arguments.settings, &arguments.resume)?;
     runtime()?.block_on(serve(prepared, arguments.listen))
 }
 

@@ -1,0 +1,100 @@
+//! A learner and an actor started by hand, as containers start them.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+
+use std::io::{BufRead as _, BufReader, Lines};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use runs::{Runs, TINY, inspect, s2mia, train};
+
+const SIXTY: &str = "run.iterations=60";
+
+/// A learner in the background, and what it prints.
+struct Learner {
+    process: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+}
+
+impl Learner {
+    /// Returns when it waits for actors.
+    fn start(folder: &Path, address: &str) -> Self {
+        let dir = format!("run.dir={}", folder.display());
+        let own = ["learner", "--listen", address, dir.as_str(), SIXTY];
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        command.arg(own[0]).args(&TINY[..1]).args(&own[1..]).args(&TINY[1..]);
+        let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        assert!(lines.next().unwrap().unwrap().contains("waits for actors"));
+        Self { process, lines }
+    }
+
+    fn terminate(&mut self) -> String {
+        let process = self.process.id().to_string();
+        assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
+        self.end()
+    }
+
+    /// The last line, after a good end.
+    fn end(&mut self) -> String {
+        let last = self.lines.by_ref().last().unwrap().unwrap();
+        assert!(self.process.wait().unwrap().success());
+        last
+    }
+}
+
+/// An address on which nobody listens, a moment ago at least.
+fn free_address() -> String {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
+}
+
+fn actor(url: &str) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(["actor", "--learner", url]);
+    command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+fn wait_for_metrics(folder: &Path) {
+    let patience = Instant::now() + Duration::from_secs(30);
+    let begun = || std::fs::metadata(folder.join("metrics.jsonl")).is_ok_and(|file| file.len() > 0);
+    while !begun() {
+        assert!(Instant::now() < patience, "no iteration in half a minute");
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn an_actor_started_first_outlives_a_learner_that_is_stopped_and_started_again_in_its_folder() {
+    let runs = Runs::new();
+    let (folder, undisturbed) = (runs.folder("roles"), runs.folder("undisturbed"));
+    let address = free_address();
+    let mut actor = actor(&format!("http://{address}"));
+    let mut learner = Learner::start(&folder, &address);
+    wait_for_metrics(&folder);
+    assert!(learner.terminate().starts_with("stopped after iteration"));
+    assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
+    let mut learner = Learner::start(&folder, &address);
+    assert!(learner.end().starts_with("finished after iteration 60"));
+    assert!(actor.wait().unwrap().success());
+    train(&undisturbed, &[SIXTY, "run.actors=1"]);
+    assert_eq!(inspect(&folder), inspect(&undisturbed));
+}
+
+#[test]
+fn a_learner_counts_as_healthy_while_it_serves_and_no_longer() {
+    let runs = Runs::new();
+    let address = free_address();
+    let url = format!("http://{address}");
+    let health = || s2mia(&["health", "--learner", &url]);
+    let mut learner = Learner::start(&runs.folder("health"), &address);
+    assert!(health().status.success());
+    learner.terminate();
+    let silent = health();
+    assert_eq!(silent.status.code(), Some(1));
+    let line = String::from_utf8(silent.stderr).unwrap();
+    assert!(line.contains(&url) && line.trim().lines().count() == 1, "{line}");
+}
