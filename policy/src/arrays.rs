@@ -192,7 +192,7 @@ pub fn from_safetensors(
     Ok((arrays, metadata))
 }
 
-/// SHA-256 of arrays in the order of their names. For each: length of the name (8 bytes) and its bytes,
+/// SHA-256 of arrays, which come in the order of their names. For each: length of the name (8 bytes), its bytes,
 /// tag of the element type (1 byte: f32 1, f64 2, i64 3, u8 4), number of axes (8), length of each
 /// axis (8), numbers. All little-endian.
 #[must_use]

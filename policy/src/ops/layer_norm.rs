@@ -51,8 +51,8 @@ fn means<T: Real, const ROWS: usize>(
     let width = rows[0].len();
     let mut sums = [T::zero(); ROWS];
     for i in 0..width {
-        for row in 0..ROWS {
-            sums[row] += term(rows[row][i], about[row]);
+        for ((sum, row), &about) in sums.iter_mut().zip(rows).zip(&about) {
+            *sum += term(row[i], about);
         }
     }
     sums.map(|sum| sum / T::from_f64(width as f64))
