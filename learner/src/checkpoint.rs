@@ -180,7 +180,7 @@ pub fn save(
     let saved = checkpoint.saved(place.clone());
     durable::make_folder(&folder)?;
     if !stands(&place, &saved, config_sha256) {
-        let draft = write_draft(&folder, checkpoint, config_sha256)?;
+        let draft = write_draft(&folder, (checkpoint, &saved), config_sha256)?;
         before_rename();
         durable::remove_folder(&place)?;
         std::fs::rename(&draft, &place).map_err(FileError::of("rename", &draft))?;
@@ -225,8 +225,7 @@ pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
 }
 
 fn hash_of(arrays: &NamedArrays, counts: impl Fn(&str) -> bool) -> String {
-    let counted = arrays.iter().filter(|(name, _)| counts(name));
-    hex(&sha256(&counted.map(|(name, array)| (name.clone(), array.clone())).collect()))
+    hex(&sha256(arrays.iter().filter(|(name, _)| counts(name))))
 }
 
 /// `iter_00000120`
@@ -262,7 +261,7 @@ fn stands(path: &Path, saved: &Saved, config_sha256: &str) -> bool {
 /// Writes all files beside their place, the manifest last.
 fn write_draft(
     folder: &Path,
-    checkpoint: &Checkpoint,
+    (checkpoint, saved): (&Checkpoint, &Saved),
     config_sha256: &str,
 ) -> Result<PathBuf, CheckpointError> {
     let draft = folder.join(format!("{DRAFT}{}", name(checkpoint.iteration)));
@@ -272,7 +271,7 @@ fn write_draft(
     for (name, bytes) in &files {
         durable::write(&draft.join(name), bytes)?;
     }
-    let manifest = Manifest::of(checkpoint, config_sha256, &files);
+    let manifest = Manifest::of((checkpoint, saved), config_sha256, &files);
     durable::write(&draft.join(MANIFEST), &manifest.to_bytes())?;
     durable::sync_folder(&draft)?;
     Ok(draft)

@@ -216,9 +216,32 @@ fn build(
     })
 }
 
+/// `threads` of them; 0 stands for one per core. rayon's own reading of 0 is not that: it obeys
+/// `RAYON_NUM_THREADS`, by which the binary keeps each matrix product on one thread.
+fn thread_count(threads: usize) -> usize {
+    match threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    }
+}
+
 fn pool(threads: usize) -> Result<ThreadPool, LearnerError> {
     let name = |index| format!("update-{index}");
-    ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build().map_err(|error| {
-        LearnerError::Threads { what: "the pool of update threads", detail: error.to_string() }
-    })
+    ThreadPoolBuilder::new().num_threads(thread_count(threads)).thread_name(name).build().map_err(
+        |error| LearnerError::Threads {
+            what: "the pool of update threads",
+            detail: error.to_string(),
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::thread_count;
+
+    #[test]
+    fn no_number_of_threads_stands_for_one_per_core() {
+        let cores = std::thread::available_parallelism().expect("a machine with cores").get();
+        assert_eq!((thread_count(0), thread_count(3)), (cores, 3));
+    }
 }

@@ -33,6 +33,12 @@ impl Dense {
     pub(crate) fn apply(&self, x: &Tensor) -> Result<Tensor, MarlError> {
         Ok(linear(x, self.weight.as_tensor(), self.bias.as_tensor(), self.activation)?)
     }
+
+    /// As [`Dense::apply`], but no gradient is asked for by weight and bias.
+    pub(crate) fn apply_as_constant(&self, x: &Tensor) -> Result<Tensor, MarlError> {
+        let (weight, bias) = (self.weight.as_tensor().detach(), self.bias.as_tensor().detach());
+        Ok(linear(x, &weight, &bias, self.activation)?)
+    }
 }
 
 impl Norm {

@@ -113,9 +113,9 @@ impl Array {
     /// The numbers as little-endian bytes.
     fn bytes(&self) -> Vec<u8> {
         match self {
-            Self::F32 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
-            Self::F64 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
-            Self::I64 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            Self::F32 { data, .. } => flat(data.iter().map(|x| x.to_le_bytes())),
+            Self::F64 { data, .. } => flat(data.iter().map(|x| x.to_le_bytes())),
+            Self::I64 { data, .. } => flat(data.iter().map(|x| x.to_le_bytes())),
             Self::U8 { data, .. } => data.clone(),
         }
     }
@@ -128,6 +128,10 @@ impl Array {
         }
         Err(ArrayError::Length { name: name.to_owned(), shape, expected, found })
     }
+}
+
+fn flat<const WIDTH: usize>(numbers: impl Iterator<Item = [u8; WIDTH]>) -> Vec<u8> {
+    numbers.collect::<Vec<_>>().into_flattened()
 }
 
 fn numbers<const WIDTH: usize, N>(bytes: &[u8], number: impl Fn([u8; WIDTH]) -> N) -> Vec<N> {
@@ -188,11 +192,11 @@ pub fn from_safetensors(
     Ok((arrays, metadata))
 }
 
-/// SHA-256 of arrays. For each in the order of names: length of the name (8 bytes) and its bytes,
+/// SHA-256 of arrays, which come in the order of their names. For each: length of the name (8 bytes), its bytes,
 /// tag of the element type (1 byte: f32 1, f64 2, i64 3, u8 4), number of axes (8), length of each
 /// axis (8), numbers. All little-endian.
 #[must_use]
-pub fn sha256(arrays: &NamedArrays) -> [u8; 32] {
+pub fn sha256<'a>(arrays: impl IntoIterator<Item = (&'a String, &'a Array)>) -> [u8; 32] {
     let mut hash = Sha256::new();
     for (name, array) in arrays {
         hash.update((name.len() as u64).to_le_bytes());

@@ -6,7 +6,7 @@ use policy::arrays::hex;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use super::Checkpoint;
+use super::{Checkpoint, Saved};
 
 /// Layout of checkpoints that this program writes and reads.
 pub const SCHEMA: u32 = 1;
@@ -47,9 +47,9 @@ pub struct FileEntry {
 }
 
 impl Manifest {
-    /// Describes a checkpoint whose files are `files`.
+    /// Describes a checkpoint that hashes to what `saved` says and whose files are `files`.
     pub(super) fn of(
-        checkpoint: &Checkpoint,
+        (checkpoint, saved): (&Checkpoint, &Saved),
         config_sha256: &str,
         files: &BTreeMap<String, Vec<u8>>,
     ) -> Self {
@@ -59,8 +59,8 @@ impl Manifest {
             config_sha256: config_sha256.to_owned(),
             iteration: checkpoint.iteration,
             env_steps: checkpoint.env_steps,
-            weights_sha256: checkpoint.weights_sha256(),
-            state_sha256: checkpoint.state_sha256(),
+            weights_sha256: saved.weights_sha256.clone(),
+            state_sha256: saved.state_sha256.clone(),
             files: entries.collect(),
             manifest_sha256: String::new(),
         };

@@ -106,7 +106,7 @@ impl Agent {
     /// `sum_k gamma^k r_(t+k) + gamma^m Q'(s_(t+m), mu'(o_(t+m)))`, `[R]`.
     fn targets(&self, sample: &Sample, next: &[Tensor]) -> Result<Vec<f64>, MarlError> {
         let input = beside(&sample.next.state, next)?;
-        let values = numbers(&self.target_value.forward(&input)?)?;
+        let values = numbers(&self.target_value.forward_as_constant(&input)?)?;
         let parts = sample.reward.iter().zip(&sample.discount).zip(values);
         Ok(parts.map(|((reward, discount), value)| reward + discount * value).collect())
     }
@@ -132,7 +132,7 @@ impl Agent {
     fn climb(&mut self, sample: &Sample, mut joint: Vec<Tensor>) -> Result<(f64, f64), MarlError> {
         let count = sample.reward.len();
         joint[self.index] = actions(&self.actor, &sample.now.observation[self.index], count)?;
-        let output = self.value.forward(&beside(&sample.now.state, &joint)?)?;
+        let output = self.value.forward_as_constant(&beside(&sample.now.state, &joint)?)?;
         let share = 1.0 / count as f64;
         let gradient = vec![-share; count];
         let root = root(&[OutputGradient { output: &output, gradient: &gradient }])?;

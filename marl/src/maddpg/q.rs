@@ -36,10 +36,23 @@ impl ActionValue {
 
     /// Values `[R, 1]` of states and joint actions side by side, `[R, S + A]`.
     pub(super) fn forward(&self, input: &Tensor) -> Result<Tensor, MarlError> {
+        self.pass(input, Dense::apply)
+    }
+
+    /// As [`ActionValue::forward`], for gradients by the input alone.
+    pub(super) fn forward_as_constant(&self, input: &Tensor) -> Result<Tensor, MarlError> {
+        self.pass(input, Dense::apply_as_constant)
+    }
+
+    fn pass(
+        &self,
+        input: &Tensor,
+        apply: impl Fn(&Dense, &Tensor) -> Result<Tensor, MarlError>,
+    ) -> Result<Tensor, MarlError> {
         let mut x = input.clone();
         for layer in &self.layers {
-            x = layer.apply(&x)?;
+            x = apply(layer, &x)?;
         }
-        self.value.apply(&x)
+        apply(&self.value, &x)
     }
 }

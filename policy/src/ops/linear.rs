@@ -9,7 +9,7 @@ use super::values::{operand, values};
 use crate::math::Real;
 
 /// `activation(x W^T + b)`: `x` is `[R, in]`, `w` `[out, in]`, `b` `[out]`, the result `[R, out]`.
-/// A constant `x` costs no gradient.
+/// A constant `x` costs no gradient, nor do a constant `w` and `b`.
 ///
 /// # Errors
 /// If shapes or element types do not fit.
@@ -29,8 +29,9 @@ impl Linear {
         match self.activation {
             Activation::Identity => {}
             Activation::Tanh => y.iter_mut().for_each(|y| *y = Real::tanh(*y)),
+            // A choice for every number, not a jump over the positive ones, which nobody can predict.
             Activation::Relu => {
-                y.iter_mut().filter(|y| **y < T::zero()).for_each(|y| *y = T::zero())
+                y.iter_mut().for_each(|y| *y = if *y < T::zero() { T::zero() } else { *y })
             }
         }
         y
@@ -50,24 +51,29 @@ impl Linear {
 
     fn backward<T: Real>(
         &self,
-        (x, w, y, g): (&Tensor, &Tensor, &Tensor, &Tensor),
+        (x, w, b, y, g): (&Tensor, &Tensor, &Tensor, &Tensor, &Tensor),
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let (rows, inner) = x.dims2()?;
         let out = w.dim(0)?;
         let dz = self.before_activation::<T>(&values(y)?, &values(g)?);
         let dz_matrix = Matrix::new(&dz, rows, out);
-        let (mut dw, mut db) = (vec![T::zero(); out * inner], vec![T::zero(); out]);
-        add_product(&mut dw, dz_matrix.t(), Matrix::new(&values::<T>(x)?, rows, inner));
-        add_rows(&mut db, &dz);
-        let dx = if x.track_op() {
+        let by_x = || {
             let mut dx = vec![T::zero(); rows * inner];
             add_product(&mut dx, dz_matrix, Matrix::new(&values::<T>(w)?, out, inner));
-            Some(Tensor::from_vec(dx, (rows, inner), x.device())?)
-        } else {
-            None
+            Tensor::from_vec(dx, (rows, inner), x.device())
         };
-        let dw = Tensor::from_vec(dw, (out, inner), x.device())?;
-        Ok((dx, Some(dw), Some(Tensor::from_vec(db, out, x.device())?)))
+        let by_w = || {
+            let mut dw = vec![T::zero(); out * inner];
+            add_product(&mut dw, dz_matrix.t(), Matrix::new(&values::<T>(x)?, rows, inner));
+            Tensor::from_vec(dw, (out, inner), x.device())
+        };
+        let by_b = || {
+            let mut db = vec![T::zero(); out];
+            add_rows(&mut db, &dz);
+            Tensor::from_vec(db, out, x.device())
+        };
+        let dx = x.track_op().then(by_x).transpose()?;
+        Ok((dx, w.track_op().then(by_w).transpose()?, b.track_op().then(by_b).transpose()?))
     }
 }
 
@@ -109,14 +115,14 @@ impl CustomOp3 for Linear {
         &self,
         x: &Tensor,
         w: &Tensor,
-        _b: &Tensor,
+        b: &Tensor,
         y: &Tensor,
         g: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let g = &g.contiguous()?;
         match x.dtype() {
-            DType::F32 => self.backward::<f32>((x, w, y, g)),
-            _ => self.backward::<f64>((x, w, y, g)),
+            DType::F32 => self.backward::<f32>((x, w, b, y, g)),
+            _ => self.backward::<f64>((x, w, b, y, g)),
         }
     }
 }

@@ -1,0 +1,189 @@
+//! How a world of two agents is played and learnt: the policies' own acting code gives batches, the
+//! learner's own order of densities and update takes them. No learner process, no simulator.
+
+use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Final, Problem, Surprise};
+use policy::{ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
+use rand::RngCore;
+
+use crate::settings::Settings;
+
+const SEED: RunSeed = RunSeed(1);
+/// Environments that are played side by side.
+const ENVIRONMENTS: usize = 64;
+
+/// One episode of a world in which each of two agents acts with one number and both see the state.
+pub(crate) trait World {
+    /// Steps of an episode, after which it ends for good.
+    const STEPS: usize;
+    /// Numbers of the state.
+    const STATE: usize;
+    /// What an action is; real ones are from -1 to 1.
+    const ACTION: ActionKind;
+
+    /// A first state.
+    fn begin(rng: &mut impl RngCore) -> Self;
+
+    /// The state, `[STATE]`.
+    fn state(&self) -> Vec<f32>;
+
+    /// The team's reward for a joint action.
+    fn step(&mut self, actions: [f32; 2]) -> f32;
+}
+
+/// Whose turn it is, and what its network says.
+pub(crate) struct Turn<'a> {
+    pub(crate) agent: usize,
+    environment: usize,
+    step: usize,
+    policy: &'a ActorPolicy,
+    output: &'a [f32],
+}
+
+impl Turn<'_> {
+    /// The action that evaluation takes.
+    pub(crate) fn settled(&self) -> f32 {
+        let mut action = [0.0];
+        self.policy.settle(self.output, &mut action);
+        action[0]
+    }
+
+    /// The probability of a choice.
+    pub(crate) fn probability(&self, choice: f32) -> f32 {
+        libm::expf(self.policy.log_prob(self.output, &[choice]))
+    }
+
+    /// An action as training draws it.
+    pub(crate) fn drawn(&self, iteration: u64) -> f32 {
+        let key = Draw::of(Purpose::Action).iteration(iteration).step(self.step as u32);
+        let key = key.environment(self.environment as u32).agent(self.agent as u32);
+        let mut action = [0.0];
+        self.policy.draw(self.output, &mut generator(SEED, key), &mut action);
+        action[0]
+    }
+}
+
+/// One episode in every environment, and the worlds as it leaves them.
+pub(crate) struct Played<W> {
+    pub(crate) batch: Batch,
+    pub(crate) worlds: Vec<W>,
+}
+
+impl<W> Played<W> {
+    /// Mean undiscounted return of the episodes.
+    pub(crate) fn mean_return(&self) -> f32 {
+        self.batch.reward.iter().sum::<f32>() / ENVIRONMENTS as f32
+    }
+}
+
+/// Sizes as a task would declare them.
+pub(crate) fn problem<W: World>() -> Problem {
+    let shape = AgentShape {
+        observation: W::STATE + 2,
+        action: 1,
+        action_range: (-1.0, 1.0),
+        kind: W::ACTION,
+        surprise_features: (0..W::STATE).collect(),
+    };
+    Problem { agents: vec![shape.clone(), shape], state: W::STATE }
+}
+
+/// First states for one purpose.
+fn begin<W: World>(draw: Draw) -> Vec<W> {
+    let environments = 0..ENVIRONMENTS as u32;
+    environments.map(|e| W::begin(&mut generator(SEED, draw.environment(e)))).collect()
+}
+
+/// The state, then which agent looks.
+fn observe(world: &impl World, agent: usize) -> Vec<f32> {
+    let number = [0, 1].map(|index| if index == agent { 1.0 } else { 0.0 });
+    [world.state(), number.to_vec()].concat()
+}
+
+/// One agent's step in all worlds; `act` chooses.
+fn act<W: World>(
+    (worlds, step): (&[W], usize),
+    (agent, policy): (usize, &ActorPolicy),
+    (hidden, data): (&mut [f32], &mut AgentBatch),
+    act: &mut impl FnMut(Turn<'_>) -> f32,
+) {
+    if step.is_multiple_of(policy.chunk_steps()) {
+        data.hidden.extend_from_slice(hidden);
+    }
+    let seen: Vec<f32> = worlds.iter().flat_map(|world| observe(world, agent)).collect();
+    let mut outputs = vec![0.0; worlds.len() * policy.output_size()];
+    policy.forward(worlds.len(), &seen, hidden, &mut outputs, &mut Scratch::default());
+    for (environment, output) in outputs.chunks_exact(policy.output_size()).enumerate() {
+        let action = act(Turn { agent, environment, step, policy, output });
+        data.action.push(action);
+        data.log_prob.push(policy.log_prob(output, &[action]));
+    }
+    data.observation.extend(seen);
+}
+
+/// One episode in each of `worlds`; `choose` says how an agent acts.
+fn play<W: World>(
+    snapshot: &PolicySnapshot,
+    mut worlds: Vec<W>,
+    mut choose: impl FnMut(Turn<'_>) -> f32,
+) -> Played<W> {
+    let rows = W::STEPS * ENVIRONMENTS;
+    let mut batch = Batch {
+        steps: W::STEPS,
+        environments: ENVIRONMENTS,
+        agents: vec![AgentBatch::default(); 2],
+        terminated: (0..rows).map(|row| row / ENVIRONMENTS + 1 == W::STEPS).collect(),
+        truncated: vec![false; rows],
+        ..Batch::default()
+    };
+    let rested = |policy: &ActorPolicy| vec![0.0; ENVIRONMENTS * policy.hidden_size()];
+    let mut hidden: Vec<Vec<f32>> = snapshot.agents.iter().map(rested).collect();
+    for step in 0..W::STEPS {
+        batch.state.extend(worlds.iter().flat_map(World::state));
+        for (agent, policy) in snapshot.agents.iter().enumerate() {
+            let memory = (hidden[agent].as_mut_slice(), &mut batch.agents[agent]);
+            act((&worlds, step), (agent, policy), memory, &mut choose);
+        }
+        for (environment, world) in worlds.iter_mut().enumerate() {
+            let row = step * ENVIRONMENTS + environment;
+            batch.reward.push(world.step([0, 1].map(|agent| batch.agents[agent].action[row])));
+        }
+    }
+    batch.finals = worlds.iter().enumerate().map(last).collect();
+    Played { batch, worlds }
+}
+
+fn last<W: World>((environment, world): (usize, &W)) -> Final {
+    let observation = [0, 1].map(|agent| observe(world, agent)).to_vec();
+    Final { step: W::STEPS - 1, environment, state: world.state(), observation }
+}
+
+/// Episodes that training does not see, played as `choose` says.
+pub(crate) fn examine<W: World>(
+    snapshot: &PolicySnapshot,
+    choose: impl FnMut(Turn<'_>) -> f32,
+) -> Played<W> {
+    play(snapshot, begin(Draw::of(Purpose::EvaluationReset)), choose)
+}
+
+/// The policies before the first iteration, and after the last one.
+pub(crate) fn train<W: World>(settings: &Settings, iterations: u64) -> [PolicySnapshot; 2] {
+    let Settings { config, policy } = settings;
+    config.validate().unwrap();
+    let problem = problem::<W>();
+    let mut surprise = Surprise::new(&config.surprise, &problem, SEED).unwrap();
+    let mut algorithm = marl::build(config, policy, &problem, SEED).unwrap();
+    let start = algorithm.snapshot().unwrap();
+    for iteration in 0..iterations {
+        learn::<W>(&mut surprise, algorithm.as_mut(), iteration);
+    }
+    [start, algorithm.snapshot().unwrap()]
+}
+
+/// One iteration in the learner's order.
+fn learn<W: World>(surprise: &mut Surprise, algorithm: &mut dyn Algorithm, iteration: u64) {
+    let worlds = begin::<W>(Draw::of(Purpose::Reset).iteration(iteration));
+    let draw = |turn: Turn<'_>| turn.drawn(iteration);
+    let batch = play(&algorithm.snapshot().unwrap(), worlds, draw).batch;
+    surprise.refit(&batch, iteration).unwrap();
+    algorithm.update(&batch, &surprise.relabel(&batch), iteration).unwrap();
+}

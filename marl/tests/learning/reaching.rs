@@ -1,0 +1,86 @@
+//! Two agents bring one point to its mark, each with a push that moves it askew of the other's.
+
+use marl::ActionKind;
+use policy::randomness::uniform;
+use policy::{CoreKind, PolicySnapshot};
+use rand::RngCore;
+
+use crate::harness::{World, examine, train};
+use crate::settings::{ON_POLICY, Settings, maddpg, on_policy};
+
+/// Where a full push of each agent brings the point. They are neither equal nor at right angles, so
+/// that what one agent should do depends on what the other does. The farthest mark, `(1, -1)`, takes
+/// `1 / 0.32 = 3.1` steps of the second agent and `(1 + 0.75) / 0.4 = 4.4` of the first.
+const PUSHES: [[f32; 2]; 2] = [[0.4, 0.0], [0.24, 0.32]];
+
+/// A point, `offset` away from its mark. A step pays by how much it brings the point nearer, so that an
+/// episode's return is the first distance less the last one: at most the first.
+struct Reaching {
+    first: f32,
+    offset: [f32; 2],
+}
+
+fn length([x, y]: [f32; 2]) -> f32 {
+    (x * x + y * y).sqrt()
+}
+
+impl World for Reaching {
+    const STEPS: usize = 8;
+    const STATE: usize = 2;
+    const ACTION: ActionKind = ActionKind::Continuous;
+
+    fn begin(rng: &mut impl RngCore) -> Self {
+        let offset = [0, 1].map(|_| 2.0 * uniform(rng) - 1.0);
+        Self { first: length(offset), offset }
+    }
+
+    fn state(&self) -> Vec<f32> {
+        self.offset.to_vec()
+    }
+
+    fn step(&mut self, actions: [f32; 2]) -> f32 {
+        let before = length(self.offset);
+        for (push, action) in PUSHES.iter().zip(actions) {
+            for (offset, push) in self.offset.iter_mut().zip(push) {
+                *offset += push * action.clamp(-1.0, 1.0);
+            }
+        }
+        before - length(self.offset)
+    }
+}
+
+/// How far from its mark the mean actions leave the point, and their return as a share of the best
+/// one; both averaged over episodes.
+fn skill(snapshot: &PolicySnapshot) -> (f32, f32) {
+    let played = examine::<Reaching>(snapshot, |turn| turn.settled());
+    let mean = |number: fn(&Reaching) -> f32| {
+        played.worlds.iter().map(number).sum::<f32>() / played.worlds.len() as f32
+    };
+    (mean(|world| length(world.offset)), played.mean_return() / mean(|world| world.first))
+}
+
+/// Untrained policies leave the point where it starts, 0.77 from its mark on average.
+fn reaches(name: &str, settings: &Settings, iterations: u64) {
+    let [before, after] = train::<Reaching>(settings, iterations).map(|policies| skill(&policies));
+    assert!(before.0 > 0.5 && before.1 < 0.2, "{name}: {before:?} before any training");
+    assert!(after.0 < 0.1 && after.1 > 0.85, "{name}: {after:?}");
+}
+
+#[test]
+fn every_rule_of_the_policy_gradient_brings_a_point_to_its_mark_with_memory() {
+    for variant in &ON_POLICY {
+        reaches(variant.name, &on_policy(variant, CoreKind::Gru), 60);
+    }
+}
+
+#[test]
+fn every_rule_of_the_policy_gradient_brings_a_point_to_its_mark_without_memory() {
+    for variant in &ON_POLICY {
+        reaches(variant.name, &on_policy(variant, CoreKind::Mlp), 60);
+    }
+}
+
+#[test]
+fn maddpg_brings_a_point_to_its_mark() {
+    reaches("MADDPG", &maddpg(), 40);
+}
