@@ -1,11 +1,15 @@
 //! The arguments of every command, and how a wrong one is reported.
 
+mod tls;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
 #[derive(Debug, Parser)]
@@ -57,6 +61,8 @@ pub(crate) enum Command {
     Tasks(TasksArguments),
     /// Print the resolved configuration with the origin of each value.
     Config(SettingsArguments),
+    /// Make certificates for a learner and for each role, signed by a new authority.
+    Certs(CertsArguments),
 }
 
 const TRAIN_EXAMPLES: &str = "\
@@ -116,8 +122,11 @@ pub(crate) struct LearnerArguments {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     pub(crate) listen: SocketAddr,
     /// Listen beyond this machine although nothing is encrypted and nobody is asked who they are.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "tls_certificate")]
     pub(crate) insecure_allow_remote: bool,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ServerTlsArguments,
 }
 
 /// `s2mia actor`
@@ -135,6 +144,12 @@ pub(crate) struct ActorArguments {
     /// End as soon as standard input closes, so that no actor outlives the process that started it.
     #[arg(long)]
     pub(crate) exit_with_stdin: bool,
+    /// Talk to a learner on another machine although nothing is encrypted and it is not asked who it is.
+    #[arg(long, conflicts_with = "tls_ca")]
+    pub(crate) insecure_allow_remote: bool,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ClientTlsArguments,
 }
 
 /// `s2mia health`
@@ -223,6 +238,25 @@ pub(crate) struct TasksArguments {
     /// Print one JSON array.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// `s2mia certs`
+#[derive(Args, Debug)]
+pub(crate) struct CertsArguments {
+    /// New or empty folder for the files.
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+    /// Host names and addresses under which actors reach the learner.
+    #[arg(
+        long,
+        value_name = "HOST,...",
+        value_delimiter = ',',
+        default_value = "localhost,127.0.0.1,::1"
+    )]
+    pub(crate) names: Vec<String>,
+    /// Days until the certificates expire.
+    #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=3650))]
+    pub(crate) days: u32,
 }
 
 /// Prints help and version as clap does, and everything else as one line.

@@ -1,6 +1,7 @@
 //! One file per command; here only the choice between them.
 
 mod actor;
+mod certs;
 mod checkpointed;
 mod config;
 mod eval;
@@ -44,6 +45,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
         Command::Config(arguments) => config::run(arguments),
+        Command::Certs(arguments) => certs::run(&arguments),
     }
 }
 

@@ -31,6 +31,9 @@ fn wrong_settings_are_one_line_and_status_two() {
         (&["learner", "--listen", "0.0.0.0:0"], "--insecure-allow-remote"),
         (&["learner", "--listen", "here"], "--listen"),
         (&["actor", "--learner", "localhost"], "--learner"),
+        (&["actor", "--learner", "http://10.0.0.1:50051"], "--insecure-allow-remote"),
+        (&["actor", "--learner", "https://localhost:50051"], "--tls-ca"),
+        (&["learner", "--tls-certificate", "a.pem"], "--tls-client-ca"),
         (&["inspect", "no/such/run"], "no/such/run"),
         (&["eval", "no/such/run"], "no/such/run"),
         (&["record", "no/such/run"], "no/such/run"),
@@ -56,9 +59,10 @@ fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
 
 #[test]
 fn every_command_has_help() {
-    for command in
-        ["train", "learner", "actor", "eval", "record", "plot", "inspect", "tasks", "config"]
-    {
+    for command in [
+        "train", "learner", "actor", "eval", "record", "plot", "inspect", "tasks", "config",
+        "certs",
+    ] {
         let output = s2mia(&[command, "--help"]);
         assert!(output.status.success(), "{command}");
         assert!(String::from_utf8(output.stdout).unwrap().contains("Usage: s2mia"), "{command}");

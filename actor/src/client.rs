@@ -11,13 +11,16 @@ use proto::{
     Beat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, PolicyVersion, Registered, Registration,
     RunDescription, WeightsName, wire,
 };
+use security::ClientFiles;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Code, Request, Status, Streaming};
 
-use crate::config::Config;
+use crate::config::{Config, Transport};
 use crate::error::ActorError;
+
+mod verdict;
 
 /// Longest wait for an answer that the learner can give at once.
 const CALL_DEADLINE: Duration = Duration::from_secs(10);
@@ -51,20 +54,11 @@ pub(crate) struct WeightsCache {
 impl Client {
     /// Connects; the learner must answer within the deadline.
     pub(crate) async fn connect(config: &Config) -> Result<Self, ActorError> {
-        let endpoint = Endpoint::from_shared(config.learner.clone())
-            .map_err(|error| ActorError::Url {
-                url: config.learner.clone(),
-                why: error.to_string(),
-            })?
-            .connect_timeout(CALL_DEADLINE)
-            .http2_keep_alive_interval(Duration::from_secs(30))
-            .keep_alive_timeout(Duration::from_secs(10))
-            .keep_alive_while_idle(true)
-            .tcp_nodelay(true);
-        let channel = endpoint
-            .connect()
-            .await
-            .map_err(|error| ActorError::Refused(Status::unavailable(causes(&error))))?;
+        let channel = endpoint(config)?.connect().await.map_err(|error| {
+            let mut status = Status::unavailable(causes(&error));
+            status.set_source(Arc::new(error));
+            ActorError::Refused(status)
+        })?;
         let service = LearnerServiceClient::new(channel)
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES);
@@ -149,6 +143,36 @@ impl Client {
     }
 }
 
+fn endpoint(config: &Config) -> Result<Endpoint, ActorError> {
+    let wrong = |error: tonic::transport::Error| ActorError::Url {
+        url: config.learner.clone(),
+        why: causes(&error),
+    };
+    let endpoint = Endpoint::from_shared(config.learner.clone())
+        .map_err(wrong)?
+        .connect_timeout(CALL_DEADLINE)
+        .http2_keep_alive_interval(Duration::from_secs(30))
+        .keep_alive_timeout(Duration::from_secs(10))
+        .keep_alive_while_idle(true)
+        .tcp_nodelay(true);
+    match &config.transport {
+        Transport::PlainText | Transport::PlainTextOnLoopback => Ok(endpoint),
+        Transport::Tls(files) => endpoint.tls_config(tls(files)?).map_err(wrong),
+    }
+}
+
+/// Read anew for every connection, so that renewed certificates need no restart.
+fn tls(files: &ClientFiles) -> Result<ClientTlsConfig, ActorError> {
+    let own = files.read()?;
+    let tls = ClientTlsConfig::new()
+        .ca_certificate(Certificate::from_pem(own.authority))
+        .identity(Identity::from_pem(own.certificate, own.key));
+    Ok(match &files.server_name {
+        Some(name) => tls.domain_name(name),
+        None => tls,
+    })
+}
+
 impl WeightsCache {
     fn keep(&mut self, name: WeightsName, snapshot: Arc<PolicySnapshot>) -> Arc<PolicySnapshot> {
         self.snapshots.insert(name.version, (name, Arc::clone(&snapshot)));
@@ -165,10 +189,32 @@ impl From<Status> for ActorError {
     }
 }
 
+/// The same error, or what is behind it if the two sides do not agree on TLS.
+pub(crate) async fn explained(error: ActorError, config: &Config) -> ActorError {
+    let ActorError::Refused(status) = &error else { return error };
+    let why = match (&config.transport, status.code()) {
+        (Transport::Tls(files), Code::Unavailable | Code::Unknown | Code::Cancelled) => {
+            match security::explain(status) {
+                None => verdict::ask(&config.learner, files).await,
+                why => why,
+            }
+        }
+        (Transport::Tls(_), _) => None,
+        // No learner denies anything in plain text: this is HTTP/2's goodbye INADEQUATE_SECURITY.
+        (_, Code::PermissionDenied) => Some("the learner asks for TLS; use https://".to_owned()),
+        _ => None,
+    };
+    match why {
+        Some(why) => ActorError::Tls { url: config.learner.clone(), why },
+        None => error,
+    }
+}
+
 /// Whether trying again, from a new connection on, can help.
 pub(crate) fn may_pass(error: &ActorError) -> bool {
     let ActorError::Refused(status) = error else {
-        return matches!(error, ActorError::Weights { .. });
+        // Files that are being renewed do not fit each other for a moment.
+        return matches!(error, ActorError::Weights { .. } | ActorError::Credentials(_));
     };
     !matches!(
         status.code(),

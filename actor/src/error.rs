@@ -1,6 +1,7 @@
 //! What ends an actor before its run is done.
 
 use proto::Refusal;
+use security::SecurityError;
 use thiserror::Error;
 use tonic::Status;
 
@@ -13,6 +14,26 @@ pub enum ActorError {
         /// What was given.
         url: String,
         /// Why it is none.
+        why: String,
+    },
+    /// Plain text would leave this machine.
+    #[error(
+        "{url} is another machine, and plain text is neither encrypted nor does it say who listens; use \
+         https:// with --tls-ca, --tls-certificate and --tls-key, or pass --insecure-allow-remote"
+    )]
+    PlainText {
+        /// The learner's URL.
+        url: String,
+    },
+    /// A certificate or a key of this actor cannot be used.
+    #[error(transparent)]
+    Credentials(#[from] SecurityError),
+    /// The two sides do not agree on TLS, or one refuses the other's certificate.
+    #[error("no session with {url}: {why}")]
+    Tls {
+        /// The learner's URL.
+        url: String,
+        /// What to change.
         why: String,
     },
     /// The learner was out of reach for too long.

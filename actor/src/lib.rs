@@ -17,7 +17,7 @@ pub mod rollout;
 pub mod run;
 mod stepping;
 
-pub use config::Config;
+pub use config::{Config, Transport};
 pub use error::ActorError;
 pub use evaluation::{Episode, PlayedStep, play_episode};
 pub use identity::{environment_spec, rollout_fingerprint};

@@ -8,7 +8,7 @@ use proto::{LeaseAnswer, Registration, RunDescription};
 use sim::TaskConfig;
 use tokio::sync::watch;
 
-use crate::client::{Client, WeightsCache, may_pass};
+use crate::client::{Client, WeightsCache, explained, may_pass};
 use crate::config::Config;
 use crate::error::{ActorError, describe};
 use crate::identity::{environment_spec, rollout_fingerprint};
@@ -40,9 +40,11 @@ pub async fn run(config: Config, mut stop: watch::Receiver<bool>) -> Result<(), 
         };
         let error = match session {
             Ok(Session::Done | Session::Stopped) => return Ok(()),
-            Err(error) if may_pass(&error) => error,
-            Err(error) => return Err(error),
+            Err(error) => explained(error, &config).await,
         };
+        if !may_pass(&error) {
+            return Err(error);
+        }
         let pause = outage.next_pause(&config, &error)?;
         tracing::warn!(
             learner = config.learner,

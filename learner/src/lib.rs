@@ -8,6 +8,7 @@ pub mod assemble;
 pub mod canary;
 pub mod checkpoint;
 pub mod config;
+pub mod door;
 pub mod durable;
 pub mod environments;
 pub mod error;
@@ -29,6 +30,7 @@ pub mod trainer;
 pub use config::{
     CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Phase, ThreadsConfig,
 };
+pub use door::Door;
 pub use error::LearnerError;
 pub use event::{Event, IterationReport};
 pub use exchange::{Exchange, LeaseConfig};

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use tokio::net::TcpListener;
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
 
+use crate::door::Door;
 use crate::error::LearnerError;
 use crate::event::Event;
 use crate::exchange::Exchange;
@@ -30,7 +30,7 @@ const CLOSING: Duration = Duration::from_secs(1);
 /// Says what could not start or broke; a resume goes on from the last checkpoint.
 pub async fn run(
     launch: Launch,
-    listener: TcpListener,
+    door: impl Into<Door>,
     observer: Box<dyn FnMut(&Event) + Send>,
     stop: watch::Receiver<bool>,
 ) -> Result<Summary, LearnerError> {
@@ -39,7 +39,7 @@ pub async fn run(
     let (trainer, description) =
         prepared.map_err(|error| LearnerError::Panic(error.to_string()))??;
     let exchange = Exchange::new(description, lease);
-    let server = Server::start(listener, &exchange);
+    let server = Server::start(door.into(), &exchange);
     let broken = Arc::clone(&server.broken);
     let outside = Outside {
         exchange: Arc::clone(&exchange),
@@ -64,10 +64,10 @@ struct Server {
 }
 
 impl Server {
-    fn start(listener: TcpListener, exchange: &Arc<Exchange>) -> Self {
+    fn start(door: Door, exchange: &Arc<Exchange>) -> Self {
         let (close, closed) = oneshot::channel::<()>();
         let broken = Arc::new(AtomicBool::new(false));
-        let serving = service::serve(Arc::clone(exchange), listener, async move {
+        let serving = service::serve(Arc::clone(exchange), door, async move {
             // An error means that the sender is gone, which ends the service as well.
             let _told = closed.await;
         });

@@ -9,16 +9,19 @@ use proto::{
     ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
     MAX_UNACKNOWLEDGED, Refusal, Registration, WeightsName, wire,
 };
-use tokio::net::TcpListener;
+use security::Role;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Server;
 use tonic::transport::server::Router;
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::door::Door;
 use crate::exchange::Exchange;
 
 mod connections;
+mod greeting;
 mod ingest;
 mod snapshots;
 
@@ -35,16 +38,16 @@ const CONNECTION_WINDOW: u32 = 4 << 20;
 /// Size of all headers of one request, bytes.
 const MOST_HEADER_BYTES: u32 = 16 << 10;
 
-/// Serves `exchange` on `listener` until `shutdown` completes and the open calls have ended.
+/// Serves `exchange` at `door` until `shutdown` completes and the open calls have ended.
 ///
 /// # Errors
 /// Says why the service broke down.
 pub async fn serve(
     exchange: Arc<Exchange>,
-    listener: TcpListener,
+    door: Door,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), tonic::transport::Error> {
-    let incoming = connections::accept(listener, Arc::clone(&exchange));
+    let incoming = connections::accept(door, Arc::clone(&exchange));
     service(exchange).await.serve_with_incoming_shutdown(incoming, shutdown).await
 }
 
@@ -68,7 +71,7 @@ pub async fn service(exchange: Arc<Exchange>) -> Router {
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
         .http2_max_header_list_size(MOST_HEADER_BYTES)
-        .add_service(learner)
+        .add_service(InterceptedService::new(learner, connections::needs(Role::Actor)))
         .add_service(health)
         .add_service(reflection)
 }

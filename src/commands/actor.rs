@@ -2,6 +2,7 @@
 
 use std::io::Read as _;
 
+use actor::Transport;
 use anyhow::Context as _;
 use tokio::sync::watch;
 
@@ -11,34 +12,37 @@ use crate::signals;
 
 /// Ends with status 0 when the learner says that the run is done, or when it is told to stop.
 pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
-    check(&arguments)?;
+    let with_stdin = arguments.exit_with_stdin;
+    let config = configure(arguments)?;
     let (stop_sender, stop) = watch::channel(false);
-    if arguments.exit_with_stdin {
+    if with_stdin {
         stop_with_stdin(stop_sender.clone())?;
     }
-    let config = actor::Config {
-        learner: arguments.learner,
-        max_outage_secs: arguments.max_outage_secs,
-        name: arguments.name.unwrap_or_else(default_name),
-    };
     runtime()?.block_on(async {
         signals::stop_on_signal(stop_sender, || tracing::info!("stopping"))?;
         actor::run(config, stop).await.context("the actor failed")
     })
 }
 
-fn check(arguments: &ActorArguments) -> Result<(), Usage> {
-    if !arguments.learner.starts_with("http://") {
-        let url = &arguments.learner;
-        return Err(Usage::new(format!(
-            "--learner must be a URL such as http://HOST:50051, is `{url}`"
-        )));
-    }
+/// The actor's settings, checked; the program ends with status 2 if they are wrong.
+fn configure(arguments: ActorArguments) -> Result<actor::Config, Usage> {
     let patience = arguments.max_outage_secs;
     if !(patience.is_finite() && patience >= 0.0) {
         return Err(Usage::new(format!("--max-outage-secs must be at least 0, is {patience}")));
     }
-    Ok(())
+    let transport = match (arguments.tls.files(), arguments.insecure_allow_remote) {
+        (Some(files), _) => Transport::Tls(files),
+        (None, true) => Transport::PlainText,
+        (None, false) => Transport::PlainTextOnLoopback,
+    };
+    let config = actor::Config {
+        learner: arguments.learner,
+        transport,
+        max_outage_secs: patience,
+        name: arguments.name.unwrap_or_else(default_name),
+    };
+    config.validate().map_err(|error| Usage::new(format!("--learner: {error}")))?;
+    Ok(config)
 }
 
 fn default_name() -> String {

@@ -3,6 +3,8 @@
 use std::net::SocketAddr;
 
 use anyhow::Context as _;
+use learner::Door;
+use security::ServerTls;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
@@ -14,39 +16,50 @@ use crate::{output, signals};
 
 /// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
-    if !arguments.insecure_allow_remote {
+    let files = arguments.tls.files();
+    if files.is_none() && !arguments.insecure_allow_remote {
         demand_loopback(arguments.listen)?;
     }
+    let tls = files.map(ServerTls::open).transpose().map_err(|why| Usage::new(why.to_string()))?;
     let prepared = launch::prepare_or_resume(&arguments.settings, &arguments.resume)?;
-    runtime()?.block_on(serve(prepared, arguments.listen))
+    runtime()?.block_on(serve(prepared, arguments.listen, tls))
 }
 
-/// Nothing on the wire is encrypted yet, so other machines are let in only on request.
+/// Nothing in plain text is encrypted, so other machines are let in only on request.
 fn demand_loopback(address: SocketAddr) -> Result<(), Usage> {
     if address.ip().is_loopback() {
         return Ok(());
     }
     Err(Usage::new(format!(
         "--listen {address} would let other machines in without encryption or identity; \
+         give --tls-certificate, --tls-key and --tls-client-ca (`s2mia certs DIR` makes them), or \
          pass --insecure-allow-remote to allow that"
     )))
 }
 
-async fn serve(prepared: Prepared, address: SocketAddr) -> anyhow::Result<()> {
+async fn serve(
+    prepared: Prepared,
+    address: SocketAddr,
+    tls: Option<ServerTls>,
+) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
     let listener =
         TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}"))?;
+    let scheme = if tls.is_some() { "https" } else { "http" };
     output::line(format!(
-        "{} waits for actors on http://{}",
+        "{} waits for actors on {scheme}://{}",
         folder.display(),
         listener.local_addr()?
     ));
+    let door = match tls {
+        Some(tls) => Door::guarded(listener, tls),
+        None => Door::from(listener),
+    };
     let (stop_sender, stop) = watch::channel(false);
     signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))?;
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
-    let summary =
-        learner::run(launch, listener, observer, stop).await.context("the learner failed")?;
+    let summary = learner::run(launch, door, observer, stop).await.context("the learner failed")?;
     let done = if summary.stopped_early { "stopped" } else { "finished" };
     output::line(format!(
         "{done} after iteration {}: {}",

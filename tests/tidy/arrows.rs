@@ -8,19 +8,20 @@ use crate::assert_none;
 use crate::repository::{LIBRARIES, read};
 
 /// Workspace crates that a crate may use. The root may use all of them.
-const ARROWS: [(&str, &[&str]); 6] = [
+const ARROWS: [(&str, &[&str]); 7] = [
     ("proto", &[]),
+    ("security", &[]),
     ("sim", &[]),
     ("policy", &[]),
     ("marl", &["policy"]),
-    ("actor", &["policy", "proto", "sim"]),
-    ("learner", &["marl", "policy", "proto"]),
+    ("actor", &["policy", "proto", "security", "sim"]),
+    ("learner", &["marl", "policy", "proto", "security"]),
 ];
 
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 22] = [
+const HEAVY: [(&str, &[&str]); 26] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
@@ -39,7 +40,11 @@ const HEAVY: [(&str, &[&str]); 22] = [
     ("foxglove", &["actor"]),
     ("mcap", &["actor"]),
     ("prost", &["proto", "actor"]),
+    ("rcgen", &["security"]),
+    ("rustls", &["security"]),
+    ("rustls-webpki", &["security"]),
     ("tokio", &[ROOT, "actor", "learner"]),
+    ("tokio-rustls", &["actor", "learner"]),
     ("tokio-stream", &[ROOT, "actor", "learner"]),
     ("tonic", &["proto", "actor", "learner"]),
     ("tonic-prost-build", &["proto"]),

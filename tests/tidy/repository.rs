@@ -5,13 +5,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The top-level folders that hold the project.
-pub(crate) const ROOMS: [&str; 16] = [
+pub(crate) const ROOMS: [&str; 17] = [
     ".ci", ".github", "actor", "benches", "clients", "configs", "deploy", "docs", "fuzz",
-    "learner", "marl", "policy", "proto", "sim", "src", "tests",
+    "learner", "marl", "policy", "proto", "security", "sim", "src", "tests",
 ];
 
 /// The workspace's library crates, each a folder of the same name.
-pub(crate) const LIBRARIES: [&str; 6] = ["actor", "learner", "marl", "policy", "proto", "sim"];
+pub(crate) const LIBRARIES: [&str; 7] =
+    ["actor", "learner", "marl", "policy", "proto", "security", "sim"];
 
 const NEVER_ENTERED: [&str; 4] = ["__pycache__", "node_modules", "runs", "target"];
 

@@ -1,19 +1,23 @@
-//! Accepted connections: numbered, counted, and reported to the exchange when they close, so that the
-//! leases of an actor that died are free at once.
+//! Accepted connections: numbered, counted, greeted, and reported to the exchange when they close, so that
+//! the leases of an actor that died are free at once.
 
 use std::io;
+use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
+use security::{Role, Standing};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpStream;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::Request;
 use tonic::transport::server::Connected;
+use tonic::{Request, Status};
 
+use super::greeting::{Admitted, Bytes, greet};
+use crate::door::{Door, Guard};
 use crate::exchange::Exchange;
 use crate::slots::ConnectionId;
 
@@ -22,14 +26,36 @@ const MOST_CONNECTIONS: usize = 1024;
 /// Pause after a failed accept, for example because the process is out of file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
+/// Who is at the other end of a connection.
+#[derive(Clone, Debug)]
+pub(super) struct Peer {
+    connection: ConnectionId,
+    address: SocketAddr,
+    standing: Standing,
+}
+
 /// The connection that a request came over.
 pub(super) fn of<T>(request: &Request<T>) -> ConnectionId {
-    request.extensions().get().copied().unwrap_or(ConnectionId(0))
+    request.extensions().get().map_or(ConnectionId(0), |peer: &Peer| peer.connection)
+}
+
+/// Lets calls pass whose peer has this role, and refuses all others by name.
+pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, Status> + Clone {
+    move |request| {
+        let peer: Option<&Peer> = request.extensions().get();
+        // Without a peer the call came over no socket.
+        let Some(peer) = peer else { return Ok(request) };
+        if let Err(denied) = peer.standing.demand(role) {
+            tracing::warn!(peer = %peer.address, "a call is refused: {denied}");
+            return Err(Status::permission_denied(denied.to_string()));
+        }
+        Ok(request)
+    }
 }
 
 /// Accepts connections until the returned stream is dropped.
 pub(super) fn accept(
-    listener: TcpListener,
+    door: Door,
     exchange: Arc<Exchange>,
 ) -> ReceiverStream<io::Result<Connection>> {
     // One accepted connection waits for the server; the others stay with the kernel.
@@ -40,19 +66,15 @@ pub(super) fn accept(
         while let Ok(permit) = Arc::clone(&room).acquire_owned().await {
             let accepted = tokio::select! {
                 () = sender.closed() => return,
-                accepted = listener.accept() => accepted,
+                accepted = door.listener.accept() => accepted,
             };
-            match accepted.and_then(|(io, _)| io.set_nodelay(true).map(|()| io)) {
-                Ok(io) => {
+            match accepted.and_then(|(io, address)| io.set_nodelay(true).map(|()| (io, address))) {
+                Ok((io, address)) => {
                     last += 1;
-                    let open = Open {
-                        id: ConnectionId(last),
-                        exchange: Arc::clone(&exchange),
-                        _permit: permit,
-                    };
-                    if sender.send(Ok(Connection { io, open })).await.is_err() {
-                        return;
-                    }
+                    let id = ConnectionId(last);
+                    let open = Open { id, exchange: Arc::clone(&exchange), _permit: permit };
+                    // Whoever is slow to say who they are keeps nobody else waiting.
+                    tokio::spawn(usher(io, address, door.guard.clone(), open, sender.clone()));
                 }
                 Err(error) => {
                     tracing::warn!(%error, "cannot accept a connection");
@@ -64,10 +86,35 @@ pub(super) fn accept(
     ReceiverStream::new(stream)
 }
 
+/// Greets one connection and hands it over to the server.
+async fn usher(
+    io: TcpStream,
+    address: SocketAddr,
+    guard: Guard,
+    open: Open,
+    server: mpsc::Sender<io::Result<Connection>>,
+) {
+    let greeted = tokio::select! {
+        () = server.closed() => return,
+        greeted = greet(io, address, &guard) => greeted,
+    };
+    if let Some(Admitted { bytes, standing }) = greeted {
+        // A server that is gone takes nobody in any more.
+        let _taken = server
+            .send(Ok(Connection {
+                io: bytes,
+                peer: Peer { connection: open.id, address, standing },
+                _open: open,
+            }))
+            .await;
+    }
+}
+
 /// One accepted connection.
 pub(super) struct Connection {
-    io: TcpStream,
-    open: Open,
+    io: Box<dyn Bytes>,
+    peer: Peer,
+    _open: Open,
 }
 
 /// Says when it is closed.
@@ -84,10 +131,10 @@ impl Drop for Open {
 }
 
 impl Connected for Connection {
-    type ConnectInfo = ConnectionId;
+    type ConnectInfo = Peer;
 
-    fn connect_info(&self) -> ConnectionId {
-        self.open.id
+    fn connect_info(&self) -> Peer {
+        self.peer.clone()
     }
 }
 

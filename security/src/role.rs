@@ -1,0 +1,127 @@
+//! What a peer may do: roles, read from the certificate that it showed, and what each of them allows.
+
+use std::fmt;
+
+use rustls::pki_types::CertificateDer;
+use webpki::EndEntityCert;
+
+/// How a role's name begins as an alternative name (URI) of a certificate.
+const URI_PREFIX: &str = "s2mia://role/";
+
+/// What a certificate is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// Rolls out: all calls of `LearnerService`.
+    Actor,
+    /// Watches: calls that change nothing.
+    Viewer,
+    /// May do everything.
+    Admin,
+}
+
+impl Role {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Actor, Self::Viewer, Self::Admin];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Actor => "actor",
+            Self::Viewer => "viewer",
+            Self::Admin => "admin",
+        }
+    }
+
+    /// Its name as an alternative name (URI) of a certificate.
+    #[must_use]
+    pub fn uri(self) -> String {
+        format!("{URI_PREFIX}{}", self.name())
+    }
+
+    /// The roles in a verified certificate; none if it carries none.
+    fn in_certificate(certificate: &CertificateDer<'_>) -> Vec<Self> {
+        let Ok(certificate) = EndEntityCert::try_from(certificate) else { return Vec::new() };
+        let names = certificate.valid_uri_names().collect::<Vec<_>>();
+        Self::ALL.into_iter().filter(|role| names.contains(&role.uri().as_str())).collect()
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+/// What the peer of a connection may do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Everything: nobody is asked who they are, because only this machine is let in.
+    Unasked,
+    /// What these roles allow.
+    Roles(Vec<Role>),
+}
+
+/// A call that the peer's roles do not allow.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("this call needs the role {needed}; the certificate carries {}", listed(.held))]
+pub struct Denied {
+    /// The role that would do.
+    pub needed: Role,
+    /// The roles that were shown.
+    pub held: Vec<Role>,
+}
+
+fn listed(roles: &[Role]) -> String {
+    match roles {
+        [] => "no role".to_owned(),
+        roles => roles.iter().map(|role| role.name()).collect::<Vec<_>>().join(", "),
+    }
+}
+
+impl Standing {
+    /// Of a peer that showed this chain of certificates, its own first.
+    #[must_use]
+    pub fn of_chain(chain: Option<&[CertificateDer<'_>]>) -> Self {
+        let own = chain.and_then(|chain| chain.first());
+        Self::Roles(own.map(Role::in_certificate).unwrap_or_default())
+    }
+
+    /// Refuses a call that needs a role which the peer has not.
+    ///
+    /// # Errors
+    /// Names the role needed and those held.
+    pub fn demand(&self, needed: Role) -> Result<(), Denied> {
+        match self {
+            Self::Unasked => Ok(()),
+            Self::Roles(held) if held.contains(&needed) || held.contains(&Role::Admin) => Ok(()),
+            Self::Roles(held) => Err(Denied { needed, held: held.clone() }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_admin_may_do_what_everyone_may_and_nobody_else_more_than_their_own() {
+        for needed in Role::ALL {
+            for held in Role::ALL {
+                let allowed = Standing::Roles(vec![held]).demand(needed).is_ok();
+                assert_eq!(allowed, held == needed || held == Role::Admin, "{held} as {needed}");
+            }
+            assert!(Standing::Unasked.demand(needed).is_ok());
+            assert!(Standing::of_chain(None).demand(needed).is_err());
+        }
+    }
+
+    #[test]
+    fn a_denial_names_the_role_needed_and_those_held() {
+        let denied = Standing::Roles(vec![Role::Viewer]).demand(Role::Actor).unwrap_err();
+        let line = "this call needs the role actor; the certificate carries viewer";
+        assert_eq!(denied.to_string(), line);
+        let denied = Standing::Roles(vec![]).demand(Role::Admin).unwrap_err();
+        assert!(denied.to_string().ends_with("the certificate carries no role"));
+    }
+}

@@ -1,0 +1,146 @@
+//! From when and until when a certificate is valid, read from its DER bytes. Nothing else of it is looked
+//! at: rustls verifies certificates, but says of one's own only that the other side refused it.
+
+use std::fmt;
+use std::time::SystemTime;
+
+const SEQUENCE: u8 = 0x30;
+const VERSION: u8 = 0xa0;
+const UTC_TIME: u8 = 0x17;
+const GENERALIZED_TIME: u8 = 0x18;
+
+/// A second of the calendar, UTC: year, month, day, hour, minute, second. Later ones compare as larger.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Moment([u32; 6]);
+
+/// First and last moment of a certificate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Validity {
+    pub(crate) from: Moment,
+    pub(crate) until: Moment,
+}
+
+impl Validity {
+    /// Of a certificate in DER form; `None` if it is none.
+    pub(crate) fn of(certificate: &[u8]) -> Option<Self> {
+        let (_, certificate, _) = element(certificate)?;
+        let (_, mut rest, _) = element(certificate)?;
+        if rest.first() == Some(&VERSION) {
+            rest = element(rest)?.2;
+        }
+        // Serial number, signature algorithm and issuer stand before it (RFC 5280, section 4.1).
+        for _ in 0..3 {
+            rest = element(rest)?.2;
+        }
+        let (tag, times, _) = element(rest)?;
+        let (from, until) = (moment(times)?, moment(element(times)?.2)?);
+        (tag == SEQUENCE).then_some(Self { from, until })
+    }
+}
+
+/// The first element of `bytes`: its tag, its content, and what follows it.
+fn element(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+    let (&tag, rest) = bytes.split_first()?;
+    let (&first, rest) = rest.split_first()?;
+    let (length, rest) = match first {
+        0..=0x7f => (usize::from(first), rest),
+        0x81..=0x84 => {
+            let (digits, rest) = rest.split_at_checked(usize::from(first & 0x7f))?;
+            (digits.iter().fold(0, |length, digit| (length << 8) | usize::from(*digit)), rest)
+        }
+        _ => return None,
+    };
+    let (content, rest) = rest.split_at_checked(length)?;
+    Some((tag, content, rest))
+}
+
+/// `YYMMDDHHMMSSZ`, in which years from 50 are of the last century, or `YYYYMMDDHHMMSSZ`.
+fn moment(bytes: &[u8]) -> Option<Moment> {
+    let (tag, text, _) = element(bytes)?;
+    let digits = std::str::from_utf8(text.strip_suffix(b"Z")?).ok()?;
+    let (year, rest) = match tag {
+        UTC_TIME => digits.split_at_checked(2)?,
+        GENERALIZED_TIME => digits.split_at_checked(4)?,
+        _ => return None,
+    };
+    let century = match (tag, year.parse().ok()?) {
+        (UTC_TIME, 50_u32..) => 1900,
+        (UTC_TIME, _) => 2000,
+        _ => 0,
+    };
+    let mut fields = [century + year.parse::<u32>().ok()?, 0, 0, 0, 0, 0];
+    for (index, field) in fields.iter_mut().enumerate().skip(1) {
+        *field = rest.get(2 * (index - 1)..2 * index)?.parse().ok()?;
+    }
+    Some(Moment(fields))
+}
+
+impl From<SystemTime> for Moment {
+    /// Days to dates after Howard Hinnant, "chrono-compatible low-level date algorithms": years begin in
+    /// March, so that the leap day is the last one.
+    fn from(time: SystemTime) -> Self {
+        let seconds =
+            time.duration_since(SystemTime::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        let (days, second) = (seconds / 86_400 + 719_468, seconds % 86_400);
+        let (era, day_of_era) = (days / 146_097, days % 146_097);
+        let year_of_era =
+            (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+        let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+        let shifted = (5 * day_of_year + 2) / 153;
+        let day = day_of_year - (153 * shifted + 2) / 5 + 1;
+        let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
+        let year = year_of_era + era * 400 + u64::from(month <= 2);
+        let fields = [year, month, day, second / 3600, second / 60 % 60, second % 60];
+        Self(fields.map(|field| field as u32))
+    }
+}
+
+impl fmt::Display for Moment {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [year, month, day, hour, minute, second] = self.0;
+        write!(formatter, "{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    fn at(unix_secs: u64) -> Moment {
+        Moment::from(SystemTime::UNIX_EPOCH + Duration::from_secs(unix_secs))
+    }
+
+    #[test]
+    fn seconds_since_1970_become_the_dates_of_the_calendar() {
+        for (seconds, date) in [
+            (0, "1970-01-01 00:00:00 UTC"),
+            (951_782_400, "2000-02-29 00:00:00 UTC"),
+            (1_000_000_000, "2001-09-09 01:46:40 UTC"),
+            (4_107_542_399, "2100-02-28 23:59:59 UTC"),
+            (4_107_542_400, "2100-03-01 00:00:00 UTC"),
+        ] {
+            assert_eq!(at(seconds).to_string(), date);
+        }
+    }
+
+    #[test]
+    fn both_forms_of_a_time_are_read() {
+        let utc = [&[UTC_TIME, 13], b"010909014640Z".as_slice()].concat();
+        let old = [&[UTC_TIME, 13], b"990909014640Z".as_slice()].concat();
+        let general = [&[GENERALIZED_TIME, 15], b"20010909014640Z".as_slice()].concat();
+        assert_eq!(moment(&utc), Some(at(1_000_000_000)));
+        assert_eq!(moment(&general), Some(at(1_000_000_000)));
+        assert_eq!(moment(&old).map(|moment| moment.0[0]), Some(1999));
+        assert_eq!(moment(&[UTC_TIME, 3, b'1', b'2', b'Z']), None);
+    }
+
+    #[test]
+    fn lengths_past_the_end_are_no_element() {
+        assert_eq!(element(&[SEQUENCE, 2, 7]), None);
+        assert_eq!(element(&[SEQUENCE, 0x84, 0xff, 0xff, 0xff, 0xff]), None);
+        assert_eq!(element(&[SEQUENCE, 0x81, 1, 7, 9]), Some((SEQUENCE, &[7][..], &[9][..])));
+        assert_eq!(Validity::of(b"no certificate"), None);
+    }
+}

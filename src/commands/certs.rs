@@ -1,0 +1,89 @@
+//! `s2mia certs`: an authority of one's own and a certificate for each role, to begin with.
+
+use std::fs::{DirBuilder, OpenOptions};
+use std::io::Write as _;
+use std::net::IpAddr;
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use anyhow::Context as _;
+use security::Role;
+use security::development::{Issued, Issuer};
+
+use crate::cli::CertsArguments;
+use crate::commands::Usage;
+use crate::output;
+
+/// Only the owner may read a private key.
+const SECRET: u32 = 0o600;
+/// Everyone may read a certificate.
+const PUBLIC: u32 = 0o644;
+/// Only the owner may look into the folder.
+const PRIVATE_FOLDER: u32 = 0o700;
+
+const DAY: Duration = Duration::from_secs(86_400);
+
+/// Writes all files into a new or empty folder, and says how they are used.
+pub(super) fn run(arguments: &CertsArguments) -> anyhow::Result<()> {
+    let folder = &arguments.folder;
+    let issuer = Issuer::new(SystemTime::now(), DAY * arguments.days)?;
+    let server = issuer
+        .server(&arguments.names)
+        .map_err(|error| Usage::new(format!("--names {}: {error}", arguments.names.join(","))))?;
+    make_empty(folder)?;
+    write(&folder.join("ca.pem"), &issuer.certificate(), PUBLIC)?;
+    write_pair(folder, "server", &server)?;
+    for role in Role::ALL {
+        write_pair(folder, role.name(), &issuer.client(role)?)?;
+    }
+    output::line(instructions(folder, &arguments.names[0], arguments.days));
+    Ok(())
+}
+
+fn make_empty(folder: &Path) -> anyhow::Result<()> {
+    let shown = folder.display();
+    if folder.exists() {
+        let entries = folder.read_dir().with_context(|| format!("cannot read {shown}"))?;
+        if entries.count() > 0 {
+            let why = format!("{shown} is not empty; nothing is overwritten, name a new folder");
+            return Err(Usage::new(why).into());
+        }
+        return Ok(());
+    }
+    let mut builder = DirBuilder::new();
+    builder.recursive(true).mode(PRIVATE_FOLDER);
+    builder.create(folder).with_context(|| format!("cannot make {shown}"))
+}
+
+fn write_pair(folder: &Path, name: &str, issued: &Issued) -> anyhow::Result<()> {
+    write(&folder.join(format!("{name}.pem")), &issued.certificate, PUBLIC)?;
+    write(&folder.join(format!("{name}.key")), &issued.key, SECRET)
+}
+
+/// A new file, never an old one with new content.
+fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
+    let written = OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .mode(mode)
+        .open(path)
+        .and_then(|mut file| file.write_all(text.as_bytes()));
+    written.with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn instructions(folder: &Path, name: &str, days: u32) -> String {
+    let dir = folder.display();
+    let host = match name.parse::<IpAddr>() {
+        Ok(IpAddr::V6(address)) => format!("[{address}]"),
+        _ => name.to_owned(),
+    };
+    format!(
+        "{dir} holds an authority, a learner's certificate and one for each role, good for {days} \
+         days.\nThe authority's own key was not kept: to make more, make all of them anew.\n\n  \
+         s2mia learner --listen 0.0.0.0:50051 --tls-certificate {dir}/server.pem --tls-key \
+         {dir}/server.key --tls-client-ca {dir}/ca.pem\n  s2mia actor --learner \
+         https://{host}:50051 --tls-ca {dir}/ca.pem --tls-certificate {dir}/actor.pem --tls-key \
+         {dir}/actor.key"
+    )
+}

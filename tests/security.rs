@@ -1,0 +1,269 @@
+//! Who is let in and who is not, with real processes: certificates of another authority, of the wrong role or
+//! past their time, plain text where TLS is spoken and the reverse. Each is refused with one line on either
+//! side, and the run goes on.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/learners.rs"]
+mod learners;
+
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, SystemTime};
+
+use learners::{Learner, inspect};
+use proto::wire::DescribeRunRequest;
+use proto::wire::learner_service_client::LearnerServiceClient;
+use security::Role;
+use security::development::{Issued, Issuer};
+use tonic::Code;
+use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
+
+fn s2mia(arguments: &[&str]) -> (i32, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap();
+    let told = [output.stdout, output.stderr].concat();
+    (output.status.code().unwrap(), String::from_utf8(told).unwrap())
+}
+
+/// A folder of files as `s2mia certs` makes them.
+struct Certificates(PathBuf);
+
+impl Certificates {
+    fn make(folder: PathBuf) -> Self {
+        let (code, told) = s2mia(&["certs", folder.to_str().unwrap()]);
+        assert_eq!(code, 0, "{told}");
+        Self(folder)
+    }
+
+    fn file(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_owned()
+    }
+
+    fn of_learner(&self) -> Vec<String> {
+        let files = [
+            ("--tls-certificate", "server.pem"),
+            ("--tls-key", "server.key"),
+            ("--tls-client-ca", "ca.pem"),
+        ];
+        files.iter().flat_map(|(flag, name)| [(*flag).to_owned(), self.file(name)]).collect()
+    }
+
+    /// Trusts `learners`, and shows the certificate called `role` of this folder.
+    fn of_client(&self, learners: &Self, role: &str) -> Vec<String> {
+        let (certificate, key) = (format!("{role}.pem"), format!("{role}.key"));
+        let files = [
+            ("--tls-ca", learners.file("ca.pem")),
+            ("--tls-certificate", self.file(&certificate)),
+            ("--tls-key", self.file(&key)),
+        ];
+        files.into_iter().flat_map(|(flag, path)| [flag.to_owned(), path]).collect()
+    }
+}
+
+fn actor(url: &str, tls: &[String]) -> (i32, String) {
+    let more = tls.iter().map(String::as_str);
+    s2mia(
+        &["actor", "--max-outage-secs", "20", "--learner", url]
+            .into_iter()
+            .chain(more)
+            .collect::<Vec<_>>(),
+    )
+}
+
+/// An actor that gives up at once, in a line that holds `words`.
+fn refused(url: &str, tls: &[String], words: &str) {
+    let (code, told) = actor(url, tls);
+    assert_ne!(code, 0, "{told}");
+    assert!(told.contains(words) && told.lines().count() == 1, "{words}: {told}");
+}
+
+#[test]
+fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let (own, other) = (folder.path().join("own"), folder.path().join("other"));
+    let (own, other) = (Certificates::make(own), Certificates::make(other));
+    let (guarded, open) = (folder.path().join("guarded"), folder.path().join("open"));
+    let mut learner = Learner::start(&guarded, &own.of_learner());
+    let mut plain = Learner::start(&open, &[]);
+    assert!(learner.url.starts_with("https://") && plain.url.starts_with("http://"));
+    let actors = own.of_client(&own, "actor");
+
+    let elsewhere = [actors.clone(), vec!["--tls-server-name".into(), "elsewhere".into()]].concat();
+    refused(&learner.url, &own.of_client(&other, "actor"), "given with --tls-ca has not signed it");
+    refused(&learner.url, &other.of_client(&own, "actor"), "another authority has signed it");
+    refused(&learner.url, &elsewhere, "elsewhere");
+    refused(&learner.url, &own.of_client(&own, "viewer"), "needs the role actor");
+    refused(&learner.url.replace("https", "http"), &[], "asks for TLS; use https://");
+    refused(&plain.url.replace("http", "https"), &actors, "use an http:// URL");
+
+    let told = learner.finish(&own.of_client(&own, "admin"));
+    for words in [
+        "received fatal alert",
+        "invalid peer certificate",
+        "needs the role actor; the certificate carries viewer",
+        "speaks plain text, but this learner asks for TLS",
+    ] {
+        assert!(told.contains(words), "{words}: {told}");
+    }
+    let told = plain.finish(&[]);
+    assert!(told.contains("speaks TLS, but this learner serves plain text"), "{told}");
+    assert_eq!(inspect(&guarded), inspect(&open));
+}
+
+/// A client that checks nothing of its own certificate before it shows it.
+async fn call(url: &str, authority: &Path, own: Option<Issued>) -> Result<(), tonic::Status> {
+    let authority = std::fs::read(authority).unwrap();
+    let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(authority));
+    let tls = match own {
+        Some(own) => tls.identity(Identity::from_pem(own.certificate, own.key)),
+        None => tls,
+    };
+    let channel = Endpoint::from_shared(url.to_owned()).unwrap().tls_config(tls).unwrap();
+    let channel =
+        channel.connect().await.map_err(|error| tonic::Status::unavailable(error.to_string()))?;
+    LearnerServiceClient::new(channel).describe_run(DescribeRunRequest {}).await.map(drop)
+}
+
+#[tokio::test]
+async fn no_certificate_an_expired_one_and_one_without_a_role_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Certificates::make(folder.path().join("own"));
+    let (day, now) = (Duration::from_secs(86_400), SystemTime::now());
+    let (old, new) = (Issuer::new(now - 2 * day, day), Issuer::new(now, day));
+    let (old, new) = (old.unwrap(), new.unwrap());
+    let both = [old.certificate(), new.certificate()].concat();
+    // The first authority in the file must be valid itself.
+    std::fs::write(own.file("clients.pem"), [new.certificate(), both].concat()).unwrap();
+    let mut files = own.of_learner();
+    *files.last_mut().unwrap() = own.file("clients.pem");
+    let mut learner = Learner::start(&folder.path().join("run"), &files);
+    let authority = PathBuf::from(own.file("ca.pem"));
+
+    assert!(call(&learner.url, &authority, None).await.is_err());
+    let expired = old.client(Role::Actor).unwrap();
+    assert!(call(&learner.url, &authority, Some(expired)).await.is_err());
+    let without_role = new.nobody().unwrap();
+    let status = call(&learner.url, &authority, Some(without_role)).await.unwrap_err();
+    assert_eq!(status.code(), Code::PermissionDenied, "{status:?}");
+    call(&learner.url, &authority, Some(new.client(Role::Actor).unwrap())).await.unwrap();
+
+    let told = tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
+    for words in
+        ["peer sent no certificates", "certificate expired", "the certificate carries no role"]
+    {
+        assert!(told.contains(words), "{words}: {told}");
+    }
+}
+
+#[tokio::test]
+async fn changed_certificates_are_served_without_a_restart_and_broken_ones_are_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Certificates::make(folder.path().join("own"));
+    let other = Certificates::make(folder.path().join("other"));
+    let mut learner = Learner::start(&folder.path().join("run"), &own.of_learner());
+    let renewed = PathBuf::from(other.file("ca.pem"));
+    let issuer = Issuer::new(SystemTime::now(), Duration::from_secs(3600)).unwrap();
+    let client = || issuer.client(Role::Actor).unwrap();
+    std::fs::copy(own.file("ca.pem"), own.file("before.pem")).unwrap();
+
+    // From here on a client of `issuer` gets in as soon as its authority is read.
+    std::fs::write(own.file("ca.pem"), issuer.certificate()).unwrap();
+    let before = PathBuf::from(own.file("before.pem"));
+    let url = learner.url.clone();
+    until(async || call(&url, &before, Some(client())).await.is_ok()).await;
+
+    std::fs::write(own.file("server.pem"), "half a file").unwrap();
+    until(async || {
+        call(&url, &before, Some(client())).await.unwrap();
+        learner.log().contains("the certificates before are kept")
+    })
+    .await;
+
+    for name in ["server.pem", "server.key"] {
+        std::fs::copy(other.file(name), own.file(name)).unwrap();
+    }
+    until(async || call(&url, &renewed, Some(client())).await.is_ok()).await;
+    assert!(call(&url, &before, Some(client())).await.is_err());
+    tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
+}
+
+/// Tries again and again, for half a minute at most.
+async fn until(happened: impl AsyncFn() -> bool) {
+    let tries = async { while !happened().await {} };
+    tokio::time::timeout(Duration::from_secs(30), tries).await.unwrap();
+}
+
+#[test]
+fn keys_are_readable_by_their_owner_only_and_never_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Certificates::make(folder.path().join("own"));
+    for name in ["server.key", "actor.key", "viewer.key", "admin.key"] {
+        let mode = std::fs::metadata(own.file(name)).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600, "{name}");
+    }
+    let before = std::fs::read(own.file("actor.key")).unwrap();
+    let (code, told) = s2mia(&["certs", own.0.to_str().unwrap()]);
+    assert_eq!(code, 2);
+    assert!(told.contains("nothing is overwritten") && told.lines().count() == 1, "{told}");
+    assert_eq!(std::fs::read(own.file("actor.key")).unwrap(), before);
+}
+
+#[test]
+fn a_wrong_file_is_one_line_with_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Certificates::make(folder.path().join("own"));
+    let long_ago = SystemTime::UNIX_EPOCH + Duration::from_secs(86_400);
+    let issuer = Issuer::new(long_ago, Duration::from_secs(86_400)).unwrap();
+    let expired = issuer.client(Role::Actor).unwrap();
+    std::fs::write(own.file("old.pem"), &expired.certificate).unwrap();
+    std::fs::write(own.file("old.key"), &expired.key).unwrap();
+    for (certificate, key, words) in [
+        ("none.pem", "actor.key", "cannot read"),
+        ("actor.key", "actor.key", "holds no certificate in PEM form"),
+        ("actor.pem", "viewer.key", "does not fit the certificate"),
+        ("old.pem", "old.key", "expired at 1970-01-03 00:00:00 UTC"),
+    ] {
+        let (authority, certificate, key) =
+            (own.file("ca.pem"), own.file(certificate), own.file(key));
+        let files = ["--tls-certificate", &certificate, "--tls-key", &key];
+        let learner = [&["learner", "--tls-client-ca", &authority], files.as_slice()].concat();
+        let url = ["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority];
+        for arguments in [learner, [url.as_slice(), &files].concat()] {
+            let (code, told) = s2mia(&arguments);
+            assert_eq!(code, 2, "{told}");
+            assert!(told.contains(words) && told.lines().count() == 1, "{words}: {told}");
+        }
+    }
+}
+
+#[test]
+fn no_secret_stands_in_what_a_run_prints_or_leaves_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Certificates::make(folder.path().join("own"));
+    let run = folder.path().join("run");
+    let mut learner =
+        Learner::start(&run, &[own.of_learner(), vec!["--log=trace".into()]].concat());
+    let (code, actor) =
+        actor(&learner.url, &[own.of_client(&own, "actor"), vec!["--log=trace".into()]].concat());
+    assert_eq!(code, 0, "{actor}");
+    let mut texts = vec![actor, learner.wait()];
+    texts.extend(
+        files_in(&run)
+            .iter()
+            .map(|file| String::from_utf8_lossy(&std::fs::read(file).unwrap()).into_owned()),
+    );
+    assert!(texts.len() > 5);
+    for name in ["server.key", "actor.key"] {
+        let key = std::fs::read_to_string(own.file(name)).unwrap();
+        let secrets = key.lines().filter(|line| !line.starts_with("-----")).collect::<Vec<_>>();
+        assert!(!secrets.is_empty());
+        for secret in secrets {
+            assert!(texts.iter().all(|text| !text.contains(secret)), "{name}");
+        }
+    }
+}
+
+fn files_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = folder.read_dir().unwrap().map(|entry| entry.unwrap().path());
+    entries.flat_map(|path| if path.is_dir() { files_in(&path) } else { vec![path] }).collect()
+}
