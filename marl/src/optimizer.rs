@@ -1,13 +1,14 @@
 //! Adam over a network's named parameters, with clipping by global norm and a state that can be
 //! stored: PyTorch's formula, the epsilon added after the square root.
 
-use candle_core::{Device, Tensor};
 use libm::{pow, sqrt};
 use policy::arrays::{Array, NamedArrays};
+use policy::math::Real;
 use policy::parameters::Parameters;
 
 use crate::error::MarlError;
 use crate::gradient::Gradients;
+use crate::reals::Reals;
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
@@ -29,18 +30,17 @@ pub struct Adam {
     config: AdamConfig,
     names: Vec<String>,
     shapes: Vec<Vec<usize>>,
-    first: Vec<Vec<f32>>,
-    second: Vec<Vec<f32>>,
+    first: Vec<Reals>,
+    second: Vec<Reals>,
     steps: i64,
     skipped: i64,
 }
 
 impl Adam {
-    /// An optimiser for `parameters` (f32) that has seen no step.
+    /// An optimiser for `parameters`, in their precision, that has seen no step.
     #[must_use]
     pub fn new(config: AdamConfig, parameters: &Parameters) -> Self {
-        let zeros: Vec<Vec<f32>> =
-            parameters.iter().map(|(_, var)| vec![0.0; var.elem_count()]).collect();
+        let zeros: Vec<Reals> = parameters.iter().map(|(_, var)| Reals::zeros(var)).collect();
         Self {
             config,
             names: parameters.iter().map(|(name, _)| name.to_owned()).collect(),
@@ -69,30 +69,22 @@ impl Adam {
         }
         self.steps += 1;
         // As torch.nn.utils.clip_grad_norm_ has it.
-        let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0) as f32;
-        for (index, (_, var)) in parameters.iter().enumerate() {
-            let mut values = var.as_tensor().flatten_all()?.to_vec1::<f32>()?;
-            self.move_values(index, &mut values, &gradients.0[index], scale);
-            var.set(&Tensor::from_vec(values, var.shape().clone(), &Device::Cpu)?)?;
+        let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0);
+        let stride = Stride {
+            scale,
+            length: self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64)),
+            root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
+            epsilon: self.config.epsilon,
+        };
+        let moments = self.first.iter_mut().zip(&mut self.second);
+        for (((_, var), gradient), (first, second)) in
+            parameters.iter().zip(&gradients.0).zip(moments)
+        {
+            var.set(
+                &stride.moved(Reals::of(var)?, gradient, (first, second)).tensor(var.shape())?,
+            )?;
         }
         Ok(norm)
-    }
-
-    /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
-    /// `x -= lr / (1 - b1^t) m / (sqrt(v) / sqrt(1 - b2^t) + eps)`.
-    fn move_values(&mut self, index: usize, values: &mut [f32], gradient: &[f32], scale: f32) {
-        let step_size = (self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64))) as f32;
-        let root = sqrt(1.0 - pow(BETA_2, self.steps as f64)) as f32;
-        let epsilon = self.config.epsilon as f32;
-        let (keep_1, take_1) = (BETA_1 as f32, (1.0 - BETA_1) as f32);
-        let (keep_2, take_2) = (BETA_2 as f32, (1.0 - BETA_2) as f32);
-        let moments = self.first[index].iter_mut().zip(&mut self.second[index]);
-        for ((value, gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
-            let gradient = gradient * scale;
-            *first = keep_1 * *first + take_1 * gradient;
-            *second = keep_2 * *second + take_2 * gradient * gradient;
-            *value -= step_size * *first / (second.sqrt() / root + epsilon);
-        }
     }
 
     /// Steps that were skipped because their gradient was not finite.
@@ -107,8 +99,8 @@ impl Adam {
         let mut arrays = NamedArrays::new();
         for (index, name) in self.names.iter().enumerate() {
             for (kind, moment) in [("m", &self.first), ("v", &self.second)] {
-                let (shape, data) = (self.shapes[index].clone(), moment[index].clone());
-                arrays.insert(format!("{prefix}{kind}.{name}"), Array::F32 { shape, data });
+                let array = moment[index].array(self.shapes[index].clone());
+                arrays.insert(format!("{prefix}{kind}.{name}"), array);
             }
         }
         for (name, count) in [("steps", self.steps), ("skipped", self.skipped)] {
@@ -125,8 +117,8 @@ impl Adam {
     pub fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
         for index in 0..self.names.len() {
             let (name, shape) = (&self.names[index], &self.shapes[index]);
-            self.first[index] = stored_f32(arrays, &format!("{prefix}m.{name}"), shape)?;
-            self.second[index] = stored_f32(arrays, &format!("{prefix}v.{name}"), shape)?;
+            take_over(&mut self.first[index], arrays, &format!("{prefix}m.{name}"), shape)?;
+            take_over(&mut self.second[index], arrays, &format!("{prefix}v.{name}"), shape)?;
         }
         self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
         self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
@@ -134,11 +126,73 @@ impl Adam {
     }
 }
 
-fn stored_f32(arrays: &NamedArrays, name: &str, expected: &[usize]) -> Result<Vec<f32>, MarlError> {
-    match arrays.get(name) {
-        Some(Array::F32 { shape, data }) if shape == expected => Ok(data.clone()),
-        Some(_) => Err(MarlError::Restore(format!("{name} is not an f32 array of {expected:?}"))),
-        None => Err(MarlError::Restore(format!("{name} is missing"))),
+/// One step's figures, the same for every parameter.
+#[derive(Clone, Copy)]
+struct Stride {
+    /// What clips the gradient.
+    scale: f64,
+    /// `lr / (1 - b1^t)`.
+    length: f64,
+    /// `sqrt(1 - b2^t)`.
+    root: f64,
+    epsilon: f64,
+}
+
+impl Stride {
+    /// Where a parameter goes. All four have the network's precision.
+    fn moved(self, values: Reals, gradient: &Reals, moments: (&mut Reals, &mut Reals)) -> Reals {
+        match (values, gradient, moments) {
+            (
+                Reals::Single(values),
+                Reals::Single(gradient),
+                (Reals::Single(first), Reals::Single(second)),
+            ) => Reals::Single(self.apply(values, gradient, first, second)),
+            (
+                Reals::Double(values),
+                Reals::Double(gradient),
+                (Reals::Double(first), Reals::Double(second)),
+            ) => Reals::Double(self.apply(values, gradient, first, second)),
+            (values, gradient, _) => panic!("{values:?} and {gradient:?} differ in precision"),
+        }
+    }
+
+    /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
+    /// `x -= lr / (1 - b1^t) m / (sqrt(v) / sqrt(1 - b2^t) + eps)`.
+    fn apply<T: Real>(
+        self,
+        mut values: Vec<T>,
+        gradient: &[T],
+        first: &mut [T],
+        second: &mut [T],
+    ) -> Vec<T> {
+        let [scale, length, root, epsilon] =
+            [self.scale, self.length, self.root, self.epsilon].map(T::from_f64);
+        let [keep_1, take_1, keep_2, take_2] =
+            [BETA_1, 1.0 - BETA_1, BETA_2, 1.0 - BETA_2].map(T::from_f64);
+        let moments = first.iter_mut().zip(second);
+        for ((value, &gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
+            let gradient = gradient * scale;
+            *first = keep_1 * *first + take_1 * gradient;
+            *second = keep_2 * *second + take_2 * gradient * gradient;
+            *value -= length * *first / (second.root() / root + epsilon);
+        }
+        values
+    }
+}
+
+/// Takes over a moment of shape `expected`.
+fn take_over(
+    moment: &mut Reals,
+    arrays: &NamedArrays,
+    name: &str,
+    expected: &[usize],
+) -> Result<(), MarlError> {
+    let array = arrays.get(name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
+    match moment.take_over(array, expected) {
+        true => Ok(()),
+        false => Err(MarlError::Restore(format!(
+            "{name} is not an array of {expected:?} in the run's precision"
+        ))),
     }
 }
 
