@@ -194,3 +194,6 @@ fn spread(policy: &ActorPolicy, figures: &Figures) -> Vec<(&'static str, f64)> {
         ],
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -203,3 +203,85 @@ fn stored_count(arrays: &NamedArrays, name: &str) -> Result<i64, MarlError> {
         None => Err(MarlError::Restore(format!("{name} is missing"))),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{Device, Tensor};
+    use policy::Precision;
+
+    use super::*;
+
+    const CONFIG: AdamConfig =
+        AdamConfig { learning_rate: 0.1, epsilon: 1e-8, max_gradient_norm: 100.0 };
+
+    fn zeros(precision: Precision) -> Parameters {
+        let mut parameters = Parameters::new();
+        for name in ["a", "b"] {
+            let zero = Tensor::zeros(1, precision.dtype(), &Device::Cpu).unwrap();
+            parameters.add(name, zero).unwrap();
+        }
+        parameters
+    }
+
+    /// A gradient of two parameters of one number each.
+    fn gradients(parameters: &Parameters, numbers: [f64; 2]) -> Gradients {
+        let of = |((_, var), x): ((&str, &candle_core::Var), f64)| {
+            Reals::of(&Tensor::new(&[x], &Device::Cpu).unwrap().to_dtype(var.dtype()).unwrap())
+        };
+        Gradients(parameters.iter().zip(numbers).map(of).collect::<Result<_, _>>().unwrap())
+    }
+
+    fn values(parameters: &Parameters) -> Vec<f64> {
+        parameters.iter().flat_map(|(_, var)| Reals::of(var).unwrap().numbers()).collect()
+    }
+
+    fn close(found: &[f64], expected: [f64; 2]) {
+        let near = found.iter().zip(expected).all(|(found, x)| (found - x).abs() < 1e-6);
+        assert!(near && found.len() == 2, "{found:?}, expected {expected:?}");
+    }
+
+    #[test]
+    fn two_steps_meet_a_hand_worked_case_in_both_precisions() {
+        for precision in [Precision::Single, Precision::Double] {
+            let parameters = zeros(precision);
+            let mut adam = Adam::new(CONFIG, &parameters);
+            // m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001: g / |g| steps of .1.
+            adam.step(&parameters, &gradients(&parameters, [1.0, -2.0])).unwrap();
+            close(&values(&parameters), [-0.1, 0.1]);
+            // a: m = .09 + .3 = .39, over .19 is 2.052632; v = .000999 + .009 = .009999, over
+            // .001999 is 5.002001, root 2.236516; .1 * 2.052632 / 2.236516 = .0917781. b: m = -.18 over
+            // .19 is -.947368; v = .003996 over .001999 is 1.998999, root 1.413860; ratio -.670058.
+            adam.step(&parameters, &gradients(&parameters, [3.0, 0.0])).unwrap();
+            close(&values(&parameters), [-0.191_778_1, 0.167_005_8]);
+        }
+    }
+
+    #[test]
+    fn a_gradient_is_clipped_by_its_norm_over_all_parameters_and_reported_as_it_was() {
+        for (most, first) in [(1.0, [0.06, 0.08]), (100.0, [0.3, 0.4])] {
+            let parameters = zeros(Precision::Double);
+            let config = AdamConfig { max_gradient_norm: most, ..CONFIG };
+            let mut adam = Adam::new(config, &parameters);
+            // The norm of (3, 4) is 5; a tenth of what is left of it is the first moment.
+            assert_eq!(adam.step(&parameters, &gradients(&parameters, [3.0, 4.0])).unwrap(), 5.0);
+            close(&[adam.first[0].numbers(), adam.first[1].numbers()].concat(), first);
+        }
+    }
+
+    #[test]
+    fn a_gradient_that_is_no_number_changes_nothing_and_is_counted() {
+        let parameters = zeros(Precision::Single);
+        let mut adam = Adam::new(CONFIG, &parameters);
+        let norm = adam.step(&parameters, &gradients(&parameters, [1.0, f64::NAN])).unwrap();
+        assert!(norm.is_nan() && adam.skipped() == 1 && adam.steps == 0);
+        assert_eq!(values(&parameters), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn moments_of_another_precision_are_refused_by_name() {
+        let (single, double) = (zeros(Precision::Single), zeros(Precision::Double));
+        let stored = Adam::new(CONFIG, &single).arrays("optimizer/x.");
+        let error = Adam::new(CONFIG, &double).restore("optimizer/x.", &stored).unwrap_err();
+        assert!(error.to_string().contains("optimizer/x.m.a"), "{error}");
+    }
+}

@@ -91,7 +91,7 @@ pub(crate) fn maximise_together(
 
 /// The gradient of a minibatch: a fixed number of shards, each a graph of its own, added in their
 /// order, so that the sum does not depend on how many threads computed it.
-fn gradient(
+pub(super) fn gradient(
     agent: &Agent,
     known: PerAgent<'_>,
     factor: &[f64],
