@@ -97,9 +97,7 @@ def on_policy_case(seed, core, observations, actions, owners):
         "order": torch.tensor(ORDER),
         "batch": batch,
         "actors": actors,
-        "posteriors": [
-            draw.network(Posterior(sum(actions) - own, features, own, SIZES)) for own in actions
-        ],
+        "posteriors": [draw.network(Posterior(sum(actions) - own, features, own, SIZES)) for own in actions],
         "critic": draw.network(Critic(STATES, len(actions), SIZES)),
         "normalizers": [torch.tensor([0.1 + agent, 0.9 + 3 * agent, 0.7], dtype=torch.float64) for agent in range(2)],
     }
@@ -169,9 +167,8 @@ def gaussian_loss_case():
     likelihood = gaussian(*q_inputs.values()).log_prob(taken["action"]).mean()
     inputs = taken | {"mean": mean, "sigma": sigma, "q_mean": q_mean, "q_sigma": q_sigma}
     expected = figures | {"loss": loss, "posterior_loss": -likelihood}
-    return named("input", inputs) | named("expected", expected) | gradients(loss, mean=mean, sigma=sigma) | gradients(
-        -likelihood, **q_inputs
-    )
+    slopes = gradients(loss, mean=mean, sigma=sigma) | gradients(-likelihood, **q_inputs)
+    return named("input", inputs) | named("expected", expected) | slopes
 
 
 def categorical_loss_case():
@@ -193,7 +190,7 @@ def value_case():
     rows = (STEPS, ENVIRONMENTS)
     value, old, target = draw.normal(*rows).requires_grad_(), draw.normal(*rows), draw.normal(*rows)
     with torch.no_grad():
-        value.copy_((old + 0.03 * draw.normal(*rows)))
+        value.copy_(old + 0.03 * draw.normal(*rows))
     loss = value_loss(value, old, target, SETTINGS)
     batch = batch_of(draw, [1], [1], 0)
     values, final = draw.normal(*rows), draw.normal(*rows)
@@ -223,14 +220,16 @@ def update_arrays(case, first, expected):
 
 
 def write(name, arrays):
-    scalars = {f"settings/{key}": torch.tensor([float(value)], dtype=torch.float64) for key, value in SETTINGS.items()}
+    scalars = {f"settings/{key}": torch.tensor([float(value)]) for key, value in SETTINGS.items()}
     number = lambda array: array.to(torch.uint8) if array.dtype == torch.bool else array
     arrays = {key: number(array.detach()).clone().contiguous() for key, array in (arrays | scalars).items()}
-    save_file(arrays, FOLDER / f"{name}.safetensors", metadata={"torch": torch.__version__.split("+")[0], "precision": "float64"})
+    # One entry: several would stand in another order each time.
+    save_file(arrays, FOLDER / f"{name}.safetensors", metadata={"torch": torch.__version__.split("+")[0]})
 
 
 def main():
     torch.set_default_dtype(torch.float64)
+    torch.set_num_threads(1)
     FOLDER.mkdir(exist_ok=True)
     write("gaussian_loss", gaussian_loss_case())
     write("categorical_loss", categorical_loss_case())
