@@ -27,8 +27,8 @@ pub fn discounted_return(reward: &[f32], gamma: f64) -> f64 {
 /// after the last one the value of the stored final state (`final_values`, one per
 /// `batch.finals`), and 0 after a termination.
 #[must_use]
-pub fn next_values(batch: &Batch, values: &[f32], final_values: &[f32]) -> Vec<f32> {
-    let mut next: Vec<f32> = values[batch.environments..].to_vec();
+pub fn next_values(batch: &Batch, values: &[f64], final_values: &[f64]) -> Vec<f64> {
+    let mut next: Vec<f64> = values[batch.environments..].to_vec();
     next.resize(batch.rows(), 0.0);
     for (last, &value) in batch.finals.iter().zip(final_values) {
         let row = last.step * batch.environments + last.environment;
@@ -44,22 +44,22 @@ pub fn next_values(batch: &Batch, values: &[f32], final_values: &[f32]) -> Vec<f
 pub fn advantage(
     batch: &Batch,
     reward: &[f32],
-    values: &[f32],
-    next: &[f32],
+    values: &[f64],
+    next: &[f64],
     horizon: Horizon,
-) -> Vec<f32> {
+) -> Vec<f64> {
     let width = batch.environments;
-    let mut advantage = vec![0.0_f32; batch.rows()];
+    let mut advantage = vec![0.0; batch.rows()];
     for environment in 0..width {
-        let mut later = 0.0_f64;
+        let mut later = 0.0;
         for row in (environment..batch.rows()).step_by(width).rev() {
             if batch.done(row) {
                 later = 0.0;
             }
-            let future = horizon.gamma * f64::from(next[row]);
-            let delta = f64::from(reward[row]) + future - f64::from(values[row]);
+            let future = horizon.gamma * next[row];
+            let delta = f64::from(reward[row]) + future - values[row];
             later = delta + horizon.gamma * horizon.lambda * later;
-            advantage[row] = later as f32;
+            advantage[row] = later;
         }
     }
     advantage
@@ -124,7 +124,7 @@ mod tests {
         let full = Horizon { gamma: 0.9, lambda: 1.0 };
         let found = advantage(&whole, &reward, &values, &next, full);
         let expected = discounted_return(&reward, 0.9) - 0.3;
-        assert!((f64::from(found[0]) - expected).abs() < 1e-6);
+        assert!((found[0] - expected).abs() < 1e-6);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What every learning rule offers to the learner, and the one place that chooses one.
 
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot, RunSeed};
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
 
 use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Config, Rule};
@@ -68,12 +68,27 @@ pub fn build(
     problem: &Problem,
     seed: RunSeed,
 ) -> Result<Box<dyn Algorithm>, MarlError> {
+    build_in(Precision::Single, config, policy, problem, seed)
+}
+
+/// As [`build`], in any precision.
+///
+/// # Errors
+/// As [`build`].
+pub fn build_in(
+    precision: Precision,
+    config: &Config,
+    policy: &PolicyConfig,
+    problem: &Problem,
+    seed: RunSeed,
+) -> Result<Box<dyn Algorithm>, MarlError> {
+    let start = (seed, precision);
     config.suits(policy)?;
     config.suits_agents(problem)?;
     match config.update.rule {
-        Rule::Happo => Ok(Box::new(Happo::new(config, policy, problem, seed)?)),
-        Rule::Mappo => Ok(Box::new(Mappo::new(config, policy, problem, seed)?)),
-        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, seed)?)),
+        Rule::Happo => Ok(Box::new(Happo::new(config, policy, problem, start)?)),
+        Rule::Mappo => Ok(Box::new(Mappo::new(config, policy, problem, start)?)),
+        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, start)?)),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The centralised critic: the value of the global state, one head per agent.
 
 use candle_core::Tensor;
+use policy::Precision;
 use policy::arrays::{Array, NamedArrays};
 use policy::ops::Activation;
 use policy::parameters::Parameters;
@@ -23,6 +24,7 @@ use crate::value_normalizer::ValueNormalizer;
 pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
+    precision: Precision,
     agents: usize,
     states: usize,
     parameters: Parameters,
@@ -39,9 +41,9 @@ pub struct Values {
     /// Normalised values as the network gives them, `[T * B, N]`.
     pub normalized: Vec<f64>,
     /// Value of every row's state, per agent `[T, B]`, in units of the return.
-    pub now: Vec<Vec<f32>>,
+    pub now: Vec<Vec<f64>>,
     /// Value of every row's true next state, per agent `[T, B]`; 0 after a termination.
-    pub next: Vec<Vec<f32>>,
+    pub next: Vec<Vec<f64>>,
 }
 
 /// What a fit came to.
@@ -89,10 +91,10 @@ impl Critic {
         config: &CriticConfig,
         adam_epsilon: f64,
         problem: &Problem,
-        seed: RunSeed,
+        (seed, precision): (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation));
-        let mut builder = Builder { parameters: Parameters::new(), rng: &mut rng };
+        let mut builder = Builder { parameters: Parameters::new(), precision, rng: &mut rng };
         let input = builder.norm("norm", problem.state)?;
         let mut layers = Vec::with_capacity(config.layers);
         let mut from = problem.state;
@@ -114,6 +116,7 @@ impl Critic {
         Ok(Self {
             config: config.clone(),
             seed,
+            precision,
             agents,
             states: problem.state,
             adam: Adam::new(adam, &parameters),
@@ -127,7 +130,7 @@ impl Critic {
 
     /// Normalised values `[R, N]` of states `[R, S]`.
     fn forward(&self, states: Vec<f32>) -> Result<Tensor, MarlError> {
-        let mut x = self.input.apply(&rows(states, self.states)?)?;
+        let mut x = self.input.apply(&rows(states, self.states, self.precision)?)?;
         for (dense, norm) in &self.layers {
             x = norm.apply(&dense.apply(&x)?)?;
         }
@@ -152,9 +155,10 @@ impl Critic {
     }
 
     /// One agent's column of `[R, N]` normalised values, in units of the return.
-    fn of_agent(&self, normalized: &[f64], agent: usize) -> Vec<f32> {
+    fn of_agent(&self, normalized: &[f64], agent: usize) -> Vec<f64> {
         let column = normalized.iter().skip(agent).step_by(self.agents);
-        column.map(|&value| self.normalizers[agent].denormalize(value) as f32).collect()
+        let value = |&value: &f64| self.normalizers[agent].denormalize(value);
+        column.map(|normal| self.precision.round(value(normal))).collect()
     }
 
     /// Learns every agent's returns `[N][T, B]`; `values` is what it thought of the batch before.
@@ -165,7 +169,7 @@ impl Critic {
         &mut self,
         batch: &Batch,
         values: &Values,
-        returns: &[Vec<f32>],
+        returns: &[Vec<f64>],
         iteration: u64,
     ) -> Result<CriticFigures, MarlError> {
         for (normalizer, returns) in self.normalizers.iter_mut().zip(returns) {
@@ -182,16 +186,16 @@ impl Critic {
                 figures.gradient_norm += weight * norm;
             }
         }
-        figures.explained_variance = explained_variance(&values.now, returns);
+        figures.explained_variance = explained_variance(self.precision, &values.now, returns);
         figures.skipped = self.adam.skipped();
         Ok(figures)
     }
 
     /// Normalised returns, `[T * B, N]`.
-    fn targets(&self, returns: &[Vec<f32>]) -> Vec<f64> {
+    fn targets(&self, returns: &[Vec<f64>]) -> Vec<f64> {
         let row = |row: usize| {
             let agents = self.normalizers.iter().zip(returns);
-            agents.map(move |(normalizer, returns)| normalizer.normalize(f64::from(returns[row])))
+            agents.map(move |(normalizer, returns)| normalizer.normalize(returns[row]))
         };
         (0..returns[0].len()).flat_map(row).collect()
     }
@@ -256,9 +260,9 @@ impl Critic {
 }
 
 /// `1 - Var(R - V) / Var(R)`, mean over agents; 0 where returns do not vary.
-fn explained_variance(values: &[Vec<f32>], returns: &[Vec<f32>]) -> f64 {
-    let agent = |(values, returns): (&Vec<f32>, &Vec<f32>)| {
-        let rest: Vec<f32> = returns.iter().zip(values).map(|(r, v)| r - v).collect();
+fn explained_variance(precision: Precision, values: &[Vec<f64>], returns: &[Vec<f64>]) -> f64 {
+    let agent = |(values, returns): (&Vec<f64>, &Vec<f64>)| {
+        let rest = precision.rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
         let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
         if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
     };
@@ -292,7 +296,7 @@ mod tests {
     #[test]
     fn values_that_equal_the_returns_explain_everything() {
         let returns = vec![vec![1.0, 2.0, 3.0]];
-        assert_eq!(explained_variance(&returns, &returns), 1.0);
-        assert_eq!(explained_variance(&[vec![2.0; 3]], &returns), 0.0);
+        assert_eq!(explained_variance(Precision::Double, &returns, &returns), 1.0);
+        assert_eq!(explained_variance(Precision::Double, &[vec![2.0; 3]], &returns), 0.0);
     }
 }

@@ -5,10 +5,11 @@ use candle_core::{DType, Device, Tensor};
 use policy::parameters::Parameters;
 
 use crate::error::MarlError;
+use crate::reals::Reals;
 
-/// Gradients in the order of a network's parameters, one flat row-major vector each.
+/// Gradients in the order of a network's parameters, in their precision.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Gradients(pub Vec<Vec<f32>>);
+pub struct Gradients(pub Vec<Reals>);
 
 /// A network's output and the gradient of the loss by it, row-major.
 pub struct OutputGradient<'a> {
@@ -48,7 +49,7 @@ impl Gradients {
         let flat = |(name, var): (&str, &candle_core::Var)| {
             let gradient =
                 store.get(var.as_tensor()).ok_or_else(|| MarlError::NoGradient(name.to_owned()))?;
-            Ok(gradient.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>()?)
+            Reals::of(gradient)
         };
         Ok(Self(parameters.iter().map(flat).collect::<Result<_, MarlError>>()?))
     }
@@ -59,8 +60,8 @@ impl Gradients {
         let mut shards = shards.into_iter();
         let mut total = shards.next().unwrap_or(Self(Vec::new()));
         for shard in shards {
-            for (total, part) in total.0.iter_mut().flatten().zip(shard.0.iter().flatten()) {
-                *total += part;
+            for (total, part) in total.0.iter_mut().zip(&shard.0) {
+                total.add(part);
             }
         }
         total
@@ -69,16 +70,16 @@ impl Gradients {
     /// The mean of several agents' gradients of the same parameters, added in their order.
     #[must_use]
     pub fn mean(agents: Vec<Self>) -> Self {
-        let share = 1.0 / agents.len() as f32;
+        let count = agents.len();
         let mut mean = Self::sum(agents);
-        mean.0.iter_mut().flatten().for_each(|gradient| *gradient *= share);
+        mean.0.iter_mut().for_each(|gradient| gradient.share(count));
         mean
     }
 
     /// Euclidean norm over all parameters, summed in their order in f64.
     #[must_use]
     pub fn norm(&self) -> f64 {
-        let squares = self.0.iter().flatten().map(|&g| f64::from(g) * f64::from(g));
+        let squares = self.0.iter().flat_map(Reals::numbers).map(|g| g * g);
         libm::sqrt(squares.sum())
     }
 }

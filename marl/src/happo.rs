@@ -1,7 +1,7 @@
 //! HAPPO with the paper's two terms: a sequential sweep over agents in random order.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot};
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 
 use crate::algorithm::{Algorithm, Report};
 use crate::batch::{Batch, Problem, Rewards};
@@ -19,7 +19,7 @@ pub struct Happo {
 }
 
 impl Happo {
-    /// Networks for `problem`, their weights drawn with `seed`.
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -27,9 +27,9 @@ impl Happo {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        seed: RunSeed,
+        start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
-        Ok(Self { team: Team::new(config, policy, problem, seed)? })
+        Ok(Self { team: Team::new(config, policy, problem, start)? })
     }
 
     /// The order in which this iteration's sweep visits the agents.

@@ -1,6 +1,7 @@
 //! The layers of the networks that never leave the learner: critic and posteriors.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{Device, Tensor, Var};
+use policy::Precision;
 use policy::initialise::orthogonal;
 use policy::ops::{Activation, layer_norm, linear};
 use policy::parameters::Parameters;
@@ -51,6 +52,7 @@ impl Norm {
 /// Declares layers, drawing their starts in order.
 pub(crate) struct Builder<'a, R> {
     pub(crate) parameters: Parameters,
+    pub(crate) precision: Precision,
     pub(crate) rng: &'a mut R,
 }
 
@@ -61,7 +63,9 @@ impl<R: RngCore> Builder<'_, R> {
         data: Vec<f32>,
         shape: &[usize],
     ) -> Result<Var, MarlError> {
-        Ok(self.parameters.add(name, Tensor::from_vec(data, shape, &Device::Cpu)?)?)
+        let value =
+            Tensor::from_vec(data, shape, &Device::Cpu)?.to_dtype(self.precision.dtype())?;
+        Ok(self.parameters.add(name, value)?)
     }
 
     pub(crate) fn norm(&mut self, name: &str, width: usize) -> Result<Norm, MarlError> {
@@ -86,7 +90,11 @@ impl<R: RngCore> Builder<'_, R> {
 }
 
 /// `[R, width]` numbers as a constant tensor.
-pub(crate) fn rows(data: Vec<f32>, width: usize) -> Result<Tensor, MarlError> {
+pub(crate) fn rows(
+    data: Vec<f32>,
+    width: usize,
+    precision: Precision,
+) -> Result<Tensor, MarlError> {
     let count = data.len() / width;
-    Ok(Tensor::from_vec(data, (count, width), &Device::Cpu)?.to_dtype(DType::F32)?)
+    Ok(Tensor::from_vec(data, (count, width), &Device::Cpu)?.to_dtype(precision.dtype())?)
 }

@@ -26,12 +26,13 @@ pub mod minibatch;
 mod on_policy;
 pub mod optimizer;
 pub mod probe;
+pub mod reals;
 pub mod sequence;
 pub mod surprise;
 pub mod surrogate;
 pub mod value_normalizer;
 
-pub use algorithm::{Algorithm, Report, build};
+pub use algorithm::{Algorithm, Report, build, build_in};
 pub use batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use config::{
     Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,

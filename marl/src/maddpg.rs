@@ -9,7 +9,7 @@ mod q;
 mod replay;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot};
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 use rayon::prelude::*;
 
 use crate::algorithm::{Algorithm, Report, refuse_strange};
@@ -31,7 +31,7 @@ pub struct Maddpg {
 }
 
 impl Maddpg {
-    /// Networks for `problem`, their weights drawn with `seed`, and an empty replay.
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision, and an empty replay.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -39,10 +39,10 @@ impl Maddpg {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        seed: RunSeed,
+        start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
         let agents = (0..problem.agents.len())
-            .map(|index| Agent::new(config, policy, problem, (seed, index)))
+            .map(|index| Agent::new(config, policy, problem, (start, index)))
             .collect::<Result<_, _>>()?;
         Ok(Self {
             replay: Replay::new(problem, config.maddpg.replay),
@@ -50,7 +50,7 @@ impl Maddpg {
             config: config.maddpg.clone(),
             problem: problem.clone(),
             chunk_steps: policy.chunk_steps,
-            seed,
+            seed: start.0,
             agents,
         })
     }

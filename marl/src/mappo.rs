@@ -2,7 +2,7 @@
 //! one network for all of them or one each.
 
 use policy::randomness::{Draw, Purpose, RunSeed};
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot};
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 use rayon::prelude::*;
 
 use crate::algorithm::{Algorithm, Report};
@@ -20,7 +20,7 @@ pub struct Mappo {
 }
 
 impl Mappo {
-    /// Networks for `problem`, their weights drawn with `seed`.
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -28,10 +28,10 @@ impl Mappo {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        seed: RunSeed,
+        start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
         let sharing = config.update.parameters;
-        Ok(Self { sharing, team: Team::new(config, policy, problem, seed)? })
+        Ok(Self { sharing, team: Team::new(config, policy, problem, start)? })
     }
 }
 

@@ -7,7 +7,7 @@ mod joint;
 
 use std::sync::Arc;
 
-use policy::{ActorPolicy, Head, NamedArrays, PolicyConfig, PolicySnapshot, RunSeed};
+use policy::{ActorPolicy, Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
 use rayon::prelude::*;
 
 use crate::actor_loss::Figures;
@@ -28,6 +28,7 @@ pub(crate) struct Team {
     config: Config,
     problem: Problem,
     chunk_steps: usize,
+    precision: Precision,
     pub(crate) seed: RunSeed,
     pub(crate) agents: Vec<Agent>,
     pub(crate) critic: Critic,
@@ -39,7 +40,7 @@ pub(crate) struct Prepared {
     pub(crate) influence: Vec<Influence>,
     pub(crate) values: Values,
     /// Every agent's returns, `[N][T, B]`.
-    pub(crate) returns: Vec<Vec<f32>>,
+    pub(crate) returns: Vec<Vec<f64>>,
 }
 
 impl Prepared {
@@ -50,7 +51,7 @@ impl Prepared {
 }
 
 impl Team {
-    /// Networks for `problem`, their weights drawn with `seed`. Agents that share their parameters
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision. Agents that share their parameters
     /// all hold the first one's network.
     ///
     /// # Errors
@@ -59,18 +60,19 @@ impl Team {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        seed: RunSeed,
+        start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
         let mut agents = (0..problem.agents.len())
-            .map(|index| Agent::new(config, policy, problem, (seed, index)))
+            .map(|index| Agent::new(config, policy, problem, (start, index)))
             .collect::<Result<Vec<_>, _>>()?;
         if config.update.parameters == Sharing::Shared {
             let network = Arc::clone(&agents[0].network);
             agents.iter_mut().for_each(|agent| agent.network = Arc::clone(&network));
         }
-        let critic = Critic::new(&config.critic, config.update.adam_epsilon, problem, seed)?;
-        let (config, problem) = (config.clone(), problem.clone());
-        Ok(Self { config, problem, chunk_steps: policy.chunk_steps, seed, agents, critic })
+        let critic = Critic::new(&config.critic, config.update.adam_epsilon, problem, start)?;
+        let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
+        let chunk_steps = policy.chunk_steps;
+        Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
     }
 
     /// Checks the batch, values it, and fits the posteriors.
@@ -100,14 +102,15 @@ impl Team {
         batch: &Batch,
         rewards: &Rewards,
         values: &Values,
-    ) -> (Vec<Vec<f32>>, Vec<Vec<f32>>) {
+    ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         let update = &self.config.update;
         let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
         let agent = |agent: usize| {
             let (now, next) = (&values.now[agent], &values.next[agent]);
-            let advantage = advantage(batch, &rewards[agent], now, next, horizon);
+            let rounded = |numbers| self.precision.rounded(numbers);
+            let advantage = rounded(advantage(batch, &rewards[agent], now, next, horizon));
             let returns = advantage.iter().zip(now).map(|(a, v)| a + v).collect();
-            (normalized_advantage(&advantage), returns)
+            (rounded(normalized_advantage(&advantage)), rounded(returns))
         };
         (0..rewards.len()).into_par_iter().map(agent).unzip()
     }
@@ -191,3 +194,6 @@ fn spread(policy: &ActorPolicy, figures: &Figures) -> Vec<(&'static str, f64)> {
         ],
     }
 }
+
+#[cfg(test)]
+mod tests;

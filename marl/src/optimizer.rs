@@ -1,13 +1,14 @@
 //! Adam over a network's named parameters, with clipping by global norm and a state that can be
 //! stored: PyTorch's formula, the epsilon added after the square root.
 
-use candle_core::{Device, Tensor};
 use libm::{pow, sqrt};
 use policy::arrays::{Array, NamedArrays};
+use policy::math::Real;
 use policy::parameters::Parameters;
 
 use crate::error::MarlError;
 use crate::gradient::Gradients;
+use crate::reals::Reals;
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
@@ -29,18 +30,17 @@ pub struct Adam {
     config: AdamConfig,
     names: Vec<String>,
     shapes: Vec<Vec<usize>>,
-    first: Vec<Vec<f32>>,
-    second: Vec<Vec<f32>>,
+    first: Vec<Reals>,
+    second: Vec<Reals>,
     steps: i64,
     skipped: i64,
 }
 
 impl Adam {
-    /// An optimiser for `parameters` (f32) that has seen no step.
+    /// An optimiser for `parameters`, in their precision, that has seen no step.
     #[must_use]
     pub fn new(config: AdamConfig, parameters: &Parameters) -> Self {
-        let zeros: Vec<Vec<f32>> =
-            parameters.iter().map(|(_, var)| vec![0.0; var.elem_count()]).collect();
+        let zeros: Vec<Reals> = parameters.iter().map(|(_, var)| Reals::zeros(var)).collect();
         Self {
             config,
             names: parameters.iter().map(|(name, _)| name.to_owned()).collect(),
@@ -69,30 +69,22 @@ impl Adam {
         }
         self.steps += 1;
         // As torch.nn.utils.clip_grad_norm_ has it.
-        let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0) as f32;
-        for (index, (_, var)) in parameters.iter().enumerate() {
-            let mut values = var.as_tensor().flatten_all()?.to_vec1::<f32>()?;
-            self.move_values(index, &mut values, &gradients.0[index], scale);
-            var.set(&Tensor::from_vec(values, var.shape().clone(), &Device::Cpu)?)?;
+        let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0);
+        let stride = Stride {
+            scale,
+            length: self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64)),
+            root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
+            epsilon: self.config.epsilon,
+        };
+        let moments = self.first.iter_mut().zip(&mut self.second);
+        for (((_, var), gradient), (first, second)) in
+            parameters.iter().zip(&gradients.0).zip(moments)
+        {
+            var.set(
+                &stride.moved(Reals::of(var)?, gradient, (first, second)).tensor(var.shape())?,
+            )?;
         }
         Ok(norm)
-    }
-
-    /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
-    /// `x -= lr / (1 - b1^t) m / (sqrt(v) / sqrt(1 - b2^t) + eps)`.
-    fn move_values(&mut self, index: usize, values: &mut [f32], gradient: &[f32], scale: f32) {
-        let step_size = (self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64))) as f32;
-        let root = sqrt(1.0 - pow(BETA_2, self.steps as f64)) as f32;
-        let epsilon = self.config.epsilon as f32;
-        let (keep_1, take_1) = (BETA_1 as f32, (1.0 - BETA_1) as f32);
-        let (keep_2, take_2) = (BETA_2 as f32, (1.0 - BETA_2) as f32);
-        let moments = self.first[index].iter_mut().zip(&mut self.second[index]);
-        for ((value, gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
-            let gradient = gradient * scale;
-            *first = keep_1 * *first + take_1 * gradient;
-            *second = keep_2 * *second + take_2 * gradient * gradient;
-            *value -= step_size * *first / (second.sqrt() / root + epsilon);
-        }
     }
 
     /// Steps that were skipped because their gradient was not finite.
@@ -107,8 +99,8 @@ impl Adam {
         let mut arrays = NamedArrays::new();
         for (index, name) in self.names.iter().enumerate() {
             for (kind, moment) in [("m", &self.first), ("v", &self.second)] {
-                let (shape, data) = (self.shapes[index].clone(), moment[index].clone());
-                arrays.insert(format!("{prefix}{kind}.{name}"), Array::F32 { shape, data });
+                let array = moment[index].array(self.shapes[index].clone());
+                arrays.insert(format!("{prefix}{kind}.{name}"), array);
             }
         }
         for (name, count) in [("steps", self.steps), ("skipped", self.skipped)] {
@@ -125,8 +117,8 @@ impl Adam {
     pub fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
         for index in 0..self.names.len() {
             let (name, shape) = (&self.names[index], &self.shapes[index]);
-            self.first[index] = stored_f32(arrays, &format!("{prefix}m.{name}"), shape)?;
-            self.second[index] = stored_f32(arrays, &format!("{prefix}v.{name}"), shape)?;
+            take_over(&mut self.first[index], arrays, &format!("{prefix}m.{name}"), shape)?;
+            take_over(&mut self.second[index], arrays, &format!("{prefix}v.{name}"), shape)?;
         }
         self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
         self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
@@ -134,11 +126,73 @@ impl Adam {
     }
 }
 
-fn stored_f32(arrays: &NamedArrays, name: &str, expected: &[usize]) -> Result<Vec<f32>, MarlError> {
-    match arrays.get(name) {
-        Some(Array::F32 { shape, data }) if shape == expected => Ok(data.clone()),
-        Some(_) => Err(MarlError::Restore(format!("{name} is not an f32 array of {expected:?}"))),
-        None => Err(MarlError::Restore(format!("{name} is missing"))),
+/// One step's figures, the same for every parameter.
+#[derive(Clone, Copy)]
+struct Stride {
+    /// What clips the gradient.
+    scale: f64,
+    /// `lr / (1 - b1^t)`.
+    length: f64,
+    /// `sqrt(1 - b2^t)`.
+    root: f64,
+    epsilon: f64,
+}
+
+impl Stride {
+    /// Where a parameter goes. All four have the network's precision.
+    fn moved(self, values: Reals, gradient: &Reals, moments: (&mut Reals, &mut Reals)) -> Reals {
+        match (values, gradient, moments) {
+            (
+                Reals::Single(values),
+                Reals::Single(gradient),
+                (Reals::Single(first), Reals::Single(second)),
+            ) => Reals::Single(self.apply(values, gradient, first, second)),
+            (
+                Reals::Double(values),
+                Reals::Double(gradient),
+                (Reals::Double(first), Reals::Double(second)),
+            ) => Reals::Double(self.apply(values, gradient, first, second)),
+            (values, gradient, _) => panic!("{values:?} and {gradient:?} differ in precision"),
+        }
+    }
+
+    /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
+    /// `x -= lr / (1 - b1^t) m / (sqrt(v) / sqrt(1 - b2^t) + eps)`.
+    fn apply<T: Real>(
+        self,
+        mut values: Vec<T>,
+        gradient: &[T],
+        first: &mut [T],
+        second: &mut [T],
+    ) -> Vec<T> {
+        let [scale, length, root, epsilon] =
+            [self.scale, self.length, self.root, self.epsilon].map(T::from_f64);
+        let [keep_1, take_1, keep_2, take_2] =
+            [BETA_1, 1.0 - BETA_1, BETA_2, 1.0 - BETA_2].map(T::from_f64);
+        let moments = first.iter_mut().zip(second);
+        for ((value, &gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
+            let gradient = gradient * scale;
+            *first = keep_1 * *first + take_1 * gradient;
+            *second = keep_2 * *second + take_2 * gradient * gradient;
+            *value -= length * *first / (second.root() / root + epsilon);
+        }
+        values
+    }
+}
+
+/// Takes over a moment of shape `expected`.
+fn take_over(
+    moment: &mut Reals,
+    arrays: &NamedArrays,
+    name: &str,
+    expected: &[usize],
+) -> Result<(), MarlError> {
+    let array = arrays.get(name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
+    match moment.take_over(array, expected) {
+        true => Ok(()),
+        false => Err(MarlError::Restore(format!(
+            "{name} is not an array of {expected:?} in the run's precision"
+        ))),
     }
 }
 
@@ -147,5 +201,87 @@ fn stored_count(arrays: &NamedArrays, name: &str) -> Result<i64, MarlError> {
         Some(Array::I64 { data, .. }) if data.len() == 1 && data[0] >= 0 => Ok(data[0]),
         Some(_) => Err(MarlError::Restore(format!("{name} is not one count"))),
         None => Err(MarlError::Restore(format!("{name} is missing"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{Device, Tensor};
+    use policy::Precision;
+
+    use super::*;
+
+    const CONFIG: AdamConfig =
+        AdamConfig { learning_rate: 0.1, epsilon: 1e-8, max_gradient_norm: 100.0 };
+
+    fn zeros(precision: Precision) -> Parameters {
+        let mut parameters = Parameters::new();
+        for name in ["a", "b"] {
+            let zero = Tensor::zeros(1, precision.dtype(), &Device::Cpu).unwrap();
+            parameters.add(name, zero).unwrap();
+        }
+        parameters
+    }
+
+    /// A gradient of two parameters of one number each.
+    fn gradients(parameters: &Parameters, numbers: [f64; 2]) -> Gradients {
+        let of = |((_, var), x): ((&str, &candle_core::Var), f64)| {
+            Reals::of(&Tensor::new(&[x], &Device::Cpu).unwrap().to_dtype(var.dtype()).unwrap())
+        };
+        Gradients(parameters.iter().zip(numbers).map(of).collect::<Result<_, _>>().unwrap())
+    }
+
+    fn values(parameters: &Parameters) -> Vec<f64> {
+        parameters.iter().flat_map(|(_, var)| Reals::of(var).unwrap().numbers()).collect()
+    }
+
+    fn close(found: &[f64], expected: [f64; 2]) {
+        let near = found.iter().zip(expected).all(|(found, x)| (found - x).abs() < 1e-6);
+        assert!(near && found.len() == 2, "{found:?}, expected {expected:?}");
+    }
+
+    #[test]
+    fn two_steps_meet_a_hand_worked_case_in_both_precisions() {
+        for precision in [Precision::Single, Precision::Double] {
+            let parameters = zeros(precision);
+            let mut adam = Adam::new(CONFIG, &parameters);
+            // m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001: g / |g| steps of .1.
+            adam.step(&parameters, &gradients(&parameters, [1.0, -2.0])).unwrap();
+            close(&values(&parameters), [-0.1, 0.1]);
+            // a: m = .09 + .3 = .39, over .19 is 2.052632; v = .000999 + .009 = .009999, over
+            // .001999 is 5.002001, root 2.236516; .1 * 2.052632 / 2.236516 = .0917781. b: m = -.18 over
+            // .19 is -.947368; v = .003996 over .001999 is 1.998999, root 1.413860; ratio -.670058.
+            adam.step(&parameters, &gradients(&parameters, [3.0, 0.0])).unwrap();
+            close(&values(&parameters), [-0.191_778_1, 0.167_005_8]);
+        }
+    }
+
+    #[test]
+    fn a_gradient_is_clipped_by_its_norm_over_all_parameters_and_reported_as_it_was() {
+        for (most, first) in [(1.0, [0.06, 0.08]), (100.0, [0.3, 0.4])] {
+            let parameters = zeros(Precision::Double);
+            let config = AdamConfig { max_gradient_norm: most, ..CONFIG };
+            let mut adam = Adam::new(config, &parameters);
+            // The norm of (3, 4) is 5; a tenth of what is left of it is the first moment.
+            assert_eq!(adam.step(&parameters, &gradients(&parameters, [3.0, 4.0])).unwrap(), 5.0);
+            close(&[adam.first[0].numbers(), adam.first[1].numbers()].concat(), first);
+        }
+    }
+
+    #[test]
+    fn a_gradient_that_is_no_number_changes_nothing_and_is_counted() {
+        let parameters = zeros(Precision::Single);
+        let mut adam = Adam::new(CONFIG, &parameters);
+        let norm = adam.step(&parameters, &gradients(&parameters, [1.0, f64::NAN])).unwrap();
+        assert!(norm.is_nan() && adam.skipped() == 1 && adam.steps == 0);
+        assert_eq!(values(&parameters), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn moments_of_another_precision_are_refused_by_name() {
+        let (single, double) = (zeros(Precision::Single), zeros(Precision::Double));
+        let stored = Adam::new(CONFIG, &single).arrays("optimizer/x.");
+        let error = Adam::new(CONFIG, &double).restore("optimizer/x.", &stored).unwrap_err();
+        assert!(error.to_string().contains("optimizer/x.m.a"), "{error}");
     }
 }

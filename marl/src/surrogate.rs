@@ -33,17 +33,17 @@ pub fn sequential_factor(factor: &[f64], log_prob_new: &[f64], log_prob_old: &[f
 
 /// `(A - mean) / (std + 1e-5)` over all rows, with the population's deviation. `[R]` to `[R]`.
 #[must_use]
-pub fn normalized_advantage(advantage: &[f32]) -> Vec<f32> {
+pub fn normalized_advantage(advantage: &[f64]) -> Vec<f64> {
     let (mean, deviation) = mean_and_deviation(advantage);
-    advantage.iter().map(|&a| ((f64::from(a) - mean) / (deviation + 1e-5)) as f32).collect()
+    advantage.iter().map(|&a| (a - mean) / (deviation + 1e-5)).collect()
 }
 
 /// Mean and population deviation of `[R]` numbers, summed in order in f64; 0 and 0 of none.
 #[must_use]
-pub fn mean_and_deviation(numbers: &[f32]) -> (f64, f64) {
+pub fn mean_and_deviation(numbers: &[f64]) -> (f64, f64) {
     let count = numbers.len().max(1) as f64;
-    let mean = numbers.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
-    let square = |&x: &f32| (f64::from(x) - mean) * (f64::from(x) - mean);
+    let mean = numbers.iter().sum::<f64>() / count;
+    let square = |&x: &f64| (x - mean) * (x - mean);
     (mean, sqrt(numbers.iter().map(square).sum::<f64>() / count))
 }
 

@@ -25,10 +25,10 @@ impl ValueNormalizer {
     }
 
     /// Takes in the returns `[R]` of one iteration.
-    pub fn update(&mut self, returns: &[f32]) {
+    pub fn update(&mut self, returns: &[f64]) {
         let count = returns.len() as f64;
-        let mean = returns.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
-        let square = returns.iter().map(|&x| f64::from(x) * f64::from(x)).sum::<f64>() / count;
+        let mean = returns.iter().sum::<f64>() / count;
+        let square = returns.iter().map(|&x| x * x).sum::<f64>() / count;
         let blend = |old: f64, new: f64| self.beta * old + (1.0 - self.beta) * new;
         let (mean, square, weight) =
             (blend(self.mean, mean), blend(self.square, square), blend(self.weight, 1.0));

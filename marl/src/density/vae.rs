@@ -4,6 +4,7 @@
 use candle_core::backprop::GradStore;
 use candle_core::{Device, Tensor, Var};
 use libm::{exp, log};
+use policy::Precision;
 use policy::arrays::NamedArrays;
 use policy::ops::Activation;
 use policy::parameters::Parameters;
@@ -18,6 +19,7 @@ use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::layers::{Builder, Dense, TANH_GAIN, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
+use crate::reals::Reals;
 
 /// Gain of the decoder's output: its means differ from the start, so that the latent has a use.
 const DECODER_GAIN: f64 = 1.0;
@@ -81,7 +83,8 @@ impl Vae {
         (seed, agent): (RunSeed, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::DensityInitialisation).agent(agent));
-        let mut builder = Builder { parameters: Parameters::new(), rng: &mut rng };
+        let mut builder =
+            Builder { parameters: Parameters::new(), precision: Precision::Single, rng: &mut rng };
         let (features, hidden, latent) = (moments.signals(), config.vae_hidden, config.vae_latent);
         let (tanh, identity) = (Activation::Tanh, Activation::Identity);
         let mut pair = |name: &str, from: usize, to: usize, gain: f64| {
@@ -125,7 +128,11 @@ impl Vae {
     }
 
     fn latent(&self, inputs: &[f32]) -> Result<Latent, MarlError> {
-        let hidden = self.encoder[0].apply(&rows(inputs.to_vec(), self.moments.signals())?)?;
+        let hidden = self.encoder[0].apply(&rows(
+            inputs.to_vec(),
+            self.moments.signals(),
+            Precision::Single,
+        )?)?;
         let encoded = self.encoder[1].apply(&hidden)?;
         let all = numbers(&encoded)?;
         let half = |from: usize| -> Vec<f64> {
@@ -146,7 +153,11 @@ impl Vae {
         latent: &Latent,
         noise: &[f64],
     ) -> Result<Vec<f64>, MarlError> {
-        let mean = numbers(&self.decoded(&rows(latent.sample(noise), self.latent)?)?)?;
+        let mean = numbers(&self.decoded(&rows(
+            latent.sample(noise),
+            self.latent,
+            Precision::Single,
+        )?)?)?;
         let (log_sigma, width) = (numbers(self.log_sigma.as_tensor())?, self.moments.signals());
         let row = |(x, mean): (&[f32], &[f64])| -> f64 {
             let term = |i: usize| {
@@ -168,7 +179,7 @@ impl Vae {
     /// The draw cuts the graph in two: the decoder's gradient by it goes on by hand.
     fn gradients(&self, inputs: &[f32], noise: &[f64]) -> Result<Gradients, MarlError> {
         let latent = self.latent(inputs)?;
-        let z = Var::from_tensor(&rows(latent.sample(noise), self.latent)?)?;
+        let z = Var::from_tensor(&rows(latent.sample(noise), self.latent, Precision::Single)?)?;
         let decoded = self.decoded(z.as_tensor())?;
         let (d_decoded, d_log_sigma) = self.reconstruction_gradient(inputs, &numbers(&decoded)?)?;
         let outer = root(&[
@@ -182,7 +193,7 @@ impl Vae {
         let inner = inner.backward()?;
         let gradient = |(name, var): (&str, &Var)| {
             let store = if name.starts_with("encoder") { &inner } else { &outer };
-            Ok(of(store, var, name)?.flatten_all()?.to_vec1::<f32>()?)
+            Reals::of(of(store, var, name)?)
         };
         let all = self.parameters.iter().map(gradient).collect::<Result<_, MarlError>>()?;
         Ok(Gradients(all))
@@ -342,10 +353,10 @@ mod tests {
                     .unwrap();
                 loss()
             };
-            for (at, found) in gradient.iter().enumerate() {
+            for (at, found) in gradient.numbers().into_iter().enumerate() {
                 let slope = (moved(at, 1e-3) - moved(at, -1e-3)) / 2e-3;
                 let _ = moved(at, 0.0);
-                assert!((slope - f64::from(*found)).abs() < 2e-3 * (1.0 + slope.abs()));
+                assert!((slope - found).abs() < 2e-3 * (1.0 + slope.abs()));
             }
         }
     }

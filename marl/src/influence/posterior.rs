@@ -1,16 +1,16 @@
 //! The variational posterior `q_xi(a^i | a^-i, o^i, h^i)`: the second head of the paper's network.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{Device, Tensor, Var};
 use policy::arrays::NamedArrays;
 use policy::ops::{Activation, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{Categorical, Distribution, Gaussian, PolicyConfig};
+use policy::{Categorical, Distribution, Gaussian, PolicyConfig, Precision};
 
 use crate::batch::ActionKind;
 use crate::config::InfluenceConfig;
 use crate::error::MarlError;
-use crate::gradient::Gradients;
+use crate::gradient::{Gradients, numbers};
 use crate::head_rows::HeadRows;
 use crate::influence::Term;
 use crate::layers::{Builder, Dense, TANH_GAIN, rows};
@@ -36,6 +36,7 @@ pub struct PosteriorShape {
 pub struct Posterior {
     config: InfluenceConfig,
     sigma_scale: f64,
+    precision: Precision,
     shape: PosteriorShape,
     parameters: Parameters,
     encoder: Dense,
@@ -66,10 +67,10 @@ impl Posterior {
         policy: &PolicyConfig,
         adam_config: AdamConfig,
         shape: PosteriorShape,
-        (seed, agent): (RunSeed, u32),
+        (seed, precision, agent): (RunSeed, Precision, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
-        let mut builder = Builder { parameters: Parameters::new(), rng: &mut rng };
+        let mut builder = Builder { parameters: Parameters::new(), precision, rng: &mut rng };
         let (others, joined) = (config.encoder, shape.features + config.encoder);
         let (tanh, gain) = (Activation::Tanh, f64::from(policy.head_gain));
         let outputs = shape.kind.head().outputs(shape.action);
@@ -86,11 +87,22 @@ impl Posterior {
         let parameters = builder.parameters;
         let (config, adam) = (config.clone(), Adam::new(adam_config, &parameters));
         let sigma_scale = f64::from(policy.sigma_scale);
-        Ok(Self { config, sigma_scale, shape, parameters, encoder, joined, head, log_std, adam })
+        Ok(Self {
+            config,
+            sigma_scale,
+            precision,
+            shape,
+            parameters,
+            encoder,
+            joined,
+            head,
+            log_std,
+            adam,
+        })
     }
 
     fn forward(&self, features: &Tensor, others: Vec<f32>) -> Result<Distribution, MarlError> {
-        let encoded = self.encoder.apply(&rows(others, self.shape.others)?)?;
+        let encoded = self.encoder.apply(&rows(others, self.shape.others, self.precision)?)?;
         let joined = Tensor::cat(&[features, &encoded], 1)?;
         let output = self.head.apply(&self.joined.apply(&joined)?)?;
         let Some(log_std) = &self.log_std else {
@@ -183,12 +195,13 @@ impl Posterior {
     fn project(&self) -> Result<(), MarlError> {
         let Some(log_std) = &self.log_std else { return Ok(()) };
         let share = self.config.sigma_floor / self.sigma_scale;
-        let lowest = libm::log(share / (1.0 - share)) as f32;
-        let values = log_std.as_tensor().to_vec1::<f32>()?;
+        let lowest = self.precision.round(libm::log(share / (1.0 - share)));
+        let values = numbers(log_std.as_tensor())?;
         if values.iter().any(|&value| value < lowest) {
-            let held: Vec<f32> = values.into_iter().map(|value| value.max(lowest)).collect();
+            let held: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
             let width = held.len();
-            log_std.set(&Tensor::from_vec(held, width, &Device::Cpu)?.to_dtype(DType::F32)?)?;
+            let held = Tensor::from_vec(held, width, &Device::Cpu)?;
+            log_std.set(&held.to_dtype(self.precision.dtype())?)?;
         }
         Ok(())
     }
@@ -223,6 +236,7 @@ impl Posterior {
 
 #[cfg(test)]
 mod tests {
+    use candle_core::DType;
     use policy::CoreKind;
     use policy::randomness::standard_normal;
 
@@ -273,7 +287,8 @@ mod tests {
 
     fn of_shape(shape: PosteriorShape) -> Posterior {
         let adam = AdamConfig { learning_rate: 2e-2, epsilon: 1e-5, max_gradient_norm: 10.0 };
-        Posterior::new(&config(), &policy(), adam, shape, (RunSeed(3), 0)).unwrap()
+        Posterior::new(&config(), &policy(), adam, shape, (RunSeed(3), Precision::Single, 0))
+            .unwrap()
     }
 
     /// Own and other actions, both normal with deviation `SIGMA` and correlation `rho`.

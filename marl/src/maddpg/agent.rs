@@ -1,10 +1,12 @@
 //! One agent of MADDPG: a deterministic actor, its central action value, and a slow copy of each.
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
+use policy::math::Real;
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{
-    ActorNetwork, ActorPolicy, Distribution, Head, NamedArrays, PolicyConfig, SequenceInput,
+    ActorNetwork, ActorPolicy, Distribution, Head, NamedArrays, PolicyConfig, Precision,
+    SequenceInput,
 };
 
 use crate::batch::Problem;
@@ -15,17 +17,19 @@ use crate::layers::rows;
 use crate::maddpg::q::ActionValue;
 use crate::maddpg::replay::Sample;
 use crate::optimizer::{Adam, AdamConfig};
+use crate::reals::Reals;
 
 /// An agent in training.
 pub(super) struct Agent {
     index: usize,
+    precision: Precision,
     actor: ActorNetwork,
     target_actor: ActorNetwork,
     value: ActionValue,
     target_value: ActionValue,
     actor_adam: Adam,
     value_adam: Adam,
-    polyak: f32,
+    polyak: f64,
 }
 
 /// What one optimiser step came to.
@@ -42,7 +46,7 @@ impl Agent {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        (seed, index): (RunSeed, usize),
+        ((seed, precision), index): ((RunSeed, Precision), usize),
     ) -> Result<Self, MarlError> {
         let draw = |purpose| generator(seed, Draw::of(purpose).agent(index as u32));
         let shape = &problem.agents[index];
@@ -52,11 +56,14 @@ impl Agent {
         let actor = || {
             let mut rng = draw(Purpose::Initialisation);
             let action = (shape.action, head);
-            ActorNetwork::with_head(policy, shape.observation, action, DType::F32, &mut rng)
+            let dtype = precision.dtype();
+            ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)
         };
         let inputs = problem.state + problem.agents.iter().map(|agent| agent.action).sum::<usize>();
-        let value =
-            || ActionValue::new(&config.critic, inputs, &mut draw(Purpose::CriticInitialisation));
+        let value = || {
+            let mut rng = draw(Purpose::CriticInitialisation);
+            ActionValue::new(&config.critic, inputs, precision, &mut rng)
+        };
         let adam = |learning_rate, max_gradient_norm, parameters: &Parameters| {
             let epsilon = config.update.adam_epsilon;
             Adam::new(AdamConfig { learning_rate, epsilon, max_gradient_norm }, parameters)
@@ -65,13 +72,14 @@ impl Agent {
         let (first, q) = (actor()?, value()?);
         Ok(Self {
             index,
+            precision,
             actor_adam: adam(update.learning_rate, update.max_gradient_norm, first.parameters()),
             value_adam: adam(critic.learning_rate, critic.max_gradient_norm, &q.parameters),
             actor: first,
             target_actor: actor()?,
             value: q,
             target_value: value()?,
-            polyak: config.maddpg.polyak as f32,
+            polyak: config.maddpg.polyak,
         })
     }
 
@@ -86,7 +94,7 @@ impl Agent {
     /// The slow actor's actions after `sample`, `[R, act]`.
     pub(super) fn next_actions(&self, sample: &Sample) -> Result<Tensor, MarlError> {
         let observation = &sample.next.observation[self.index];
-        Ok(actions(&self.target_actor, observation, sample.reward.len())?.detach())
+        Ok(self.actions(&self.target_actor, observation, sample.reward.len())?.detach())
     }
 
     /// One step of the action value towards its target, one of the actor up the action value, and
@@ -94,7 +102,7 @@ impl Agent {
     pub(super) fn learn(&mut self, sample: &Sample, next: &[Tensor]) -> Result<Figures, MarlError> {
         let target = self.targets(sample, next)?;
         let taken = sample.action.iter().zip(next);
-        let taken = taken.map(|(action, like)| rows(action.clone(), like.dim(1)?));
+        let taken = taken.map(|(action, like)| rows(action.clone(), like.dim(1)?, self.precision));
         let taken = taken.collect::<Result<Vec<_>, MarlError>>()?;
         let value_loss = self.fit_value(sample, &taken, &target)?;
         let (action_value, gradient_norm) = self.climb(sample, taken)?;
@@ -105,7 +113,7 @@ impl Agent {
 
     /// `sum_k gamma^k r_(t+k) + gamma^m Q'(s_(t+m), mu'(o_(t+m)))`, `[R]`.
     fn targets(&self, sample: &Sample, next: &[Tensor]) -> Result<Vec<f64>, MarlError> {
-        let input = beside(&sample.next.state, next)?;
+        let input = self.beside(&sample.next.state, next)?;
         let values = numbers(&self.target_value.forward_as_constant(&input)?)?;
         let parts = sample.reward.iter().zip(&sample.discount).zip(values);
         Ok(parts.map(|((reward, discount), value)| reward + discount * value).collect())
@@ -118,7 +126,7 @@ impl Agent {
         taken: &[Tensor],
         target: &[f64],
     ) -> Result<f64, MarlError> {
-        let output = self.value.forward(&beside(&sample.now.state, taken)?)?;
+        let output = self.value.forward(&self.beside(&sample.now.state, taken)?)?;
         let share = 1.0 / target.len() as f64;
         let errors: Vec<f64> = numbers(&output)?.iter().zip(target).map(|(q, y)| q - y).collect();
         let gradient: Vec<f64> = errors.iter().map(|error| 2.0 * share * error).collect();
@@ -131,14 +139,42 @@ impl Agent {
     /// Up the value of the own actions beside those that the others took.
     fn climb(&mut self, sample: &Sample, mut joint: Vec<Tensor>) -> Result<(f64, f64), MarlError> {
         let count = sample.reward.len();
-        joint[self.index] = actions(&self.actor, &sample.now.observation[self.index], count)?;
-        let output = self.value.forward_as_constant(&beside(&sample.now.state, &joint)?)?;
+        joint[self.index] =
+            self.actions(&self.actor, &sample.now.observation[self.index], count)?;
+        let output = self.value.forward_as_constant(&self.beside(&sample.now.state, &joint)?)?;
         let share = 1.0 / count as f64;
         let gradient = vec![-share; count];
         let root = root(&[OutputGradient { output: &output, gradient: &gradient }])?;
         let gradients = Gradients::of(self.actor.parameters(), &root)?;
         let norm = self.actor_adam.step(self.actor.parameters(), &gradients)?;
         Ok((share * numbers(&output)?.iter().sum::<f64>(), norm))
+    }
+
+    /// An actor's actions `[R, act]` for observations `[R, obs]`.
+    fn actions(
+        &self,
+        actor: &ActorNetwork,
+        observation: &[f32],
+        count: usize,
+    ) -> Result<Tensor, MarlError> {
+        let unread = Tensor::zeros((1, 1), self.precision.dtype(), &Device::Cpu)?;
+        let input = SequenceInput {
+            observation: rows(observation.to_vec(), observation.len() / count, self.precision)?,
+            hidden: unread.clone(),
+            mask: unread,
+        };
+        match actor.head(&actor.features(&input)?)? {
+            Distribution::Gaussian(gaussian) => Ok(gaussian.mean),
+            Distribution::Categorical(_) => unreachable!("MADDPG's own heads are deterministic"),
+        }
+    }
+
+    /// States `[R, S]` and all agents' actions side by side, `[R, S + A]`.
+    fn beside(&self, state: &[f32], actions: &[Tensor]) -> Result<Tensor, MarlError> {
+        let count = actions[0].dim(0)?;
+        let mut parts = vec![rows(state.to_vec(), state.len() / count, self.precision)?];
+        parts.extend(actions.iter().cloned());
+        Ok(Tensor::cat(&parts, 1)?)
     }
 
     /// Everything that is stored, by the name under which it stands.
@@ -175,37 +211,23 @@ impl Agent {
     }
 }
 
-/// An actor's actions `[R, act]` for observations `[R, obs]`.
-fn actions(actor: &ActorNetwork, observation: &[f32], count: usize) -> Result<Tensor, MarlError> {
-    let unread = Tensor::zeros((1, 1), DType::F32, &Device::Cpu)?;
-    let input = SequenceInput {
-        observation: rows(observation.to_vec(), observation.len() / count)?,
-        hidden: unread.clone(),
-        mask: unread,
-    };
-    match actor.head(&actor.features(&input)?)? {
-        Distribution::Gaussian(gaussian) => Ok(gaussian.mean),
-        Distribution::Categorical(_) => unreachable!("MADDPG's own heads are deterministic"),
-    }
-}
-
-/// States `[R, S]` and all agents' actions side by side, `[R, S + A]`.
-fn beside(state: &[f32], actions: &[Tensor]) -> Result<Tensor, MarlError> {
-    let count = actions[0].dim(0)?;
-    let mut parts = vec![rows(state.to_vec(), state.len() / count)?];
-    parts.extend(actions.iter().cloned());
-    Ok(Tensor::cat(&parts, 1)?)
-}
-
 /// Polyak averaging: `target' = (1 - share) target + share source`, parameter by parameter.
-fn follow(target: &Parameters, source: &Parameters, share: f32) -> Result<(), MarlError> {
+fn follow(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
     for ((_, target), (_, source)) in target.iter().zip(source.iter()) {
-        let flat = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
-        let pairs = flat(target.as_tensor())?.into_iter().zip(flat(source.as_tensor())?);
-        let moved = pairs.map(|(slow, fast)| (1.0 - share) * slow + share * fast).collect();
-        target.set(&Tensor::from_vec(moved, target.shape().clone(), &Device::Cpu)?)?;
+        let moved = match (Reals::of(target)?, Reals::of(source)?) {
+            (Reals::Single(slow), Reals::Single(fast)) => Reals::Single(blend(&slow, &fast, share)),
+            (Reals::Double(slow), Reals::Double(fast)) => Reals::Double(blend(&slow, &fast, share)),
+            (slow, fast) => panic!("{slow:?} and {fast:?} differ in precision"),
+        };
+        target.set(&moved.tensor(target.shape())?)?;
     }
     Ok(())
+}
+
+fn blend<T: Real>(slow: &[T], fast: &[T], share: f64) -> Vec<T> {
+    let share = T::from_f64(share);
+    let pairs = slow.iter().zip(fast);
+    pairs.map(|(&slow, &fast)| (T::one() - share) * slow + share * fast).collect()
 }
 
 #[cfg(test)]

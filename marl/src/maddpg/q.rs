@@ -1,6 +1,7 @@
 //! The central action value of one agent: what a joint action is worth in a global state.
 
 use candle_core::Tensor;
+use policy::Precision;
 use policy::ops::Activation;
 use policy::parameters::Parameters;
 use rand::RngCore;
@@ -21,9 +22,10 @@ impl ActionValue {
     pub(super) fn new(
         config: &CriticConfig,
         inputs: usize,
+        precision: Precision,
         rng: &mut impl RngCore,
     ) -> Result<Self, MarlError> {
-        let mut builder = Builder { parameters: Parameters::new(), rng };
+        let mut builder = Builder { parameters: Parameters::new(), precision, rng };
         let (mut layers, mut from) = (Vec::with_capacity(config.layers), inputs);
         for layer in 0..config.layers {
             let (name, shape) = (format!("layers.{layer}.linear"), (from, config.width));

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use candle_core::{DType, Tensor};
+use candle_core::Tensor;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig};
+use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
 use rayon::prelude::*;
 
 use crate::actor_loss::Coefficients;
@@ -28,6 +28,7 @@ pub(crate) struct Agent {
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
     kind: ActionKind,
+    pub(super) precision: Precision,
     pub(super) posterior: Option<Posterior>,
     pub(super) q_training: QTraining,
     holdout_every: usize,
@@ -80,13 +81,13 @@ impl Agent {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        (seed, index): (RunSeed, usize),
+        ((seed, precision), index): ((RunSeed, Precision), usize),
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
         let action = (shape.action, shape.kind.head());
-        let network =
-            ActorNetwork::with_head(policy, shape.observation, action, DType::F32, &mut rng)?;
+        let dtype = precision.dtype();
+        let network = ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)?;
         let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
         let total: usize = seen.sum();
         let (update, influence) = (&config.update, &config.influence);
@@ -104,7 +105,7 @@ impl Agent {
         let wanted = influence.lambda > 0.0 && own.others > 0;
         let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
         let posterior = wanted
-            .then(|| Posterior::new(influence, policy, q_adam, own, (seed, number)))
+            .then(|| Posterior::new(influence, policy, q_adam, own, (seed, precision, number)))
             .transpose()?;
         Ok(Self {
             adam: Adam::new(adam, network.parameters()),
@@ -117,6 +118,7 @@ impl Agent {
             },
             update: update.clone(),
             kind: shape.kind,
+            precision,
             posterior,
             q_training: influence.q_training,
             holdout_every: influence.holdout_every,
@@ -165,7 +167,7 @@ impl Agent {
         sequences: &Sequences,
         columns: &[usize],
     ) -> Result<(Vec<f64>, Tensor), MarlError> {
-        let features = self.network.features(&sequences.input(columns, DType::F32)?)?;
+        let features = self.network.features(&sequences.input(columns, self.precision.dtype())?)?;
         let rows = HeadRows::of(&self.network.head(&features)?)?;
         let width = rows.action_size();
         let action = sequences.layout.columns(&sequences.action, width, columns);
@@ -207,17 +209,16 @@ pub(crate) fn gather(
     agents: &[Agent],
     batch: &Batch,
     layout: Layout,
-    advantages: &[Vec<f32>],
+    advantages: &[Vec<f64>],
 ) -> Result<Vec<Experience>, MarlError> {
     let columns: Vec<usize> = (0..layout.chunks).collect();
     let one = |index: usize| {
         let agent = &agents[index];
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
         let (log_prob, features) = agent.log_prob(&sequences, &columns)?;
-        let advantage: Vec<f64> = advantages[index].iter().map(|&a| f64::from(a)).collect();
         Ok(Experience {
             sequences,
-            advantage: layout.chunked(&advantage, 1),
+            advantage: layout.chunked(&advantages[index], 1),
             log_prob,
             features,
             others: other_actions(agents, batch, index, layout),

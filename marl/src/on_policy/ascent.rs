@@ -1,7 +1,6 @@
 //! Up the objective of Eq. (10): epochs of minibatches of whole chunks, for one agent or for agents
 //! that share their parameters.
 
-use candle_core::DType;
 use policy::randomness::{Draw, RunSeed};
 use rayon::prelude::*;
 
@@ -92,7 +91,7 @@ pub(crate) fn maximise_together(
 
 /// The gradient of a minibatch: a fixed number of shards, each a graph of its own, added in their
 /// order, so that the sum does not depend on how many threads computed it.
-fn gradient(
+pub(super) fn gradient(
     agent: &Agent,
     known: PerAgent<'_>,
     factor: &[f64],
@@ -118,7 +117,7 @@ fn shard(
     (columns, total): (&[usize], usize),
 ) -> Result<(Figures, Gradients), MarlError> {
     let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
-    let features = agent.network.features(&sequences.input(columns, DType::F32)?)?;
+    let features = agent.network.features(&sequences.input(columns, agent.precision.dtype())?)?;
     let head = agent.network.head(&features)?;
     let p = HeadRows::of(&head)?;
     let posterior = influence.conditional.as_ref().map(|q| q.posterior(layout, columns));

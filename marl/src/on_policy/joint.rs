@@ -19,7 +19,7 @@ impl Agent {
             return Ok(());
         };
         let layout = experience.sequences.layout;
-        let input = experience.sequences.input(columns, candle_core::DType::F32)?;
+        let input = experience.sequences.input(columns, self.precision.dtype())?;
         let p = HeadRows::of(&self.network.head(&self.network.features(&input)?)?)?;
         let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
         let part: Vec<usize> = (0..layout.steps).flat_map(row).collect();
@@ -32,7 +32,7 @@ impl Agent {
 
 #[cfg(test)]
 mod tests {
-    use policy::{Draw, NamedArrays, Purpose, RunSeed};
+    use policy::{Draw, NamedArrays, Precision, Purpose, RunSeed};
 
     use super::super::agent::{fit_posteriors, gather};
     use super::super::ascent::maximise;
@@ -45,10 +45,14 @@ mod tests {
         let (problem, policy, batch, mut config) =
             (probe::problem(), probe::policy(), probe::batch(), probe::config());
         config.influence.q_training = q_training;
-        let agent = |index| Agent::new(&config, &policy, &problem, (RunSeed(0), index)).unwrap();
+        let agent = |index| {
+            Agent::new(&config, &policy, &problem, ((RunSeed(0), Precision::Single), index))
+                .unwrap()
+        };
         let mut agents = vec![agent(0), agent(1)];
         let layout = Layout::of(&batch, policy.chunk_steps);
-        let advantages = vec![batch.reward.clone(), batch.reward.clone()];
+        let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();
+        let advantages = vec![advantage.clone(), advantage];
         let experience = gather(&agents, &batch, layout, &advantages).unwrap();
         let influence = fit_posteriors(&mut agents, &experience, RunSeed(0), 0).unwrap();
         (agents, experience, influence)
@@ -65,7 +69,7 @@ mod tests {
     /// Sum of the influence term over all rows, nats.
     fn term(agent: &Agent, experience: &Experience, influence: &Influence) -> f64 {
         let columns: Vec<usize> = (0..experience.sequences.layout.chunks).collect();
-        let input = experience.sequences.input(&columns, candle_core::DType::F32).unwrap();
+        let input = experience.sequences.input(&columns, agent.precision.dtype()).unwrap();
         let head = agent.network.head(&agent.network.features(&input).unwrap()).unwrap();
         let p = HeadRows::of(&head).unwrap();
         let q = influence.conditional.clone().unwrap();

@@ -1,0 +1,160 @@
+//! The first step is free: before a policy has moved, its log-densities in the rollout, along whole trajectories and
+//! in chunks agree, so that every ratio and the factor `M` are 1.
+
+use policy::randomness::{Draw, Purpose, generator, standard_normal};
+use policy::{CoreKind, PolicyConfig, Precision, RunSeed, Scratch};
+
+use super::agent::{Agent, Experience, Influence, gather};
+use super::ascent::{gradient, log_prob};
+use crate::batch::{AgentBatch, Batch, Problem};
+use crate::minibatch::minibatches;
+use crate::probe;
+use crate::sequence::{Layout, Sequences};
+use crate::surrogate::sequential_factor;
+
+const STEPS: usize = 20;
+const ENVIRONMENTS: usize = 7;
+const CHUNK: usize = 5;
+/// Ends of episodes, (step, environment): inside chunks, at a chunk's last step, one after another.
+const TERMINATED: [(usize, usize); 4] = [(2, 0), (4, 1), (11, 3), (12, 3)];
+const TRUNCATED: [(usize, usize); 3] = [(7, 2), (9, 5), (16, 1)];
+const CORES: [CoreKind; 2] = [CoreKind::Gru, CoreKind::Mlp];
+
+fn policy(core: CoreKind) -> PolicyConfig {
+    PolicyConfig { core, chunk_steps: CHUNK, layers: 2, head_gain: 1.0, ..probe::policy() }
+}
+
+fn agents(core: CoreKind) -> Vec<Agent> {
+    let start = |index| ((RunSeed(3), Precision::Single), index);
+    let agent =
+        |index| Agent::new(&probe::config(), &policy(core), &probe::problem(), start(index));
+    (0..2).map(|index| agent(index).unwrap()).collect()
+}
+
+fn ended(at: &[(usize, usize)]) -> Vec<bool> {
+    let row = |row: usize| at.contains(&(row / ENVIRONMENTS, row % ENVIRONMENTS));
+    (0..STEPS * ENVIRONMENTS).map(row).collect()
+}
+
+/// What the agents experience of random observations: every step as an actor takes it.
+fn played(agents: &[Agent], problem: &Problem) -> Batch {
+    let (terminated, truncated) = (ended(&TERMINATED), ended(&TRUNCATED));
+    let mut batch = Batch { steps: STEPS, environments: ENVIRONMENTS, ..Batch::default() };
+    (batch.terminated, batch.truncated) = (terminated, truncated);
+    for (index, agent) in agents.iter().enumerate() {
+        let shape = &problem.agents[index];
+        let data = acted(agent, &batch, (shape.observation, shape.action), index as u32);
+        batch.agents.push(data);
+    }
+    batch
+}
+
+fn acted(
+    agent: &Agent,
+    batch: &Batch,
+    (observation, action): (usize, usize),
+    index: u32,
+) -> AgentBatch {
+    let mut rng = generator(RunSeed(5), Draw::of(Purpose::Action).agent(index));
+    let (policy, mut scratch) = (agent.policy().unwrap(), Scratch::default());
+    let (width, mut data) = (policy.hidden_size(), AgentBatch::default());
+    let mut hidden = vec![0.0; ENVIRONMENTS * width];
+    for step in 0..STEPS {
+        if step % CHUNK == 0 {
+            data.hidden.extend(&hidden);
+        }
+        let seen: Vec<f32> =
+            (0..ENVIRONMENTS * observation).map(|_| standard_normal(&mut rng)).collect();
+        let mut means = vec![0.0; ENVIRONMENTS * action];
+        policy.forward(ENVIRONMENTS, &seen, &mut hidden, &mut means, &mut scratch);
+        for (environment, mean) in means.chunks_exact(action).enumerate() {
+            let mut taken = vec![0.0; action];
+            policy.draw(mean, &mut rng, &mut taken);
+            data.log_prob.push(policy.log_prob(mean, &taken));
+            data.action.extend(taken);
+            if batch.done(step * ENVIRONMENTS + environment) {
+                hidden[environment * width..(environment + 1) * width].fill(0.0);
+            }
+        }
+        data.observation.extend(seen);
+    }
+    data
+}
+
+fn experience(agents: &[Agent], batch: &Batch) -> Vec<Experience> {
+    let advantages = vec![vec![1.0; batch.rows()]; agents.len()];
+    gather(agents, batch, Layout::of(batch, CHUNK), &advantages).unwrap()
+}
+
+/// Log-densities of one agent's actions from sequences of `steps` steps, `[T, B]`.
+fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64> {
+    let layout = Layout::of(batch, steps);
+    let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
+    let columns: Vec<usize> = (0..layout.chunks).collect();
+    let (found, _) = agent.log_prob(&sequences, &columns).unwrap();
+    let mut in_time = vec![0.0; batch.rows()];
+    for step in 0..layout.steps {
+        for chunk in 0..layout.chunks {
+            in_time[layout.source(step, chunk)] = found[step * layout.chunks + chunk];
+        }
+    }
+    in_time
+}
+
+#[test]
+fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
+    for core in CORES {
+        let agents = agents(core);
+        let batch = played(&agents, &probe::problem());
+        for (index, agent) in agents.iter().enumerate() {
+            let (whole, chunks) =
+                (unrolled(agent, &batch, index, STEPS), unrolled(agent, &batch, index, CHUNK));
+            let acted = batch.agents[index].log_prob.iter().map(|&x| f64::from(x));
+            for (row, acted) in acted.enumerate() {
+                let (whole, chunks) = (whole[row], chunks[row]);
+                let apart = (acted - whole).abs().max((acted - chunks).abs());
+                assert!(apart < 1e-4, "{core:?} row {row}: {acted} {whole} {chunks}");
+            }
+        }
+    }
+}
+
+/// A row's ratio as an epoch's step over `columns` computes it: of a loss in which no other row has a weight.
+fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize]) -> f64 {
+    let layout = experience.sequences.layout;
+    let mut factor = vec![0.0; layout.rows()];
+    factor[row] = 1.0;
+    let known = (experience, &Influence::default());
+    let (figures, _) = gradient(agent, known, &factor, columns).unwrap();
+    -figures.policy_loss * (columns.len() * layout.steps) as f64
+}
+
+#[test]
+fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
+    for core in CORES {
+        let agents = agents(core);
+        let experience = &experience(&agents, &played(&agents, &probe::problem()))[0];
+        let layout = experience.sequences.layout;
+        for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
+            let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
+            for row in (0..layout.steps).flat_map(row) {
+                let ratio = ratio_of(row, &agents[0], experience, &columns);
+                assert!((ratio - 1.0).abs() <= 1e-5, "{core:?} row {row}: {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_agent_that_has_not_moved_leaves_the_factor_at_one() {
+    for core in CORES {
+        let agents = agents(core);
+        let experience = experience(&agents, &played(&agents, &probe::problem()));
+        let mut factor = vec![1.0; experience[0].log_prob.len()];
+        for (agent, experience) in agents.iter().zip(&experience) {
+            let now = log_prob(agent, experience).unwrap();
+            factor = sequential_factor(&factor, &now, &experience.log_prob);
+        }
+        assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{core:?}: {factor:?}");
+    }
+}

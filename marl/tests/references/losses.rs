@@ -1,0 +1,146 @@
+//! Each loss by itself: its value and its gradient.
+
+use marl::actor_loss::categorical::categorical_loss;
+use marl::actor_loss::{Coefficients, Figures, Rows, actor_loss};
+use marl::advantage::{Horizon, advantage, next_values};
+use marl::config::{Divergence, Estimator};
+use marl::critic::value_loss;
+use marl::head_rows::HeadRows;
+use marl::influence::Term;
+use marl::surrogate::normalized_advantage;
+use marl::value_normalizer::ValueNormalizer;
+use marl::{Batch, Final};
+
+use crate::file::Reference;
+
+fn gaussian() -> Reference {
+    Reference::of(include_bytes!("gaussian_loss.safetensors"))
+}
+
+fn values() -> Reference {
+    Reference::of(include_bytes!("values.safetensors"))
+}
+
+fn coefficients(reference: &Reference) -> Coefficients {
+    Coefficients {
+        clip: reference.setting("update.clip"),
+        entropy: reference.setting("update.entropy"),
+        lambda: reference.setting("influence.lambda"),
+        term: Term {
+            estimator: Estimator::VariationalKl,
+            divergence: Divergence::KlQp,
+            kappa: reference.setting("influence.kappa"),
+        },
+    }
+}
+
+fn rows(reference: &Reference, posterior: (Vec<f64>, Vec<f64>)) -> Rows {
+    Rows {
+        action: reference.numbers("input/action"),
+        log_prob_old: reference.numbers("input/log_prob_old"),
+        advantage: reference.numbers("input/advantage"),
+        factor: reference.numbers("input/factor"),
+        posterior,
+    }
+}
+
+fn figures_agree(reference: &Reference, figures: &Figures) {
+    for (name, found) in [
+        ("loss", figures.loss),
+        ("policy_loss", figures.policy_loss),
+        ("approx_kl", figures.approx_kl),
+        ("clip_fraction", figures.clip_fraction),
+        ("influence_kl", figures.influence),
+        ("influence_capped", figures.capped_fraction),
+    ] {
+        reference.expects(name, &[found]);
+    }
+}
+
+#[test]
+fn the_actors_loss_and_its_gradient_agree_with_pytorch() {
+    let reference = gaussian();
+    let (mean, sigma) = (reference.numbers("input/mean"), reference.numbers("input/sigma"));
+    let posterior = (reference.numbers("input/q_mean"), reference.numbers("input/q_sigma"));
+    let rows = rows(&reference, posterior);
+    let loss = actor_loss(&mean, &sigma, &rows, rows.advantage.len(), &coefficients(&reference));
+    figures_agree(&reference, &loss.figures);
+    reference.expects("d_mean", &loss.d_mean);
+    reference.expects("d_sigma", &loss.d_sigma);
+}
+
+#[test]
+fn the_actors_loss_for_choices_and_its_gradient_agree_with_pytorch() {
+    let reference = Reference::of(include_bytes!("categorical_loss.safetensors"));
+    let (logits, q) = (reference.numbers("input/logits"), reference.numbers("input/q_logits"));
+    let rows = rows(&reference, (q, Vec::new()));
+    let loss = categorical_loss(&logits, 4, &rows, rows.advantage.len(), &coefficients(&reference));
+    figures_agree(&reference, &loss.figures);
+    reference.expects("d_logits", &loss.d_logits);
+}
+
+#[test]
+fn the_posteriors_loss_and_its_gradient_agree_with_pytorch() {
+    let reference = gaussian();
+    let (mean, sigma) = (reference.numbers("input/q_mean"), reference.numbers("input/q_sigma"));
+    let (action, q) = (reference.numbers("input/action"), HeadRows::Gaussian { mean, sigma });
+    let (mut gradient, count) = (q.zeros(), action.len() / 2);
+    let mut loss = 0.0;
+    for (row, action) in action.chunks_exact(2).enumerate() {
+        loss -= q.log_prob_of(row, action) / count as f64;
+        gradient.add_log_prob_gradient(-1.0 / count as f64, row, action, &q);
+    }
+    let HeadRows::Gaussian { mean, sigma } = gradient else { panic!("a Gaussian's gradient") };
+    reference.expects("posterior_loss", &[loss]);
+    reference.expects("d_q_mean", &mean);
+    reference.expects("d_q_sigma", &sigma);
+}
+
+#[test]
+fn the_clipped_huber_loss_of_values_agrees_with_pytorch() {
+    let reference = values();
+    let bounds = (reference.setting("critic.clip"), reference.setting("critic.huber_delta"));
+    let (old, target) = (reference.numbers("input/old"), reference.numbers("input/target"));
+    let value = reference.numbers("input/value");
+    let each = value.iter().zip(old).zip(target);
+    let (loss, slope): (Vec<f64>, Vec<f64>) =
+        each.map(|((&value, old), target)| value_loss(value, old, target, bounds)).unzip();
+    reference.expects("value_loss", &loss);
+    reference.expects("d_value", &slope);
+}
+
+#[test]
+fn advantages_with_every_kind_of_end_and_the_normaliser_agree_with_pytorch() {
+    let reference = values();
+    let shape = reference.array("input/values").shape();
+    let mut batch = Batch { steps: shape[0], environments: shape[1], ..Batch::default() };
+    batch.terminated = reference.flags("input/terminated");
+    batch.truncated = reference.flags("input/truncated");
+    let ended = |&row: &usize| batch.done(row) || row / batch.environments + 1 == batch.steps;
+    let ends: Vec<usize> = (0..batch.rows()).filter(ended).collect();
+    let last = |&row: &usize| Final {
+        step: row / shape[1],
+        environment: row % shape[1],
+        ..Final::default()
+    };
+    batch.finals = ends.iter().map(last).collect();
+    let final_values = reference.numbers("input/final_values");
+    let final_values: Vec<f64> = ends.iter().map(|&row| final_values[row]).collect();
+
+    let (gamma, lambda) =
+        (reference.setting("update.gamma"), reference.setting("update.gae_lambda"));
+    let (reward, values) = (reference.single("input/reward"), reference.numbers("input/values"));
+    let next = next_values(&batch, &values, &final_values);
+    let found = advantage(&batch, &reward, &values, &next, Horizon { gamma, lambda });
+    reference.expects("next", &next);
+    reference.expects("advantage", &found);
+    reference.expects("normalised", &normalized_advantage(&found));
+
+    let returns: Vec<f64> = found.iter().zip(&values).map(|(a, v)| a + v).collect();
+    let mut normalizer = ValueNormalizer::new(0.9);
+    normalizer.restore([0.3, 1.7, 0.8]);
+    normalizer.update(&returns);
+    let target: Vec<f64> = returns.iter().map(|&x| normalizer.normalize(x)).collect();
+    reference.expects("normaliser", &normalizer.state());
+    reference.expects("target", &target);
+}

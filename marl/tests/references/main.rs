@@ -1,0 +1,8 @@
+//! Losses and whole updates against values that `tests/reference/update_references.py` made with PyTorch in double
+//! precision.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod file;
+mod losses;
+mod settings;
+mod updates;

@@ -1,0 +1,121 @@
+//! Whole updates, from PyTorch's first weights to its last, optimisers, normalisers and figures included.
+
+use std::collections::BTreeSet;
+
+use marl::config::{Rule, Sharing};
+use marl::{Algorithm, Report, build_in};
+use policy::{Array, CoreKind, NamedArrays, Precision, RunSeed};
+
+use crate::file::{Reference, agree, numbers};
+use crate::settings::{AGENTS, batch, config, policy, problem};
+
+/// With this seed the first sweep is in the order of the references.
+const SWEEPING: RunSeed = RunSeed(0);
+/// With this seed the replay first draws the rows of the references.
+const DRAWING: RunSeed = RunSeed(1);
+
+/// Which rule updates what.
+#[derive(Clone, Copy)]
+struct Case {
+    file: &'static [u8],
+    core: CoreKind,
+    rule: (Rule, Sharing),
+    seed: RunSeed,
+}
+
+const HAPPO_GRU: Case = Case {
+    file: include_bytes!("happo_gru.safetensors"),
+    core: CoreKind::Gru,
+    rule: (Rule::Happo, Sharing::Separate),
+    seed: SWEEPING,
+};
+const HAPPO_MLP: Case =
+    Case { file: include_bytes!("happo_mlp.safetensors"), core: CoreKind::Mlp, ..HAPPO_GRU };
+const MAPPO: Case = Case {
+    file: include_bytes!("mappo_shared.safetensors"),
+    rule: (Rule::Mappo, Sharing::Shared),
+    ..HAPPO_GRU
+};
+const MADDPG: Case = Case {
+    file: include_bytes!("maddpg.safetensors"),
+    core: CoreKind::Mlp,
+    rule: (Rule::Maddpg, Sharing::Separate),
+    seed: DRAWING,
+};
+
+/// The file's first arrays in place of the algorithm's own, in its precision; what the file does not name stays.
+fn start(reference: &Reference, algorithm: &dyn Algorithm) -> NamedArrays {
+    let mut arrays = algorithm.arrays().unwrap();
+    for (name, array) in reference.under("start/") {
+        let own = arrays.get_mut(name).unwrap_or_else(|| panic!("no array is called {name}"));
+        assert_eq!(own.shape(), array.shape(), "{name}");
+        match own {
+            Array::F32 { data, .. } => *data = reference.single(&format!("start/{name}")),
+            Array::F64 { data, .. } => *data = numbers(array),
+            other => panic!("{name} starts as {other:?}"),
+        }
+    }
+    arrays
+}
+
+fn updated(reference: &Reference, case: Case, precision: Precision) -> (NamedArrays, Report) {
+    let (problem, policy) = (problem(reference), policy(reference, case.core));
+    let config = config(reference, case.rule.0, case.rule.1);
+    let mut algorithm = build_in(precision, &config, &policy, &problem, case.seed).unwrap();
+    algorithm.restore(&start(reference, algorithm.as_ref())).unwrap();
+    let rewards: Vec<Vec<f32>> =
+        (0..AGENTS).map(|agent| reference.single(&format!("batch/rewards_{agent}"))).collect();
+    let report = algorithm.update(&batch(reference), &rewards, 0).unwrap();
+    (algorithm.arrays().unwrap(), report)
+}
+
+fn agrees_with_pytorch(case: Case, precision: Precision, tolerance: f64) {
+    let reference = Reference::of(case.file);
+    let (arrays, report) = updated(&reference, case, precision);
+    for (name, expected) in reference.under("expected/") {
+        let found = match name.strip_prefix("report/") {
+            None => numbers(&arrays[name]),
+            Some(figure) => vec![report.iter().find(|(own, _)| own == figure).unwrap().1],
+        };
+        agree(name, &found, &numbers(expected), tolerance);
+    }
+}
+
+#[test]
+fn happo_with_a_recurrent_core_agrees_with_pytorch() {
+    agrees_with_pytorch(HAPPO_GRU, Precision::Double, 1e-9);
+    agrees_with_pytorch(HAPPO_GRU, Precision::Single, 1e-4);
+}
+
+#[test]
+fn happo_with_a_feed_forward_core_agrees_with_pytorch() {
+    agrees_with_pytorch(HAPPO_MLP, Precision::Double, 1e-9);
+    agrees_with_pytorch(HAPPO_MLP, Precision::Single, 1e-4);
+}
+
+#[test]
+fn mappo_with_shared_parameters_agrees_with_pytorch() {
+    agrees_with_pytorch(MAPPO, Precision::Double, 1e-9);
+    agrees_with_pytorch(MAPPO, Precision::Single, 1e-4);
+}
+
+#[test]
+fn a_step_of_maddpg_agrees_with_pytorch() {
+    agrees_with_pytorch(MADDPG, Precision::Double, 1e-9);
+    agrees_with_pytorch(MADDPG, Precision::Single, 1e-4);
+}
+
+#[test]
+fn the_references_leave_no_array_of_a_run_out() {
+    for case in [HAPPO_GRU, HAPPO_MLP, MAPPO, MADDPG] {
+        let reference = Reference::of(case.file);
+        let named: BTreeSet<&str> =
+            reference.under("expected/").into_iter().map(|(name, _)| name).collect();
+        let (arrays, _) = updated(&reference, case, Precision::Double);
+        // Steps that a run skipped are no result, and a replay is compared by what is learnt from it.
+        let result = |name: &&String| !name.starts_with("replay/") && !name.ends_with("skipped");
+        for name in arrays.keys().filter(result) {
+            assert!(named.contains(name.as_str()), "the reference has no {name}");
+        }
+    }
+}

@@ -1,0 +1,136 @@
+"""The networks of the reference updates, out of PyTorch's modules, their parameters named as in the arrays of a run."""
+
+import torch
+from torch import nn
+from torch.distributions import Independent, Normal
+
+SIGMA_SCALE = 0.5
+
+
+class GaussianHead(nn.Linear):
+    """A linear mean and one deviation for each action, `sigmoid(log_std) * SIGMA_SCALE`."""
+
+    def __init__(self, inputs, actions):
+        super().__init__(inputs, actions)
+        self.log_std = nn.Parameter(torch.zeros(actions))
+
+    def distribution(self, features):
+        return gaussian(self(features), torch.sigmoid(self.log_std) * SIGMA_SCALE)
+
+
+def gaussian(mean, sigma):
+    """A Gaussian over whole actions with independent dimensions."""
+    return Independent(Normal(mean, sigma.expand_as(mean)), 1)
+
+
+class RecurrentActor(nn.Module):
+    """LayerNorm, Linear, tanh, GRU, LayerNorm, head."""
+
+    def __init__(self, observations, actions, sizes):
+        super().__init__()
+        encoder = {"norm": nn.LayerNorm(observations), "linear": nn.Linear(observations, sizes["encoder"])}
+        self.encoder = nn.ModuleDict(encoder)
+        self.gru = nn.GRUCell(sizes["encoder"], sizes["hidden"])
+        self.output = nn.ModuleDict({"norm": nn.LayerNorm(sizes["hidden"])})
+        self.head = GaussianHead(sizes["hidden"], actions)
+
+    def features(self, observation, hidden, done):
+        """`[T, B, F]`: each chunk goes through time from its stored state, forgetting at episodes' ends inside it."""
+        chunk = observation.shape[0] // hidden.shape[0]
+        features = []
+        for step, seen in enumerate(torch.tanh(self.encoder["linear"](self.encoder["norm"](observation)))):
+            if step % chunk == 0:
+                state = hidden[step // chunk]
+            else:
+                state = torch.where(done[step - 1].unsqueeze(1), torch.zeros_like(state), state)
+            state = self.gru(seen, state)
+            features.append(self.output["norm"](state))
+        return torch.stack(features)
+
+
+class FeedForwardActor(nn.Module):
+    """LayerNorm, then layers of Linear, ReLU, LayerNorm, then the head; a plain linear one where it is squashed."""
+
+    def __init__(self, observations, actions, sizes, head=GaussianHead):
+        super().__init__()
+        self.encoder = nn.ModuleDict({"norm": nn.LayerNorm(observations)})
+        self.layers = normalised_layers(observations, sizes)
+        self.head = head(sizes["width"], actions)
+
+    def features(self, observation, _hidden=None, _done=None):
+        return through(self.layers, self.encoder["norm"](observation))
+
+
+class Critic(nn.Module):
+    """One normalised value for each agent from the global state."""
+
+    def __init__(self, states, agents, sizes):
+        super().__init__()
+        self.norm = nn.LayerNorm(states)
+        self.layers = normalised_layers(states, sizes)
+        self.value = nn.Linear(sizes["width"], agents)
+
+    def forward(self, state):
+        return self.value(through(self.layers, self.norm(state)))
+
+
+class Posterior(nn.Module):
+    """`q(a^i | a^-i, features)`."""
+
+    def __init__(self, others, features, actions, sizes):
+        super().__init__()
+        self.encoder = nn.Linear(others, sizes["encoder"])
+        self.joined = nn.Linear(features + sizes["encoder"], sizes["hidden"])
+        self.head = nn.Linear(sizes["hidden"], actions)
+        self.log_std = nn.Parameter(torch.zeros(actions))
+
+    def distribution(self, features, others):
+        joined = torch.cat([features, torch.tanh(self.encoder(others))], -1)
+        mean = self.head(torch.tanh(self.joined(joined)))
+        return gaussian(mean, torch.sigmoid(self.log_std) * SIGMA_SCALE)
+
+
+class ActionValue(nn.Module):
+    """What a joint action is worth in a global state."""
+
+    def __init__(self, inputs, sizes):
+        super().__init__()
+        widths = [inputs] + [sizes["width"]] * sizes["layers"]
+        layers = [nn.ModuleDict({"linear": nn.Linear(*pair)}) for pair in zip(widths, widths[1:])]
+        self.layers = nn.ModuleList(layers)
+        self.value = nn.Linear(sizes["width"], 1)
+
+    def forward(self, state, actions):
+        x = torch.cat([state, *actions], -1)
+        for layer in self.layers:
+            x = torch.relu(layer["linear"](x))
+        return self.value(x).squeeze(-1)
+
+
+def normalised_layers(inputs, sizes):
+    widths = [inputs] + [sizes["width"]] * sizes["layers"]
+    layer = lambda pair: nn.ModuleDict({"linear": nn.Linear(*pair), "norm": nn.LayerNorm(pair[1])})
+    return nn.ModuleList([layer(pair) for pair in zip(widths, widths[1:])])
+
+
+def through(layers, x):
+    for layer in layers:
+        x = layer["norm"](torch.relu(layer["linear"](x)))
+    return x
+
+
+def start(network, generator):
+    """Draws every parameter afresh: none at zero, all of them numbers that single precision can hold."""
+    for name, parameter in network.named_parameters():
+        draw = torch.randn(parameter.shape, generator=generator, dtype=torch.float64)
+        if name.endswith("log_std"):
+            # The second deviation starts a hair above its floor, an eighth of the scale.
+            value = torch.tensor([0.3, -1.9458, 0.1], dtype=torch.float64)[: len(parameter)]
+        elif "norm" in name and name.endswith("weight"):
+            value = 1.0 + 0.1 * draw
+        elif name.endswith("weight") or "weight_" in name:
+            value = (0.3 if name.startswith("head") else 1.0) * draw / parameter.shape[-1] ** 0.5
+        else:
+            value = 0.1 * draw
+        parameter.data.copy_(value.float().double())
+    return network
