@@ -26,6 +26,7 @@ use crate::value_normalizer::ValueNormalizer;
 pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
+    /// `V`.
     count: usize,
     states: usize,
     parameters: Parameters,
@@ -117,7 +118,7 @@ impl Critic {
         Ok(Self {
             config: config.clone(),
             seed,
-            count: count,
+            count,
             states: problem.state,
             adam: Adam::new(adam, &parameters),
             parameters,

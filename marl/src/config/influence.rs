@@ -140,3 +140,56 @@ impl InfluenceConfig {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::ActionKind;
+    use crate::config::Config;
+    use crate::probe;
+
+    /// Why the settings are refused for actions of this kind.
+    fn refusal(kind: ActionKind, change: impl Fn(&mut InfluenceConfig)) -> Option<String> {
+        let mut config: Config = probe::config();
+        change(&mut config.influence);
+        let mut problem = probe::problem();
+        problem.agents.iter_mut().for_each(|agent| agent.kind = kind);
+        let found = config.validate().and_then(|()| config.suits_agents(&problem));
+        found.err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_is_not_defined_for_a_kind_of_action_is_refused_in_one_line() {
+        let choices = ActionKind::Discrete { choices: 3 };
+        let count = |config: &mut InfluenceConfig| config.estimator = Estimator::Count;
+        let joint = |config: &mut InfluenceConfig| config.q_training = QTraining::Joint;
+        assert_eq!(refusal(choices, count), None);
+        assert_eq!(refusal(ActionKind::Continuous, joint), None);
+        for (kind, message) in [
+            (
+                refusal(ActionKind::Continuous, count),
+                "influence.estimator = count is out of range: variational_kl or barber_agakov for \
+                 continuous actions: counts need choices",
+            ),
+            (
+                refusal(choices, joint),
+                "influence.q_training = joint is out of range: mle for a task of choices",
+            ),
+            (
+                refusal(choices, |config| {
+                    count(config);
+                    joint(config);
+                }),
+                "influence.q_training = joint is out of range: mle with estimator = count: a table of \
+                 counts has no parameters to train",
+            ),
+            (
+                refusal(choices, |config| config.lag = 2),
+                "influence.lag = 2 is out of range: 0 (the same step's actions) or 1 (the step \
+                 before's)",
+            ),
+        ] {
+            assert_eq!(kind.as_deref(), Some(message));
+        }
+    }
+}
