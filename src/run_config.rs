@@ -240,7 +240,7 @@ mod tests {
             ("surprise.references=5", "surprise.references"),
             ("surprise.clip=-1", "surprise.clip"),
             ("influence.kappa=-1", "influence.kappa"),
-            ("influence.estimator=count", "influence.estimator"),
+            ("influence.lag=2", "influence.lag"),
             ("influence.estimator=barber_agakov", "influence.divergence"),
             ("lease.ttl_secs=0", "lease.ttl_secs"),
             ("update.parameters=shared", "update.parameters"),

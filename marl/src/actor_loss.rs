@@ -6,7 +6,7 @@ pub mod categorical;
 use crate::gaussian;
 use crate::influence::divergence::add_gradient;
 use crate::influence::{Term, regularized_objective};
-use crate::surrogate::{clipped_surrogate, ratio};
+use crate::surrogate::{clipped_surrogate, is_held, ratio};
 
 /// Weights of the loss's terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,6 +59,8 @@ pub struct Figures {
     pub approx_kl: f64,
     /// Share of rows whose ratio is outside the trust region.
     pub clip_fraction: f64,
+    /// Share of rows whose log-ratio is so far off that the ratio is held.
+    pub held_fraction: f64,
     /// Mean influence term: the paper's is the capped `KL[q || p]`, nats.
     pub influence: f64,
     /// Share of rows whose divergence has reached its cap.
@@ -74,6 +76,7 @@ impl Figures {
         self.policy_loss += weight * other.policy_loss;
         self.approx_kl += weight * other.approx_kl;
         self.clip_fraction += weight * other.clip_fraction;
+        self.held_fraction += weight * other.held_fraction;
         self.influence += weight * other.influence;
         self.capped_fraction += weight * other.capped_fraction;
         self.entropy += weight * other.entropy;
@@ -143,11 +146,12 @@ fn surrogate_slope(
     let (value, slope) = clipped_surrogate(ratio_now, rows.advantage[row], clip);
     let weight = rows.factor[row] * share;
     // Beyond the guard the ratio is constant: its slope by the log-ratio is 0, not the ratio.
-    let guarded = log_ratio.abs() > crate::surrogate::LOG_RATIO_LIMIT;
-    let ratio_slope = if guarded { 0.0 } else { ratio_now };
+    let held = is_held(log_ratio);
+    let ratio_slope = if held { 0.0 } else { ratio_now };
     figures.policy_loss -= weight * value;
     figures.approx_kl += share * (ratio_now - 1.0 - log_ratio);
     figures.clip_fraction += if (ratio_now - 1.0).abs() > clip { share } else { 0.0 };
+    figures.held_fraction += if held { share } else { 0.0 };
     -weight * slope * ratio_slope
 }
 

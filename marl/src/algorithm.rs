@@ -100,3 +100,6 @@ pub(crate) fn refuse_strange(stored: &NamedArrays, known: &NamedArrays) -> Resul
         Some(name) => Err(MarlError::Restore(format!("{name} belongs to nothing in this run"))),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -191,6 +191,10 @@ impl Batch {
         }
         for last in &self.finals {
             floats("finals.state", "[S]", &last.state, problem.state)?;
+            length("finals.observation", "[N]", last.observation.len(), problem.agents.len())?;
+            for (observation, shape) in last.observation.iter().zip(&problem.agents) {
+                floats("finals.observation", "[obs]", observation, shape.observation)?;
+            }
         }
         Ok(())
     }

@@ -3,13 +3,21 @@
 
 use libm::{exp, log};
 
+use crate::config::Divergence;
+use crate::influence::divergence::categorical::divergence;
+
 /// `log p_k = logit_k - log sum_j exp logit_j`, nats. `logits` is `[K]`, and so is the answer.
 #[must_use]
 pub fn log_softmax(logits: &[f64]) -> Vec<f64> {
-    let largest = logits.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x));
-    let sum: f64 = logits.iter().map(|&x| exp(x - largest)).sum();
-    let total = largest + log(sum);
+    let total = log_sum_exp(logits);
     logits.iter().map(|&x| x - total).collect()
+}
+
+/// `log sum_j exp logit_j`, the largest set apart so that no exponential overflows. `logits` is `[K]`.
+#[must_use]
+pub fn log_sum_exp(logits: &[f64]) -> f64 {
+    let largest = logits.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x));
+    largest + log(logits.iter().map(|&x| exp(x - largest)).sum::<f64>())
 }
 
 /// `log p(choice)` of one row, nats. `logits` is `[K]`.
@@ -58,10 +66,11 @@ pub fn add_kl_gradient(weight: f64, q: &[f64], p: &[f64], d_logits: &mut [f64]) 
 }
 
 /// Eq. (8): one row of the influence term for a choice, `min(KL[q_xi(. | a^-i, s) || p(. | s)], kappa)`, nats, and
-/// its slope by the divergence (0 at the cap). `q` and `p` are logits `[K]`.
+/// its slope by the divergence (0 at the cap), with `kind` for the divergence's kind: the paper's is `KlQp`. `q` and
+/// `p` are logits `[K]`.
 #[must_use]
-pub fn capped_divergence(q: &[f64], p: &[f64], kappa: f64) -> (f64, f64) {
-    let divergence = kl_divergence(q, p);
+pub fn capped_divergence(kind: Divergence, q: &[f64], p: &[f64], kappa: f64) -> (f64, f64) {
+    let divergence = divergence(kind, q, p);
     // Written so that a divergence that is no number stays one, and is noticed.
     if divergence >= kappa { (kappa, 0.0) } else { (divergence, 1.0) }
 }
@@ -116,8 +125,9 @@ mod tests {
     #[test]
     fn at_the_cap_the_divergence_of_choices_stands_still() {
         let (q, p) = pair();
-        assert_eq!(capped_divergence(&q, &p, 1.0), (kl_divergence(&q, &p), 1.0));
-        assert_eq!(capped_divergence(&[40.0, 0.0], &[0.0, 40.0], 1.0), (1.0, 0.0));
+        let capped = |q: &[f64], p: &[f64]| capped_divergence(Divergence::KlQp, q, p, 1.0);
+        assert_eq!(capped(&q, &p), (kl_divergence(&q, &p), 1.0));
+        assert_eq!(capped(&[40.0, 0.0], &[0.0, 40.0]), (1.0, 0.0));
     }
 
     #[test]

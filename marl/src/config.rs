@@ -8,7 +8,7 @@ mod surprise;
 use policy::{CoreKind, PolicyConfig};
 use serde::{Deserialize, Serialize};
 
-pub use self::influence::{Divergence, Estimator, InfluenceConfig, QTraining};
+pub use self::influence::{CountedState, Divergence, Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
 pub use self::surprise::{Constant, DensityKind, Fit, Reduce, Space, SurpriseConfig};
 use crate::batch::{ActionKind, Problem};
@@ -115,6 +115,22 @@ pub struct CriticConfig {
 pub enum CriticMode {
     /// One network with one value per agent, each normalised by itself.
     PerAgent,
+    /// One value of the team's reward for all agents, and one per agent of what surprise adds. An agent's advantage
+    /// is the sum of the two.
+    SharedExtrinsicPlusIntrinsic,
+    /// One value for all agents, of the team's reward and the mean of what surprise adds.
+    TeamMean,
+}
+
+impl CriticMode {
+    /// As it stands in the configuration.
+    fn name(self) -> &'static str {
+        match self {
+            Self::PerAgent => "per_agent",
+            Self::SharedExtrinsicPlusIntrinsic => "shared_extrinsic_plus_intrinsic",
+            Self::TeamMean => "team_mean",
+        }
+    }
 }
 
 impl Config {
@@ -134,6 +150,10 @@ impl Config {
         let stale = "0 with update.rule = maddpg: rewards of a density that is fitted again in \
                      every iteration would be stale in the replay";
         within("surprise.alpha", self.surprise.alpha, 0.0..=0.0, stale)?;
+        if self.critic.mode != CriticMode::PerAgent {
+            let range = "per_agent with update.rule = maddpg: its action values know the team's reward alone";
+            return Err(refuse("critic.mode", self.critic.mode.name(), range));
+        }
         let pointless = "0 with update.rule = maddpg: a deterministic policy has no density to \
                          regularise";
         within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
@@ -152,12 +172,15 @@ impl Config {
         Ok(())
     }
 
-    /// Refuses agents that cannot share their parameters although they should, and choices where the rule or the
-    /// influence term is not defined for them.
+    /// Refuses agents that cannot share their parameters although they should, and choices or continuous actions
+    /// where the rule or the influence term is not defined for them.
     ///
     /// # Errors
     /// Names the first agent whose sizes differ from the first one's, or the key that does not fit.
     pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
+        if problem.agents.iter().any(|agent| agent.kind == ActionKind::Continuous) {
+            self.influence.check_for_numbers()?;
+        }
         if problem.agents.iter().any(|agent| agent.kind != ActionKind::Continuous) {
             self.influence.check_for_choices()?;
             if self.update.rule == Rule::Maddpg {

@@ -1,4 +1,6 @@
-//! The centralised critic: the value of the global state, one head per agent.
+//! The centralised critic: the values of the global state.
+
+mod mode;
 
 use candle_core::Tensor;
 use policy::Precision;
@@ -19,13 +21,15 @@ use crate::optimizer::{Adam, AdamConfig};
 use crate::surrogate::mean_and_deviation;
 use crate::value_normalizer::ValueNormalizer;
 
-/// LayerNorm, then layers of Linear, ReLU, LayerNorm, then one value per agent in units of that
-/// agent's normalised return.
+/// LayerNorm, then layers of Linear, ReLU, LayerNorm, then `V` values, each in units of its own
+/// normalised return. [`CriticMode`](crate::config::CriticMode) says of what: one per agent, or of
+/// rewards that agents share.
 pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
     precision: Precision,
-    agents: usize,
+    /// `V`.
+    count: usize,
     states: usize,
     parameters: Parameters,
     input: Norm,
@@ -38,11 +42,11 @@ pub struct Critic {
 /// The critic's opinion of a batch before it learns from it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Values {
-    /// Normalised values as the network gives them, `[T * B, N]`.
+    /// Normalised values as the network gives them, `[T * B, V]`.
     pub normalized: Vec<f64>,
-    /// Value of every row's state, per agent `[T, B]`, in units of the return.
+    /// Value of every row's state, `[V][T, B]`, in units of the return.
     pub now: Vec<Vec<f64>>,
-    /// Value of every row's true next state, per agent `[T, B]`; 0 after a termination.
+    /// Value of every row's true next state, `[V][T, B]`; 0 after a termination.
     pub next: Vec<Vec<f64>>,
 }
 
@@ -53,7 +57,7 @@ pub struct CriticFigures {
     pub loss: f64,
     /// Mean norm of the gradient before clipping.
     pub gradient_norm: f64,
-    /// Share of the returns' variance that the values explained before the fit, mean over agents.
+    /// Share of the returns' variance that the values explained before the fit, mean over values.
     pub explained_variance: f64,
     /// Steps skipped so far because their gradient was not finite.
     pub skipped: i64,
@@ -105,8 +109,8 @@ impl Critic {
             layers.push((dense, builder.norm(&format!("{name}.norm"), config.width)?));
             from = config.width;
         }
-        let agents = problem.agents.len();
-        let heads = builder.dense("value", (from, agents), 1.0, Activation::Identity)?;
+        let count = config.mode.values(problem.agents.len());
+        let heads = builder.dense("value", (from, count), 1.0, Activation::Identity)?;
         let parameters = builder.parameters;
         let adam = AdamConfig {
             learning_rate: config.learning_rate,
@@ -117,18 +121,18 @@ impl Critic {
             config: config.clone(),
             seed,
             precision,
-            agents,
+            count,
             states: problem.state,
             adam: Adam::new(adam, &parameters),
             parameters,
             input,
             layers,
             heads,
-            normalizers: vec![ValueNormalizer::new(config.normalizer_beta); agents],
+            normalizers: vec![ValueNormalizer::new(config.normalizer_beta); count],
         })
     }
 
-    /// Normalised values `[R, N]` of states `[R, S]`.
+    /// Normalised values `[R, V]` of states `[R, S]`.
     fn forward(&self, states: Vec<f32>) -> Result<Tensor, MarlError> {
         let mut x = self.input.apply(&rows(states, self.states, self.precision)?)?;
         for (dense, norm) in &self.layers {
@@ -146,22 +150,22 @@ impl Critic {
         let last = batch.finals.iter().flat_map(|last| last.state.iter().copied()).collect();
         let finals = numbers(&self.forward(last)?)?;
         let (mut now, mut next) = (Vec::new(), Vec::new());
-        for agent in 0..self.agents {
-            let own = self.of_agent(&normalized, agent);
-            next.push(next_values(batch, &own, &self.of_agent(&finals, agent)));
+        for head in 0..self.count {
+            let own = self.of_head(&normalized, head);
+            next.push(next_values(batch, &own, &self.of_head(&finals, head)));
             now.push(own);
         }
         Ok(Values { normalized, now, next })
     }
 
-    /// One agent's column of `[R, N]` normalised values, in units of the return.
-    fn of_agent(&self, normalized: &[f64], agent: usize) -> Vec<f64> {
-        let column = normalized.iter().skip(agent).step_by(self.agents);
-        let value = |&value: &f64| self.normalizers[agent].denormalize(value);
+    /// One column of `[R, V]` normalised values, in units of the return.
+    fn of_head(&self, normalized: &[f64], head: usize) -> Vec<f64> {
+        let column = normalized.iter().skip(head).step_by(self.count);
+        let value = |&value: &f64| self.normalizers[head].denormalize(value);
         column.map(|normal| self.precision.round(value(normal))).collect()
     }
 
-    /// Learns every agent's returns `[N][T, B]`; `values` is what it thought of the batch before.
+    /// Learns the returns `[V][T, B]`; `values` is what it thought of the batch before.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -186,12 +190,12 @@ impl Critic {
                 figures.gradient_norm += weight * norm;
             }
         }
-        figures.explained_variance = explained_variance(self.precision, &values.now, returns);
+        figures.explained_variance = mean_explained(self.precision, &values.now, returns);
         figures.skipped = self.adam.skipped();
         Ok(figures)
     }
 
-    /// Normalised returns, `[T * B, N]`.
+    /// Normalised returns, `[T * B, V]`.
     fn targets(&self, returns: &[Vec<f64>]) -> Vec<f64> {
         let row = |row: usize| {
             let agents = self.normalizers.iter().zip(returns);
@@ -213,7 +217,7 @@ impl Critic {
         let found = numbers(&output)?;
         let share = 1.0 / found.len() as f64;
         let bounds = (self.config.clip, self.config.huber_delta);
-        let places = part.iter().flat_map(|&row| row * self.agents..(row + 1) * self.agents);
+        let places = part.iter().flat_map(|&row| row * self.count..(row + 1) * self.count);
         let (mut loss, mut gradient) = (0.0, Vec::with_capacity(found.len()));
         for (&value, place) in found.iter().zip(places) {
             let (own, slope) = value_loss(value, old[place], target[place], bounds);
@@ -259,14 +263,19 @@ impl Critic {
     }
 }
 
-/// `1 - Var(R - V) / Var(R)`, mean over agents; 0 where returns do not vary.
-fn explained_variance(precision: Precision, values: &[Vec<f64>], returns: &[Vec<f64>]) -> f64 {
-    let agent = |(values, returns): (&Vec<f64>, &Vec<f64>)| {
-        let rest = precision.rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
-        let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
-        if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
-    };
-    let shares: Vec<f64> = values.par_iter().zip(returns).map(agent).collect();
+/// `1 - Var(R - V) / Var(R)` of values and returns `[T, B]`; 0 where returns do not vary.
+#[must_use]
+pub fn explained_variance(precision: Precision, values: &[f64], returns: &[f64]) -> f64 {
+    let rest = precision.rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
+    let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
+    if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
+}
+
+/// Mean of [`explained_variance`] over `[V][T, B]`.
+fn mean_explained(precision: Precision, values: &[Vec<f64>], returns: &[Vec<f64>]) -> f64 {
+    let one =
+        |(values, returns): (&Vec<f64>, &Vec<f64>)| explained_variance(precision, values, returns);
+    let shares: Vec<f64> = values.par_iter().zip(returns).map(one).collect();
     shares.iter().sum::<f64>() / shares.len() as f64
 }
 
@@ -295,8 +304,10 @@ mod tests {
 
     #[test]
     fn values_that_equal_the_returns_explain_everything() {
-        let returns = vec![vec![1.0, 2.0, 3.0]];
-        assert_eq!(explained_variance(Precision::Double, &returns, &returns), 1.0);
-        assert_eq!(explained_variance(Precision::Double, &[vec![2.0; 3]], &returns), 0.0);
+        let (double, returns) = (Precision::Double, [1.0, 2.0, 3.0]);
+        assert_eq!(explained_variance(double, &returns, &returns), 1.0);
+        assert_eq!(explained_variance(double, &[2.0; 3], &returns), 0.0);
+        let (both, known) = (vec![returns.to_vec(); 2], vec![returns.to_vec(), vec![2.0; 3]]);
+        assert_eq!(mean_explained(double, &known, &both), 0.5);
     }
 }

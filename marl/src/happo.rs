@@ -9,9 +9,9 @@ use crate::config::Config;
 use crate::error::MarlError;
 use crate::minibatch::permutation;
 use crate::on_policy::agent::Agent;
-use crate::on_policy::ascent::{log_prob, maximise};
-use crate::on_policy::{Prepared, Team, agent_report, critic_report};
-use crate::surrogate::sequential_factor;
+use crate::on_policy::ascent::{maximise, moved};
+use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
+use crate::surrogate::{factor_limits, sequential_factor};
 
 /// HAPPO and, by configuration alone, all its variants.
 pub struct Happo {
@@ -46,7 +46,9 @@ impl Algorithm for Happo {
         rewards: &Rewards,
         iteration: u64,
     ) -> Result<Report, MarlError> {
-        let prepared = self.team.prepare(batch, rewards, iteration)?;
+        let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
+            return Ok(skipped_report());
+        };
         let order = self.order(iteration);
         let Team { agents, critic, seed, .. } = &mut self.team;
         let (swept, fitted) = rayon::join(
@@ -55,7 +57,7 @@ impl Algorithm for Happo {
         );
         let mut report = critic_report(&fitted?);
         report.extend(swept?);
-        report.extend(prepared.influence.iter().enumerate().flat_map(|(i, q)| q.report(i)));
+        report.extend(prepared.report(self.team.config.critic.mode, self.team.precision));
         Ok(report)
     }
 
@@ -86,19 +88,28 @@ fn sweep(
         let (agent, known) = (&mut agents[index], prepared.of(index));
         let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
         let trained = maximise(agent, known, &factor, (seed, draw))?;
-        reports[index] = agent_report(agent, index, &trained)?;
+        let moved = moved(agent, known.0)?;
+        reports[index] = agent_report(agent, index, known.0, &trained, &moved)?;
         reports[index].extend(place_in_the_sweep(index, position, &factor));
-        let log_prob_new = log_prob(agent, known.0)?;
-        factor = sequential_factor(&factor, &log_prob_new, &known.0.log_prob);
+        factor = sequential_factor(&factor, &moved.log_prob, &known.0.log_prob);
     }
     Ok(reports.concat())
 }
 
 /// When the agent was updated, and with what factor.
 fn place_in_the_sweep(index: usize, position: usize, factor: &[f64]) -> Report {
-    let mean = factor.iter().sum::<f64>() / factor.len() as f64;
-    let largest = factor.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x));
-    let named =
-        [("sweep_position", position as f64), ("factor_mean", mean), ("factor_largest", largest)];
+    let count = factor.len() as f64;
+    let mean = factor.iter().sum::<f64>() / count;
+    let variance = factor.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
+    let (lowest, highest) = factor_limits();
+    let held = factor.iter().filter(|&&x| x <= lowest || x >= highest).count();
+    let named = [
+        ("sweep_position", position as f64),
+        ("factor_mean", mean),
+        ("factor_deviation", libm::sqrt(variance)),
+        ("factor_smallest", factor.iter().fold(f64::INFINITY, |least, &x| least.min(x))),
+        ("factor_largest", factor.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x))),
+        ("factor_held", held as f64 / count),
+    ];
     named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect()
 }

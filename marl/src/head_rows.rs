@@ -138,6 +138,41 @@ impl HeadRows {
         Self::Gaussian { mean: d_mean, sigma: d_sigma }
     }
 
+    /// `KL[self || p]` of every row, `[R]`, nats.
+    ///
+    /// # Panics
+    /// If the kinds differ.
+    #[must_use]
+    pub fn kl_divergences(&self, p: &Self) -> Vec<f64> {
+        match (self, p) {
+            (Self::Gaussian { mean, sigma }, Self::Gaussian { mean: p_mean, sigma: p_sigma }) => {
+                let width = sigma.len();
+                let rows = mean.chunks_exact(width).zip(p_mean.chunks_exact(width));
+                rows.map(|(q, p)| gaussian::kl_divergence((q, sigma), (p, p_sigma))).collect()
+            }
+            (Self::Categorical { logits, choices }, Self::Categorical { logits: p, .. }) => {
+                let rows = logits.chunks_exact(*choices).zip(p.chunks_exact(*choices));
+                rows.map(|(q, p)| categorical::kl_divergence(q, p)).collect()
+            }
+            (own, p) => panic!("a divergence of {own:?} from {p:?}"),
+        }
+    }
+
+    /// Chunked rows `[L, C]` of some chunks, `[L, columns]`.
+    #[must_use]
+    pub fn columns(&self, layout: Layout, columns: &[usize]) -> Self {
+        match self {
+            Self::Gaussian { mean, sigma } => {
+                let mean = layout.columns(mean, sigma.len(), columns);
+                Self::Gaussian { mean, sigma: sigma.clone() }
+            }
+            Self::Categorical { logits, choices } => {
+                let logits = layout.columns(logits, *choices, columns);
+                Self::Categorical { logits, choices: *choices }
+            }
+        }
+    }
+
     /// Chunked rows `[L, C]` of some chunks, in the form in which [`Rows`] hold a posterior.
     #[must_use]
     pub fn posterior(&self, layout: Layout, columns: &[usize]) -> (Vec<f64>, Vec<f64>) {

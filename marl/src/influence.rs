@@ -13,6 +13,8 @@ pub mod posterior;
 use crate::config::{Divergence, Estimator, InfluenceConfig};
 use divergence::divergence;
 
+use crate::categorical;
+
 /// How one row of the influence term is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Term {
@@ -36,16 +38,25 @@ impl Term {
     /// Barber and Agakov's `E_p[log q + H[p]] = -KL[p || q]`. The latter is a lower bound of the
     /// information and needs no cap: it is at most 0, and highest where the policy is the posterior.
     /// `q` and `p` are `(mean, sigma)`, all `[act]`.
-    ///
-    /// # Panics
-    /// For counting, which has no gradient: the configuration refuses it for continuous actions.
     #[must_use]
     pub fn row(&self, q: (&[f64], &[f64]), p: (&[f64], &[f64])) -> (f64, f64) {
         match self.estimator {
-            Estimator::VariationalKl => capped_divergence(self.divergence, q, p, self.kappa),
+            Estimator::VariationalKl | Estimator::Count => {
+                capped_divergence(self.divergence, q, p, self.kappa)
+            }
             Estimator::BarberAgakov => (-divergence(self.divergence, q, p), -1.0),
-            Estimator::Count => {
-                unreachable!("the configuration refuses to count continuous actions")
+        }
+    }
+
+    /// As [`Term::row`] for a choice; `q` and `p` are logits `[K]`.
+    #[must_use]
+    pub fn row_of_choices(&self, q: &[f64], p: &[f64]) -> (f64, f64) {
+        match self.estimator {
+            Estimator::VariationalKl | Estimator::Count => {
+                categorical::capped_divergence(self.divergence, q, p, self.kappa)
+            }
+            Estimator::BarberAgakov => {
+                (-divergence::categorical::divergence(self.divergence, q, p), -1.0)
             }
         }
     }

@@ -10,8 +10,8 @@ use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Config, Sharing};
 use crate::error::MarlError;
 use crate::on_policy::agent::Agent;
-use crate::on_policy::ascent::{PerAgent, Trained, maximise, maximise_together};
-use crate::on_policy::{Prepared, Team, agent_report, critic_report};
+use crate::on_policy::ascent::{PerAgent, Trained, maximise, maximise_together, moved};
+use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
 
 /// MAPPO; its surrogate is HAPPO's with a factor of 1.
 pub struct Mappo {
@@ -42,7 +42,9 @@ impl Algorithm for Mappo {
         rewards: &Rewards,
         iteration: u64,
     ) -> Result<Report, MarlError> {
-        let prepared = self.team.prepare(batch, rewards, iteration)?;
+        let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
+            return Ok(skipped_report());
+        };
         let (sharing, Team { agents, critic, seed, .. }) = (self.sharing, &mut self.team);
         let (climbed, fitted) = rayon::join(
             || climb(agents, &prepared, sharing, (*seed, iteration)),
@@ -50,9 +52,11 @@ impl Algorithm for Mappo {
         );
         let mut report = critic_report(&fitted?);
         for (index, (agent, trained)) in self.team.agents.iter().zip(&climbed?).enumerate() {
-            report.extend(agent_report(agent, index, trained)?);
+            let experience = &prepared.experience[index];
+            let moved = moved(agent, experience)?;
+            report.extend(agent_report(agent, index, experience, trained, &moved)?);
         }
-        report.extend(prepared.influence.iter().enumerate().flat_map(|(i, q)| q.report(i)));
+        report.extend(prepared.report(self.team.config.critic.mode, self.team.precision));
         Ok(report)
     }
 

@@ -3,32 +3,33 @@
 
 pub(crate) mod agent;
 pub(crate) mod ascent;
+mod counted;
 mod joint;
 
 use std::sync::Arc;
 
-use policy::{ActorPolicy, Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
+use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
 use rayon::prelude::*;
 
 use crate::actor_loss::Figures;
 use crate::advantage::{Horizon, advantage};
 use crate::algorithm::{Report, refuse_strange};
 use crate::batch::{Batch, Problem, Rewards};
-use crate::config::{Config, Sharing};
-use crate::critic::{Critic, CriticFigures, Values};
+use crate::config::{Config, CriticMode, Sharing};
+use crate::critic::{Critic, CriticFigures, Values, explained_variance};
 use crate::error::MarlError;
 use crate::gaussian;
 use crate::on_policy::agent::{Agent, Experience, Influence};
-use crate::on_policy::ascent::{PerAgent, Trained};
+use crate::on_policy::ascent::{Moved, PerAgent, Trained};
 use crate::sequence::Layout;
 use crate::surrogate::normalized_advantage;
 
 /// All agents and their critic.
 pub(crate) struct Team {
-    config: Config,
+    pub(crate) config: Config,
     problem: Problem,
     chunk_steps: usize,
-    precision: Precision,
+    pub(crate) precision: Precision,
     pub(crate) seed: RunSeed,
     pub(crate) agents: Vec<Agent>,
     pub(crate) critic: Critic,
@@ -39,7 +40,7 @@ pub(crate) struct Prepared {
     pub(crate) experience: Vec<Experience>,
     pub(crate) influence: Vec<Influence>,
     pub(crate) values: Values,
-    /// Every agent's returns, `[N][T, B]`.
+    /// What the critic learns, `[V][T, B]`.
     pub(crate) returns: Vec<Vec<f64>>,
 }
 
@@ -48,11 +49,24 @@ impl Prepared {
     pub(crate) fn of(&self, agent: usize) -> PerAgent<'_> {
         (&self.experience[agent], &self.influence[agent])
     }
+
+    /// How well every agent's returns were known, and what its posterior came to.
+    pub(crate) fn report(&self, mode: CriticMode, precision: Precision) -> Report {
+        let mut report = Report::new();
+        for (index, influence) in self.influence.iter().enumerate() {
+            let of = |valued: &[Vec<f64>]| precision.rounded(mode.of_agent(valued, index));
+            let (known, returns) = (of(&self.values.now), of(&self.returns));
+            let explained = explained_variance(precision, &known, &returns);
+            report.push((format!("agent{index}/explained_variance"), explained));
+            report.extend(influence.report(index));
+        }
+        report
+    }
 }
 
 impl Team {
-    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision. Agents that share their parameters
-    /// all hold the first one's network.
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision. Agents
+    /// that share their parameters all hold the first one's network.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -75,7 +89,8 @@ impl Team {
         Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
     }
 
-    /// Checks the batch, values it, and fits the posteriors.
+    /// Checks the batch, values it, and fits the posteriors. Nothing is learnt, and nothing given, of
+    /// rewards or values that are no finite numbers: the critic's memory of returns never forgets.
     ///
     /// # Errors
     /// Refuses a batch that does not fit the problem.
@@ -84,19 +99,22 @@ impl Team {
         batch: &Batch,
         rewards: &Rewards,
         iteration: u64,
-    ) -> Result<Prepared, MarlError> {
+    ) -> Result<Option<Prepared>, MarlError> {
         let hidden: Vec<usize> = self.agents.iter().map(Agent::hidden_size).collect();
         batch.check(&self.problem, self.chunk_steps, &hidden)?;
         let layout = Layout::of(batch, self.chunk_steps);
         let values = self.critic.values(batch)?;
         let (advantages, returns) = self.advantages(batch, rewards, &values);
+        if !returns.iter().flatten().all(|value| value.is_finite()) {
+            return Ok(None);
+        }
         let experience = agent::gather(&self.agents, batch, layout, &advantages)?;
         let (agents, seed) = (&mut self.agents, self.seed);
         let influence = agent::fit_posteriors(agents, &experience, seed, iteration)?;
-        Ok(Prepared { experience, influence, values, returns })
+        Ok(Some(Prepared { experience, influence, values, returns }))
     }
 
-    /// Every agent's advantages and returns `[N][T, B]` under its own rewards.
+    /// Every agent's normalised advantages `[N][T, B]`, and the returns `[V][T, B]` that the critic learns.
     fn advantages(
         &self,
         batch: &Batch,
@@ -105,14 +123,19 @@ impl Team {
     ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         let update = &self.config.update;
         let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
-        let agent = |agent: usize| {
-            let (now, next) = (&values.now[agent], &values.next[agent]);
-            let rounded = |numbers| self.precision.rounded(numbers);
-            let advantage = rounded(advantage(batch, &rewards[agent], now, next, horizon));
+        let mode = self.config.critic.mode;
+        let valued = mode.rewards(&batch.reward, rewards);
+        let rounded = |numbers| self.precision.rounded(numbers);
+        let one = |head: usize| {
+            let (now, next) = (&values.now[head], &values.next[head]);
+            let advantage = rounded(advantage(batch, &valued[head], now, next, horizon));
             let returns = advantage.iter().zip(now).map(|(a, v)| a + v).collect();
-            (rounded(normalized_advantage(&advantage)), rounded(returns))
+            (advantage, rounded(returns))
         };
-        (0..rewards.len()).into_par_iter().map(agent).unzip()
+        let (raw, returns): (Vec<_>, Vec<_>) = (0..valued.len()).into_par_iter().map(one).unzip();
+        let own = |agent: usize| rounded(mode.of_agent(&raw, agent));
+        let agent = |agent: usize| rounded(normalized_advantage(&own(agent)));
+        ((0..rewards.len()).into_par_iter().map(agent).collect(), returns)
     }
 
     pub(crate) fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
@@ -153,6 +176,11 @@ impl Team {
     }
 }
 
+/// What is told of an update that was left out because returns were no finite numbers.
+pub(crate) fn skipped_report() -> Report {
+    vec![("losses/update_skipped".to_owned(), 1.0)]
+}
+
 /// What the critic's fit came to.
 pub(crate) fn critic_report(figures: &CriticFigures) -> Report {
     vec![
@@ -160,6 +188,7 @@ pub(crate) fn critic_report(figures: &CriticFigures) -> Report {
         ("losses/value_gradient_norm".to_owned(), figures.gradient_norm),
         ("losses/explained_variance".to_owned(), figures.explained_variance),
         ("losses/value_skipped_steps".to_owned(), figures.skipped as f64),
+        ("losses/update_skipped".to_owned(), 0.0),
     ]
 }
 
@@ -167,32 +196,41 @@ pub(crate) fn critic_report(figures: &CriticFigures) -> Report {
 pub(crate) fn agent_report(
     agent: &Agent,
     index: usize,
+    experience: &Experience,
     trained: &Trained,
+    moved: &Moved,
 ) -> Result<Report, MarlError> {
     let figures = &trained.figures;
     let named = [
         ("policy_loss", figures.policy_loss),
         ("approx_kl", figures.approx_kl),
+        ("exact_kl", moved.kl),
         ("clip_fraction", figures.clip_fraction),
+        ("ratio_held", figures.held_fraction),
         ("gradient_norm", trained.gradient_norm),
         ("skipped_steps", trained.skipped as f64),
         ("influence_kl", figures.influence),
         ("influence_capped", figures.capped_fraction),
     ];
-    let named = named.into_iter().chain(spread(&agent.policy()?, figures));
+    let equal = experience.advantage.iter().all(|&advantage| advantage == 0.0);
+    let named = named.into_iter().chain([("advantages_equal", f64::from(u8::from(equal)))]);
+    let named = named.chain(spread(agent, figures)?);
     Ok(named.map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
 }
 
 /// How widely the policy draws: a Gaussian after the update, choices on average over it.
-fn spread(policy: &ActorPolicy, figures: &Figures) -> Vec<(&'static str, f64)> {
+fn spread(agent: &Agent, figures: &Figures) -> Result<Vec<(&'static str, f64)>, MarlError> {
+    let policy = agent.policy()?;
     let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
-    match policy.head() {
+    Ok(match policy.head() {
         Head::Categorical { .. } => vec![("entropy", figures.entropy)],
         Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => vec![
             ("entropy", gaussian::entropy(&sigma)),
             ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
+            ("sigma_smallest", sigma.iter().fold(f64::INFINITY, |least, &x| least.min(x))),
+            ("sigma_floored", agent.floored(policy.sigma())),
         ],
-    }
+    })
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use policy::{CoreKind, PolicyConfig, arrays};
 use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
-    Config, Constant, CriticConfig, CriticMode, DensityKind, Divergence, Estimator, Fit,
-    InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Sharing, Space, SurpriseConfig,
+    Config, Constant, CountedState, CriticConfig, CriticMode, DensityKind, Divergence, Estimator,
+    Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Sharing, Space, SurpriseConfig,
     UpdateConfig,
 };
 use crate::error::MarlError;
@@ -175,6 +175,8 @@ fn influence() -> InfluenceConfig {
         minibatches: 1,
         sigma_floor: 0.05,
         holdout_every: 5,
+        lag: 0,
+        counted_state: CountedState::Observation,
     }
 }
 

@@ -14,6 +14,12 @@ pub fn ratio(log_prob_new: f64, log_prob_old: f64) -> f64 {
     exp((log_prob_new - log_prob_old).clamp(-LOG_RATIO_LIMIT, LOG_RATIO_LIMIT))
 }
 
+/// Whether [`ratio`] holds a log-ratio back.
+#[must_use]
+pub fn is_held(log_ratio: f64) -> bool {
+    log_ratio.abs() > LOG_RATIO_LIMIT
+}
+
 /// HAPPO's clipped surrogate of one row, `min(ratio A, clip(ratio, 1 - clip, 1 + clip) A)`, and its
 /// derivative by the ratio (at a tie the unclipped branch's).
 #[must_use]
@@ -23,17 +29,36 @@ pub fn clipped_surrogate(ratio: f64, advantage: f64, clip: f64) -> (f64, f64) {
     if free <= clipped { (free, advantage) } else { (clipped, 0.0) }
 }
 
-/// HAPPO's sequential factor `M' = M pi_new(a|o) / pi_old(a|o)`: the weight that agents already
-/// updated put on the next one's advantage. All slices are `[R]`; log-densities in nats.
+/// Lowest and highest sequential factor, `e^-10` and `e^10`.
 #[must_use]
-pub fn sequential_factor(factor: &[f64], log_prob_new: &[f64], log_prob_old: &[f64]) -> Vec<f64> {
-    let ratios = log_prob_new.iter().zip(log_prob_old).map(|(&new, &old)| ratio(new, old));
-    factor.iter().zip(ratios).map(|(factor, ratio)| factor * ratio).collect()
+pub fn factor_limits() -> (f64, f64) {
+    (exp(-LOG_RATIO_LIMIT), exp(LOG_RATIO_LIMIT))
 }
 
-/// `(A - mean) / (std + 1e-5)` over all rows, with the population's deviation. `[R]` to `[R]`.
+/// HAPPO's sequential factor `M' = M pi_new(a|o) / pi_old(a|o)`: the weight that agents already
+/// updated put on the next one's advantage. All slices are `[R]`; log-densities in nats.
+///
+/// `M` is held within [`factor_limits`]. A ratio that is no number counts as 1: such a row
+/// moves no policy, so that what one agent cannot weigh does not spoil the next one's update.
+#[must_use]
+pub fn sequential_factor(factor: &[f64], log_prob_new: &[f64], log_prob_old: &[f64]) -> Vec<f64> {
+    let (lowest, highest) = factor_limits();
+    let ratios = log_prob_new.iter().zip(log_prob_old).map(|(&new, &old)| ratio(new, old));
+    let ratios = ratios.map(|ratio| if ratio.is_nan() { 1.0 } else { ratio });
+    factor
+        .iter()
+        .zip(ratios)
+        .map(|(factor, ratio)| (factor * ratio).clamp(lowest, highest))
+        .collect()
+}
+
+/// `(A - mean) / (std + 1e-5)` over all rows, with the population's deviation. `[R]` to `[R]`. Equal
+/// advantages are 0: their mean may differ from them in the last bit, and the quotient is then noise.
 #[must_use]
 pub fn normalized_advantage(advantage: &[f64]) -> Vec<f64> {
+    if advantage.windows(2).all(|pair| pair[0] == pair[1]) {
+        return vec![0.0; advantage.len()];
+    }
     let (mean, deviation) = mean_and_deviation(advantage);
     advantage.iter().map(|&a| (a - mean) / (deviation + 1e-5)).collect()
 }
@@ -81,5 +106,17 @@ mod tests {
         let normal = normalized_advantage(&[1.0, 3.0]); // mean 2, deviation 1
         assert!((normal[0] + 1.0).abs() < 2e-5 && (normal[1] - 1.0).abs() < 2e-5);
         assert_eq!(normalized_advantage(&[7.0, 7.0]), vec![0.0, 0.0]);
+    }
+
+    #[test]
+    fn equal_advantages_are_zero_however_large_they_are() {
+        assert_eq!(normalized_advantage(&[1.1e30; 7]), vec![0.0; 7]);
+    }
+
+    #[test]
+    fn a_factor_stays_within_its_limits_and_a_ratio_that_is_no_number_leaves_it() {
+        let far = sequential_factor(&[exp(9.0), exp(-9.0)], &[5.0, -5.0], &[0.0, 0.0]);
+        assert_eq!(far, vec![exp(LOG_RATIO_LIMIT), exp(-LOG_RATIO_LIMIT)]);
+        assert_eq!(sequential_factor(&[2.0], &[f64::NAN], &[0.0]), vec![2.0]);
     }
 }

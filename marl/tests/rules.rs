@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use marl::config::{
-    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
-    Sharing, Space,
+    Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
+    Rule, Sharing, Space,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
@@ -98,6 +98,8 @@ fn influence_config(lambda: f64) -> InfluenceConfig {
         minibatches: 2,
         sigma_floor: 0.05,
         holdout_every: 5,
+        lag: 0,
+        counted_state: CountedState::Observation,
     }
 }
 

@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use marl::config::{
-    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
-    Sharing, Space,
+    Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
+    Rule, Sharing, Space,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
@@ -74,6 +74,8 @@ fn config(lambda: f64) -> Config {
             minibatches: 2,
             sigma_floor: 0.05,
             holdout_every: 5,
+            lag: 0,
+            counted_state: CountedState::Observation,
         },
         maddpg: unread(),
     }
@@ -215,6 +217,28 @@ fn two_agents_learn_a_sum_that_neither_commands_alone() {
         // Perfect means alone would come to 0.73: more takes less noise, too.
         assert!(mean(0..5) < 0.6, "{rewards:?}");
         assert!(mean(55..60) > 0.74, "lambda {lambda}: {rewards:?}");
+    }
+}
+
+#[test]
+fn whatever_the_critic_values_the_agents_learn_and_go_on_bit_for_bit_from_what_is_stored() {
+    let modes =
+        [CriticMode::PerAgent, CriticMode::SharedExtrinsicPlusIntrinsic, CriticMode::TeamMean];
+    for (mode, values) in modes.into_iter().zip([2, 3, 1]) {
+        let mut config = config(0.0);
+        config.critic.mode = mode;
+        let build = || marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
+        let mut kept = build();
+        let rewards: Vec<f32> = (0..60).map(|k| update(kept.as_mut(), k)).collect();
+        assert!(rewards[55..].iter().sum::<f32>() / 5.0 > 0.74, "{mode:?}: {rewards:?}");
+        let stored = kept.arrays().unwrap();
+        let of_values = stored.keys().filter(|name| name.starts_with("normalizer/value_"));
+        assert_eq!(of_values.count(), values, "{mode:?}");
+        let mut other = build();
+        other.restore(&stored).unwrap();
+        update(kept.as_mut(), 60);
+        update(other.as_mut(), 60);
+        assert_eq!(kept.arrays().unwrap(), other.arrays().unwrap(), "{mode:?}");
     }
 }
 

@@ -95,6 +95,7 @@ fn training() -> marl::Config {
             "lambda": 0.01, "estimator": "variational_kl", "divergence": "kl_qp",
             "q_training": "mle", "kappa": 1.0, "encoder": 8, "hidden": 8, "epochs": 2,
             "learning_rate": 5e-4, "minibatches": 1, "sigma_floor": 0.05, "holdout_every": 2,
+            "lag": 0, "counted_state": "observation",
         },
         "maddpg": {
             "replay": 1000, "batch": 8, "n_step": 2, "warm_up": 0, "updates_per_step": 0.1,

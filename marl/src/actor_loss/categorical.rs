@@ -2,6 +2,7 @@
 
 use super::{Coefficients, Figures, Rows, surrogate_slope};
 use crate::categorical;
+use crate::influence::divergence::categorical::add_gradient;
 use crate::influence::regularized_objective;
 
 /// The loss of some rows as their share of a minibatch, so that shares add up to the whole.
@@ -39,11 +40,11 @@ pub fn categorical_loss(
         categorical::add_entropy_gradient(-coefficients.entropy * share, p, gradient);
         if !rows.posterior.0.is_empty() {
             let q = &rows.posterior.0[of_row];
-            let (divergence, slope) = categorical::capped_divergence(q, p, coefficients.term.kappa);
-            loss.figures.influence += share * divergence;
-            loss.figures.capped_fraction += share * (1.0 - slope);
+            let (value, slope) = coefficients.term.row_of_choices(q, p);
+            loss.figures.influence += share * value;
+            loss.figures.capped_fraction += share * (1.0 - slope.abs());
             let weight = -coefficients.lambda * share * slope;
-            categorical::add_kl_gradient(weight, q, p, gradient);
+            add_gradient(coefficients.term.divergence, weight, q, p, gradient);
         }
     }
     let Figures { policy_loss, influence, entropy, .. } = loss.figures;

@@ -33,6 +33,10 @@ pub struct InfluenceConfig {
     pub sigma_floor: f64,
     /// Environments `e` with `e mod n = n - 1` train no posterior; they measure the estimate.
     pub holdout_every: usize,
+    /// Steps, 0 or 1, by which the others' actions that q is told are older than the own one.
+    pub lag: usize,
+    /// What stands for the state in the tables of `estimator = count`.
+    pub counted_state: CountedState,
 }
 
 /// How mutual information is estimated.
@@ -45,6 +49,16 @@ pub enum Estimator {
     BarberAgakov,
     /// Eq. 7: from how often each joint action occurs. It needs discrete actions.
     Count,
+}
+
+/// What stands for the state where joint actions are counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CountedState {
+    /// What the agent observes.
+    Observation,
+    /// The global state.
+    Global,
 }
 
 /// Which divergence stands in the regulariser.
@@ -83,25 +97,39 @@ impl InfluenceConfig {
             let range = "at least 2: with 1 no environment would be left to train on";
             return Err(refuse("influence.holdout_every", self.holdout_every, range));
         }
+        if self.lag > 1 {
+            let range = "0 (the same step's actions) or 1 (the step before's)";
+            return Err(refuse("influence.lag", self.lag, range));
+        }
         self.validate_estimator()
     }
 
-    /// Refuses what is not defined for choices: only the paper's own term is.
+    /// Refuses what is not defined for choices.
     pub(crate) fn check_for_choices(&self) -> Result<(), MarlError> {
-        let asked = (self.estimator, self.divergence, self.q_training);
-        let paper = (Estimator::VariationalKl, Divergence::KlQp, QTraining::Mle);
-        if self.lambda == 0.0 || asked == paper {
-            return Ok(());
+        match self.q_training {
+            QTraining::Joint if self.lambda > 0.0 => {
+                Err(refuse("influence.q_training", "joint", "mle for a task of choices"))
+            }
+            QTraining::Mle | QTraining::Joint => Ok(()),
         }
-        let range = "variational_kl with kl_qp and mle for a task of choices";
-        Err(refuse("influence", format!("{asked:?}"), range))
+    }
+
+    /// Refuses what is not defined for continuous actions.
+    pub(crate) fn check_for_numbers(&self) -> Result<(), MarlError> {
+        let range = "variational_kl or barber_agakov for continuous actions: counts need choices";
+        match self.estimator {
+            Estimator::Count => Err(refuse("influence.estimator", "count", range)),
+            Estimator::VariationalKl | Estimator::BarberAgakov => Ok(()),
+        }
     }
 
     fn validate_estimator(&self) -> Result<(), MarlError> {
         let bound = "kl_pq with estimator = barber_agakov, whose bound is -KL[p || q]";
-        let discrete = "variational_kl or barber_agakov: counts have no gradient to train by";
+        let counted = "mle with estimator = count: a table of counts has no parameters to train";
+        if (self.estimator, self.q_training) == (Estimator::Count, QTraining::Joint) {
+            return Err(refuse("influence.q_training", "joint", counted));
+        }
         match (self.estimator, self.divergence) {
-            (Estimator::Count, _) => Err(refuse("influence.estimator", "count", discrete)),
             (Estimator::BarberAgakov, Divergence::KlQp) => {
                 Err(refuse("influence.divergence", "kl_qp", bound))
             }
@@ -109,6 +137,59 @@ impl InfluenceConfig {
                 Err(refuse("influence.divergence", "cauchy_schwarz", bound))
             }
             _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::ActionKind;
+    use crate::config::Config;
+    use crate::probe;
+
+    /// Why the settings are refused for actions of this kind.
+    fn refusal(kind: ActionKind, change: impl Fn(&mut InfluenceConfig)) -> Option<String> {
+        let mut config: Config = probe::config();
+        change(&mut config.influence);
+        let mut problem = probe::problem();
+        problem.agents.iter_mut().for_each(|agent| agent.kind = kind);
+        let found = config.validate().and_then(|()| config.suits_agents(&problem));
+        found.err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_is_not_defined_for_a_kind_of_action_is_refused_in_one_line() {
+        let choices = ActionKind::Discrete { choices: 3 };
+        let count = |config: &mut InfluenceConfig| config.estimator = Estimator::Count;
+        let joint = |config: &mut InfluenceConfig| config.q_training = QTraining::Joint;
+        assert_eq!(refusal(choices, count), None);
+        assert_eq!(refusal(ActionKind::Continuous, joint), None);
+        for (kind, message) in [
+            (
+                refusal(ActionKind::Continuous, count),
+                "influence.estimator = count is out of range: variational_kl or barber_agakov for \
+                 continuous actions: counts need choices",
+            ),
+            (
+                refusal(choices, joint),
+                "influence.q_training = joint is out of range: mle for a task of choices",
+            ),
+            (
+                refusal(choices, |config| {
+                    count(config);
+                    joint(config);
+                }),
+                "influence.q_training = joint is out of range: mle with estimator = count: a table of \
+                 counts has no parameters to train",
+            ),
+            (
+                refusal(choices, |config| config.lag = 2),
+                "influence.lag = 2 is out of range: 0 (the same step's actions) or 1 (the step \
+                 before's)",
+            ),
+        ] {
+            assert_eq!(kind.as_deref(), Some(message));
         }
     }
 }

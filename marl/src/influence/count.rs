@@ -15,6 +15,38 @@ pub struct JointSample {
     pub others: u64,
 }
 
+/// What stands for `log 0`: `e^-700` is 1e-304, and products with its logarithm stay numbers.
+const LOG_NEVER: f64 = -700.0;
+
+/// Names for `count` equally long rows side by side in `rows`: equal rows have the same, the first one 0.
+#[must_use]
+pub fn numbered(rows: &[f32], count: usize) -> Vec<u64> {
+    let mut names = BTreeMap::new();
+    let width = rows.len() / count;
+    let name = |row: usize| {
+        // Adding 0 turns -0 into 0, which is the same number with other bits.
+        let row = &rows[row * width..(row + 1) * width];
+        let bits: Vec<u32> = row.iter().map(|x| (x + 0.0).to_bits()).collect();
+        let next = names.len() as u64;
+        *names.entry(bits).or_insert(next)
+    };
+    (0..count).map(name).collect()
+}
+
+/// Eq. (7): `q(a | a_n^-i, s) = N1(a, a_n^-i, s) / N2(a_n^-i, s)` of every sample `n`, over all choices `a`, as
+/// log-probabilities `[R, choices]`, nats.
+#[must_use]
+pub fn counted_conditional(samples: &[JointSample], choices: usize) -> Vec<f64> {
+    let joint = counts(samples, |sample| (sample.state, sample.others));
+    let row = |sample: &JointSample| {
+        let own = &joint[&(sample.state, sample.others)];
+        let of = total(own) as f64;
+        let share = move |a: usize| own.get(&(a as u32)).map_or(LOG_NEVER, |&n| log(n as f64 / of));
+        (0..choices).map(share)
+    };
+    samples.iter().flat_map(row).collect()
+}
+
 /// Occurrences of every own action, under each condition.
 type Counts<Condition> = BTreeMap<Condition, BTreeMap<u32, u64>>;
 
@@ -87,6 +119,21 @@ mod tests {
         assert!((counted_information(&coins(1, 10)).unwrap() - log(2.0)).abs() < 1e-12);
         assert!(counted_information(&coins(2, 5)).unwrap().abs() < 1e-12);
         assert_eq!(counted_information(&[]), None);
+    }
+
+    #[test]
+    fn counted_shares_are_those_of_the_rows_with_the_same_condition() {
+        let found = counted_conditional(&coins(1, 9), 3);
+        // The first sample's other coin shows 0, as do 9 of those whose own does and 1 of the rest.
+        let by_hand = [log(0.9), log(0.1), LOG_NEVER];
+        assert!(found[..3].iter().zip(by_hand).all(|(f, b)| (f - b).abs() < 1e-12), "{found:?}");
+        assert_eq!(found.len(), 60);
+    }
+
+    #[test]
+    fn equal_rows_have_the_same_name() {
+        assert_eq!(numbered(&[0.0, 1.0, 5.0, 1.0, -0.0, 1.0], 3), vec![0, 1, 0]);
+        assert_eq!(numbered(&[], 2), vec![0, 0]);
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! How far two diagonal Gaussians are from one another, in each of the configured senses, with
 //! gradients by either side. A Gaussian is `(mean, sigma)`, both `[A]`; a row of the influence term.
 
+pub mod categorical;
+
 use libm::log;
 
 use crate::config::Divergence;

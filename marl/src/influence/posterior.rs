@@ -214,6 +214,12 @@ impl Posterior {
         HeadRows::of(&self.forward(&data.features.detach(), data.others.to_vec())?)
     }
 
+    /// Optimiser steps skipped so far because their gradient was not finite.
+    #[must_use]
+    pub fn skipped(&self) -> i64 {
+        self.adam.skipped()
+    }
+
     /// `weights/posterior_I.*` and `optimizer/posterior_I.*`.
     ///
     /// # Errors
@@ -241,7 +247,7 @@ mod tests {
     use policy::randomness::standard_normal;
 
     use super::*;
-    use crate::config::{Divergence, Estimator, QTraining};
+    use crate::config::{CountedState, Divergence, Estimator, QTraining};
     use crate::gaussian;
     use crate::influence::mutual_information;
 
@@ -262,6 +268,8 @@ mod tests {
             minibatches: 20,
             sigma_floor: 0.05,
             holdout_every: 5,
+            lag: 0,
+            counted_state: CountedState::Observation,
         }
     }
 

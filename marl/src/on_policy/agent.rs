@@ -10,11 +10,13 @@ use rayon::prelude::*;
 use crate::actor_loss::Coefficients;
 use crate::algorithm::Report;
 use crate::batch::{ActionKind, Batch, Problem};
-use crate::config::{Config, QTraining, UpdateConfig};
+use crate::config::{Config, CountedState, Estimator, QTraining, UpdateConfig};
 use crate::error::MarlError;
 use crate::head_rows::HeadRows;
+use crate::influence::count::JointSample;
 use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
 use crate::influence::{Term, mutual_information};
+use crate::on_policy::counted;
 use crate::optimizer::{Adam, AdamConfig};
 use crate::sequence::{Layout, Sequences};
 use crate::surprise::entropy_bound;
@@ -27,11 +29,16 @@ pub(crate) struct Agent {
     pub(crate) adam: Adam,
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
-    kind: ActionKind,
+    pub(super) kind: ActionKind,
     pub(super) precision: Precision,
     pub(super) posterior: Option<Posterior>,
     pub(super) q_training: QTraining,
     holdout_every: usize,
+    /// What is counted in the posterior's place.
+    pub(super) counted: Option<CountedState>,
+    /// Steps by which the others' actions that a posterior sees are older than the own one.
+    lag: usize,
+    sigma_floor: f32,
 }
 
 /// What one agent has experienced, in chunked order, and what the behaviour weights made of it.
@@ -41,10 +48,14 @@ pub(crate) struct Experience {
     pub(crate) advantage: Vec<f64>,
     /// Log-densities of the actions under the behaviour weights, `[L, C]`, nats.
     pub(crate) log_prob: Vec<f64>,
+    /// The behaviour policy of every row.
+    pub(crate) behaviour: HeadRows,
     /// The trunk's features under the behaviour weights, `[L * C, F]`; a constant.
     features: Tensor,
     /// Every other agent's action, in agent order, `[L, C, others]`.
     others: Vec<f32>,
+    /// The same with the own action as names to count, `[L, C]`; nothing unless they are counted.
+    pub(super) samples: Option<Vec<JointSample>>,
 }
 
 impl Experience {
@@ -60,9 +71,15 @@ impl Experience {
 pub(crate) struct Influence {
     pub(crate) conditional: Option<HeadRows>,
     /// Mean log-likelihood on the rows trained on, nats.
-    log_likelihood: f64,
-    /// Mean of `log q - log p` on held-out rows, nats.
-    mi_estimate: Option<f64>,
+    pub(super) log_likelihood: f64,
+    /// Mean of `log q - log p` on held-out rows, or what counting says of all rows (Eq. 7), nats.
+    pub(super) mi_estimate: Option<f64>,
+    /// Mean negative log-likelihoods of the posterior and of the policy on held-out rows, nats.
+    pub(super) held_out: Option<(f64, f64)>,
+    /// Mean `KL[q || p]` of all rows under the behaviour policy, without a cap, nats.
+    pub(super) divergence: f64,
+    /// Optimiser steps of the posterior that were skipped so far.
+    pub(super) skipped: i64,
 }
 
 impl Influence {
@@ -70,9 +87,16 @@ impl Influence {
         if self.conditional.is_none() {
             return Report::new();
         }
-        let held_out = self.mi_estimate.map(|found| (format!("agent{agent}/mi_estimate"), found));
-        let trained = (format!("agent{agent}/posterior_log_likelihood"), self.log_likelihood);
-        std::iter::once(trained).chain(held_out).collect()
+        let mut named = vec![
+            ("posterior_log_likelihood", self.log_likelihood),
+            ("posterior_kl", self.divergence),
+            ("posterior_skipped_steps", self.skipped as f64),
+        ];
+        named.extend(self.mi_estimate.map(|found| ("mi_estimate", found)));
+        if let Some((posterior, policy)) = self.held_out {
+            named.extend([("posterior_nll", posterior), ("policy_nll", policy)]);
+        }
+        named.into_iter().map(|(name, value)| (format!("agent{agent}/{name}"), value)).collect()
     }
 }
 
@@ -103,8 +127,9 @@ impl Agent {
             kind: shape.kind,
         };
         let wanted = influence.lambda > 0.0 && own.others > 0;
+        let counts = influence.estimator == Estimator::Count;
         let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
-        let posterior = wanted
+        let posterior = (wanted && !counts)
             .then(|| Posterior::new(influence, policy, q_adam, own, (seed, precision, number)))
             .transpose()?;
         Ok(Self {
@@ -122,6 +147,9 @@ impl Agent {
             posterior,
             q_training: influence.q_training,
             holdout_every: influence.holdout_every,
+            counted: (wanted && counts).then_some(influence.counted_state),
+            lag: influence.lag,
+            sigma_floor: policy.sigma_floor,
         })
     }
 
@@ -161,19 +189,26 @@ impl Agent {
         self.posterior.as_mut().map_or(Ok(()), |own| own.restore(index, arrays))
     }
 
-    /// Log-densities of the actions `[R]` and the features of some chunks, under today's weights.
+    /// Share of `sigma`'s dimensions that stand at the floor.
+    pub(crate) fn floored(&self, sigma: &[f32]) -> f64 {
+        let lowest = self.sigma_floor * (1.0 + 1e-5);
+        sigma.iter().filter(|&&sigma| sigma <= lowest).count() as f64 / sigma.len() as f64
+    }
+
+    /// The policy, log-densities of the actions `[R]` and the features of some chunks, under today's
+    /// weights.
     pub(crate) fn log_prob(
         &self,
         sequences: &Sequences,
         columns: &[usize],
-    ) -> Result<(Vec<f64>, Tensor), MarlError> {
+    ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
         let features = self.network.features(&sequences.input(columns, self.precision.dtype())?)?;
         let rows = HeadRows::of(&self.network.head(&features)?)?;
         let width = rows.action_size();
         let action = sequences.layout.columns(&sequences.action, width, columns);
         let actions = action.chunks_exact(width).enumerate();
-        let log_prob = actions.map(|(row, action)| rows.log_prob_of(row, action));
-        Ok((log_prob.collect(), features.detach()))
+        let log_prob = actions.map(|(row, action)| rows.log_prob_of(row, action)).collect();
+        Ok((rows, log_prob, features.detach()))
     }
 
     /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
@@ -183,6 +218,9 @@ impl Agent {
         experience: &Experience,
         (seed, draw): (RunSeed, Draw),
     ) -> Result<Influence, MarlError> {
+        if let Some(samples) = &experience.samples {
+            return Ok(counted::influence(samples, self.kind, experience));
+        }
         let Some(posterior) = &mut self.posterior else { return Ok(Influence::default()) };
         let layout = experience.sequences.layout;
         let last = self.holdout_every - 1;
@@ -199,8 +237,12 @@ impl Agent {
         let found = || -entropy_bound(&conditional.log_prob(action, &trained));
         let log_likelihood = fitted.unwrap_or_else(found);
         let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
-        let mi_estimate = mutual_information(&conditional.log_prob(action, &holdout), &log_p);
-        Ok(Influence { conditional: Some(conditional), log_likelihood, mi_estimate })
+        let log_q = conditional.log_prob(action, &holdout);
+        let mi_estimate = mutual_information(&log_q, &log_p);
+        let held_out = mi_estimate.map(|_| (entropy_bound(&log_q), entropy_bound(&log_p)));
+        let divergence = mean(&conditional.kl_divergences(&experience.behaviour));
+        let (conditional, skipped) = (Some(conditional), posterior.skipped());
+        Ok(Influence { conditional, log_likelihood, mi_estimate, held_out, divergence, skipped })
     }
 }
 
@@ -215,19 +257,31 @@ pub(crate) fn gather(
     let one = |index: usize| {
         let agent = &agents[index];
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-        let (log_prob, features) = agent.log_prob(&sequences, &columns)?;
+        let (behaviour, log_prob, features) = agent.log_prob(&sequences, &columns)?;
+        let others = other_actions(agents, batch, index, layout);
+        let samples =
+            agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));
         Ok(Experience {
             sequences,
             advantage: layout.chunked(&advantages[index], 1),
             log_prob,
+            behaviour,
             features,
-            others: other_actions(agents, batch, index, layout),
+            others,
+            samples,
         })
     };
     (0..agents.len()).into_par_iter().map(one).collect()
 }
 
-/// The actions of all agents but `agent` as others see them, side by side in agent order, `[L, C, others]`.
+/// Mean of `[R]` numbers, summed in order; of at least one.
+pub(super) fn mean(numbers: &[f64]) -> f64 {
+    numbers.iter().sum::<f64>() / numbers.len() as f64
+}
+
+/// The actions of all agents but `agent` as others see them, side by side in agent order, `[L, C, others]`: those
+/// of the same step, or with a lag of 1 those of the step before, which are zeros where `D_k` does not show it, at
+/// an episode's first step and at that of `D_k`.
 fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
     let rows = batch.rows();
     let others: Vec<(ActionKind, &[f32])> = (0..agents.len())
@@ -236,13 +290,23 @@ fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: Layout) 
         .collect();
     let mut seen = Vec::new();
     for row in 0..rows {
+        let source = earlier(batch, row, agents[agent].lag);
         for (kind, actions) in &others {
             let width = actions.len() / rows;
-            kind.see(&actions[row * width..(row + 1) * width], &mut seen);
+            match source {
+                Some(row) => kind.see(&actions[row * width..(row + 1) * width], &mut seen),
+                None => seen.resize(seen.len() + kind.seen_size(width), 0.0),
+            }
         }
     }
     let width = seen.len() / rows;
     layout.chunked(&seen, width)
+}
+
+/// The row `lag` steps (0 or 1) before row `t * B + b` of the same episode, if `D_k` holds it.
+fn earlier(batch: &Batch, row: usize, lag: usize) -> Option<usize> {
+    let before = row.checked_sub(lag * batch.environments)?;
+    (lag == 0 || !batch.done(before)).then_some(before)
 }
 
 /// All agents' posteriors, in parallel.

@@ -132,20 +132,31 @@ fn shard(
     Ok((figures, Gradients::of(agent.network.parameters(), &gradient.root(&head)?)?))
 }
 
-/// Log-densities of all actions under today's weights, `[L, C]`, computed shard by shard.
-pub(crate) fn log_prob(agent: &Agent, experience: &Experience) -> Result<Vec<f64>, MarlError> {
+/// What became of a policy since its data were collected.
+pub(crate) struct Moved {
+    /// Log-densities of all actions under today's weights, `[L, C]`, nats.
+    pub(crate) log_prob: Vec<f64>,
+    /// Mean of `KL[old || new]` over all rows, in closed form, nats.
+    pub(crate) kl: f64,
+}
+
+/// Today's weights asked about all rows, computed shard by shard.
+pub(crate) fn moved(agent: &Agent, experience: &Experience) -> Result<Moved, MarlError> {
     let layout = experience.sequences.layout;
     let parts = split(layout.chunks, agent.update.shards);
     let shards = parts
         .into_par_iter()
         .map(|range| {
             let columns: Vec<usize> = range.collect();
-            Ok((agent.log_prob(&experience.sequences, &columns)?.0, columns))
+            let (new, log_prob, _) = agent.log_prob(&experience.sequences, &columns)?;
+            let old = experience.behaviour.columns(layout, &columns);
+            Ok((log_prob, old.kl_divergences(&new).iter().sum::<f64>(), columns))
         })
         .collect::<Result<Vec<_>, MarlError>>()?;
-    let mut all = vec![0.0; layout.rows()];
-    for (log_prob, columns) in shards {
+    let (mut all, mut kl) = (vec![0.0; layout.rows()], 0.0);
+    for (log_prob, part, columns) in shards {
         layout.scatter(&log_prob, &mut all, 1, &columns);
+        kl += part;
     }
-    Ok(all)
+    Ok(Moved { log_prob: all, kl: kl / layout.rows() as f64 })
 }

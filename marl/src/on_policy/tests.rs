@@ -5,7 +5,7 @@ use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use policy::{CoreKind, PolicyConfig, Precision, RunSeed, Scratch};
 
 use super::agent::{Agent, Experience, Influence, gather};
-use super::ascent::{gradient, log_prob};
+use super::ascent::{gradient, moved};
 use crate::batch::{AgentBatch, Batch, Problem};
 use crate::minibatch::minibatches;
 use crate::probe;
@@ -91,7 +91,7 @@ fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64
     let layout = Layout::of(batch, steps);
     let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
     let columns: Vec<usize> = (0..layout.chunks).collect();
-    let (found, _) = agent.log_prob(&sequences, &columns).unwrap();
+    let (_, found, _) = agent.log_prob(&sequences, &columns).unwrap();
     let mut in_time = vec![0.0; batch.rows()];
     for step in 0..layout.steps {
         for chunk in 0..layout.chunks {
@@ -152,8 +152,8 @@ fn an_agent_that_has_not_moved_leaves_the_factor_at_one() {
         let experience = experience(&agents, &played(&agents, &probe::problem()));
         let mut factor = vec![1.0; experience[0].log_prob.len()];
         for (agent, experience) in agents.iter().zip(&experience) {
-            let now = log_prob(agent, experience).unwrap();
-            factor = sequential_factor(&factor, &now, &experience.log_prob);
+            let now = moved(agent, experience).unwrap();
+            factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
         }
         assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{core:?}: {factor:?}");
     }

@@ -1,8 +1,8 @@
 //! The learning rules under test, and sizes at which a toy is learnt in a second.
 
 use marl::config::{
-    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
-    Sharing, Space,
+    Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
+    Rule, Sharing, Space,
 };
 use marl::{Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig};
 use policy::{CoreKind, PolicyConfig};
@@ -145,6 +145,8 @@ fn influence() -> InfluenceConfig {
         minibatches: 1,
         sigma_floor: 0.05,
         holdout_every: 5,
+        lag: 0,
+        counted_state: CountedState::Observation,
     }
 }
 

@@ -1,8 +1,8 @@
 //! What the reference updates are told: the file's settings, and sizes that its arrays have.
 
 use marl::config::{
-    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
-    Sharing, Space,
+    Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
+    Rule, Sharing, Space,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
@@ -90,6 +90,8 @@ fn influence(reference: &Reference) -> InfluenceConfig {
         minibatches: 1,
         sigma_floor: reference.setting("policy.sigma_floor"),
         holdout_every: reference.setting("influence.holdout_every") as usize,
+        lag: 0,
+        counted_state: CountedState::Observation,
     }
 }
 

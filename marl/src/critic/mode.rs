@@ -1,0 +1,113 @@
+//! Whose rewards the critic values, and how an agent's advantage comes of them.
+
+use crate::batch::Rewards;
+use crate::config::CriticMode;
+
+impl CriticMode {
+    /// `V`, how many values the critic gives for `agents` agents.
+    #[must_use]
+    pub fn values(self, agents: usize) -> usize {
+        match self {
+            Self::PerAgent => agents,
+            Self::SharedExtrinsicPlusIntrinsic => 1 + agents,
+            Self::TeamMean => 1,
+        }
+    }
+
+    /// The rewards that are valued, `[V][T, B]`, of the team's `[T, B]` and the agents' `[N][T, B]`, which are the
+    /// team's and what surprise adds: the agents' own; or the team's and then what surprise adds for each agent; or
+    /// the team's and the mean of what surprise adds.
+    #[must_use]
+    pub fn rewards(self, team: &[f32], agents: &Rewards) -> Rewards {
+        match self {
+            Self::PerAgent => agents.clone(),
+            Self::SharedExtrinsicPlusIntrinsic => {
+                let added =
+                    agents.iter().map(|own| own.iter().zip(team).map(|(a, r)| a - r).collect());
+                std::iter::once(team.to_vec()).chain(added).collect()
+            }
+            Self::TeamMean => vec![(0..team.len()).map(|row| mean(agents, row)).collect()],
+        }
+    }
+
+    /// What agent `agent` has of `[V][T, B]` advantages, values or returns: the sum of those that concern it.
+    #[must_use]
+    pub fn of_agent(self, valued: &[Vec<f64>], agent: usize) -> Vec<f64> {
+        match self {
+            Self::PerAgent => valued[agent].clone(),
+            Self::SharedExtrinsicPlusIntrinsic => valued[0]
+                .iter()
+                .zip(&valued[1 + agent])
+                .map(|(extrinsic, own)| extrinsic + own)
+                .collect(),
+            Self::TeamMean => valued[0].clone(),
+        }
+    }
+}
+
+fn mean(agents: &Rewards, row: usize) -> f32 {
+    let sum: f64 = agents.iter().map(|own| f64::from(own[row])).sum();
+    (sum / agents.len() as f64) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::advantage::{Horizon, advantage, next_values};
+    use crate::batch::{Batch, Final};
+
+    const MODES: [CriticMode; 3] =
+        [CriticMode::PerAgent, CriticMode::SharedExtrinsicPlusIntrinsic, CriticMode::TeamMean];
+    const HALF: Horizon = Horizon { gamma: 0.5, lambda: 0.5 };
+
+    /// Two steps of one environment that end nothing, and pay the team 1 and 2.
+    fn batch() -> Batch {
+        Batch {
+            steps: 2,
+            environments: 1,
+            reward: vec![1.0, 2.0],
+            terminated: vec![false; 2],
+            truncated: vec![false; 2],
+            finals: vec![Final { step: 1, environment: 0, ..Final::default() }],
+            ..Batch::default()
+        }
+    }
+
+    /// Both agents' advantages where every state is worth `values`, `[V]`.
+    fn advantages(mode: CriticMode, rewards: &Rewards, values: &[f64]) -> [Vec<f64>; 2] {
+        let batch = batch();
+        let valued = mode.rewards(&batch.reward, rewards);
+        assert_eq!(valued.len(), mode.values(2));
+        let one = |(reward, &value): (&Vec<f32>, &f64)| {
+            let now = [value; 2];
+            advantage(&batch, reward, &now, &next_values(&batch, &now, &[value]), HALF)
+        };
+        let valued: Vec<Vec<f64>> = valued.iter().zip(values).map(one).collect();
+        [0, 1].map(|agent| mode.of_agent(&valued, agent))
+    }
+
+    #[test]
+    fn without_surprise_all_modes_give_the_same_advantages() {
+        let rewards = vec![vec![1.0, 2.0]; 2];
+        // A1 = 2 + 2 - 4 = 0, A0 = 1 + 2 - 4 + A1 / 4 = -1
+        for (mode, values) in MODES.into_iter().zip([&[4.0, 4.0][..], &[4.0, 0.0, 0.0], &[4.0]]) {
+            assert_eq!(advantages(mode, &rewards, values), [[-1.0, 0.0], [-1.0, 0.0]], "{mode:?}");
+        }
+    }
+
+    #[test]
+    fn with_surprise_every_mode_meets_its_hand_worked_case() {
+        // Surprise adds -1 and -3 for the first agent, 1 and 1 for the second.
+        let rewards = vec![vec![0.0, -1.0], vec![2.0, 3.0]];
+        let of = |mode, values: &[f64]| advantages(mode, &rewards, values);
+        // A1 = r1, A0 = r0 + A1 / 4 where values are 0.
+        let own = [vec![-0.25, -1.0], vec![2.75, 3.0]];
+        assert_eq!(of(CriticMode::PerAgent, &[0.0, 0.0]), own);
+        // Advantages are linear in rewards and values, so that the parts add up to the whole.
+        let shared = CriticMode::SharedExtrinsicPlusIntrinsic;
+        assert_eq!(of(shared, &[0.0, 0.0, 0.0]), own);
+        assert_eq!(of(shared, &[3.0, -1.0, 1.0]), of(CriticMode::PerAgent, &[2.0, 4.0]));
+        // The mean of what surprise adds is 0 and -1: all are paid 1 and 1.
+        assert_eq!(of(CriticMode::TeamMean, &[0.0]), [[1.25, 1.0], [1.25, 1.0]]);
+    }
+}
