@@ -73,6 +73,11 @@ impl Team {
         Ok(Self { config, problem, chunk_steps: policy.chunk_steps, seed, agents, critic })
     }
 
+    pub(crate) fn scale_learning_rates(&mut self, share: f64) {
+        self.critic.scale_learning_rate(share);
+        self.agents.iter_mut().for_each(|agent| agent.adam.scale_learning_rate(share));
+    }
+
     /// Checks the batch, values it, and fits the posteriors.
     ///
     /// # Errors

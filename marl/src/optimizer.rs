@@ -27,6 +27,8 @@ pub struct AdamConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
     config: AdamConfig,
+    /// Share of the configured step size that the next steps take.
+    share: f64,
     names: Vec<String>,
     shapes: Vec<Vec<usize>>,
     first: Vec<Vec<f32>>,
@@ -43,6 +45,7 @@ impl Adam {
             parameters.iter().map(|(_, var)| vec![0.0; var.elem_count()]).collect();
         Self {
             config,
+            share: 1.0,
             names: parameters.iter().map(|(name, _)| name.to_owned()).collect(),
             shapes: parameters.iter().map(|(_, var)| var.dims().to_vec()).collect(),
             first: zeros.clone(),
@@ -50,6 +53,11 @@ impl Adam {
             steps: 0,
             skipped: 0,
         }
+    }
+
+    /// From now on steps have the share `share` of the configured size. It is not part of the state to keep.
+    pub fn scale_learning_rate(&mut self, share: f64) {
+        self.share = share;
     }
 
     /// Takes one step down the gradient and returns the gradient's norm before clipping. A gradient
@@ -81,7 +89,8 @@ impl Adam {
     /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
     /// `x -= lr / (1 - b1^t) m / (sqrt(v) / sqrt(1 - b2^t) + eps)`.
     fn move_values(&mut self, index: usize, values: &mut [f32], gradient: &[f32], scale: f32) {
-        let step_size = (self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64))) as f32;
+        let learning_rate = self.share * self.config.learning_rate;
+        let step_size = (learning_rate / (1.0 - pow(BETA_1, self.steps as f64))) as f32;
         let root = sqrt(1.0 - pow(BETA_2, self.steps as f64)) as f32;
         let epsilon = self.config.epsilon as f32;
         let (keep_1, take_1) = (BETA_1 as f32, (1.0 - BETA_1) as f32);

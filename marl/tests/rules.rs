@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use marl::config::{
-    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
+    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule, Scored,
     Sharing, Space,
 };
 use marl::{
@@ -74,6 +74,7 @@ fn update_config(rule: Rule, parameters: Sharing) -> UpdateConfig {
         gamma: 0.9,
         gae_lambda: 0.95,
         learning_rate: 3e-3,
+        learning_rate_decay: marl::LearningRateDecay::None,
         adam_epsilon: 1e-5,
         clip: 0.2,
         epochs: 5,
@@ -108,6 +109,7 @@ fn surprise() -> SurpriseConfig {
         fit: Fit::Current,
         ema_memory: 0.9,
         space: Space::PolicyObs,
+        obs: Scored::Current,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,
@@ -133,6 +135,8 @@ fn problem() -> Problem {
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![0, 1],
+        seen: vec![],
+        near: vec![],
     };
     Problem { agents: vec![shape.clone(), shape], state: 2 }
 }

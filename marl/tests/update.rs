@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use marl::config::{
-    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule,
+    Constant, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce, Rule, Scored,
     Sharing, Space,
 };
 use marl::{
@@ -40,6 +40,7 @@ fn config(lambda: f64) -> Config {
             gamma: 0.9,
             gae_lambda: 0.95,
             learning_rate: 3e-3,
+            learning_rate_decay: marl::LearningRateDecay::None,
             adam_epsilon: 1e-5,
             clip: 0.2,
             epochs: 5,
@@ -99,6 +100,7 @@ fn surprise() -> SurpriseConfig {
         fit: Fit::Current,
         ema_memory: 0.9,
         space: Space::PolicyObs,
+        obs: Scored::Current,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,
@@ -124,6 +126,8 @@ fn problem() -> Problem {
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![0, 1],
+        seen: vec![],
+        near: vec![],
     };
     Problem { agents: vec![shape.clone(), shape], state: 2 }
 }
@@ -294,4 +298,16 @@ fn a_batch_that_is_no_number_is_refused_and_changes_nothing() {
     let error = algorithm.update(&batch, &rewards, 0).unwrap_err().to_string();
     assert_eq!(error, "batch.agents[1].action[3] is NaN");
     assert_eq!(algorithm.arrays().unwrap(), before);
+}
+
+#[test]
+fn a_share_of_nothing_of_the_step_size_leaves_actors_and_critic_where_they_are() {
+    let mut algorithm = algorithm(0.0, 1);
+    let before = algorithm.weights().unwrap();
+    algorithm.scale_learning_rates(0.0);
+    update(algorithm.as_mut(), 0);
+    assert_eq!(algorithm.weights().unwrap(), before);
+    algorithm.scale_learning_rates(1.0);
+    update(algorithm.as_mut(), 1);
+    assert_ne!(algorithm.weights().unwrap(), before);
 }
