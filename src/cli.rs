@@ -60,6 +60,7 @@ pub(crate) enum Command {
     /// List the tasks with their agents, joints and sizes.
     Tasks(TasksArguments),
     /// Print the resolved configuration with the origin of each value.
+    #[command(after_help = CONFIG_LAYERS)]
     Config(SettingsArguments),
     /// Make certificates for a learner and for each role, signed by a new authority.
     Certs(CertsArguments),
@@ -72,6 +73,17 @@ Examples:
   s2mia train --resume runs/NAME run.env_steps=2000000
 
 `s2mia config` prints every key that can be set.";
+
+const CONFIG_LAYERS: &str = "\
+Later layers win:
+  configs/base.toml             every default
+  configs/tasks/TASK.toml       the first argument, or task=TASK
+  configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
+  configs/algorithms/NAME.toml  algorithm=NAME
+  configs/presets/PRESET.toml   algorithm.NAME.TASK, where a preset says so
+  --config FILE                 in the order given
+  S2MIA__SECTION__KEY           environment variables
+  section.key=value             arguments";
 
 /// What decides the configuration.
 #[derive(Args, Clone, Debug, Default)]

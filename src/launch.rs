@@ -166,6 +166,7 @@ fn manifest(config: &RunConfig) -> serde_json::Value {
         "rustc": env!("S2MIA_RUSTC"),
         "task": config.task.task,
         "algorithm": config.resolved.text("algorithm"),
+        "preset": config.resolved.text("preset"),
         "seed": config.run.seed,
     })
 }

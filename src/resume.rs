@@ -5,13 +5,16 @@ use crate::run_config::RunConfig;
 
 const MAY_CHANGE: &str =
     "a resume may change operational keys and raise run.iterations or run.env_steps";
+const DECAYS: &str =
+    "with update.learning_rate_decay = linear every step depends on the length of the run";
 const MAY_RISE: &str = "it may only be raised";
 
 /// Refuses, by name, the first setting of `new` that would make the run another one.
 pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError> {
     for (key, value) in old.resolved.semantic() {
         if new.resolved.entries[key].value != *value {
-            return Err(fixed(&old.resolved, &new.resolved, key, MAY_CHANGE));
+            let allowed = if keys::is_length(key) { DECAYS } else { MAY_CHANGE };
+            return Err(fixed(&old.resolved, &new.resolved, key, allowed));
         }
     }
     if new.iterations() < old.iterations() {
@@ -53,6 +56,19 @@ mod tests {
         ] {
             assert_eq!(check(&old, &config(more)), Ok(()), "{more:?}");
         }
+    }
+
+    #[test]
+    fn a_run_whose_steps_depend_on_its_length_keeps_it() {
+        let linear = "update.learning_rate_decay=linear";
+        let old = config(&["run.iterations=5", linear]);
+        assert_eq!(check(&old, &config(&["run.iterations=5", linear, "run.actors=7"])), Ok(()));
+        let error = check(&old, &config(&["run.iterations=9", linear])).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "command line: `run.iterations` cannot change on resume: the run has 5, found 9; \
+             with update.learning_rate_decay = linear every step depends on the length of the run"
+        );
     }
 
     #[test]

@@ -191,12 +191,42 @@ mod tests {
         RunConfig::build(layers::resolve(&Request { settings, ..Request::default() }).unwrap())
     }
 
+    fn tasks_and_presets() -> Vec<(&'static str, &'static str)> {
+        let presets = || presets::PRESETS.iter().map(|preset| preset.name);
+        presets::TASKS.iter().flat_map(|task| presets().map(|preset| (task.name, preset))).collect()
+    }
+
     #[test]
-    fn every_task_with_every_algorithm_is_valid() {
-        for task in presets::TASKS {
+    fn every_task_with_every_algorithm_and_preset_is_valid() {
+        for (task, preset) in tasks_and_presets() {
             for algorithm in presets::ALGORITHMS {
-                let config = built(&[task.name, &format!("algorithm={}", algorithm.name)]).unwrap();
-                assert_eq!(config.task.task, task.name);
+                let algorithm = format!("algorithm={}", algorithm.name);
+                let config = built(&[task, &algorithm, &format!("preset={preset}")]).unwrap();
+                assert_eq!(config.task.task, task);
+                sim::Environments::new(&config.task, 1).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
+        for (algorithm, alpha, lambda, entropy) in [
+            ("happo", 0.0, 0.0, 0.01),
+            ("happo-sm", 0.01, 0.0, 0.0),
+            ("happo-smh", 0.01, 0.0, 0.01),
+            ("happo-s2mia", 0.01, 0.01, 0.0),
+            ("happo-mi", 0.0, 0.01, 0.0),
+            ("happo-0", 0.0, 0.0, 0.0),
+        ] {
+            for (task, preset) in tasks_and_presets() {
+                let settings =
+                    [task, &format!("algorithm={algorithm}"), &format!("preset={preset}")];
+                let marl::Config { update, surprise, influence, .. } =
+                    built(&settings).unwrap().training;
+                let harls = preset == "harl" && ["walker2d-2x3", "ant-4x2"].contains(&task);
+                let entropy = if algorithm == "happo" && harls { 0.0 } else { entropy };
+                let found = (surprise.alpha, influence.lambda, update.entropy);
+                assert_eq!(found, (alpha, lambda, entropy), "{settings:?}");
             }
         }
     }

@@ -32,6 +32,8 @@ fn agent(agent: &sim::AgentDescription) -> AgentSpec {
         name: agent.name.clone(),
         joints: agent.joints.clone(),
         observation: agent.observation.iter().map(feature).collect(),
+        seen: agent.seen.iter().map(|&place| place as u32).collect(),
+        near: agent.near.iter().map(|&place| place as u32).collect(),
         action: ActionSpec {
             size: agent.action.size as u32,
             low: agent.action.low,

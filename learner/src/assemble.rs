@@ -106,6 +106,10 @@ impl Layout {
 /// What the algorithm is told about the environment: sizes, kinds of action, and which features carry a signal.
 #[must_use]
 pub fn problem(environment: &EnvironmentSpec) -> Problem {
+    let is_signal = |place: &usize| environment.state[*place].role == FeatureRole::Signal;
+    let signals = |places: &[u32]| -> Vec<usize> {
+        places.iter().map(|&place| place as usize).filter(is_signal).collect()
+    };
     let shape = |agent: &proto::AgentSpec| AgentShape {
         observation: agent.observation.len(),
         action: agent.action.size as usize,
@@ -117,6 +121,8 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
         surprise_features: (0..agent.observation.len())
             .filter(|&index| agent.observation[index].role == FeatureRole::Signal)
             .collect(),
+        seen: signals(&agent.seen),
+        near: signals(&agent.near),
     };
     Problem {
         agents: environment.agents.iter().map(shape).collect(),

@@ -204,6 +204,7 @@ fn build(
         layout,
         policy: policy_bytes(algorithm.as_ref())?,
         algorithm,
+        decay: launch.training.update.learning_rate_decay,
         iteration: 0,
         provenance: Provenance::open(folder.path(), iteration)?,
         folder,

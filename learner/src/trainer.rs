@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use marl::{Algorithm, Batch, MarlError, Report, Surprise};
+use marl::{Algorithm, Batch, LearningRateDecay, MarlError, Report, Surprise};
 use policy::arrays::NamedArrays;
 use proto::{Digest, PolicyVersion, WeightsName};
 use rayon::ThreadPool;
@@ -54,6 +54,7 @@ pub struct Trainer {
     pub(crate) last_iteration: u64,
     pub(crate) layout: Layout,
     pub(crate) algorithm: Box<dyn Algorithm>,
+    pub(crate) decay: LearningRateDecay,
     pub(crate) surprise: Surprise,
     pub(crate) environments: Environments,
     pub(crate) evaluations: Evaluations,
@@ -273,6 +274,7 @@ impl Trainer {
             Ok::<_, MarlError>(surprise.relabel(batch))
         })?;
         let density_secs = begin.elapsed().as_secs_f64();
+        algorithm.scale_learning_rates(self.decay.share(*iteration, self.last_iteration));
         let report = pool.install(|| algorithm.update(batch, &rewards, *iteration))?;
         self.policy = policy_bytes(self.algorithm.as_ref())?;
         let update_secs = begin.elapsed().as_secs_f64();

@@ -17,6 +17,10 @@ pub const PREFIXES: [&str; 4] = ["weights/", "optimizer/", "normalizer/", "repla
 
 /// A learning rule: turns experience into better policies.
 pub trait Algorithm: Send {
+    /// From now on actors and critics step with the share `share` of their configured step sizes. Whoever calls
+    /// [`Algorithm::update`] says so before; it is no part of the state.
+    fn scale_learning_rates(&mut self, share: f64);
+
     /// Takes one update from the experience of iteration `iteration` and every agent's rewards
     /// `[N][T, B]`.
     ///

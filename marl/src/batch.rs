@@ -27,6 +27,10 @@ pub struct AgentShape {
     /// Indices of the observation features that carry a signal; surprise looks at no others
     /// (one-hot ids, duplicates and constants are left out).
     pub surprise_features: Vec<usize>,
+    /// Places in the global state of the signals that it observes; empty if they are not there.
+    pub seen: Vec<usize>,
+    /// Places in the global state of the signals near it; likewise.
+    pub near: Vec<usize>,
 }
 
 /// What an agent's action is.

@@ -10,9 +10,10 @@ use serde::{Deserialize, Serialize};
 
 pub use self::influence::{CountedState, Divergence, Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
-pub use self::surprise::{Constant, DensityKind, Fit, Reduce, Space, SurpriseConfig};
+pub use self::surprise::{Constant, DensityKind, Fit, Reduce, Scored, Space, SurpriseConfig};
 use crate::batch::{ActionKind, Problem};
 use crate::error::MarlError;
+use crate::learning_rate::LearningRateDecay;
 
 /// Everything that the learning rule is told.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,6 +45,8 @@ pub struct UpdateConfig {
     pub gae_lambda: f64,
     /// Adam's step size.
     pub learning_rate: f64,
+    /// How it shrinks over a run; the critic's too.
+    pub learning_rate_decay: LearningRateDecay,
     /// Adam's epsilon; also the critic's and the posteriors'.
     pub adam_epsilon: f64,
     /// Half width of the ratio's trust region.
@@ -188,6 +191,7 @@ impl Config {
                 return Err(refuse("update.rule", "maddpg", range));
             }
         }
+        self.surprise.suits_agents(&problem.agents)?;
         let sizes = |index: usize| {
             let agent = &problem.agents[index];
             (agent.observation, agent.action)

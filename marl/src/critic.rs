@@ -132,6 +132,11 @@ impl Critic {
         })
     }
 
+    /// From now on its steps have the share `share` of their configured size.
+    pub fn scale_learning_rate(&mut self, share: f64) {
+        self.adam.scale_learning_rate(share);
+    }
+
     /// Normalised values `[R, V]` of states `[R, S]`.
     fn forward(&self, states: Vec<f32>) -> Result<Tensor, MarlError> {
         let mut x = self.input.apply(&rows(states, self.states, self.precision)?)?;

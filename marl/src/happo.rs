@@ -40,6 +40,10 @@ impl Happo {
 }
 
 impl Algorithm for Happo {
+    fn scale_learning_rates(&mut self, share: f64) {
+        self.team.scale_learning_rates(share);
+    }
+
     fn update(
         &mut self,
         batch: &Batch,

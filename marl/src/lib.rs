@@ -20,6 +20,7 @@ pub mod happo;
 pub mod head_rows;
 pub mod influence;
 mod layers;
+pub mod learning_rate;
 pub mod maddpg;
 pub mod mappo;
 pub mod minibatch;
@@ -38,5 +39,6 @@ pub use config::{
     Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,
 };
 pub use error::MarlError;
+pub use learning_rate::LearningRateDecay;
 pub use probe::probe;
 pub use surprise::Surprise;

@@ -96,6 +96,10 @@ impl Maddpg {
 }
 
 impl Algorithm for Maddpg {
+    fn scale_learning_rates(&mut self, share: f64) {
+        self.agents.iter_mut().for_each(|agent| agent.scale_learning_rates(share));
+    }
+
     fn update(
         &mut self,
         batch: &Batch,

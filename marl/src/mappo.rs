@@ -36,6 +36,10 @@ impl Mappo {
 }
 
 impl Algorithm for Mappo {
+    fn scale_learning_rates(&mut self, share: f64) {
+        self.team.scale_learning_rates(share);
+    }
+
     fn update(
         &mut self,
         batch: &Batch,

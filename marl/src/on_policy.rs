@@ -89,6 +89,11 @@ impl Team {
         Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
     }
 
+    pub(crate) fn scale_learning_rates(&mut self, share: f64) {
+        self.critic.scale_learning_rate(share);
+        self.agents.iter_mut().for_each(|agent| agent.adam.scale_learning_rate(share));
+    }
+
     /// Checks the batch, values it, and fits the posteriors. Nothing is learnt, and nothing given, of
     /// rewards or values that are no finite numbers: the critic's memory of returns never forgets.
     ///

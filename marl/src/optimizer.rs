@@ -28,6 +28,8 @@ pub struct AdamConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
     config: AdamConfig,
+    /// Share of the configured step size that the next steps take.
+    share: f64,
     names: Vec<String>,
     shapes: Vec<Vec<usize>>,
     first: Vec<Reals>,
@@ -43,6 +45,7 @@ impl Adam {
         let zeros: Vec<Reals> = parameters.iter().map(|(_, var)| Reals::zeros(var)).collect();
         Self {
             config,
+            share: 1.0,
             names: parameters.iter().map(|(name, _)| name.to_owned()).collect(),
             shapes: parameters.iter().map(|(_, var)| var.dims().to_vec()).collect(),
             first: zeros.clone(),
@@ -50,6 +53,11 @@ impl Adam {
             steps: 0,
             skipped: 0,
         }
+    }
+
+    /// From now on steps have the share `share` of the configured size. It is not part of the state to keep.
+    pub fn scale_learning_rate(&mut self, share: f64) {
+        self.share = share;
     }
 
     /// Takes one step down the gradient and returns the gradient's norm before clipping. A gradient
@@ -72,7 +80,7 @@ impl Adam {
         let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0);
         let stride = Stride {
             scale,
-            length: self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64)),
+            length: self.share * self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64)),
             root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
             epsilon: self.config.epsilon,
         };

@@ -7,10 +7,11 @@ use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
     Config, Constant, CountedState, CriticConfig, CriticMode, DensityKind, Divergence, Estimator,
-    Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Sharing, Space, SurpriseConfig,
-    UpdateConfig,
+    Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored, Sharing, Space,
+    SurpriseConfig, UpdateConfig,
 };
 use crate::error::MarlError;
+use crate::learning_rate::LearningRateDecay;
 use crate::surprise::Surprise;
 
 const OBSERVATION: usize = 19;
@@ -44,6 +45,8 @@ pub(crate) fn problem() -> Problem {
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: (0..STATE).collect(),
+        seen: vec![],
+        near: vec![],
     };
     Problem { agents: vec![shape.clone(), shape], state: STATE }
 }
@@ -111,6 +114,7 @@ fn update() -> UpdateConfig {
         gamma: 0.99,
         gae_lambda: 0.95,
         learning_rate: 5e-4,
+        learning_rate_decay: LearningRateDecay::None,
         adam_epsilon: 1e-5,
         clip: 0.2,
         epochs: 2,
@@ -143,6 +147,7 @@ pub(crate) fn surprise() -> SurpriseConfig {
         fit: Fit::Current,
         ema_memory: 0.9,
         space: Space::PolicyObs,
+        obs: Scored::Current,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,

@@ -1,9 +1,11 @@
 //! Surprise minimisation: densities fitted on `D_k` and the rewards they give.
 //!
 //! If all agents see the same signal features (the tasks' `full_id` observations), all densities and
-//! hence all rewards are equal; surprise is individual only where observations are.
+//! hence all rewards are equal; surprise is individual only where what is scored is: where observations
+//! are, or in the space `local`.
 
 mod agent;
+mod scored;
 
 use policy::arrays::NamedArrays;
 use policy::randomness::RunSeed;
@@ -11,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::algorithm::Report;
 use crate::batch::{Batch, Problem, Rewards};
-use crate::config::SurpriseConfig;
+use crate::config::{Scored, Space, SurpriseConfig};
 use crate::density::{self, Observations, Occasion};
 use crate::error::MarlError;
 use crate::surprise::agent::{AgentSurprise, Rule};
@@ -30,10 +32,21 @@ pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
     reward + alpha * log_prob
 }
 
+/// `sum |alpha s_t| / (sum |r_t| + sum |alpha s_t|)`: how much of what an agent is paid, in magnitude, is for its
+/// scores `s`, `[R]`, and not by the task, `r`, `[R]`; 0 where nothing is paid.
+#[must_use]
+pub fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
+    let task: f64 = reward.iter().map(|&reward| f64::from(reward).abs()).sum();
+    let bonus: f64 = scores.iter().map(|score| (alpha * score).abs()).sum();
+    if bonus > 0.0 { bonus / (task + bonus) } else { 0.0 }
+}
+
 /// One density per agent and the weight of its log-density in the agent's reward.
 pub struct Surprise {
     seed: RunSeed,
     rule: Rule,
+    space: Space,
+    obs: Scored,
     agents: Vec<AgentSurprise>,
 }
 
@@ -48,12 +61,12 @@ impl Surprise {
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
         let agent = |(index, shape): (usize, &crate::batch::AgentShape)| {
-            let signal = &shape.surprise_features;
+            let signal = scored::features(shape, config.space);
             Ok(AgentSurprise::new(density::build(config, signal, (seed, index as u32))?))
         };
         let agents = problem.agents.iter().enumerate().map(agent);
         let agents = agents.collect::<Result<_, MarlError>>()?;
-        Ok(Self { seed, rule: Rule::of(config), agents })
+        Ok(Self { seed, rule: Rule::of(config), space: config.space, obs: config.obs, agents })
     }
 
     /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)`, for every agent, and the scores of `D_k`
@@ -63,17 +76,21 @@ impl Surprise {
     /// Passes on a tensor error.
     pub fn refit(&mut self, batch: &Batch, iteration: u64) -> Result<(), MarlError> {
         let (rows, rule, seed) = (batch.rows(), self.rule, self.seed);
-        let agents = self.agents.par_iter_mut().zip(&batch.agents).enumerate();
-        agents.try_for_each(|(index, (agent, data))| {
-            let width = data.observation.len() / rows;
-            let observations = Observations { data: &data.observation, width };
+        let (space, obs) = (self.space, self.obs);
+        let agents = self.agents.par_iter_mut().enumerate();
+        agents.try_for_each(|(index, agent)| {
+            let data = scored::rows(batch, index, space, obs);
+            let observations = Observations { data: &data, width: data.len() / rows };
             let occasion = Occasion { seed, iteration, agent: index as u32, memory: 0.0 };
-            agent.refit(observations, occasion, rule)
+            agent.refit(observations, occasion, rule)?;
+            agent.share = share_of_return(&batch.reward, rule.alpha, agent.scores());
+            Ok(())
         })
     }
 
     /// Eq. (9): `r~(s_t, o_t^i) = r(s_t) + alpha log p_theta^i(o_t^i)`, per agent `[T, B]`. It scores
-    /// the observation before the step, so that a terminal observation is never scored.
+    /// the observation before the step, so that a terminal observation is never scored, unless
+    /// `surprise.obs` asks for the one after it.
     ///
     /// # Panics
     /// If `batch` is not the one that the last [`Surprise::refit`] has scored.
@@ -119,7 +136,7 @@ impl Surprise {
     }
 
     /// Figures of the last fit, per agent: the entropy bound of the observations (nats), mean and
-    /// deviation of the bonus per step (reward), and how many features count and are left out.
+    /// deviation of the bonus per step (reward), its share of the return, and how many features count and are left out.
     #[must_use]
     pub fn report(&self) -> Report {
         let mut report = Report::new();
@@ -130,6 +147,7 @@ impl Surprise {
             add("surprise_entropy_bound", bound);
             add("surprise_bonus_mean", mean);
             add("surprise_bonus_std", deviation);
+            add("surprise_share", agent.share);
             add("surprise_features", counted as f64);
             add("surprise_masked", masked as f64);
         }
@@ -161,6 +179,8 @@ mod tests {
             action_range: (-1.0, 1.0),
             kind: ActionKind::Continuous,
             surprise_features: vec![0],
+            seen: vec![],
+            near: vec![],
         };
         let problem = Problem { agents: vec![shape; agents], state: 1 };
         Surprise::new(&config, &problem, RunSeed(0)).unwrap()
@@ -201,6 +221,12 @@ mod tests {
     #[test]
     fn the_reward_gains_alpha_times_the_log_density() {
         assert_eq!(reward_with_surprise(2.0, 0.5, -3.0), 0.5);
+    }
+
+    #[test]
+    fn a_bonus_of_one_beside_a_reward_of_three_is_a_quarter_of_the_return() {
+        assert_eq!(share_of_return(&[1.0, -2.0], 0.5, &[-1.5, 0.5]), 0.25);
+        assert_eq!(share_of_return(&[0.0, 0.0], 0.0, &[-1.5, 0.5]), 0.0);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Sharing, Space,
+    Rule, Scored, Sharing, Space,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
@@ -74,6 +74,7 @@ fn update_config(rule: Rule, parameters: Sharing) -> UpdateConfig {
         gamma: 0.9,
         gae_lambda: 0.95,
         learning_rate: 3e-3,
+        learning_rate_decay: marl::LearningRateDecay::None,
         adam_epsilon: 1e-5,
         clip: 0.2,
         epochs: 5,
@@ -110,6 +111,7 @@ fn surprise() -> SurpriseConfig {
         fit: Fit::Current,
         ema_memory: 0.9,
         space: Space::PolicyObs,
+        obs: Scored::Current,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,
@@ -135,6 +137,8 @@ fn problem() -> Problem {
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![0, 1],
+        seen: vec![],
+        near: vec![],
     };
     Problem { agents: vec![shape.clone(), shape], state: 2 }
 }

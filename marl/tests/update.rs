@@ -3,7 +3,7 @@
 
 use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Sharing, Space,
+    Rule, Scored, Sharing, Space,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
@@ -40,6 +40,7 @@ fn config(lambda: f64) -> Config {
             gamma: 0.9,
             gae_lambda: 0.95,
             learning_rate: 3e-3,
+            learning_rate_decay: marl::LearningRateDecay::None,
             adam_epsilon: 1e-5,
             clip: 0.2,
             epochs: 5,
@@ -101,6 +102,7 @@ fn surprise() -> SurpriseConfig {
         fit: Fit::Current,
         ema_memory: 0.9,
         space: Space::PolicyObs,
+        obs: Scored::Current,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,
@@ -126,6 +128,8 @@ fn problem() -> Problem {
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![0, 1],
+        seen: vec![],
+        near: vec![],
     };
     Problem { agents: vec![shape.clone(), shape], state: 2 }
 }
@@ -318,4 +322,16 @@ fn a_batch_that_is_no_number_is_refused_and_changes_nothing() {
     let error = algorithm.update(&batch, &rewards, 0).unwrap_err().to_string();
     assert_eq!(error, "batch.agents[1].action[3] is NaN");
     assert_eq!(algorithm.arrays().unwrap(), before);
+}
+
+#[test]
+fn a_share_of_nothing_of_the_step_size_leaves_actors_and_critic_where_they_are() {
+    let mut algorithm = algorithm(0.0, 1);
+    let before = algorithm.weights().unwrap();
+    algorithm.scale_learning_rates(0.0);
+    update(algorithm.as_mut(), 0);
+    assert_eq!(algorithm.weights().unwrap(), before);
+    algorithm.scale_learning_rates(1.0);
+    update(algorithm.as_mut(), 1);
+    assert_ne!(algorithm.weights().unwrap(), before);
 }

@@ -38,6 +38,10 @@ pub struct AgentSpec {
     pub joints: Vec<String>,
     /// Layout of its observation, `[obs]`.
     pub observation: Vec<FeatureSpec>,
+    /// Places in the global state of what the observation shows, unscaled; empty if they are not there.
+    pub seen: Vec<u32>,
+    /// Places in the global state of what is near the agent; likewise.
+    pub near: Vec<u32>,
     /// Its action.
     pub action: ActionSpec,
 }
@@ -148,7 +152,17 @@ impl AgentSpec {
             name: self.name.clone(),
             joints: self.joints.clone(),
             observation: self.observation.iter().map(FeatureSpec::to_wire).collect(),
+            seen: self.seen.clone(),
+            near: self.near.clone(),
             action: Some(wire::ActionSpec { size, low, high, choices }),
+        }
+    }
+
+    /// What is wrong with its places in a global state of `state` features, if anything.
+    pub(crate) fn check_places(&self, state: usize) -> Result<(), String> {
+        match self.seen.iter().chain(&self.near).find(|place| **place as usize >= state) {
+            None => Ok(()),
+            Some(place) => Err(format!("place {place} in a global state of {state} features")),
         }
     }
 
@@ -158,6 +172,8 @@ impl AgentSpec {
             name: wire.name,
             joints: wire.joints,
             observation: features(wire.observation, &format!("{field}.observation"))?,
+            seen: wire.seen,
+            near: wire.near,
             action: ActionSpec::from_wire(action),
         })
     }
@@ -227,6 +243,8 @@ fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<Difference> {
     differ("name", &found.name, &expected.name)
         .or_else(|| list("joints", &found.joints, &expected.joints, |a, b| differ("", a, b)))
         .or_else(|| list("observation", &found.observation, &expected.observation, feature))
+        .or_else(|| differ("seen", &found.seen, &expected.seen))
+        .or_else(|| differ("near", &found.near, &expected.near))
         .or_else(|| differ("action.size", &act.size, &right.size))
         .or_else(|| differ("action.low", &act.low, &right.low))
         .or_else(|| differ("action.high", &act.high, &right.high))

@@ -58,6 +58,8 @@ impl RunDescription {
         positive(agents as u64, "run.environment.agents")?;
         for (i, agent) in self.environment.agents.iter().enumerate() {
             hold(agent.action.check(), &format!("run.environment.agents[{i}].action.choices"))?;
+            let places = agent.check_places(self.environment.state.len());
+            hold(places, &format!("run.environment.agents[{i}].seen or near"))?;
         }
         positive(self.environment.max_state_bytes.into(), "run.environment.max_state_bytes")?;
         positive(self.environment.episode_steps.into(), "run.environment.episode_steps")?;

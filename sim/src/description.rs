@@ -30,6 +30,10 @@ pub struct AgentDescription {
     pub joints: Vec<String>,
     /// The observation's features, `[obs]`.
     pub observation: Vec<Feature>,
+    /// Places in the global state of what the observation shows, unscaled; empty if the state does not hold it.
+    pub seen: Vec<usize>,
+    /// Places in the global state of what is near the agent, as `k_nearest` would show it; likewise.
+    pub near: Vec<usize>,
     /// The action's size and range.
     pub action: ActionRange,
 }

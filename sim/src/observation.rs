@@ -63,7 +63,7 @@ impl Observation {
         let view = match config.mode {
             ObservationMode::FullId => View::Whole,
             ObservationMode::KNearest => View::Places(padded(
-                agents.iter().map(|own| places(config, robot, own, state)).collect(),
+                agents.iter().map(|own| near(config, robot, own, state)).collect(),
             )),
         };
         Self { norm: config.norm, agents: agents.len(), view }
@@ -83,6 +83,14 @@ impl Observation {
                     |place: &Option<usize>| place.map_or_else(padding, |at| state[at].clone());
                 agents[agent].iter().map(feature).collect()
             }
+        }
+    }
+
+    /// Places in a global state of `state` features of what an agent sees.
+    pub(crate) fn seen(&self, agent: usize, state: usize) -> Vec<usize> {
+        match &self.view {
+            View::Whole => (0..state).collect(),
+            View::Places(agents) => agents[agent].iter().copied().flatten().collect(),
         }
     }
 
@@ -111,13 +119,14 @@ impl Observation {
     }
 }
 
-/// Own joints with angle, speed and contacts, then the angles of joints farther and farther away, then the root.
-fn places(
+/// Places in the global state of what is near an agent: own joints with angle, speed and contacts, then the angles
+/// of joints farther and farther away, then the root.
+pub(crate) fn near(
     config: &ObservationConfig,
     robot: &Robot,
     own: &[&str],
     state: &[Feature],
-) -> Vec<Option<usize>> {
+) -> Vec<usize> {
     let neighbourhood = robot.neighbourhood();
     let levels = neighbourhood.levels(own, config.nearest);
     let mut names: Vec<String> = Vec::new();
@@ -133,14 +142,17 @@ fn places(
         names.extend(neighbourhood.globals.iter().map(|&name| name.to_owned()));
     }
     let place = |name: &String| state.iter().position(|feature| feature.name == *name);
-    names.iter().map(|name| Some(place(name).expect("neighbourhoods name features"))).collect()
+    names.iter().map(|name| place(name).expect("neighbourhoods name features")).collect()
 }
 
 /// All of the longest one's length.
-fn padded(mut agents: Vec<Vec<Option<usize>>>) -> Vec<Vec<Option<usize>>> {
+fn padded(agents: Vec<Vec<usize>>) -> Vec<Vec<Option<usize>>> {
     let longest = agents.iter().map(Vec::len).max().unwrap_or(0);
-    agents.iter_mut().for_each(|places| places.resize(longest, None));
-    agents
+    let filled = |places: Vec<usize>| {
+        let padding = std::iter::repeat_n(None, longest - places.len());
+        places.into_iter().map(Some).chain(padding).collect()
+    };
+    agents.into_iter().map(filled).collect()
 }
 
 /// `(x - m) / s` over these features.

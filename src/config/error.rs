@@ -43,12 +43,12 @@ pub(crate) enum ConfigError {
         /// The owner's reason, with the allowed values.
         detail: String,
     },
-    /// An unknown name of a task or an algorithm.
+    /// An unknown name of a task, an algorithm or a preset.
     #[error("{place}: unknown {kind} `{name}`{}; known: {known}", suggestion(.nearest.as_deref()))]
     UnknownName {
         /// Layer that gives the name.
         place: String,
-        /// `task` or `algorithm`.
+        /// `task`, `algorithm` or `preset`.
         kind: &'static str,
         /// The name as given.
         name: String,

@@ -7,6 +7,9 @@ const OPERATIONAL: &[&str] =
 /// Keys that only say how far a run goes; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 
+/// The setting, and its value, with which how far a run goes changes every step on the way.
+pub(crate) const DEPENDS_ON_LENGTH: (&str, &str) = ("update.learning_rate_decay", "linear");
+
 /// Whether a key's value changes what a run computes.
 pub(crate) fn is_semantic(key: &str) -> bool {
     !is_length(key)

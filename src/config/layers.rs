@@ -22,7 +22,8 @@ const FILE_LIMIT_BYTES: u64 = 1 << 20;
 /// What the user asks for, in the order of the layers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Request {
-    /// The resolved configuration of a run to go on with; stands in the place of task and algorithm files.
+    /// The resolved configuration of a run to go on with; stands in the place of the task's, preset's and
+    /// algorithm's files.
     pub(crate) resumed: Option<PathBuf>,
     /// Files given with `--config`, later ones win.
     pub(crate) files: Vec<PathBuf>,
@@ -48,6 +49,34 @@ impl Request {
 struct Layer {
     place: String,
     values: BTreeMap<String, Scalar>,
+}
+
+/// What a file of `configs/presets` says, by what it says it for.
+struct PresetParts {
+    /// Its sections: for every task and algorithm.
+    general: toml::Table,
+    /// `task.NAME`: for one task.
+    of_task: toml::Table,
+    /// `algorithm.NAME.TASK`: for one algorithm on one task.
+    of_algorithm: toml::Table,
+}
+
+impl PresetParts {
+    fn of(preset: Preset, task: &str, algorithm: &str) -> Result<Self, ConfigError> {
+        let mut general = parsed(preset.path, preset.text)?;
+        let of_task = taken(&mut general, "task", &[task]);
+        let of_algorithm = taken(&mut general, "algorithm", &[algorithm, task]);
+        Ok(Self { general, of_task, of_algorithm })
+    }
+}
+
+/// Takes the table called `name` out of `from`; what it holds under `path`, or nothing.
+fn taken(from: &mut toml::Table, name: &str, path: &[&str]) -> toml::Table {
+    let mut found = from.remove(name);
+    for step in path {
+        found = found.and_then(|mut inside| inside.as_table_mut()?.remove(*step));
+    }
+    found.and_then(|inside| inside.as_table().cloned()).unwrap_or_default()
 }
 
 /// The defaults: every key that exists, and the kind of its value.
@@ -103,11 +132,21 @@ fn asked_layers(request: &Request, schema: &Schema) -> Result<Vec<Layer>, Config
     Ok(layers)
 }
 
-/// The files of the task and the algorithm that the other layers choose.
-fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<[Layer; 2], ConfigError> {
+/// The files of the task, the preset and the algorithm that the other layers choose. What a preset says for one
+/// algorithm on one task stands above the algorithm's file, everything else of it below.
+fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<[Layer; 5], ConfigError> {
     let task = chosen("task", presets::TASKS, base, asked)?;
     let algorithm = chosen("algorithm", presets::ALGORITHMS, base, asked)?;
-    Ok([preset_layer(task, schema)?, preset_layer(algorithm, schema)?])
+    let preset = chosen("preset", presets::PRESETS, base, asked)?;
+    let parts = PresetParts::of(preset, task.name, algorithm.name)?;
+    let part = |table: &toml::Table| laid_out(preset.path, table, schema);
+    Ok([
+        preset_layer(task, schema)?,
+        part(&parts.general)?,
+        part(&parts.of_task)?,
+        preset_layer(algorithm, schema)?,
+        part(&parts.of_algorithm)?,
+    ])
 }
 
 fn chosen(
@@ -148,9 +187,13 @@ fn file_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
 }
 
 fn table_layer(place: &str, text: &str, schema: &Schema) -> Result<Layer, ConfigError> {
-    let table: toml::Table = text.parse().map_err(|error| not_toml(place, text, &error))?;
+    laid_out(place, &parsed(place, text)?, schema)
+}
+
+/// A table's values under their dotted keys, each of the default's kind.
+fn laid_out(place: &str, table: &toml::Table, schema: &Schema) -> Result<Layer, ConfigError> {
     let mut values = BTreeMap::new();
-    for (key, value) in leaves(&table) {
+    for (key, value) in leaves(table) {
         if value.is_table() && is_section(&key, schema) {
             continue;
         }
@@ -201,6 +244,10 @@ fn wrong_kind(place: &str, key: &str, default: &Scalar, found: &str) -> ConfigEr
     let found = found.split_whitespace().collect::<Vec<_>>().join(" ");
     let expected = default.kind().to_owned();
     ConfigError::WrongKind { place: place.to_owned(), key: key.to_owned(), expected, found }
+}
+
+fn parsed(place: &str, text: &str) -> Result<toml::Table, ConfigError> {
+    text.parse().map_err(|error| not_toml(place, text, &error))
 }
 
 /// A parser's message in one line, with the line of the file.

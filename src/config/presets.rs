@@ -3,7 +3,7 @@
 /// A file of `configs/`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Preset {
-    /// Name of the task or algorithm.
+    /// Name of the task, the algorithm or the preset.
     pub(crate) name: &'static str,
     /// Path in the repository, for messages.
     pub(crate) path: &'static str,
@@ -50,7 +50,10 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "maddpg",
 );
 
-/// The preset of that name.
+/// Published hyper-parameters, to be laid over what is set per task.
+pub(crate) const PRESETS: &[Preset] = presets!("presets": "tuned", "harl", "paper");
+
+/// The file of that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
 }
@@ -69,7 +72,9 @@ mod tests {
 
     #[test]
     fn every_file_in_configs_is_in_the_program() {
-        for (folder, presets) in [("tasks", TASKS), ("algorithms", ALGORITHMS)] {
+        for (folder, presets) in
+            [("tasks", TASKS), ("algorithms", ALGORITHMS), ("presets", PRESETS)]
+        {
             let inside: BTreeSet<String> = presets.iter().map(|p| p.name.to_owned()).collect();
             assert_eq!(names_in(folder), inside, "{folder}");
         }

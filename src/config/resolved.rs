@@ -38,10 +38,17 @@ impl Resolved {
         self.entries.get(key).map_or_else(String::new, |entry| entry.value.to_string())
     }
 
-    /// The keys that decide what a run computes.
+    /// The keys that decide what a run computes; those of its length too where the way depends on the end.
     pub(crate) fn semantic(&self) -> impl Iterator<Item = (&str, &Scalar)> {
+        let depends = self.depends_on_length();
         let all = self.entries.iter().map(|(key, entry)| (key.as_str(), &entry.value));
-        all.filter(|(key, _)| keys::is_semantic(key))
+        all.filter(move |(key, _)| keys::is_semantic(key) || (depends && keys::is_length(key)))
+    }
+
+    /// Whether a longer run would already differ at its beginning.
+    pub(crate) fn depends_on_length(&self) -> bool {
+        let (key, value) = keys::DEPENDS_ON_LENGTH;
+        self.text(key) == value
     }
 
     /// The layer that set `key`.

@@ -96,6 +96,8 @@ fn the_algorithm_accepts_the_batch() {
         action_range: (-1.0, 1.0),
         kind,
         surprise_features: vec![0],
+        seen: vec![],
+        near: vec![],
     };
     let problem = Problem { agents: vec![shape], state: 1 };
     batch.check(&problem, 2, &[1]).unwrap();

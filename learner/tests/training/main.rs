@@ -104,6 +104,22 @@ fn a_stopped_and_resumed_run_equals_an_undisturbed_one() {
 }
 
 #[test]
+fn step_sizes_that_decay_go_on_where_a_stopped_run_left_them() {
+    let (whole, parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let decaying = |folder: &Path| {
+        let mut launch = launch_in(folder, 4);
+        launch.training.update.learning_rate_decay = marl::LearningRateDecay::Linear;
+        launch
+    };
+    let undisturbed = train(decaying(whole.path()), 2);
+    let second = |event: &Event| matches!(event, Event::Iteration(report) if report.iteration == 2);
+    train_until(decaying(parts.path()), 1, second);
+    assert_eq!(train(resumed(decaying(parts.path())), 2).state_sha256, undisturbed.state_sha256);
+    let steady = tempfile::tempdir().unwrap();
+    assert_ne!(train(launch_in(steady.path(), 4), 2).weights_sha256, undisturbed.weights_sha256);
+}
+
+#[test]
 fn threads_and_actors_change_nothing() {
     let (one, many) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut launch = launch_in(one.path(), 2);

@@ -76,6 +76,7 @@ fn training() -> marl::Config {
     serde_json::from_value(json!({
         "update": {
             "rule": "happo", "parameters": "separate", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
+            "learning_rate_decay": "none",
             "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "entropy": 0.0,
             "max_gradient_norm": 10.0, "shards": 2,
         },
@@ -86,7 +87,7 @@ fn training() -> marl::Config {
         },
         "surprise": {
             "alpha": 0.01, "density": "vae", "fit": "previous", "ema_memory": 0.9,
-            "space": "policy_obs", "reduce": "sum", "constant": "centered", "clip": 0.0,
+            "space": "policy_obs", "obs": "current", "reduce": "sum", "constant": "centered", "clip": 0.0,
             "sigma_floor": 0.01, "mask_below": 1e-4, "components": 2, "em_steps": 5,
             "vae_hidden": 8, "vae_latent": 2, "vae_epochs": 1, "vae_minibatches": 2,
             "vae_learning_rate": 1e-3, "embedding": 4, "neighbours": 2, "references": 16,

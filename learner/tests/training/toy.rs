@@ -27,6 +27,8 @@ pub(crate) fn environment() -> EnvironmentSpec {
             feature("y", FeatureRole::Signal),
             feature("self", FeatureRole::Identity),
         ],
+        seen: vec![0, 1],
+        near: vec![index as u32],
         action: ActionSpec { size: 1, low: -1.0, high: 1.0, choices: None },
     };
     EnvironmentSpec {

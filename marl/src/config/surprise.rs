@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{count, not_negative, positive, refuse, within};
+use crate::batch::AgentShape;
 use crate::error::MarlError;
 
 /// Surprise minimisation (Eq. 2-4, 9).
@@ -17,8 +18,10 @@ pub struct SurpriseConfig {
     pub fit: Fit,
     /// Weight of the moments that were known before, in `[0, 1)`, if `fit` is `ema`.
     pub ema_memory: f64,
-    /// What is scored.
+    /// Which numbers are scored.
     pub space: Space,
+    /// Those of which side of a step.
+    pub obs: Scored,
     /// How features are joined.
     pub reduce: Reduce,
     /// The additive constant of the bonus.
@@ -79,12 +82,26 @@ pub enum Fit {
     Ema,
 }
 
-/// What surprise scores.
+/// Which numbers surprise scores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Space {
     /// Observations as the policy sees them.
     PolicyObs,
+    /// The same features before any scaling.
+    Raw,
+    /// What is near the agent, unscaled, whatever the policy sees.
+    Local,
+}
+
+/// Which side of a step surprise scores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Scored {
+    /// `o_t`, as in Eq. 9: a terminal observation is never scored.
+    Current,
+    /// `o_(t+1)`, on which the action has an influence; at an episode's end the terminal one.
+    Next,
 }
 
 /// How the features' log-densities are joined.
@@ -132,6 +149,18 @@ impl SurpriseConfig {
             return Err(refuse("surprise.references", self.references, range));
         }
         self.validate_density()
+    }
+
+    /// Refuses a space in which the environment does not say what an agent's features are.
+    pub(super) fn suits_agents(&self, agents: &[AgentShape]) -> Result<(), MarlError> {
+        let range = "policy_obs: the global state does not hold what these agents see";
+        let bare =
+            |places: fn(&AgentShape) -> &[usize]| agents.iter().any(|a| places(a).is_empty());
+        match self.space {
+            Space::Raw if bare(|a| &a.seen) => Err(refuse("surprise.space", "raw", range)),
+            Space::Local if bare(|a| &a.near) => Err(refuse("surprise.space", "local", range)),
+            Space::PolicyObs | Space::Raw | Space::Local => Ok(()),
+        }
     }
 
     /// Refuses what the class of densities gives no meaning to.

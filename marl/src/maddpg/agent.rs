@@ -177,6 +177,11 @@ impl Agent {
         Ok(Tensor::cat(&parts, 1)?)
     }
 
+    pub(super) fn scale_learning_rates(&mut self, share: f64) {
+        self.actor_adam.scale_learning_rate(share);
+        self.value_adam.scale_learning_rate(share);
+    }
+
     /// Everything that is stored, by the name under which it stands.
     fn stored(&self) -> [(String, &Parameters, Option<&Adam>); 4] {
         let i = self.index;

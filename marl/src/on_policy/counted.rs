@@ -70,6 +70,8 @@ mod tests {
             action_range: (0.0, 2.0),
             kind: ActionKind::Discrete { choices: CHOICES },
             surprise_features: (0..PLACES + CHOICES).collect(),
+            seen: vec![],
+            near: vec![],
         };
         Problem { agents: vec![shape.clone(), shape], state: PLACES }
     }

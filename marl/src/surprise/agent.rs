@@ -40,11 +40,20 @@ pub(super) struct AgentSurprise {
     /// What alpha multiplies, for every row of the batch that came last.
     scores: Vec<f64>,
     at_fit: (f64, f64, f64),
+    /// Share of the bonus in the return of that batch.
+    pub(super) share: f64,
 }
 
 impl AgentSurprise {
     pub(super) fn new(density: Box<dyn Density>) -> Self {
-        Self { density, fits: 0, centre: 0.0, scores: Vec::new(), at_fit: (0.0, 0.0, 0.0) }
+        Self {
+            density,
+            fits: 0,
+            centre: 0.0,
+            scores: Vec::new(),
+            at_fit: (0.0, 0.0, 0.0),
+            share: 0.0,
+        }
     }
 
     /// Fits the density and scores the observations: with the density as it is after the fit, or, if

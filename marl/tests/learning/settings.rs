@@ -2,7 +2,7 @@
 
 use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Sharing, Space,
+    Rule, Scored, Sharing, Space,
 };
 use marl::{Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig};
 use policy::{CoreKind, PolicyConfig};
@@ -120,6 +120,7 @@ fn update(rule: Rule) -> UpdateConfig {
         parameters: Sharing::Separate,
         gamma: 0.9,
         gae_lambda: 0.95,
+        learning_rate_decay: marl::LearningRateDecay::None,
         learning_rate: 5e-3,
         adam_epsilon: 1e-5,
         clip: 0.2,
@@ -157,6 +158,7 @@ fn surprise() -> SurpriseConfig {
         fit: Fit::Current,
         ema_memory: 0.9,
         space: Space::PolicyObs,
+        obs: Scored::Current,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,

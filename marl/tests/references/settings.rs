@@ -2,7 +2,7 @@
 
 use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Sharing, Space,
+    Rule, Scored, Sharing, Space,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
@@ -25,6 +25,8 @@ pub(crate) fn problem(reference: &Reference) -> Problem {
         action_range: (-1.0, 2.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![0],
+        seen: vec![],
+        near: vec![],
     };
     Problem { agents: (0..AGENTS).map(agent).collect(), state: axis(reference, "batch/state", 2) }
 }
@@ -52,6 +54,7 @@ pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> 
         gamma: reference.setting("update.gamma"),
         gae_lambda: reference.setting("update.gae_lambda"),
         learning_rate: reference.setting("update.learning_rate"),
+        learning_rate_decay: marl::LearningRateDecay::None,
         adam_epsilon: reference.setting("update.adam_epsilon"),
         clip: reference.setting("update.clip"),
         epochs: count("update.epochs"),
@@ -116,6 +119,7 @@ fn unread() -> SurpriseConfig {
         fit: Fit::Current,
         ema_memory: 0.9,
         space: Space::PolicyObs,
+        obs: Scored::Current,
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,

@@ -14,6 +14,8 @@ fn agent(name: &str, observation: usize, action: u32) -> AgentSpec {
         name: name.to_owned(),
         joints: vec![format!("{name}.hip"), format!("{name}.knee")],
         observation: features(observation, FeatureRole::Signal),
+        seen: vec![0, 2],
+        near: vec![3],
         action: ActionSpec { size: action, low: -1.0, high: 1.0, choices: None },
     }
 }

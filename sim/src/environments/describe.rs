@@ -3,7 +3,7 @@
 use crate::config::ObservationConfig;
 use crate::description::{ActionRange, AgentDescription, Description};
 use crate::error::SimError;
-use crate::observation::{Observation, contact_features};
+use crate::observation::{self, Observation, contact_features};
 use crate::robot::Robot;
 use crate::state::{STATE_VERSION, StateBounds};
 use crate::task::Task;
@@ -26,6 +26,8 @@ pub(super) fn describe(
             name: format!("agent_{index}"),
             joints: motors.iter().map(|&motor| joints[motor].to_owned()).collect(),
             observation: observation.features(index, &state),
+            seen: observation.seen(index, state.len()),
+            near: observation::near(config, robot, &driven[index], &state),
             action: action_range(robot, motors)?,
         })
     });

@@ -224,6 +224,9 @@ fn describe(bounds: &StateBounds) -> Description {
         name: format!("agent_{index}"),
         joints: Vec::new(),
         observation: [state.clone(), cue.clone(), number.clone()].concat(),
+        // The state does not tell the cue.
+        seen: Vec::new(),
+        near: Vec::new(),
         action: ActionRange {
             size: 1,
             low: 0.0,

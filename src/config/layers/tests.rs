@@ -181,3 +181,90 @@ fn the_hash_of_given_settings_never_changes() {
         "f12856c559702fd139a5677d0e48bc32781fd7b01c5b21bbf6a47f33d5594fc1"
     );
 }
+
+fn origin_of(settings: &[&str], key: &str) -> String {
+    resolve(&request(settings)).unwrap().origin(key).to_owned()
+}
+
+fn shown(settings: &[&str], key: &str) -> String {
+    resolve(&request(settings)).unwrap().shown(key)
+}
+
+#[test]
+fn a_preset_stands_above_the_task_and_below_the_algorithm() {
+    let harl = ["walker2d-2x3", "preset=harl"];
+    assert_eq!(origin_of(&harl, "update.epochs"), "configs/presets/harl.toml");
+    assert_eq!(shown(&harl, "update.epochs"), "5");
+    assert_eq!(shown(&harl, "update.learning_rate"), "0.001");
+    assert_eq!(shown(&["walker2d-6x1", "preset=harl"], "update.learning_rate"), "0.0005");
+    assert_eq!(origin_of(&harl, "update.entropy"), "configs/algorithms/happo-s2mia.toml");
+    let maddpg = ["walker2d-2x3", "preset=harl", "algorithm=maddpg"];
+    assert_eq!(origin_of(&maddpg, "environments.count"), "configs/algorithms/maddpg.toml");
+}
+
+#[test]
+fn what_a_preset_says_of_one_algorithm_on_one_task_stands_above_the_algorithm() {
+    let happo = ["ant-4x2", "preset=harl", "algorithm=happo"];
+    assert_eq!(shown(&happo, "update.entropy"), "0.0");
+    assert_eq!(origin_of(&happo, "update.entropy"), "configs/presets/harl.toml");
+    assert_eq!(shown(&["ant-2x4", "preset=harl", "algorithm=happo"], "update.entropy"), "0.01");
+    assert_eq!(shown(&["ant-4x2", "preset=harl", "algorithm=happo-smh"], "update.entropy"), "0.01");
+}
+
+#[test]
+fn the_default_preset_changes_nothing() {
+    for task in presets::TASKS {
+        let resolved = resolve(&request(&[task.name])).unwrap();
+        let of_a_preset = |entry: &Entry| entry.origin.starts_with("configs/presets/");
+        assert!(!resolved.entries.values().any(of_a_preset), "{}", task.name);
+    }
+}
+
+#[test]
+fn a_published_preset_leaves_nothing_that_was_tuned_here() {
+    for task in presets::TASKS.iter().filter(|task| task.name != "cue-2x1") {
+        for preset in ["preset=harl", "preset=paper"] {
+            let resolved = resolve(&request(&[task.name, preset])).unwrap();
+            for (key, entry) in &resolved.entries {
+                let tuned =
+                    entry.origin.starts_with("configs/tasks/") && !key.starts_with("maddpg.");
+                assert!(!tuned, "{} {preset}: {key}", task.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn every_table_of_a_preset_is_for_a_known_task_and_algorithm() {
+    let named = |known: &[Preset], name: &str| presets::find(known, name).is_some();
+    for preset in presets::PRESETS {
+        let table = parsed(preset.path, preset.text).unwrap();
+        for (task, _) in table.get("task").and_then(|t| t.as_table()).into_iter().flatten() {
+            assert!(named(presets::TASKS, task), "{task}");
+        }
+        let algorithms = table.get("algorithm").and_then(|t| t.as_table()).into_iter().flatten();
+        for (algorithm, tasks) in algorithms {
+            assert!(named(presets::ALGORITHMS, algorithm), "{algorithm}");
+            for (task, _) in tasks.as_table().unwrap() {
+                assert!(named(presets::TASKS, task), "{algorithm} {task}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_unknown_preset_is_refused_with_all_known_ones() {
+    assert_eq!(
+        refusal(&["preset=harrl"]),
+        "command line: unknown preset `harrl`; did you mean `harl`?; known: tuned, harl, paper"
+    );
+}
+
+#[test]
+fn a_run_older_than_the_presets_is_taken_up_as_the_tuned_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "task = \"ant-4x2\"\nalgorithm = \"happo\"\n");
+    let resolved = resolve(&Request { resumed: Some(path), ..Request::default() }).unwrap();
+    assert_eq!(resolved.text("preset"), "tuned");
+    assert_eq!(resolved.origin("update.epochs"), "configs/base.toml");
+}
