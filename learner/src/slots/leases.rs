@@ -108,6 +108,10 @@ impl Finished {
         }
     }
 
+    pub(super) fn count(&self) -> usize {
+        self.0.len()
+    }
+
     pub(super) fn digests(&self, id: LeaseId) -> Option<&[Digest]> {
         self.0.get(&id).map(Vec::as_slice)
     }
