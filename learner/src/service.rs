@@ -21,6 +21,9 @@ use crate::exchange::Exchange;
 mod connections;
 mod ingest;
 mod snapshots;
+mod storage;
+
+pub use storage::STORAGE;
 
 /// A connection on which nothing came is asked for a sign of life after this long...
 const KEEPALIVE: Duration = Duration::from_secs(20);
@@ -51,11 +54,13 @@ pub async fn serve(
 /// The learner's service with health and reflection. Leases end with the connection only for connections
 /// that [`serve`] accepts.
 pub async fn service(exchange: Arc<Exchange>) -> Router {
+    let storage = exchange.storage();
     let learner = LearnerServiceServer::new(Learner { exchange })
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<LearnerServiceServer<Learner>>().await;
+    tokio::spawn(storage::follow(storage, reporter));
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)

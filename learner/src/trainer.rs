@@ -152,7 +152,7 @@ impl Work {
             self.trainer.fault_at(Point::AfterPublish);
             self.record(&collected, &learnt, behaviour)?;
             self.evaluate_if_due()?;
-            self.save_if_due()?;
+            self.save_if_due();
         }
         self.end()
     }
@@ -216,6 +216,7 @@ impl Work {
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());
         metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
+        metrics.push(("checkpoints_failed".to_owned(), trainer.failed_saves.into()));
         let report = IterationReport {
             iteration: trainer.iteration,
             env_steps: trainer.env_steps(),
