@@ -43,6 +43,8 @@ pub(crate) enum Command {
     Actor(ActorArguments),
     /// Ask a learner whether it serves; the exit status is the answer.
     Health(HealthArguments),
+    /// Say where a run stands: iteration, slots, leases, actors, steps per second.
+    Status(StatusArguments),
     /// Measure a trained policy: whole episodes, mean action, extrinsic return.
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.
@@ -144,6 +146,20 @@ pub(crate) struct HealthArguments {
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
     /// How long to wait for its answer.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    pub(crate) timeout_secs: f64,
+}
+
+/// `s2mia status`
+#[derive(Args, Debug)]
+pub(crate) struct StatusArguments {
+    /// Run folder, or where the learner listens.
+    #[arg(value_name = "RUN | URL", default_value = "http://127.0.0.1:50051")]
+    pub(crate) of: String,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// How long to wait for the learner's answer.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
 }

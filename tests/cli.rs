@@ -32,6 +32,7 @@ fn wrong_settings_are_one_line_and_status_two() {
         (&["learner", "--listen", "here"], "--listen"),
         (&["actor", "--learner", "localhost"], "--learner"),
         (&["inspect", "no/such/run"], "no/such/run"),
+        (&["status", "no/such/run"], "no/such/run"),
         (&["eval", "no/such/run"], "no/such/run"),
         (&["record", "no/such/run"], "no/such/run"),
         (&["plot", "no/such/run"], "no/such/run"),
@@ -56,9 +57,10 @@ fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
 
 #[test]
 fn every_command_has_help() {
-    for command in
-        ["train", "learner", "actor", "eval", "record", "plot", "inspect", "tasks", "config"]
-    {
+    for command in [
+        "train", "learner", "actor", "eval", "record", "plot", "inspect", "status", "tasks",
+        "config",
+    ] {
         let output = s2mia(&[command, "--help"]);
         assert!(output.status.success(), "{command}");
         assert!(String::from_utf8(output.stdout).unwrap().contains("Usage: s2mia"), "{command}");

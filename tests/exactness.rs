@@ -87,7 +87,7 @@ const CELLS: [Cell; 24] = {
     while index < 24 {
         let (happening, actors) = (index / 3, index % 3);
         let rule = RULES[(happening + actors) % 2];
-        let threads = THREADS[(happening + actors + (actors + 1) / 2) % 2];
+        let threads = THREADS[(happening + actors + actors.div_ceil(2)) % 2];
         cells[index] = (rule, HAPPENINGS[happening], ACTORS[actors], threads);
         index += 1;
     }

@@ -20,9 +20,11 @@ use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
 mod reports;
+mod status;
 mod weights;
 
 pub use reports::{Progress, Storage, Wake};
+use status::Pace;
 use weights::Weights;
 
 /// What an actor that finds nothing to do is told to wait before it asks again.
@@ -90,6 +92,7 @@ struct Shared {
     /// Bounded by what is open: one iteration, a few evaluations, one failure.
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
+    pace: Pace,
 }
 
 impl Exchange {
@@ -103,6 +106,7 @@ impl Exchange {
             weights: Weights::default(),
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
+            pace: Pace::default(),
         };
         Arc::new(Self {
             run,
@@ -149,6 +153,7 @@ impl Exchange {
     pub fn open_iteration(&self, iteration: u64, weights: PolicyVersion, slots: Vec<RolloutWork>) {
         self.change(|shared| {
             let name = shared.weights.expect(weights);
+            shared.pace.open(iteration, self.begun.elapsed());
             shared.table.open_iteration(iteration, name, slots);
         });
     }

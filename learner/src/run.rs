@@ -38,6 +38,9 @@ pub async fn run(
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) =
         prepared.map_err(|error| LearnerError::Panic(error.to_string()))??;
+    let address =
+        listener.local_addr().map_err(|error| LearnerError::Service(error.to_string()))?;
+    trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease);
     let server = Server::start(listener, &exchange);
     let broken = Arc::clone(&server.broken);

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use proto::wire::control_service_server::ControlServiceServer;
 use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
 use proto::{
     ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
@@ -17,12 +18,15 @@ use tonic::transport::server::Router;
 use tonic::{Request, Response, Status, Streaming};
 
 use crate::exchange::Exchange;
+use crate::service::control::Control;
 
 mod connections;
+mod control;
 mod ingest;
 mod snapshots;
 mod storage;
 
+pub use control::status;
 pub use storage::STORAGE;
 
 /// A connection on which nothing came is asked for a sign of life after this long...
@@ -55,6 +59,7 @@ pub async fn serve(
 /// that [`serve`] accepts.
 pub async fn service(exchange: Arc<Exchange>) -> Router {
     let storage = exchange.storage();
+    let control = ControlServiceServer::new(Control { exchange: Arc::clone(&exchange) });
     let learner = LearnerServiceServer::new(Learner { exchange })
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
@@ -74,6 +79,7 @@ pub async fn service(exchange: Arc<Exchange>) -> Router {
         .initial_connection_window_size(CONNECTION_WINDOW)
         .http2_max_header_list_size(MOST_HEADER_BYTES)
         .add_service(learner)
+        .add_service(control)
         .add_service(health)
         .add_service(reflection)
 }

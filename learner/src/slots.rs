@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    Ack, AckState, ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, PushHeader,
-    Reason, Refusal, RolloutWork, RunState, TrajectoryChunk, WeightsName, Work,
+    Ack, AckState, ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, LeaseStatus,
+    PushHeader, Reason, Refusal, RolloutWork, RunState, TrajectoryChunk, WeightsName, Work,
 };
 
 mod actors;
@@ -148,6 +148,12 @@ impl SlotTable {
             slots: self.board.as_ref().map_or(0, Board::slots),
             complete_slots: self.board.as_ref().map_or(0, Board::complete_slots),
         }
+    }
+
+    /// The open leases, the oldest first.
+    #[must_use]
+    pub fn leases(&self) -> Vec<LeaseStatus> {
+        self.open.iter().map(|(id, lease)| lease.status(*id, self.now)).collect()
     }
 
     /// What the table holds in memory.

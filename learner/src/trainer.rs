@@ -211,7 +211,10 @@ impl Work {
         let progress = self.outside.exchange.progress();
         let trainer = &mut self.trainer;
         if progress.foreign_actors > 0 {
-            trainer.folder.note_foreign_actors()?;
+            // Tried again after every iteration until the manifest says it.
+            if let Err(error) = trainer.folder.note_foreign_actors() {
+                tracing::error!("the manifest does not name foreign actors yet: {error}");
+            }
         }
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());

@@ -22,3 +22,36 @@ pub(super) async fn follow(mut storage: watch::Receiver<Storage>, reporter: Heal
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tonic::Request;
+    use tonic_health::pb::HealthCheckRequest;
+    use tonic_health::pb::health_check_response::ServingStatus::{NotServing, Serving};
+    use tonic_health::pb::health_server::Health as _;
+    use tonic_health::server::HealthService;
+
+    #[tokio::test]
+    async fn a_failing_disk_shows_under_its_own_name_until_it_recovers() {
+        let reporter = HealthReporter::new();
+        let health = HealthService::from_health_reporter(reporter.clone());
+        let sender = watch::Sender::new(Storage::Sound);
+        tokio::spawn(follow(sender.subscribe(), reporter));
+        for (storage, expected) in [
+            (Storage::Degraded, NotServing),
+            (Storage::Sound, Serving),
+            (Storage::Degraded, NotServing),
+        ] {
+            sender.send_replace(storage);
+            loop {
+                let request = HealthCheckRequest { service: STORAGE.to_owned() };
+                let found = health.check(Request::new(request)).await;
+                if found.is_ok_and(|found| found.into_inner().status() == expected) {
+                    break;
+                }
+                tokio::task::yield_now().await;
+            }
+        }
+    }
+}

@@ -76,7 +76,8 @@ impl Actors {
             return Vec::new();
         }
         let first = self.registered.iter().find(|(_, actor)| on_it(actor)).map(|(id, _)| *id);
-        first.into_iter().inspect(|id| drop(self.registered.remove(id))).collect()
+        self.registered.retain(|id, _| Some(*id) != first);
+        first.into_iter().collect()
     }
 
     /// The actors that are gone with the connection.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    AckState, ActorId, Digest, EvaluationWork, LeaseId, Reason, Refusal, TrajectoryChunk,
-    WeightsName,
+    AckState, ActorId, Digest, EvaluationWork, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal,
+    TrajectoryChunk, WeightsName,
 };
 
 use super::Trust;
@@ -72,6 +72,19 @@ impl OpenLease {
         }
         if now - self.progress < ttl * PATIENCE_IN_TTLS {
             self.deadline = now + ttl;
+        }
+    }
+
+    pub(super) fn status(&self, lease: LeaseId, now: Duration) -> LeaseStatus {
+        LeaseStatus {
+            lease,
+            actor: self.actor,
+            work: match self.claim {
+                Claim::Slot(index) => LeasedWork::Slot(index as u32),
+                Claim::Episode(work) => LeasedWork::Episode(work.episode),
+            },
+            chunks: self.chunks.len() as u32,
+            still_secs: (now - self.progress).as_secs_f64(),
         }
     }
 
