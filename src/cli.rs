@@ -103,6 +103,18 @@ pub(crate) struct TrainArguments {
     /// Resume.
     #[command(flatten)]
     pub(crate) resume: ResumeArguments,
+    /// Train only ITERATIONS, in a temporary folder, three times: undisturbed, with an actor killed, and stopped
+    /// and resumed; the exit status says whether all end in the same state.
+    #[arg(
+        long,
+        value_name = "ITERATIONS",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "3",
+        conflicts_with = "resume",
+        value_parser = clap::value_parser!(u64).range(2..)
+    )]
+    pub(crate) verify_determinism: Option<u64>,
 }
 
 /// `s2mia learner`

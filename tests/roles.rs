@@ -10,6 +10,8 @@ use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use serde_json::json;
+
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 
 const SIXTY: &str = "run.iterations=60";
@@ -99,7 +101,7 @@ fn a_run_says_where_it_stands_by_its_address_its_folder_and_when_it_has_ended() 
     let figures = ["state", "iteration", "slots", "complete_slots", "actors"];
     assert_eq!(
         figures.map(|name| asked[name].clone()),
-        ["running".into(), 0.into(), 2.into(), 0.into(), 0.into()]
+        [json!("running"), json!(0), json!(2), json!(0), json!(0)]
     );
     learner.terminate();
     assert_eq!(status(path)["state"], "stopped");
@@ -108,6 +110,15 @@ fn a_run_says_where_it_stands_by_its_address_its_folder_and_when_it_has_ended() 
     train(&runs.folder("short"), &["run.iterations=1", "run.actors=1"]);
     let line = succeeded(&["status", runs.folder("short").to_str().unwrap()]);
     assert!(line.contains("is finished: iteration 1 of 1") && line.lines().count() == 1, "{line}");
+}
+
+#[test]
+fn whoever_doubts_it_can_have_the_same_run_trained_three_times_and_compared() {
+    let told = succeeded(&[&["train"], TINY, &["--verify-determinism=3"]].concat());
+    let lines = told.lines().collect::<Vec<_>>();
+    let states = lines[..3].iter().map(|line| line.split_whitespace().last().unwrap());
+    assert!(states.clone().all(|state| state.len() == 64 && Some(state) == states.clone().next()));
+    assert_eq!(lines[3], "deterministic over 3 iterations: all states are equal");
 }
 
 #[test]
