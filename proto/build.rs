@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use prost::Message;
 
 const ROOT: &str = "proto";
-const FILES: [&str; 4] = ["learner", "environment", "trajectory", "tensor"];
+const FILES: [&str; 5] = ["control", "learner", "environment", "trajectory", "tensor"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let files = FILES.map(|name| format!("{ROOT}/s2mia/v1/{name}.proto"));

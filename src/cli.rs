@@ -47,6 +47,8 @@ pub(crate) enum Command {
     Actor(ActorArguments),
     /// Ask a learner whether it serves; the exit status is the answer.
     Health(HealthArguments),
+    /// Say where a run stands: iteration, slots, leases, actors, steps per second.
+    Status(StatusArguments),
     /// Measure a trained policy: whole episodes, mean action, extrinsic return.
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.
@@ -119,6 +121,18 @@ pub(crate) struct TrainArguments {
     /// Resume.
     #[command(flatten)]
     pub(crate) resume: ResumeArguments,
+    /// Train only ITERATIONS, in a temporary folder, three times: undisturbed, with an actor killed, and stopped
+    /// and resumed; the exit status says whether all end in the same state.
+    #[arg(
+        long,
+        value_name = "ITERATIONS",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "3",
+        conflicts_with = "resume",
+        value_parser = clap::value_parser!(u64).range(2..)
+    )]
+    pub(crate) verify_determinism: Option<u64>,
 }
 
 /// `s2mia learner`
@@ -171,6 +185,20 @@ pub(crate) struct HealthArguments {
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
     /// How long to wait for its answer.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    pub(crate) timeout_secs: f64,
+}
+
+/// `s2mia status`
+#[derive(Args, Debug)]
+pub(crate) struct StatusArguments {
+    /// Run folder, or where the learner listens.
+    #[arg(value_name = "RUN | URL", default_value = "http://127.0.0.1:50051")]
+    pub(crate) of: String,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// How long to wait for the learner's answer.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
 }

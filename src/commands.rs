@@ -11,8 +11,11 @@ mod inspect;
 mod learner;
 mod plot;
 mod record;
+mod status;
 mod tasks;
 mod train;
+
+use std::time::Duration;
 
 use anyhow::Context as _;
 use tokio::runtime::Runtime;
@@ -42,11 +45,18 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),
+        Command::Status(arguments) => status::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
         Command::Config(arguments) => config::run(arguments),
         Command::Certs(arguments) => certs::run(&arguments),
     }
+}
+
+/// How long an argument says to wait.
+fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
+    Duration::try_from_secs_f64(timeout_secs)
+        .map_err(|_| Usage::new(format!("--timeout-secs must be at least 0, is {timeout_secs}")))
 }
 
 /// Threads for sockets, signals and child processes; stepping and training have their own.

@@ -35,6 +35,7 @@ fn wrong_settings_are_one_line_and_status_two() {
         (&["actor", "--learner", "https://localhost:50051"], "--tls-ca"),
         (&["learner", "--tls-certificate", "a.pem"], "--tls-client-ca"),
         (&["inspect", "no/such/run"], "no/such/run"),
+        (&["status", "no/such/run"], "no/such/run"),
         (&["eval", "no/such/run"], "no/such/run"),
         (&["record", "no/such/run"], "no/such/run"),
         (&["plot", "no/such/run"], "no/such/run"),
@@ -60,8 +61,8 @@ fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
 #[test]
 fn every_command_has_help() {
     for command in [
-        "train", "learner", "actor", "eval", "record", "plot", "inspect", "tasks", "config",
-        "certs",
+        "train", "learner", "actor", "health", "certs", "eval", "record", "film", "plot",
+        "inspect", "status", "tasks", "config",
     ] {
         let output = s2mia(&[command, "--help"]);
         assert!(output.status.success(), "{command}");

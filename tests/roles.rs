@@ -10,7 +10,9 @@ use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use runs::{Runs, TINY, inspect, s2mia, train};
+use serde_json::json;
+
+use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 
 const SIXTY: &str = "run.iterations=60";
 
@@ -82,6 +84,41 @@ fn an_actor_started_first_outlives_a_learner_that_is_stopped_and_started_again_i
     assert!(actor.wait().unwrap().success());
     train(&undisturbed, &[SIXTY, "run.actors=1"]);
     assert_eq!(inspect(&folder), inspect(&undisturbed));
+}
+
+fn status(of: &str) -> serde_json::Value {
+    serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
+}
+
+#[test]
+fn a_run_says_where_it_stands_by_its_address_its_folder_and_when_it_has_ended() {
+    let runs = Runs::new();
+    let (folder, address) = (runs.folder("status"), free_address());
+    let path = folder.to_str().unwrap();
+    let mut learner = Learner::start(&folder, &address);
+    let asked = status(&format!("http://{address}"));
+    assert_eq!(asked, status(path));
+    let figures = ["state", "iteration", "slots", "complete_slots", "actors"];
+    assert_eq!(
+        figures.map(|name| asked[name].clone()),
+        [json!("running"), json!(0), json!(2), json!(0), json!(0)]
+    );
+    learner.terminate();
+    assert_eq!(status(path)["state"], "stopped");
+    let line = succeeded(&["status", path]);
+    assert!(line.contains("is stopped: iteration 0 of 60") && line.contains("--resume"), "{line}");
+    train(&runs.folder("short"), &["run.iterations=1", "run.actors=1"]);
+    let line = succeeded(&["status", runs.folder("short").to_str().unwrap()]);
+    assert!(line.contains("is finished: iteration 1 of 1") && line.lines().count() == 1, "{line}");
+}
+
+#[test]
+fn whoever_doubts_it_can_have_the_same_run_trained_three_times_and_compared() {
+    let told = succeeded(&[&["train"], TINY, &["--verify-determinism=3"]].concat());
+    let lines = told.lines().collect::<Vec<_>>();
+    let states = lines[..3].iter().map(|line| line.split_whitespace().last().unwrap());
+    assert!(states.clone().all(|state| state.len() == 64 && Some(state) == states.clone().next()));
+    assert_eq!(lines[3], "deterministic over 3 iterations: all states are equal");
 }
 
 #[test]

@@ -6,16 +6,23 @@
 //! that is whole; what it passed over is returned, to be told loudly.
 
 pub(crate) mod fields;
+mod kept;
 mod manifest;
+mod step;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256, to_safetensors};
 
+use crate::config::CheckpointConfig;
 use crate::durable::{self, FileError};
 
+use kept::{iterations, prune};
+use step::about_to;
+
 pub use manifest::{FileEntry, Manifest, SCHEMA};
+pub use step::{Before, Step};
 
 /// The file that describes a checkpoint; written last.
 const MANIFEST: &str = "manifest.json";
@@ -162,9 +169,8 @@ pub fn folder(run_folder: &Path) -> PathBuf {
     run_folder.join("checkpoints")
 }
 
-/// Writes a checkpoint and removes all but the newest `keep_last`. A checkpoint of the same iteration
-/// with the same state is left as it is; one that differs or is damaged is replaced. `before_rename` is called when
-/// all is written and nothing is in its place yet.
+/// Writes a checkpoint and removes those that need not stay. A checkpoint of the same iteration with the
+/// same state is left as it is; one that differs or is damaged is replaced.
 ///
 /// # Errors
 /// Names the file that could not be written. The checkpoints before it are untouched.
@@ -172,23 +178,26 @@ pub fn save(
     run_folder: &Path,
     checkpoint: &Checkpoint,
     config_sha256: &str,
-    keep_last: usize,
-    before_rename: impl FnOnce(),
+    keep: &CheckpointConfig,
+    before: &mut Before<'_>,
 ) -> Result<Saved, CheckpointError> {
     let folder = folder(run_folder);
     let place = folder.join(name(checkpoint.iteration));
     let saved = checkpoint.saved(place.clone());
     durable::make_folder(&folder)?;
     if !stands(&place, &saved, config_sha256) {
-        let draft = write_draft(&folder, (checkpoint, &saved), config_sha256)?;
-        before_rename();
+        let draft = write_draft(&folder, (checkpoint, &saved), config_sha256, before)?;
+        about_to(before, Step::Rename, &place)?;
         durable::remove_folder(&place)?;
         std::fs::rename(&draft, &place).map_err(FileError::of("rename", &draft))?;
+        about_to(before, Step::FlushName, &folder)?;
         durable::sync_folder(&folder)?;
     }
+    about_to(before, Step::NameLatest, &folder.join(LATEST))?;
     let newest = format!("{}\n", name(checkpoint.iteration));
     durable::replace(&folder.join(LATEST), newest.as_bytes())?;
-    prune(&folder, checkpoint.iteration, keep_last)?;
+    about_to(before, Step::RemoveOld, &folder)?;
+    prune(&folder, checkpoint.iteration, keep)?;
     Ok(saved)
 }
 
@@ -233,23 +242,6 @@ fn name(iteration: u64) -> String {
     format!("iter_{iteration:08}")
 }
 
-/// Iterations of all checkpoints in `folder`, ascending; drafts and other files do not count.
-fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
-    let entries = match std::fs::read_dir(folder) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-        entries => entries.map_err(FileError::of("read", folder))?,
-    };
-    let mut found = Vec::new();
-    for entry in entries {
-        let file_name = entry.map_err(FileError::of("read", folder))?.file_name();
-        let file_name = file_name.to_string_lossy();
-        let digits = file_name.strip_prefix("iter_").and_then(|digits| digits.parse().ok());
-        found.extend(digits.filter(|iteration| name(*iteration) == file_name));
-    }
-    found.sort_unstable();
-    Ok(found)
-}
-
 /// Whether `path` holds exactly this state already.
 fn stands(path: &Path, saved: &Saved, config_sha256: &str) -> bool {
     let same = |manifest: &Manifest| {
@@ -263,16 +255,21 @@ fn write_draft(
     folder: &Path,
     (checkpoint, saved): (&Checkpoint, &Saved),
     config_sha256: &str,
+    before: &mut Before<'_>,
 ) -> Result<PathBuf, CheckpointError> {
     let draft = folder.join(format!("{DRAFT}{}", name(checkpoint.iteration)));
+    about_to(before, Step::MakeFolder, &draft)?;
     durable::remove_folder(&draft)?;
     durable::make_folder(&draft)?;
     let files = files(checkpoint)?;
-    for (name, bytes) in &files {
-        durable::write(&draft.join(name), bytes)?;
+    let manifest = Manifest::of((checkpoint, saved), config_sha256, &files).to_bytes();
+    let last = (MANIFEST.to_owned(), manifest);
+    for (name, bytes) in files.into_iter().chain([last]) {
+        let path = draft.join(name);
+        about_to(before, Step::WriteFile, &path)?;
+        durable::write(&path, &bytes)?;
     }
-    let manifest = Manifest::of((checkpoint, saved), config_sha256, &files);
-    durable::write(&draft.join(MANIFEST), &manifest.to_bytes())?;
+    about_to(before, Step::FlushFiles, &draft)?;
     durable::sync_folder(&draft)?;
     Ok(draft)
 }
@@ -293,23 +290,6 @@ fn files(checkpoint: &Checkpoint) -> Result<BTreeMap<String, Vec<u8>>, Checkpoin
         files.insert(format!("{group}.safetensors"), to_safetensors(&arrays, &BTreeMap::new())?);
     }
     Ok(files)
-}
-
-/// Removes all but the `keep_last` newest up to `newest`, and drafts that a crash left. Checkpoints
-/// beyond `newest` were passed over as damaged; they stay until their iteration is written again.
-fn prune(folder: &Path, newest: u64, keep_last: usize) -> Result<(), CheckpointError> {
-    let kept = iterations(folder)?.into_iter().filter(|iteration| *iteration <= newest);
-    for iteration in kept.rev().skip(keep_last) {
-        durable::remove_folder(&folder.join(name(iteration)))?;
-    }
-    let entries = std::fs::read_dir(folder).map_err(FileError::of("read", folder))?;
-    for entry in entries.flatten() {
-        let is_draft = entry.file_name().to_string_lossy().starts_with(DRAFT);
-        if is_draft && entry.path().is_dir() {
-            durable::remove_folder(&entry.path())?;
-        }
-    }
-    Ok(())
 }
 
 /// Reads and verifies a checkpoint; otherwise what is wrong with it.

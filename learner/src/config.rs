@@ -63,8 +63,29 @@ pub struct EvaluationConfig {
 pub struct CheckpointConfig {
     /// Iterations between two checkpoints.
     pub every: u64,
-    /// Checkpoints that stay in the run folder.
+    /// Newest checkpoints that stay in the run folder.
     pub keep_last: usize,
+    /// Checkpoints of the multiples of this iteration stay for ever; 0: none.
+    pub keep_every: u64,
+}
+
+impl CheckpointConfig {
+    /// Whether the checkpoint of `iteration` is never removed.
+    #[must_use]
+    pub fn stays_for_ever(&self, iteration: u64) -> bool {
+        self.keep_every > 0 && iteration.is_multiple_of(self.keep_every)
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        within("checkpoint.every", self.every, 1, u64::MAX)?;
+        within("checkpoint.keep_last", self.keep_last as u64, 1, 1_000_000)?;
+        if self.keep_every.is_multiple_of(self.every) {
+            return Ok(());
+        }
+        let range = format!("0 or a multiple of checkpoint.every = {}", self.every);
+        let (key, found) = ("checkpoint.keep_every", self.keep_every.to_string());
+        Err(ConfigError { key, found, range })
+    }
 }
 
 /// The learner's own machine.
@@ -98,8 +119,7 @@ impl Config {
         if self.evaluation.every_steps > 0 {
             within("evaluation.episodes", self.evaluation.episodes.into(), 1, 10_000)?;
         }
-        within("checkpoint.every", self.checkpoint.every, 1, u64::MAX)?;
-        within("checkpoint.keep_last", self.checkpoint.keep_last as u64, 1, 1_000_000)?;
+        self.checkpoint.validate()?;
         within("learner.threads", self.learner.threads as u64, 0, 1024)
     }
 }
@@ -169,6 +189,15 @@ mod tests {
     fn the_default_sizes_are_valid() {
         assert_eq!(config().validate(), Ok(()));
         assert_eq!((config().slots(), config().steps_per_iteration()), (10, 4000));
+    }
+
+    #[test]
+    fn checkpoints_that_would_never_be_written_cannot_be_kept() {
+        let with = |keep_every| CheckpointConfig { every: 25, keep_last: 3, keep_every };
+        assert_eq!((with(0).validate(), with(100).validate()), (Ok(()), Ok(())));
+        let message = with(40).validate().unwrap_err().to_string();
+        let range = "0 or a multiple of checkpoint.every = 25";
+        assert_eq!(message, format!("checkpoint.keep_every = 40 is out of range: {range}"));
     }
 
     #[test]

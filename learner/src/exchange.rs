@@ -12,15 +12,19 @@ use proto::{
     RunDescription, RunState, TrajectoryChunk, WeightsName,
 };
 use serde::{Deserialize, Serialize};
-use tokio::sync::Notify;
+use tokio::sync::{Notify, watch};
 
 use crate::canary;
 use crate::config::ConfigError;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
+mod reports;
+mod status;
 mod weights;
 
+pub use reports::{Progress, Storage, Wake};
+use status::Pace;
 use weights::Weights;
 
 /// What an actor that finds nothing to do is told to wait before it asks again.
@@ -68,34 +72,6 @@ pub enum ExchangeError {
     Disagreement(Box<Disagreement>),
 }
 
-/// Why the trainer woke up.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Wake {
-    /// The open iteration is complete: every slot, in order.
-    Iteration(Vec<SlotRollout>),
-    /// An evaluation is complete.
-    Evaluation(EvaluationOutcome),
-    /// The run cannot go on.
-    Failed(ExchangeError),
-    /// Nothing happened for as long as it was willing to wait.
-    Patience,
-}
-
-/// How far the exchange is.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Progress {
-    /// Environment steps accepted in the open iteration.
-    pub steps_collected: u64,
-    /// Actors that are connected.
-    pub actors: usize,
-    /// Registrations without a fingerprint so far: with any, the run is not exactly repeatable.
-    pub foreign_actors: u64,
-    /// Refused messages by reason.
-    pub refusals: BTreeMap<String, u64>,
-    /// Slots and episodes that had to be leased again.
-    pub leases_reissued: u64,
-}
-
 /// Where service and trainer meet.
 #[derive(Debug)]
 pub struct Exchange {
@@ -106,6 +82,7 @@ pub struct Exchange {
     trainer: Condvar,
     /// Wakes tasks that wait for a lease.
     work: Notify,
+    storage: watch::Sender<Storage>,
 }
 
 #[derive(Debug)]
@@ -115,6 +92,7 @@ struct Shared {
     /// Bounded by what is open: one iteration, a few evaluations, one failure.
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
+    pace: Pace,
 }
 
 impl Exchange {
@@ -128,6 +106,7 @@ impl Exchange {
             weights: Weights::default(),
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
+            pace: Pace::default(),
         };
         Arc::new(Self {
             run,
@@ -135,6 +114,7 @@ impl Exchange {
             shared: Mutex::new(shared),
             trainer: Condvar::new(),
             work: Notify::new(),
+            storage: watch::Sender::new(Storage::Sound),
         })
     }
 
@@ -173,6 +153,7 @@ impl Exchange {
     pub fn open_iteration(&self, iteration: u64, weights: PolicyVersion, slots: Vec<RolloutWork>) {
         self.change(|shared| {
             let name = shared.weights.expect(weights);
+            shared.pace.open(iteration, self.begun.elapsed());
             shared.table.open_iteration(iteration, name, slots);
         });
     }
@@ -210,6 +191,17 @@ impl Exchange {
             refusals: shared.refusals.clone(),
             leases_reissued: counts.reissued,
         }
+    }
+
+    /// Says whether checkpoints reach the disk.
+    pub fn report_storage(&self, storage: Storage) {
+        self.storage.send_replace(storage);
+    }
+
+    /// Whether checkpoints reach the disk, now and whenever it changes.
+    #[must_use]
+    pub fn storage(&self) -> watch::Receiver<Storage> {
+        self.storage.subscribe()
     }
 
     /// The learner is about to stop: no new leases; open ones may be finished.

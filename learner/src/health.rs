@@ -63,7 +63,7 @@ async fn ask(endpoint: Endpoint) -> Result<ServingStatus, String> {
 }
 
 /// The last cause says what happened; those before it only that something did.
-fn innermost(error: &dyn std::error::Error) -> String {
+pub(crate) fn innermost(error: &dyn std::error::Error) -> String {
     let mut cause = error;
     while let Some(next) = cause.source() {
         cause = next;

@@ -2,18 +2,23 @@
 //! checkpoint from which it goes on.
 
 use std::fs::{File, OpenOptions};
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
 use crate::durable::{self, FileError};
 
-/// A file of JSON lines, open for more.
+/// Bytes that wait for a disk which takes nothing, before the run gives up.
+const MOST_WAITING: usize = 16 << 20;
+
+/// A file of JSON lines, open for more. What the disk does not take waits, whole, for the next line.
 #[derive(Debug)]
 pub struct JsonLines {
     path: PathBuf,
     file: File,
+    /// Written to the file in order, half a line too if the disk fills up in the middle of it.
+    waiting: Vec<u8>,
 }
 
 impl JsonLines {
@@ -42,23 +47,44 @@ impl JsonLines {
         }
         let file = OpenOptions::new().create(true).append(true).open(path);
         let file = file.map_err(FileError::of("open", path))?;
-        Ok((Self { path: path.to_path_buf(), file }, kept))
+        Ok((Self { path: path.to_path_buf(), file, waiting: Vec::new() }, kept))
     }
 
-    /// Adds one line.
+    /// Adds one line. If the file cannot be written, that is told, and the line waits.
     ///
     /// # Errors
-    /// Names the file if it cannot be written.
+    /// Names the file if 16 MiB wait already.
     pub fn append(&mut self, value: &Value) -> Result<(), FileError> {
-        let line = format!("{value}\n");
-        self.file.write_all(line.as_bytes()).map_err(FileError::of("append to", &self.path))
+        self.waiting.extend_from_slice(format!("{value}\n").as_bytes());
+        match self.write_waiting() {
+            Err(error) if self.waiting.len() <= MOST_WAITING => {
+                let then = "the line waits, and training goes on";
+                tracing::error!(waiting_bytes = self.waiting.len(), "{error}; {then}");
+                Ok(())
+            }
+            written => written,
+        }
+    }
+
+    fn write_waiting(&mut self) -> Result<(), FileError> {
+        while !self.waiting.is_empty() {
+            let written = match self.file.write(&self.waiting) {
+                Ok(0) => Err(ErrorKind::WriteZero.into()),
+                Err(error) if error.kind() == ErrorKind::Interrupted => Ok(0),
+                written => written,
+            };
+            let written = written.map_err(FileError::of("append to", &self.path))?;
+            self.waiting.drain(..written);
+        }
+        Ok(())
     }
 
     /// Waits until the disk has all lines.
     ///
     /// # Errors
-    /// Names the file if it cannot be flushed.
-    pub fn sync(&self) -> Result<(), FileError> {
+    /// Names the file if it cannot be flushed, or if lines wait that still cannot be written.
+    pub fn sync(&mut self) -> Result<(), FileError> {
+        self.write_waiting()?;
         self.file.sync_data().map_err(FileError::of("flush", &self.path))
     }
 }
@@ -97,6 +123,25 @@ mod tests {
             serde_json::from_str::<Value>(line).unwrap()["iteration"].as_u64().unwrap()
         });
         assert_eq!(iterations.collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn lines_that_a_full_disk_refuses_are_written_once_when_there_is_room() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        let (mut lines, _) = JsonLines::cut(&path, 0).unwrap();
+        let full = OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let disk = std::mem::replace(&mut lines.file, full);
+        lines.append(&json!({"iteration": 1})).unwrap();
+        lines.append(&json!({"iteration": 2})).unwrap();
+        let refused = lines.sync().unwrap_err().to_string();
+        assert!(refused.contains("cannot append to"), "{refused}");
+        lines.file = disk;
+        lines.append(&json!({"iteration": 3})).unwrap();
+        lines.sync().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(text, "{\"iteration\":1}\n{\"iteration\":2}\n{\"iteration\":3}\n");
     }
 
     #[test]

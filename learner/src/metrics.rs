@@ -92,7 +92,7 @@ impl Metrics {
     ///
     /// # Errors
     /// Names the file if it cannot be flushed.
-    pub fn sync(&self) -> Result<(), FileError> {
+    pub fn sync(&mut self) -> Result<(), FileError> {
         self.lines.sync()
     }
 }

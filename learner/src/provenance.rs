@@ -69,7 +69,7 @@ impl Provenance {
     ///
     /// # Errors
     /// Names the file if it cannot be flushed.
-    pub fn sync(&self) -> Result<(), FileError> {
+    pub fn sync(&mut self) -> Result<(), FileError> {
         self.lines.sync()
     }
 }

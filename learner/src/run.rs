@@ -38,8 +38,12 @@ pub async fn run(
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) =
         prepared.map_err(|error| LearnerError::Panic(error.to_string()))??;
+    let door = door.into();
+    let address = door.listener.local_addr();
+    let address = address.map_err(|error| LearnerError::Service(error.to_string()))?;
+    trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease);
-    let server = Server::start(door.into(), &exchange);
+    let server = Server::start(door, &exchange);
     let broken = Arc::clone(&server.broken);
     let outside = Outside {
         exchange: Arc::clone(&exchange),

@@ -3,6 +3,7 @@
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write as _;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use proto::Incarnation;
@@ -14,6 +15,8 @@ const CONFIG: &str = "config.toml";
 const MANIFEST: &str = "manifest.json";
 const INCARNATION: &str = "incarnation";
 const LOCK: &str = "learner.lock";
+/// Where the learner of the latest start listened.
+const ADDRESS: &str = "address";
 /// Manifest field: whether an actor without a fingerprint ever took part, so that the run is not
 /// exactly repeatable.
 const FOREIGN_ACTORS: &str = "foreign_actors";
@@ -134,6 +137,14 @@ impl RunFolder {
         Ok(Incarnation(incarnation))
     }
 
+    /// Writes down where this start of the learner listens.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be written.
+    pub fn note_address(&self, address: SocketAddr) -> Result<(), RunFolderError> {
+        Ok(durable::replace(&self.file(ADDRESS), format!("{address}\n").as_bytes())?)
+    }
+
     /// Writes into the manifest, once and for good, that an actor without a fingerprint took part.
     ///
     /// # Errors
@@ -149,6 +160,28 @@ impl RunFolder {
 
     fn had_foreign_actors(&self) -> bool {
         self.manifest().is_ok_and(|manifest| manifest[FOREIGN_ACTORS] == Value::Bool(true))
+    }
+
+    /// Where the learner that works on the folder at `path` listens; `None` if there is none.
+    ///
+    /// # Errors
+    /// Names a file that cannot be read.
+    pub fn listening(path: &Path) -> Result<Option<String>, RunFolderError> {
+        let lock = path.join(LOCK);
+        if !lock.is_file() {
+            return Ok(None);
+        }
+        let open = File::open(&lock).map_err(FileError::of("open", &lock))?;
+        match open.try_lock_shared() {
+            Ok(()) => Ok(None),
+            Err(TryLockError::WouldBlock) => {
+                let place = path.join(ADDRESS);
+                let address = std::fs::read_to_string(&place);
+                let address = address.map_err(FileError::of("read", &place))?;
+                Ok(Some(address.trim().to_owned()))
+            }
+            Err(TryLockError::Error(error)) => Err(FileError::of("lock", &lock)(error).into()),
+        }
     }
 
     fn lock(path: &Path) -> Result<Self, RunFolderError> {
@@ -224,6 +257,18 @@ mod tests {
             let again = RunFolder::claim_existing(folder.path(), "aa").unwrap();
             assert_eq!(again.begin("a = 1\n", &manifest()).unwrap(), Incarnation(number));
         }
+    }
+
+    #[test]
+    fn a_folder_says_where_its_learner_listens_while_it_does() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(RunFolder::listening(folder.path()).unwrap(), None);
+        let run = RunFolder::claim_new(folder.path()).unwrap();
+        run.note_address("127.0.0.1:50051".parse().unwrap()).unwrap();
+        let found = RunFolder::listening(folder.path()).unwrap();
+        assert_eq!(found.as_deref(), Some("127.0.0.1:50051"));
+        drop(run);
+        assert_eq!(RunFolder::listening(folder.path()).unwrap(), None);
     }
 
     #[test]

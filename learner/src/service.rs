@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use proto::wire::control_service_server::ControlServiceServer;
 use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
 use proto::{
     ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
@@ -19,11 +20,17 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::door::Door;
 use crate::exchange::Exchange;
+use crate::service::control::Control;
 
 mod connections;
+mod control;
 mod greeting;
 mod ingest;
 mod snapshots;
+mod storage;
+
+pub use control::status;
+pub use storage::STORAGE;
 
 /// A connection on which nothing came is asked for a sign of life after this long...
 const KEEPALIVE: Duration = Duration::from_secs(20);
@@ -54,11 +61,14 @@ pub async fn serve(
 /// The learner's service with health and reflection. Leases end with the connection only for connections
 /// that [`serve`] accepts.
 pub async fn service(exchange: Arc<Exchange>) -> Router {
+    let storage = exchange.storage();
+    let control = ControlServiceServer::new(Control { exchange: Arc::clone(&exchange) });
     let learner = LearnerServiceServer::new(Learner { exchange })
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<LearnerServiceServer<Learner>>().await;
+    tokio::spawn(storage::follow(storage, reporter));
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
@@ -72,6 +82,7 @@ pub async fn service(exchange: Arc<Exchange>) -> Router {
         .initial_connection_window_size(CONNECTION_WINDOW)
         .http2_max_header_list_size(MOST_HEADER_BYTES)
         .add_service(InterceptedService::new(learner, connections::needs(Role::Actor)))
+        .add_service(InterceptedService::new(control, connections::needs(Role::Viewer)))
         .add_service(health)
         .add_service(reflection)
 }

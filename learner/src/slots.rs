@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    Ack, AckState, ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, PushHeader,
-    Reason, Refusal, RolloutWork, RunState, TrajectoryChunk, WeightsName, Work,
+    Ack, AckState, ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, LeaseStatus,
+    PushHeader, Reason, Refusal, RolloutWork, RunState, TrajectoryChunk, WeightsName, Work,
 };
 
 mod actors;
@@ -28,7 +28,7 @@ use board::{Board, Verdict};
 pub use board::{Disagreement, Testimony};
 use evaluations::Evaluations;
 use leases::{Claim, Finished, OpenLease, Standing, follows, repeated, wrong_kind};
-pub use outcome::{Counts, Effect, EvaluationOutcome, Offer, SlotRollout};
+pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Offer, SlotRollout};
 
 /// Who computes what.
 #[derive(Debug)]
@@ -144,17 +144,45 @@ impl SlotTable {
             actors: self.actors.count(),
             foreign: self.actors.foreign,
             reissued: self.reissued,
+            leases: self.open.len(),
+            slots: self.board.as_ref().map_or(0, Board::slots),
+            complete_slots: self.board.as_ref().map_or(0, Board::complete_slots),
         }
     }
 
-    /// Admits an actor that spoke on `connection`.
+    /// The open leases, the oldest first.
+    #[must_use]
+    pub fn leases(&self) -> Vec<LeaseStatus> {
+        self.open.iter().map(|(id, lease)| lease.status(*id, self.now)).collect()
+    }
+
+    /// What the table holds in memory.
+    #[must_use]
+    pub fn footprint(&self) -> Footprint {
+        Footprint {
+            actors: self.actors.count(),
+            open_leases: self.open.len(),
+            finished_leases: self.finished.count(),
+            chunks: self.counts().chunks,
+            witnesses: self.board.as_ref().map_or(0, Board::witnesses),
+        }
+    }
+
+    /// Admits an actor that spoke on `connection`. One connection carries 16 at most: past that, the
+    /// one that registered first is gone.
     pub fn register(&mut self, connection: ConnectionId, trust: Trust) -> ActorId {
+        let gone = self.actors.make_room(connection);
+        self.end_leases_of(&gone);
         self.actors.register(connection, trust)
     }
 
     /// The connection closed: its actors are gone, their leases end.
     pub fn disconnect(&mut self, connection: ConnectionId) {
         let gone = self.actors.disconnect(connection);
+        self.end_leases_of(&gone);
+    }
+
+    fn end_leases_of(&mut self, gone: &[ActorId]) {
         let of_gone =
             |(id, lease): (&LeaseId, &OpenLease)| gone.contains(&lease.actor).then_some(*id);
         let ended = self.open.iter().filter_map(of_gone).collect::<Vec<_>>();

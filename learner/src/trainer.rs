@@ -153,7 +153,7 @@ impl Work {
             self.trainer.fault_at(Point::AfterPublish);
             self.record(&collected, &learnt, behaviour)?;
             self.evaluate_if_due()?;
-            self.save_if_due()?;
+            self.save_if_due();
         }
         self.end()
     }
@@ -212,11 +212,15 @@ impl Work {
         let progress = self.outside.exchange.progress();
         let trainer = &mut self.trainer;
         if progress.foreign_actors > 0 {
-            trainer.folder.note_foreign_actors()?;
+            // Tried again after every iteration until the manifest says it.
+            if let Err(error) = trainer.folder.note_foreign_actors() {
+                tracing::error!("the manifest does not name foreign actors yet: {error}");
+            }
         }
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());
         metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
+        metrics.push(("checkpoints_failed".to_owned(), trainer.failed_saves.into()));
         let report = IterationReport {
             iteration: trainer.iteration,
             env_steps: trainer.env_steps(),

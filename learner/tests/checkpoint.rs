@@ -4,7 +4,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use learner::checkpoint::{self, Checkpoint, CheckpointError, Loaded, Saved};
+use learner::CheckpointConfig;
+use learner::checkpoint::{self, Before, Checkpoint, CheckpointError, Loaded, Saved, Step};
 use policy::arrays::{Array, NamedArrays};
 
 fn checkpoint(iteration: u64) -> Checkpoint {
@@ -18,6 +19,10 @@ fn checkpoint(iteration: u64) -> Checkpoint {
         ("counters/iteration".to_owned(), count),
     ]);
     Checkpoint { iteration, env_steps: iteration * 40, arrays, policy: b"a policy".to_vec() }
+}
+
+fn keep(keep_last: usize, keep_every: u64) -> CheckpointConfig {
+    CheckpointConfig { every: 1, keep_last, keep_every }
 }
 
 struct Run(tempfile::TempDir);
@@ -34,7 +39,16 @@ impl Run {
     }
 
     fn save(&self, iteration: u64, keep_last: usize) -> Saved {
-        checkpoint::save(self.0.path(), &checkpoint(iteration), "c0ffee", keep_last, || {}).unwrap()
+        self.try_save(iteration, keep(keep_last, 0), &mut |_, _| Ok(())).unwrap()
+    }
+
+    fn try_save(
+        &self,
+        iteration: u64,
+        keep: CheckpointConfig,
+        before: &mut Before<'_>,
+    ) -> Result<Saved, CheckpointError> {
+        checkpoint::save(self.0.path(), &checkpoint(iteration), "c0ffee", &keep, before)
     }
 
     fn load(&self) -> Loaded {
@@ -109,6 +123,56 @@ fn the_newest_checkpoints_stay_and_older_ones_go() {
         .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
         .collect();
     assert_eq!(names, ["LATEST", "iter_00000004", "iter_00000005"]);
+}
+
+#[test]
+fn multiples_of_keep_every_stay_for_ever() {
+    let run = Run::new();
+    for iteration in 1..=8 {
+        run.try_save(iteration, keep(1, 3), &mut |_, _| Ok(())).unwrap();
+    }
+    let stay = [3, 6, 8].map(|iteration| run.place(iteration));
+    assert_eq!(files(&run.folder())[1..], stay);
+}
+
+/// Saves iteration 2 on a disk that refuses the `at`-th step; for a file the disk takes half of it first.
+/// The step refused, if there are so many.
+fn refused_step(run: &Run, at: usize) -> Option<Step> {
+    let (mut count, mut refused) = (0, None);
+    let saved = run.try_save(2, keep(10, 0), &mut |step, path| {
+        count += 1;
+        if count <= at {
+            return Ok(());
+        }
+        if step == Step::WriteFile {
+            fs::write(path, "half of it")?;
+        }
+        refused = Some(step);
+        Err(std::io::ErrorKind::StorageFull.into())
+    });
+    assert_eq!(saved.is_err(), refused.is_some());
+    refused
+}
+
+#[test]
+fn a_disk_that_refuses_any_step_leaves_what_stood_and_the_next_attempt_succeeds() {
+    let mut seen = Vec::new();
+    for at in 0.. {
+        let run = Run::with(&[1]);
+        let Some(step) = refused_step(&run, at) else { break };
+        seen.push(step);
+        let loaded = run.load();
+        // Refused before its name stands, the new one does not count; after that it does.
+        let early =
+            matches!(step, Step::MakeFolder | Step::WriteFile | Step::FlushFiles | Step::Rename);
+        let newest = if early { 1 } else { 2 };
+        assert_eq!((loaded.checkpoint, loaded.skipped), (checkpoint(newest), vec![]), "{step:?}");
+        assert_eq!(checkpoint::load(&run.place(1)).unwrap().checkpoint, checkpoint(1));
+        run.save(2, 10);
+        assert_eq!(run.load().checkpoint, checkpoint(2), "{step:?}");
+    }
+    seen.dedup();
+    assert_eq!(seen, Step::ALL);
 }
 
 #[test]
@@ -245,6 +309,7 @@ fn an_array_of_no_group_is_refused_by_name() {
     let run = Run::new();
     let mut odd = checkpoint(1);
     odd.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
-    let error = checkpoint::save(run.0.path(), &odd, "c0ffee", 1, || {}).unwrap_err().to_string();
+    let saved = checkpoint::save(run.0.path(), &odd, "c0ffee", &keep(1, 0), &mut |_, _| Ok(()));
+    let error = saved.unwrap_err().to_string();
     assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
 }

@@ -12,6 +12,7 @@ mod ids;
 mod read;
 mod refusal;
 mod run;
+mod status;
 mod tensor;
 mod trajectory;
 pub mod validate;
@@ -29,6 +30,7 @@ pub use environment::{
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
 pub use refusal::{ERROR_DOMAIN, Reason, Refusal};
 pub use run::RunDescription;
+pub use status::{LeaseStatus, LeasedWork, Status};
 pub use trajectory::{AgentChunk, EvaluationResult, FinalStep, SlotEnd, TrajectoryChunk};
 pub use work::{EnvironmentStart, EvaluationWork, Lease, RolloutWork, Start, WeightsName, Work};
 

@@ -1,6 +1,7 @@
 //! `s2mia train`: a learner in this process and actors in their own, on this machine.
 
 mod closing;
+mod verify;
 
 use std::path::Path;
 use std::time::Instant;
@@ -22,6 +23,9 @@ use crate::{learning_curve, output, run_path, signals};
 /// Trains to the end of the run, or until told to stop; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     let prepared = launch::prepare(&arguments.settings, &arguments.resume)?;
+    if let Some(iterations) = arguments.verify_determinism {
+        return verify::run(&arguments.settings, iterations);
+    }
     runtime()?.block_on(train(prepared))
 }
 

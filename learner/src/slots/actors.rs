@@ -8,6 +8,8 @@ use proto::{ActorId, Reason, Refusal};
 
 /// Leases one actor may hold at a time.
 const MOST_LEASES: usize = 4;
+/// Actors of one connection. A client that registers over and over must not fill the memory.
+const MOST_PER_CONNECTION: usize = 16;
 /// Refusals in a row after which an actor gets no work for a while.
 const STRIKES: u32 = 3;
 /// The pause doubles with each further refusal, this many times at most.
@@ -65,6 +67,17 @@ impl Actors {
         let actor = Actor { connection, trust, strikes: 0, quarantined_until: Duration::ZERO };
         self.registered.insert(ActorId(self.last), actor);
         ActorId(self.last)
+    }
+
+    /// The actor that must go before one more fits on the connection.
+    pub(super) fn make_room(&mut self, connection: ConnectionId) -> Vec<ActorId> {
+        let on_it = |actor: &&Actor| actor.connection == connection;
+        if self.registered.values().filter(on_it).count() < MOST_PER_CONNECTION {
+            return Vec::new();
+        }
+        let first = self.registered.iter().find(|(_, actor)| on_it(actor)).map(|(id, _)| *id);
+        self.registered.retain(|id, _| Some(*id) != first);
+        first.into_iter().collect()
     }
 
     /// The actors that are gone with the connection.

@@ -150,6 +150,19 @@ impl Board {
         self.slots.iter_mut().map(|slot| slot.rollout.take()).collect()
     }
 
+    pub(super) fn slots(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// Slots whose result is complete, those that the trainer took included.
+    pub(super) fn complete_slots(&self) -> usize {
+        self.slots.iter().filter(|slot| slot.taken || slot.rollout.is_some()).count()
+    }
+
+    pub(super) fn witnesses(&self) -> usize {
+        self.slots.iter().map(|slot| slot.witnesses.len()).sum()
+    }
+
     pub(super) fn complete_chunks(&self) -> u64 {
         self.slots
             .iter()

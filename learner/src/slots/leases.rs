@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    AckState, ActorId, Digest, EvaluationWork, LeaseId, Reason, Refusal, TrajectoryChunk,
-    WeightsName,
+    AckState, ActorId, Digest, EvaluationWork, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal,
+    TrajectoryChunk, WeightsName,
 };
 
 use super::Trust;
@@ -75,6 +75,19 @@ impl OpenLease {
         }
     }
 
+    pub(super) fn status(&self, lease: LeaseId, now: Duration) -> LeaseStatus {
+        LeaseStatus {
+            lease,
+            actor: self.actor,
+            work: match self.claim {
+                Claim::Slot(index) => LeasedWork::Slot(index as u32),
+                Claim::Episode(work) => LeasedWork::Episode(work.episode),
+            },
+            chunks: self.chunks.len() as u32,
+            still_secs: (now - self.progress).as_secs_f64(),
+        }
+    }
+
     pub(super) fn accept(&mut self, digest: Digest, chunk: TrajectoryChunk) {
         self.digests.push(digest);
         self.chunks.push(chunk);
@@ -106,6 +119,10 @@ impl Finished {
         if self.0.len() > MOST_FINISHED {
             self.0.pop_first();
         }
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.0.len()
     }
 
     pub(super) fn digests(&self, id: LeaseId) -> Option<&[Digest]> {

@@ -67,4 +67,25 @@ pub struct Counts {
     pub foreign: u64,
     /// Slots and episodes that had to be leased again, over the whole run.
     pub reissued: u64,
+    /// Open leases, of slots and of evaluation episodes.
+    pub leases: usize,
+    /// Slots of the open iteration.
+    pub slots: usize,
+    /// Those of them whose result is complete.
+    pub complete_slots: usize,
+}
+
+/// How many entries of each kind the table holds; each kind has a bound, whatever comes in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Footprint {
+    /// Registered actors: at most 16 for each open connection.
+    pub actors: usize,
+    /// Open leases: at most one for each slot and each episode of an open evaluation.
+    pub open_leases: usize,
+    /// Finished leases whose results are recognised when they come again: at most 4,096.
+    pub finished_leases: usize,
+    /// Chunks of the open iteration: at most all of them once.
+    pub chunks: u64,
+    /// Digests of ended leases: at most 9 lists for each slot.
+    pub witnesses: usize,
 }

@@ -1,37 +1,40 @@
 //! One consistent cut of the run: what a checkpoint holds, and when it is written.
 
+use std::path::Path;
+
 use policy::arrays::{Array, NamedArrays};
 
-use crate::checkpoint::{self, Checkpoint, Saved};
+use crate::checkpoint::{self, Checkpoint, Saved, Step};
 use crate::error::LearnerError;
 use crate::event::Event;
-use crate::fault::Point;
+use crate::exchange::Storage;
+use crate::fault::{self, Point};
 use crate::trainer::{Trainer, Work};
-
-/// Periodic checkpoints that may fail one after the other before the run gives up.
-const FAILURES_LIMIT: u32 = 3;
 
 impl Work {
     /// Writes a checkpoint every `checkpoint.every` iterations. One that fails is told loudly and
-    /// tried again after the next iteration; after three in a row the run ends.
-    pub(super) fn save_if_due(&mut self) -> Result<(), LearnerError> {
+    /// tried again after the next iteration, while training goes on and the service reports
+    /// [`Storage::Degraded`]; those before it stand.
+    pub(super) fn save_if_due(&mut self) {
         let trainer = &self.trainer;
         let due = trainer.iteration.is_multiple_of(trainer.config.checkpoint.every);
         if !due && trainer.failed_saves == 0 {
-            return Ok(());
+            return;
         }
-        match self.save_now() {
-            Ok(_) => self.trainer.failed_saves = 0,
+        let storage = match self.save_now() {
+            Ok(_) => {
+                self.trainer.failed_saves = 0;
+                Storage::Sound
+            }
             Err(error) => {
                 self.trainer.failed_saves += 1;
                 let failures = self.trainer.failed_saves;
-                tracing::error!(failures, "the checkpoint could not be written: {error}");
-                if failures >= FAILURES_LIMIT {
-                    return Err(error);
-                }
+                let then = "training goes on, and the next iteration tries again";
+                tracing::error!(failures, "no checkpoint: {error}; {then}");
+                Storage::Degraded
             }
-        }
-        Ok(())
+        };
+        self.outside.exchange.report_storage(storage);
     }
 
     /// Writes a checkpoint of the last finished iteration, unless there is one.
@@ -51,7 +54,7 @@ impl Work {
 
 impl Trainer {
     /// The metrics reach the disk before the checkpoint that counts on them.
-    fn save(&self) -> Result<Saved, LearnerError> {
+    fn save(&mut self) -> Result<Saved, LearnerError> {
         self.metrics.sync()?;
         self.provenance.sync()?;
         let checkpoint = Checkpoint {
@@ -60,10 +63,15 @@ impl Trainer {
             arrays: self.arrays()?,
             policy: self.policy.to_vec(),
         };
-        let (folder, keep_last) = (self.folder.path(), self.config.checkpoint.keep_last);
+        let (folder, keep) = (self.folder.path(), &self.config.checkpoint);
         let config = self.config_sha256.to_string();
-        let fault = || self.fault_at(Point::MidCheckpoint);
-        Ok(checkpoint::save(folder, &checkpoint, &config, keep_last, fault)?)
+        let mut before = |step, _: &Path| {
+            if step == Step::Rename {
+                self.fault_at(Point::MidCheckpoint);
+            }
+            fault::on_disk(self.fault, step, self.iteration)
+        };
+        Ok(checkpoint::save(folder, &checkpoint, &config, keep, &mut before)?)
     }
 
     /// Everything that the next iteration depends on, and the evaluation that may be out.

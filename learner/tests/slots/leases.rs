@@ -152,3 +152,20 @@ fn a_finished_run_answers_done_and_a_draining_one_gives_no_work() {
     table.finish();
     assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Done));
 }
+
+#[test]
+fn a_connection_that_registers_for_the_seventeenth_time_loses_its_first_actor() {
+    let mut table = table(1);
+    let first = actor(&mut table, 1);
+    let held = lease(&mut table, first);
+    (0..15).for_each(|_| assert_ne!(actor(&mut table, 1), first));
+    let elsewhere = actor(&mut table, 2);
+    assert_eq!(
+        (table.counts().actors, table.lease(elsewhere, INCARNATION)),
+        (17, Ok(Offer::Nothing))
+    );
+    actor(&mut table, 1);
+    assert_eq!(table.counts().actors, 17);
+    assert_eq!(push(&mut table, &held, 0).unwrap_err().reason, Reason::UnknownLease);
+    assert_eq!(slot(&lease(&mut table, elsewhere)), 0);
+}

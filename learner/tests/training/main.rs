@@ -10,10 +10,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use learner::checkpoint::load_newest;
+use learner::checkpoint::{Step, load_newest};
+use learner::fault::Point;
 use learner::run_folder::RunFolderError;
 use learner::trainer::Outside;
-use learner::{Event, Exchange, Launch, LearnerError, Summary, launch};
+use learner::{Event, Exchange, Fault, Launch, LearnerError, Summary, launch};
 use serde_json::Value;
 
 use actor::Actors;
@@ -158,6 +159,31 @@ fn a_damaged_checkpoint_costs_iterations_and_no_bits() {
     let ended = train(resumed(launch_in(damaged.path(), 5)), 2);
     assert_eq!(ended.state_sha256, undisturbed.state_sha256);
     assert!(load_newest(damaged.path()).unwrap().skipped.is_empty());
+}
+
+/// The run's end, and the checkpoints in a row that had failed at the end of each iteration.
+fn train_on_a_failing_disk(launch: Launch) -> (Summary, Vec<f64>) {
+    let folder = launch.folder.clone();
+    let summary = train(launch, 2);
+    let lines = lines(&folder, "metrics.jsonl");
+    let iterations = lines.iter().filter(|line| line["kind"] == "iteration");
+    (summary, iterations.map(|line| line["checkpoints_failed"].as_f64().unwrap()).collect())
+}
+
+#[test]
+fn a_disk_that_refuses_a_step_of_a_checkpoint_costs_that_checkpoint_and_no_training() {
+    let whole = tempfile::tempdir().unwrap();
+    let undisturbed = train(launch_in(whole.path(), 4), 2);
+    for step in Step::ALL {
+        let folder = tempfile::tempdir().unwrap();
+        let mut launch = launch_in(folder.path(), 4);
+        launch.fault = Some(Fault { point: Point::Disk(step), iteration: 2 });
+        let (ended, failed) = train_on_a_failing_disk(launch);
+        assert_eq!(ended.state_sha256, undisturbed.state_sha256, "{step:?}");
+        assert_eq!(failed, [0.0, 0.0, 1.0, 0.0], "{step:?}");
+        // The attempt after the next iteration stands.
+        assert!(folder.path().join("checkpoints/iter_00000003").is_dir(), "{step:?}");
+    }
 }
 
 #[test]

@@ -50,7 +50,7 @@ fn config() -> Config {
         },
         lease: LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 },
         evaluation: EvaluationConfig { every_steps: 64, episodes: 3 },
-        checkpoint: CheckpointConfig { every: 2, keep_last: 3 },
+        checkpoint: CheckpointConfig { every: 2, keep_last: 3, keep_every: 0 },
         learner: ThreadsConfig { threads: 2 },
     }
 }

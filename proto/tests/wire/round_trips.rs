@@ -120,7 +120,7 @@ fn acknowledgements_and_signs_of_life_survive_the_round_trip() {
 #[test]
 fn the_descriptors_hold_the_service_for_reflection() {
     let files = String::from_utf8_lossy(wire::DESCRIPTORS);
-    for name in ["s2mia/v1/learner.proto", "s2mia/v1/tensor.proto"] {
+    for name in ["s2mia/v1/control.proto", "s2mia/v1/learner.proto", "s2mia/v1/tensor.proto"] {
         assert!(files.contains(name), "{name} is missing");
     }
 }

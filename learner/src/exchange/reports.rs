@@ -1,0 +1,43 @@
+//! What the exchange says of itself.
+
+use std::collections::BTreeMap;
+
+use crate::exchange::ExchangeError;
+use crate::slots::{EvaluationOutcome, SlotRollout};
+
+/// Why the trainer woke up.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wake {
+    /// The open iteration is complete: every slot, in order.
+    Iteration(Vec<SlotRollout>),
+    /// An evaluation is complete.
+    Evaluation(EvaluationOutcome),
+    /// The run cannot go on.
+    Failed(ExchangeError),
+    /// Nothing happened for as long as it was willing to wait.
+    Patience,
+}
+
+/// How far the exchange is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Environment steps accepted in the open iteration.
+    pub steps_collected: u64,
+    /// Actors that are connected.
+    pub actors: usize,
+    /// Registrations without a fingerprint so far: with any, the run is not exactly repeatable.
+    pub foreign_actors: u64,
+    /// Refused messages by reason.
+    pub refusals: BTreeMap<String, u64>,
+    /// Slots and episodes that had to be leased again.
+    pub leases_reissued: u64,
+}
+
+/// Whether what the run learns reaches the disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Storage {
+    /// It does.
+    Sound,
+    /// The last checkpoint that was due could not be written.
+    Degraded,
+}

@@ -1,0 +1,119 @@
+//! `s2mia status`: where a run stands. A learner at work is asked; a folder without one tells of its newest checkpoint.
+
+use std::path::Path;
+
+use learner::run_folder::RunFolder;
+use proto::{LeaseStatus, LeasedWork, Status};
+use serde_json::{Value, json};
+
+use crate::chart::thousands;
+use crate::cli::StatusArguments;
+use crate::commands::{checkpointed, patience, runtime};
+use crate::output;
+use crate::run_config::RunConfig;
+
+/// Prints one line and a table of leases, or one JSON object.
+pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
+    let patience = patience(arguments.timeout_secs)?;
+    let url = match arguments.of.contains("://") {
+        true => arguments.of.clone(),
+        false => match RunFolder::listening(Path::new(&arguments.of))? {
+            Some(address) => format!("http://{address}"),
+            None => return at_rest(arguments),
+        },
+    };
+    let status = runtime()?.block_on(learner::service::status(&url, patience))?;
+    match arguments.json {
+        true => output::line(to_json(&status)),
+        false => output::line(text(&status)),
+    }
+    Ok(())
+}
+
+/// A run on which no learner works: finished, stopped or dead.
+fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
+    let run = Path::new(&arguments.of);
+    let checkpoint = checkpointed::load(run)?.checkpoint;
+    let iterations = RunConfig::of_run(run)?.iterations();
+    let (iteration, env_steps) = (checkpoint.iteration, checkpoint.env_steps);
+    let state = if iteration >= iterations { "finished" } else { "stopped" };
+    if arguments.json {
+        let told = json!({
+            "state": state,
+            "iteration": iteration,
+            "iterations": iterations,
+            "env_steps": env_steps,
+        });
+        output::line(told);
+        return Ok(());
+    }
+    let steps = thousands(env_steps);
+    let next = match state {
+        "finished" => String::new(),
+        _ => format!("; `s2mia train --resume {}` goes on", run.display()),
+    };
+    let at = format!("iteration {iteration} of {iterations}, {steps} env steps");
+    output::line(format!("{} is {state}: {at}{next}", run.display()));
+    Ok(())
+}
+
+fn text(status: &Status) -> String {
+    let Status { run_id, iteration, slots, complete_slots, actors, leases, .. } = status;
+    let pace = status.env_steps_per_sec.map_or_else(String::new, |pace| {
+        format!(", {} env steps/s", thousands(pace.round() as u64))
+    });
+    let disk =
+        if status.storage_degraded { "\nthe last checkpoint could not be written" } else { "" };
+    let mut text = format!(
+        "{run_id}: iteration {iteration}, {} env steps{pace}\n\
+         {complete_slots} of {slots} slots complete, {} leases on {actors} actors, \
+         {} leased again, {} messages refused{disk}",
+        thousands(status.env_steps),
+        leases.len(),
+        status.leases_reissued,
+        status.messages_refused,
+    );
+    leases.iter().for_each(|lease| text += &format!("\n{}", line(lease)));
+    text
+}
+
+fn line(lease: &LeaseStatus) -> String {
+    let work = match lease.work {
+        LeasedWork::Slot(slot) => format!("slot {slot}"),
+        LeasedWork::Episode(episode) => format!("episode {episode}"),
+    };
+    let (chunks, still) = (lease.chunks, lease.still_secs);
+    format!("  {work}: actor {}, {chunks} chunks, {still:.1} s since the last", lease.actor)
+}
+
+fn to_json(status: &Status) -> Value {
+    let lease = |lease: &LeaseStatus| {
+        let (slot, episode) = match lease.work {
+            LeasedWork::Slot(slot) => (Some(slot), None),
+            LeasedWork::Episode(episode) => (None, Some(episode)),
+        };
+        json!({
+            "lease": lease.lease.0,
+            "actor": lease.actor.0,
+            "slot": slot,
+            "episode": episode,
+            "chunks": lease.chunks,
+            "still_secs": lease.still_secs,
+        })
+    };
+    json!({
+        "state": "running",
+        "run_id": status.run_id,
+        "incarnation": status.incarnation.0,
+        "iteration": status.iteration,
+        "env_steps": status.env_steps,
+        "env_steps_per_sec": status.env_steps_per_sec,
+        "slots": status.slots,
+        "complete_slots": status.complete_slots,
+        "actors": status.actors,
+        "messages_refused": status.messages_refused,
+        "leases_reissued": status.leases_reissued,
+        "storage_degraded": status.storage_degraded,
+        "leases": status.leases.iter().map(lease).collect::<Vec<_>>(),
+    })
+}

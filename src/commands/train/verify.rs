@@ -1,0 +1,181 @@
+//! `s2mia train --verify-determinism`: the same short run, three times, each disturbed in another way, must end
+//! in the same state.
+
+use std::io::{BufRead as _, BufReader, Lines};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use learner::checkpoint;
+
+use crate::cli::SettingsArguments;
+use crate::{output, run_path};
+
+/// How often a running learner is looked at.
+const GLANCE: Duration = Duration::from_millis(20);
+
+/// What happens to a trial.
+#[derive(Clone, Copy)]
+enum Happening {
+    Nothing,
+    /// One actor is killed after the first iteration.
+    ActorKilled,
+    /// Stopped after the first iteration, and taken up again.
+    Stopped,
+}
+
+/// By name, with the number of actors.
+const TRIALS: [(&str, usize, Happening); 3] = [
+    ("1 actor, undisturbed", 1, Happening::Nothing),
+    ("2 actors, one killed", 2, Happening::ActorKilled),
+    ("2 actors, stopped and resumed", 2, Happening::Stopped),
+];
+
+/// Plays all trials for `iterations` and prints each one's state.
+///
+/// # Errors
+/// A trial failed, or the states differ.
+pub(super) fn run(settings: &SettingsArguments, iterations: u64) -> anyhow::Result<()> {
+    let place = Scratch::make()?;
+    let mut states = Vec::new();
+    for (index, (name, actors, happening)) in TRIALS.into_iter().enumerate() {
+        let folder = place.0.join(index.to_string());
+        let trial = Trial { settings, folder: &folder, actors };
+        trial.play(happening, iterations).with_context(|| format!("trial `{name}` failed"))?;
+        let state = checkpoint::load_newest(&folder)?.saved().state_sha256;
+        output::line(format!("{name:<31} {state}"));
+        states.push(state);
+    }
+    verdict(&states)?;
+    output::line(format!("deterministic over {iterations} iterations: all states are equal"));
+    Ok(())
+}
+
+fn verdict(states: &[String]) -> anyhow::Result<()> {
+    match states.iter().position(|state| *state != states[0]) {
+        None => Ok(()),
+        Some(index) => anyhow::bail!(
+            "not deterministic: `{}` and `{}` end in different states",
+            TRIALS[0].0,
+            TRIALS[index].0
+        ),
+    }
+}
+
+struct Trial<'a> {
+    settings: &'a SettingsArguments,
+    folder: &'a Path,
+    actors: usize,
+}
+
+impl Trial<'_> {
+    fn play(&self, happening: Happening, iterations: u64) -> anyhow::Result<()> {
+        match happening {
+            Happening::Nothing => self.start(iterations)?.end(),
+            Happening::ActorKilled => {
+                let mut crew = self.start(iterations)?;
+                crew.wait_for_an_iteration(self.folder)?;
+                crew.actors[0].kill().context("cannot kill an actor")?;
+                crew.end()
+            }
+            Happening::Stopped => {
+                self.start(1)?.end()?;
+                self.start(iterations)?.end()
+            }
+        }
+    }
+
+    /// Starts the learner, which goes on with what the folder holds, and the actors.
+    fn start(&self, iterations: u64) -> anyhow::Result<Crew> {
+        let program = std::env::current_exe().context("cannot find this program")?;
+        let mut command = Command::new(&program);
+        command.args(["learner", "--listen", "127.0.0.1:0"]).args(&self.settings.settings);
+        for file in &self.settings.files {
+            command.arg("--config").arg(file);
+        }
+        command.arg(format!("run.dir={}", self.folder.display()));
+        command.arg(format!("run.iterations={iterations}")).arg("evaluation.every_steps=0");
+        let mut learner = command.stdout(Stdio::piped()).spawn().context("no learner")?;
+        let lines = learner.stdout.take().map(BufReader::new).context("no output")?.lines();
+        let mut crew = Crew { learner, lines, actors: Vec::new() };
+        let opening = crew.lines.next().context("the learner did not start")??;
+        let url = opening.split_whitespace().last().unwrap_or_default();
+        for _ in 0..self.actors {
+            let mut actor = Command::new(&program);
+            actor.args(["actor", "--exit-with-stdin", "--learner", url]);
+            actor.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+            crew.actors.push(actor.spawn().context("no actor")?);
+        }
+        Ok(crew)
+    }
+}
+
+/// A learner and its actors; none outlives this.
+struct Crew {
+    learner: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    actors: Vec<Child>,
+}
+
+impl Crew {
+    fn wait_for_an_iteration(&mut self, folder: &Path) -> anyhow::Result<()> {
+        let metrics = run_path::metrics_file(folder);
+        while !std::fs::metadata(&metrics).is_ok_and(|file| file.len() > 0) {
+            if self.learner.try_wait()?.is_some() {
+                return Ok(());
+            }
+            std::thread::sleep(GLANCE);
+        }
+        Ok(())
+    }
+
+    fn end(mut self) -> anyhow::Result<()> {
+        self.lines.by_ref().for_each(drop);
+        let status = self.learner.wait()?;
+        anyhow::ensure!(status.success(), "the learner ended with {status}");
+        Ok(())
+    }
+}
+
+impl Drop for Crew {
+    fn drop(&mut self) {
+        for process in self.actors.iter_mut().chain([&mut self.learner]) {
+            // Those that ended by themselves cannot be killed any more.
+            let _ended = process.kill();
+            let _reaped = process.wait();
+        }
+    }
+}
+
+/// A folder that goes with this value.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn make() -> anyhow::Result<Self> {
+        let folder = std::env::temp_dir().join(format!("s2mia-verify-{}", std::process::id()));
+        std::fs::create_dir(&folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
+        Ok(Self(folder))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // What cannot be removed is left to the system, which clears its temporary folder.
+        let _removed = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_that_differ_are_told_by_the_trials_they_come_from() {
+        let states = |texts: [&str; 3]| texts.map(str::to_owned);
+        assert!(verdict(&states(["a", "a", "a"])).is_ok());
+        let told = verdict(&states(["a", "a", "b"])).unwrap_err().to_string();
+        assert!(told.contains("`2 actors, stopped and resumed`"), "{told}");
+    }
+}
