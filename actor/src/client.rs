@@ -192,16 +192,17 @@ impl From<Status> for ActorError {
 /// The same error, or what is behind it if the two sides do not agree on TLS.
 pub(crate) async fn explained(error: ActorError, config: &Config) -> ActorError {
     let ActorError::Refused(status) = &error else { return error };
-    let why = match (&config.transport, status.code()) {
-        (Transport::Tls(files), Code::Unavailable | Code::Unknown | Code::Cancelled) => {
-            match security::explain(status) {
-                None => verdict::ask(&config.learner, files).await,
-                why => why,
-            }
+    let broken = matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Cancelled);
+    let why = match (&config.transport, security::explain(status)) {
+        (_, Some(why)) => Some(why),
+        (Transport::Tls(files), None) if broken => {
+            verdict::on_certificates(&config.learner, files).await
         }
-        (Transport::Tls(_), _) => None,
-        // No learner denies anything in plain text: this is HTTP/2's goodbye INADEQUATE_SECURITY.
-        (_, Code::PermissionDenied) => Some("the learner asks for TLS; use https://".to_owned()),
+        (Transport::Tls(_), None) => None,
+        // HTTP/2's goodbye for the lack of TLS arrives as a denial, if it arrives.
+        (_, None) if broken || status.code() == Code::PermissionDenied => {
+            verdict::on_plain_text(&config.learner).await
+        }
         _ => None,
     };
     match why {

@@ -35,12 +35,12 @@ pub async fn run(config: Config, mut stop: watch::Receiver<bool>) -> Result<(), 
     let mut outage = Outage::begin();
     loop {
         let session = tokio::select! {
-            session = attend(&config, &mut outage) => session,
+            session = explained_session(&config, &mut outage) => session,
             () = stopped(&mut stop) => Ok(Session::Stopped),
         };
         let error = match session {
             Ok(Session::Done | Session::Stopped) => return Ok(()),
-            Err(error) => explained(error, &config).await,
+            Err(error) => error,
         };
         if !may_pass(&error) {
             return Err(error);
@@ -56,6 +56,14 @@ pub async fn run(config: Config, mut stop: watch::Receiver<bool>) -> Result<(), 
             () = tokio::time::sleep(pause) => {}
             () = stopped(&mut stop) => return Ok(()),
         }
+    }
+}
+
+/// One session, and if it failed, what was behind that.
+async fn explained_session(config: &Config, outage: &mut Outage) -> Result<Session, ActorError> {
+    match attend(config, outage).await {
+        Err(error) => Err(explained(error, config).await),
+        done => done,
     }
 }
 

@@ -5,10 +5,11 @@ use std::io;
 
 use rustls::{AlertDescription, CertificateError};
 
-/// What a client should know about the TLS error that `error` is or comes from; `None` if none is behind it.
+/// What a client should know about the TLS error that `error` is or comes from. `None` if none is behind it, and
+/// if it is one of those, such as a byte that was lost, after which another try may do better.
 #[must_use]
 pub fn explain(error: &(dyn Error + 'static)) -> Option<String> {
-    tls_error(error).map(words).or_else(|| explain(error.source()?))
+    tls_error(error).and_then(words).or_else(|| explain(error.source()?))
 }
 
 fn tls_error<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> {
@@ -17,13 +18,17 @@ fn tls_error<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> 
     error.downcast_ref().or_else(|| inner.and_then(|inner| inner.downcast_ref()))
 }
 
-fn words(error: &rustls::Error) -> String {
+fn words(error: &rustls::Error) -> Option<String> {
     use rustls::Error::{AlertReceived, InvalidCertificate, InvalidMessage};
     match error {
-        InvalidMessage(_) => "the learner speaks no TLS there; use an http:// URL".to_owned(),
-        InvalidCertificate(why) => format!("the learner's certificate is refused: {}", reason(why)),
-        AlertReceived(alert) => format!("the learner refuses this certificate: {}", told(*alert)),
-        other => format!("no TLS connection: {other}"),
+        InvalidMessage(_) => Some("the learner speaks no TLS there; use an http:// URL".to_owned()),
+        InvalidCertificate(why) => {
+            Some(format!("the learner's certificate is refused: {}", reason(why)))
+        }
+        AlertReceived(alert) => {
+            told(*alert).map(|why| format!("the learner refuses this certificate: {why}"))
+        }
+        _ => None,
     }
 }
 
@@ -36,13 +41,37 @@ fn reason(why: &CertificateError) -> String {
     }
 }
 
-fn told(alert: AlertDescription) -> String {
+fn told(alert: AlertDescription) -> Option<&'static str> {
     match alert {
-        AlertDescription::CertificateRequired => "it wants one and got none".to_owned(),
+        AlertDescription::CertificateRequired => Some("it wants one and got none"),
         AlertDescription::UnknownCA | AlertDescription::DecryptError => {
-            "another authority has signed it".to_owned()
+            Some("another authority has signed it")
         }
-        AlertDescription::CertificateExpired => "it has expired".to_owned(),
-        other => format!("{other:?}"),
+        AlertDescription::CertificateExpired => Some("it has expired"),
+        AlertDescription::BadCertificate
+        | AlertDescription::UnsupportedCertificate
+        | AlertDescription::CertificateRevoked
+        | AlertDescription::CertificateUnknown => Some("its log says why"),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn explained(error: rustls::Error) -> Option<String> {
+        explain(&io::Error::new(io::ErrorKind::InvalidData, error))
+    }
+
+    #[test]
+    fn a_certificate_that_is_refused_is_told_from_a_connection_that_broke() {
+        use rustls::Error::AlertReceived;
+        let line = explained(AlertReceived(AlertDescription::CertificateExpired));
+        let expired = "the learner refuses this certificate: it has expired";
+        assert_eq!(line.as_deref(), Some(expired));
+        assert_eq!(explained(AlertReceived(AlertDescription::BadRecordMac)), None);
+        assert_eq!(explained(rustls::Error::DecryptError), None);
+        assert_eq!(explain(&io::Error::from(io::ErrorKind::ConnectionReset)), None);
     }
 }
