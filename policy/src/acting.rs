@@ -3,15 +3,19 @@
 //! A row's result has the same bits whatever batch it stands in and on every machine: each row is
 //! computed by itself, in one fixed order, with multiplications and additions that are never fused.
 
+mod reader;
+
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
-use crate::arrays::{Array, NamedArrays};
+use crate::acting::reader::Reader;
+use crate::arrays::NamedArrays;
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
 use crate::math::{sigmoid, tanh};
 use crate::ops::LAYER_NORM_EPSILON;
+use crate::standardisation::Standardisation;
 
 /// Sizes of one agent's policy and how it acts; travels with its weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,6 +95,8 @@ impl ActorSpec {
 pub struct ActorPolicy {
     spec: ActorSpec,
     arrays: NamedArrays,
+    /// Applied to observations before the trunk sees them.
+    standardisation: Option<Standardisation>,
     trunk: Trunk,
     head: Dense,
     sigma: Vec<f32>,
@@ -118,6 +124,7 @@ struct Norm {
 /// Buffers of [`ActorPolicy::forward`], kept by the caller so that a step allocates nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
+    observation: Vec<f32>,
     normal: Vec<f32>,
     layer: Vec<f32>,
     input: Vec<f32>,
@@ -193,6 +200,7 @@ impl ActorPolicy {
     pub(crate) fn new(spec: ActorSpec, arrays: NamedArrays) -> Result<Self, PolicyError> {
         spec.check()?;
         let mut reader = Reader { arrays: &arrays, used: 0 };
+        let standardisation = reader.standardisation(spec.observation)?;
         let trunk = reader.trunk(&spec)?;
         let head = reader.dense("head", spec.feature_size(), spec.outputs())?;
         let sigma = match (spec.head(), spec.head().fixed_sigma()) {
@@ -207,7 +215,7 @@ impl ActorPolicy {
             let (found, used) = (arrays.len(), reader.used);
             return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
         }
-        Ok(Self { spec, arrays, trunk, head, sigma })
+        Ok(Self { spec, arrays, standardisation, trunk, head, sigma })
     }
 
     /// Sizes of the policy and how it acts.
@@ -279,6 +287,18 @@ impl ActorPolicy {
         Self { spec: ActorSpec { head: Some(head), ..self.spec }, sigma, ..self }
     }
 
+    /// The same network, which from now on sees observations as `standardisation` leaves them.
+    ///
+    /// # Panics
+    /// If it is of another number of features.
+    #[must_use]
+    pub fn standardised(mut self, standardisation: Standardisation) -> Self {
+        assert_eq!(standardisation.mean.len(), self.spec.observation, "features");
+        self.arrays.extend(standardisation.arrays());
+        self.standardisation = Some(standardisation);
+        self
+    }
+
     /// An action `[act]` drawn from one row's output `[out]`.
     pub fn draw(&self, output: &[f32], rng: &mut impl RngCore, action: &mut [f32]) {
         self.head().draw(output, &self.sigma, rng, action);
@@ -297,7 +317,7 @@ impl ActorPolicy {
     }
 
     /// Outputs `[rows, out]`, means or logits, for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
-    /// step.
+    /// step. Observations are as the environment shows them.
     pub fn forward(
         &self,
         rows: usize,
@@ -311,89 +331,24 @@ impl ActorPolicy {
         for row in 0..rows {
             let observation = &observation[row * width..(row + 1) * width];
             let state = &mut hidden[row * state..(row + 1) * state];
-            self.trunk.features(observation, state, scratch);
+            self.features(observation, state, scratch);
             let output = &mut output[row * outputs..(row + 1) * outputs];
             output.copy_from_slice(&self.head.bias);
             self.head.add(&scratch.normal, output);
             self.head().squash(output);
         }
     }
-}
 
-/// Takes arrays out of their map, checking names and shapes.
-struct Reader<'a> {
-    arrays: &'a NamedArrays,
-    used: usize,
-}
-
-impl Reader<'_> {
-    fn array(&mut self, name: &str, expected: &[usize]) -> Result<&[f32], PolicyError> {
-        let wrong = |what: String| PolicyError::Snapshot(format!("{name} {what}"));
-        match self.arrays.get(name) {
-            Some(Array::F32 { shape, data }) if shape == expected => {
-                if data.iter().any(|x| !x.is_finite()) {
-                    return Err(wrong("holds a number that is not finite".to_owned()));
-                }
-                self.used += 1;
-                Ok(data)
-            }
-            Some(other) => {
-                let found = other.shape();
-                Err(wrong(format!("has shape {found:?}, expected f32 numbers {expected:?}")))
-            }
-            None => Err(wrong("is missing".to_owned())),
-        }
-    }
-
-    fn vector(&mut self, name: &str, length: usize) -> Result<Vec<f32>, PolicyError> {
-        Ok(self.array(name, &[length])?.to_vec())
-    }
-
-    fn dense(&mut self, name: &str, from: usize, to: usize) -> Result<Dense, PolicyError> {
-        self.linear_map([&format!("{name}.weight"), &format!("{name}.bias")], from, to)
-    }
-
-    fn linear_map(
-        &mut self,
-        names: [&str; 2],
-        from: usize,
-        to: usize,
-    ) -> Result<Dense, PolicyError> {
-        let rows = self.array(names[0], &[to, from])?;
-        let columns = (0..from).flat_map(|i| (0..to).map(move |o| o * from + i));
-        let weight = columns.map(|index| rows[index]).collect();
-        Ok(Dense { weight, bias: self.vector(names[1], to)? })
-    }
-
-    fn norm(&mut self, name: &str, width: usize) -> Result<Norm, PolicyError> {
-        let weight = self.vector(&format!("{name}.weight"), width)?;
-        Ok(Norm { weight, bias: self.vector(&format!("{name}.bias"), width)? })
-    }
-
-    fn trunk(&mut self, spec: &ActorSpec) -> Result<Trunk, PolicyError> {
-        let norm = self.norm("encoder.norm", spec.observation)?;
-        match spec.core {
-            CoreKind::Gru => {
-                let gates = 3 * spec.hidden;
-                let (ih, hh) = (["gru.weight_ih", "gru.bias_ih"], ["gru.weight_hh", "gru.bias_hh"]);
-                Ok(Trunk::Gru {
-                    norm,
-                    encoder: self.dense("encoder.linear", spec.observation, spec.encoder)?,
-                    input: self.linear_map(ih, spec.encoder, gates)?,
-                    recurrent: self.linear_map(hh, spec.hidden, gates)?,
-                    output: self.norm("output.norm", spec.hidden)?,
-                })
-            }
-            CoreKind::Mlp => {
-                let mut layers = Vec::new();
-                let mut from = spec.observation;
-                for layer in 0..spec.layers {
-                    let dense = self.dense(&format!("layers.{layer}.linear"), from, spec.width)?;
-                    layers.push((dense, self.norm(&format!("layers.{layer}.norm"), spec.width)?));
-                    from = spec.width;
-                }
-                Ok(Trunk::Mlp { norm, layers })
-            }
-        }
+    /// One row's features, left in `scratch.normal`.
+    fn features(&self, observation: &[f32], state: &mut [f32], scratch: &mut Scratch) {
+        let Some(standardisation) = &self.standardisation else {
+            return self.trunk.features(observation, state, scratch);
+        };
+        let mut standard = core::mem::take(&mut scratch.observation);
+        standard.clear();
+        standard.extend_from_slice(observation);
+        standardisation.apply(&mut standard);
+        self.trunk.features(&standard, state, scratch);
+        scratch.observation = standard;
     }
 }

@@ -21,6 +21,7 @@ pub mod precision;
 pub mod probe;
 pub mod randomness;
 pub mod snapshot;
+pub mod standardisation;
 
 pub use acting::{ActorPolicy, ActorSpec, Scratch};
 pub use arrays::{Array, NamedArrays};
@@ -35,3 +36,4 @@ pub use precision::Precision;
 pub use probe::probe;
 pub use randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 pub use snapshot::{PolicySnapshot, digest};
+pub use standardisation::Standardisation;

@@ -22,7 +22,7 @@ pub struct PolicySnapshot {
 
 impl PolicySnapshot {
     /// A safetensors file: arrays `agent_I.NAME` with PyTorch's names and layout, shapes as JSON in
-    /// the metadata. Equal policies give equal bytes.
+    /// the metadata; `input.*` are what observations are standardised by, where they are. Equal policies give equal bytes.
     ///
     /// # Errors
     /// Passes on an array error.
