@@ -35,7 +35,12 @@ impl Reader<'_> {
         Ok(self.array(name, &[length])?.to_vec())
     }
 
-    pub(super) fn dense(&mut self, name: &str, from: usize, to: usize) -> Result<Dense, PolicyError> {
+    pub(super) fn dense(
+        &mut self,
+        name: &str,
+        from: usize,
+        to: usize,
+    ) -> Result<Dense, PolicyError> {
         self.linear_map([&format!("{name}.weight"), &format!("{name}.bias")], from, to)
     }
 

@@ -1,0 +1,124 @@
+//! Running mean and variance of every feature over all rows of a run so far.
+
+use libm::sqrt;
+use policy::Standardisation;
+use policy::arrays::{Array, NamedArrays};
+
+use crate::error::MarlError;
+
+/// A deviation that is not above this, in units of the feature, is none: rounding alone can make it.
+const SMALLEST_DEVIATION: f64 = 1e-6;
+
+/// Moments of features, merged iteration by iteration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunningMoments {
+    /// Rows so far.
+    count: f64,
+    mean: Vec<f64>,
+    /// Sums of squared deviations from the mean.
+    squares: Vec<f64>,
+}
+
+impl RunningMoments {
+    /// Moments of no rows yet, of `features` features.
+    #[must_use]
+    pub fn new(features: usize) -> Self {
+        Self { count: 0.0, mean: vec![0.0; features], squares: vec![0.0; features] }
+    }
+
+    /// Takes in `rows` `[R, features]`, whose own moments are summed in the order of rows. Chan's merge of `n_a` rows
+    /// with `n_b`, where `d` is the distance of their means: `mean = mean_a + d n_b / n`, `squares = squares_a +
+    /// squares_b + d^2 n_a n_b / n`.
+    pub fn take_in(&mut self, rows: &[f32]) {
+        let features = self.mean.len();
+        let (before, new) = (self.count, (rows.len() / features) as f64);
+        if new == 0.0 {
+            return;
+        }
+        self.count = before + new;
+        for feature in 0..features {
+            let column = || rows[feature..].iter().step_by(features).map(|&x| f64::from(x));
+            let mean = column().sum::<f64>() / new;
+            let squares = column().map(|x| (x - mean) * (x - mean)).sum::<f64>();
+            let apart = mean - self.mean[feature];
+            self.mean[feature] += apart * new / self.count;
+            self.squares[feature] += squares + apart * apart * before * new / self.count;
+        }
+    }
+
+    /// To mean 0 and deviation 1 by what is known so far. A feature that never varied, such as an agent's number,
+    /// has no unit and passes as it is; before the first rows all do.
+    #[must_use]
+    pub fn standardisation(&self) -> Standardisation {
+        let rows = self.count.max(1.0);
+        let one = |(&mean, &squares): (&f64, &f64)| match sqrt(squares / rows) {
+            deviation if deviation > SMALLEST_DEVIATION => (mean as f32, (1.0 / deviation) as f32),
+            _ => (0.0, 1.0),
+        };
+        let (mean, inverse) = self.mean.iter().zip(&self.squares).map(one).unzip();
+        Standardisation { mean, inverse }
+    }
+
+    /// `PREFIX` + `count`, `mean`, `squares`.
+    pub(crate) fn arrays(&self, prefix: &str) -> NamedArrays {
+        let real = |name: &str, data: &[f64]| {
+            (format!("{prefix}{name}"), Array::F64 { shape: vec![data.len()], data: data.to_vec() })
+        };
+        let (mean, squares) = (real("mean", &self.mean), real("squares", &self.squares));
+        NamedArrays::from([real("count", &[self.count]), mean, squares])
+    }
+
+    /// Takes over kept moments.
+    ///
+    /// # Errors
+    /// Names the array that is missing or of another shape.
+    pub(crate) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+        let real = |name: &str, length: usize| match arrays.get(&format!("{prefix}{name}")) {
+            Some(Array::F64 { data, .. }) if data.len() == length => Ok(data.clone()),
+            _ => Err(MarlError::Restore(format!("{prefix}{name} is not {length} f64 numbers"))),
+        };
+        let features = self.mean.len();
+        let (count, mean) = (real("count", 1)?, real("mean", features)?);
+        self.squares = real("squares", features)?;
+        (self.count, self.mean) = (count[0], mean);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two features; the second one never varies.
+    fn moments(iterations: &[&[f32]]) -> RunningMoments {
+        let mut moments = RunningMoments::new(2);
+        iterations.iter().for_each(|rows| moments.take_in(rows));
+        moments
+    }
+
+    #[test]
+    fn merged_moments_meet_a_hand_worked_case_and_are_those_of_all_rows() {
+        // 1, 3 have mean 2 and squares 2; with 8 beside them: mean 4, squares 9 + 1 + 16.
+        let merged = moments(&[&[1.0, 0.5, 3.0, 0.5], &[8.0, 0.5]]);
+        assert_eq!((merged.count, merged.mean[0], merged.squares[0]), (3.0, 4.0, 26.0));
+        assert_eq!(merged, moments(&[&[1.0, 0.5, 3.0, 0.5, 8.0, 0.5]]));
+    }
+
+    #[test]
+    fn a_feature_is_standardised_unless_it_never_varied() {
+        let mut rows = [7.0, 0.5];
+        moments(&[&[1.0, 0.5, 5.0, 0.5]]).standardisation().apply(&mut rows); // mean 3, deviation 2
+        assert_eq!(rows, [2.0, 0.5]);
+        moments(&[]).standardisation().apply(&mut rows);
+        assert_eq!(rows, [2.0, 0.5]);
+    }
+
+    #[test]
+    fn kept_moments_are_taken_over_and_those_of_other_sizes_refused_by_name() {
+        let (known, mut other) = (moments(&[&[1.0, 0.5, 3.0, 0.5]]), RunningMoments::new(2));
+        other.restore("a.", &known.arrays("a.")).unwrap();
+        assert_eq!(other, known);
+        let error = RunningMoments::new(3).restore("a.", &known.arrays("a.")).unwrap_err();
+        assert!(error.to_string().contains("a.mean"), "{error}");
+    }
+}
