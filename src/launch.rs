@@ -139,6 +139,7 @@ fn launch(
     Ok(Launch {
         config: config.learner.clone(),
         training: config.training.clone(),
+        observations: config.observations(),
         policy: config.policy.clone(),
         environment: actor::environment_spec(world.description()),
         task_settings: serde_json::to_string(&config.task)

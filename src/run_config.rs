@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use marl::ObservationScale;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use sim::ObservationNorm;
 
 use crate::config::{ConfigError, Request, Resolved, layers};
 use crate::run_path;
@@ -92,6 +94,7 @@ impl RunConfig {
         self.policy.validate().map_err(|error| error.to_string())?;
         self.training.validate().map_err(|error| error.to_string())?;
         self.training.suits(&self.policy).map_err(|error| error.to_string())?;
+        self.training.suits_observations(self.observations()).map_err(|error| error.to_string())?;
         self.learner.validate().map_err(|error| error.to_string())?;
         self.validate_run()?;
         let (chunk, through_time) =
@@ -111,6 +114,14 @@ impl RunConfig {
         match self.run.actors {
             0..=ACTORS_LIMIT => Ok(()),
             actors => Err(format!("run.actors must lie in 0..={ACTORS_LIMIT}, is {actors}")),
+        }
+    }
+
+    /// How the learner scales what the simulation shows.
+    pub(crate) fn observations(&self) -> ObservationScale {
+        match self.task.observation.norm {
+            ObservationNorm::Running => ObservationScale::Running,
+            ObservationNorm::FeatureZ | ObservationNorm::None => ObservationScale::AsShown,
         }
     }
 
@@ -245,6 +256,8 @@ mod tests {
             ("surprise.alpha=0.01", "surprise.alpha"),
             ("influence.lambda=0.01", "influence.lambda"),
             ("policy.core=gru", "policy.core"),
+            ("observation.norm=running", "observation.norm"),
+            ("critic.state_norm=running", "critic.state_norm"),
         ] {
             let message = built(&["algorithm=maddpg", setting]).unwrap_err().to_string();
             assert!(message.contains(&format!("{key} = ")), "{message}");
@@ -262,6 +275,8 @@ mod tests {
             ("policy.core=lstm", "policy.core"),
             ("policy.hidden=0", "policy.hidden"),
             ("observation.mode=eyes", "observation.mode"),
+            ("observation.norm=mean", "observation.norm"),
+            ("critic.state_norm=mean", "critic.state_norm"),
             ("run.seed=-1", "run.seed"),
             ("run.actors=100000", "run.actors"),
             ("run.env_steps=0", "run.env_steps"),

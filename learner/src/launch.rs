@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use marl::Surprise;
+use marl::{ObservationMoments, ObservationScale, Surprise};
 use policy::{PolicyConfig, RunSeed};
 use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescription};
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -28,6 +28,8 @@ pub struct Launch {
     pub config: Config,
     /// The learning rule.
     pub training: marl::Config,
+    /// How the learner scales observations.
+    pub observations: ObservationScale,
     /// The actor networks.
     pub policy: PolicyConfig,
     /// The environment, which every actor must have.
@@ -64,6 +66,7 @@ impl Launch {
         self.policy.validate().map_err(LearnerError::PolicyConfig)?;
         self.training.validate()?;
         self.training.suits(&self.policy)?;
+        self.training.suits_observations(self.observations)?;
         self.training.suits_agents(&problem(&self.environment))?;
         let (chunk, through_time) = (self.config.environments.chunk_steps, self.policy.chunk_steps);
         if !chunk.is_multiple_of(through_time) {
@@ -183,6 +186,7 @@ fn build(
     let problem = problem(&launch.environment);
     let algorithm =
         pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
+    let observations = ObservationMoments::new(launch.observations, &problem);
     let environments = &launch.config.environments;
     let layout = Layout::of(description, environments.slots());
     let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
@@ -202,7 +206,8 @@ fn build(
         config_sha256: launch.config_sha256,
         last_iteration: launch.iterations,
         layout,
-        policy: policy_bytes(algorithm.as_ref())?,
+        policy: policy_bytes(algorithm.as_ref(), &observations)?,
+        observations,
         algorithm,
         decay: launch.training.update.learning_rate_decay,
         iteration: 0,

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use marl::{Algorithm, Batch, LearningRateDecay, MarlError, Report, Surprise};
+use marl::{Algorithm, Batch, LearningRateDecay, MarlError, ObservationMoments, Report, Surprise};
 use policy::arrays::NamedArrays;
 use proto::{Digest, PolicyVersion, WeightsName};
 use rayon::ThreadPool;
@@ -53,6 +53,7 @@ pub struct Trainer {
     pub(crate) config_sha256: Digest,
     pub(crate) last_iteration: u64,
     pub(crate) layout: Layout,
+    pub(crate) observations: ObservationMoments,
     pub(crate) algorithm: Box<dyn Algorithm>,
     pub(crate) decay: LearningRateDecay,
     pub(crate) surprise: Surprise,
@@ -267,20 +268,23 @@ impl Work {
 }
 
 impl Trainer {
-    /// Densities fitted on `D_k` (Eq. 2), rewards relabelled by them (Eq. 4, 9), policies and critics
-    /// updated (Eq. 10). All arithmetic happens in the run's own pool of threads.
+    /// Observations scaled as the policies saw them, densities fitted on `D_k` (Eq. 2), rewards relabelled by
+    /// them (Eq. 4, 9), policies and critics updated (Eq. 10). All arithmetic happens in the run's own pool of
+    /// threads.
     fn learn(&mut self, batch: &Batch) -> Result<Learnt, LearnerError> {
         let begin = Instant::now();
         self.fault_at(Point::MidUpdate);
-        let Self { pool, surprise, algorithm, iteration, .. } = self;
+        let Self { pool, observations, surprise, algorithm, iteration, .. } = self;
+        let seen = observations.seen(batch);
         let rewards = pool.install(|| {
-            surprise.refit(batch, *iteration)?;
-            Ok::<_, MarlError>(surprise.relabel(batch))
+            surprise.refit(&seen, *iteration)?;
+            Ok::<_, MarlError>(surprise.relabel(&seen))
         })?;
         let density_secs = begin.elapsed().as_secs_f64();
         algorithm.scale_learning_rates(self.decay.share(*iteration, self.last_iteration));
-        let report = pool.install(|| algorithm.update(batch, &rewards, *iteration))?;
-        self.policy = policy_bytes(self.algorithm.as_ref())?;
+        let report = pool.install(|| algorithm.update(&seen, &rewards, *iteration))?;
+        pool.install(|| observations.take_in(batch));
+        self.policy = policy_bytes(self.algorithm.as_ref(), &self.observations)?;
         let update_secs = begin.elapsed().as_secs_f64();
         Ok(Learnt { report, density_secs, update_secs })
     }
@@ -306,6 +310,9 @@ impl Trainer {
 }
 
 /// The policies as actors get them.
-pub(crate) fn policy_bytes(algorithm: &dyn Algorithm) -> Result<Bytes, MarlError> {
-    Ok(Bytes::from(algorithm.snapshot()?.to_bytes()?))
+pub(crate) fn policy_bytes(
+    algorithm: &dyn Algorithm,
+    observations: &ObservationMoments,
+) -> Result<Bytes, MarlError> {
+    Ok(Bytes::from(observations.snapshot(algorithm.snapshot()?).to_bytes()?))
 }

@@ -14,6 +14,11 @@ pub use self::surprise::{Constant, DensityKind, Fit, Reduce, Scored, Space, Surp
 use crate::batch::{ActionKind, Problem};
 use crate::error::MarlError;
 use crate::learning_rate::LearningRateDecay;
+use crate::observation::ObservationScale;
+
+/// What MADDPG says to running statistics.
+const STALE_STATISTICS: &str = "feature_z or none with update.rule = maddpg: what the replay holds would be of older \
+                                statistics";
 
 /// Everything that the learning rule is told.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,8 +113,33 @@ pub struct CriticConfig {
     pub huber_delta: f64,
     /// Memory of the returns' running mean and deviation, per iteration, in `[0, 1)`.
     pub normalizer_beta: f64,
+    /// How the global state is scaled before the network, whose first layer normalises each row by itself.
+    pub state_norm: StateNorm,
     /// Global norm to which gradients are clipped.
     pub max_gradient_norm: f64,
+}
+
+/// How the global state is scaled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StateNorm {
+    /// Not at all.
+    None,
+    /// Every state by the mean and deviation over its own features.
+    FeatureZ,
+    /// Every feature by its running mean and deviation.
+    Running,
+}
+
+impl StateNorm {
+    /// As it stands in the configuration.
+    fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::FeatureZ => "feature_z",
+            Self::Running => "running",
+        }
+    }
 }
 
 /// Whose returns are valued.
@@ -157,6 +187,10 @@ impl Config {
             let range = "per_agent with update.rule = maddpg: its action values know the team's reward alone";
             return Err(refuse("critic.mode", self.critic.mode.name(), range));
         }
+        if self.critic.state_norm != StateNorm::None {
+            let range = "none with update.rule = maddpg: its action values scale no states";
+            return Err(refuse("critic.state_norm", self.critic.state_norm.name(), range));
+        }
         let pointless = "0 with update.rule = maddpg: a deterministic policy has no density to \
                          regularise";
         within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
@@ -173,6 +207,19 @@ impl Config {
             return Err(refuse("policy.core", "gru", range));
         }
         Ok(())
+    }
+
+    /// Refuses a scale of observations that does not suit the rule.
+    ///
+    /// # Errors
+    /// Names the key that does not fit.
+    pub fn suits_observations(&self, scale: ObservationScale) -> Result<(), MarlError> {
+        match (self.update.rule, scale) {
+            (Rule::Maddpg, ObservationScale::Running) => {
+                Err(refuse("observation.norm", "running", STALE_STATISTICS))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Refuses agents that cannot share their parameters although they should, and choices or continuous actions

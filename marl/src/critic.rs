@@ -1,6 +1,7 @@
 //! The centralised critic: the values of the global state.
 
 mod mode;
+mod state_scale;
 
 use candle_core::Tensor;
 use policy::Precision;
@@ -13,6 +14,7 @@ use rayon::prelude::*;
 use crate::advantage::next_values;
 use crate::batch::{Batch, Problem};
 use crate::config::CriticConfig;
+use crate::critic::state_scale::StateScale;
 use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::layers::{Builder, Dense, Norm, RELU_GAIN, rows};
@@ -31,6 +33,7 @@ pub struct Critic {
     /// `V`.
     count: usize,
     states: usize,
+    scale: StateScale,
     parameters: Parameters,
     input: Norm,
     layers: Vec<(Dense, Norm)>,
@@ -123,6 +126,7 @@ impl Critic {
             precision,
             count,
             states: problem.state,
+            scale: StateScale::new(config.state_norm, problem.state),
             adam: Adam::new(adam, &parameters),
             parameters,
             input,
@@ -138,7 +142,8 @@ impl Critic {
     }
 
     /// Normalised values `[R, V]` of states `[R, S]`.
-    fn forward(&self, states: Vec<f32>) -> Result<Tensor, MarlError> {
+    fn forward(&self, mut states: Vec<f32>) -> Result<Tensor, MarlError> {
+        self.scale.apply(&mut states, self.states);
         let mut x = self.input.apply(&rows(states, self.states, self.precision)?)?;
         for (dense, norm) in &self.layers {
             x = norm.apply(&dense.apply(&x)?)?;
@@ -197,6 +202,8 @@ impl Critic {
         }
         figures.explained_variance = mean_explained(self.precision, &values.now, returns);
         figures.skipped = self.adam.skipped();
+        // Last, so that old and new values are of states scaled alike.
+        self.scale.take_in(&batch.state);
         Ok(figures)
     }
 
@@ -234,13 +241,14 @@ impl Critic {
         Ok((loss, self.adam.step(&self.parameters, &gradients)?))
     }
 
-    /// `weights/critic.*`, `optimizer/critic.*`, `normalizer/value_I`.
+    /// `weights/critic.*`, `optimizer/critic.*`, `normalizer/value_I`, `normalizer/state.*`.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
         let mut arrays = self.parameters.to_arrays("weights/critic.")?;
         arrays.append(&mut self.adam.arrays("optimizer/critic."));
+        arrays.append(&mut self.scale.arrays("normalizer/state."));
         for (agent, normalizer) in self.normalizers.iter().enumerate() {
             let array = Array::F64 { shape: vec![3], data: normalizer.state().to_vec() };
             arrays.insert(format!("normalizer/value_{agent}"), array);
@@ -255,6 +263,7 @@ impl Critic {
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
         self.parameters.load("weights/critic.", arrays)?;
         self.adam.restore("optimizer/critic.", arrays)?;
+        self.scale.restore("normalizer/state.", arrays)?;
         for (agent, normalizer) in self.normalizers.iter_mut().enumerate() {
             let name = format!("normalizer/value_{agent}");
             match arrays.get(&name) {

@@ -7,7 +7,7 @@ use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
     Config, Constant, CountedState, CriticConfig, CriticMode, DensityKind, Divergence, Estimator,
-    Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored, Sharing, Space,
+    Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored, Sharing, Space, StateNorm,
     SurpriseConfig, UpdateConfig,
 };
 use crate::error::MarlError;
@@ -136,6 +136,7 @@ fn critic() -> CriticConfig {
         clip: 0.2,
         huber_delta: 10.0,
         normalizer_beta: 0.999,
+        state_norm: StateNorm::None,
         max_gradient_norm: 10.0,
     }
 }

@@ -3,7 +3,7 @@
 
 use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Scored, Sharing, Space,
+    Rule, Scored, Sharing, Space, StateNorm,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
@@ -51,6 +51,7 @@ fn config(rule: Rule, parameters: Sharing) -> Config {
             clip: 0.2,
             huber_delta: 10.0,
             normalizer_beta: 0.99,
+            state_norm: StateNorm::None,
             max_gradient_norm: 10.0,
         },
         surprise: surprise(),

@@ -69,6 +69,9 @@ pub enum ObservationNorm {
     /// The vector is standardised by the mean and deviation over its own features, the one-hot number included.
     /// See `observation.rs` for what that does.
     FeatureZ,
+    /// By the run's own mean and deviation of each feature, which the learner keeps and policies carry; what leaves
+    /// the simulation is as with [`ObservationNorm::None`].
+    Running,
     /// Raw metres, radians and seconds.
     None,
 }

@@ -78,6 +78,7 @@ impl Trainer {
     fn arrays(&self) -> Result<NamedArrays, LearnerError> {
         let mut arrays = self.algorithm.arrays()?;
         arrays.extend(self.surprise.arrays()?);
+        arrays.extend(self.observations.arrays());
         arrays.extend(self.environments.arrays());
         arrays.extend(self.evaluations.arrays());
         for (name, count) in [("iteration", self.iteration), ("env_steps", self.env_steps())] {
@@ -93,9 +94,10 @@ impl Trainer {
         self.iteration = checkpoint::fields::one_count(arrays, "counters/iteration")?;
         self.algorithm.restore(&group(arrays, &marl::algorithm::PREFIXES))?;
         self.surprise.restore(&group(arrays, &["density/"]))?;
+        self.observations.restore(arrays)?;
         self.environments.restore(arrays, self.iteration)?;
         self.evaluations.restore(arrays)?;
-        self.policy = super::policy_bytes(self.algorithm.as_ref())?;
+        self.policy = super::policy_bytes(self.algorithm.as_ref(), &self.observations)?;
         Ok(())
     }
 }

@@ -17,6 +17,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
     Launch {
         config: config(),
         training: training(),
+        observations: marl::ObservationScale::AsShown,
         policy: policy(),
         environment: toy::environment(),
         task_settings: "{}".to_owned(),
@@ -83,7 +84,7 @@ fn training() -> marl::Config {
         "critic": {
             "mode": "per_agent", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
             "minibatches": 1, "clip": 0.2, "huber_delta": 10.0, "normalizer_beta": 0.999,
-            "max_gradient_norm": 10.0,
+            "state_norm": "none", "max_gradient_norm": 10.0,
         },
         "surprise": {
             "alpha": 0.01, "density": "vae", "fit": "previous", "ema_memory": 0.9,

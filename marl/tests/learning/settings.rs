@@ -2,7 +2,7 @@
 
 use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Scored, Sharing, Space,
+    Rule, Scored, Sharing, Space, StateNorm,
 };
 use marl::{Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig};
 use policy::{CoreKind, PolicyConfig};
@@ -98,6 +98,7 @@ fn config(rule: Rule) -> Config {
             clip: 0.2,
             huber_delta: 10.0,
             normalizer_beta: 0.9,
+            state_norm: StateNorm::None,
             max_gradient_norm: 10.0,
         },
         surprise: surprise(),

@@ -2,7 +2,7 @@
 
 use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Scored, Sharing, Space,
+    Rule, Scored, Sharing, Space, StateNorm,
 };
 use marl::{
     ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
@@ -73,6 +73,7 @@ pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> 
         clip: reference.setting("critic.clip"),
         huber_delta: reference.setting("critic.huber_delta"),
         normalizer_beta: reference.setting("critic.normalizer_beta"),
+        state_norm: StateNorm::None,
         max_gradient_norm: reference.setting("critic.max_gradient_norm"),
     };
     let influence = influence(reference);

@@ -1,0 +1,92 @@
+//! How the global state is scaled before the critic sees it.
+
+use libm::sqrt;
+use policy::NamedArrays;
+use policy::standardisation::LIMIT;
+
+use crate::config::StateNorm;
+use crate::error::MarlError;
+use crate::running::RunningMoments;
+
+/// Below this deviation a state's features count as equal and are only centred.
+const SMALLEST_DEVIATION: f64 = 1e-8;
+
+/// A [`StateNorm`] with what it knows.
+pub(super) enum StateScale {
+    AsShown,
+    OwnFeatures,
+    Running(RunningMoments),
+}
+
+impl StateScale {
+    pub(super) fn new(norm: StateNorm, features: usize) -> Self {
+        match norm {
+            StateNorm::None => Self::AsShown,
+            StateNorm::FeatureZ => Self::OwnFeatures,
+            StateNorm::Running => Self::Running(RunningMoments::new(features)),
+        }
+    }
+
+    /// Scales states `[R, features]`.
+    pub(super) fn apply(&self, states: &mut [f32], features: usize) {
+        match self {
+            Self::AsShown => {}
+            Self::OwnFeatures => states.chunks_exact_mut(features).for_each(standardise),
+            Self::Running(moments) => moments.standardisation().apply(states),
+        }
+    }
+
+    /// Takes in the states `[R, features]` of `D_k`, for the iterations after it.
+    pub(super) fn take_in(&mut self, states: &[f32]) {
+        if let Self::Running(moments) = self {
+            moments.take_in(states);
+        }
+    }
+
+    pub(super) fn arrays(&self, prefix: &str) -> NamedArrays {
+        match self {
+            Self::AsShown | Self::OwnFeatures => NamedArrays::new(),
+            Self::Running(moments) => moments.arrays(prefix),
+        }
+    }
+
+    pub(super) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+        match self {
+            Self::AsShown | Self::OwnFeatures => Ok(()),
+            Self::Running(moments) => moments.restore(prefix, arrays),
+        }
+    }
+}
+
+/// One state by the mean and deviation over its own features.
+fn standardise(state: &mut [f32]) {
+    let count = state.len() as f64;
+    let mean = state.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
+    let square = |&x: &f32| (f64::from(x) - mean) * (f64::from(x) - mean);
+    let deviation = sqrt(state.iter().map(square).sum::<f64>() / count);
+    let unit = if deviation > SMALLEST_DEVIATION { deviation } else { 1.0 };
+    for x in state {
+        *x = (((f64::from(*x) - mean) / unit) as f32).clamp(-LIMIT, LIMIT);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scaled(scale: &StateScale) -> Vec<f32> {
+        let mut states = vec![1.0, 3.0, 5.0, 5.0];
+        scale.apply(&mut states, 2);
+        states
+    }
+
+    #[test]
+    fn a_state_is_scaled_by_its_own_features_or_by_those_of_the_states_before_it_or_not_at_all() {
+        let mut running = StateScale::new(StateNorm::Running, 2);
+        assert_eq!(scaled(&running), [1.0, 3.0, 5.0, 5.0]);
+        running.take_in(&[1.0, 0.0, 5.0, 4.0]); // means 3 and 2, deviations 2
+        assert_eq!(scaled(&running), [-1.0, 0.5, 1.0, 1.5]);
+        assert_eq!(scaled(&StateScale::new(StateNorm::FeatureZ, 2)), [-1.0, 1.0, 0.0, 0.0]);
+        assert_eq!(scaled(&StateScale::new(StateNorm::None, 2)), [1.0, 3.0, 5.0, 5.0]);
+    }
+}
