@@ -81,3 +81,12 @@ fn actors_without_memory_train_with_every_rule_of_the_policy_gradient() {
     trains_exactly(&["algorithm=happo-s2mia", "policy.core=mlp"]);
     trains_exactly(&["algorithm=mappo", "policy.core=mlp"]);
 }
+
+#[test]
+fn a_run_whose_recurrent_states_are_computed_again_is_resumed_exactly() {
+    let stored = trains_exactly(&["algorithm=happo-s2mia"]);
+    let settings = ["algorithm=happo-s2mia", "policy.refresh_hidden=every_epoch"];
+    let chunks = ["policy.chunk_steps=5", "policy.burn_in=5"];
+    let again = trains_exactly(&[settings, chunks].concat());
+    assert_ne!(again["weights_sha256"], stored["weights_sha256"]);
+}

@@ -25,7 +25,7 @@ pub mod snapshot;
 pub use acting::{ActorPolicy, ActorSpec, Scratch};
 pub use arrays::{Array, NamedArrays};
 pub use categorical::Categorical;
-pub use config::{CoreKind, PolicyConfig};
+pub use config::{CoreKind, PolicyConfig, RefreshHidden};
 pub use error::PolicyError;
 pub use gaussian::Gaussian;
 pub use head::{Distribution, Head};
