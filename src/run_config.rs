@@ -97,6 +97,8 @@ impl RunConfig {
         self.training.suits_observations(self.observations()).map_err(|error| error.to_string())?;
         self.learner.validate().map_err(|error| error.to_string())?;
         self.validate_run()?;
+        self.validate_actions()?;
+        self.validate_burn_in()?;
         let (chunk, through_time) =
             (self.learner.environments.chunk_steps, self.policy.chunk_steps);
         if !chunk.is_multiple_of(through_time) {
@@ -105,6 +107,25 @@ impl RunConfig {
             ));
         }
         Ok(())
+    }
+
+    /// A task is built only where its actions decide.
+    fn validate_actions(&self) -> Result<(), String> {
+        let Err(refusal) = self.training.suits_continuous_actions() else { return Ok(()) };
+        let task = sim::Environments::new(&self.task, 1).map_err(|error| error.to_string())?;
+        let mut agents = task.description().agents.iter();
+        match agents.any(|agent| agent.action.choices.is_none()) {
+            true => Err(refusal.to_string()),
+            false => Ok(()),
+        }
+    }
+
+    fn validate_burn_in(&self) -> Result<(), String> {
+        let (burn_in, steps) = (self.policy.burn_in, self.learner.environments.steps);
+        if burn_in < steps {
+            return Ok(());
+        }
+        Err(format!("policy.burn_in must be less than environments.steps = {steps}, is {burn_in}"))
     }
 
     fn validate_run(&self) -> Result<(), String> {
@@ -243,6 +264,14 @@ mod tests {
     }
 
     #[test]
+    fn counts_are_refused_for_numbers_and_taken_for_choices() {
+        let count = "influence.estimator=count";
+        assert!(built(&["cue-2x1", count]).is_ok());
+        let message = built(&["halfcheetah-6x1", count]).unwrap_err().to_string();
+        assert!(message.contains("for continuous actions: counts need choices"), "{message}");
+    }
+
+    #[test]
     fn the_default_run_is_a_million_env_steps() {
         let config = built(&[]).unwrap();
         assert_eq!((config.iterations(), config.env_steps()), (250, 1_000_000));
@@ -286,6 +315,10 @@ mod tests {
             ("surprise.clip=-1", "surprise.clip"),
             ("influence.kappa=-1", "influence.kappa"),
             ("influence.lag=2", "influence.lag"),
+            ("influence.estimator=count", "influence.estimator"),
+            ("policy.burn_in=15", "policy.burn_in"),
+            ("policy.burn_in=100000", "policy.burn_in"),
+            ("policy.refresh_hidden=always", "policy.refresh_hidden"),
             ("influence.estimator=barber_agakov", "influence.divergence"),
             ("lease.ttl_secs=0", "lease.ttl_secs"),
             ("update.parameters=shared", "update.parameters"),

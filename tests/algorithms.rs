@@ -91,3 +91,12 @@ fn running_statistics_are_the_same_with_any_number_of_actors_and_through_a_stop(
     assert_ne!(observations["weights_sha256"], raw["weights_sha256"]);
     assert_ne!(observations["weights_sha256"], both["weights_sha256"]);
 }
+
+#[test]
+fn a_run_whose_recurrent_states_are_computed_again_is_resumed_exactly() {
+    let stored = trains_exactly(&["algorithm=happo-s2mia"]);
+    let settings = ["algorithm=happo-s2mia", "policy.refresh_hidden=every_epoch"];
+    let chunks = ["policy.chunk_steps=5", "policy.burn_in=5"];
+    let again = trains_exactly(&[settings, chunks].concat());
+    assert_ne!(again["weights_sha256"], stored["weights_sha256"]);
+}

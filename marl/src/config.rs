@@ -222,6 +222,14 @@ impl Config {
         }
     }
 
+    /// Refuses what is not defined for continuous actions.
+    ///
+    /// # Errors
+    /// Names the key that does not fit.
+    pub fn suits_continuous_actions(&self) -> Result<(), MarlError> {
+        self.influence.check_for_numbers()
+    }
+
     /// Refuses agents that cannot share their parameters although they should, and choices or continuous actions
     /// where the rule or the influence term is not defined for them.
     ///
@@ -229,7 +237,7 @@ impl Config {
     /// Names the first agent whose sizes differ from the first one's, or the key that does not fit.
     pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
         if problem.agents.iter().any(|agent| agent.kind == ActionKind::Continuous) {
-            self.influence.check_for_numbers()?;
+            self.suits_continuous_actions()?;
         }
         if problem.agents.iter().any(|agent| agent.kind != ActionKind::Continuous) {
             self.influence.check_for_choices()?;

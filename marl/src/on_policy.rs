@@ -5,6 +5,7 @@ pub(crate) mod agent;
 pub(crate) mod ascent;
 mod counted;
 mod joint;
+mod memory;
 
 use std::sync::Arc;
 
@@ -113,6 +114,7 @@ impl Team {
         if !returns.iter().flatten().all(|value| value.is_finite()) {
             return Ok(None);
         }
+        self.agents.iter_mut().for_each(Agent::forget_states);
         let experience = agent::gather(&self.agents, batch, layout, &advantages)?;
         let (agents, seed) = (&mut self.agents, self.seed);
         let influence = agent::fit_posteriors(agents, &experience, seed, iteration)?;

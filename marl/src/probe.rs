@@ -1,7 +1,7 @@
 //! A fixed update whose bits tell whether two machines learn alike.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
-use policy::{CoreKind, PolicyConfig, arrays};
+use policy::{CoreKind, PolicyConfig, RefreshHidden, arrays};
 
 use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
@@ -90,6 +90,8 @@ pub(crate) fn policy() -> PolicyConfig {
         width: 64,
         layers: 1,
         chunk_steps: 10,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

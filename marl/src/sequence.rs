@@ -40,6 +40,12 @@ impl Layout {
         chunk % self.environments
     }
 
+    /// The chunk before a chunk in the same environment, unless it is `D_k`'s first.
+    #[must_use]
+    pub fn before(&self, chunk: usize) -> Option<usize> {
+        chunk.checked_sub(self.environments)
+    }
+
     /// The time-major row `t * B + b` of step `step` of chunk `chunk`.
     #[must_use]
     pub fn source(&self, step: usize, chunk: usize) -> usize {
@@ -99,6 +105,8 @@ pub struct Sequences {
     /// 0 where an episode has just begun, so that the recurrent state is reset, `[L, C]`. A chunk's
     /// first step has 1: its stored state is already the one after a reset.
     pub mask: Vec<f32>,
+    /// Whether an episode ends with the chunk's last step, so that the next chunk starts at zero, `[C]`.
+    pub ends: Vec<bool>,
     widths: (usize, usize),
 }
 
@@ -116,24 +124,43 @@ impl Sequences {
             action: layout.chunked(&action, width),
             hidden: data.hidden.clone(),
             mask: mask(batch, layout),
+            ends: (0..layout.chunks)
+                .map(|chunk| batch.done(layout.source(layout.steps - 1, chunk)))
+                .collect(),
             widths: (observation, hidden),
         }
     }
 
-    /// The network's input for some chunks.
+    /// The network's input for some chunks from their stored states.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn input(&self, columns: &[usize], dtype: DType) -> Result<SequenceInput, MarlError> {
+        self.input_from(columns, self.states(&self.hidden, columns), dtype)
+    }
+
+    /// Of states at every chunk's start `[C, H]`, those of some chunks, `[columns, H]`.
+    #[must_use]
+    pub fn states(&self, all: &[f32], columns: &[usize]) -> Vec<f32> {
+        let hidden = self.widths.1;
+        columns.iter().flat_map(|&c| &all[c * hidden..(c + 1) * hidden]).copied().collect()
+    }
+
+    /// The network's input for some chunks from `start`, `[columns, H]`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn input_from(
+        &self,
+        columns: &[usize],
+        start: Vec<f32>,
+        dtype: DType,
+    ) -> Result<SequenceInput, MarlError> {
         let (steps, count) = (self.layout.steps, columns.len());
         let (observation, hidden) = self.widths;
         let tensor = |data: Vec<f32>, shape: (usize, usize)| {
             Tensor::from_vec(data, shape, &Device::Cpu)?.to_dtype(dtype)
         };
-        let start = columns
-            .iter()
-            .flat_map(|&c| self.hidden[c * hidden..(c + 1) * hidden].iter().copied())
-            .collect();
         Ok(SequenceInput {
             observation: tensor(
                 self.layout.columns(&self.observation, observation, columns),

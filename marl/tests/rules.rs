@@ -10,8 +10,8 @@ use marl::{
     InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{
-    CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch, generator,
-    standard_normal,
+    CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RefreshHidden, RunSeed, Scratch,
+    generator, standard_normal,
 };
 
 const ENVIRONMENTS: usize = 40;
@@ -31,6 +31,8 @@ fn policy() -> PolicyConfig {
         width: 16,
         layers: 1,
         chunk_steps: 2,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
@@ -345,6 +347,17 @@ fn maddpg_refuses_what_a_replay_cannot_hold_and_says_why() {
     assert!(message.contains("surprise.alpha = 0.01") && message.contains("stale"), "{message}");
     let message = refused(&|config| config.influence.lambda = 0.01);
     assert!(message.contains("influence.lambda") && message.contains("density"), "{message}");
+    for (mode, name) in [
+        (CriticMode::SharedExtrinsicPlusIntrinsic, "shared_extrinsic_plus_intrinsic"),
+        (CriticMode::TeamMean, "team_mean"),
+    ] {
+        let message = refused(&|config| config.critic.mode = mode);
+        let expected = format!(
+            "critic.mode = {name} is out of range: per_agent with update.rule = maddpg: its action values know \
+             the team's reward alone"
+        );
+        assert_eq!(message, expected);
+    }
     let message = refused(&|config| config.update.parameters = Sharing::Shared);
     assert!(message.contains("update.parameters = shared"), "{message}");
     let gru = PolicyConfig { core: CoreKind::Gru, ..policy() };

@@ -10,8 +10,8 @@ use marl::{
     InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{
-    CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
-    generator, standard_normal,
+    CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RefreshHidden, RunSeed,
+    Scratch, generator, standard_normal,
 };
 
 const ENVIRONMENTS: usize = 40;
@@ -25,6 +25,8 @@ fn policy() -> PolicyConfig {
         width: 8,
         layers: 1,
         chunk_steps: 2,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

@@ -13,6 +13,16 @@ pub enum CoreKind {
     Mlp,
 }
 
+/// When the learner computes stored recurrent states again with today's weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RefreshHidden {
+    /// Every epoch starts chunks from the states of the rollout.
+    Never,
+    /// Before each epoch but the first.
+    EveryEpoch,
+}
+
 /// Sizes and start of every actor network. The defaults stand in `configs/base.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -29,6 +39,11 @@ pub struct PolicyConfig {
     pub layers: usize,
     /// Steps of backpropagation through time, and between stored recurrent states.
     pub chunk_steps: usize,
+    /// Steps before a chunk whose recurrent states are computed again with today's weights, from the
+    /// state stored that many steps before; 0 or a multiple of `chunk_steps`.
+    pub burn_in: usize,
+    /// When stored recurrent states are computed again.
+    pub refresh_hidden: RefreshHidden,
     /// Start of `log_std`, of which `sigma = sigmoid(log_std) * sigma_scale`.
     pub initial_log_std: f32,
     /// Upper end of sigma, in units of the action.
@@ -62,12 +77,28 @@ impl PolicyConfig {
         let real = |x: f32, from: f32, to: f32| (x.to_string(), x > from && x <= to);
         let floor = self.sigma_floor;
         let below = floor > 0.0 && floor < self.sigma_scale;
+        let memory = self.core != CoreKind::Mlp;
         let checks = [
             ("policy.encoder", size(self.encoder), "1 to 4096"),
             ("policy.hidden", size(self.hidden), "1 to 4096"),
             ("policy.width", size(self.width), "1 to 4096"),
             ("policy.layers", count(self.layers, 16), "1 to 16"),
             ("policy.chunk_steps", count(self.chunk_steps, 10_000), "1 to 10000"),
+            (
+                "policy.burn_in",
+                (self.burn_in.to_string(), self.burn_in.is_multiple_of(self.chunk_steps)),
+                "0 or a multiple of policy.chunk_steps",
+            ),
+            (
+                "policy.burn_in",
+                (self.burn_in.to_string(), memory || self.burn_in == 0),
+                "0 with policy.core = mlp",
+            ),
+            (
+                "policy.refresh_hidden",
+                ("every_epoch".to_owned(), memory || self.refresh_hidden == RefreshHidden::Never),
+                "never with policy.core = mlp",
+            ),
             (
                 "policy.initial_log_std",
                 real(self.initial_log_std, -20.0, 20.0),
@@ -109,6 +140,8 @@ mod tests {
             width: 128,
             layers: 3,
             chunk_steps: 10,
+            burn_in: 0,
+            refresh_hidden: RefreshHidden::Never,
             initial_log_std: 1.0,
             sigma_scale: 0.5,
             sigma_floor: 0.05,
@@ -124,5 +157,29 @@ mod tests {
         let error = PolicyConfig { sigma_floor: 0.5, ..valid() }.validate().expect_err("too high");
         assert_eq!(error.key, "policy.sigma_floor");
         assert!(PolicyConfig { sigma_scale: f32::NAN, ..valid() }.validate().is_err());
+    }
+
+    #[test]
+    fn states_are_computed_again_by_whole_chunks_and_only_by_a_core_that_has_some() {
+        let burn_in = |core, burn_in| PolicyConfig { core, burn_in, ..valid() }.validate();
+        assert_eq!(burn_in(CoreKind::Gru, 20), Ok(()));
+        for (refused, message) in [
+            (
+                burn_in(CoreKind::Gru, 15),
+                "policy.burn_in is 15, expected 0 or a multiple of policy.chunk_steps",
+            ),
+            (burn_in(CoreKind::Mlp, 20), "policy.burn_in is 20, expected 0 with policy.core = mlp"),
+            (
+                PolicyConfig {
+                    core: CoreKind::Mlp,
+                    refresh_hidden: RefreshHidden::EveryEpoch,
+                    ..valid()
+                }
+                .validate(),
+                "policy.refresh_hidden is every_epoch, expected never with policy.core = mlp",
+            ),
+        ] {
+            assert_eq!(refused.expect_err("refused").to_string(), message);
+        }
     }
 }

@@ -26,7 +26,7 @@ pub mod standardisation;
 pub use acting::{ActorPolicy, ActorSpec, Scratch};
 pub use arrays::{Array, NamedArrays};
 pub use categorical::Categorical;
-pub use config::{CoreKind, PolicyConfig};
+pub use config::{CoreKind, PolicyConfig, RefreshHidden};
 pub use error::PolicyError;
 pub use gaussian::Gaussian;
 pub use head::{Distribution, Head};

@@ -211,10 +211,7 @@ impl ActorNetwork {
     pub fn features(&self, input: &SequenceInput) -> Result<Tensor, PolicyError> {
         match &self.trunk {
             Trunk::Gru { norm, encoder, input: projection, recurrent, output } => {
-                let encoded = encoder.apply(&norm.apply(&input.observation)?, Activation::Tanh)?;
-                let projected = projection.apply(&encoded, Activation::Identity)?;
-                let (weight, bias) = (recurrent.weight.as_tensor(), recurrent.bias.as_tensor());
-                let states = gru_sequence(&projected, weight, bias, &input.hidden, &input.mask)?;
+                let states = states(norm, encoder, (projection, recurrent), input)?;
                 Ok(output.apply(&states)?)
             }
             Trunk::Mlp { norm, layers } => {
@@ -224,6 +221,22 @@ impl ActorNetwork {
                 }
                 Ok(x)
             }
+        }
+    }
+
+    /// The recurrent state after the last step, `[B, H]`, of which no gradient is known; the one before the first
+    /// step of a core without memory.
+    ///
+    /// # Errors
+    /// If shapes or element types do not fit.
+    pub fn last_state(&self, input: &SequenceInput) -> Result<Tensor, PolicyError> {
+        match &self.trunk {
+            Trunk::Gru { norm, encoder, input: projection, recurrent, .. } => {
+                let (steps, sequences) = input.mask.dims2()?;
+                let states = states(norm, encoder, (projection, recurrent), input)?.detach();
+                Ok(states.narrow(0, (steps - 1) * sequences, sequences)?)
+            }
+            Trunk::Mlp { .. } => Ok(input.hidden.clone()),
         }
     }
 
@@ -285,4 +298,17 @@ impl ActorNetwork {
         }
         ActorPolicy::new(self.spec.clone(), single.to_arrays("")?)
     }
+}
+
+/// Recurrent states after every step, `[T*B, H]`.
+fn states(
+    norm: &Norm,
+    encoder: &Dense,
+    (projection, recurrent): (&Dense, &Dense),
+    input: &SequenceInput,
+) -> candle_core::Result<Tensor> {
+    let encoded = encoder.apply(&norm.apply(&input.observation)?, Activation::Tanh)?;
+    let projected = projection.apply(&encoded, Activation::Identity)?;
+    let (weight, bias) = (recurrent.weight.as_tensor(), recurrent.bias.as_tensor());
+    gru_sequence(&projected, weight, bias, &input.hidden, &input.mask)
 }

@@ -4,7 +4,7 @@ use candle_core::DType;
 use sha2::{Digest, Sha256};
 
 use crate::acting::{ActorPolicy, Scratch};
-use crate::config::{CoreKind, PolicyConfig};
+use crate::config::{CoreKind, PolicyConfig, RefreshHidden};
 use crate::error::PolicyError;
 use crate::network::ActorNetwork;
 use crate::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
@@ -43,6 +43,8 @@ fn fixed_policy() -> Result<ActorPolicy, PolicyError> {
         width: 64,
         layers: 1,
         chunk_steps: 10,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

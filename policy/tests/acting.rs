@@ -4,8 +4,8 @@
 use candle_core::{DType, Device, Tensor};
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, PolicyConfig, Scratch,
-    SequenceInput, gaussian,
+    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, PolicyConfig, RefreshHidden,
+    Scratch, SequenceInput, gaussian,
 };
 
 const OBSERVATION: usize = 23;
@@ -19,6 +19,8 @@ fn config(core: CoreKind) -> PolicyConfig {
         width: 40,
         layers: 2,
         chunk_steps: 5,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

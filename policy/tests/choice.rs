@@ -4,8 +4,8 @@
 use candle_core::{DType, Device, Tensor};
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, CoreKind, Distribution, Head, PolicyConfig, PolicySnapshot, Scratch,
-    SequenceInput, categorical,
+    ActorNetwork, CoreKind, Distribution, Head, PolicyConfig, PolicySnapshot, RefreshHidden,
+    Scratch, SequenceInput, categorical,
 };
 
 const OBSERVATION: usize = 9;
@@ -19,6 +19,8 @@ fn network(core: CoreKind) -> ActorNetwork {
         width: 16,
         layers: 2,
         chunk_steps: 5,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
@@ -135,6 +137,8 @@ fn a_gaussian_snapshot_says_nothing_of_heads_and_a_head_that_does_not_fit_is_ref
             width: 4,
             layers: 1,
             chunk_steps: 1,
+            burn_in: 0,
+            refresh_hidden: RefreshHidden::Never,
             initial_log_std: 1.0,
             sigma_scale: 0.5,
             sigma_floor: 0.05,

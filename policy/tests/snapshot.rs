@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use candle_core::DType;
 use policy::arrays::{Array, from_safetensors, to_safetensors};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, Scratch};
+use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch};
 
 fn config() -> PolicyConfig {
     PolicyConfig {
@@ -16,6 +16,8 @@ fn config() -> PolicyConfig {
         width: 4,
         layers: 1,
         chunk_steps: 5,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

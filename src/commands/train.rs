@@ -14,6 +14,7 @@ use tokio::sync::watch;
 use crate::chart;
 use crate::cli::TrainArguments;
 use crate::commands::runtime;
+use crate::commands::train::closing::Length;
 use crate::launch::{self, Prepared};
 use crate::progress::Progress;
 use crate::run_config::RunConfig;
@@ -46,7 +47,11 @@ async fn train(prepared: Prepared) -> anyhow::Result<()> {
     let summary = learner::run(launch, listener, observer, stop).await;
     end.send_replace(true);
     let surrender = actors.await.context("the watch over the actors failed")?;
-    finish(&folder, summary, &surrender, begin)
+    let length = match config.resolved.depends_on_length() {
+        true => Length::Fixed,
+        false => Length::MayRise,
+    };
+    finish((&folder, length), summary, &surrender, begin)
 }
 
 /// The first line: what runs, and where it is kept.
@@ -74,7 +79,7 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
 }
 
 fn finish(
-    folder: &Path,
+    (folder, length): (&Path, Length),
     summary: Result<Summary, LearnerError>,
     surrender: &Surrender,
     begin: Instant,
@@ -88,6 +93,6 @@ fn finish(
         (Err(error), Some(reason)) => return Err(error.context(reason)),
     };
     let points = learning_curve::evaluations(&run_path::metrics_file(folder))?;
-    output::line(closing::text(folder, &summary, &points, begin.elapsed()));
+    output::line(closing::text(folder, (&summary, length), &points, begin.elapsed()));
     Ok(())
 }

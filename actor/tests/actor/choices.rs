@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, Scratch};
+use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch};
 use proto::{EnvironmentStart, RolloutWork, RunDescription, Start, TrajectoryChunk};
 use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
 
@@ -31,6 +31,8 @@ fn policy() -> PolicySnapshot {
         width: 8,
         layers: 1,
         chunk_steps: fixture::HIDDEN_EVERY as usize,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

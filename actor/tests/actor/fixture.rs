@@ -1,7 +1,7 @@
 //! A small run on a real task: description, policy, leases.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, PolicyConfig, PolicySnapshot};
+use policy::{ActorNetwork, CoreKind, PolicyConfig, PolicySnapshot, RefreshHidden};
 use proto::{
     Digest, EnvironmentStart, Incarnation, PROTOCOL_VERSION, RolloutWork, RunDescription, Start,
 };
@@ -42,6 +42,8 @@ pub(crate) fn policy() -> PolicySnapshot {
         width: 8,
         layers: 1,
         chunk_steps: HIDDEN_EVERY as usize,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

@@ -6,7 +6,7 @@ use learner::{
     CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Launch, LeaseConfig, Phase,
     ThreadsConfig,
 };
-use policy::{CoreKind, PolicyConfig, RunSeed};
+use policy::{CoreKind, PolicyConfig, RefreshHidden, RunSeed};
 use proto::Digest;
 use serde_json::json;
 
@@ -64,6 +64,8 @@ fn policy() -> PolicyConfig {
         width: 8,
         layers: 1,
         chunk_steps: 2,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

@@ -243,8 +243,8 @@ impl Posterior {
 #[cfg(test)]
 mod tests {
     use candle_core::DType;
-    use policy::CoreKind;
     use policy::randomness::standard_normal;
+    use policy::{CoreKind, RefreshHidden};
 
     use super::*;
     use crate::config::{CountedState, Divergence, Estimator, QTraining};
@@ -281,6 +281,8 @@ mod tests {
             width: 8,
             layers: 1,
             chunk_steps: 10,
+            burn_in: 0,
+            refresh_hidden: RefreshHidden::Never,
             initial_log_std: 1.0,
             sigma_scale: 0.5,
             sigma_floor: 0.05,

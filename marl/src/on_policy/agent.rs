@@ -17,6 +17,7 @@ use crate::influence::count::JointSample;
 use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
 use crate::influence::{Term, mutual_information};
 use crate::on_policy::counted;
+use crate::on_policy::memory::Memory;
 use crate::optimizer::{Adam, AdamConfig};
 use crate::sequence::{Layout, Sequences};
 use crate::surprise::entropy_bound;
@@ -31,6 +32,7 @@ pub(crate) struct Agent {
     pub(crate) update: UpdateConfig,
     pub(super) kind: ActionKind,
     pub(super) precision: Precision,
+    pub(super) memory: Memory,
     pub(super) posterior: Option<Posterior>,
     pub(super) q_training: QTraining,
     holdout_every: usize,
@@ -144,6 +146,7 @@ impl Agent {
             update: update.clone(),
             kind: shape.kind,
             precision,
+            memory: Memory::new(policy),
             posterior,
             q_training: influence.q_training,
             holdout_every: influence.holdout_every,
@@ -202,7 +205,7 @@ impl Agent {
         sequences: &Sequences,
         columns: &[usize],
     ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
-        let features = self.network.features(&sequences.input(columns, self.precision.dtype())?)?;
+        let features = self.network.features(&self.input(sequences, columns)?)?;
         let rows = HeadRows::of(&self.network.head(&features)?)?;
         let width = rows.action_size();
         let action = sequences.layout.columns(&sequences.action, width, columns);

@@ -35,6 +35,7 @@ pub(crate) fn maximise(
     let mut trained = Trained::default();
     let mut influence = known.1.clone();
     for epoch in 0..epochs {
+        agent.refresh_states(&known.0.sequences, epoch)?;
         let draw = draw.step(epoch as u32);
         for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
             agent.climb_posterior(known.0, &mut influence, &columns)?;
@@ -62,6 +63,9 @@ pub(crate) fn maximise_together(
     let mut trained = vec![Trained::default(); agents.len()];
     let mut influence: Vec<Influence> = known.iter().map(|known| known.1.clone()).collect();
     for epoch in 0..epochs {
+        for (agent, known) in agents.iter_mut().zip(known) {
+            agent.refresh_states(&known.0.sequences, epoch)?;
+        }
         let deal = |(draw, known): (&Draw, &PerAgent<'_>)| {
             minibatches(known.0.sequences.layout.chunks, parts, seed, draw.step(epoch as u32))
         };
@@ -117,7 +121,7 @@ fn shard(
     (columns, total): (&[usize], usize),
 ) -> Result<(Figures, Gradients), MarlError> {
     let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
-    let features = agent.network.features(&sequences.input(columns, agent.precision.dtype())?)?;
+    let features = agent.network.features(&agent.input(sequences, columns)?)?;
     let head = agent.network.head(&features)?;
     let p = HeadRows::of(&head)?;
     let posterior = influence.conditional.as_ref().map(|q| q.posterior(layout, columns));

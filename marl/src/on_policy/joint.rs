@@ -15,11 +15,12 @@ impl Agent {
         influence: &mut Influence,
         columns: &[usize],
     ) -> Result<(), MarlError> {
-        let (QTraining::Joint, Some(posterior)) = (self.q_training, &mut self.posterior) else {
+        if self.q_training != QTraining::Joint {
             return Ok(());
-        };
+        }
+        let input = self.input(&experience.sequences, columns)?;
+        let Some(posterior) = &mut self.posterior else { return Ok(()) };
         let layout = experience.sequences.layout;
-        let input = experience.sequences.input(columns, self.precision.dtype())?;
         let p = HeadRows::of(&self.network.head(&self.network.features(&input)?)?)?;
         let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
         let part: Vec<usize> = (0..layout.steps).flat_map(row).collect();

@@ -2,7 +2,7 @@
 //! in chunks agree, so that every ratio and the factor `M` are 1.
 
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
-use policy::{CoreKind, PolicyConfig, Precision, RunSeed, Scratch};
+use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
 
 use super::agent::{Agent, Experience, Influence, gather};
 use super::ascent::{gradient, moved};
@@ -24,10 +24,18 @@ fn policy(core: CoreKind) -> PolicyConfig {
     PolicyConfig { core, chunk_steps: CHUNK, layers: 2, head_gain: 1.0, ..probe::policy() }
 }
 
-fn agents(core: CoreKind) -> Vec<Agent> {
+/// Both cores, and every way to come by a recurrent state.
+fn policies() -> [PolicyConfig; 5] {
+    let gru = policy(CoreKind::Gru);
+    let burnt_in = PolicyConfig { burn_in: 2 * CHUNK, ..gru.clone() };
+    let refreshed = PolicyConfig { refresh_hidden: RefreshHidden::EveryEpoch, ..gru.clone() };
+    let both = PolicyConfig { burn_in: CHUNK, ..refreshed.clone() };
+    [gru, policy(CoreKind::Mlp), burnt_in, refreshed, both]
+}
+
+fn agents(policy: &PolicyConfig) -> Vec<Agent> {
     let start = |index| ((RunSeed(3), Precision::Single), index);
-    let agent =
-        |index| Agent::new(&probe::config(), &policy(core), &probe::problem(), start(index));
+    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), start(index));
     (0..2).map(|index| agent(index).unwrap()).collect()
 }
 
@@ -104,7 +112,7 @@ fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64
 #[test]
 fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
     for core in CORES {
-        let agents = agents(core);
+        let agents = agents(&policy(core));
         let batch = played(&agents, &probe::problem());
         for (index, agent) in agents.iter().enumerate() {
             let (whole, chunks) =
@@ -131,15 +139,16 @@ fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize
 
 #[test]
 fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
-    for core in CORES {
-        let agents = agents(core);
+    for policy in policies() {
+        let mut agents = agents(&policy);
         let experience = &experience(&agents, &played(&agents, &probe::problem()))[0];
+        agents[0].refresh_states(&experience.sequences, 1).unwrap();
         let layout = experience.sequences.layout;
         for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
             let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
             for row in (0..layout.steps).flat_map(row) {
                 let ratio = ratio_of(row, &agents[0], experience, &columns);
-                assert!((ratio - 1.0).abs() <= 1e-5, "{core:?} row {row}: {ratio}");
+                assert!((ratio - 1.0).abs() <= 1e-5, "{policy:?} row {row}: {ratio}");
             }
         }
     }
@@ -147,14 +156,73 @@ fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
 
 #[test]
 fn an_agent_that_has_not_moved_leaves_the_factor_at_one() {
-    for core in CORES {
-        let agents = agents(core);
+    for policy in policies() {
+        let mut agents = agents(&policy);
         let experience = experience(&agents, &played(&agents, &probe::problem()));
         let mut factor = vec![1.0; experience[0].log_prob.len()];
-        for (agent, experience) in agents.iter().zip(&experience) {
+        for (agent, experience) in agents.iter_mut().zip(&experience) {
+            agent.refresh_states(&experience.sequences, 1).unwrap();
             let now = moved(agent, experience).unwrap();
             factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
         }
-        assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{core:?}: {factor:?}");
+        assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{policy:?}: {factor:?}");
     }
+}
+
+/// The largest difference between the states from which an agent starts all chunks and `expected`.
+fn apart(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32 {
+    let columns: Vec<usize> = (0..sequences.layout.chunks).collect();
+    let found = agent.input(sequences, &columns).unwrap().hidden.flatten_all().unwrap();
+    let found = found.to_vec1::<f32>().unwrap();
+    assert_eq!(found.len(), expected.len());
+    found.iter().zip(expected).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+}
+
+/// One agent, what it has experienced, and the states it really had.
+fn remembering(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
+    let mut agents = agents(policy);
+    let batch = played(&agents, &probe::problem());
+    let layout = Layout::of(&batch, CHUNK);
+    let sequences = Sequences::of(&batch, 0, layout, agents[0].hidden_size());
+    let had = sequences.hidden.clone();
+    (agents.remove(0), sequences, had)
+}
+
+#[test]
+fn weights_that_have_not_changed_find_the_stored_states_again() {
+    for policy in policies() {
+        let (mut agent, sequences, had) = remembering(&policy);
+        agent.refresh_states(&sequences, 1).unwrap();
+        assert!(apart(&agent, &sequences, &had) <= 1e-5, "{policy:?}");
+    }
+}
+
+/// Overwrites the stored states of the chunks from the `first`-th of each environment on.
+fn spoil(sequences: &mut Sequences, first: usize) {
+    let from = first * sequences.hidden.len() / (STEPS / CHUNK);
+    sequences.hidden[from..].fill(0.9);
+}
+
+#[test]
+fn a_burn_in_begins_at_the_state_stored_that_many_steps_before_or_at_the_first() {
+    for (chunks, found) in [(3, true), (2, false)] {
+        let policy = PolicyConfig { burn_in: chunks * CHUNK, ..policy(CoreKind::Gru) };
+        let (agent, mut sequences, had) = remembering(&policy);
+        spoil(&mut sequences, 1);
+        assert_eq!(apart(&agent, &sequences, &had) <= 1e-5, found, "{chunks} chunks");
+    }
+}
+
+#[test]
+fn refreshed_states_come_from_the_first_stored_ones_and_not_in_the_first_epoch() {
+    let refresh_hidden = RefreshHidden::EveryEpoch;
+    let (mut agent, mut sequences, had) =
+        remembering(&PolicyConfig { refresh_hidden, ..policy(CoreKind::Gru) });
+    spoil(&mut sequences, 1);
+    for (epoch, found) in [(0, false), (1, true)] {
+        agent.refresh_states(&sequences, epoch).unwrap();
+        assert_eq!(apart(&agent, &sequences, &had) <= 1e-5, found, "epoch {epoch}");
+    }
+    agent.forget_states();
+    assert!(apart(&agent, &sequences, &had) > 1e-5);
 }

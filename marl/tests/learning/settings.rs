@@ -5,7 +5,7 @@ use marl::config::{
     Rule, Scored, Sharing, Space, StateNorm,
 };
 use marl::{Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig};
-use policy::{CoreKind, PolicyConfig};
+use policy::{CoreKind, PolicyConfig, RefreshHidden};
 
 /// What makes a learning rule of the on-policy kind the one that it is.
 pub(crate) struct Variant {
@@ -78,6 +78,8 @@ fn policy(core: CoreKind) -> PolicyConfig {
         width: 16,
         layers: 2,
         chunk_steps: 4,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: 0.05,

@@ -8,7 +8,7 @@ use marl::{
     ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
     MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
-use policy::{CoreKind, PolicyConfig};
+use policy::{CoreKind, PolicyConfig, RefreshHidden};
 
 use crate::file::Reference;
 
@@ -39,6 +39,8 @@ pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
         width: 7,
         layers: 2,
         chunk_steps: 5,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
         initial_log_std: 1.0,
         sigma_scale: 0.5,
         sigma_floor: reference.setting("policy.sigma_floor") as f32,

@@ -6,22 +6,32 @@ use std::time::Duration;
 use learner::Summary;
 
 use crate::chart;
+use crate::run_path::config_file;
 
 /// Size of the curve in characters.
 const WIDTH: usize = 60;
 const ROWS: usize = 8;
 
+/// Whether a run may be made longer afterwards.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Length {
+    /// By a resume.
+    MayRise,
+    /// Every step depended on it: more steps are another run.
+    Fixed,
+}
+
 /// All lines for a run that stands at `summary`, with its evaluations as (env steps, mean return).
 pub(super) fn text(
     folder: &Path,
-    summary: &Summary,
+    (summary, length): (&Summary, Length),
     evaluations: &[(f64, f64)],
     elapsed: Duration,
 ) -> String {
     let mut parts = vec![reached(summary, elapsed)];
     parts.extend(improvement(evaluations));
     parts.push(format!("checkpoint: {}", summary.checkpoint.display()));
-    parts.push(next(folder, summary));
+    parts.push(next(folder, summary, length));
     parts.join("\n")
 }
 
@@ -46,15 +56,18 @@ fn improvement(evaluations: &[(f64, f64)]) -> Option<String> {
     Some(format!("{change}\n\n{}\n", chart::area(evaluations, WIDTH, ROWS, "env steps")))
 }
 
-fn next(folder: &Path, summary: &Summary) -> String {
+fn next(folder: &Path, summary: &Summary, length: Length) -> String {
     let run = folder.display();
-    let further = match summary.stopped_early {
-        true => String::new(),
-        false => format!(" run.iterations={}", summary.iteration * 2),
+    let twice = format!("run.iterations={}", summary.iteration * 2);
+    let train = match (summary.stopped_early, length) {
+        (true, _) => format!("--resume {run}"),
+        (false, Length::MayRise) => format!("--resume {run} {twice}"),
+        (false, Length::Fixed) => {
+            format!("--config {} run.dir={run}-longer {twice}", config_file(folder).display())
+        }
     };
     format!(
-        "next:\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  \
-         s2mia train --resume {run}{further}"
+        "next:\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
     )
 }
 
@@ -76,7 +89,9 @@ mod tests {
     #[test]
     fn a_finished_run_tells_return_checkpoint_and_next_commands() {
         let evaluations = [(0.0, -3.25), (1_000_000.0, 2345.62)];
-        let text = text(Path::new("runs/a"), &summary(), &evaluations, Duration::from_secs(723));
+        let (run, length) = (summary(), Length::MayRise);
+        let text =
+            text(Path::new("runs/a"), (&run, length), &evaluations, Duration::from_secs(723));
         for part in [
             "finished: 1,000,000 env steps, 250 iterations, 12m03s",
             "evaluation return -3.2 -> 2345.6",
@@ -93,8 +108,18 @@ mod tests {
     #[test]
     fn a_stopped_run_is_resumed_as_it_was() {
         let stopped = Summary { stopped_early: true, ..summary() };
-        let text = text(Path::new("runs/a"), &stopped, &[], Duration::from_secs(1));
+        let length = Length::MayRise;
+        let text = text(Path::new("runs/a"), (&stopped, length), &[], Duration::from_secs(1));
         assert!(text.ends_with("s2mia train --resume runs/a"), "{text}");
         assert!(text.contains("stopped: "), "{text}");
+    }
+
+    #[test]
+    fn a_run_whose_steps_depended_on_its_length_is_made_longer_as_a_new_one() {
+        let run = (&summary(), Length::Fixed);
+        let text = text(Path::new("runs/a"), run, &[], Duration::from_secs(1));
+        let last =
+            "s2mia train --config runs/a/config.toml run.dir=runs/a-longer run.iterations=500";
+        assert!(text.ends_with(last), "{text}");
     }
 }
