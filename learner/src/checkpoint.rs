@@ -33,12 +33,13 @@ const DRAFT: &str = ".tmp-";
 /// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves.
 const LATEST: &str = "LATEST";
 /// The groups of arrays, one file each.
-const GROUPS: [&str; 8] = [
+const GROUPS: [&str; 9] = [
     "counters",
     "density",
     "environments",
     "evaluation",
     "normalizer",
+    "observation",
     "optimizer",
     "replay",
     "weights",
