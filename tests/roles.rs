@@ -90,13 +90,25 @@ fn status(of: &str) -> serde_json::Value {
     serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
 }
 
+/// The status by address once the first iteration's slots are open: a learner listens a moment before.
+fn status_when_open(url: &str) -> serde_json::Value {
+    let patience = Instant::now() + Duration::from_secs(30);
+    loop {
+        let told = status(url);
+        if told["slots"] != json!(0) {
+            return told;
+        }
+        assert!(Instant::now() < patience, "no slot is open after half a minute: {told}");
+    }
+}
+
 #[test]
 fn a_run_says_where_it_stands_by_its_address_its_folder_and_when_it_has_ended() {
     let runs = Runs::new();
     let (folder, address) = (runs.folder("status"), free_address());
     let path = folder.to_str().unwrap();
     let mut learner = Learner::start(&folder, &address);
-    let asked = status(&format!("http://{address}"));
+    let asked = status_when_open(&format!("http://{address}"));
     assert_eq!(asked, status(path));
     let figures = ["state", "iteration", "slots", "complete_slots", "actors"];
     assert_eq!(
