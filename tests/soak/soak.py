@@ -1,0 +1,288 @@
+"""Disturbs one run for an hour by a seeded schedule of faults, then checks that nothing of it can be seen.
+
+    cargo build --release && python3 tests/soak/soak.py --minutes 60
+
+Needs Linux and Python 3.11, nothing else. Actors come, leave, die, freeze and are cut off; the learner is killed,
+killed at named points, stopped, and given full disks and rubbish. Checks at the end: final hashes equal those of
+an undisturbed run, every slot of every iteration was consumed exactly once, the learner's memory and open files
+are flat, and it logged no error that no fault explains. Ends with 0 if all hold.
+"""
+
+import argparse
+import json
+import pathlib
+import random
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+
+from machine import Learner, Proxy, file_count, free_port, resident_kib, slope_per_minute
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+PROGRAM = str(ROOT / "target/release/s2mia")
+ITERATIONS_PER_MINUTE = 60
+LEASE_SECS = 2.0
+SETTINGS = [
+    "halfcheetah-2x3",
+    "run.seed=5",
+    "environments.count=8",
+    "environments.steps=50",
+    "environments.per_slot=2",
+    "environments.chunk_steps=10",
+    "evaluation.every_steps=40000",
+    "evaluation.episodes=1",
+    "checkpoint.every=5",
+    f"lease.ttl_secs={LEASE_SECS}",
+    "lease.heartbeat_secs=0.5",
+]
+DEATHS = ["after-collect", "mid-update", "after-publish", "mid-checkpoint"]
+FULL_DISKS = ["disk-make-folder", "disk-write-file", "disk-flush-files", "disk-rename", "disk-remove-old"]
+MOST_ACTORS = 4
+# The learner dies only before this share of the time, so that its memory can be watched over the rest.
+DEATHS_END = 0.4
+WARM_UP_SECS = 60
+MAX_KIB_PER_MINUTE = 1024
+MAX_MORE_FILES = 24
+
+
+def say(what: str) -> None:
+    print(f"{time.strftime('%H:%M:%S')} {what}", flush=True)
+
+
+class Actors:
+    """Actor processes, half of them behind a proxy that can be cut and stalled."""
+
+    def __init__(self, port: int, folder: pathlib.Path) -> None:
+        self.port, self.folder = port, folder
+        self.proxy = Proxy(port)
+        self.running: list[subprocess.Popen] = []
+        self.frozen: list[tuple[float, subprocess.Popen]] = []
+        self.started = 0
+
+    def join(self) -> None:
+        port = self.proxy.port if self.started % 2 else self.port
+        log = open(self.folder / "actors.log", "a")
+        command = [PROGRAM, "actor", "--learner", f"http://127.0.0.1:{port}", "--name", f"actor-{self.started}"]
+        self.running.append(subprocess.Popen(command, stdout=log, stderr=log))
+        self.started += 1
+
+    def signal(self, which: subprocess.Popen, number: signal.Signals) -> None:
+        which.send_signal(number)
+        if number in (signal.SIGKILL, signal.SIGTERM):
+            self.running.remove(which)
+            which.wait(timeout=30)
+
+    def freeze(self, which: subprocess.Popen) -> None:
+        which.send_signal(signal.SIGSTOP)
+        self.running.remove(which)
+        self.frozen.append((time.monotonic() + 2.5 * LEASE_SECS, which))
+
+    def thaw(self) -> None:
+        """Lets those go on that have been frozen past their leases."""
+        due = [one for one in self.frozen if one[0] <= time.monotonic()]
+        for one in due:
+            one[1].send_signal(signal.SIGCONT)
+            self.frozen.remove(one)
+            self.running.append(one[1])
+
+    def end(self) -> None:
+        """Every actor is told that the run is over, and leaves with status 0."""
+        for _, frozen in self.frozen:
+            frozen.send_signal(signal.SIGCONT)
+            self.running.append(frozen)
+        for one in self.running:
+            assert one.wait(timeout=60) == 0, f"an actor ended with status {one.returncode}"
+        self.proxy.close()
+
+
+class Soak:
+    """The disturbed run."""
+
+    def __init__(self, minutes: float, seed: int, folder: pathlib.Path) -> None:
+        self.random = random.Random(seed)
+        self.secs = 60 * minutes
+        self.iterations = int(minutes * ITERATIONS_PER_MINUTE)
+        self.folder = folder
+        self.learner = Learner(PROGRAM, [*SETTINGS, f"run.iterations={self.iterations}"], folder, free_port())
+        self.actors = Actors(self.learner.port, folder)
+        self.counts: dict[str, int] = {}
+        self.samples: list[tuple[float, int, int]] = []
+        self.good_ends: set[int] = set()
+        self.begun = time.monotonic()
+
+    def share(self) -> float:
+        """Of the planned time that has passed."""
+        return (time.monotonic() - self.begun) / self.secs
+
+    def run(self) -> None:
+        next_fault = next_sample = 0.0
+        while not self.learner.finished():
+            now = time.monotonic()
+            if self.learner.process.poll() is not None:
+                self.restart()
+            self.actors.thaw()
+            self.keep_pace()
+            if now >= next_sample:
+                self.sample(now)
+                next_sample = now + 5.0
+            if now >= next_fault and self.share() < 0.97:
+                self.disturb()
+                next_fault = now + self.random.uniform(1.0, 8.0)
+            time.sleep(0.1)
+        self.actors.end()
+
+    def keep_pace(self) -> None:
+        """Actors join a run that is behind its plan and leave one that is ahead, down to none."""
+        ahead = self.learner.iteration() - self.share() * self.iterations
+        here = self.actors.running
+        if ahead < 0 and len(here) < MOST_ACTORS and self.random.random() < 0.2:
+            self.count("an actor joins", self.actors.join)
+        elif ahead > 10 and here and self.random.random() < 0.2:
+            victim = self.random.choice(here)
+            self.count("an actor is asked to leave", lambda: self.actors.signal(victim, signal.SIGTERM))
+
+    def restart(self) -> None:
+        """The learner goes on with its folder, perhaps to die again or to find its disk full."""
+        ended = self.learner.process.returncode
+        assert ended in self.good_ends, f"the learner ended with {ended}: {self.learner.last_words()}"
+        self.good_ends = set()
+        points = [*FULL_DISKS, *(DEATHS if self.share() < DEATHS_END else [])]
+        point = self.random.choice(points)
+        # Checkpoints are made at multiples of five.
+        iteration = (self.learner.iteration() + self.random.randint(10, 40)) // 5 * 5
+        if point in DEATHS:
+            self.good_ends.add(-signal.SIGABRT)
+        self.count(f"fault laid, {point}", lambda: None)
+        self.learner.start(["--die-at", f"{point}@{iteration}"])
+
+    def sample(self, now: float) -> None:
+        """Memory and open files of the learner's newest life, once it is warm."""
+        if self.learner.up_secs() < 5.0:
+            self.samples.clear()
+        elif self.learner.up_secs() > WARM_UP_SECS:
+            pid = self.learner.process.pid
+            self.samples.append((now, resident_kib(pid), file_count(pid)))
+
+    def disturb(self) -> None:
+        faults = [self.kill_actor, self.freeze_actor, self.cut, self.stall, self.rubbish, self.half_open]
+        if self.share() < DEATHS_END:
+            faults += [self.kill_learner, self.stop_learner]
+        fault = self.random.choice(faults)
+        self.count((fault.__doc__ or "").strip("."), fault)
+
+    def count(self, name: str, fault) -> None:
+        self.counts[name] = self.counts.get(name, 0) + 1
+        fault()
+
+    def some_actor(self) -> subprocess.Popen:
+        if not self.actors.running:
+            self.actors.join()
+        return self.random.choice(self.actors.running)
+
+    def kill_actor(self) -> None:
+        """actor killed."""
+        self.actors.signal(self.some_actor(), signal.SIGKILL)
+
+    def freeze_actor(self) -> None:
+        """actor frozen past its lease."""
+        self.actors.freeze(self.some_actor())
+
+    def cut(self) -> None:
+        """connections cut."""
+        self.actors.proxy.cut()
+
+    def stall(self) -> None:
+        """connections stalled."""
+        self.actors.proxy.stall(self.random.uniform(0.5, 2 * LEASE_SECS))
+
+    def rubbish(self) -> None:
+        """rubbish sent to the learner."""
+        for _ in range(10):
+            with socket.create_connection(("127.0.0.1", self.learner.port)) as peer:
+                peer.sendall(self.random.randbytes(self.random.randint(1, 4096)))
+
+    def half_open(self) -> None:
+        """half a greeting, then silence."""
+        self.learner.hold_open(b"PRI * HTTP/2.0\r\n")
+
+    def kill_learner(self) -> None:
+        """learner killed."""
+        self.learner.process.kill()
+        self.good_ends.add(-signal.SIGKILL)
+        self.learner.process.wait()
+
+    def stop_learner(self) -> None:
+        """learner asked to stop."""
+        self.learner.process.terminate()
+        self.good_ends.add(0)
+        self.learner.process.wait(timeout=30)
+
+
+def hashes(folder: pathlib.Path) -> dict[str, str]:
+    told = subprocess.run([PROGRAM, "inspect", str(folder), "--json"], check=True, capture_output=True, text=True)
+    found = json.loads(told.stdout)
+    return {name: found[name] for name in ("iteration", "weights_sha256", "state_sha256")}
+
+
+def undisturbed(iterations: int, folder: pathlib.Path) -> dict[str, str]:
+    settings = [*SETTINGS, f"run.iterations={iterations}", f"run.dir={folder}"]
+    subprocess.run([PROGRAM, "train", *settings], check=True, capture_output=True)
+    return hashes(folder)
+
+
+def consumed_exactly_once(folder: pathlib.Path, iterations: int) -> bool:
+    """Each iteration has one line of provenance, with each of its slots once."""
+    lines = [json.loads(line) for line in (folder / "provenance.jsonl").read_text().splitlines()]
+    slots = [[slot["slot"] for slot in line["slots"]] for line in lines]
+    return [line["iteration"] for line in lines] == list(range(1, iterations + 1)) and all(
+        one == [0, 1, 2, 3] for one in slots
+    )
+
+
+def flat(later: list[tuple[float, int, int]]) -> bool:
+    """Memory and open files of the learner's last life, after its warming up."""
+    memory = slope_per_minute([(when, kib) for when, kib, _ in later])
+    files = [count for _, _, count in later]
+    say(f"resident memory {later[0][1]} -> {later[-1][1]} KiB, {memory:+.0f} KiB a minute")
+    say(f"open files {min(files)} to {max(files)}")
+    return memory < MAX_KIB_PER_MINUTE and max(files) - min(files) <= MAX_MORE_FILES
+
+
+def unexplained_errors(log: pathlib.Path) -> list[str]:
+    """Errors of the learner, but for those of a disk that was made to be full."""
+    lines = log.read_text(errors="replace").splitlines()
+    return [line for line in lines if "ERROR" in line and "no storage space" not in line]
+
+
+def main() -> int:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--minutes", type=float, default=60.0)
+    options.add_argument("--seed", type=int, default=1)
+    options = options.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        disturbed = pathlib.Path(folder) / "disturbed"
+        disturbed.mkdir()
+        soak = Soak(options.minutes, options.seed, disturbed)
+        soak.run()
+        say(f"the disturbed run has ended after {time.monotonic() - soak.begun:.0f} s")
+        for name, count in sorted(soak.counts.items()):
+            say(f"{count:6} x {name}")
+        found = hashes(soak.learner.run)
+        expected = undisturbed(soak.iterations, pathlib.Path(folder) / "undisturbed")
+        errors = unexplained_errors(disturbed / "learner.log")
+        checks = {
+            f"hashes equal: {found} and {expected}": found == expected,
+            "every slot consumed exactly once": consumed_exactly_once(soak.learner.run, soak.iterations),
+            "memory and open files flat": flat(soak.samples),
+            f"errors without a fault: {errors[:3]}": not errors,
+        }
+    for check, held in checks.items():
+        say(f"{'held' if held else 'BROKEN'}: {check}")
+    return 0 if all(checks.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
