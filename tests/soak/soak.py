@@ -40,6 +40,7 @@ SETTINGS = [
 ]
 DEATHS = ["after-collect", "mid-update", "after-publish", "mid-checkpoint"]
 FULL_DISKS = ["disk-make-folder", "disk-write-file", "disk-flush-files", "disk-rename", "disk-remove-old"]
+FULL = "no storage space"
 MOST_ACTORS = 4
 # The learner dies only before this share of the time, so that its memory can be watched over the rest.
 DEATHS_END = 0.4
@@ -87,6 +88,10 @@ class Actors:
             one[1].send_signal(signal.SIGCONT)
             self.frozen.remove(one)
             self.running.append(one[1])
+
+    def kill(self) -> None:
+        for one in [*self.running, *(frozen for _, frozen in self.frozen)]:
+            one.kill()
 
     def end(self) -> None:
         """Every actor is told that the run is over, and leaves with status 0."""
@@ -146,8 +151,10 @@ class Soak:
 
     def restart(self) -> None:
         """The learner goes on with its folder, perhaps to die again or to find its disk full."""
-        ended = self.learner.process.returncode
-        assert ended in self.good_ends, f"the learner ended with {ended}: {self.learner.last_words()}"
+        ended, words = self.learner.process.returncode, self.learner.last_words()
+        # One that is asked to stop and cannot write its last checkpoint ends with 1.
+        explained = ended in self.good_ends or (ended == 1 and 0 in self.good_ends and FULL in words)
+        assert explained, f"the learner ended with {ended}: {words}"
         self.good_ends = set()
         points = [*FULL_DISKS, *(DEATHS if self.share() < DEATHS_END else [])]
         point = self.random.choice(points)
@@ -254,7 +261,7 @@ def flat(later: list[tuple[float, int, int]]) -> bool:
 def unexplained_errors(log: pathlib.Path) -> list[str]:
     """Errors of the learner, but for those of a disk that was made to be full."""
     lines = log.read_text(errors="replace").splitlines()
-    return [line for line in lines if "ERROR" in line and "no storage space" not in line]
+    return [line for line in lines if "ERROR" in line and FULL not in line]
 
 
 def main() -> int:
@@ -266,7 +273,11 @@ def main() -> int:
         disturbed = pathlib.Path(folder) / "disturbed"
         disturbed.mkdir()
         soak = Soak(options.minutes, options.seed, disturbed)
-        soak.run()
+        try:
+            soak.run()
+        finally:
+            soak.learner.process.kill()
+            soak.actors.kill()
         say(f"the disturbed run has ended after {time.monotonic() - soak.begun:.0f} s")
         for name, count in sorted(soak.counts.items()):
             say(f"{count:6} x {name}")

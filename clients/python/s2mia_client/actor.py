@@ -1,0 +1,165 @@
+"""What an actor does with a lease: one slot, or one evaluation episode."""
+
+from typing import Protocol
+
+import grpc
+import numpy as np
+
+from s2mia_client import wire
+from s2mia_client.learner import Learner
+from s2mia_client.policy import Policy
+
+
+class Environment(Protocol):
+    """One environment of the run's task."""
+
+    def reset(self, episode: int, limit: int, rng: np.random.Generator) -> None:
+        """Begins an episode that is truncated after `limit` steps."""
+
+    def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
+        """One action `[act]` for each agent: reward, terminated, truncated."""
+
+    def observe(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Global state `[S]`, and one observation `[obs]` for each agent."""
+
+    def save(self) -> bytes:
+        """From which `restore` goes on, in the encoding that the run's `state_kind` names."""
+
+    def restore(self, state: bytes) -> int:
+        """Goes on from a saved state; its episode's index."""
+
+
+class Slot:
+    """`E` environments of one lease, and their agents' recurrent states."""
+
+    def __init__(self, run, work, policy: Policy, make, rng: np.random.Generator) -> None:
+        self.run, self.policy, self.rng = run, policy, rng
+        self.environments = [make() for _ in work.environments]
+        self.episodes = [0] * len(self.environments)
+        count = len(self.environments)
+        self.hidden = [np.zeros((count, agent.hidden_size), np.float32) for agent in policy.agents]
+        for row, start in enumerate(work.environments):
+            if start.WhichOneof("start") == "fresh":
+                self._reset(row, start.fresh.episode, start.fresh.limit)
+            else:
+                self.episodes[row] = self.environments[row].restore(start.continued.state)
+                for hidden, kept in zip(self.hidden, start.continued.recurrent, strict=True):
+                    hidden[row] = wire.array(kept)
+
+    def _reset(self, row: int, episode: int, limit: int) -> None:
+        self.episodes[row] = episode
+        self.environments[row].reset(episode, limit, self.rng)
+        for hidden in self.hidden:
+            hidden[row] = 0
+
+    def chunks(self):
+        """The slot's chunks, each as soon as it is full."""
+        for sequence in range(self.run.slot_steps // self.run.chunk_steps):
+            yield self._chunk(sequence)
+
+    def _chunk(self, sequence: int):
+        length = self.run.chunk_steps
+        rows = {name: [] for name in ("state", "reward", "terminated", "truncated")}
+        agents = [{name: [] for name in ("observation", "action", "log_prob", "hidden")} for _ in self.hidden]
+        finals = []
+        for step in range(sequence * length, (sequence + 1) * length):
+            self._step(step, rows, agents, finals)
+        last = (sequence + 1) * length == self.run.slot_steps
+        return wire.TrajectoryChunk(
+            sequence=sequence,
+            first_step=sequence * length,
+            steps=length,
+            agents=[self._agent(collected) for collected in agents],
+            state=wire.tensor(np.stack(rows["state"])),
+            reward=wire.tensor(np.array(rows["reward"], np.float32)),
+            terminated=wire.tensor(np.array(rows["terminated"], bool)),
+            truncated=wire.tensor(np.array(rows["truncated"], bool)),
+            finals=self._finals(finals),
+            end=self._end() if last else None,
+        )
+
+    def _step(self, step: int, rows: dict, agents: list[dict], finals: list) -> None:
+        """Observe, act, step, reset what is done."""
+        seen = [environment.observe() for environment in self.environments]
+        rows["state"].append(np.stack([state for state, _ in seen]))
+        drawn = []
+        for index, (agent, collected) in enumerate(zip(self.policy.agents, agents, strict=True)):
+            if step % self.run.hidden_every == 0:
+                collected["hidden"].append(self.hidden[index].copy())
+            observation = np.stack([observations[index] for _, observations in seen]).astype(np.float32)
+            output, self.hidden[index] = agent.forward(observation, self.hidden[index])
+            action = agent.draw(output, self.rng)
+            collected["observation"].append(observation)
+            collected["action"].append(action)
+            collected["log_prob"].append(agent.log_prob(output, action))
+            drawn.append(action)
+        outcomes = [
+            environment.step([action[row] for action in drawn]) for row, environment in enumerate(self.environments)
+        ]
+        for name, values in zip(("reward", "terminated", "truncated"), zip(*outcomes, strict=True), strict=True):
+            rows[name].append(values)
+        for row, (_, terminated, truncated) in enumerate(outcomes):
+            ended = terminated or truncated
+            if ended or step + 1 == self.run.slot_steps:
+                finals.append((step, row, *self.environments[row].observe()))
+            if ended:
+                self._reset(row, self.episodes[row] + 1, self.run.environment.episode_steps)
+
+    def _agent(self, collected: dict):
+        return wire.AgentChunk(**{name: wire.tensor(np.stack(rows)) for name, rows in collected.items()})
+
+    def _finals(self, finals: list):
+        """The true next states and observations where the following row does not hold them."""
+        spec = self.run.environment
+        states = [state for _, _, state, _ in finals]
+        observations = [
+            np.array([final[3][index] for final in finals], np.float32).reshape(len(finals), len(agent.observation))
+            for index, agent in enumerate(spec.agents)
+        ]
+        return wire.FinalSteps(
+            steps=[final[0] for final in finals],
+            environments=[final[1] for final in finals],
+            state=wire.tensor(np.array(states, np.float32).reshape(len(finals), len(spec.state))),
+            observations=[wire.tensor(rows) for rows in observations],
+        )
+
+    def _end(self):
+        return wire.SlotEnd(
+            environments=[environment.save() for environment in self.environments],
+            recurrent=[wire.tensor(hidden) for hidden in self.hidden],
+        )
+
+
+def evaluate(run, work, policy: Policy, environment: Environment, rng: np.random.Generator):
+    """One whole episode with mean actions, or the likeliest choices."""
+    environment.reset(work.episode, run.environment.episode_steps, rng)
+    hidden = [np.zeros((1, agent.hidden_size), np.float32) for agent in policy.agents]
+    total, steps, ended = 0.0, 0, False
+    while not ended:
+        _, observations = environment.observe()
+        actions = []
+        for index, agent in enumerate(policy.agents):
+            output, hidden[index] = agent.forward(observations[index][None], hidden[index])
+            actions.append(agent.settle(output)[0])
+        reward, terminated, truncated = environment.step(actions)
+        total, steps, ended = total + reward, steps + 1, terminated or truncated
+    return wire.EvaluationResult(episode=work.episode, extrinsic_return=total, steps=steps)
+
+
+def act_for(learner: Learner, make, rng: np.random.Generator) -> int:
+    """Works for a learner until its run is over, in environments that `make()` returns; the leases done."""
+    held, policy, done = None, None, 0
+    while (lease := learner.lease()) is not None:
+        if lease.weights.digest != held:
+            held, policy = lease.weights.digest, Policy(learner.weights(lease.weights))
+        if lease.WhichOneof("work") == "rollout":
+            results = Slot(learner.run, lease.rollout, policy, make, rng).chunks()
+        else:
+            results = [evaluate(learner.run, lease.evaluation, policy, make(), rng)]
+        try:
+            done += learner.push(lease, results)
+        except grpc.RpcError as error:
+            # The lease is gone, to another actor perhaps; there is more work.
+            if error.code() != grpc.StatusCode.ABORTED:
+                raise
+    return done

@@ -1,0 +1,158 @@
+"""The learner as an actor calls it."""
+
+import contextlib
+import hashlib
+import struct
+import threading
+
+import grpc
+
+from s2mia_client import wire
+
+# No message may be larger, in either direction.
+MAX_MESSAGE_BYTES = 4 * 1024 * 1024
+CALL_SECS = 10.0
+LEASE_WAIT_MILLIS = 5_000
+# Results that may wait for their acknowledgement.
+MAX_UNACKNOWLEDGED = 4
+
+
+def chunk_digest(chunk) -> bytes:
+    """SHA-256 of a chunk's content, as trajectory.proto describes it."""
+    sha = hashlib.sha256(b"s2mia.v1.TrajectoryChunk")
+
+    def blob(data: bytes) -> None:
+        sha.update(struct.pack("<Q", len(data)) + data)
+
+    sha.update(struct.pack("<3I", chunk.sequence, chunk.first_step, chunk.steps))
+    for agent in chunk.agents:
+        for tensor in (agent.observation, agent.action, agent.log_prob, agent.hidden):
+            blob(tensor.data)
+    for tensor in (chunk.state, chunk.reward, chunk.terminated, chunk.truncated):
+        blob(tensor.data)
+    finals = chunk.finals
+    sha.update(struct.pack("<Q", len(finals.steps)))
+    for step, environment in zip(finals.steps, finals.environments, strict=True):
+        sha.update(struct.pack("<2I", step, environment))
+    blob(finals.state.data)
+    for tensor in finals.observations:
+        blob(tensor.data)
+    sha.update(b"\x01" if chunk.HasField("end") else b"\x00")
+    if chunk.HasField("end"):
+        for state in chunk.end.environments:
+            blob(state)
+        for tensor in chunk.end.recurrent:
+            blob(tensor.data)
+    return sha.digest()
+
+
+def evaluation_digest(result) -> bytes:
+    """SHA-256 of an evaluation's result."""
+    figures = struct.pack("<IdI", result.episode, result.extrinsic_return, result.steps)
+    return hashlib.sha256(b"s2mia.v1.EvaluationResult" + figures).digest()
+
+
+class Learner:
+    """One connection and one registration."""
+
+    def __init__(self, address: str, client: str = "s2mia_client") -> None:
+        options = [
+            ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
+            # A registration lives as long as its connection, so no other channel may share it.
+            ("grpc.use_local_subchannel_pool", 1),
+        ]
+        self.channel = grpc.insecure_channel(address, options=options)
+        self.service = wire.LearnerServiceStub(self.channel)
+        request = wire.DescribeRunRequest()
+        self.run = self.service.DescribeRun(request, timeout=CALL_SECS, wait_for_ready=True).run
+        registration = wire.RegisterRequest(
+            client=client, protocol_version=self.run.protocol_version, environment=self.run.environment
+        )
+        own = self.service.Register(registration, timeout=CALL_SECS)
+        self.actor_id, self.incarnation = own.actor_id, own.incarnation
+
+    def close(self) -> None:
+        """Ends the registration and its leases."""
+        self.channel.close()
+
+    def lease(self):
+        """The next piece of work; None when the run is over."""
+        request = wire.LeaseSlotsRequest(
+            actor_id=self.actor_id, incarnation=self.incarnation, wait_millis=LEASE_WAIT_MILLIS
+        )
+        while True:
+            response = self.service.LeaseSlots(request, timeout=CALL_SECS + LEASE_WAIT_MILLIS / 1000)
+            match response.WhichOneof("answer"):
+                case "lease":
+                    return response.lease
+                case "done":
+                    return None
+
+    def weights(self, name) -> bytes:
+        """The snapshot of this name."""
+        parts = list(self.service.GetWeights(wire.GetWeightsRequest(weights=name), timeout=60.0))
+        snapshot = b"".join(part.data for part in parts[1:])
+        if hashlib.sha256(snapshot).digest() != name.digest:
+            raise ValueError(f"weights {name.version} came with another digest than their name's")
+        return snapshot
+
+    def heartbeat(self, lease, step: int) -> bool:
+        """Keeps a lease alive; False if the work is no longer wanted."""
+        request = wire.HeartbeatRequest(
+            actor_id=self.actor_id, incarnation=self.incarnation, lease_id=lease.lease_id, slot_step=step
+        )
+        return self.service.Heartbeat(request, timeout=CALL_SECS).lease_valid
+
+    def message(self, lease, content):
+        """A chunk or an evaluation's result, addressed to its lease."""
+        message = wire.PushTrajectoryRequest(
+            lease_id=lease.lease_id, incarnation=lease.incarnation, weights=lease.weights
+        )
+        if isinstance(content, wire.TrajectoryChunk):
+            message.chunk.CopyFrom(content)
+            message.digest = chunk_digest(content)
+        else:
+            message.evaluation.CopyFrom(content)
+            message.digest = evaluation_digest(content)
+        return message
+
+    def push(self, lease, contents) -> bool:
+        """Sends a lease's results as they are made; True once the learner has the whole of it."""
+        free = threading.Semaphore(MAX_UNACKNOWLEDGED)
+        begun = threading.Event()
+        pushed = [0]
+
+        def messages():
+            for content in contents:
+                while not free.acquire(timeout=0.5):
+                    if begun.is_set() and not call.is_active():
+                        return
+                pushed[0] += 1
+                yield self.message(lease, content)
+
+        call = self.service.PushTrajectory(messages())
+        begun.set()
+        with self._beating(lease, lambda: pushed[0] * self.run.chunk_steps):
+            finished = False
+            for acknowledgement in call:
+                free.release()
+                finished |= acknowledgement.lease_finished
+            return finished
+
+    @contextlib.contextmanager
+    def _beating(self, lease, step):
+        """Signs of life for as long as this lasts; environments may be slow."""
+        over = threading.Event()
+
+        def beat() -> None:
+            while not over.wait(self.run.heartbeat_secs):
+                with contextlib.suppress(grpc.RpcError):
+                    self.heartbeat(lease, min(step(), self.run.slot_steps))
+
+        thread = threading.Thread(target=beat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()

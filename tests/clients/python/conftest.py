@@ -1,0 +1,69 @@
+"""Learners for foreign clients: the real binary, the game `cue-2x1`."""
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT / "clients" / "python"))
+
+SMALL = ["cue-2x1", "run.seed=3", "evaluation.episodes=2", "checkpoint.every=10"]
+FEW = [*SMALL, "run.iterations=2", "evaluation.every_steps=0"]
+FEW += ["environments.per_slot=4", "environments.chunk_steps=10"]
+MANY = [*SMALL, "run.env_steps=30000", "evaluation.every_steps=10000"]
+
+
+def command(*arguments) -> list[str]:
+    binary = pathlib.Path(os.environ.get("S2MIA", ROOT / "target" / "debug" / "s2mia"))
+    assert binary.is_file(), f"{binary} is not built; `cargo test` or `cargo build` makes it"
+    return [str(binary), *map(str, arguments)]
+
+
+def hashes(folder: pathlib.Path) -> dict[str, str]:
+    told = subprocess.run(command("inspect", folder, "--json"), check=True, capture_output=True, text=True)
+    found = json.loads(told.stdout)
+    return {name: found[name] for name in ("weights_sha256", "state_sha256")}
+
+
+class Served:
+    """A learner that waits for actors."""
+
+    def __init__(self, folder: pathlib.Path, settings: list[str]) -> None:
+        self.folder = folder
+        arguments = ("learner", "--listen", "127.0.0.1:0", *settings, f"run.dir={folder}")
+        self.process = subprocess.Popen(
+            command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        first = self.process.stdout.readline()
+        assert "waits for actors" in first, first
+        self.url = first.split()[-1]
+        self.address = self.url.removeprefix("http://")
+
+    def finish(self) -> str:
+        """What it says until its good end."""
+        told = self.process.stdout.read()
+        assert self.process.wait(timeout=60) == 0, told
+        return told
+
+    def metrics(self) -> list[dict]:
+        return [json.loads(line) for line in (self.folder / "metrics.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture
+def serve(tmp_path):
+    """Starts learners by name; none outlives its test."""
+    started = []
+
+    def start(name: str, settings: list[str]) -> Served:
+        started.append(Served(tmp_path / name, settings))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.process.kill()
+        one.process.wait()
+        one.process.stdout.close()
