@@ -1,11 +1,15 @@
 """Runs deploy/compose.yaml for real and disturbs it: the weights must be those of an undisturbed local run.
 
+`--short` does with fewer iterations, actors and faults, and takes the binary that `cargo test` has built.
+
 Needs a container engine with compose (v2, or docker-compose 1.29), started here if this user may.
 Where no registry answers, debootstrap makes the base image. Ends with 0 if every check held, 1 if one
 did not, and 3 with one line `container test not run: REASON` where containers cannot run at all.
 """
 
+import argparse
 import contextlib
+import dataclasses
 import json
 import os
 import pathlib
@@ -19,27 +23,39 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 PROJECT = "s2mia-cluster-test"
 BASE_IMAGE = "debian:bookworm-slim"
 RELEASE = "bookworm"
-ITERATIONS = 120
 STEPS_PER_ITERATION = 8 * 100
-SETTINGS = {
-    "ENV_STEPS": str(ITERATIONS * STEPS_PER_ITERATION),
-    "S2MIA_IMAGE": "s2mia:cluster-test",
-    "SEED": "11",
-    "RUN": "cluster",
-}
-LOCAL = [
-    "environments.count=8",
-    "environments.steps=100",
-    "evaluation.every_steps=0",
-    "run.seed=11",
-    f"run.env_steps={SETTINGS['ENV_STEPS']}",
-]
+IMAGE = "s2mia:cluster-test"
+SEED, RUN = "11", "cluster"
 NOT_RUN = 3
 DEADLINE_SECS = 600
 
 
 class NotRun(Exception):
     """Containers cannot run on this machine."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Form:
+    """How long the run is, and which binary runs it."""
+
+    iterations: int
+    binary: str
+
+    def settings(self) -> dict[str, str]:
+        """For the compose file."""
+        return {"ENV_STEPS": self.env_steps(), "S2MIA_IMAGE": IMAGE, "SEED": SEED, "RUN": RUN}
+
+    def local(self) -> list[str]:
+        """The same run without containers."""
+        own = [f"run.seed={SEED}", f"run.env_steps={self.env_steps()}"]
+        return ["environments.count=8", "environments.steps=100", "evaluation.every_steps=0", *own]
+
+    def env_steps(self) -> str:
+        return str(self.iterations * STEPS_PER_ITERATION)
+
+
+SHORT = Form(iterations=40, binary="target/debug/s2mia")
+WHOLE = Form(iterations=120, binary="target/release/s2mia")
 
 
 def output(*command: str, **options) -> str:
@@ -88,7 +104,8 @@ def provide_base_image() -> None:
     if shutil.which("debootstrap") is None:
         raise NotRun(f"{BASE_IMAGE} cannot be pulled, and debootstrap is not installed")
     with tempfile.TemporaryDirectory() as folder:
-        output("debootstrap", "--variant=minbase", RELEASE, folder)
+        if not succeeds("debootstrap", "--variant=minbase", RELEASE, folder):
+            raise NotRun(f"{BASE_IMAGE} cannot be pulled, and debootstrap cannot make it")
         archive = subprocess.Popen(["tar", "-C", folder, "-c", "."], stdout=subprocess.PIPE)
         output("docker", "import", "-", BASE_IMAGE, stdin=archive.stdout)
 
@@ -96,10 +113,10 @@ def provide_base_image() -> None:
 class Cluster:
     """The services of deploy/compose.yaml under a project name of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self, form: Form) -> None:
         files = ["-f", "deploy/compose.yaml", "-f", "tests/containers/short.yaml"]
         self.command = [*compose_command(), "-p", PROJECT, *files]
-        self.environment = {**os.environ, **SETTINGS}
+        self.environment = {**os.environ, **form.settings()}
 
     def compose(self, *arguments: str) -> str:
         return output(*self.command, *arguments, env=self.environment)
@@ -118,13 +135,13 @@ class Cluster:
     def iteration(self) -> int:
         """Finished iterations, as the metrics in the volume say."""
         with contextlib.suppress(RuntimeError, IndexError):
-            lines = self.in_volume("cat", f"/runs/{SETTINGS['RUN']}/metrics.jsonl").splitlines()
+            lines = self.in_volume("cat", f"/runs/{RUN}/metrics.jsonl").splitlines()
             return json.loads(lines[-1])["iteration"]
         return 0
 
     def in_volume(self, *command: str) -> str:
         mount = ["--rm", "-v", f"{PROJECT}_runs:/runs"]
-        entry = ["--entrypoint", command[0], SETTINGS["S2MIA_IMAGE"], *command[1:]]
+        entry = ["--entrypoint", command[0], IMAGE, *command[1:]]
         return output("docker", "run", *mount, *entry)
 
     def wait_for(self, what: str, holds) -> None:
@@ -154,11 +171,35 @@ def hashes(inspected: str) -> dict[str, str]:
     return {name: found[name] for name in ("weights_sha256", "state_sha256")}
 
 
-def undisturbed(folder: str) -> dict[str, str]:
+def undisturbed(form: Form, folder: str) -> dict[str, str]:
     """Hashes of the same run on this machine, without containers and without faults."""
-    program = str(ROOT / "target/release/s2mia")
-    output(program, "train", *LOCAL, f"run.dir={folder}/run")
+    program = str(ROOT / form.binary)
+    output(program, "train", *form.local(), f"run.dir={folder}/run")
     return hashes(output(program, "inspect", f"{folder}/run", "--json"))
+
+
+def kill_an_actor(cluster: Cluster) -> None:
+    output("docker", "kill", cluster.running("actor")[0])
+    say(f"an actor's container killed, iteration {cluster.iteration()}")
+
+
+def kill_the_learner(cluster: Cluster) -> None:
+    (learner,) = cluster.running("learner")
+    output("docker", "kill", learner)
+    say(f"the learner's container killed, iteration {cluster.iteration()}")
+    output("docker", "start", learner)
+
+
+def disturb_shortly(cluster: Cluster) -> None:
+    """One more actor, one death of either role."""
+    cluster.wait_for("a healthy learner", cluster.healthy)
+    cluster.pass_iteration(3)
+    cluster.scale(2)
+    cluster.pass_iteration(8)
+    kill_an_actor(cluster)
+    cluster.pass_iteration(14)
+    kill_the_learner(cluster)
+    cluster.scale(2)
 
 
 def disturb(cluster: Cluster) -> None:
@@ -167,14 +208,9 @@ def disturb(cluster: Cluster) -> None:
     cluster.pass_iteration(5)
     cluster.scale(4)
     cluster.pass_iteration(20)
-    victim = cluster.running("actor")[0]
-    output("docker", "kill", victim)
-    say("an actor's container killed")
+    kill_an_actor(cluster)
     cluster.pass_iteration(35)
-    learner = cluster.running("learner")[0]
-    output("docker", "kill", learner)
-    say(f"the learner's container killed, iteration {cluster.iteration()}")
-    output("docker", "start", learner)
+    kill_the_learner(cluster)
     cluster.pass_iteration(50)
     cut_off = cluster.running("actor")[-1]
     network = f"{PROJECT}_cluster"
@@ -186,16 +222,16 @@ def disturb(cluster: Cluster) -> None:
     cluster.scale(2)
 
 
-def cluster_hashes() -> dict[str, str]:
+def cluster_hashes(form: Form) -> dict[str, str]:
     """Hashes of the disturbed run."""
-    cluster = Cluster()
+    cluster = Cluster(form)
     cluster.down()
     try:
         cluster.scale(1)
-        disturb(cluster)
+        (disturb_shortly if form == SHORT else disturb)(cluster)
         cluster.wait_for("the end of the run", lambda: not cluster.running("learner"))
         cluster.wait_for("the actors' end", lambda: not cluster.running("actor"))
-        return hashes(cluster.in_volume("s2mia", "inspect", f"/runs/{SETTINGS['RUN']}", "--json"))
+        return hashes(cluster.in_volume("s2mia", "inspect", f"/runs/{RUN}", "--json"))
     except BaseException:
         print(cluster.compose("logs", "--tail", "30"), file=sys.stderr)
         raise
@@ -203,7 +239,20 @@ def cluster_hashes() -> dict[str, str]:
         cluster.down()
 
 
+def build_image(form: Form) -> None:
+    """The image around a binary of this checkout."""
+    if form == WHOLE:
+        output("cargo", "build", "--release")
+    arguments = ["BINARY=prebuilt", f"PREBUILT={form.binary}"]
+    build = [word for argument in arguments for word in ("--build-arg", argument)]
+    environment = {**os.environ, "DOCKER_BUILDKIT": "1"}
+    output("docker", "build", "-q", "-f", "deploy/Dockerfile", *build, "-t", IMAGE, ".", env=environment)
+
+
 def main() -> int:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--short", action="store_const", const=SHORT, default=WHOLE, dest="form")
+    form = options.parse_args().form
     try:
         engine = start_engine()
     except NotRun as reason:
@@ -212,13 +261,10 @@ def main() -> int:
     try:
         compose_command()
         provide_base_image()
-        output("cargo", "build", "--release")
-        build = ["--build-arg", "BINARY=prebuilt", "-t", SETTINGS["S2MIA_IMAGE"], "."]
-        output("docker", "build", "-q", "-f", "deploy/Dockerfile", *build,
-               env={**os.environ, "DOCKER_BUILDKIT": "1"})
+        build_image(form)
         with tempfile.TemporaryDirectory() as folder:
-            expected = undisturbed(folder)
-        found = cluster_hashes()
+            expected = undisturbed(form, folder)
+        found = cluster_hashes(form)
     except NotRun as reason:
         print(f"container test not run: {reason}")
         return NOT_RUN

@@ -9,6 +9,7 @@ are flat, and it logged no error that no fault explains. Ends with 0 if all hold
 """
 
 import argparse
+import contextlib
 import json
 import pathlib
 import random
@@ -208,7 +209,8 @@ class Soak:
     def rubbish(self) -> None:
         """rubbish sent to the learner."""
         for _ in range(10):
-            with socket.create_connection(("127.0.0.1", self.learner.port)) as peer:
+            # A learner that has died, or that has hung up already, hears no more of it.
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.learner.port)) as peer:
                 peer.sendall(self.random.randbytes(self.random.randint(1, 4096)))
 
     def half_open(self) -> None:
