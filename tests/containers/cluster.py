@@ -1,6 +1,6 @@
 """Runs deploy/compose.yaml for real and disturbs it: the weights must be those of an undisturbed local run.
 
-`--short` does with fewer iterations, actors and faults, and takes the binary that `cargo test` has built.
+`--mtls` adds deploy/compose.mtls.yaml. `--short` does with fewer iterations, actors and faults, and takes the binary that `cargo test` has built.
 
 Needs a container engine with compose (v2, or docker-compose 1.29), started here if this user may.
 Where no registry answers, debootstrap makes the base image. Ends with 0 if every check held, 1 if one
@@ -40,6 +40,7 @@ class Form:
 
     iterations: int
     binary: str
+    files: tuple[str, ...] = ("deploy/compose.yaml", "tests/containers/short.yaml")
 
     def settings(self) -> dict[str, str]:
         """For the compose file."""
@@ -114,7 +115,7 @@ class Cluster:
     """The services of deploy/compose.yaml under a project name of their own."""
 
     def __init__(self, form: Form) -> None:
-        files = ["-f", "deploy/compose.yaml", "-f", "tests/containers/short.yaml"]
+        files = [word for file in form.files for word in ("-f", file)]
         self.command = [*compose_command(), "-p", PROJECT, *files]
         self.environment = {**os.environ, **form.settings()}
 
@@ -228,7 +229,7 @@ def cluster_hashes(form: Form) -> dict[str, str]:
     cluster.down()
     try:
         cluster.scale(1)
-        (disturb_shortly if form == SHORT else disturb)(cluster)
+        (disturb_shortly if form.iterations == SHORT.iterations else disturb)(cluster)
         cluster.wait_for("the end of the run", lambda: not cluster.running("learner"))
         cluster.wait_for("the actors' end", lambda: not cluster.running("actor"))
         return hashes(cluster.in_volume("s2mia", "inspect", f"/runs/{RUN}", "--json"))
@@ -241,7 +242,7 @@ def cluster_hashes(form: Form) -> dict[str, str]:
 
 def build_image(form: Form) -> None:
     """The image around a binary of this checkout."""
-    if form == WHOLE:
+    if form.binary == WHOLE.binary:
         output("cargo", "build", "--release")
     arguments = ["BINARY=prebuilt", f"PREBUILT={form.binary}"]
     build = [word for argument in arguments for word in ("--build-arg", argument)]
@@ -252,7 +253,11 @@ def build_image(form: Form) -> None:
 def main() -> int:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--short", action="store_const", const=SHORT, default=WHOLE, dest="form")
-    form = options.parse_args().form
+    options.add_argument("--mtls", action="store_true")
+    options = options.parse_args()
+    form = options.form
+    if options.mtls:
+        form = dataclasses.replace(form, files=(*form.files, "deploy/compose.mtls.yaml"))
     try:
         engine = start_engine()
     except NotRun as reason:
