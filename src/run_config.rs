@@ -316,6 +316,17 @@ mod tests {
     }
 
     #[test]
+    fn with_overlap_policies_are_one_update_behind_under_every_rule() {
+        for algorithm in ["algorithm=happo-s2mia", "algorithm=mappo", "algorithm=maddpg"] {
+            let lag = |schedule: &str| {
+                built(&[algorithm, schedule]).unwrap().training.behaviour.policy_lag
+            };
+            assert_eq!((lag("schedule=synchronous"), lag("schedule=overlap")), (0, 1));
+        }
+        assert_eq!(built(&[]).unwrap().training.behaviour.policy_lag, 0);
+    }
+
+    #[test]
     fn maddpg_lays_what_it_refuses_at_the_setting_that_the_user_wrote() {
         for (setting, key) in [
             ("surprise.alpha=0.01", "surprise.alpha"),

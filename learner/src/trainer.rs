@@ -91,6 +91,7 @@ struct Work {
     patience: Patience,
     /// Rollouts that came in while something else was waited for.
     arrived: Option<Collected>,
+    /// The iteration that was opened last.
     open: Option<Open>,
 }
 
@@ -208,8 +209,8 @@ impl Work {
         Ok(())
     }
 
-    /// Opens the slots of `iteration`, from whose start states the environments go on, if there is such an
-    /// iteration, the weights are out that roll it out, and it is not open yet.
+    /// Opens the slots of `iteration`, whose start states are known, unless it is open already or past the end.
+    /// The weights that roll it out must be out: older ones are before the update, the newest only after it.
     fn lease(&mut self, iteration: u64) {
         let newest = PolicyVersion(self.trainer.iteration);
         let behaviour = self.trainer.schedule.behaviour(iteration);
