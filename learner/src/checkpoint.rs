@@ -33,7 +33,8 @@ const DRAFT: &str = ".tmp-";
 /// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves.
 const LATEST: &str = "LATEST";
 /// The groups of arrays, one file each.
-const GROUPS: [&str; 9] = [
+const GROUPS: [&str; 11] = [
+    "behaviour",
     "counters",
     "density",
     "environments",
@@ -42,6 +43,7 @@ const GROUPS: [&str; 9] = [
     "observation",
     "optimizer",
     "replay",
+    "rollout",
     "weights",
 ];
 
@@ -53,7 +55,8 @@ pub struct Checkpoint {
     /// Environment steps of all finished iterations.
     pub env_steps: u64,
     /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `normalizer`,
-    /// `replay`, `environments`, `counters`, `evaluation`.
+    /// `replay`, `environments`, `counters`, `evaluation`, and where older policies act than the newest, `behaviour`
+    /// and `rollout`.
     pub arrays: NamedArrays,
     /// The policies as actors get them: a `policy::PolicySnapshot`.
     pub policy: Vec<u8>,

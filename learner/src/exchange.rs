@@ -146,16 +146,23 @@ impl Exchange {
         Ok(name)
     }
 
-    /// Opens an iteration to be rolled out with published weights. What was open before is dropped.
+    /// Opens an iteration to be rolled out with published weights, whose name is returned. What was open before is
+    /// dropped.
     ///
     /// # Panics
     /// If the weights were not published.
-    pub fn open_iteration(&self, iteration: u64, weights: PolicyVersion, slots: Vec<RolloutWork>) {
+    pub fn open_iteration(
+        &self,
+        iteration: u64,
+        weights: PolicyVersion,
+        slots: Vec<RolloutWork>,
+    ) -> WeightsName {
         self.change(|shared| {
             let name = shared.weights.expect(weights);
             shared.pace.open(iteration, self.begun.elapsed());
             shared.table.open_iteration(iteration, name, slots);
-        });
+            name
+        })
     }
 
     /// Opens an evaluation of published weights, leased when no slot is free.
@@ -357,7 +364,10 @@ impl Exchange {
         for effect in shared.table.effects() {
             match effect {
                 Effect::WorkFreed => self.work.notify_waiters(),
-                Effect::Iteration(rollouts) => shared.wakes.push_back(Wake::Iteration(rollouts)),
+                Effect::Iteration(rollouts) => {
+                    let secs = shared.pace.secs_open(self.begun.elapsed());
+                    shared.wakes.push_back(Wake::Iteration { rollouts, secs });
+                }
                 Effect::Evaluation(outcome) => shared.wakes.push_back(Wake::Evaluation(outcome)),
                 Effect::Failed(disagreement) => {
                     let error = ExchangeError::Disagreement(disagreement);

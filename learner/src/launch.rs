@@ -19,6 +19,7 @@ use crate::fault::Fault;
 use crate::metrics::Metrics;
 use crate::provenance::Provenance;
 use crate::run_folder::{RunFolder, RunFolderError};
+use crate::schedule::Schedule;
 use crate::trainer::{Trainer, policy_bytes};
 
 /// What a run is started with.
@@ -186,7 +187,8 @@ fn build(
     let problem = problem(&launch.environment);
     let algorithm =
         pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
-    let observations = ObservationMoments::new(launch.observations, &problem);
+    let policy_lag = launch.training.behaviour.policy_lag;
+    let observations = ObservationMoments::new(launch.observations, &problem, policy_lag);
     let environments = &launch.config.environments;
     let layout = Layout::of(description, environments.slots());
     let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
@@ -206,7 +208,8 @@ fn build(
         config_sha256: launch.config_sha256,
         last_iteration: launch.iterations,
         layout,
-        policy: policy_bytes(algorithm.as_ref(), &observations)?,
+        schedule: Schedule::new(policy_lag),
+        policies: [policy_bytes(algorithm.as_ref(), &observations)?].into(),
         observations,
         algorithm,
         decay: launch.training.update.learning_rate_decay,

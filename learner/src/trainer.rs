@@ -4,6 +4,7 @@
 mod collect;
 mod save;
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -25,6 +26,7 @@ use crate::fault::{self, Fault, Point};
 use crate::metrics::Metrics;
 use crate::provenance::{Origin, Provenance};
 use crate::run_folder::RunFolder;
+use crate::schedule::Schedule;
 use crate::trainer::collect::{Collected, Patience};
 
 /// Takes in what a run tells.
@@ -60,7 +62,9 @@ pub struct Trainer {
     pub(crate) environments: Environments,
     pub(crate) evaluations: Evaluations,
     pub(crate) iteration: u64,
-    pub(crate) policy: Bytes,
+    pub(crate) schedule: Schedule,
+    /// As actors get them, from those that roll out the next iteration to the newest.
+    pub(crate) policies: VecDeque<Bytes>,
     pub(crate) folder: RunFolder,
     pub(crate) metrics: Metrics,
     pub(crate) provenance: Provenance,
@@ -87,10 +91,16 @@ struct Work {
     patience: Patience,
     /// Rollouts that came in while something else was waited for.
     arrived: Option<Collected>,
-    /// When the slots of the iteration were opened.
-    opened: Instant,
+    /// The iteration that was opened last.
+    open: Option<Open>,
+}
+
+/// An iteration whose slots were opened.
+#[derive(Clone, Copy)]
+struct Open {
+    iteration: u64,
     /// The weights with which it is rolled out.
-    behaviour: Option<WeightsName>,
+    behaviour: WeightsName,
 }
 
 /// What an update made of `D_k`.
@@ -117,8 +127,7 @@ impl Trainer {
             outside,
             patience: Patience::new(Instant::now()),
             arrived: None,
-            opened: Instant::now(),
-            behaviour: None,
+            open: None,
         };
         let result = work.run();
         if let Err(LearnerError::Exchange(_)) = &result {
@@ -133,6 +142,11 @@ impl Trainer {
         fault::at(self.fault, point, self.iteration);
     }
 
+    /// The policies after the last finished iteration.
+    fn newest_policy(&self) -> &Bytes {
+        self.policies.back().expect("there are policies from the first iteration on")
+    }
+
     fn steps_after(&self, iteration: u64) -> u64 {
         iteration * self.config.environments.steps_per_iteration()
     }
@@ -145,14 +159,14 @@ impl Work {
             let Some(collected) = self.collect()? else { break };
             self.trainer.fault_at(Point::AfterCollect);
             let batch = assemble(&self.trainer.layout, &collected.rollouts)?;
-            let learnt = self.trainer.learn(&batch)?;
             self.trainer.environments.advance(&batch, &collected.rollouts);
+            self.lease(self.trainer.iteration + 1);
+            let learnt = self.trainer.learn(&batch)?;
             self.trainer.iteration += 1;
-            let behaviour = self.behaviour;
             self.publish()?;
-            self.lease();
+            self.lease(self.trainer.iteration);
             self.trainer.fault_at(Point::AfterPublish);
-            self.record(&collected, &learnt, behaviour)?;
+            self.record(&collected, &learnt)?;
             self.evaluate_if_due()?;
             self.save_if_due();
         }
@@ -164,8 +178,11 @@ impl Work {
         if let Some(evaluated) = self.trainer.evaluations.outstanding().cloned() {
             self.open_evaluation(&evaluated)?;
         }
-        self.publish()?;
-        self.lease();
+        let oldest = self.trainer.schedule.behaviour(self.trainer.iteration).0;
+        for (version, policy) in (oldest..).zip(self.trainer.policies.clone()) {
+            self.outside.exchange.publish(PolicyVersion(version), policy)?;
+        }
+        self.lease(self.trainer.iteration);
         self.evaluate_if_due()
     }
 
@@ -187,29 +204,29 @@ impl Work {
 
     /// Hands the newest policies to the actors.
     fn publish(&mut self) -> Result<(), LearnerError> {
-        let (version, policy) = (self.trainer.iteration, self.trainer.policy.clone());
-        self.behaviour = Some(self.outside.exchange.publish(PolicyVersion(version), policy)?);
+        let version = PolicyVersion(self.trainer.iteration);
+        self.outside.exchange.publish(version, self.trainer.newest_policy().clone())?;
         Ok(())
     }
 
-    /// Opens the slots of the next iteration, if there is one.
-    fn lease(&mut self) {
-        let iteration = self.trainer.iteration;
-        if iteration < self.trainer.last_iteration {
-            let slots = self.trainer.environments.work(iteration);
-            self.outside.exchange.open_iteration(iteration, PolicyVersion(iteration), slots);
-            self.opened = Instant::now();
-            self.tell(&Event::Collecting { iteration, env_steps: self.trainer.env_steps() });
+    /// Opens the slots of `iteration`, whose start states are known, unless it is open already or past the end.
+    /// The weights that roll it out must be out: older ones are before the update, the newest only after it.
+    fn lease(&mut self, iteration: u64) {
+        let newest = PolicyVersion(self.trainer.iteration);
+        let behaviour = self.trainer.schedule.behaviour(iteration);
+        let open = self.open.is_some_and(|open| open.iteration == iteration);
+        if iteration >= self.trainer.last_iteration || behaviour > newest || open {
+            return;
         }
+        let slots = self.trainer.environments.work(iteration);
+        let behaviour = self.outside.exchange.open_iteration(iteration, behaviour, slots);
+        self.open = Some(Open { iteration, behaviour });
+        let env_steps = self.trainer.steps_after(iteration);
+        self.tell(&Event::Collecting { iteration: self.trainer.iteration, env_steps });
     }
 
     /// Metrics and provenance of the iteration that has just been finished.
-    fn record(
-        &mut self,
-        collected: &Collected,
-        learnt: &Learnt,
-        behaviour: Option<WeightsName>,
-    ) -> Result<(), LearnerError> {
+    fn record(&mut self, collected: &Collected, learnt: &Learnt) -> Result<(), LearnerError> {
         let progress = self.outside.exchange.progress();
         let trainer = &mut self.trainer;
         if progress.foreign_actors > 0 {
@@ -218,8 +235,10 @@ impl Work {
                 tracing::error!("the manifest does not name foreign actors yet: {error}");
             }
         }
+        let lag = trainer.iteration - 1 - collected.behaviour.version.0;
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());
+        metrics.push(("policy_lag".to_owned(), lag as f64));
         metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
         metrics.push(("checkpoints_failed".to_owned(), trainer.failed_saves.into()));
         let report = IterationReport {
@@ -234,9 +253,7 @@ impl Work {
             metrics,
         };
         trainer.metrics.iteration(&report, learnt.density_secs)?;
-        if let Some(behaviour) = behaviour {
-            trainer.trace(behaviour, &collected.rollouts, &learnt.report)?;
-        }
+        trainer.trace(collected.behaviour, &collected.rollouts, &learnt.report)?;
         self.tell(&Event::Iteration(report));
         Ok(())
     }
@@ -246,7 +263,7 @@ impl Work {
         if !self.trainer.evaluations.due(self.trainer.iteration) || !self.settle_evaluation()? {
             return Ok(());
         }
-        let (iteration, policy) = (self.trainer.iteration, self.trainer.policy.clone());
+        let (iteration, policy) = (self.trainer.iteration, self.trainer.newest_policy().clone());
         let evaluated = Evaluated { iteration, policy };
         self.open_evaluation(&evaluated)?;
         self.trainer.evaluations.begin(evaluated);
@@ -284,7 +301,9 @@ impl Trainer {
         algorithm.scale_learning_rates(self.decay.share(*iteration, self.last_iteration));
         let report = pool.install(|| algorithm.update(&seen, &rewards, *iteration))?;
         pool.install(|| observations.take_in(batch));
-        self.policy = policy_bytes(self.algorithm.as_ref(), &self.observations)?;
+        self.policies.push_back(policy_bytes(self.algorithm.as_ref(), &self.observations)?);
+        let spent = self.policies.len() - self.schedule.versions(self.iteration + 1);
+        self.policies.drain(..spent);
         let update_secs = begin.elapsed().as_secs_f64();
         Ok(Learnt { report, density_secs, update_secs })
     }

@@ -13,7 +13,7 @@ use crate::mappo::Mappo;
 pub type Report = Vec<(String, f64)>;
 
 /// The first parts of the names of an algorithm's arrays.
-pub const PREFIXES: [&str; 4] = ["weights/", "optimizer/", "normalizer/", "replay/"];
+pub const PREFIXES: [&str; 5] = ["weights/", "optimizer/", "normalizer/", "replay/", "behaviour/"];
 
 /// A learning rule: turns experience into better policies.
 pub trait Algorithm: Send {

@@ -6,8 +6,8 @@ use marl::config::{
     Rule, Scored, Sharing, Space, StateNorm,
 };
 use marl::{
-    ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, CriticConfig, Final,
-    InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
+    ActionKind, AgentBatch, AgentShape, Algorithm, Batch, BehaviourConfig, Config, CriticConfig,
+    Final, InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{
     CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RefreshHidden, RunSeed, Scratch,
@@ -67,6 +67,7 @@ fn config(rule: Rule, parameters: Sharing) -> Config {
             noise: 0.1,
             polyak: 0.05,
         },
+        behaviour: BehaviourConfig { policy_lag: 0, factor_max: 2.0 },
     }
 }
 

@@ -8,8 +8,13 @@ use crate::slots::{EvaluationOutcome, SlotRollout};
 /// Why the trainer woke up.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Wake {
-    /// The open iteration is complete: every slot, in order.
-    Iteration(Vec<SlotRollout>),
+    /// The open iteration is complete.
+    Iteration {
+        /// Every slot, in order.
+        rollouts: Vec<SlotRollout>,
+        /// From the opening of its slots to the last chunk.
+        secs: f64,
+    },
     /// An evaluation is complete.
     Evaluation(EvaluationOutcome),
     /// The run cannot go on.

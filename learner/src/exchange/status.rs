@@ -21,6 +21,11 @@ impl Pace {
         self.opened = Some(now);
         self.iteration = iteration;
     }
+
+    /// How long the open iteration has been open, seconds.
+    pub(super) fn secs_open(&self, now: Duration) -> f64 {
+        self.opened.map_or(0.0, |opened| (now - opened).as_secs_f64())
+    }
 }
 
 impl Exchange {
@@ -38,7 +43,7 @@ impl Exchange {
         Status {
             run_id: self.run.run_id.clone(),
             incarnation: self.run.incarnation,
-            iteration,
+            iteration: shared.weights.newest().map_or(0, |version| version.0),
             env_steps: (iteration * slots + complete_slots) * slot_steps,
             slots,
             complete_slots,

@@ -43,6 +43,11 @@ impl Weights {
         self.held.retain(|version, _| in_use.contains(version) || latest.contains(version));
     }
 
+    /// The newest version, which there is once an iteration has been opened.
+    pub(super) fn newest(&self) -> Option<PolicyVersion> {
+        self.held.keys().next_back().copied()
+    }
+
     pub(super) fn find(&self, name: WeightsName) -> Result<Arc<Published>, Refusal> {
         let held = self.held.get(&name.version).filter(|held| held.name == name);
         held.cloned().ok_or_else(|| {

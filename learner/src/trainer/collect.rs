@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use proto::WeightsName;
+
 use crate::error::LearnerError;
 use crate::evaluation::Spread;
 use crate::event::Event;
@@ -18,8 +20,10 @@ const STILL: Duration = Duration::from_secs(10);
 pub(super) struct Collected {
     /// Ordered by slot, all complete.
     pub(super) rollouts: Vec<SlotRollout>,
-    /// From the lease of the slots to the last chunk.
+    /// From the opening of the slots to the last chunk.
     pub(super) secs: f64,
+    /// The weights with which they were rolled out.
+    pub(super) behaviour: WeightsName,
 }
 
 impl Work {
@@ -47,9 +51,9 @@ impl Work {
 
     fn wait(&mut self) -> Result<(), LearnerError> {
         match self.outside.exchange.wait(GLANCE) {
-            Wake::Iteration(rollouts) => {
-                let secs = self.opened.elapsed().as_secs_f64();
-                self.arrived = Some(Collected { rollouts, secs });
+            Wake::Iteration { rollouts, secs } => {
+                let open = self.open.expect("an iteration is opened before it is complete");
+                self.arrived = Some(Collected { rollouts, secs, behaviour: open.behaviour });
             }
             Wake::Evaluation(outcome) => self.take_evaluation(&outcome)?,
             Wake::Failed(error) => return Err(error.into()),

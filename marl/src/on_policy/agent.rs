@@ -27,6 +27,8 @@ use crate::surprise::entropy_bound;
 pub(crate) struct Agent {
     /// Agents that share their parameters hold the same network.
     pub(crate) network: Arc<ActorNetwork>,
+    /// The network that acts; with a policy lag of 1 one that is an update behind.
+    pub(crate) behaviour: Arc<ActorNetwork>,
     pub(crate) adam: Adam,
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
@@ -110,10 +112,17 @@ impl Agent {
         ((seed, precision), index): ((RunSeed, Precision), usize),
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
-        let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
-        let action = (shape.action, shape.kind.head());
-        let dtype = precision.dtype();
-        let network = ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)?;
+        let draw = Draw::of(Purpose::Initialisation).agent(number);
+        let (action, dtype) = ((shape.action, shape.kind.head()), precision.dtype());
+        let network = || {
+            let mut rng = generator(seed, draw);
+            ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)
+        };
+        let start = Arc::new(network()?);
+        let behaviour = match config.behaviour.policy_lag {
+            0 => Arc::clone(&start),
+            _ => Arc::new(network()?),
+        };
         let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
         let total: usize = seen.sum();
         let (update, influence) = (&config.update, &config.influence);
@@ -124,7 +133,7 @@ impl Agent {
         };
         let own = PosteriorShape {
             others: total - shape.kind.seen_size(shape.action),
-            features: network.feature_size(),
+            features: start.feature_size(),
             action: shape.action,
             kind: shape.kind,
         };
@@ -135,8 +144,9 @@ impl Agent {
             .then(|| Posterior::new(influence, policy, q_adam, own, (seed, precision, number)))
             .transpose()?;
         Ok(Self {
-            adam: Adam::new(adam, network.parameters()),
-            network: Arc::new(network),
+            adam: Adam::new(adam, start.parameters()),
+            network: start,
+            behaviour,
             coefficients: Coefficients {
                 clip: update.clip,
                 entropy: update.entropy,
@@ -205,8 +215,18 @@ impl Agent {
         sequences: &Sequences,
         columns: &[usize],
     ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
-        let features = self.network.features(&self.input(sequences, columns)?)?;
-        let rows = HeadRows::of(&self.network.head(&features)?)?;
+        self.log_prob_under(&self.network, sequences, columns)
+    }
+
+    /// As [`Agent::log_prob`], under the weights of `network`.
+    fn log_prob_under(
+        &self,
+        network: &ActorNetwork,
+        sequences: &Sequences,
+        columns: &[usize],
+    ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
+        let features = network.features(&self.input_under(network, sequences, columns)?)?;
+        let rows = HeadRows::of(&network.head(&features)?)?;
         let width = rows.action_size();
         let action = sequences.layout.columns(&sequences.action, width, columns);
         let actions = action.chunks_exact(width).enumerate();
@@ -249,7 +269,7 @@ impl Agent {
     }
 }
 
-/// Every agent's experience under the behaviour weights, which are still the networks' own.
+/// Every agent's experience under the behaviour weights.
 pub(crate) fn gather(
     agents: &[Agent],
     batch: &Batch,
@@ -260,7 +280,8 @@ pub(crate) fn gather(
     let one = |index: usize| {
         let agent = &agents[index];
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-        let (behaviour, log_prob, features) = agent.log_prob(&sequences, &columns)?;
+        let (behaviour, log_prob, features) =
+            agent.log_prob_under(&agent.behaviour, &sequences, &columns)?;
         let others = other_actions(agents, batch, index, layout);
         let samples =
             agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));

@@ -2,11 +2,12 @@
 //! in chunks agree, so that every ratio and the factor `M` are 1.
 
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
-use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
+use policy::{ActorPolicy, CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
 
 use super::agent::{Agent, Experience, Influence, gather};
-use super::ascent::{gradient, moved};
+use super::ascent::{gradient, maximise, moved};
 use crate::batch::{AgentBatch, Batch, Problem};
+use crate::config::Config;
 use crate::minibatch::minibatches;
 use crate::probe;
 use crate::sequence::{Layout, Sequences};
@@ -34,8 +35,12 @@ fn policies() -> [PolicyConfig; 5] {
 }
 
 fn agents(policy: &PolicyConfig) -> Vec<Agent> {
+    agents_with(&probe::config(), policy)
+}
+
+fn agents_with(config: &Config, policy: &PolicyConfig) -> Vec<Agent> {
     let start = |index| ((RunSeed(3), Precision::Single), index);
-    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), start(index));
+    let agent = |index| Agent::new(config, policy, &probe::problem(), start(index));
     (0..2).map(|index| agent(index).unwrap()).collect()
 }
 
@@ -46,25 +51,33 @@ fn ended(at: &[(usize, usize)]) -> Vec<bool> {
 
 /// What the agents experience of random observations: every step as an actor takes it.
 fn played(agents: &[Agent], problem: &Problem) -> Batch {
+    played_by(&policies_of(agents), problem)
+}
+
+fn policies_of(agents: &[Agent]) -> Vec<ActorPolicy> {
+    agents.iter().map(|agent| agent.policy().unwrap()).collect()
+}
+
+fn played_by(policies: &[ActorPolicy], problem: &Problem) -> Batch {
     let (terminated, truncated) = (ended(&TERMINATED), ended(&TRUNCATED));
     let mut batch = Batch { steps: STEPS, environments: ENVIRONMENTS, ..Batch::default() };
     (batch.terminated, batch.truncated) = (terminated, truncated);
-    for (index, agent) in agents.iter().enumerate() {
+    for (index, policy) in policies.iter().enumerate() {
         let shape = &problem.agents[index];
-        let data = acted(agent, &batch, (shape.observation, shape.action), index as u32);
+        let data = acted(policy, &batch, (shape.observation, shape.action), index as u32);
         batch.agents.push(data);
     }
     batch
 }
 
 fn acted(
-    agent: &Agent,
+    policy: &ActorPolicy,
     batch: &Batch,
     (observation, action): (usize, usize),
     index: u32,
 ) -> AgentBatch {
     let mut rng = generator(RunSeed(5), Draw::of(Purpose::Action).agent(index));
-    let (policy, mut scratch) = (agent.policy().unwrap(), Scratch::default());
+    let mut scratch = Scratch::default();
     let (width, mut data) = (policy.hidden_size(), AgentBatch::default());
     let mut hidden = vec![0.0; ENVIRONMENTS * width];
     for step in 0..STEPS {
@@ -166,6 +179,42 @@ fn an_agent_that_has_not_moved_leaves_the_factor_at_one() {
             factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
         }
         assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{policy:?}: {factor:?}");
+    }
+}
+
+/// How far the learner's log-densities are from those that an agent sent, nats.
+fn off(found: &[f64], batch: &Batch, agent: usize) -> f64 {
+    let sent = Layout::of(batch, CHUNK).chunked(&batch.agents[agent].log_prob, 1);
+    let apart = found.iter().zip(sent).map(|(found, sent)| (found - f64::from(sent)).abs());
+    apart.fold(0.0, f64::max)
+}
+
+#[test]
+fn with_a_lag_of_one_old_log_probs_are_those_that_the_policies_of_the_update_before_sent() {
+    let mut config = probe::config();
+    (config.behaviour.policy_lag, config.update.learning_rate) = (1, 2e-3);
+    for policy in policies() {
+        let mut agents = agents_with(&config, &policy);
+        let mut versions = Vec::new();
+        for iteration in 0..4_usize {
+            versions.push(policies_of(&agents));
+            let acting = &versions[iteration.saturating_sub(1)];
+            let batch = played_by(acting, &probe::problem());
+            agents.iter_mut().for_each(Agent::forget_states);
+            let experience = experience(&agents, &batch);
+            agents.iter().for_each(|agent| agent.remember_today().unwrap());
+            for (index, (agent, known)) in agents.iter_mut().zip(&experience).enumerate() {
+                let apart = off(&known.log_prob, &batch, index);
+                assert!(apart <= 1e-5, "{policy:?} iteration {iteration}: {apart}");
+                let today = agent.log_prob_since(known).unwrap().unwrap();
+                let moved = off(&today, &batch, index) > 1e-3;
+                assert_eq!(moved, iteration > 0, "{policy:?} iteration {iteration}");
+                let draw = Draw::of(Purpose::Minibatch).iteration(iteration as u64);
+                let factor = vec![1.0; today.len()];
+                let seed = (RunSeed(7), draw);
+                maximise(agent, (known, &Influence::default()), &factor, seed).unwrap();
+            }
+        }
     }
 }
 

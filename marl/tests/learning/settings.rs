@@ -4,7 +4,10 @@ use marl::config::{
     Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
     Rule, Scored, Sharing, Space, StateNorm,
 };
-use marl::{Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig};
+use marl::{
+    BehaviourConfig, Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig,
+    UpdateConfig,
+};
 use policy::{CoreKind, PolicyConfig, RefreshHidden};
 
 /// What makes a learning rule of the on-policy kind the one that it is.
@@ -114,6 +117,7 @@ fn config(rule: Rule) -> Config {
             noise: 0.2,
             polyak: 0.02,
         },
+        behaviour: BehaviourConfig { policy_lag: 0, factor_max: 2.0 },
     }
 }
 

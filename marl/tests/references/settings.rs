@@ -5,8 +5,8 @@ use marl::config::{
     Rule, Scored, Sharing, Space, StateNorm,
 };
 use marl::{
-    ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
-    MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
+    ActionKind, AgentBatch, AgentShape, Batch, BehaviourConfig, Config, CriticConfig, Final,
+    InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{CoreKind, PolicyConfig, RefreshHidden};
 
@@ -79,7 +79,8 @@ pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> 
         max_gradient_norm: reference.setting("critic.max_gradient_norm"),
     };
     let influence = influence(reference);
-    Config { update, critic, surprise: unread(), influence, maddpg: maddpg(reference) }
+    let behaviour = BehaviourConfig { policy_lag: 0, factor_max: 2.0 };
+    Config { update, critic, surprise: unread(), influence, maddpg: maddpg(reference), behaviour }
 }
 
 fn influence(reference: &Reference) -> InfluenceConfig {
