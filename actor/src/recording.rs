@@ -6,7 +6,9 @@
 //! simulated time; episodes follow one another with a second between them.
 
 mod channels;
+pub(crate) mod robot;
 mod scene;
+pub(crate) mod writer;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -98,10 +100,7 @@ fn record_episode(
     index: u32,
     channels: &mut Channels<BufWriter<File>>,
 ) -> Result<Episode, RecordError> {
-    if channels.shows_links() {
-        channels.scene(&scene::update(&world.description().task, channels.now())?)?;
-    }
-    channels.stand(world)?;
+    channels.begin(world)?;
     let mut written = Ok(());
     let mut total = 0.0;
     let episode = play_on(world, policy, &mut |step: &PlayedStep<'_>| {
