@@ -1,12 +1,15 @@
 //! The actor processes of `s2mia train`: starts them, replaces those that die, gives up when they die
 //! again and again, and sees that none outlives the run.
 
+use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use actor::LogSettings;
+use actor::trajectory_log::Episodes;
 use anyhow::Context as _;
 use tokio::process::{Child, Command};
 use tokio::sync::watch;
@@ -25,8 +28,10 @@ pub(crate) struct Crew {
     pub(crate) program: PathBuf,
     /// Where the learner listens.
     pub(crate) learner: String,
-    /// Folder of `actor_<index>.log`.
+    /// Folder of `actor_<index>.log` and of trajectory logs.
     pub(crate) logs: PathBuf,
+    /// What goes into trajectory logs.
+    pub(crate) log: LogSettings,
     /// Number of processes.
     pub(crate) actors: usize,
 }
@@ -143,6 +148,7 @@ impl Crew {
         Command::new(&self.program)
             .args(["actor", "--exit-with-stdin", "--learner", &self.learner])
             .args(["--name", &format!("local-{index}")])
+            .args(self.log_arguments())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(log)
@@ -150,6 +156,22 @@ impl Crew {
             .kill_on_drop(true)
             .spawn()
             .with_context(|| format!("cannot start {}", self.program.display()))
+    }
+
+    /// What tells an actor to log, if anything is logged.
+    fn log_arguments(&self) -> Vec<OsString> {
+        let LogSettings { episodes, max_file_mib } = self.log;
+        if episodes == Episodes::None {
+            return Vec::new();
+        }
+        vec![
+            "--log-dir".into(),
+            self.logs.clone().into(),
+            "--log-episodes".into(),
+            episodes.to_string().into(),
+            "--log-max-file-mib".into(),
+            max_file_mib.to_string().into(),
+        ]
     }
 
     fn log_path(&self, index: usize) -> PathBuf {
@@ -199,6 +221,7 @@ mod tests {
             program,
             learner: "http://127.0.0.1:1".into(),
             logs: folder.path().into(),
+            log: LogSettings { episodes: Episodes::None, max_file_mib: 1 },
             actors: 2,
         }
     }

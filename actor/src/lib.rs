@@ -16,6 +16,7 @@ pub mod recording;
 pub mod rollout;
 pub mod run;
 mod stepping;
+pub mod trajectory_log;
 
 pub use config::{Config, Transport};
 pub use error::ActorError;
@@ -24,3 +25,4 @@ pub use identity::{environment_spec, rollout_fingerprint};
 pub use recording::{RecordError, RecordSummary, record};
 pub use rollout::roll_out;
 pub use run::run;
+pub use trajectory_log::{LogConfig, LogError, LogSettings};

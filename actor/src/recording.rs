@@ -115,10 +115,11 @@ fn record_episode(
 }
 
 /// Reads the whole file back, checksums included.
-fn verify(path: &Path, written: u64) -> Result<(), RecordError> {
+pub(crate) fn verify(path: &Path, written: u64) -> Result<(), RecordError> {
     let bytes = std::fs::read(path)?;
     let mut found = 0;
-    for message in mcap::MessageStream::new(&bytes)? {
+    let options = mcap::read::Options::ValidateChunkCrcs.into();
+    for message in mcap::MessageStream::new_with_options(&bytes, options)? {
         message?;
         found += 1;
     }

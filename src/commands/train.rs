@@ -74,6 +74,7 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),
         logs,
+        log: config.log,
         actors: config.actors(),
     })
 }

@@ -84,10 +84,7 @@ impl<W: Write + Seek> McapFile<W> {
     ) -> Result<Channel, RecordError> {
         let name = schema["title"].as_str().unwrap_or_default();
         let data = schema.to_string().into_bytes();
-        self.channel(
-            topic,
-            &Schema { name, encoding: "jsonschema", data: &data, messages: "json" },
-        )
+        self.channel(topic, &Schema { name, encoding: "jsonschema", data: &data, messages: "json" })
     }
 
     /// Words about the file.
