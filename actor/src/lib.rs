@@ -4,6 +4,10 @@
 //! act. [`run()`] is the whole life of an actor process; the stepping thread is joined to the network
 //! by bounded queues, and what it computes is a pure function of lease and weights ([`roll_out`]).
 
+// The fixture of the tests outside is used inside, too.
+#[cfg(test)]
+extern crate self as actor;
+
 mod acting;
 mod chunk;
 mod client;

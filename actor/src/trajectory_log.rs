@@ -19,6 +19,8 @@ mod scribe;
 mod shares;
 mod source;
 mod survey;
+#[cfg(test)]
+mod tests;
 mod witness;
 
 pub use config::{Episodes, LogConfig, LogSettings};
@@ -29,7 +31,7 @@ pub use recover::{Loss, Recovered, recover};
 pub use replay::{Difference, Replayed, replay};
 pub use shares::{LoggedShare, LoggedStep, ReadShares, read_shares};
 pub use source::{is_log_name, read_bytes};
-pub use survey::{Survey, Topic, survey};
+pub use survey::{Survey, Topic, survey, totals};
 
 pub(crate) use scribe::{Desk, Log};
 

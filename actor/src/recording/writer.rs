@@ -48,7 +48,12 @@ pub(crate) struct McapFile<W: Write + Seek> {
 impl<W: Write + Seek> McapFile<W> {
     /// An empty file at time 0.
     pub(crate) fn create(target: W) -> Result<Self, RecordError> {
-        let options = WriteOptions::new().library("s2mia").chunk_size(Some(CHUNK_BYTES));
+        Self::in_chunks_of(CHUNK_BYTES, target)
+    }
+
+    /// As [`Self::create`], with chunks of another size.
+    pub(crate) fn in_chunks_of(chunk_bytes: u64, target: W) -> Result<Self, RecordError> {
+        let options = WriteOptions::new().library("s2mia").chunk_size(Some(chunk_bytes));
         Ok(Self { writer: options.create(target)?, nanos: 0, messages: 0, buffer: Vec::new() })
     }
 
@@ -157,6 +162,15 @@ impl<W: Write + Seek> McapFile<W> {
         self.writer.write_to_known_channel(&header, data)?;
         self.messages += 1;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+impl<W: Write + Seek> McapFile<W> {
+    /// The target with the whole file in it.
+    pub(crate) fn into_finished(mut self) -> Result<W, RecordError> {
+        self.writer.finish()?;
+        Ok(self.writer.into_inner())
     }
 }
 

@@ -31,12 +31,9 @@ pub enum LogError {
     /// The output cannot be written.
     #[error(transparent)]
     Write(#[from] RecordError),
-    /// The output is there already, or is the input.
-    #[error("{path} is there already; name another file")]
-    Taken {
-        /// The output.
-        path: String,
-    },
+    /// The output is there already; it may be the input.
+    #[error("is there already; name another file")]
+    Taken,
 }
 
 impl From<mcap::McapError> for LogError {

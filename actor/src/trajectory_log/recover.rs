@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::io::BufWriter;
+use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 
 use mcap::records::{MessageHeader, Record, op};
@@ -66,16 +66,24 @@ pub fn recover(bytes: &[u8], out: &Path) -> Result<Recovered, LogError> {
         return Err(LogError::NotMcap);
     }
     let (draft, (_, target)) = Draft::begin(out)?;
+    let (recovered, target) = copy(bytes, BufWriter::new(target))?;
+    let file = target.into_inner().map_err(|error| RecordError::File(error.into_error()))?;
+    file.sync_all().map_err(RecordError::File)?;
+    draft.publish()?;
+    Ok(recovered)
+}
+
+/// As [`recover`], into any target.
+pub(super) fn copy<W: Write + Seek>(bytes: &[u8], target: W) -> Result<(Recovered, W), LogError> {
     let options = WriteOptions::new().library("s2mia");
-    let writer = options.create(BufWriter::new(target)).map_err(RecordError::Format)?;
+    let writer = options.create(target).map_err(RecordError::Format)?;
     let mut copy = Copy { writer, schemas: BTreeMap::new(), channels: summary_channels(bytes) };
     let mut recovered = copy.all(bytes)?;
     if recovered.losses.is_empty() && is_contradicted(bytes) {
         recovered.losses.push(Loss::Unlocated);
     }
-    copy.finish()?;
-    draft.publish()?;
-    Ok(recovered)
+    copy.writer.finish().map_err(RecordError::Format)?;
+    Ok((recovered, copy.writer.into_inner()))
 }
 
 /// The data's own checksum does not fit.
@@ -125,13 +133,13 @@ struct Described {
 }
 
 /// The new file in the making.
-struct Copy<W: std::io::Write + std::io::Seek> {
+struct Copy<W: Write + Seek> {
     writer: Writer<W>,
     schemas: BTreeMap<u16, Schema>,
     channels: BTreeMap<u16, Described>,
 }
 
-impl<W: std::io::Write + std::io::Seek> Copy<W> {
+impl<W: Write + Seek> Copy<W> {
     fn all(&mut self, bytes: &[u8]) -> Result<Recovered, LogError> {
         let mut recovered = Recovered::default();
         let mut unknown = 0;
@@ -246,17 +254,9 @@ enum Copied {
     Other,
 }
 
-impl Copy<BufWriter<std::fs::File>> {
-    fn finish(mut self) -> Result<(), RecordError> {
-        self.writer.finish()?;
-        let file = self.writer.into_inner().into_inner();
-        Ok(file.map_err(std::io::IntoInnerError::into_error)?.sync_all()?)
-    }
-}
-
 /// The channel in the new file.
 fn declare(
-    writer: &mut Writer<impl std::io::Write + std::io::Seek>,
+    writer: &mut Writer<impl Write + Seek>,
     channel: &Described,
 ) -> Result<u16, RecordError> {
     let schema = match &channel.schema {

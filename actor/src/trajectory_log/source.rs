@@ -51,9 +51,14 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, LogError> {
     if bytes.starts_with(mcap::MAGIC) { Ok(bytes) } else { Err(LogError::NotMcap) }
 }
 
+/// A file to be read in parts.
+pub(super) fn open(path: &Path) -> Result<File, LogError> {
+    File::open(path).map_err(LogError::Read)
+}
+
 /// `length` bytes of a file from `offset` on.
 pub(super) fn read_part(path: &Path, offset: u64, length: u64) -> Result<Vec<u8>, LogError> {
-    let mut file = File::open(path).map_err(LogError::Read)?;
+    let mut file = open(path)?;
     file.seek(SeekFrom::Start(offset)).map_err(LogError::Read)?;
     let mut bytes = vec![0; length as usize];
     file.read_exact(&mut bytes).map_err(LogError::Read)?;
@@ -70,7 +75,7 @@ impl Draft {
     /// Begins a file that will be `path`, beside it.
     pub(super) fn begin(path: &Path) -> Result<(Self, (PathBuf, File)), LogError> {
         if path.symlink_metadata().is_ok() {
-            return Err(LogError::Taken { path: path.display().to_string() });
+            return Err(LogError::Taken);
         }
         let part = path.with_extension("mcap.part");
         let file = File::create(&part).map_err(RecordError::File)?;
@@ -82,7 +87,7 @@ impl Draft {
         match std::fs::hard_link(&self.part, &self.path) {
             Ok(()) => {}
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-                return Err(LogError::Taken { path: self.path.display().to_string() });
+                return Err(LogError::Taken);
             }
             // Not every file system has links.
             Err(_) => std::fs::rename(&self.part, &self.path).map_err(RecordError::File)?,
@@ -120,9 +125,9 @@ mod tests {
         assert_eq!(count(), 0);
         let (draft, _) = Draft::begin(&path).unwrap();
         std::fs::write(&path, "another").unwrap();
-        assert!(matches!(draft.publish(), Err(LogError::Taken { .. })));
+        assert!(matches!(draft.publish(), Err(LogError::Taken)));
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "another");
-        assert!(matches!(Draft::begin(&path), Err(LogError::Taken { .. })));
+        assert!(matches!(Draft::begin(&path), Err(LogError::Taken)));
         assert_eq!(count(), 1);
     }
 }

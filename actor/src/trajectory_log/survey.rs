@@ -1,10 +1,13 @@
 //! What an MCAP file holds, topic by topic.
 
 use std::collections::BTreeMap;
+use std::io::{Read as _, Seek as _};
+use std::path::Path;
 
-use mcap::records::Record;
+use mcap::records::{Record, op};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 
-use super::{LogError, METADATA_NAME, TOTALS_NAME, records};
+use super::{LogError, METADATA_NAME, TOTALS_NAME, records, source};
 
 /// A file at a glance.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -64,4 +67,33 @@ pub fn survey(bytes: &[u8]) -> Result<Survey, LogError> {
     })?;
     survey.secs = span.map_or(0.0, |(first, last)| (last - first) as f64 / 1e9);
     Ok(survey)
+}
+
+/// What a finished log says of itself at its end, read from there alone: `shares`, `steps`, `lost_shares` and
+/// `lost_steps`.
+///
+/// # Errors
+/// If the file cannot be read or has no such end.
+pub fn totals(path: &Path) -> Result<BTreeMap<String, String>, LogError> {
+    let mut file = source::open(path)?;
+    let mut reader = SummaryReader::new();
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::ReadRequest(wanted) => {
+                let read = file.read(reader.insert(wanted)).map_err(LogError::Read)?;
+                reader.notify_read(read);
+            }
+            SummaryReadEvent::SeekRequest(to) => {
+                reader.notify_seeked(file.seek(to).map_err(LogError::Read)?);
+            }
+        }
+    }
+    let summary = reader.finish().ok_or(LogError::Unfinished)?;
+    let last = summary.metadata_indexes.iter().find(|index| index.name == TOTALS_NAME);
+    let last = last.ok_or_else(|| LogError::Foreign("it does not say what it holds".to_owned()))?;
+    let record = source::read_part(path, last.offset, last.length)?;
+    match records::parse(op::METADATA, record.get(records::RECORD_HEAD..).unwrap_or_default())? {
+        Record::Metadata(record) => Ok(record.metadata),
+        _ => Err(LogError::Damaged("no metadata where there should be".to_owned())),
+    }
 }

@@ -11,7 +11,7 @@ use crate::output;
 pub(super) fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let RecoverArguments { file, out } = arguments;
     let bytes = in_file(file, read_bytes(file))?;
-    let recovered = in_file(file, recover(&bytes, out))?;
+    let recovered = in_file(out, recover(&bytes, out))?;
     let (messages, shown) = (thousands(recovered.messages), out.display());
     output::line(format!("{shown}: {messages} messages"));
     let losses: Vec<String> = recovered.losses.iter().map(|loss| format!("lost: {loss}")).collect();
