@@ -32,6 +32,9 @@ pub struct LoggedStep {
     pub step: Step,
 }
 
+/// A share with the times of its first and last message.
+type Timed = (LoggedShare, (u64, u64));
+
 /// What a log says besides its shares.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReadShares {
@@ -135,10 +138,7 @@ pub(super) struct Assembler {
 
 impl Assembler {
     /// Takes a record in; a share and its times, if it was the last one of that.
-    pub(super) fn take(
-        &mut self,
-        record: Record<'_>,
-    ) -> Result<Option<(LoggedShare, (u64, u64))>, LogError> {
+    pub(super) fn take(&mut self, record: Record<'_>) -> Result<Option<Timed>, LogError> {
         match record {
             Record::Schema { header, .. } => {
                 self.schemas.insert(header.id, (header.name, header.encoding));
@@ -163,11 +163,7 @@ impl Assembler {
         Ok(())
     }
 
-    fn message(
-        &mut self,
-        header: &MessageHeader,
-        data: &[u8],
-    ) -> Result<Option<(LoggedShare, (u64, u64))>, LogError> {
+    fn message(&mut self, header: &MessageHeader, data: &[u8]) -> Result<Option<Timed>, LogError> {
         let unknown = || LogError::Damaged("a message on no channel".to_owned());
         match self.roles.get(&header.channel_id).copied().ok_or_else(unknown)? {
             Role::Share => self.begin(Share::decode(data)?, header.log_time),

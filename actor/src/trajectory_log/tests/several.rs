@@ -63,7 +63,7 @@ fn joined_episodes_follow_one_another_step_by_step_and_can_be_repeated() {
     ];
     assert_eq!(order, expected);
     assert_eq!(replay(&read_bytes(&out).unwrap()).unwrap().steps, 185);
-    let parts = index(&[out.clone()]);
+    let parts = index(std::slice::from_ref(&out));
     assert_eq!((parts.gaps(), parts.copies()), (Vec::new(), 0));
     assert!(join(&all, &out).unwrap_err().to_string().contains("there already"));
 }
