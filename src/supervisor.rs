@@ -17,6 +17,8 @@ use tokio::task::JoinSet;
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
+/// The same for an actor that has a log to write out, close and read back.
+const LOG_PATIENCE: Duration = Duration::from_secs(60);
 
 /// Pause before a replacement, so that a broken program does not spin.
 const REPLACEMENT_PAUSE: Duration = Duration::from_millis(200);
@@ -108,7 +110,7 @@ impl Watchman {
     async fn hold_post(self, index: usize, mut ended: watch::Receiver<bool>) {
         while !*ended.borrow() && self.surrender.reason().is_none() {
             let death = match self.crew.start(index) {
-                Ok(child) => match until_exit(child, &mut ended).await {
+                Ok(child) => match until_exit(child, &mut ended, self.crew.patience()).await {
                     Some(status) if !status.success() => self.crew.death_notice(index, status),
                     _ => return,
                 },
@@ -174,6 +176,13 @@ impl Crew {
         ]
     }
 
+    fn patience(&self) -> Duration {
+        match self.log.episodes {
+            Episodes::None => LEAVE_PATIENCE,
+            _ => LOG_PATIENCE,
+        }
+    }
+
     fn log_path(&self, index: usize) -> PathBuf {
         self.logs.join(format!("actor_{index}.log"))
     }
@@ -187,7 +196,11 @@ impl Crew {
 
 /// Waits for a process; after `ended` its standard input closes and it has a moment to leave.
 /// `None` if the run ended first.
-async fn until_exit(mut child: Child, ended: &mut watch::Receiver<bool>) -> Option<ExitStatus> {
+async fn until_exit(
+    mut child: Child,
+    ended: &mut watch::Receiver<bool>,
+    patience: Duration,
+) -> Option<ExitStatus> {
     // `Child::wait` would close the pipe at once, and the actor would take that for the end of its run.
     let stdin = child.stdin.take();
     tokio::select! {
@@ -195,7 +208,7 @@ async fn until_exit(mut child: Child, ended: &mut watch::Receiver<bool>) -> Opti
         _ = ended.wait_for(|over| *over) => {}
     }
     drop(stdin);
-    if tokio::time::timeout(LEAVE_PATIENCE, child.wait()).await.is_err() {
+    if tokio::time::timeout(patience, child.wait()).await.is_err() {
         // The process ignores its closed input; nothing is lost by ending it.
         let _killed = child.kill().await;
     }

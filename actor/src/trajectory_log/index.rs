@@ -72,7 +72,8 @@ pub struct Index {
     pub(super) parts: BTreeMap<EpisodeId, BTreeMap<u32, Vec<Part>>>,
     copies: u64,
     torn_steps: u64,
-    lost: u64,
+    /// Shares and steps.
+    lost: (u64, u64),
 }
 
 impl Index {
@@ -95,7 +96,8 @@ impl Index {
             return Err(LogError::Unfit(why));
         }
         self.torn_steps += log.torn_steps;
-        self.lost += log.lost_shares();
+        let (shares, steps) = log.lost();
+        self.lost = (self.lost.0 + shares, self.lost.1 + steps);
         self.files.push(path.to_path_buf());
         if file == 0 {
             self.log = log;
@@ -139,9 +141,9 @@ impl Index {
         self.torn_steps
     }
 
-    /// Shares that the actors themselves count as lost.
+    /// Shares and steps that the actors themselves count as lost.
     #[must_use]
-    pub fn lost(&self) -> u64 {
+    pub fn lost(&self) -> (u64, u64) {
         self.lost
     }
 
@@ -183,9 +185,13 @@ impl Index {
 }
 
 impl ReadShares {
-    fn lost_shares(&self) -> u64 {
-        let told = self.totals.as_ref().and_then(|totals| totals.get("lost_shares"));
-        told.and_then(|count| count.parse().ok()).unwrap_or(0)
+    /// Shares and steps, by the log's own account.
+    fn lost(&self) -> (u64, u64) {
+        let told = |name: &str| {
+            let told = self.totals.as_ref().and_then(|totals| totals.get(name));
+            told.and_then(|count| count.parse().ok()).unwrap_or(0)
+        };
+        (told("lost_shares"), told("lost_steps"))
     }
 }
 

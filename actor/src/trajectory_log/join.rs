@@ -38,7 +38,7 @@ pub fn join(index: &Index, out: &Path) -> Result<Joined, LogError> {
     for part in index.parts.values().flat_map(|parts| parts.values()).flatten() {
         file.write(&sources[part.file].share(part)?)?;
     }
-    file.finish((index.lost(), 0))?;
+    file.finish(index.lost())?;
     draft.publish()?;
     let (shares, steps) = index.shares_and_steps();
     Ok(Joined { episodes: index.episodes(), shares, steps })

@@ -244,6 +244,7 @@ impl Clerk {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trajectory_log::tests::{evaluate, start};
 
     #[test]
     fn what_is_lost_is_told_once() {
@@ -255,21 +256,13 @@ mod tests {
 
     #[test]
     fn a_full_queue_loses_what_comes_and_holds_nobody_up() {
-        let (orders, waiting) = sync_channel(1);
-        let lost = Arc::new(Lost::default());
-        let desk = |lost: &Arc<Lost>| {
-            let (log, desk) = super::super::tests::start(
-                tempfile::tempdir().unwrap().path(),
-                "a",
-                Episodes::All,
-                1,
-            );
-            log.close();
-            Desk { orders: orders.clone(), lost: Arc::clone(lost), ..desk }
-        };
-        let desk = desk(&lost);
+        let folder = tempfile::tempdir().unwrap();
+        let (log, desk) = start(folder.path(), "a", Episodes::All, 1);
+        log.close();
+        let ((orders, waiting), lost) = (sync_channel(1), Arc::new(Lost::default()));
+        let desk = Desk { orders, lost: Arc::clone(&lost), ..desk };
         for _ in 0..3 {
-            super::super::tests::evaluate(&desk, EvaluationWork { iteration: 0, episode: 0 });
+            evaluate(&desk, EvaluationWork { iteration: 0, episode: 0 });
         }
         assert_eq!(lost.take(), (2, 50), "one waits, two episodes of 25 steps are lost");
         assert_eq!(waiting.try_iter().count(), 1);
@@ -277,7 +270,7 @@ mod tests {
 
     #[test]
     fn a_folder_that_cannot_be_is_refused_in_one_line() {
-        let settings = super::super::LogSettings { episodes: Episodes::All, max_file_mib: 1 };
+        let settings = crate::LogSettings { episodes: Episodes::All, max_file_mib: 1 };
         let folder = "/dev/null/logs".into();
         let refusal = Log::start(&LogConfig { folder, settings }, "a").err().map(|e| e.to_string());
         let line = refusal.unwrap_or_default();

@@ -32,7 +32,7 @@ pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
 fn told(index: &Index) -> String {
     let (shares, steps) = index.shares_and_steps();
     let [episodes, shares, steps] = [index.episodes() as u64, shares, steps].map(thousands);
-    let (copies, lost) = (thousands(index.copies()), thousands(index.lost()));
+    let (copies, lost) = (thousands(index.copies()), thousands(index.lost().0));
     format!(
         "checksums and schemas are right: {episodes} episodes, {shares} shares, {steps} steps; {copies} shares \
          computed again, alike; {lost} shares lost by their actors"
