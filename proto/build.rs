@@ -7,6 +7,8 @@ use prost::Message;
 
 const ROOT: &str = "proto";
 const FILES: [&str; 5] = ["control", "learner", "environment", "trajectory", "tensor"];
+/// What actors write for people: not part of the conversation.
+const LOG: &str = "proto/s2mia/log/v1/log.proto";
 
 fn main() -> Result<(), Box<dyn Error>> {
     let files = FILES.map(|name| format!("{ROOT}/s2mia/v1/{name}.proto"));
@@ -16,5 +18,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     std::fs::write(out.join("s2mia_descriptors.bin"), descriptors.encode_to_vec())?;
     // Payloads stay slices of the received message instead of copies.
     tonic_prost_build::configure().bytes(".").compile_fds(descriptors)?;
+    let log = protox::compile([LOG], [ROOT])?;
+    std::fs::write(out.join("s2mia_log_descriptors.bin"), log.encode_to_vec())?;
+    tonic_prost_build::configure().compile_fds(log)?;
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! The arguments of every command, and how a wrong one is reported.
 
+mod log;
 mod tls;
 
 use std::net::SocketAddr;
@@ -9,6 +10,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
@@ -53,6 +55,9 @@ pub(crate) enum Command {
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.
     Record(RecordArguments),
+    /// Look at, check, repair, repeat and join trajectory logs.
+    #[command(subcommand)]
+    Log(LogCommand),
     /// Draw a moving robot as a strip of pictures, and say how far and how honestly it went.
     Film(FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
@@ -173,6 +178,9 @@ pub(crate) struct ActorArguments {
     /// Talk to a learner on another machine although nothing is encrypted and it is not asked who it is.
     #[arg(long, conflicts_with = "tls_ca")]
     pub(crate) insecure_allow_remote: bool,
+    /// Log.
+    #[command(flatten)]
+    pub(crate) log: ActorLogArguments,
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ClientTlsArguments,

@@ -9,6 +9,7 @@ mod film;
 mod health;
 mod inspect;
 mod learner;
+mod log;
 mod plot;
 mod record;
 mod status;
@@ -21,6 +22,7 @@ use anyhow::Context as _;
 use tokio::runtime::Runtime;
 
 use crate::cli::Command;
+pub(crate) use crate::commands::log::Incomplete;
 
 /// Arguments that cannot be followed; the program ends with status 2.
 #[derive(Debug, thiserror::Error)]
@@ -42,6 +44,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Actor(arguments) => actor::run(arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Log(command) => log::run(&command),
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),

@@ -24,7 +24,7 @@ use std::process::ExitCode;
 
 use clap::Parser as _;
 
-use crate::commands::Usage;
+use crate::commands::{Incomplete, Usage};
 use crate::config::ConfigError;
 
 // The system's allocator holds the learner back; with this one its wide matrix kernels pay off.
@@ -52,10 +52,17 @@ fn single_threaded_candle() {
     unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
 }
 
-/// One line on stderr; 2 for what the user wrote wrong, 1 for a run that failed.
+/// One line on stderr; 2 for what the user wrote wrong, 3 for a log of which something is missing, 1 for what failed.
 fn failure(error: &anyhow::Error) -> ExitCode {
     let wrong_usage = error.is::<ConfigError>() || error.is::<Usage>();
     let message = format!("{error:#}").split_whitespace().collect::<Vec<_>>().join(" ");
     eprintln!("error: {message}");
-    ExitCode::from(if wrong_usage { 2 } else { 1 })
+    let incomplete = error.is::<Incomplete>();
+    ExitCode::from(if wrong_usage {
+        2
+    } else if incomplete {
+        3
+    } else {
+        1
+    })
 }

@@ -64,6 +64,8 @@ pub(crate) struct RunConfig {
     pub(crate) training: marl::Config,
     /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `learner`.
     pub(crate) learner: learner::Config,
+    /// Section `log`.
+    pub(crate) log: actor::LogSettings,
 }
 
 impl RunConfig {
@@ -104,6 +106,7 @@ impl RunConfig {
                 resolved,
                 &["environments", "lease", "evaluation", "checkpoint", "learner"],
             )?,
+            log: section(resolved, "log")?,
             resolved: resolved.clone(),
         };
         config.validate()?;
@@ -116,6 +119,7 @@ impl RunConfig {
         self.training.suits(&self.policy).map_err(|error| error.to_string())?;
         self.training.suits_observations(self.observations()).map_err(|error| error.to_string())?;
         self.learner.validate().map_err(|error| error.to_string())?;
+        self.log.validate().map_err(|error| error.to_string())?;
         self.validate_run()?;
         self.validate_actions()?;
         self.validate_burn_in()?;
@@ -373,6 +377,9 @@ mod tests {
             ("maddpg.polyak=0", "maddpg.polyak"),
             ("schedule=asynchronous", "schedule"),
             ("overlap.factor_max=0.5", "overlap.factor_max"),
+            ("log.episodes=some", "log.episodes"),
+            ("log.episodes=0", "log.episodes"),
+            ("log.max_file_mib=0", "log.max_file_mib"),
         ] {
             let message =
                 built(&["halfcheetah-6x1", "algorithm=happo", setting]).unwrap_err().to_string();

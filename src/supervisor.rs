@@ -1,12 +1,15 @@
 //! The actor processes of `s2mia train`: starts them, replaces those that die, gives up when they die
 //! again and again, and sees that none outlives the run.
 
+use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use actor::LogSettings;
+use actor::trajectory_log::Episodes;
 use anyhow::Context as _;
 use tokio::process::{Child, Command};
 use tokio::sync::watch;
@@ -14,6 +17,8 @@ use tokio::task::JoinSet;
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
+/// The same for an actor that has a log to write out, close and read back.
+const LOG_PATIENCE: Duration = Duration::from_secs(60);
 
 /// Pause before a replacement, so that a broken program does not spin.
 const REPLACEMENT_PAUSE: Duration = Duration::from_millis(200);
@@ -25,8 +30,10 @@ pub(crate) struct Crew {
     pub(crate) program: PathBuf,
     /// Where the learner listens.
     pub(crate) learner: String,
-    /// Folder of `actor_<index>.log`.
+    /// Folder of `actor_<index>.log` and of trajectory logs.
     pub(crate) logs: PathBuf,
+    /// What goes into trajectory logs.
+    pub(crate) log: LogSettings,
     /// Number of processes.
     pub(crate) actors: usize,
 }
@@ -103,7 +110,7 @@ impl Watchman {
     async fn hold_post(self, index: usize, mut ended: watch::Receiver<bool>) {
         while !*ended.borrow() && self.surrender.reason().is_none() {
             let death = match self.crew.start(index) {
-                Ok(child) => match until_exit(child, &mut ended).await {
+                Ok(child) => match until_exit(child, &mut ended, self.crew.patience()).await {
                     Some(status) if !status.success() => self.crew.death_notice(index, status),
                     _ => return,
                 },
@@ -143,6 +150,7 @@ impl Crew {
         Command::new(&self.program)
             .args(["actor", "--exit-with-stdin", "--learner", &self.learner])
             .args(["--name", &format!("local-{index}")])
+            .args(self.log_arguments())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(log)
@@ -150,6 +158,29 @@ impl Crew {
             .kill_on_drop(true)
             .spawn()
             .with_context(|| format!("cannot start {}", self.program.display()))
+    }
+
+    /// What tells an actor to log, if anything is logged.
+    fn log_arguments(&self) -> Vec<OsString> {
+        let LogSettings { episodes, max_file_mib } = self.log;
+        if episodes == Episodes::None {
+            return Vec::new();
+        }
+        vec![
+            "--log-dir".into(),
+            self.logs.clone().into(),
+            "--log-episodes".into(),
+            episodes.to_string().into(),
+            "--log-max-file-mib".into(),
+            max_file_mib.to_string().into(),
+        ]
+    }
+
+    fn patience(&self) -> Duration {
+        match self.log.episodes {
+            Episodes::None => LEAVE_PATIENCE,
+            _ => LOG_PATIENCE,
+        }
     }
 
     fn log_path(&self, index: usize) -> PathBuf {
@@ -165,7 +196,11 @@ impl Crew {
 
 /// Waits for a process; after `ended` its standard input closes and it has a moment to leave.
 /// `None` if the run ended first.
-async fn until_exit(mut child: Child, ended: &mut watch::Receiver<bool>) -> Option<ExitStatus> {
+async fn until_exit(
+    mut child: Child,
+    ended: &mut watch::Receiver<bool>,
+    patience: Duration,
+) -> Option<ExitStatus> {
     // `Child::wait` would close the pipe at once, and the actor would take that for the end of its run.
     let stdin = child.stdin.take();
     tokio::select! {
@@ -173,7 +208,7 @@ async fn until_exit(mut child: Child, ended: &mut watch::Receiver<bool>) -> Opti
         _ = ended.wait_for(|over| *over) => {}
     }
     drop(stdin);
-    if tokio::time::timeout(LEAVE_PATIENCE, child.wait()).await.is_err() {
+    if tokio::time::timeout(patience, child.wait()).await.is_err() {
         // The process ignores its closed input; nothing is lost by ending it.
         let _killed = child.kill().await;
     }
@@ -199,6 +234,7 @@ mod tests {
             program,
             learner: "http://127.0.0.1:1".into(),
             logs: folder.path().into(),
+            log: LogSettings { episodes: Episodes::None, max_file_mib: 1 },
             actors: 2,
         }
     }

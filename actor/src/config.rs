@@ -4,6 +4,7 @@ use security::{ClientFiles, addresses};
 use tonic::transport::Uri;
 
 use crate::error::ActorError;
+use crate::trajectory_log::LogConfig;
 
 /// Where the learner is and how long to wait for it.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +17,8 @@ pub struct Config {
     pub max_outage_secs: f64,
     /// Name of this actor, for people.
     pub name: String,
+    /// Where and what it logs, if anything.
+    pub log: Option<LogConfig>,
 }
 
 /// What is spoken with the learner.
@@ -67,6 +70,7 @@ mod tests {
             transport,
             max_outage_secs: 1.0,
             name: "a".into(),
+            log: None,
         };
         config.validate().map_or_else(|error| error.to_string(), |()| "accepted".to_owned())
     }

@@ -63,6 +63,9 @@ pub enum ActorError {
     /// The environments cannot be built from the run's settings.
     #[error("the run's task: {0}")]
     Task(String),
+    /// The log's settings or folder cannot be used.
+    #[error("{0}")]
+    Log(String),
     /// The stepping thread ended by itself.
     #[error("the stepping thread ended: {0}")]
     Stepping(String),

@@ -4,6 +4,10 @@
 //! act. [`run()`] is the whole life of an actor process; the stepping thread is joined to the network
 //! by bounded queues, and what it computes is a pure function of lease and weights ([`roll_out`]).
 
+// The fixture of the tests outside is used inside, too.
+#[cfg(test)]
+extern crate self as actor;
+
 mod acting;
 mod chunk;
 mod client;
@@ -16,6 +20,7 @@ pub mod recording;
 pub mod rollout;
 pub mod run;
 mod stepping;
+pub mod trajectory_log;
 
 pub use config::{Config, Transport};
 pub use error::ActorError;
@@ -24,3 +29,4 @@ pub use identity::{environment_spec, rollout_fingerprint};
 pub use recording::{RecordError, RecordSummary, record};
 pub use rollout::roll_out;
 pub use run::run;
+pub use trajectory_log::{LogConfig, LogError, LogSettings};

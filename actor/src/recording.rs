@@ -6,7 +6,9 @@
 //! simulated time; episodes follow one another with a second between them.
 
 mod channels;
+pub(crate) mod robot;
 mod scene;
+pub(crate) mod writer;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -98,10 +100,7 @@ fn record_episode(
     index: u32,
     channels: &mut Channels<BufWriter<File>>,
 ) -> Result<Episode, RecordError> {
-    if channels.shows_links() {
-        channels.scene(&scene::update(&world.description().task, channels.now())?)?;
-    }
-    channels.stand(world)?;
+    channels.begin(world)?;
     let mut written = Ok(());
     let mut total = 0.0;
     let episode = play_on(world, policy, &mut |step: &PlayedStep<'_>| {
@@ -116,10 +115,11 @@ fn record_episode(
 }
 
 /// Reads the whole file back, checksums included.
-fn verify(path: &Path, written: u64) -> Result<(), RecordError> {
+pub(crate) fn verify(path: &Path, written: u64) -> Result<(), RecordError> {
     let bytes = std::fs::read(path)?;
     let mut found = 0;
-    for message in mcap::MessageStream::new(&bytes)? {
+    let options = mcap::read::Options::ValidateChunkCrcs.into();
+    for message in mcap::MessageStream::new_with_options(&bytes, options)? {
         message?;
         found += 1;
     }

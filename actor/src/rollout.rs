@@ -22,7 +22,7 @@ struct Slot<'a> {
 }
 
 /// Rolls out every step of `work` and hands each chunk to `emit` as soon as it is full; `emit` may
-/// break off. Calls `tick` with the number of steps done before each step.
+/// break off. Before each step `see` is shown the number of steps done and the worlds as they stand.
 ///
 /// # Errors
 /// If the lease's environment states are none of this task's, or a policy's action is not finite.
@@ -31,12 +31,12 @@ pub fn roll_out(
     work: &RolloutWork,
     policy: &PolicySnapshot,
     world: &mut Environments,
-    mut tick: impl FnMut(u32),
+    mut see: impl FnMut(u32, &Environments),
     mut emit: impl FnMut(TrajectoryChunk) -> ControlFlow<()>,
 ) -> Result<(), SimError> {
     let mut slot = Slot::begin(run, work, policy, world)?;
     for step in 0..run.slot_steps {
-        tick(step);
+        see(step, slot.world);
         slot.step(step)?;
         if let Some(chunk) = slot.full_chunk(step)
             && emit(chunk).is_break()

@@ -14,6 +14,7 @@ use crate::error::{ActorError, describe};
 use crate::identity::{environment_spec, rollout_fingerprint};
 use crate::leasing::{Ended, work_off};
 use crate::stepping::Stepper;
+use crate::trajectory_log::Log;
 
 /// First and longest pause between two tries to reach the learner.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
@@ -30,12 +31,28 @@ enum Session {
 /// back by itself after every failure that may pass.
 ///
 /// # Errors
-/// If the learner refuses this actor for good, or stays away for longer than allowed.
-pub async fn run(config: Config, mut stop: watch::Receiver<bool>) -> Result<(), ActorError> {
+/// If the learner refuses this actor for good, or stays away for longer than allowed; if its log cannot begin.
+pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), ActorError> {
+    let log = config.log.as_ref().map(|log| Log::start(log, &config.name)).transpose()?;
+    let ended = sessions(&config, log.as_ref(), stop).await;
+    if let Some(log) = log {
+        tokio::task::spawn_blocking(move || log.close())
+            .await
+            .map_err(|_| ActorError::Log("the log's last file was not closed".to_owned()))?;
+    }
+    ended
+}
+
+/// One session after the other.
+async fn sessions(
+    config: &Config,
+    log: Option<&Log>,
+    mut stop: watch::Receiver<bool>,
+) -> Result<(), ActorError> {
     let mut outage = Outage::begin();
     loop {
         let session = tokio::select! {
-            session = explained_session(&config, &mut outage) => session,
+            session = explained_session(config, log, &mut outage) => session,
             () = stopped(&mut stop) => Ok(Session::Stopped),
         };
         let error = match session {
@@ -45,7 +62,7 @@ pub async fn run(config: Config, mut stop: watch::Receiver<bool>) -> Result<(), 
         if !may_pass(&error) {
             return Err(error);
         }
-        let pause = outage.next_pause(&config, &error)?;
+        let pause = outage.next_pause(config, &error)?;
         tracing::warn!(
             learner = config.learner,
             "session ended: {}; connecting again in {:.1} s",
@@ -60,21 +77,30 @@ pub async fn run(config: Config, mut stop: watch::Receiver<bool>) -> Result<(), 
 }
 
 /// One session, and if it failed, what was behind that.
-async fn explained_session(config: &Config, outage: &mut Outage) -> Result<Session, ActorError> {
-    match attend(config, outage).await {
+async fn explained_session(
+    config: &Config,
+    log: Option<&Log>,
+    outage: &mut Outage,
+) -> Result<Session, ActorError> {
+    match attend(config, log, outage).await {
         Err(error) => Err(explained(error, config).await),
         done => done,
     }
 }
 
 /// One session: from a new connection to the run's end.
-async fn attend(config: &Config, outage: &mut Outage) -> Result<Session, ActorError> {
+async fn attend(
+    config: &Config,
+    log: Option<&Log>,
+    outage: &mut Outage,
+) -> Result<Session, ActorError> {
     let mut client = Client::connect(config).await?;
     let run = Arc::new(client.describe_run().await?);
     let (registration, task) = present(config, &run)?;
     let own = client.register(&registration).await?;
     tracing::info!(actor = own.actor.0, run = run.run_id, "registered with {}", config.learner);
-    let mut stepper = Stepper::start(Arc::clone(&run), &task)
+    let desk = log.map(|log| log.desk(&run, &task));
+    let mut stepper = Stepper::start(Arc::clone(&run), &task, desk)
         .map_err(|error| ActorError::Task(error.to_string()))?;
     let mut weights = WeightsCache::default();
     loop {

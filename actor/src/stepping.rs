@@ -1,17 +1,21 @@
 //! The thread that steps worlds: takes one job at a time, streams its results back.
 
+use std::cell::RefCell;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
 use proto::wire::push_trajectory_request::Content;
-use proto::{EvaluationResult, EvaluationWork, Lease, PushHeader, RunDescription, Work, wire};
+use proto::{
+    EvaluationResult, EvaluationWork, Lease, PushHeader, RolloutWork, RunDescription, Work, wire,
+};
 use sim::{Environments, SimError, TaskConfig};
 use tokio::sync::mpsc;
 
-use crate::evaluation::play_episode;
+use crate::evaluation::play_on;
 use crate::rollout::roll_out;
+use crate::trajectory_log::Desk;
 
 /// Results that may wait for the network. When the queue is full the stepping thread waits: a slow
 /// network slows the roll-out and loses nothing.
@@ -54,13 +58,19 @@ struct Worlds {
     slot: Environments,
     /// One environment of its own, so that evaluation touches no slot's.
     evaluation: Environments,
+    /// Where what is logged is handed in.
+    desk: Option<Desk>,
 }
 
 impl Stepper {
     /// Builds the run's environments and starts the thread; it ends when the stepper is dropped.
-    pub(crate) fn start(run: Arc<RunDescription>, task: &TaskConfig) -> Result<Self, SimError> {
+    pub(crate) fn start(
+        run: Arc<RunDescription>,
+        task: &TaskConfig,
+        desk: Option<Desk>,
+    ) -> Result<Self, SimError> {
         let slot = Environments::new(task, run.environments_per_slot as usize)?;
-        let worlds = Worlds { run, slot, evaluation: Environments::new(task, 1)? };
+        let worlds = Worlds { run, slot, evaluation: Environments::new(task, 1)?, desk };
         let (jobs, queue) = mpsc::channel(1);
         let (results, produced) = mpsc::channel(QUEUE);
         let thread = std::thread::Builder::new().name("stepping".to_owned());
@@ -89,41 +99,66 @@ fn step_until_dropped(
 
 impl Worlds {
     fn work_off(&mut self, job: &Job, results: &mpsc::Sender<Produced>) -> Result<(), SimError> {
-        let Job { lease, policy, watch } = job;
-        match &lease.work {
-            Work::Rollout(work) => {
-                let tick = |step| watch.step.store(step, Ordering::Relaxed);
-                let run = Arc::clone(&self.run);
-                roll_out(&self.run, work, policy, &mut self.slot, tick, |chunk| {
-                    let (message, digest) = chunk.to_wire(&run);
-                    send(job, digest, Content::Chunk(message), results)
-                })
-            }
+        match &job.lease.work {
+            Work::Rollout(work) => self.roll_out(job, work, results),
             Work::Evaluation(work) => {
-                let result = evaluate(&self.run, *work, policy, &mut self.evaluation)?;
+                let result = self.evaluate(job, *work)?;
                 // Nobody waits behind an evaluation's only message.
                 let _ = send(job, result.digest(), Content::Evaluation(result.to_wire()), results);
                 Ok(())
             }
         }
     }
-}
 
-fn evaluate(
-    run: &RunDescription,
-    work: EvaluationWork,
-    policy: &PolicySnapshot,
-    world: &mut Environments,
-) -> Result<EvaluationResult, SimError> {
-    let key =
-        Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
-    let mut rng = generator(RunSeed(run.seed), key);
-    let episode = play_episode(world, policy, &mut rng, |_| {})?;
-    Ok(EvaluationResult {
-        episode: work.episode,
-        extrinsic_return: episode.extrinsic_return,
-        steps: episode.steps,
-    })
+    fn roll_out(
+        &mut self,
+        job: &Job,
+        work: &RolloutWork,
+        results: &mpsc::Sender<Produced>,
+    ) -> Result<(), SimError> {
+        let Self { run, slot, desk, .. } = self;
+        let witness = desk.as_ref().map(|desk| RefCell::new(desk.rollout(&job.lease, work)));
+        let see = |step, world: &Environments| {
+            job.watch.step.store(step, Ordering::Relaxed);
+            if let Some(witness) = &witness {
+                witness.borrow_mut().see(step, world);
+            }
+        };
+        roll_out(run, work, &job.policy, slot, see, |chunk| {
+            let (message, digest) = chunk.to_wire(run);
+            if let Some(witness) = &witness {
+                witness.borrow_mut().keep(chunk);
+            }
+            send(job, digest, Content::Chunk(message), results)
+        })?;
+        if let (Some(desk), Some(witness)) = (desk, witness) {
+            desk.take_rollout(witness.into_inner());
+        }
+        Ok(())
+    }
+
+    fn evaluate(&mut self, job: &Job, work: EvaluationWork) -> Result<EvaluationResult, SimError> {
+        let key =
+            Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
+        let mut rng = generator(RunSeed(self.run.seed), key);
+        let world = &mut self.evaluation;
+        world.reset(0, 0, world.description().episode_steps, &mut rng);
+        let desk = self.desk.as_ref();
+        let mut witness = desk.and_then(|desk| desk.evaluation(&job.lease, work, world));
+        let episode = play_on(world, &job.policy, &mut |step| {
+            if let Some(witness) = &mut witness {
+                witness.see(step);
+            }
+        })?;
+        if let (Some(desk), Some(witness)) = (desk, witness) {
+            desk.take_evaluation(witness);
+        }
+        Ok(EvaluationResult {
+            episode: work.episode,
+            extrinsic_return: episode.extrinsic_return,
+            steps: episode.steps,
+        })
+    }
 }
 
 fn send(

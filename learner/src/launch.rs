@@ -97,6 +97,7 @@ impl Launch {
             rollout_fingerprint: self.rollout_fingerprint,
             config_sha256: self.config_sha256,
             heartbeat_secs: self.config.lease.heartbeat_secs,
+            settings_toml: self.config_toml.clone(),
         }
     }
 

@@ -209,24 +209,26 @@ impl SlotTable {
         let id = LeaseId(self.last_lease + 1);
         Ok(match self.claim(id) {
             None => Offer::Nothing,
-            Some((claim, weights, work)) => {
+            Some((claim, weights, work, attempt)) => {
                 self.last_lease = id.0;
                 self.open.insert(id, OpenLease::new(owner, weights, claim, self.now, self.ttl));
-                Offer::Lease(Lease { id, incarnation: self.incarnation, weights, work })
+                let incarnation = self.incarnation;
+                Offer::Lease(Lease { id, incarnation, weights, attempt, work })
             }
         })
     }
 
-    fn claim(&mut self, id: LeaseId) -> Option<(Claim, WeightsName, Work)> {
+    /// What is leased, and how often it was before.
+    fn claim(&mut self, id: LeaseId) -> Option<(Claim, WeightsName, Work, u32)> {
         if let Some(board) = &mut self.board
             && let Some((index, work, issued)) = board.claim(id)
         {
             self.reissued += u64::from(issued > 0);
-            return Some((Claim::Slot(index), board.weights, Work::Rollout(work)));
+            return Some((Claim::Slot(index), board.weights, Work::Rollout(work), issued));
         }
         let (work, weights, issued) = self.evaluations.claim(id)?;
         self.reissued += u64::from(issued > 0);
-        Some((Claim::Episode(work), weights, Work::Evaluation(work)))
+        Some((Claim::Episode(work), weights, Work::Evaluation(work), issued))
     }
 
     /// An actor is alive. Whether its lease still is.

@@ -15,6 +15,7 @@ mod run;
 mod status;
 mod tensor;
 mod trajectory;
+pub mod trajectory_log;
 pub mod validate;
 pub mod wire;
 mod work;

@@ -39,6 +39,8 @@ pub struct RunDescription {
     pub config_sha256: Digest,
     /// Seconds between two heartbeats.
     pub heartbeat_secs: f64,
+    /// The run's resolved settings as TOML, for logs.
+    pub settings_toml: String,
 }
 
 impl RunDescription {
@@ -117,6 +119,7 @@ impl RunDescription {
             rollout_fingerprint: Bytes::copy_from_slice(&self.rollout_fingerprint.0),
             config_sha256: Bytes::copy_from_slice(&self.config_sha256.0),
             heartbeat_secs: self.heartbeat_secs,
+            settings_toml: self.settings_toml.clone(),
         }
     }
 
@@ -142,6 +145,7 @@ impl RunDescription {
             rollout_fingerprint: digest(&wire.rollout_fingerprint, "run.rollout_fingerprint")?,
             config_sha256: digest(&wire.config_sha256, "run.config_sha256")?,
             heartbeat_secs: wire.heartbeat_secs,
+            settings_toml: wire.settings_toml,
         };
         run.validate()?;
         Ok(run)

@@ -15,6 +15,8 @@ pub struct Lease {
     pub incarnation: Incarnation,
     /// The weights to act with.
     pub weights: WeightsName,
+    /// How often the same work had been leased before.
+    pub attempt: u32,
     /// What to do.
     pub work: Work,
 }
@@ -100,6 +102,7 @@ impl Lease {
             lease_id: self.id.0,
             incarnation: self.incarnation.0,
             weights: Some(self.weights.to_wire()),
+            attempt: self.attempt,
             work: Some(work),
         }
     }
@@ -120,6 +123,7 @@ impl Lease {
             id: LeaseId(wire.lease_id),
             incarnation: Incarnation(wire.incarnation),
             weights: WeightsName::from_wire(wire.weights, "lease.weights")?,
+            attempt: wire.attempt,
             work,
         })
     }

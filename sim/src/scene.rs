@@ -9,7 +9,7 @@ use crate::robot::Robot;
 use crate::task;
 
 /// A robot at a moment.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pose {
     /// Every link's frame in the world, from the root outwards.
     pub links: Vec<LinkPose>,

@@ -6,8 +6,10 @@ use actor::Transport;
 use anyhow::Context as _;
 use tokio::sync::watch;
 
-use crate::cli::ActorArguments;
+use crate::cli::{ActorArguments, ActorLogArguments};
 use crate::commands::{Usage, runtime};
+use crate::config::{ConfigError, Request, layers};
+use crate::run_config::RunConfig;
 use crate::signals;
 
 /// Ends with status 0 when the learner says that the run is done, or when it is told to stop.
@@ -25,10 +27,11 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
 }
 
 /// The actor's settings, checked; the program ends with status 2 if they are wrong.
-fn configure(arguments: ActorArguments) -> Result<actor::Config, Usage> {
+fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
     let patience = arguments.max_outage_secs;
     if !(patience.is_finite() && patience >= 0.0) {
-        return Err(Usage::new(format!("--max-outage-secs must be at least 0, is {patience}")));
+        let why = format!("--max-outage-secs must be at least 0, is {patience}");
+        return Err(Usage::new(why).into());
     }
     let transport = match (arguments.tls.files(), arguments.insecure_allow_remote) {
         (Some(files), _) => Transport::Tls(files),
@@ -40,9 +43,22 @@ fn configure(arguments: ActorArguments) -> Result<actor::Config, Usage> {
         transport,
         max_outage_secs: patience,
         name: arguments.name.unwrap_or_else(default_name),
+        log: log(arguments.log)?,
     };
     config.validate().map_err(|error| Usage::new(format!("--learner: {error}")))?;
     Ok(config)
+}
+
+/// What is logged, if anything: the arguments laid over the settings' defaults.
+fn log(arguments: ActorLogArguments) -> Result<Option<actor::LogConfig>, ConfigError> {
+    let (Some(folder), Some(episodes)) = (arguments.log_dir, arguments.log_episodes) else {
+        return Ok(None);
+    };
+    let size = arguments.log_max_file_mib.map(|size| format!("log.max_file_mib={size}"));
+    let settings = [format!("log.episodes={episodes}")].into_iter().chain(size).collect();
+    let resolved = layers::resolve(&Request { settings, ..Request::default() })?;
+    let settings = RunConfig::build(resolved)?.log;
+    Ok(Some(actor::LogConfig { folder, settings }))
 }
 
 fn default_name() -> String {

@@ -6,6 +6,7 @@ mod verify;
 use std::path::Path;
 use std::time::Instant;
 
+use actor::trajectory_log::Episodes;
 use anyhow::Context as _;
 use learner::{LearnerError, Summary};
 use tokio::net::TcpListener;
@@ -47,6 +48,9 @@ async fn train(prepared: Prepared) -> anyhow::Result<()> {
     let summary = learner::run(launch, listener, observer, stop).await;
     end.send_replace(true);
     let surrender = actors.await.context("the watch over the actors failed")?;
+    if config.log.episodes != Episodes::None {
+        output::line(closing::logged(&run_path::logs(&folder)));
+    }
     let length = match config.resolved.depends_on_length() {
         true => Length::Fixed,
         false => Length::MayRise,
@@ -74,6 +78,7 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),
         logs,
+        log: config.log,
         actors: config.actors(),
     })
 }

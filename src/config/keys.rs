@@ -2,7 +2,7 @@
 
 /// Keys and sections that decide who computes and when, never what.
 const OPERATIONAL: &[&str] =
-    &["run.actors", "run.dir", "lease.", "evaluation.", "checkpoint.", "learner."];
+    &["run.actors", "run.dir", "lease.", "evaluation.", "checkpoint.", "learner.", "log."];
 
 /// Keys that only say how far a run goes; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
@@ -78,7 +78,14 @@ mod tests {
 
     #[test]
     fn operational_keys_are_told_from_semantic_ones() {
-        for key in ["run.actors", "run.dir", "lease.ttl_secs", "learner.threads", "run.env_steps"] {
+        for key in [
+            "run.actors",
+            "run.dir",
+            "lease.ttl_secs",
+            "learner.threads",
+            "log.episodes",
+            "run.env_steps",
+        ] {
             assert!(!is_semantic(key), "{key}");
         }
         for key in ["task", "algorithm", "run.seed", "environments.count", "policy.core"] {

@@ -71,6 +71,8 @@ const PLACES: [(&str, &[&str], &str); 2] = [
         "std::fs",
         &[
             "actor/src/recording",
+            "actor/src/trajectory_log/file",
+            "actor/src/trajectory_log/source",
             "learner/src/checkpoint",
             "learner/src/durable",
             "learner/src/json_lines",

@@ -6,7 +6,7 @@ use foxglove::messages::{
 };
 use sim::{LinkShape, Shape, SimError};
 
-use super::channels::{quaternion, vector};
+use super::robot::{quaternion, vector};
 
 const LINK: Color = Color { r: 0.90, g: 0.56, b: 0.20, a: 1.0 };
 const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };

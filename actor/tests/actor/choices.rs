@@ -62,7 +62,7 @@ fn roll(world: &mut Environments) -> Vec<TrajectoryChunk> {
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    actor::roll_out(&run(), &work, &policy(), world, |_| {}, emit).unwrap();
+    actor::roll_out(&run(), &work, &policy(), world, |_, _| {}, emit).unwrap();
     chunks
 }
 

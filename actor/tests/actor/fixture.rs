@@ -76,6 +76,7 @@ pub(crate) fn run() -> RunDescription {
         rollout_fingerprint: actor::rollout_fingerprint(),
         config_sha256: Digest([0; 32]),
         heartbeat_secs: 0.05,
+        settings_toml: "task = \"halfcheetah-2x3\"".to_owned(),
     }
 }
 

@@ -14,7 +14,7 @@ fn roll(work: &RolloutWork, world: &mut sim::Environments) -> Vec<TrajectoryChun
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    actor::roll_out(&run(), work, &policy(), world, |_| {}, emit).unwrap();
+    actor::roll_out(&run(), work, &policy(), world, |_, _| {}, emit).unwrap();
     chunks
 }
 
@@ -115,7 +115,7 @@ fn a_state_of_another_kind_is_refused_and_not_stepped() {
     work.environments[0].start =
         Start::Continue { state: vec![7; 10], recurrent: vec![vec![0.0; HIDDEN]; 2] };
     let outcome =
-        actor::roll_out(&run(), &work, &policy(), &mut world(), |_| {}, |_| panic!("stepped"));
+        actor::roll_out(&run(), &work, &policy(), &mut world(), |_, _| {}, |_| panic!("stepped"));
     assert!(outcome.is_err());
 }
 

@@ -21,7 +21,7 @@ fn weights() -> WeightsName {
 }
 
 fn lease(work: Work) -> Lease {
-    Lease { id: LeaseId(4), incarnation: Incarnation(11), weights: weights(), work }
+    Lease { id: LeaseId(4), incarnation: Incarnation(11), weights: weights(), attempt: 2, work }
 }
 
 fn rollout() -> Work {

@@ -52,6 +52,7 @@ pub(crate) fn run() -> RunDescription {
         rollout_fingerprint: Digest([1; 32]),
         config_sha256: Digest([2; 32]),
         heartbeat_secs: 5.0,
+        settings_toml: "task = \"toy\"".to_owned(),
     }
 }
 

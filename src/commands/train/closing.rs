@@ -1,8 +1,9 @@
 //! The last words of `s2mia train`: what was reached, where it is, what can be done with it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use actor::trajectory_log::{is_log_name, totals};
 use learner::Summary;
 
 use crate::chart;
@@ -33,6 +34,27 @@ pub(super) fn text(
     parts.push(format!("checkpoint: {}", summary.checkpoint.display()));
     parts.push(next(folder, summary, length));
     parts.join("\n")
+}
+
+/// What actors logged, in this session and before, by their own account.
+pub(super) fn logged(logs: &Path) -> String {
+    let entries =
+        logs.read_dir().into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path()));
+    let name = |path: &PathBuf| path.file_name().and_then(|name| name.to_str()).map(is_log_name);
+    let files: Vec<PathBuf> = entries.filter(|path| name(path) == Some(true)).collect();
+    let finished: Vec<_> = files.iter().filter_map(|path| totals(path).ok()).collect();
+    let sum = |figure: &str| {
+        let values = finished.iter().filter_map(|of| of.get(figure)?.parse::<u64>().ok());
+        chart::thousands(values.sum())
+    };
+    format!(
+        "logged {} steps in {} shares of episodes to {}; {} shares lost, {} files not finished",
+        sum("steps"),
+        sum("shares"),
+        logs.display(),
+        sum("lost_shares"),
+        files.len() - finished.len(),
+    )
 }
 
 fn reached(summary: &Summary, elapsed: Duration) -> String {

@@ -1,0 +1,214 @@
+//! What shares several logs hold together: what is there twice, what contradicts, what is missing.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use prost::Message;
+use proto::trajectory_log::{Kind, Share};
+use sha2::{Digest as _, Sha256};
+
+use super::shares::{LoggedShare, ReadShares, read_shares};
+use super::{LogError, read_bytes};
+
+/// An episode's name; rollouts come before evaluations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum EpisodeId {
+    /// Of training.
+    Rollout {
+        /// Index over the whole run.
+        environment: u32,
+        /// Index in the environment.
+        episode: u64,
+    },
+    /// Of an evaluation.
+    Evaluation {
+        /// Whose weights it evaluates.
+        iteration: u64,
+        /// Index in the evaluation.
+        episode: u64,
+    },
+}
+
+impl EpisodeId {
+    fn of(share: &Share) -> Self {
+        let episode = share.episode;
+        match share.kind() {
+            Kind::Evaluation => Self::Evaluation { iteration: share.iteration, episode },
+            _ => Self::Rollout { environment: share.environment, episode },
+        }
+    }
+}
+
+impl fmt::Display for EpisodeId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Rollout { environment, episode } => write!(f, "rollout-{environment}-{episode}"),
+            Self::Evaluation { iteration, episode } => {
+                write!(f, "evaluation-{iteration}-{episode}")
+            }
+        }
+    }
+}
+
+/// A share in one of the files.
+#[derive(Clone, Debug)]
+pub(super) struct Part {
+    pub(super) file: usize,
+    /// Times of its first and last message.
+    pub(super) nanos: (u64, u64),
+    steps: u32,
+    /// Of everything in it but who computed it.
+    digest: [u8; 32],
+}
+
+/// Shares of several logs of one run.
+#[derive(Debug, Default)]
+pub struct Index {
+    pub(super) files: Vec<PathBuf>,
+    /// Of the first file.
+    pub(super) log: ReadShares,
+    /// By episode and first step; only shares that differ have more than one part.
+    pub(super) parts: BTreeMap<EpisodeId, BTreeMap<u32, Vec<Part>>>,
+    copies: u64,
+    torn_steps: u64,
+    /// Shares and steps.
+    lost: (u64, u64),
+}
+
+impl Index {
+    /// Reads a log and takes its shares in; every checksum and schema is checked.
+    ///
+    /// # Errors
+    /// If the file cannot be read whole, or is of another run than those before.
+    pub fn add(&mut self, path: &Path) -> Result<(), LogError> {
+        let bytes = read_bytes(path)?;
+        let file = self.files.len();
+        let log = read_shares(&bytes, |share, nanos| {
+            self.take(file, &share, nanos);
+            Ok(())
+        })?;
+        if file > 0 && !same_run(&self.log, &log) {
+            let of = |log: &ReadShares| log.words.get("run_id").cloned().unwrap_or_default();
+            let (run, other) = (of(&log), of(&self.log));
+            let why =
+                format!("of run {run}, or of other settings, not of {other} as the file before");
+            return Err(LogError::Unfit(why));
+        }
+        self.torn_steps += log.torn_steps;
+        let (shares, steps) = log.lost();
+        self.lost = (self.lost.0 + shares, self.lost.1 + steps);
+        self.files.push(path.to_path_buf());
+        if file == 0 {
+            self.log = log;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, file: usize, share: &LoggedShare, nanos: (u64, u64)) {
+        let part = Part { file, nanos, steps: share.steps.len() as u32, digest: digest(share) };
+        let episode = self.parts.entry(EpisodeId::of(&share.head)).or_default();
+        let there = episode.entry(share.head.first_step).or_default();
+        if there.iter().any(|other| other.digest == part.digest) {
+            self.copies += 1;
+        } else {
+            there.push(part);
+        }
+    }
+
+    /// Number of episodes of which something is there.
+    #[must_use]
+    pub fn episodes(&self) -> usize {
+        self.parts.len()
+    }
+
+    /// Number of shares and of steps, copies left out.
+    #[must_use]
+    pub fn shares_and_steps(&self) -> (u64, u64) {
+        let parts = self.parts.values().flat_map(BTreeMap::values).flatten();
+        parts.fold((0, 0), |(shares, steps), part| (shares + 1, steps + u64::from(part.steps)))
+    }
+
+    /// Shares that were computed once more, alike.
+    #[must_use]
+    pub fn copies(&self) -> u64 {
+        self.copies
+    }
+
+    /// Steps of shares whose other steps were lost with a part of their file.
+    #[must_use]
+    pub fn torn_steps(&self) -> u64 {
+        self.torn_steps
+    }
+
+    /// Shares and steps that the actors themselves count as lost.
+    #[must_use]
+    pub fn lost(&self) -> (u64, u64) {
+        self.lost
+    }
+
+    /// Where two shares say different things about the same steps.
+    #[must_use]
+    pub fn contradictions(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        for (episode, parts) in &self.parts {
+            for (first, parts) in parts.iter().filter(|(_, parts)| parts.len() > 1) {
+                let files = [&parts[0], &parts[1]].map(|part| self.files[part.file].display());
+                let [one, other] = files;
+                found.push(format!("{episode} from step {first} on: {one} and {other} differ"));
+            }
+            for (first, next) in parts.keys().zip(parts.keys().skip(1)) {
+                let end = first + parts[first][0].steps;
+                if end > *next {
+                    found.push(format!("{episode}: steps {next} to {} are in two shares", end - 1));
+                }
+            }
+        }
+        found
+    }
+
+    /// Steps before the last known one that are in no share.
+    #[must_use]
+    pub fn gaps(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        for (episode, parts) in &self.parts {
+            let mut next = 0;
+            for (first, parts) in parts {
+                if *first > next {
+                    found.push(format!("{episode}: steps {next} to {}", first - 1));
+                }
+                next = first + parts[0].steps;
+            }
+        }
+        found
+    }
+}
+
+impl ReadShares {
+    /// Shares and steps, by the log's own account.
+    fn lost(&self) -> (u64, u64) {
+        let told = |name: &str| {
+            let told = self.totals.as_ref().and_then(|totals| totals.get(name));
+            told.and_then(|count| count.parse().ok()).unwrap_or(0)
+        };
+        (told("lost_shares"), told("lost_steps"))
+    }
+}
+
+/// A learner that was started again has the same run's name and settings.
+fn same_run(one: &ReadShares, other: &ReadShares) -> bool {
+    ["run_id", "seed", "config_sha256"]
+        .iter()
+        .all(|word| one.words.get(*word) == other.words.get(*word))
+}
+
+fn digest(share: &LoggedShare) -> [u8; 32] {
+    let mut hash = Sha256::new();
+    hash.update(&share.head.environment_state);
+    for step in &share.steps {
+        step.agents.iter().for_each(|agent| hash.update(agent.encode_length_delimited_to_vec()));
+        hash.update(step.step.encode_length_delimited_to_vec());
+    }
+    hash.update(share.end.encode_length_delimited_to_vec());
+    hash.finalize().into()
+}

@@ -1,0 +1,93 @@
+//! Several logs of one run as one file, ordered by episode and step.
+
+use std::path::Path;
+
+use mcap::records::{ChunkIndex, Record, op};
+
+use super::file::{LogFile, Origin};
+use super::index::{Index, Part};
+use super::shares::{Assembler, LoggedShare};
+use super::source::{Draft, read_part};
+use super::{LogError, read_bytes, records};
+
+/// What was joined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Joined {
+    /// Episodes of which something is there.
+    pub episodes: usize,
+    /// Shares.
+    pub shares: u64,
+    /// Steps.
+    pub steps: u64,
+}
+
+/// Writes every share of `index` once to the new file `out`: rollouts by environment and episode, then evaluations.
+/// Only one share at a time is held in memory.
+///
+/// # Errors
+/// If two shares contradict each other, a file has changed meanwhile, or `out` is there or cannot be written.
+pub fn join(index: &Index, out: &Path) -> Result<Joined, LogError> {
+    if let Some(contradiction) = index.contradictions().into_iter().next() {
+        return Err(LogError::Unfit(contradiction));
+    }
+    let (draft, target) = Draft::begin(out)?;
+    let sources =
+        index.files.iter().map(|path| Source::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let origin = Origin::of_log(&index.log)?.with("joined_files", sources.len().to_string());
+    let mut file = LogFile::begin(target, &origin)?;
+    for part in index.parts.values().flat_map(|parts| parts.values()).flatten() {
+        file.write(&sources[part.file].share(part)?)?;
+    }
+    file.finish(index.lost())?;
+    draft.publish()?;
+    let (shares, steps) = index.shares_and_steps();
+    Ok(Joined { episodes: index.episodes(), shares, steps })
+}
+
+/// A log of which single shares are read.
+struct Source<'a> {
+    path: &'a Path,
+    chunks: Vec<ChunkIndex>,
+    /// Knows the file's channels.
+    assembler: Assembler,
+}
+
+impl<'a> Source<'a> {
+    fn open(path: &'a Path) -> Result<Self, LogError> {
+        let (mut chunks, mut assembler) = (Vec::new(), Assembler::default());
+        records::read(&read_bytes(path)?, |record| {
+            match record {
+                Record::ChunkIndex(chunk) => chunks.push(chunk),
+                Record::Schema { .. } | Record::Channel(_) => {
+                    assembler.take(record)?;
+                }
+                _ => {}
+            }
+            Ok(())
+        })?;
+        chunks.sort_by_key(|chunk| chunk.chunk_start_offset);
+        Ok(Self { path, chunks, assembler })
+    }
+
+    fn share(&self, part: &Part) -> Result<LoggedShare, LogError> {
+        let (begin, end) = part.nanos;
+        let mut assembler = self.assembler.clone();
+        let mut found = None;
+        let holds = |c: &&ChunkIndex| c.message_start_time <= end && c.message_end_time >= begin;
+        for chunk in self.chunks.iter().filter(holds) {
+            let bytes = read_part(self.path, chunk.chunk_start_offset, chunk.chunk_length)?;
+            let body = bytes.get(records::RECORD_HEAD..).unwrap_or_default();
+            debug_assert_eq!(bytes.first(), Some(&op::CHUNK));
+            records::unpack(body, &mut |record| {
+                if let Record::Message { header, .. } = &record
+                    && (begin..=end).contains(&header.log_time)
+                    && let Some((share, _)) = assembler.take(record)?
+                {
+                    found.get_or_insert(share);
+                }
+                Ok(())
+            })?;
+        }
+        found.ok_or_else(|| LogError::Damaged("it has changed while it was read".to_owned()))
+    }
+}

@@ -1,0 +1,265 @@
+//! Reading a log: from its messages to its shares, whole and in their order.
+
+use std::collections::BTreeMap;
+
+use foxglove::messages::{FrameTransforms, JointStates};
+use mcap::records::{MessageHeader, Record};
+use prost::Message;
+use proto::trajectory_log::{AgentStep, Share, ShareEnd, Step};
+use sim::{JointPose, LinkPose, Pose};
+
+use super::{LogError, METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME, records};
+
+/// A share, whole.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedShare {
+    /// Whose steps they are, and from where they start.
+    pub head: Share,
+    /// The steps, in their order.
+    pub steps: Vec<LoggedStep>,
+    /// Where they lead.
+    pub end: ShareEnd,
+}
+
+/// A step of a share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedStep {
+    /// Where the robot was before the step; empty for a game.
+    pub pose: Pose,
+    /// What each agent saw and did, `[N]`.
+    pub agents: Vec<AgentStep>,
+    /// What came of it.
+    pub step: Step,
+}
+
+/// A share with the times of its first and last message.
+type Timed = (LoggedShare, (u64, u64));
+
+/// What a log says besides its shares.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ReadShares {
+    /// Which run, task and actor it is of.
+    pub words: BTreeMap<String, String>,
+    /// What it held and lost when it was finished; none where the end was lost.
+    pub totals: Option<BTreeMap<String, String>>,
+    /// The task's settings as JSON.
+    pub task_settings: String,
+    /// The run's resolved settings as TOML.
+    pub settings_toml: String,
+    /// Steps that belong to no whole share.
+    pub torn_steps: u64,
+}
+
+/// Reads a finished log, checks every checksum and schema, and shows each whole share to `on_share`, with the times of
+/// its first and last message.
+///
+/// # Errors
+/// If the file is damaged or no trajectory log, or `on_share` refuses a share.
+pub fn read_shares(
+    bytes: &[u8],
+    mut on_share: impl FnMut(LoggedShare, (u64, u64)) -> Result<(), LogError>,
+) -> Result<ReadShares, LogError> {
+    let mut assembler = Assembler::default();
+    let mut told = ReadShares::default();
+    records::read(bytes, |record| {
+        match record {
+            Record::Metadata(record) if record.name == METADATA_NAME => {
+                told.words = record.metadata
+            }
+            Record::Metadata(record) if record.name == TOTALS_NAME => {
+                told.totals = Some(record.metadata);
+            }
+            Record::Attachment { header, data, .. } => match header.name.as_str() {
+                TASK_NAME => told.task_settings = text(&data)?,
+                SETTINGS_NAME => told.settings_toml = text(&data)?,
+                _ => {}
+            },
+            other => {
+                if let Some((share, nanos)) = assembler.take(other)? {
+                    on_share(share, nanos)?;
+                }
+            }
+        }
+        Ok(())
+    })?;
+    if told.words.is_empty() || told.task_settings.is_empty() {
+        return Err(LogError::Foreign("it does not say of which run and task".to_owned()));
+    }
+    told.torn_steps = assembler.torn_steps + assembler.open_steps();
+    Ok(told)
+}
+
+fn text(data: &[u8]) -> Result<String, LogError> {
+    let wrong = |_| LogError::Damaged("an attachment is no text".to_owned());
+    String::from_utf8(data.to_vec()).map_err(wrong)
+}
+
+/// What a channel carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    Share,
+    Agent(usize),
+    Step,
+    ShareEnd,
+    Transforms,
+    Joints,
+    Other,
+}
+
+impl Role {
+    /// By topic, with the schema that it must have.
+    fn of(topic: &str) -> (Self, &'static str) {
+        match topic {
+            "/share" => (Self::Share, "s2mia.log.v1.Share"),
+            "/step" => (Self::Step, "s2mia.log.v1.Step"),
+            "/share_end" => (Self::ShareEnd, "s2mia.log.v1.ShareEnd"),
+            "/tf" => (Self::Transforms, "foxglove.FrameTransforms"),
+            "/joint_states" => (Self::Joints, "foxglove.JointStates"),
+            _ => match topic.strip_prefix("/agents/").map(str::parse) {
+                Some(Ok(agent)) => (Self::Agent(agent), "s2mia.log.v1.AgentStep"),
+                _ => (Self::Other, ""),
+            },
+        }
+    }
+}
+
+/// Puts messages together. A share of which anything is missing is left out, and its steps are counted.
+#[derive(Clone, Default)]
+pub(super) struct Assembler {
+    /// Name and encoding.
+    schemas: BTreeMap<u16, (String, String)>,
+    roles: BTreeMap<u16, Role>,
+    agents: usize,
+    open: Option<(LoggedShare, u64)>,
+    pose: Pose,
+    acted: Vec<AgentStep>,
+    torn_steps: u64,
+}
+
+impl Assembler {
+    /// Takes a record in; a share and its times, if it was the last one of that.
+    pub(super) fn take(&mut self, record: Record<'_>) -> Result<Option<Timed>, LogError> {
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, (header.name, header.encoding));
+                Ok(None)
+            }
+            Record::Channel(channel) => self.declare(&channel).map(|()| None),
+            Record::Message { header, data } => self.message(&header, &data),
+            _ => Ok(None),
+        }
+    }
+
+    fn declare(&mut self, channel: &mcap::records::Channel) -> Result<(), LogError> {
+        let (role, expected) = Role::of(&channel.topic);
+        let (name, encoding) = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+        if role != Role::Other && (name.as_str(), encoding.as_str()) != (expected, "protobuf") {
+            let topic = &channel.topic;
+            return Err(LogError::Foreign(format!("{topic} holds {name:?} instead of {expected}")));
+        }
+        if self.roles.insert(channel.id, role).is_none() && matches!(role, Role::Agent(_)) {
+            self.agents += 1;
+        }
+        Ok(())
+    }
+
+    fn message(&mut self, header: &MessageHeader, data: &[u8]) -> Result<Option<Timed>, LogError> {
+        let unknown = || LogError::Damaged("a message on no channel".to_owned());
+        match self.roles.get(&header.channel_id).copied().ok_or_else(unknown)? {
+            Role::Share => self.begin(Share::decode(data)?, header.log_time),
+            Role::Transforms => self.pose.links = links(&FrameTransforms::decode(data)?),
+            Role::Joints => self.pose.joints = joints(&JointStates::decode(data)?),
+            Role::Agent(index) if index == self.acted.len() => {
+                self.acted.push(AgentStep::decode(data)?);
+            }
+            Role::Agent(_) | Role::Other => {}
+            Role::Step => self.step(Step::decode(data)?),
+            Role::ShareEnd => {
+                let share = self.end(ShareEnd::decode(data)?);
+                return Ok(share.map(|(share, begun)| (share, (begun, header.log_time))));
+            }
+        }
+        Ok(None)
+    }
+
+    fn begin(&mut self, head: Share, nanos: u64) {
+        self.torn_steps += self.open_steps();
+        let end = ShareEnd::default();
+        self.open = Some((LoggedShare { head, steps: Vec::new(), end }, nanos));
+        self.acted.clear();
+    }
+
+    fn step(&mut self, step: Step) {
+        let (pose, agents) = (std::mem::take(&mut self.pose), std::mem::take(&mut self.acted));
+        let all = agents.len() == self.agents;
+        match &mut self.open {
+            Some((share, _)) if all && step.step == share.next_step() => {
+                share.steps.push(LoggedStep { pose, agents, step });
+            }
+            _ => {
+                self.torn_steps += 1 + self.open_steps();
+                self.open = None;
+            }
+        }
+    }
+
+    fn end(&mut self, end: ShareEnd) -> Option<(LoggedShare, u64)> {
+        let (share, begun) = self.open.take()?;
+        if end.steps as usize != share.steps.len() {
+            self.torn_steps += share.steps.len() as u64;
+            return None;
+        }
+        Some((LoggedShare { end, ..share }, begun))
+    }
+
+    fn open_steps(&self) -> u64 {
+        self.open.as_ref().map_or(0, |(share, _)| share.steps.len() as u64)
+    }
+}
+
+impl ReadShares {
+    /// The task that was played.
+    ///
+    /// # Errors
+    /// If its settings are none of this program's.
+    pub fn task(&self) -> Result<sim::TaskConfig, LogError> {
+        serde_json::from_str(&self.task_settings)
+            .map_err(|error| LogError::Unfit(format!("its task's settings: {error}")))
+    }
+}
+
+impl LoggedShare {
+    /// Number, in the episode, of the step behind the last one.
+    #[must_use]
+    pub fn next_step(&self) -> u32 {
+        self.head.first_step.saturating_add(self.steps.len() as u32)
+    }
+}
+
+impl From<prost::DecodeError> for LogError {
+    fn from(error: prost::DecodeError) -> Self {
+        Self::Damaged(format!("a message is none of its schema: {error}"))
+    }
+}
+
+fn links(message: &FrameTransforms) -> Vec<LinkPose> {
+    let link = |frame: &foxglove::messages::FrameTransform| {
+        let (at, turn) =
+            (frame.translation.unwrap_or_default(), frame.rotation.unwrap_or_default());
+        LinkPose {
+            name: frame.child_frame_id.clone(),
+            position: [at.x as f32, at.y as f32, at.z as f32],
+            quaternion: [turn.x as f32, turn.y as f32, turn.z as f32, turn.w as f32],
+        }
+    };
+    message.transforms.iter().map(link).collect()
+}
+
+fn joints(message: &JointStates) -> Vec<JointPose> {
+    let joint = |state: &foxglove::messages::JointState| JointPose {
+        name: state.name.clone(),
+        position: state.position.unwrap_or_default() as f32,
+        velocity: state.velocity.unwrap_or_default() as f32,
+    };
+    message.joints.iter().map(joint).collect()
+}

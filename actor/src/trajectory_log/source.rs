@@ -1,0 +1,133 @@
+//! Where logs lie: their names, their folder, their bytes, and new files that are there whole or not at all.
+
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use super::LogError;
+use crate::error::ActorError;
+use crate::recording::RecordError;
+
+const PREFIX: &str = "trajectories-";
+const SUFFIX: &str = ".mcap";
+
+/// Makes the folder of a log.
+pub(super) fn make_folder(folder: &Path) -> Result<(), ActorError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|error| ActorError::Log(format!("cannot make {}: {error}", folder.display())))
+}
+
+/// Name of an actor's file number `number`. Whatever does not belong into a file's name becomes `_`.
+fn log_name(actor: &str, number: u32) -> String {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "._-".contains(letter);
+    let actor: String = actor.chars().map(|c| if plain(c) { c } else { '_' }).collect();
+    format!("{PREFIX}{actor}-{number:04}{SUFFIX}")
+}
+
+/// Whether a file of this name is an actor's log.
+#[must_use]
+pub fn is_log_name(name: &str) -> bool {
+    name.starts_with(PREFIX) && name.ends_with(SUFFIX)
+}
+
+/// A new file with the first number that no file of this actor has.
+pub(super) fn new_log(folder: &Path, actor: &str) -> Result<(PathBuf, File), RecordError> {
+    let mut number = 0;
+    loop {
+        let path = folder.join(log_name(actor, number));
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => number += 1,
+            opened => return Ok((path, opened?)),
+        }
+    }
+}
+
+/// A file's bytes, which begin as those of an MCAP file.
+///
+/// # Errors
+/// If the file cannot be read or is of another kind.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, LogError> {
+    let bytes = std::fs::read(path).map_err(LogError::Read)?;
+    if bytes.starts_with(mcap::MAGIC) { Ok(bytes) } else { Err(LogError::NotMcap) }
+}
+
+/// A file to be read in parts.
+pub(super) fn open(path: &Path) -> Result<File, LogError> {
+    File::open(path).map_err(LogError::Read)
+}
+
+/// `length` bytes of a file from `offset` on.
+pub(super) fn read_part(path: &Path, offset: u64, length: u64) -> Result<Vec<u8>, LogError> {
+    let mut file = open(path)?;
+    file.seek(SeekFrom::Start(offset)).map_err(LogError::Read)?;
+    let mut bytes = vec![0; length as usize];
+    file.read_exact(&mut bytes).map_err(LogError::Read)?;
+    Ok(bytes)
+}
+
+/// A new file under another name until it is whole. Dropped before that, it is gone.
+pub(super) struct Draft {
+    part: PathBuf,
+    path: PathBuf,
+}
+
+impl Draft {
+    /// Begins a file that will be `path`, beside it.
+    pub(super) fn begin(path: &Path) -> Result<(Self, (PathBuf, File)), LogError> {
+        if path.symlink_metadata().is_ok() {
+            return Err(LogError::Taken);
+        }
+        let part = path.with_extension("mcap.part");
+        let file = File::create(&part).map_err(RecordError::File)?;
+        Ok((Self { part: part.clone(), path: path.to_path_buf() }, (part, file)))
+    }
+
+    /// The file is whole and on the disk: it gets its name. Another file that has got it meanwhile stays.
+    pub(super) fn publish(self) -> Result<(), LogError> {
+        match std::fs::hard_link(&self.part, &self.path) {
+            Ok(()) => {}
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                return Err(LogError::Taken);
+            }
+            // Not every file system has links.
+            Err(_) => std::fs::rename(&self.part, &self.path).map_err(RecordError::File)?,
+        }
+        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = File::open(folder.unwrap_or(Path::new("."))).map_err(RecordError::File)?;
+        Ok(folder.sync_all().map_err(RecordError::File)?)
+    }
+}
+
+impl Drop for Draft {
+    fn drop(&mut self) {
+        // After a rename it is gone already.
+        let _gone = std::fs::remove_file(&self.part);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_is_named_for_its_actor_without_leaving_its_folder() {
+        assert_eq!(log_name("local-0", 3), "trajectories-local-0-0003.mcap");
+        assert_eq!(log_name("../a b/ü", 0), "trajectories-.._a_b__-0000.mcap");
+        assert!(is_log_name(&log_name("host-17", 12)) && !is_log_name("iter_00000004.mcap"));
+    }
+
+    #[test]
+    fn a_draft_takes_no_other_file_s_name_and_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.mcap");
+        let count = || std::fs::read_dir(folder.path()).unwrap().count();
+        drop(Draft::begin(&path).unwrap());
+        assert_eq!(count(), 0);
+        let (draft, _) = Draft::begin(&path).unwrap();
+        std::fs::write(&path, "another").unwrap();
+        assert!(matches!(draft.publish(), Err(LogError::Taken)));
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "another");
+        assert!(matches!(Draft::begin(&path), Err(LogError::Taken)));
+        assert_eq!(count(), 1);
+    }
+}

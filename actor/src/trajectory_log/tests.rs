@@ -1,0 +1,106 @@
+//! What a log holds, and what its tools make of it. Slots are rolled out as an actor does, without a learner.
+
+mod damage;
+#[path = "../../tests/actor/fixture.rs"]
+mod fixture;
+mod several;
+mod whole;
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use policy::{Draw, Purpose, RunSeed, generator};
+use proto::{
+    Digest, EnvironmentStart, EvaluationWork, Incarnation, Lease, LeaseId, PolicyVersion,
+    RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
+};
+
+use super::shares::{LoggedShare, ReadShares, read_shares};
+use super::source::read_bytes;
+use super::{Desk, Episodes, Log, LogConfig, LogSettings};
+use crate::evaluation::play_on;
+use fixture::{fresh_work, policy, run, task, world};
+
+pub(super) fn start(
+    folder: &Path,
+    actor: &str,
+    episodes: Episodes,
+    max_file_mib: u64,
+) -> (Log, Desk) {
+    let settings = LogSettings { episodes, max_file_mib };
+    let config = LogConfig { folder: folder.to_path_buf(), settings };
+    let log = Log::start(&config, actor).unwrap();
+    let desk = log.desk(&Arc::new(run()), &task());
+    (log, desk)
+}
+
+fn lease(work: Work) -> Lease {
+    let weights = WeightsName { version: PolicyVersion(4), digest: Digest([7; 32]) };
+    Lease { id: LeaseId(1), incarnation: Incarnation(1), weights, attempt: 1, work }
+}
+
+/// Rolls a slot out under the eyes of `desk`; breaks off after `most` chunks.
+fn roll(desk: &Desk, work: &RolloutWork, most: usize) -> Vec<TrajectoryChunk> {
+    let witness = std::cell::RefCell::new(desk.rollout(&lease(Work::Rollout(work.clone())), work));
+    let mut chunks = Vec::new();
+    let see = |step, world: &sim::Environments| witness.borrow_mut().see(step, world);
+    crate::roll_out(&run(), work, &policy(), &mut world(), see, |chunk| {
+        witness.borrow_mut().keep(chunk.clone());
+        chunks.push(chunk);
+        if chunks.len() == most { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })
+    .unwrap();
+    desk.take_rollout(witness.into_inner());
+    chunks
+}
+
+const WHOLE: usize = usize::MAX;
+
+/// The slot that goes on where `chunks` ended, an iteration later.
+fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
+    let end = chunks.last().unwrap().end.clone().unwrap();
+    let start = |(position, state): (usize, Vec<u8>)| {
+        let of = position * fixture::HIDDEN..(position + 1) * fixture::HIDDEN;
+        let recurrent = end.recurrent.iter().map(|rows| rows[of.clone()].to_vec()).collect();
+        let start = Start::Continue { state, recurrent };
+        EnvironmentStart { environment: 6 + position as u32, start }
+    };
+    let environments = end.environments.iter().cloned().enumerate().map(start).collect();
+    RolloutWork { iteration: 5, slot: 3, environments }
+}
+
+pub(super) fn evaluate(desk: &Desk, work: EvaluationWork) {
+    let mut world = sim::Environments::new(&task(), 1).unwrap();
+    let mut rng = generator(RunSeed(3), Draw::of(Purpose::EvaluationReset));
+    world.reset(0, 0, 25, &mut rng);
+    let lease = lease(Work::Evaluation(work));
+    let Some(mut witness) = desk.evaluation(&lease, work, &world) else { return };
+    play_on(&mut world, &policy(), &mut |step| witness.see(step)).unwrap();
+    desk.take_evaluation(witness);
+}
+
+/// The logs in a folder, by name.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths
+}
+
+fn read(path: &Path) -> (ReadShares, Vec<LoggedShare>) {
+    let mut shares = Vec::new();
+    let told = read_shares(&read_bytes(path).unwrap(), |share, _| {
+        shares.push(share);
+        Ok(())
+    });
+    (told.unwrap(), shares)
+}
+
+/// One log with a slot's shares.
+fn slot_log(folder: &Path) -> (PathBuf, Vec<TrajectoryChunk>) {
+    let (log, desk) = start(folder, "a", Episodes::All, 64);
+    let chunks = roll(&desk, &fresh_work(), WHOLE);
+    log.close();
+    (files(folder)[0].clone(), chunks)
+}

@@ -1,0 +1,191 @@
+//! Files that are cut off, hold wrong bytes, or are none of ours.
+
+use std::io::Cursor;
+
+use mcap::records::Record;
+use serde_json::json;
+
+use super::slot_log;
+use crate::recording::writer::McapFile;
+use crate::trajectory_log::recover::{Loss, copy};
+use crate::trajectory_log::source::read_bytes;
+use crate::trajectory_log::{LogError, Recovered, read_shares, records, recover, survey};
+
+/// Topic number, sequence and data of a message.
+type Message = (u16, u32, Vec<u8>);
+
+/// Two channels, four chunks, an attachment and words; small enough to be cut at every byte.
+fn small_file() -> Vec<u8> {
+    let mut file = McapFile::in_chunks_of(200, Cursor::new(Vec::new())).unwrap();
+    let schema = json!({ "title": "test.Number", "type": "object" });
+    let mut channels = ["/one", "/two"].map(|topic| file.json_channel(topic, &schema).unwrap());
+    file.attach("note.txt", "text/plain", b"a note").unwrap();
+    for number in 0..16_u32 {
+        let text = json!({ "number": number, "filler": "x".repeat(20) }).to_string();
+        file.write(&mut channels[number as usize % 2], text.as_bytes()).unwrap();
+        file.advance(1000);
+    }
+    file.metadata("end", &[("numbers".to_owned(), "16".to_owned())].into()).unwrap();
+    file.into_finished().unwrap().into_inner()
+}
+
+fn messages(bytes: &[u8]) -> Vec<Message> {
+    let mut found = Vec::new();
+    records::read(bytes, |record| {
+        if let Record::Message { header, data } = record {
+            found.push((header.channel_id, header.sequence, data.to_vec()));
+        }
+        Ok(())
+    })
+    .unwrap();
+    found
+}
+
+/// What is saved of `bytes`: a file that can be read again.
+fn saved(bytes: &[u8]) -> (Recovered, Vec<Message>) {
+    let (recovered, target) = copy(bytes, Cursor::new(Vec::new())).unwrap();
+    let messages = messages(&target.into_inner());
+    assert_eq!(messages.len() as u64, recovered.messages);
+    (recovered, messages)
+}
+
+/// Whether `part` is `whole` without some of its messages.
+fn is_part(part: &[Message], whole: &[Message]) -> bool {
+    let mut rest = whole.iter();
+    part.iter().all(|message| rest.any(|other| other.2 == message.2))
+}
+
+#[test]
+fn a_whole_file_is_saved_whole_and_nothing_is_lost() {
+    let file = small_file();
+    let (recovered, found) = saved(&file);
+    assert_eq!((found.len(), recovered.losses), (16, Vec::new()));
+    assert_eq!(found, messages(&file));
+}
+
+#[test]
+fn a_file_cut_at_any_byte_gives_its_first_messages_and_tells_that_it_was_cut() {
+    let file = small_file();
+    let all = messages(&file);
+    let mut most = 0;
+    for length in mcap::MAGIC.len()..file.len() {
+        let (recovered, found) = saved(&file[..length]);
+        assert!(found.len() >= most, "more bytes, fewer messages at {length}");
+        assert_eq!(found[..], all[..found.len()], "cut at {length}");
+        let ends_early = recovered.losses.contains(&Loss::End);
+        assert!(ends_early || found.len() == all.len(), "cut at {length}: {recovered:?}");
+        most = found.len();
+    }
+    assert_eq!(most, all.len());
+}
+
+#[test]
+fn a_wrong_byte_anywhere_costs_messages_and_never_changes_one() {
+    let file = small_file();
+    let all = messages(&file);
+    for place in mcap::MAGIC.len()..file.len() {
+        for pattern in [0x01, 0x80, 0xff] {
+            let mut damaged = file.clone();
+            damaged[place] ^= pattern;
+            let (recovered, found) = saved(&damaged);
+            assert!(is_part(&found, &all), "byte {place}: a message is none that was written");
+            let silent = recovered.losses.is_empty();
+            assert!(!silent || found.len() == all.len(), "byte {place}: lost in silence");
+        }
+    }
+}
+
+#[test]
+fn one_wrong_byte_costs_one_chunk() {
+    let file = small_file();
+    let all = messages(&file);
+    // In the middle of the second chunk's data: a chunk's opcode is 6, and its compression's name is in it.
+    let second = file.windows(4).enumerate().filter(|(_, name)| *name == b"zstd").nth(1).unwrap().0;
+    let mut damaged = file.clone();
+    damaged[second + 30] ^= 0x10;
+    let (recovered, found) = saved(&damaged);
+    assert!(matches!(recovered.losses[..], [Loss::Bytes { .. }]), "{:?}", recovered.losses);
+    let kept = all.len() - found.len();
+    assert!((1..=6).contains(&kept), "{kept} messages lost");
+}
+
+#[test]
+fn a_tail_of_zeros_is_a_loss_and_no_message() {
+    let file = small_file();
+    let all = messages(&file);
+    for length in (mcap::MAGIC.len()..file.len()).step_by(7) {
+        let mut zeroed = file.clone();
+        zeroed[length..].fill(0);
+        let (recovered, found) = saved(&zeroed);
+        assert_eq!(found[..], all[..found.len()], "zeros from {length}");
+        assert!(!recovered.losses.is_empty() || found.len() == all.len());
+    }
+}
+
+#[test]
+fn reading_refuses_every_cut_and_every_wrong_byte_without_a_panic() {
+    let file = small_file();
+    let read = |bytes: &[u8]| records::read(bytes, |_| Ok(()));
+    assert!(read(&file).is_ok());
+    for length in 0..file.len() {
+        assert!(read(&file[..length]).is_err(), "cut at {length}");
+    }
+    for place in 0..file.len() {
+        let mut damaged = file.clone();
+        damaged[place] ^= 0x20;
+        assert!(read(&damaged).is_err(), "byte {place} is covered by no checksum");
+    }
+}
+
+#[test]
+fn a_log_that_was_cut_off_keeps_its_whole_shares() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = read_bytes(&slot_log(folder.path()).0).unwrap();
+    let refused = read_shares(&bytes[..bytes.len() - 1], |_, _| Ok(())).unwrap_err().to_string();
+    assert!(refused.contains("s2mia log recover"), "{refused}");
+    for length in (0..bytes.len()).rev().step_by(997) {
+        let out = folder.path().join(format!("{length}.mcap"));
+        match recover(&bytes[..length], &out) {
+            Err(error) => assert!(matches!(error, LogError::NotMcap), "{error}"),
+            Ok(recovered) => {
+                let saved = read_bytes(&out).unwrap();
+                assert!(survey(&saved).is_ok());
+                let mut whole = 0;
+                let told = read_shares(&saved, |_, _| {
+                    whole += 1;
+                    Ok(())
+                });
+                assert!(whole == 3 || !recovered.losses.is_empty(), "cut at {length}");
+                assert!(told.is_ok() || whole == 0, "cut at {length}");
+            }
+        }
+    }
+}
+
+#[test]
+fn other_files_are_refused_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("other");
+    for text in ["", "no MCAP at all", "\u{89}MCAP"] {
+        std::fs::write(&path, text).unwrap();
+        let line = read_bytes(&path).unwrap_err().to_string();
+        assert!(line.contains("no MCAP file") && !line.contains('\n'), "{line}");
+    }
+    assert!(
+        read_bytes(&folder.path().join("missing")).unwrap_err().to_string().contains("cannot read")
+    );
+    let foreign = read_shares(&small_file(), |_, _| Ok(())).unwrap_err().to_string();
+    assert!(foreign.contains("no trajectory log"), "{foreign}");
+    let out = folder.path().join("out.mcap");
+    assert!(matches!(recover(b"text", &out), Err(LogError::NotMcap)));
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_file_is_never_saved_over_itself_or_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = slot_log(folder.path()).0;
+    let before = read_bytes(&path).unwrap();
+    assert!(matches!(recover(&before, &path), Err(LogError::Taken)));
+    assert_eq!(read_bytes(&path).unwrap(), before);
+}

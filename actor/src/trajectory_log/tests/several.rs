@@ -1,0 +1,147 @@
+//! Several logs of one run, shares that are lost, and files that grow too large.
+
+use std::collections::BTreeSet;
+
+use proto::EvaluationWork;
+
+use super::fixture::fresh_work;
+use super::{WHOLE, evaluate, files, next_work, read, roll, start};
+use crate::trajectory_log::source::read_bytes;
+use crate::trajectory_log::{Episodes, Index, join, replay};
+
+/// Two slots, one after the other, by two actors; the second actor plays an evaluation, too.
+fn two_actors(folder: &std::path::Path) {
+    let (a, desk_of_a) = start(folder, "a", Episodes::All, 64);
+    let (b, desk_of_b) = start(folder, "b", Episodes::All, 64);
+    evaluate(&desk_of_b, EvaluationWork { iteration: 4, episode: 1 });
+    let chunks = roll(&desk_of_a, &fresh_work(), WHOLE);
+    roll(&desk_of_b, &next_work(&chunks), WHOLE);
+    a.close();
+    b.close();
+}
+
+fn index(paths: &[std::path::PathBuf]) -> Index {
+    let mut index = Index::default();
+    paths.iter().for_each(|path| index.add(path).unwrap());
+    index
+}
+
+#[test]
+fn another_actor_goes_on_where_a_share_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    two_actors(folder.path());
+    let logs = files(folder.path());
+    let (first, second) = (read(&logs[0]).1, read(&logs[1]).1);
+    let ended = first.iter().find(|share| share.head.episode_id == "rollout-6-1").unwrap();
+    let begun = second.iter().find(|share| share.head.episode_id == "rollout-6-1").unwrap();
+    assert_eq!((ended.next_step(), begun.head.first_step), (25, 25));
+    assert_eq!(ended.end.environment_state, begun.head.environment_state);
+    assert_eq!(ended.end.state, begun.steps[0].step.state);
+}
+
+#[test]
+fn joined_episodes_follow_one_another_step_by_step_and_can_be_repeated() {
+    let folder = tempfile::tempdir().unwrap();
+    two_actors(folder.path());
+    let out = folder.path().join("joined.mcap");
+    let all = index(&files(folder.path()));
+    assert_eq!((all.contradictions(), all.gaps()), (Vec::new(), Vec::new()));
+    let joined = join(&all, &out).unwrap();
+    assert_eq!((joined.episodes, joined.shares, joined.steps), (4, 6, 185));
+    let shares = read(&out).1;
+    let order: Vec<_> = shares
+        .iter()
+        .map(|share| (share.head.episode_id.as_str(), share.head.first_step))
+        .collect();
+    let expected = [
+        ("rollout-6-0", 0),
+        ("rollout-6-1", 0),
+        ("rollout-6-1", 25),
+        ("rollout-7-0", 0),
+        ("rollout-7-0", 40),
+        ("evaluation-4-1", 0),
+    ];
+    assert_eq!(order, expected);
+    assert_eq!(replay(&read_bytes(&out).unwrap()).unwrap().steps, 185);
+    let parts = index(std::slice::from_ref(&out));
+    assert_eq!((parts.gaps(), parts.copies()), (Vec::new(), 0));
+    assert!(join(&all, &out).unwrap_err().to_string().contains("there already"));
+}
+
+#[test]
+fn what_one_actor_did_not_log_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    two_actors(folder.path());
+    let second = index(&files(folder.path())[1..]);
+    let gaps = ["rollout-6-1: steps 0 to 24", "rollout-7-0: steps 0 to 39"];
+    assert_eq!(second.gaps(), gaps);
+}
+
+#[test]
+fn a_slot_that_was_computed_twice_is_counted_once() {
+    let folder = tempfile::tempdir().unwrap();
+    for actor in ["a", "b"] {
+        let (log, desk) = start(folder.path(), actor, Episodes::All, 64);
+        roll(&desk, &fresh_work(), WHOLE);
+        log.close();
+    }
+    let both = index(&files(folder.path()));
+    assert_eq!((both.shares_and_steps(), both.copies()), ((3, 80), 3));
+    assert!(both.contradictions().is_empty());
+}
+
+#[test]
+fn two_shares_that_differ_are_a_contradiction_and_not_joined() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, desk) = start(folder.path(), "a", Episodes::All, 64);
+    roll(&desk, &fresh_work(), WHOLE);
+    let mut other = fresh_work();
+    // Another iteration draws other actions, yet claims the same steps of the same episodes.
+    other.iteration += 1;
+    roll(&desk, &other, WHOLE);
+    log.close();
+    let index = index(&files(folder.path()));
+    let found = index.contradictions();
+    assert_eq!(found.len(), 3);
+    assert!(found[0].starts_with("rollout-6-0 from step 0 on: "), "{}", found[0]);
+    let refused = join(&index, &folder.path().join("out.mcap")).unwrap_err().to_string();
+    assert_eq!(refused, found[0]);
+    assert_eq!(files(folder.path()).len(), 1, "nothing is left of the refused file");
+}
+
+#[test]
+fn a_slot_that_was_broken_off_is_not_logged() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, desk) = start(folder.path(), "a", Episodes::All, 64);
+    assert_eq!(roll(&desk, &fresh_work(), 1).len(), 1);
+    log.close();
+    assert!(files(folder.path()).is_empty());
+}
+
+#[test]
+fn a_folder_that_goes_away_costs_the_log_and_nothing_else() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = parent.path().join("logs");
+    let (log, desk) = start(&folder, "a", Episodes::All, 64);
+    std::fs::remove_dir(&folder).unwrap();
+    assert_eq!(roll(&desk, &fresh_work(), WHOLE).len(), 2);
+    log.close();
+    assert!(!folder.exists());
+}
+
+#[test]
+fn a_log_goes_on_in_another_file_before_it_grows_too_large() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, desk) = start(folder.path(), "a", Episodes::All, 1);
+    let mut work = fresh_work();
+    for _ in 0..60 {
+        work = next_work(&roll(&desk, &work, WHOLE));
+    }
+    log.close();
+    let logs = files(folder.path());
+    assert!(logs.len() > 1, "one file");
+    let names: BTreeSet<_> = logs.iter().map(|path| path.file_name().unwrap()).collect();
+    assert!(names.contains(std::ffi::OsStr::new("trajectories-a-0001.mcap")));
+    let index = index(&logs);
+    assert_eq!((index.shares_and_steps().1, index.gaps()), (4800, Vec::new()));
+}

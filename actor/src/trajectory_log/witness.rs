@@ -1,0 +1,195 @@
+//! What the stepping thread collects for a log while it works a lease off. It only looks, and only at what is logged.
+
+use proto::trajectory_log::{AgentStep, FinalObservation, Kind, Share, ShareEnd, Step};
+use proto::{EvaluationWork, Lease, RolloutWork, RunDescription, TrajectoryChunk};
+use sim::{Environments, Pose};
+
+use super::config::Episodes;
+use super::shares::{LoggedShare, LoggedStep};
+use crate::evaluation::PlayedStep;
+
+/// A finished slot of which something is logged.
+pub(crate) struct Rollout {
+    pub(crate) begun: Vec<Begun>,
+    /// In their order; those before the first share are left out.
+    pub(crate) chunks: Vec<TrajectoryChunk>,
+}
+
+/// A share of a slot, as far as the chunks do not tell it.
+pub(crate) struct Begun {
+    pub(crate) head: Share,
+    /// Row of its environment in the slot.
+    pub(crate) position: usize,
+    /// Step of the slot with which it begins.
+    pub(crate) slot_step: u32,
+    /// Before each of its steps.
+    pub(crate) poses: Vec<Pose>,
+}
+
+/// What every share of a lease has in common.
+fn head(run: &RunDescription, lease: &Lease) -> Share {
+    Share {
+        attempt: lease.attempt,
+        seed: run.seed,
+        weights_version: lease.weights.version.0,
+        weights_sha256: lease.weights.digest.0.to_vec(),
+        ..Share::default()
+    }
+}
+
+/// Watches a slot.
+pub(crate) struct RolloutWitness<'a> {
+    episodes: Episodes,
+    work: &'a RolloutWork,
+    common: Share,
+    begun: Vec<Begun>,
+    /// For each environment which share its steps belong to, if they are logged.
+    open: Vec<Option<usize>>,
+    chunks: Vec<TrajectoryChunk>,
+}
+
+impl<'a> RolloutWitness<'a> {
+    pub(crate) fn new(
+        episodes: Episodes,
+        run: &RunDescription,
+        lease: &Lease,
+        work: &'a RolloutWork,
+    ) -> Self {
+        let (iteration, slot, kind) = (work.iteration, work.slot, Kind::Rollout.into());
+        Self {
+            episodes,
+            work,
+            common: Share { iteration, slot, kind, ..head(run, lease) },
+            begun: Vec::new(),
+            open: vec![None; work.environments.len()],
+            chunks: Vec::new(),
+        }
+    }
+
+    /// Looks at the worlds before step `step` of the slot.
+    pub(crate) fn see(&mut self, step: u32, world: &Environments) {
+        for position in 0..self.open.len() {
+            if step == 0 || world.episode_step(position) == 0 {
+                self.open[position] = self.begin(step, position, world);
+            }
+            if let Some(index) = self.open[position] {
+                self.begun[index].poses.push(world.pose(position));
+            }
+        }
+    }
+
+    /// The share that begins here, if it is logged.
+    fn begin(&mut self, slot_step: u32, position: usize, world: &Environments) -> Option<usize> {
+        let environment = self.work.environments[position].environment;
+        let episode = world.episode(position);
+        if !self.episodes.hold_rollout(environment, episode) {
+            return None;
+        }
+        let head = Share {
+            episode_id: format!("rollout-{environment}-{episode}"),
+            first_step: world.episode_step(position),
+            environment,
+            episode,
+            environment_state: world.encode(position),
+            ..self.common.clone()
+        };
+        self.begun.push(Begun { head, position, slot_step, poses: Vec::new() });
+        Some(self.begun.len() - 1)
+    }
+
+    /// Keeps a chunk that has been sent.
+    pub(crate) fn keep(&mut self, chunk: TrajectoryChunk) {
+        if !self.begun.is_empty() {
+            self.chunks.push(chunk);
+        }
+    }
+
+    /// The slot, if it was finished and something of it is logged.
+    pub(crate) fn finish(self) -> Option<Rollout> {
+        let whole = self.chunks.last().is_some_and(|chunk| chunk.end.is_some());
+        whole.then_some(Rollout { begun: self.begun, chunks: self.chunks })
+    }
+}
+
+/// Watches an episode of an evaluation.
+pub(crate) struct EvaluationWitness {
+    share: LoggedShare,
+    before: Sight,
+    /// Numbers of each agent's action.
+    sizes: Vec<usize>,
+}
+
+/// A world at a moment.
+struct Sight {
+    pose: Pose,
+    state: Vec<f32>,
+    observations: Vec<Vec<f32>>,
+}
+
+impl Sight {
+    /// Environment 0.
+    fn of(world: &Environments) -> Self {
+        let description = world.description();
+        let mut state = vec![0.0; description.state.len()];
+        world.state(0, &mut state);
+        let observe = |(agent, shape): (usize, &sim::AgentDescription)| {
+            let mut row = vec![0.0; shape.observation.len()];
+            world.observation(0, agent, &mut row);
+            row
+        };
+        let observations = description.agents.iter().enumerate().map(observe).collect();
+        Self { pose: world.pose(0), state, observations }
+    }
+}
+
+impl EvaluationWitness {
+    /// `world` stands at the episode's start.
+    pub(crate) fn new(
+        run: &RunDescription,
+        lease: &Lease,
+        work: EvaluationWork,
+        world: &Environments,
+    ) -> Self {
+        let EvaluationWork { iteration, episode } = work;
+        let head = Share {
+            episode_id: format!("evaluation-{iteration}-{episode}"),
+            kind: Kind::Evaluation.into(),
+            iteration,
+            episode: episode.into(),
+            environment_state: world.encode(0),
+            ..head(run, lease)
+        };
+        let sizes = world.description().agents.iter().map(|agent| agent.action.size).collect();
+        let share = LoggedShare { head, steps: Vec::new(), end: ShareEnd::default() };
+        Self { share, before: Sight::of(world), sizes }
+    }
+
+    /// Looks at a step that was played.
+    pub(crate) fn see(&mut self, played: &PlayedStep<'_>) {
+        let Sight { pose, state, observations } =
+            std::mem::replace(&mut self.before, Sight::of(played.world));
+        let mut rest = played.action;
+        let agent = |(observation, size): (Vec<f32>, &usize)| {
+            let (action, others) = rest.split_at(*size);
+            rest = others;
+            AgentStep { observation, action: action.to_vec(), log_prob: None }
+        };
+        let agents = observations.into_iter().zip(&self.sizes).map(agent).collect();
+        let sim::Outcome { reward, terminated, truncated, .. } = played.outcome;
+        let step = Step { step: played.step - 1, reward, terminated, truncated, state };
+        self.share.steps.push(LoggedStep { pose, agents, step });
+    }
+
+    /// The whole episode.
+    pub(crate) fn finish(self) -> LoggedShare {
+        let Sight { state, observations, .. } = self.before;
+        let observation = |observation| FinalObservation { observation };
+        let end = ShareEnd {
+            steps: self.share.steps.len() as u32,
+            environment_state: Vec::new(),
+            state,
+            observations: observations.into_iter().map(observation).collect(),
+        };
+        LoggedShare { end, ..self.share }
+    }
+}

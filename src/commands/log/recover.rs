@@ -1,0 +1,22 @@
+//! `s2mia log recover`: a new file with what is whole in a damaged one.
+
+use actor::trajectory_log::{read_bytes, recover};
+
+use crate::chart::thousands;
+use crate::cli::RecoverArguments;
+use crate::commands::log::{Incomplete, in_file};
+use crate::output;
+
+/// Ends with status 3 if something was lost, and says what.
+pub(super) fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
+    let RecoverArguments { file, out } = arguments;
+    let bytes = in_file(file, read_bytes(file))?;
+    let recovered = in_file(out, recover(&bytes, out))?;
+    let (messages, shown) = (thousands(recovered.messages), out.display());
+    output::line(format!("{shown}: {messages} messages"));
+    let losses: Vec<String> = recovered.losses.iter().map(|loss| format!("lost: {loss}")).collect();
+    match losses.is_empty() {
+        true => Ok(()),
+        false => Err(Incomplete(losses.join("; ")).into()),
+    }
+}

@@ -1,0 +1,26 @@
+//! `s2mia log replay`: whether the simulator repeats what was logged.
+
+use actor::trajectory_log::{read_bytes, replay};
+
+use crate::chart::thousands;
+use crate::cli::LogFiles;
+use crate::commands::log::{in_file, paths};
+use crate::output;
+
+/// Ends with status 1 at the first step that differs.
+pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
+    for path in paths(logs)? {
+        let replayed = in_file(&path, read_bytes(&path).and_then(|bytes| replay(&bytes)))?;
+        let (shown, shares) = (path.display(), thousands(replayed.shares));
+        let steps = thousands(replayed.steps);
+        output::line(format!("{shown}: {steps} steps in {shares} shares, equal bit for bit"));
+        let Some(difference) = replayed.difference else { continue };
+        match replayed.other_machine {
+            Some(_) => anyhow::bail!(
+                "{shown}: {difference}; it was logged on a machine or by a program with other last bits"
+            ),
+            None => anyhow::bail!("{shown}: {difference}"),
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,133 @@
+//! Trajectory logs of real runs: they change nothing, hold everything, and their tools end with the right status.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::sync::OnceLock;
+
+use runs::{Runs, inspect, s2mia, succeeded, train};
+
+/// Four iterations of two slots by two actors; evaluations before, between and after.
+const FOUR: [&str; 2] = ["run.iterations=4", "run.actors=2"];
+
+/// A run that logged everything, and what it printed.
+fn logged() -> &'static (Runs, PathBuf, String) {
+    static RUN: OnceLock<(Runs, PathBuf, String)> = OnceLock::new();
+    RUN.get_or_init(|| {
+        let runs = Runs::new();
+        let folder = runs.folder("logged");
+        let told = train(&folder, &[&FOUR[..], &["log.episodes=all"]].concat());
+        (runs, folder, told)
+    })
+}
+
+fn log(arguments: &[&Path]) -> Output {
+    let arguments: Vec<&str> = arguments.iter().map(|path| path.to_str().unwrap()).collect();
+    s2mia(&[&["log"], arguments.as_slice()].concat())
+}
+
+fn told(output: &Output) -> (Option<i32>, String) {
+    let text = [output.stdout.as_slice(), output.stderr.as_slice()].concat();
+    (output.status.code(), String::from_utf8(text).unwrap())
+}
+
+fn logs(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder.join("logs")).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "mcap"));
+    paths.sort();
+    paths
+}
+
+#[test]
+fn a_log_changes_not_one_bit_of_the_run_and_its_settings_not_the_run_s_hash() {
+    let (runs, folder, _) = logged();
+    let plain = runs.folder("plain");
+    train(&plain, &FOUR);
+    assert_eq!(inspect(&plain), inspect(folder));
+    assert!(logs(&plain).is_empty(), "nobody asked for a log");
+    let hash = |folder: &Path| {
+        let text = std::fs::read_to_string(folder.join("manifest.json")).unwrap();
+        serde_json::from_str::<serde_json::Value>(&text).unwrap()["config_sha256"].clone()
+    };
+    assert_eq!(hash(&plain), hash(folder));
+}
+
+#[test]
+fn every_step_of_the_run_is_logged_once_and_can_be_repeated() {
+    let (_, folder, closing) = logged();
+    // 4 x 80 steps of training, 3 evaluations of an episode of 1,000.
+    assert!(closing.contains("logged 3,320 steps in 19 shares of episodes"), "{closing}");
+    assert!(closing.contains("0 shares lost, 0 files not finished"), "{closing}");
+    let (status, text) = told(&log(&["verify".as_ref(), &folder.join("logs")]));
+    assert_eq!(status, Some(0), "{text}");
+    assert!(text.contains("7 episodes, 19 shares, 3,320 steps"), "{text}");
+    let (status, text) = told(&log(&["replay".as_ref(), &folder.join("logs")]));
+    assert_eq!(status, Some(0), "{text}");
+    assert!(text.contains("equal bit for bit"), "{text}");
+}
+
+#[test]
+fn joined_logs_hold_whole_episodes() {
+    let (runs, folder, _) = logged();
+    let out = runs.folder("joined.mcap");
+    let (status, text) =
+        told(&log(&["join".as_ref(), &folder.join("logs"), "--out".as_ref(), &out]));
+    assert_eq!(status, Some(0), "{text}");
+    assert!(text.contains("7 episodes, 19 shares, 3,320 steps"), "{text}");
+    let text = succeeded(&["log", "info", out.to_str().unwrap()]);
+    for part in
+        ["task                 halfcheetah-6x1", "/tf", "/agents/5", "3,320", "joined_files"]
+    {
+        assert!(text.contains(part), "{part} is not in:\n{text}");
+    }
+    let (status, text) = told(&log(&["verify".as_ref(), &out]));
+    assert_eq!(status, Some(0), "{text}");
+}
+
+#[test]
+fn a_cut_log_is_saved_with_a_status_that_tells_the_loss() {
+    let (runs, folder, _) = logged();
+    let whole = logs(folder).into_iter().next().unwrap();
+    let (cut, out) = (runs.folder("cut.mcap"), runs.folder("saved.mcap"));
+    let bytes = std::fs::read(&whole).unwrap();
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let (status, text) = told(&log(&["info".as_ref(), &cut]));
+    assert_eq!(status, Some(1), "{text}");
+    assert!(text.contains("cut.mcap: not finished") && text.lines().count() == 1, "{text}");
+    let (status, text) = told(&log(&["recover".as_ref(), &cut, "--out".as_ref(), &out]));
+    assert_eq!(status, Some(3), "{text}");
+    assert!(text.contains("lost: whatever came after the end"), "{text}");
+    let (status, text) = told(&log(&["info".as_ref(), &out]));
+    assert_eq!(status, Some(0), "{text}");
+    let (status, text) = told(&log(&["recover".as_ref(), &cut, "--out".as_ref(), &cut]));
+    assert_eq!(status, Some(1), "{text}");
+    assert!(text.contains("is there already"), "{text}");
+    let again = runs.folder("again.mcap");
+    let (status, text) = told(&log(&["recover".as_ref(), &whole, "--out".as_ref(), &again]));
+    assert_eq!(status, Some(0), "{text}");
+}
+
+#[test]
+fn what_is_no_log_is_refused_in_one_line() {
+    let (runs, ..) = logged();
+    let folder = runs.folder("empty");
+    std::fs::create_dir(&folder).unwrap();
+    for (path, status, part) in [
+        (Path::new("Cargo.toml"), 1, "no MCAP file"),
+        (Path::new("nowhere.mcap"), 1, "cannot read it"),
+        (&folder, 2, "no trajectories-*.mcap"),
+    ] {
+        for tool in ["info", "verify", "replay"] {
+            let (found, text) = told(&log(&[tool.as_ref(), path]));
+            assert_eq!(found, Some(status), "{text}");
+            assert!(text.contains(part) && text.lines().count() == 1, "{text}");
+        }
+    }
+    let (status, text) = told(&s2mia(&["actor", "--log-dir", "x", "--log-episodes", "some"]));
+    assert_eq!(status, Some(2), "{text}");
+    assert!(text.contains("none, evaluation, all or a whole number"), "{text}");
+}
