@@ -1,5 +1,7 @@
 //! What every learning rule offers to the learner, and the one place that chooses one.
 
+use std::sync::Arc;
+
 use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
 
 use crate::batch::{Batch, Problem, Rewards};
@@ -8,6 +10,7 @@ use crate::error::MarlError;
 use crate::happo::Happo;
 use crate::maddpg::Maddpg;
 use crate::mappo::Mappo;
+use crate::phase::PhaseObserver;
 
 /// Figures of an update by name, in a fixed order.
 pub type Report = Vec<(String, f64)>;
@@ -20,6 +23,9 @@ pub trait Algorithm: Send {
     /// From now on actors and critics step with the share `share` of their configured step sizes. Whoever calls
     /// [`Algorithm::update`] says so before; it is no part of the state.
     fn scale_learning_rates(&mut self, share: f64);
+
+    /// From now on `observer` is told of the parts of every update. A rule without these parts tells nothing.
+    fn observe_phases(&mut self, _observer: Arc<dyn PhaseObserver>) {}
 
     /// Takes one update from the experience of iteration `iteration` and every agent's rewards
     /// `[N][T, B]`.

@@ -1,5 +1,7 @@
 //! HAPPO with the paper's two terms: a sequential sweep over agents in random order.
 
+use std::sync::Arc;
+
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 use rayon::prelude::*;
@@ -12,6 +14,7 @@ use crate::minibatch::permutation;
 use crate::on_policy::agent::Agent;
 use crate::on_policy::ascent::{maximise, moved};
 use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
+use crate::phase::{Phase, PhaseObserver, during};
 use crate::surrogate::{factor_limits, lagged_factor, sequential_factor};
 
 /// HAPPO and, by configuration alone, all its variants.
@@ -45,6 +48,10 @@ impl Algorithm for Happo {
         self.team.scale_learning_rates(share);
     }
 
+    fn observe_phases(&mut self, observer: Arc<dyn PhaseObserver>) {
+        self.team.observer = observer;
+    }
+
     fn update(
         &mut self,
         batch: &Batch,
@@ -55,11 +62,13 @@ impl Algorithm for Happo {
             return Ok(skipped_report());
         };
         let order = self.order(iteration);
-        let Team { agents, critic, seed, config, .. } = &mut self.team;
+        let Team { agents, critic, seed, config, observer, .. } = &mut self.team;
         let limited = (order.as_slice(), config.behaviour.factor_limit());
+        let up = || sweep(agents, &prepared, limited, (*seed, iteration));
+        let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
         let (swept, fitted) = rayon::join(
-            || sweep(agents, &prepared, limited, (*seed, iteration)),
-            || critic.fit(batch, &prepared.values, &prepared.returns, iteration),
+            || during(&**observer, Phase::Sweep, up),
+            || during(&**observer, Phase::Critic, fit),
         );
         let mut report = critic_report(&fitted?);
         report.extend(swept?);

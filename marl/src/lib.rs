@@ -27,6 +27,7 @@ pub mod minibatch;
 pub mod observation;
 mod on_policy;
 pub mod optimizer;
+pub mod phase;
 pub mod probe;
 pub mod reals;
 pub mod running;
@@ -44,5 +45,6 @@ pub use config::{
 pub use error::MarlError;
 pub use learning_rate::LearningRateDecay;
 pub use observation::{ObservationMoments, ObservationScale};
+pub use phase::{Phase, PhaseObserver};
 pub use probe::probe;
 pub use surprise::Surprise;

@@ -1,6 +1,8 @@
 //! MAPPO with the paper's two terms: all agents climb at once, each as if the others stood still, with
 //! one network for all of them or one each.
 
+use std::sync::Arc;
+
 use policy::randomness::{Draw, Purpose, RunSeed};
 use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 use rayon::prelude::*;
@@ -12,6 +14,7 @@ use crate::error::MarlError;
 use crate::on_policy::agent::Agent;
 use crate::on_policy::ascent::{PerAgent, Trained, maximise, maximise_together, moved};
 use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
+use crate::phase::{Phase, PhaseObserver, during};
 
 /// MAPPO; its surrogate is HAPPO's with a factor of 1.
 pub struct Mappo {
@@ -40,6 +43,10 @@ impl Algorithm for Mappo {
         self.team.scale_learning_rates(share);
     }
 
+    fn observe_phases(&mut self, observer: Arc<dyn PhaseObserver>) {
+        self.team.observer = observer;
+    }
+
     fn update(
         &mut self,
         batch: &Batch,
@@ -49,10 +56,12 @@ impl Algorithm for Mappo {
         let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
             return Ok(skipped_report());
         };
-        let (sharing, Team { agents, critic, seed, .. }) = (self.sharing, &mut self.team);
+        let (sharing, Team { agents, critic, seed, observer, .. }) = (self.sharing, &mut self.team);
+        let up = || climb(agents, &prepared, sharing, (*seed, iteration));
+        let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
         let (climbed, fitted) = rayon::join(
-            || climb(agents, &prepared, sharing, (*seed, iteration)),
-            || critic.fit(batch, &prepared.values, &prepared.returns, iteration),
+            || during(&**observer, Phase::Sweep, up),
+            || during(&**observer, Phase::Critic, fit),
         );
         let mut report = critic_report(&fitted?);
         for (index, (agent, trained)) in self.team.agents.iter().zip(&climbed?).enumerate() {

@@ -23,6 +23,7 @@ use crate::error::MarlError;
 use crate::gaussian;
 use crate::on_policy::agent::{Agent, Experience, Influence};
 use crate::on_policy::ascent::{Moved, PerAgent, Trained};
+use crate::phase::{Nobody, Phase, PhaseObserver, during};
 use crate::sequence::Layout;
 use crate::surrogate::normalized_advantage;
 
@@ -35,6 +36,7 @@ pub(crate) struct Team {
     pub(crate) seed: RunSeed,
     pub(crate) agents: Vec<Agent>,
     pub(crate) critic: Critic,
+    pub(crate) observer: Arc<dyn PhaseObserver>,
 }
 
 /// What is known of `D_k` before any policy moves.
@@ -91,7 +93,8 @@ impl Team {
         let critic = Critic::new(&config.critic, config.update.adam_epsilon, problem, start)?;
         let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
         let chunk_steps = policy.chunk_steps;
-        Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
+        let observer = Arc::new(Nobody);
+        Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic, observer })
     }
 
     pub(crate) fn scale_learning_rates(&mut self, share: f64) {
@@ -124,15 +127,19 @@ impl Team {
         let hidden: Vec<usize> = self.agents.iter().map(Agent::hidden_size).collect();
         batch.check(&self.problem, self.chunk_steps, &hidden)?;
         let layout = Layout::of(batch, self.chunk_steps);
-        let values = self.critic.values(batch)?;
-        let (advantages, returns) = self.advantages(batch, rewards, &values);
+        let observer = Arc::clone(&self.observer);
+        let values = during(&*observer, Phase::Values, || self.critic.values(batch))?;
+        let valued = || self.advantages(batch, rewards, &values);
+        let (advantages, returns) = during(&*observer, Phase::Advantages, valued);
         if !returns.iter().flatten().all(|value| value.is_finite()) {
             return Ok(None);
         }
         self.agents.iter_mut().for_each(Agent::forget_states);
-        let experience = agent::gather(&self.agents, batch, layout, &advantages)?;
+        let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
+        let experience = during(&*observer, Phase::Behaviour, gathered)?;
         let (agents, seed) = (&mut self.agents, self.seed);
-        let influence = agent::fit_posteriors(agents, &experience, seed, iteration)?;
+        let fitted = || agent::fit_posteriors(agents, &experience, seed, iteration);
+        let influence = during(&*observer, Phase::Posteriors, fitted)?;
         Ok(Some(Prepared { experience, influence, values, returns }))
     }
 

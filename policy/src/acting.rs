@@ -115,6 +115,9 @@ struct Dense {
     bias: Vec<f32>,
 }
 
+/// Outputs whose sums grow side by side in registers.
+const BLOCK: usize = 32;
+
 #[derive(Clone, Debug)]
 struct Norm {
     weight: Vec<f32>,
@@ -138,11 +141,21 @@ impl Dense {
         self.add(x, y);
     }
 
+    /// `y += x weight`. Each output takes its terms in the order of the inputs, block or no block.
     fn add(&self, x: &[f32], y: &mut [f32]) {
-        for (&x, weights) in x.iter().zip(self.weight.chunks_exact(y.len())) {
-            for (y, &weight) in y.iter_mut().zip(weights) {
-                *y += x * weight;
+        let width = y.len();
+        let (blocks, rest) = y.as_chunks_mut::<BLOCK>();
+        let first = blocks.len() * BLOCK;
+        for (block, y) in blocks.iter_mut().enumerate() {
+            let mut sums = *y;
+            for (&x, weights) in x.iter().zip(self.weight.chunks_exact(width)) {
+                let weights = &weights[block * BLOCK..][..BLOCK];
+                sums.iter_mut().zip(weights).for_each(|(sum, &weight)| *sum += x * weight);
             }
+            *y = sums;
+        }
+        for (&x, weights) in x.iter().zip(self.weight.chunks_exact(width)) {
+            rest.iter_mut().zip(&weights[first..]).for_each(|(y, &weight)| *y += x * weight);
         }
     }
 }

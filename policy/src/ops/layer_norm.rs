@@ -68,26 +68,60 @@ fn forward<T: Real>(x: &[T], weight: &[T], bias: &[T]) -> Vec<T> {
     y
 }
 
-/// Adds to the gradients by weight and bias, and writes the one by `x` if it is asked for.
-fn backward_row<T: Real>(
-    (row, weight, g): (&[T], &[T], &[T]),
-    (mean, inverse): (T, T),
-    (d_weight, d_bias): (&mut [T], &mut [T]),
-    d_row: Option<&mut [T]>,
-) {
-    let count = T::from_f64(row.len() as f64);
-    let (mut sum, mut sum_normal) = (T::zero(), T::zero());
-    for i in 0..row.len() {
-        let normal = (row[i] - mean) * inverse;
-        d_weight[i] += g[i] * normal;
-        d_bias[i] += g[i];
-        sum += g[i] * weight[i];
-        sum_normal += g[i] * weight[i] * normal;
+/// A row's part of the backward pass.
+#[derive(Clone, Copy)]
+struct Row<'a, T> {
+    x: &'a [T],
+    g: &'a [T],
+    /// Mean and inverse deviation.
+    moments: (T, T),
+}
+
+impl<T: Real> Row<'_, T> {
+    fn normal(&self, i: usize) -> T {
+        (self.x[i] - self.moments.0) * self.moments.1
     }
-    let Some(d_row) = d_row else { return };
-    for i in 0..row.len() {
-        let normal = (row[i] - mean) * inverse;
-        d_row[i] = (g[i] * weight[i] - (sum + normal * sum_normal) / count) * inverse;
+
+    /// Adds to the gradients by weight and bias.
+    fn add_affine(&self, d_weight: &mut [T], d_bias: &mut [T]) {
+        let (mean, inverse) = self.moments;
+        let known = self.x.iter().zip(self.g);
+        for ((d_weight, d_bias), (&x, &g)) in d_weight.iter_mut().zip(d_bias).zip(known) {
+            *d_weight += g * ((x - mean) * inverse);
+            *d_bias += g;
+        }
+    }
+
+    /// Writes the gradient by `x`, given what [`sums`] says.
+    fn write(&self, weight: &[T], (sum, sum_normal): (T, T), d_row: &mut [T]) {
+        let (count, (mean, inverse)) = (T::from_f64(weight.len() as f64), self.moments);
+        let known = self.x.iter().zip(self.g).zip(weight);
+        for (d, ((&x, &g), &weight)) in d_row.iter_mut().zip(known) {
+            let normal = (x - mean) * inverse;
+            *d = (g * weight - (sum + normal * sum_normal) / count) * inverse;
+        }
+    }
+}
+
+/// Of each row, the sums of `g weight` and of `g weight normal`, grown side by side.
+fn sums<T: Real, const ROWS: usize>(rows: &[Row<'_, T>; ROWS], weight: &[T]) -> [(T, T); ROWS] {
+    let (mut plain, mut normal) = ([T::zero(); ROWS], [T::zero(); ROWS]);
+    for (i, &weight) in weight.iter().enumerate() {
+        for (row, sums) in rows.iter().zip(plain.iter_mut().zip(&mut normal)) {
+            *sums.0 += row.g[i] * weight;
+            *sums.1 += row.g[i] * weight * row.normal(i);
+        }
+    }
+    std::array::from_fn(|row| (plain[row], normal[row]))
+}
+
+/// Writes the gradients by the rows of `x`, `[R, F]`.
+fn backward_rows<T: Real>(rows: &[Row<'_, T>], weight: &[T], dx: &mut [T]) {
+    let (blocks, rest) = rows.as_chunks::<SIDE_BY_SIDE>();
+    let all = blocks.iter().flat_map(|block| sums(block, weight));
+    let all = all.chain(rest.iter().flat_map(|row| sums(&[*row], weight)));
+    for ((row, sums), d_row) in rows.iter().zip(all).zip(dx.chunks_exact_mut(weight.len())) {
+        row.write(weight, sums, d_row);
     }
 }
 
@@ -98,12 +132,13 @@ fn backward<T: Real>(
 ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
     let width = weight.dim(0)?;
     let (xs, weights, gs) = (values::<T>(x)?, values::<T>(weight)?, values::<T>(g)?);
+    let given = xs.chunks_exact(width).zip(gs.chunks_exact(width)).zip(moments(&xs, width));
+    let rows: Vec<_> = given.map(|((x, g), moments)| Row { x, g, moments }).collect();
     let (mut d_weight, mut d_bias) = (vec![T::zero(); width], vec![T::zero(); width]);
+    rows.iter().for_each(|row| row.add_affine(&mut d_weight, &mut d_bias));
     let mut dx = vec![T::zero(); if x.track_op() { xs.len() } else { 0 }];
-    let mut d_rows = dx.chunks_exact_mut(width);
-    let rows = xs.chunks_exact(width).zip(gs.chunks_exact(width));
-    for ((row, g), moments) in rows.zip(moments(&xs, width)) {
-        backward_row((row, &weights, g), moments, (&mut d_weight, &mut d_bias), d_rows.next());
+    if x.track_op() {
+        backward_rows(&rows, &weights, &mut dx);
     }
     let device = x.device();
     let dx = x.track_op().then(|| Tensor::from_vec(dx, x.shape(), device)).transpose()?;

@@ -1,0 +1,188 @@
+//! Many actors against one learner: how much it takes in, what that costs it, and whether their number matters. The
+//! actors step no worlds: each sends the same recorded slot of the real policy, whose log-densities the learner
+//! checks as always. The policies stay what they are because the learner's steps are too small to be seen.
+
+use std::io::{BufRead as _, BufReader};
+use std::process::{Child, Stdio};
+use std::sync::Arc;
+
+use anyhow::{Context as _, bail};
+use policy::PolicySnapshot;
+use prost::Message as _;
+use proto::wire::get_weights_response::Part;
+use proto::wire::learner_service_client::LearnerServiceClient;
+use proto::wire::push_trajectory_request::Content;
+use proto::{
+    Digest, Lease, LeaseAnswer, PushHeader, Registered, RunDescription, WeightsName, Work, wire,
+};
+use tokio::sync::OnceCell;
+use tonic::transport::Channel;
+use tonic::{Code, Status};
+
+use crate::Effort;
+use crate::clock::median;
+use crate::end_to_end::{COLD, Watched, watch};
+use crate::run_in_process::{registration, roll_out};
+use crate::settings::{Settings, program};
+use crate::table::Row;
+
+const SLOTS: usize = 256;
+const STEPS: usize = 200;
+
+/// One environment to a slot, and as little training as there can be.
+const SETTINGS: [&str; 11] = [
+    "halfcheetah-2x3",
+    "environments.count=256",
+    "environments.per_slot=1",
+    "evaluation.every_steps=0",
+    "update.learning_rate=1e-30",
+    "update.epochs=1",
+    "critic.epochs=1",
+    "influence.lambda=0",
+    "surprise.alpha=0",
+    "environments.phase=lockstep",
+    "learner.threads=2",
+];
+
+/// A recorded slot, as it travels.
+struct Recording {
+    chunks: Vec<(wire::TrajectoryChunk, Digest)>,
+    bytes: usize,
+}
+
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+    effort.actors.iter().map(|&actors| row(actors, effort)).collect()
+}
+
+fn row(actors: usize, effort: Effort) -> anyhow::Result<Row> {
+    let folder = tempfile::tempdir()?;
+    let dir = format!("run.dir={}", folder.path().join("run").display());
+    let length = format!("run.iterations={}", COLD + effort.iterations.min(3));
+    let own = [&SETTINGS[..], &[&*dir, &*length]].concat();
+    let mut learner = program(&[&["learner", "--listen=127.0.0.1:0"], own.as_slice()].concat())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()?;
+    let url = address(&mut learner)?;
+    let settings = Settings::of(&own)?;
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+    let recording = Arc::new(OnceCell::new());
+    for _ in 0..actors {
+        let (url, settings, recording) = (url.clone(), settings.clone(), Arc::clone(&recording));
+        // A call that fails ends an actor, as the end of the run does.
+        runtime.spawn(async move { act(url, &settings, &recording).await.ok() });
+    }
+    let watched = watch(learner, &folder.path().join("run/metrics.jsonl"))?;
+    let bytes = recording.get().map_or(0, |recording: &Recording| recording.bytes) * SLOTS;
+    Ok(Row { case: format!("{actors} actors"), figures: figures(&watched, bytes as f64) })
+}
+
+fn figures(watched: &Watched, bytes: f64) -> Vec<(&'static str, f64)> {
+    let collected = median(watched.told("rollout_secs"));
+    vec![
+        ("iteration, s", median(watched.lasted())),
+        ("collected in, s", collected),
+        ("MB/s", bytes / 1e6 / collected),
+        ("env steps/s", (SLOTS * STEPS) as f64 / collected),
+        ("update, s", median(watched.told("update_secs"))),
+        ("learner, processor s", median(watched.used())),
+        ("actors, processor s", median(watched.used_here())),
+        ("learner, MB", watched.learner),
+    ]
+}
+
+/// Where a learner listens: the last word of its first line.
+fn address(learner: &mut Child) -> anyhow::Result<String> {
+    let stdout = learner.stdout.take().context("the learner's output is piped")?;
+    let mut first = String::new();
+    BufReader::new(stdout).read_line(&mut first)?;
+    Ok(first.split_whitespace().last().context("the learner has said where it is")?.to_owned())
+}
+
+/// One actor, from its connection to the end of the run.
+async fn act(
+    url: String,
+    settings: &Settings,
+    recording: &OnceCell<Recording>,
+) -> anyhow::Result<()> {
+    let mut service = LearnerServiceClient::connect(url).await?;
+    let answer = service.describe_run(wire::DescribeRunRequest {}).await?.into_inner();
+    let run = RunDescription::from_wire(answer.run)?;
+    let registered = service.register(registration(&run).to_wire()).await?.into_inner();
+    let own = Registered::from_wire(&registered);
+    loop {
+        let request = wire::LeaseSlotsRequest {
+            actor_id: own.actor.0,
+            incarnation: own.incarnation.0,
+            wait_millis: 10_000,
+        };
+        let answer = service.lease_slots(request).await?.into_inner();
+        let lease = match LeaseAnswer::from_wire(answer, &run)? {
+            LeaseAnswer::Lease(lease) => lease,
+            LeaseAnswer::Retry { .. } => continue,
+            LeaseAnswer::Done => return Ok(()),
+        };
+        let recorded = record(service.clone(), settings, &run, &lease);
+        let recording = recording.get_or_try_init(|| recorded).await?;
+        // Another actor may have finished a copy of the slot first.
+        if let Err(status) = push(&mut service, &lease, recording).await
+            && status.code() != Code::Aborted
+        {
+            return Err(status.into());
+        }
+    }
+}
+
+/// Sends the slot and waits for its last acknowledgement.
+async fn push(
+    service: &mut LearnerServiceClient<Channel>,
+    lease: &Lease,
+    recording: &Recording,
+) -> Result<(), Status> {
+    let messages: Vec<_> = recording
+        .chunks
+        .iter()
+        .map(|(chunk, digest)| {
+            PushHeader::of(lease, *digest).to_wire(Content::Chunk(chunk.clone()))
+        })
+        .collect();
+    let mut answers = service.push_trajectory(tokio_stream::iter(messages)).await?.into_inner();
+    while let Some(answer) = answers.message().await? {
+        if answer.lease_finished {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// One slot as the leased weights play it.
+async fn record(
+    service: LearnerServiceClient<Channel>,
+    settings: &Settings,
+    run: &RunDescription,
+    lease: &Lease,
+) -> anyhow::Result<Recording> {
+    let Work::Rollout(work) = &lease.work else { bail!("the run has no evaluations") };
+    let policy = weights(service, lease.weights).await?;
+    let mut world = settings.world(settings.learner.environments.per_slot)?;
+    let played = roll_out(run, work, &policy, &mut world);
+    let chunks: Vec<_> = played.iter().map(|chunk| chunk.to_wire(run)).collect();
+    let bytes = chunks.iter().map(|(chunk, _)| chunk.encoded_len()).sum();
+    Ok(Recording { chunks, bytes })
+}
+
+async fn weights(
+    mut service: LearnerServiceClient<Channel>,
+    name: WeightsName,
+) -> anyhow::Result<PolicySnapshot> {
+    let request = wire::GetWeightsRequest { weights: Some(name.to_wire()) };
+    let mut parts = service.get_weights(request).await?.into_inner();
+    let mut bytes = Vec::new();
+    while let Some(part) = parts.message().await? {
+        if let Some(Part::Data(data)) = part.part {
+            bytes.extend_from_slice(&data);
+        }
+    }
+    Ok(PolicySnapshot::from_bytes(&bytes)?)
+}

@@ -1,0 +1,101 @@
+//! How fast s2mia is on this machine: `cargo bench -p s2mia [-- SECTION ...] [--quick] [--json]` measures the named
+//! sections, or all of them, and prints one Markdown table each, or JSON. docs/PERFORMANCE.md explains the figures.
+
+mod clock;
+mod end_to_end;
+mod inference;
+mod iteration;
+mod load;
+mod physics;
+mod processes;
+mod products;
+mod run_in_process;
+mod scaling;
+mod settings;
+mod sizing;
+mod synthetic;
+mod table;
+mod update;
+mod wire;
+
+use anyhow::bail;
+
+use crate::table::{Row, Section};
+
+// The allocator of the program itself: without it the figures are another program's.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// How often things are measured.
+#[derive(Clone, Copy)]
+pub(crate) struct Effort {
+    /// Repetitions of what takes less than a few seconds.
+    repeats: usize,
+    /// Iterations of a run that are measured, after two that are not.
+    iterations: usize,
+    /// Numbers of synthetic actors.
+    actors: &'static [usize],
+}
+
+const FULL: Effort = Effort { repeats: 5, iterations: 4, actors: &[1, 4, 16, 64, 256] };
+const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
+
+/// A section's name, what its rows are, and who measures them.
+type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<Row>>);
+
+const SECTIONS: [Measurement; 11] = [
+    ("products", "matrix products of single floats on one core", products::rows),
+    ("physics", "environment steps on one core under random actions", physics::rows),
+    ("inference", "one step of a slot: all its agents in all its environments", inference::rows),
+    ("shapes", "the updates below: preset `harl`, 20 environments x 200 steps", update::shapes),
+    ("update", "one update; its parts on one thread", update::rows),
+    ("end-to-end", "`s2mia train` with 2 actors, preset `harl`", end_to_end::rows),
+    ("wire", "one iteration of `halfcheetah-6x1` with 2 actors, medians", wire::rows),
+    ("traffic", "bytes that a slot sends and an actor fetches", wire::traffic),
+    (
+        "sizing",
+        "one iteration's cost for actors and learner; for equal halves, their ratio",
+        sizing::rows,
+    ),
+    ("load", "a learner process and N actors that send a recorded slot", load::rows),
+    ("scaling", "one update of a synthetic task, on two threads", scaling::rows),
+];
+
+fn main() -> anyhow::Result<()> {
+    single_threaded_candle();
+    let (options, wanted): (Vec<String>, Vec<String>) =
+        std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
+    // Cargo itself adds --bench.
+    let strange = options.iter().find(|o| !["--bench", "--quick", "--json"].contains(&o.as_str()));
+    if let Some(strange) = strange {
+        bail!("{strange} is no option; there are --quick and --json");
+    }
+    let names: Vec<&str> = SECTIONS.iter().map(|(name, ..)| *name).collect();
+    if let Some(strange) = wanted.iter().find(|name| !names.contains(&name.as_str())) {
+        bail!("{strange} is no section; there are {}", names.join(", "));
+    }
+    let given = |option: &str| options.iter().any(|found| found == option);
+    let effort = if given("--quick") { QUICK } else { FULL };
+    let mut sections = Vec::new();
+    for (name, caption, measure) in SECTIONS {
+        if !wanted.is_empty() && !wanted.iter().any(|wanted| wanted == name) {
+            continue;
+        }
+        let section = Section { name, caption, rows: measure(effort)? };
+        if !given("--json") {
+            println!("{}", section.to_markdown());
+        }
+        sections.push(section);
+    }
+    if given("--json") {
+        println!("{}", table::to_json(&sections));
+    }
+    Ok(())
+}
+
+/// As the program does: candle and gemm stay on one thread, the pool's threads are the only ones.
+#[expect(unsafe_code, reason = "no other thread exists yet that could read the environment")]
+fn single_threaded_candle() {
+    // SAFETY: this is the first statement of `main`; the process has one thread.
+    unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
+}

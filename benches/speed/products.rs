@@ -1,0 +1,109 @@
+//! How many floating-point operations an update asks for, and how many this core can do.
+
+use marl::Problem;
+
+use crate::Effort;
+use crate::clock::typical;
+use crate::settings::Settings;
+use crate::table::Row;
+
+/// Sides `(m, k, n)` of products: the square one shows the peak, the others are those of an update.
+const SIDES: [(usize, usize, usize); 4] =
+    [(512, 512, 512), (2000, 128, 128), (2000, 64, 64), (200, 64, 192)];
+
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+    let row = |(m, k, n)| Row {
+        case: format!("{m} x {k} by {k} x {n}"),
+        figures: vec![("GFLOP/s", rate((m, k, n), effort.repeats))],
+    };
+    Ok(SIDES.into_iter().map(row).collect())
+}
+
+/// GFLOP/s of the largest product, which stands for this core's peak.
+pub(crate) fn peak(effort: Effort) -> f64 {
+    rate(SIDES[0], effort.repeats)
+}
+
+fn rate((m, k, n): (usize, usize, usize), repeats: usize) -> f64 {
+    let (left, right) = (vec![0.5_f32; m * k], vec![0.25_f32; k * n]);
+    let mut product = vec![0.0_f32; m * n];
+    let flops = 2.0 * (m * k * n) as f64;
+    // Enough of them to take about a tenth of a second.
+    let times = (1e10 / flops).ceil() as usize;
+    let took = typical(repeats.max(3), || {
+        for _ in 0..times {
+            multiply((m, k, n), &left, &right, &mut product);
+        }
+    });
+    flops * times as f64 / took.thread / 1e9
+}
+
+/// `product = left right`, all row by row.
+#[expect(unsafe_code, reason = "gemm takes pointers")]
+fn multiply((m, k, n): (usize, usize, usize), left: &[f32], right: &[f32], product: &mut [f32]) {
+    assert_eq!((left.len(), right.len(), product.len()), (m * k, k * n, m * n));
+    let (wide, deep) = (n as isize, k as isize);
+    let (to, left, right) = (product.as_mut_ptr(), left.as_ptr(), right.as_ptr());
+    let alone = gemm::Parallelism::None;
+    // SAFETY: the assertion has compared all three lengths with the sides, and strides are whole rows.
+    unsafe {
+        gemm::gemm(
+            m, n, k, to, 1, wide, false, left, 1, deep, right, 1, wide, 0.0, 1.0, false, false,
+            false, alone,
+        );
+    }
+}
+
+/// Floating-point operations of the matrix products of one update: `2 rows weights` for a pass forward, twice
+/// that for a pass back, less what would lead to a network's inputs, whose gradient nobody wants.
+pub(crate) fn flops(settings: &Settings, problem: &Problem, rows: usize) -> f64 {
+    let (policy, training) = (&settings.policy, &settings.training);
+    let (gru, influence) = (policy.hidden_size() > 0, &training.influence);
+    let others: usize = problem.agents.iter().map(|agent| agent.action).sum();
+    let mut total = network(&[problem.state], training.critic.width, training.critic.layers)
+        .and(training.critic.width * problem.agents.len())
+        .flops(rows, 1, training.critic.epochs);
+    for agent in &problem.agents {
+        let features = if gru { policy.hidden } else { policy.width };
+        let trunk = match gru {
+            true => network(&[agent.observation], policy.encoder, 1)
+                .and(3 * policy.hidden * (policy.encoder + policy.hidden)),
+            false => network(&[agent.observation], policy.width, policy.layers),
+        };
+        // Once for the behaviour, once for what has become of it.
+        total += trunk.and(features * agent.action).flops(rows, 2, training.update.epochs);
+        if influence.lambda > 0.0 {
+            let inputs = (others - agent.action) * influence.encoder + features * influence.hidden;
+            let weights = inputs + influence.hidden * (influence.encoder + agent.action);
+            let posterior = Products { weights, inputs };
+            let trained = rows - rows / influence.holdout_every;
+            total += posterior.flops(rows, 1, 0) + posterior.flops(trained, 0, influence.epochs);
+        }
+    }
+    total
+}
+
+/// Weights of a network's matrices, and how many of them stand at its inputs.
+#[derive(Clone, Copy)]
+struct Products {
+    weights: usize,
+    inputs: usize,
+}
+
+/// `layers` layers of `width` units over `inputs`.
+fn network(inputs: &[usize], width: usize, layers: usize) -> Products {
+    let first = inputs.iter().sum::<usize>() * width;
+    Products { weights: first + (layers - 1) * width * width, inputs: first }
+}
+
+impl Products {
+    fn and(self, weights: usize) -> Self {
+        Self { weights: self.weights + weights, ..self }
+    }
+
+    /// `forwards` passes without gradient, and `epochs` with.
+    fn flops(self, rows: usize, forwards: usize, epochs: usize) -> f64 {
+        let weights = forwards * self.weights + epochs * (3 * self.weights - self.inputs);
+        2.0 * (rows * weights) as f64
+    }
+}

@@ -1,0 +1,188 @@
+//! The same run without a wire: by plain calls alone, and with the trainer, its table of slots and its checks, but
+//! with actors that are threads and call the exchange.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::{Builder, scope};
+use std::time::{Duration, Instant};
+
+use learner::assemble::{Layout, assemble};
+use learner::environments::Environments;
+use learner::exchange::SlotRollout;
+use learner::slots::ConnectionId;
+use learner::trainer::Outside;
+use learner::{Exchange, launch};
+use policy::PolicySnapshot;
+use proto::{
+    ActorId, Lease, LeaseAnswer, LeaseId, PROTOCOL_VERSION, PushHeader, Registration, RolloutWork,
+    RunDescription, TrajectoryChunk, Work,
+};
+
+use crate::clock::{once, process_secs};
+use crate::iteration::{Iteration, Log};
+use crate::settings::Settings;
+use crate::update::Updates;
+
+/// Threads that roll out.
+pub(crate) const ACTORS: usize = 2;
+
+/// Iterations by plain calls: a slot's function, the assembly of `D_k`, the update.
+pub(crate) fn by_calls(
+    settings: &Settings,
+    folder: &Path,
+    iterations: usize,
+) -> anyhow::Result<Vec<Iteration>> {
+    let (_trainer, run) = launch::prepare(settings.launch(folder, iterations)?)?;
+    let layout = Layout::of(&run, settings.learner.environments.count / per_slot(settings));
+    let phase = settings.learner.environments.phase;
+    let mut environments =
+        Environments::fresh(layout.clone(), run.environment.episode_steps, phase);
+    let mut updates = Updates::new(settings, &settings.problem()?, ACTORS)?;
+    let mut worlds: Vec<_> =
+        (0..ACTORS).map(|_| settings.world(per_slot(settings))).collect::<Result<_, _>>()?;
+    let mut found = Vec::new();
+    for iteration in 0..iterations as u64 {
+        let (begin, used) = (Instant::now(), process_secs());
+        let policy = updates.snapshot()?;
+        let slots = environments.work(iteration);
+        let (rollouts, rolled) = once(|| roll_out_all(&run, &slots, &policy, &mut worlds));
+        let batch = assemble(&layout, &rollouts)?;
+        let updated = updates.run(&batch)?.whole.wall;
+        environments.advance(&batch, &rollouts);
+        let whole = begin.elapsed().as_secs_f64();
+        let processor = process_secs() - used;
+        found.push(Iteration { rollout: rolled.wall, update: updated, whole, processor });
+    }
+    Ok(found)
+}
+
+fn per_slot(settings: &Settings) -> usize {
+    settings.learner.environments.per_slot
+}
+
+/// All slots, dealt out to one thread for each world.
+fn roll_out_all(
+    run: &RunDescription,
+    slots: &[RolloutWork],
+    policy: &PolicySnapshot,
+    worlds: &mut [sim::Environments],
+) -> Vec<SlotRollout> {
+    let share = slots.len().div_ceil(worlds.len());
+    scope(|scope| {
+        let start = |(own, world)| {
+            let work = move || roll_out_some(run, own, policy, world);
+            Builder::new().name("actor".to_owned()).spawn_scoped(scope, work).expect("a thread")
+        };
+        // All threads start before the first one is waited for.
+        let threads: Vec<_> = slots.chunks(share).zip(worlds).map(start).collect();
+        threads.into_iter().flat_map(|thread| thread.join().expect("no slot panics")).collect()
+    })
+}
+
+fn roll_out_some(
+    run: &RunDescription,
+    slots: &[RolloutWork],
+    policy: &PolicySnapshot,
+    world: &mut sim::Environments,
+) -> Vec<SlotRollout> {
+    let one = |work: &RolloutWork| SlotRollout {
+        slot: work.slot,
+        actor: ActorId(0),
+        lease: LeaseId(0),
+        chunks: roll_out(run, work, policy, world),
+        digests: vec![],
+    };
+    slots.iter().map(one).collect()
+}
+
+/// All chunks of a slot.
+pub(crate) fn roll_out(
+    run: &RunDescription,
+    work: &RolloutWork,
+    policy: &PolicySnapshot,
+    world: &mut sim::Environments,
+) -> Vec<TrajectoryChunk> {
+    let mut chunks = Vec::new();
+    let keep = |chunk| {
+        chunks.push(chunk);
+        ControlFlow::Continue(())
+    };
+    actor::roll_out(run, work, policy, world, |_| {}, keep).expect("the lease is the learner's");
+    chunks
+}
+
+/// Iterations of the real trainer whose actors share its memory.
+pub(crate) fn through_the_exchange(
+    settings: &Settings,
+    folder: &Path,
+    iterations: usize,
+) -> anyhow::Result<Log> {
+    let launch = settings.launch(folder, iterations)?;
+    let (trainer, description) = launch::prepare(launch)?;
+    let (exchange, log) = (Exchange::new(description, settings.learner.lease), Log::default());
+    let outside = Outside {
+        exchange: Arc::clone(&exchange),
+        observer: log.observer(),
+        stop: Box::new(|| false),
+    };
+    scope(|scope| {
+        for index in 0..ACTORS {
+            let exchange = &exchange;
+            let work = move || act(exchange, ConnectionId(index as u64), settings);
+            Builder::new().name("actor".to_owned()).spawn_scoped(scope, work)?;
+        }
+        let trained = trainer.train(outside);
+        exchange.finish();
+        trained?;
+        Ok(log)
+    })
+}
+
+/// An actor's life on this thread.
+fn act(exchange: &Exchange, connection: ConnectionId, settings: &Settings) {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build();
+    let runtime = runtime.expect("a runtime without sockets can be built");
+    let run = exchange.run().clone();
+    let own = exchange.register(connection, &registration(&run)).expect("it is this program");
+    let mut world = settings.world(per_slot(settings)).expect("the task is known");
+    loop {
+        let answer = exchange.lease(own.actor, own.incarnation, Duration::from_secs(10));
+        match runtime.block_on(answer).expect("the actor is registered") {
+            LeaseAnswer::Lease(lease) => perform(exchange, &run, &lease, &mut world),
+            LeaseAnswer::Retry { .. } => {}
+            LeaseAnswer::Done => break,
+        }
+    }
+    exchange.disconnect(connection);
+}
+
+/// What an actor of this program says when it comes.
+pub(crate) fn registration(run: &RunDescription) -> Registration {
+    Registration {
+        client: "speed".to_owned(),
+        protocol_version: PROTOCOL_VERSION,
+        environment: run.environment.clone(),
+        rollout_fingerprint: Some(run.rollout_fingerprint),
+    }
+}
+
+fn perform(
+    exchange: &Exchange,
+    run: &RunDescription,
+    lease: &Lease,
+    world: &mut sim::Environments,
+) {
+    let Work::Rollout(work) = &lease.work else { return };
+    let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };
+    let policy = PolicySnapshot::from_bytes(&snapshot).expect("the learner's own bytes");
+    let send = |chunk: TrajectoryChunk| {
+        let header = PushHeader::of(lease, chunk.digest());
+        // A copy of a slot that somebody else has finished is not wanted any more.
+        match exchange.accept_chunk(&header, chunk) {
+            Ok(_) => ControlFlow::Continue(()),
+            Err(_) => ControlFlow::Break(()),
+        }
+    };
+    actor::roll_out(run, work, &policy, world, |_| {}, send).expect("the lease is the learner's");
+}

@@ -1,0 +1,98 @@
+//! The program's own settings, asked of the program itself, so that what is measured is what is run.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context as _, ensure};
+use learner::Launch;
+use marl::{ObservationScale, Problem};
+use policy::RunSeed;
+use proto::Digest;
+use serde::de::DeserializeOwned;
+use toml::{Table, Value};
+
+/// The crates' settings of one run.
+#[derive(Clone)]
+pub(crate) struct Settings {
+    pub(crate) task: sim::TaskConfig,
+    pub(crate) policy: policy::PolicyConfig,
+    pub(crate) training: marl::Config,
+    pub(crate) learner: learner::Config,
+}
+
+/// The program, built with the same profile.
+pub(crate) fn program(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(arguments);
+    command
+}
+
+impl Settings {
+    /// As `s2mia config` resolves them.
+    pub(crate) fn of(arguments: &[&str]) -> anyhow::Result<Self> {
+        let output = program(&[&["config"], arguments].concat()).output()?;
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        ensure!(output.status.success(), "s2mia config {arguments:?}: {told}");
+        let resolved: Table = String::from_utf8(output.stdout)?.parse()?;
+        let mut task = sections(&resolved, &["task", "observation"])?;
+        task.insert("partition".to_owned(), resolved["partition"]["semantics"].clone());
+        let training = ["update", "critic", "surprise", "influence", "maddpg"];
+        let learner = ["environments", "lease", "evaluation", "checkpoint", "learner"];
+        Ok(Self {
+            task: typed(task)?,
+            policy: typed(sections(&resolved, &["policy"])?["policy"].clone())?,
+            training: typed(sections(&resolved, &training)?)?,
+            learner: typed(sections(&resolved, &learner)?)?,
+        })
+    }
+
+    /// `count` environments of the task.
+    pub(crate) fn world(&self, count: usize) -> anyhow::Result<sim::Environments> {
+        Ok(sim::Environments::new(&self.task, count)?)
+    }
+
+    /// The task's sizes as a learning rule is told them.
+    pub(crate) fn problem(&self) -> anyhow::Result<Problem> {
+        let world = self.world(1)?;
+        Ok(learner::assemble::problem(&actor::environment_spec(world.description())))
+    }
+
+    /// A new run in `folder`, without evaluations and with no checkpoint but the last.
+    pub(crate) fn launch(&self, folder: &Path, iterations: usize) -> anyhow::Result<Launch> {
+        let mut config = self.learner.clone();
+        config.evaluation.every_steps = 0;
+        config.checkpoint.every = iterations as u64;
+        let world = self.world(1)?;
+        Ok(Launch {
+            config,
+            training: self.training.clone(),
+            observations: ObservationScale::AsShown,
+            policy: self.policy.clone(),
+            environment: actor::environment_spec(world.description()),
+            task_settings: serde_json::to_string(&self.task)?,
+            seed: RunSeed(1),
+            iterations: iterations as u64,
+            run_id: "speed".to_owned(),
+            folder: folder.to_path_buf(),
+            config_toml: String::new(),
+            config_sha256: Digest([0; 32]),
+            rollout_fingerprint: actor::rollout_fingerprint(),
+            learner_fingerprint: Digest([0; 32]),
+            manifest: serde_json::json!({}),
+            resume: false,
+            fault: None,
+        })
+    }
+}
+
+fn sections(resolved: &Table, names: &[&str]) -> anyhow::Result<Table> {
+    let one = |name: &&str| {
+        let section = resolved.get(*name).with_context(|| format!("no setting {name}"))?;
+        Ok(((*name).to_owned(), section.clone()))
+    };
+    names.iter().map(one).collect()
+}
+
+fn typed<T: DeserializeOwned>(table: impl Into<Value>) -> anyhow::Result<T> {
+    Ok(table.into().try_into()?)
+}

@@ -1,0 +1,56 @@
+//! From one core's rollouts and one core's update to the number of actor cores that suits a learner: rollouts end
+//! before the update begins, so with as many actor cores as the two costs' ratio each side works half of the time.
+
+use marl::Problem;
+
+use crate::Effort;
+use crate::clock::typical;
+use crate::run_in_process::roll_out;
+use crate::scaling::update_secs;
+use crate::settings::Settings;
+use crate::synthetic;
+use crate::table::Row;
+use crate::update::{TASKS, Updates};
+
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for task in TASKS {
+        for preset in ["tuned", "harl"] {
+            rows.push(row(task, preset, effort)?);
+        }
+    }
+    Ok(rows)
+}
+
+fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<Row> {
+    let settings = Settings::of(&[task, &format!("preset={preset}")])?;
+    let environments = &settings.learner.environments;
+    let (steps, per_slot) = (environments.steps, environments.per_slot);
+    let problem = settings.problem()?;
+    let batch = synthetic::batch(&problem, &settings.policy, (steps, environments.count));
+    let (wall, learner) = update_secs(&settings, &problem, &batch, effort)?;
+    let rate = (steps * per_slot) as f64 / slot_secs(&settings, &problem, effort)?;
+    let total = (steps * environments.count) as f64;
+    let figures = vec![
+        ("env steps/s of an actor core", rate),
+        ("rollouts, processor s", total / rate),
+        ("update, processor s", learner),
+        ("update on 2 threads, s", wall),
+        ("actor cores for one learner core", total / rate / learner),
+    ];
+    Ok(Row { case: format!("{task} {preset}"), figures })
+}
+
+/// What one actor needs for one slot.
+fn slot_secs(settings: &Settings, problem: &Problem, effort: Effort) -> anyhow::Result<f64> {
+    let folder = tempfile::tempdir()?;
+    let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
+    let layout = learner::assemble::Layout::of(&run, 1);
+    let phase = settings.learner.environments.phase;
+    let limit = run.environment.episode_steps;
+    let fresh = learner::environments::Environments::fresh(layout, limit, phase);
+    let (work, policy) = (fresh.work(0).remove(0), Updates::new(settings, problem, 1)?.snapshot()?);
+    let mut world = settings.world(settings.learner.environments.per_slot)?;
+    let took = typical(effort.repeats, || drop(roll_out(&run, &work, &policy, &mut world)));
+    Ok(took.thread)
+}

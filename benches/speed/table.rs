@@ -1,0 +1,61 @@
+//! Measured figures as Markdown and as JSON.
+
+use serde_json::{Map, Value, json};
+
+/// One case and its figures; all rows of a section have the same names, units included.
+pub(crate) struct Row {
+    /// What was measured.
+    pub(crate) case: String,
+    /// Names with units, and values; NaN where this machine cannot tell.
+    pub(crate) figures: Vec<(&'static str, f64)>,
+}
+
+/// The rows of one section.
+pub(crate) struct Section {
+    /// Under which it is asked for.
+    pub(crate) name: &'static str,
+    /// What its rows are.
+    pub(crate) caption: &'static str,
+    /// At least one.
+    pub(crate) rows: Vec<Row>,
+}
+
+impl Section {
+    /// A heading and a table.
+    pub(crate) fn to_markdown(&self) -> String {
+        let names: Vec<&str> = self.rows[0].figures.iter().map(|(name, _)| *name).collect();
+        let mut text = format!("### {}: {}\n\n", self.name, self.caption);
+        text += &format!("| case | {} |\n", names.join(" | "));
+        text += &format!("| --- |{}\n", " --- |".repeat(names.len()));
+        for row in &self.rows {
+            let values: Vec<String> = row.figures.iter().map(|(_, value)| shown(*value)).collect();
+            text += &format!("| {} | {} |\n", row.case, values.join(" | "));
+        }
+        text
+    }
+}
+
+/// `{section: {case: {name: value}}}`.
+pub(crate) fn to_json(sections: &[Section]) -> Value {
+    let row = |row: &Row| {
+        let figures = row.figures.iter().map(|(name, value)| ((*name).to_owned(), json!(value)));
+        (row.case.clone(), Value::Object(figures.collect()))
+    };
+    let section = |section: &Section| {
+        let rows: Map<String, Value> = section.rows.iter().map(row).collect();
+        (section.name.to_owned(), Value::Object(rows))
+    };
+    Value::Object(sections.iter().map(section).collect())
+}
+
+/// Three significant digits below a thousand, whole numbers above.
+fn shown(value: f64) -> String {
+    match value.abs() {
+        size if size.is_nan() => "-".to_owned(),
+        0.0 => "0".to_owned(),
+        size if size >= 100.0 || value.fract() == 0.0 => format!("{value:.0}"),
+        size if size >= 10.0 => format!("{value:.1}"),
+        size if size >= 1.0 => format!("{value:.2}"),
+        _ => format!("{value:.4}"),
+    }
+}

@@ -1,0 +1,208 @@
+//! The learner's update by its parts, for the shapes of HARL's tuned settings.
+
+use std::sync::{Arc, Mutex};
+
+use marl::{Algorithm, Batch, Phase, PhaseObserver, Problem, Surprise};
+use policy::RunSeed;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::clock::{Took, median, once, thread_secs};
+use crate::settings::Settings;
+use crate::table::Row;
+use crate::{Effort, products, synthetic};
+
+/// Tasks whose updates differ most.
+pub(crate) const TASKS: [&str; 3] = ["halfcheetah-6x1", "walker2d-2x3", "ant-4x2"];
+pub(crate) const CORES: [&str; 2] = ["mlp", "gru"];
+
+const PHASES: [Phase; 6] = [
+    Phase::Values,
+    Phase::Advantages,
+    Phase::Behaviour,
+    Phase::Posteriors,
+    Phase::Sweep,
+    Phase::Critic,
+];
+
+/// One task with one core.
+struct Case {
+    name: String,
+    settings: Settings,
+    problem: Problem,
+}
+
+fn cases() -> anyhow::Result<Vec<Case>> {
+    let mut cases = Vec::new();
+    for task in TASKS {
+        for core in CORES {
+            let settings = Settings::of(&[task, "preset=harl", &format!("policy.core={core}")])?;
+            let problem = settings.problem()?;
+            cases.push(Case { name: format!("{task} {core}"), settings, problem });
+        }
+    }
+    Ok(cases)
+}
+
+impl Case {
+    fn rows(&self) -> usize {
+        let environments = &self.settings.learner.environments;
+        environments.count * environments.steps
+    }
+
+    fn batch(&self) -> Batch {
+        let environments = &self.settings.learner.environments;
+        let sizes = (environments.steps, environments.count);
+        synthetic::batch(&self.problem, &self.settings.policy, sizes)
+    }
+}
+
+/// What whoever times another program's update has to know.
+pub(crate) fn shapes(_effort: Effort) -> anyhow::Result<Vec<Row>> {
+    let row = |case: Case| {
+        let (agent, training) = (&case.problem.agents[0], &case.settings.training);
+        let (policy, update) = (&case.settings.policy, &training.update);
+        let whole = |number: usize| number as f64;
+        let figures = vec![
+            ("agents", whole(case.problem.agents.len())),
+            ("observation", whole(agent.observation)),
+            ("action", whole(agent.action)),
+            ("state", whole(case.problem.state)),
+            ("hidden", whole(policy.hidden_size())),
+            ("encoder", whole(policy.encoder)),
+            ("width", whole(policy.width)),
+            ("layers", whole(policy.layers)),
+            ("chunk", whole(policy.chunk_steps)),
+            ("epochs", whole(update.epochs)),
+            ("minibatches", whole(update.minibatches)),
+            ("critic epochs", whole(training.critic.epochs)),
+            ("critic minibatches", whole(training.critic.minibatches)),
+            ("posterior epochs", whole(training.influence.epochs)),
+        ];
+        Row { case: case.name, figures }
+    };
+    Ok(cases()?.into_iter().map(row).collect())
+}
+
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+    let peak = products::peak(effort);
+    cases()?.iter().map(|case| row(case, peak, effort)).collect()
+}
+
+fn row(case: &Case, peak: f64, effort: Effort) -> anyhow::Result<Row> {
+    let batch = case.batch();
+    let mut one = Updates::new(&case.settings, &case.problem, 1)?;
+    let mut two = Updates::new(&case.settings, &case.problem, 2)?;
+    let (mut single, mut double) = (Vec::new(), Vec::new());
+    for _ in 0..=effort.repeats.min(3) {
+        single.push(one.run(&batch)?);
+        double.push(two.run(&batch)?);
+    }
+    let (single, double) = (&single[1..], &double[1..]);
+    let of = |part: fn(&Parts) -> f64, runs: &[Parts]| median(runs.iter().map(part));
+    let whole = of(|parts| parts.whole.thread, single);
+    let gigaflops = products::flops(&case.settings, &case.problem, case.rows()) / whole / 1e9;
+    let mut figures = vec![
+        ("1 thread, processor s", whole),
+        ("2 threads, s", of(|parts| parts.whole.wall, double)),
+        ("2 threads, processor s", of(|parts| parts.whole.process, double)),
+        ("density, s", of(|parts| parts.density, single)),
+        ("relabel, s", of(|parts| parts.relabel, single)),
+    ];
+    let names =
+        ["values, s", "advantages, s", "behaviour, s", "posteriors, s", "sweep, s", "critic, s"];
+    for (phase, name) in names.into_iter().enumerate() {
+        figures.push((name, median(single.iter().map(|parts| parts.phases[phase]))));
+    }
+    figures.extend([("GFLOP/s, 1 thread", gigaflops), ("share of peak", gigaflops / peak)]);
+    Ok(Row { case: case.name.clone(), figures })
+}
+
+/// A learning rule and its densities on a pool of threads.
+pub(crate) struct Updates {
+    surprise: Surprise,
+    algorithm: Box<dyn Algorithm>,
+    pool: ThreadPool,
+    stopwatch: Arc<Stopwatch>,
+    iteration: u64,
+}
+
+/// What the parts of an update took, processor seconds of one thread: true where there is one.
+pub(crate) struct Parts {
+    density: f64,
+    relabel: f64,
+    /// In the order of [`PHASES`].
+    phases: [f64; 6],
+    /// All of it.
+    pub(crate) whole: Took,
+}
+
+impl Updates {
+    pub(crate) fn new(
+        settings: &Settings,
+        problem: &Problem,
+        threads: usize,
+    ) -> anyhow::Result<Self> {
+        let stopwatch = Arc::new(Stopwatch::default());
+        let mut algorithm = marl::build(&settings.training, &settings.policy, problem, RunSeed(0))?;
+        algorithm.observe_phases(Arc::clone(&stopwatch) as Arc<dyn PhaseObserver>);
+        Ok(Self {
+            surprise: Surprise::new(&settings.training.surprise, problem, RunSeed(0))?,
+            algorithm,
+            pool: ThreadPoolBuilder::new().num_threads(threads).build()?,
+            stopwatch,
+            iteration: 0,
+        })
+    }
+
+    /// The policies as they are now.
+    pub(crate) fn snapshot(&self) -> anyhow::Result<policy::PolicySnapshot> {
+        Ok(self.algorithm.snapshot()?)
+    }
+
+    /// One update, as the learner makes it.
+    pub(crate) fn run(&mut self, batch: &Batch) -> anyhow::Result<Parts> {
+        let Self { surprise, algorithm, pool, stopwatch, iteration } = self;
+        let (updated, wall) = once(|| {
+            pool.install(|| {
+                let (parts, whole) = once(|| {
+                    let (refitted, density) = once(|| surprise.refit(batch, *iteration));
+                    refitted?;
+                    let (rewards, relabel) = once(|| surprise.relabel(batch));
+                    algorithm.update(batch, &rewards, *iteration)?;
+                    Ok::<_, marl::MarlError>((density.thread, relabel.thread))
+                });
+                parts.map(|parts| (parts, whole))
+            })
+        });
+        *iteration += 1;
+        let ((density, relabel), whole) = updated?;
+        let whole = Took { wall: wall.wall, ..whole };
+        Ok(Parts { density, relabel, phases: stopwatch.read(), whole })
+    }
+}
+
+/// Processor time of the threads that began phases, at their beginning, and what they took.
+#[derive(Default)]
+struct Stopwatch(Mutex<[(f64, f64); 6]>);
+
+impl Stopwatch {
+    fn read(&self) -> [f64; 6] {
+        self.0.lock().expect("no observer panics").map(|(_, secs)| secs)
+    }
+
+    fn change(&self, phase: Phase, change: impl FnOnce(&mut (f64, f64))) {
+        let place = PHASES.iter().position(|known| *known == phase);
+        let mut watch = self.0.lock().expect("no observer panics");
+        change(&mut watch[place.expect("every phase is known")]);
+    }
+}
+
+impl PhaseObserver for Stopwatch {
+    fn begin(&self, phase: Phase) {
+        self.change(phase, |(begun, _)| *begun = thread_secs());
+    }
+
+    fn end(&self, phase: Phase) {
+        self.change(phase, |(begun, secs)| *secs = thread_secs() - *begun);
+    }
+}

@@ -1,0 +1,124 @@
+//! What the network costs: the same iterations by plain calls, through the exchange, and over gRPC on loopback.
+
+use std::path::Path;
+use std::process::{Child, Stdio};
+
+use policy::PolicySnapshot;
+use prost::Message as _;
+use proto::wire::push_trajectory_request::Content;
+use proto::{Digest, Incarnation, Lease, LeaseId, PolicyVersion, PushHeader, WeightsName, Work};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+
+use crate::Effort;
+use crate::end_to_end::COLD;
+use crate::iteration::{Iteration, Log, typical};
+use crate::run_in_process::{ACTORS, by_calls, roll_out, through_the_exchange};
+use crate::settings::{Settings, program};
+use crate::table::Row;
+use crate::update::{CORES, TASKS, Updates};
+
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+    let settings = Settings::of(&["halfcheetah-6x1"])?;
+    let length = COLD + effort.iterations;
+    let (mut calls, mut exchange, mut grpc) = (Vec::new(), Vec::new(), Vec::new());
+    // In turns, so that whatever else the machine does hits all of them.
+    for round in 0..effort.repeats.min(2) {
+        let folder = tempfile::tempdir()?;
+        let place = |name: &str| folder.path().join(format!("{name}-{round}"));
+        calls.extend(by_calls(&settings, &place("calls"), length)?.split_off(COLD));
+        let log = through_the_exchange(&settings, &place("exchange"), length)?;
+        exchange.extend(log.after(COLD));
+        grpc.extend(over_grpc(&settings, &place("grpc"), length)?.after(COLD));
+    }
+    let steps = (settings.learner.environments.count * settings.learner.environments.steps) as f64;
+    let baseline = typical(&exchange);
+    let row = |case: &str, iterations: &[Iteration]| {
+        let Iteration { rollout, update, whole, processor } = typical(iterations);
+        let figures = vec![
+            ("rollout, s", rollout),
+            ("update, s", update),
+            ("iteration, s", whole),
+            ("env steps/s", steps / whole),
+            ("processor s", processor),
+            ("iteration against the exchange, %", 100.0 * (whole / baseline.whole - 1.0)),
+            ("processor s likewise, %", 100.0 * (processor / baseline.processor - 1.0)),
+        ];
+        Row { case: case.to_owned(), figures }
+    };
+    Ok(vec![
+        row("plain calls", &calls),
+        row("actors as threads, through the exchange", &exchange),
+        row("actors as processes, over gRPC", &grpc),
+    ])
+}
+
+/// Iterations of the real trainer with actor processes.
+fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::Result<Log> {
+    let launch = settings.launch(folder, iterations)?;
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    runtime.block_on(async {
+        let listener = TcpListener::bind("127.0.0.1:0").await?;
+        let url = format!("http://{}", listener.local_addr()?);
+        let start = |_| Ok(program(&["actor", "--learner", &url]).stderr(Stdio::null()).spawn()?);
+        let actors: Vec<Child> = (0..ACTORS).map(start).collect::<anyhow::Result<_>>()?;
+        let (log, (_stop, never)) = (Log::default(), watch::channel(false));
+        learner::run(launch, listener, log.observer(), never).await?;
+        for mut actor in actors {
+            actor.wait()?;
+        }
+        Ok(log)
+    })
+}
+
+/// Bytes of the messages themselves, without HTTP/2's frames.
+pub(crate) fn traffic(_effort: Effort) -> anyhow::Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for task in TASKS {
+        for core in CORES {
+            rows.push(traffic_row(task, core)?);
+        }
+    }
+    Ok(rows)
+}
+
+fn traffic_row(task: &str, core: &str) -> anyhow::Result<Row> {
+    let settings = Settings::of(&[task, "preset=harl", &format!("policy.core={core}")])?;
+    let (slot, snapshot) = recorded(&settings)?;
+    let environments = &settings.learner.environments;
+    let steps = (environments.per_slot * environments.steps) as f64;
+    let figures = vec![
+        ("slot, bytes", slot.bytes as f64),
+        ("bytes per env step", slot.bytes as f64 / steps),
+        ("weights, bytes", snapshot.to_bytes()?.len() as f64),
+    ];
+    Ok(Row { case: format!("{task} {core}"), figures })
+}
+
+/// A slot's messages.
+struct Slot {
+    bytes: usize,
+}
+
+fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
+    let folder = tempfile::tempdir()?;
+    let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
+    let snapshot = Updates::new(settings, &settings.problem()?, 1)?.snapshot()?;
+    let layout = learner::assemble::Layout::of(&run, 1);
+    let phase = settings.learner.environments.phase;
+    let work =
+        learner::environments::Environments::fresh(layout, run.environment.episode_steps, phase)
+            .work(0)
+            .remove(0);
+    let mut world = settings.world(settings.learner.environments.per_slot)?;
+    let chunks = roll_out(&run, &work, &snapshot, &mut world);
+    let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };
+    let lease =
+        Lease { id: LeaseId(1), incarnation: Incarnation(1), weights, work: Work::Rollout(work) };
+    let bytes = |chunk: &proto::TrajectoryChunk| {
+        let (message, digest) = chunk.to_wire(&run);
+        PushHeader::of(&lease, digest).to_wire(Content::Chunk(message)).encoded_len()
+    };
+    Ok((Slot { bytes: chunks.iter().map(bytes).sum() }, snapshot))
+}
