@@ -108,7 +108,7 @@ pub(crate) fn roll_out(
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    actor::roll_out(run, work, policy, world, |_| {}, keep).expect("the lease is the learner's");
+    actor::roll_out(run, work, policy, world, |_, _| {}, keep).expect("the lease is the learner's");
     chunks
 }
 
@@ -184,5 +184,6 @@ fn perform(
             Err(_) => ControlFlow::Break(()),
         }
     };
-    actor::roll_out(run, work, &policy, world, |_| {}, send).expect("the lease is the learner's");
+    actor::roll_out(run, work, &policy, world, |_, _| {}, send)
+        .expect("the lease is the learner's");
 }

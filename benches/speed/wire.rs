@@ -114,8 +114,13 @@ fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
     let mut world = settings.world(settings.learner.environments.per_slot)?;
     let chunks = roll_out(&run, &work, &snapshot, &mut world);
     let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };
-    let lease =
-        Lease { id: LeaseId(1), incarnation: Incarnation(1), weights, work: Work::Rollout(work) };
+    let lease = Lease {
+        id: LeaseId(1),
+        incarnation: Incarnation(1),
+        weights,
+        attempt: 0,
+        work: Work::Rollout(work),
+    };
     let bytes = |chunk: &proto::TrajectoryChunk| {
         let (message, digest) = chunk.to_wire(&run);
         PushHeader::of(&lease, digest).to_wire(Content::Chunk(message)).encoded_len()
