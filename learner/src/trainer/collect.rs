@@ -29,6 +29,7 @@ pub(super) struct Collected {
 impl Work {
     /// The rollouts of the open iteration; `None` if the run is to stop instead.
     pub(super) fn collect(&mut self) -> Result<Option<Collected>, LearnerError> {
+        self.patience.begin(Instant::now());
         while !(self.outside.stop)() {
             if let Some(collected) = self.arrived.take() {
                 return Ok(Some(collected));
@@ -40,6 +41,7 @@ impl Work {
 
     /// Waits for the evaluation that is still out, if there is one; false if the run is to stop first.
     pub(super) fn settle_evaluation(&mut self) -> Result<bool, LearnerError> {
+        self.patience.begin(Instant::now());
         while self.trainer.evaluations.outstanding().is_some() {
             if (self.outside.stop)() {
                 return Ok(false);
@@ -116,6 +118,12 @@ impl Patience {
         Self { steps: 0, moved: now, told: now }
     }
 
+    /// The trainer waits from now on: what it did before, such as an update beside which all rollouts came in, is no
+    /// stillness.
+    fn begin(&mut self, now: Instant) {
+        (self.moved, self.told) = (now, now);
+    }
+
     /// Compares the progress with that of the last look.
     pub(super) fn look(&mut self, now: Instant, progress: &Progress) -> Look {
         if progress.steps_collected != self.steps {
@@ -164,5 +172,16 @@ mod tests {
             Some(Event::Waiting { seconds: 20.0, reason })
         );
         assert!(look(22, progress(80, 1)).moved);
+    }
+
+    #[test]
+    fn the_time_before_the_trainer_waits_is_no_stillness() {
+        let start = Instant::now();
+        let at = |secs| start + Duration::from_secs(secs);
+        let mut patience = Patience::new(start);
+        assert!(patience.look(at(1), &progress(40, 1)).moved);
+        patience.begin(at(100));
+        assert_eq!(patience.look(at(101), &progress(40, 1)).waiting, None);
+        assert!(patience.look(at(110), &progress(40, 1)).waiting.is_some());
     }
 }
