@@ -73,6 +73,7 @@ const PLACES: [(&str, &[&str], &str); 2] = [
             "actor/src/recording",
             "actor/src/trajectory_log/file",
             "actor/src/trajectory_log/source",
+            "actor/src/trajectory_log/tests",
             "learner/src/checkpoint",
             "learner/src/durable",
             "learner/src/json_lines",
