@@ -195,6 +195,9 @@ pub(crate) struct HealthArguments {
     /// How long to wait for its answer.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ClientTlsArguments,
 }
 
 /// `s2mia status`
@@ -209,6 +212,9 @@ pub(crate) struct StatusArguments {
     /// How long to wait for the learner's answer.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ClientTlsArguments,
 }
 
 /// `s2mia eval`

@@ -21,7 +21,9 @@ use std::time::Duration;
 use anyhow::Context as _;
 use tokio::runtime::Runtime;
 
-use crate::cli::Command;
+use security::ClientFiles;
+
+use crate::cli::{ClientTlsArguments, Command};
 pub(crate) use crate::commands::log::Incomplete;
 
 /// Arguments that cannot be followed; the program ends with status 2.
@@ -60,6 +62,24 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
 fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
     Duration::try_from_secs_f64(timeout_secs)
         .map_err(|_| Usage::new(format!("--timeout-secs must be at least 0, is {timeout_secs}")))
+}
+
+/// The files for a question to the learner at `url`, which is asked in plain text without any.
+fn credentials(url: &str, tls: &ClientTlsArguments) -> Result<Option<ClientFiles>, Usage> {
+    let files = tls.files();
+    match (&files, url.starts_with("https://")) {
+        (None, true) => Err(Usage::new(format!(
+            "{url}: https:// needs --tls-ca, --tls-certificate and --tls-key"
+        ))),
+        (Some(_), false) => {
+            Err(Usage::new(format!("{url}: with --tls-ca it begins with https://")))
+        }
+        (Some(own), true) => match own.read() {
+            Ok(_) => Ok(files),
+            Err(why) => Err(Usage::new(why.to_string())),
+        },
+        (None, false) => Ok(None),
+    }
 }
 
 /// Threads for sockets, signals and child processes; stepping and training have their own.

@@ -1,11 +1,12 @@
-//! Ctrl-C and SIGTERM: the first asks for a clean end, the second ends the process at once.
+//! Ctrl-C and SIGTERM: the first asks for a clean end, the second ends the process at once, with 128 and its number
+//! as the status.
 
 use anyhow::Context as _;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::watch;
 
-/// Exit status of a process ended by the second signal, as shells give it for Ctrl-C.
-const ENDED_BY_SIGNAL: i32 = 130;
+/// What shells add to a signal's number to name a process that it ended.
+const ENDED_BY_SIGNAL: i32 = 128;
 
 /// Sets `stop` at the first signal, after `announce`; exits at the second. Call inside a runtime.
 pub(crate) fn stop_on_signal(
@@ -27,13 +28,14 @@ async fn watch_signals(
     either(&mut interrupt, &mut terminate).await;
     announce();
     stop.send_replace(true);
-    either(&mut interrupt, &mut terminate).await;
-    std::process::exit(ENDED_BY_SIGNAL);
+    let second = either(&mut interrupt, &mut terminate).await;
+    std::process::exit(ENDED_BY_SIGNAL + second.as_raw_value());
 }
 
-async fn either(interrupt: &mut Signal, terminate: &mut Signal) {
+/// Which of the two came.
+async fn either(interrupt: &mut Signal, terminate: &mut Signal) -> SignalKind {
     tokio::select! {
-        _ = interrupt.recv() => {}
-        _ = terminate.recv() => {}
+        _ = interrupt.recv() => SignalKind::interrupt(),
+        _ = terminate.recv() => SignalKind::terminate(),
     }
 }

@@ -2,17 +2,16 @@
 //! the field, all are counted, and the run ends with the weights of a run that was left in peace.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[path = "system/attackers.rs"]
+mod attackers;
+
 use std::io::{BufRead as _, BufReader, Lines, Write as _};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 
-use proto::wire::learner_service_client::LearnerServiceClient;
-use proto::{
-    AgentChunk, Digest, Lease, LeaseAnswer, PushHeader, Reason, Refusal, Registered, Registration,
-    RunDescription, TrajectoryChunk, Work, wire,
-};
+use attackers::{Attacker, invented, message, registration};
+use proto::{Digest, Reason, Refusal, Registration, TrajectoryChunk, Work, wire};
 use tonic::Status;
-use tonic::transport::Channel;
 
 const RUN: &[&str] = &[
     "halfcheetah-2x3",
@@ -74,87 +73,6 @@ impl Drop for Learner {
 fn weights(folder: &Path) -> serde_json::Value {
     let output = s2mia(&["inspect", folder.to_str().unwrap(), "--json"]).output().unwrap();
     serde_json::from_slice(&output.stdout).unwrap()
-}
-
-/// A connection of its own for every attack, so that one attack's consequences do not reach the next.
-struct Attacker {
-    service: LearnerServiceClient<Channel>,
-    run: RunDescription,
-    own: Registered,
-}
-
-impl Attacker {
-    async fn connect(url: &str) -> Self {
-        let mut service = LearnerServiceClient::connect(url.to_owned()).await.unwrap();
-        let run = service.describe_run(wire::DescribeRunRequest {}).await.unwrap().into_inner();
-        let run = RunDescription::from_wire(run.run).unwrap();
-        let registered = service.register(registration(&run).to_wire()).await.unwrap();
-        let own = Registered::from_wire(&registered.into_inner());
-        Self { service, run, own }
-    }
-
-    async fn lease(&mut self) -> Lease {
-        let request = wire::LeaseSlotsRequest {
-            actor_id: self.own.actor.0,
-            incarnation: self.own.incarnation.0,
-            wait_millis: 20_000,
-        };
-        let answer = self.service.lease_slots(request).await.unwrap().into_inner();
-        match LeaseAnswer::from_wire(answer, &self.run).unwrap() {
-            LeaseAnswer::Lease(lease) => lease,
-            other => panic!("expected a lease, got {other:?}"),
-        }
-    }
-
-    async fn push(&mut self, message: wire::PushTrajectoryRequest) -> Status {
-        let stream = self.service.push_trajectory(tokio_stream::iter([message])).await;
-        stream.unwrap().into_inner().message().await.unwrap_err()
-    }
-}
-
-fn registration(run: &RunDescription) -> Registration {
-    Registration {
-        client: "attacker".to_owned(),
-        protocol_version: run.protocol_version,
-        environment: run.environment.clone(),
-        rollout_fingerprint: Some(run.rollout_fingerprint),
-    }
-}
-
-/// A first chunk of the right shape that nobody has computed.
-fn invented(run: &RunDescription) -> TrajectoryChunk {
-    let rows = (run.chunk_steps * run.environments_per_slot) as usize;
-    let stored = (run.chunk_steps / run.hidden_every * run.environments_per_slot) as usize;
-    let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
-    let agents = agents.map(|(agent, hidden)| AgentChunk {
-        observation: vec![0.1; rows * agent.observation.len()],
-        action: vec![0.1; rows * agent.action.size as usize],
-        log_prob: vec![0.0; rows],
-        hidden: vec![0.0; stored * *hidden as usize],
-    });
-    TrajectoryChunk {
-        sequence: 0,
-        first_step: 0,
-        steps: run.chunk_steps,
-        agents: agents.collect(),
-        state: vec![0.1; rows * run.environment.state.len()],
-        reward: vec![0.0; rows],
-        terminated: vec![false; rows],
-        truncated: vec![false; rows],
-        finals: Vec::new(),
-        end: None,
-    }
-}
-
-/// The message that an actor with this lease would send.
-fn message(
-    lease: &Lease,
-    chunk: &TrajectoryChunk,
-    run: &RunDescription,
-) -> wire::PushTrajectoryRequest {
-    let (chunk, digest) = chunk.to_wire(run);
-    let content = wire::push_trajectory_request::Content::Chunk(chunk);
-    PushHeader::of(lease, digest).to_wire(content)
 }
 
 /// What is spoilt, the reason given, and the field named.

@@ -110,6 +110,45 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
     assert_eq!(inspect(&guarded), inspect(&open));
 }
 
+/// What `s2mia` says in one line, and its status.
+fn asked(question: &[&str], tls: &[String]) -> (i32, String) {
+    let more = tls.iter().map(String::as_str);
+    let (code, told) = s2mia(&question.iter().copied().chain(more).collect::<Vec<_>>());
+    assert!(code == 0 || told.lines().count() == 1, "{told}");
+    (code, told)
+}
+
+#[test]
+fn status_and_health_are_told_over_tls_to_whoever_has_the_role() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Certificates::make(folder.path().join("own"));
+    let other = Certificates::make(folder.path().join("other"));
+    let run = folder.path().join("run");
+    let mut learner = Learner::start(&run, &own.of_learner());
+    let (url, run) = (learner.url.clone(), run.to_str().unwrap());
+    let plain = url.replace("https", "http");
+    let (status, health) = (["status", &url], ["health", "--learner", &url]);
+    let of = |role| own.of_client(&own, role);
+    let (nobody, strangers) = (Vec::new(), other.of_client(&own, "viewer"));
+    let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
+    let cases: [(&[&str], &[String], i32, &str); 9] = [
+        (&status, &of("viewer"), 0, "iteration 0"),
+        (&status, &of("admin"), 0, "iteration 0"),
+        (&["status", run], &of("viewer"), 0, "iteration 0"),
+        (&health, &of("actor"), 0, "serves"),
+        (&status, &of("actor"), 1, "needs the role viewer; the certificate carries actor"),
+        (&health, &strangers, 1, "does not answer"),
+        (&status, &nobody, 2, needs_certificates),
+        (&health, &nobody, 2, needs_certificates),
+        (&["status", &plain], &of("viewer"), 2, "begins with https://"),
+    ];
+    for (question, tls, code, words) in cases {
+        let told = asked(question, tls);
+        assert!(told.0 == code && told.1.contains(words), "{question:?}: {told:?}");
+    }
+    learner.stop();
+}
+
 /// A client that checks nothing of its own certificate before it shows it.
 async fn call(url: &str, authority: &Path, own: Option<Issued>) -> Result<(), tonic::Status> {
     let authority = std::fs::read(authority).unwrap();

@@ -111,12 +111,15 @@ async fn attend(
                 tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
             }
             LeaseAnswer::Lease(lease) => {
-                let policy = client.weights(&mut weights, lease.weights).await?;
+                let (id, policy) = (lease.id, client.weights(&mut weights, lease.weights).await?);
                 let pace = Duration::from_secs_f64(run.heartbeat_secs);
                 match work_off(&mut client, &own, &mut stepper, lease, policy, pace).await? {
                     Ended::Finished => {}
                     Ended::Dropped(why) => {
-                        tracing::warn!("lease dropped: {why}; asking for another")
+                        tracing::warn!(
+                            learner = config.learner,
+                            "lease {id} dropped: {why}; asking for another"
+                        )
                     }
                 }
             }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use proto::{
     Ack, AckState, ActorId, Beat, EvaluationResult, HeartbeatAnswer, Incarnation, LeaseAnswer,
-    LeaseId, PolicyVersion, PushHeader, Reason, Refusal, Registered, Registration, RolloutWork,
+    LeaseId, PolicyVersion, PushHeader, Refusal, Registered, Registration, RolloutWork,
     RunDescription, RunState, TrajectoryChunk, WeightsName,
 };
 use serde::{Deserialize, Serialize};
@@ -19,10 +19,13 @@ use crate::config::ConfigError;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
+mod incidents;
 mod reports;
 mod status;
 mod weights;
 
+pub use incidents::Caller;
+use incidents::{Names, Notice, is_about_the_lease};
 pub use reports::{Progress, Storage, Wake};
 use status::Pace;
 use weights::Weights;
@@ -92,6 +95,7 @@ struct Shared {
     /// Bounded by what is open: one iteration, a few evaluations, one failure.
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
+    names: Names,
     pace: Pace,
 }
 
@@ -106,6 +110,7 @@ impl Exchange {
             weights: Weights::default(),
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
+            names: Names::default(),
             pace: Pace::default(),
         };
         Arc::new(Self {
@@ -237,7 +242,11 @@ impl Exchange {
             Some(_) => Trust::Exact,
             None => Trust::Foreign,
         };
-        let actor = self.change(|shared| shared.table.register(connection, trust));
+        let actor = self.change(|shared| {
+            let actor = shared.table.register(connection, trust);
+            shared.names.insert(actor, registration.client.clone());
+            actor
+        });
         tracing::info!(%actor, client = %registration.client, ?trust, "actor registered");
         Ok(Registered { actor, incarnation: self.run.incarnation })
     }
@@ -339,15 +348,13 @@ impl Exchange {
         self.change(|shared| shared.table.evaluation(header, result))
     }
 
-    /// Counts a refusal. If it was about a lease's result, the lease ends.
-    pub fn refused(&self, lease: Option<LeaseId>, refusal: &Refusal) {
-        tracing::warn!(reason = refusal.reason.name(), field = %refusal.field, "{}", refusal.detail);
+    /// Tells and counts a refusal. If it was about a lease's result, the lease ends.
+    pub fn refused(&self, caller: &Caller, lease: Option<LeaseId>, refusal: &Refusal) {
+        self.tell_refusal(caller, lease, refusal);
         self.change(|shared| {
             *shared.refusals.entry(refusal.reason.name().to_owned()).or_default() += 1;
-            // What a lease did before it ended, or under another learner, cannot end it again.
-            let about_the_lease =
-                !matches!(refusal.reason, Reason::UnknownLease | Reason::OtherIncarnation);
-            lease.filter(|_| about_the_lease).into_iter().for_each(|id| shared.table.refuse(id));
+            let ended = lease.filter(|_| is_about_the_lease(refusal));
+            ended.into_iter().for_each(|id| shared.table.refuse(id));
         });
     }
 
@@ -378,6 +385,12 @@ impl Exchange {
         if !shared.wakes.is_empty() {
             self.trainer.notify_all();
         }
+        let incidents = shared.table.incidents();
+        let notices =
+            incidents.iter().map(|incident| shared.names.describe(incident)).collect::<Vec<_>>();
+        // Whoever reads the log may be slow; nobody else waits for that.
+        drop(shared);
+        notices.iter().for_each(Notice::tell);
         result
     }
 

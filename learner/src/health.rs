@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use tonic::transport::Endpoint;
+use security::{ClientFiles, SecurityError};
+use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
@@ -18,6 +19,9 @@ pub enum HealthError {
         /// What is wrong with it.
         detail: String,
     },
+    /// A certificate or a key cannot be used.
+    #[error(transparent)]
+    Credentials(#[from] SecurityError),
     /// Nobody answered there.
     #[error("{url} does not answer: {detail}")]
     Silent {
@@ -36,13 +40,16 @@ pub enum HealthError {
     },
 }
 
-/// Asks the learner at `url` once and waits at most `patience`.
+/// Asks the learner at `url` once, over TLS with `tls`, and waits at most `patience`.
 ///
 /// # Errors
 /// Says why it does not count as healthy.
-pub async fn demand_serving(url: &str, patience: Duration) -> Result<(), HealthError> {
-    let endpoint = Endpoint::from_shared(url.to_owned())
-        .map_err(|error| HealthError::Address { url: url.to_owned(), detail: error.to_string() })?;
+pub async fn demand_serving(
+    url: &str,
+    tls: Option<&ClientFiles>,
+    patience: Duration,
+) -> Result<(), HealthError> {
+    let endpoint = endpoint(url, tls)?;
     let silent = |detail: String| HealthError::Silent { url: url.to_owned(), detail };
     let answer = tokio::time::timeout(patience, ask(endpoint)).await;
     let status = answer
@@ -54,16 +61,46 @@ pub async fn demand_serving(url: &str, patience: Duration) -> Result<(), HealthE
     }
 }
 
+/// Where a question goes, and what is shown there.
+pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint, HealthError> {
+    let wrong = |error: tonic::transport::Error| HealthError::Address {
+        url: url.to_owned(),
+        detail: innermost(&error),
+    };
+    let endpoint = Endpoint::from_shared(url.to_owned()).map_err(wrong)?;
+    let Some(files) = tls else { return Ok(endpoint) };
+    let own = files.read()?;
+    let config = ClientTlsConfig::new()
+        .ca_certificate(Certificate::from_pem(own.authority))
+        .identity(Identity::from_pem(own.certificate, own.key));
+    let config = match &files.server_name {
+        Some(name) => config.domain_name(name),
+        None => config,
+    };
+    endpoint.tls_config(config).map_err(wrong)
+}
+
 async fn ask(endpoint: Endpoint) -> Result<ServingStatus, String> {
-    let channel = endpoint.connect().await.map_err(|error| innermost(&error))?;
+    let channel = endpoint.connect().await.map_err(|error| reason(&error))?;
     // The empty name asks for the server as a whole.
     let request = HealthCheckRequest { service: String::new() };
     let answer = HealthClient::new(channel).check(request).await;
-    answer.map(|found| found.into_inner().status()).map_err(|status| status.to_string())
+    answer.map(|found| found.into_inner().status()).map_err(|status| denial(&status))
+}
+
+/// Why no connection came about.
+pub(crate) fn reason(error: &(dyn std::error::Error + 'static)) -> String {
+    security::explain(error).unwrap_or_else(|| innermost(error))
+}
+
+/// Why a call failed: the learner's own words, or what is behind a connection that broke.
+pub(crate) fn denial(status: &tonic::Status) -> String {
+    security::explain(status)
+        .unwrap_or_else(|| format!("{:?}: {}", status.code(), status.message()))
 }
 
 /// The last cause says what happened; those before it only that something did.
-pub(crate) fn innermost(error: &dyn std::error::Error) -> String {
+fn innermost(error: &dyn std::error::Error) -> String {
     let mut cause = error;
     while let Some(next) = cause.source() {
         cause = next;

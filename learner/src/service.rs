@@ -19,13 +19,15 @@ use tonic::transport::server::Router;
 use tonic::{Request, Response, Status, Streaming};
 
 use crate::door::Door;
-use crate::exchange::Exchange;
+use crate::exchange::{Caller, Exchange};
 use crate::service::control::Control;
 
 mod connections;
 mod control;
+mod crowd;
 mod greeting;
 mod ingest;
+mod opened;
 mod snapshots;
 mod storage;
 
@@ -94,10 +96,9 @@ struct Learner {
 }
 
 impl Learner {
-    /// Counts a refusal and makes it a status.
-    fn counted(&self, refusal: Refusal) -> Status {
-        self.exchange.refused(None, &refusal);
-        refusal.into()
+    /// Tells and counts a refusal and makes it a status.
+    fn counted(&self, caller: &Caller, refusal: Refusal) -> Status {
+        refused(&self.exchange, caller, None, refusal)
     }
 }
 
@@ -116,9 +117,10 @@ impl LearnerService for Learner {
         request: Request<wire::RegisterRequest>,
     ) -> Result<Response<wire::RegisterResponse>, Status> {
         let connection = connections::of(&request);
+        let caller = connections::caller(&request, "register");
         let registered = Registration::from_wire(request.into_inner())
             .and_then(|registration| self.exchange.register(connection, &registration))
-            .map_err(|refusal| self.counted(refusal))?;
+            .map_err(|refusal| self.counted(&caller, refusal))?;
         Ok(Response::new(registered.to_wire()))
     }
 
@@ -126,12 +128,13 @@ impl LearnerService for Learner {
         &self,
         request: Request<wire::LeaseSlotsRequest>,
     ) -> Result<Response<wire::LeaseSlotsResponse>, Status> {
+        let caller = connections::caller(&request, "lease_slots");
         let request = request.into_inner();
         let millis = request.wait_millis.min(MAX_LEASE_WAIT_MILLIS);
         let (actor, incarnation) = (ActorId(request.actor_id), Incarnation(request.incarnation));
         let patience = Duration::from_millis(millis.into());
         let answer = self.exchange.lease(actor, incarnation, patience).await;
-        Ok(Response::new(answer.map_err(|refusal| self.counted(refusal))?.to_wire()))
+        Ok(Response::new(answer.map_err(|refusal| self.counted(&caller, refusal))?.to_wire()))
     }
 
     type GetWeightsStream = ReceiverStream<Result<wire::GetWeightsResponse, Status>>;
@@ -140,10 +143,11 @@ impl LearnerService for Learner {
         &self,
         request: Request<wire::GetWeightsRequest>,
     ) -> Result<Response<Self::GetWeightsStream>, Status> {
+        let caller = connections::caller(&request, "get_weights");
         let found = WeightsName::from_wire(request.into_inner().weights, "weights")
             .and_then(|name| self.exchange.snapshot(name).map(|bytes| (name, bytes)));
-        let (name, bytes) = found.map_err(|refusal| self.counted(refusal))?;
-        Ok(Response::new(snapshots::stream(name, bytes)))
+        let (name, bytes) = found.map_err(|refusal| self.counted(&caller, refusal))?;
+        Ok(Response::new(snapshots::stream(name, bytes, caller)))
     }
 
     type PushTrajectoryStream = ReceiverStream<Result<wire::PushTrajectoryResponse, Status>>;
@@ -154,7 +158,8 @@ impl LearnerService for Learner {
     ) -> Result<Response<Self::PushTrajectoryStream>, Status> {
         // Full when the actor does not take its acknowledgements away; then nothing more is read.
         let (acks, stream) = mpsc::channel(MAX_UNACKNOWLEDGED);
-        tokio::spawn(ingest::pump(Arc::clone(&self.exchange), request.into_inner(), acks));
+        let caller = connections::caller(&request, "push_trajectory");
+        tokio::spawn(ingest::pump(Arc::clone(&self.exchange), caller, request.into_inner(), acks));
         Ok(Response::new(ReceiverStream::new(stream)))
     }
 
@@ -162,14 +167,21 @@ impl LearnerService for Learner {
         &self,
         request: Request<wire::HeartbeatRequest>,
     ) -> Result<Response<wire::HeartbeatResponse>, Status> {
+        let caller = connections::caller(&request, "heartbeat");
         let beat = Beat::from_wire(&request.into_inner());
-        let answer = self.exchange.heartbeat(&beat).map_err(|refusal| self.counted(refusal))?;
+        let answer = self.exchange.heartbeat(&beat);
+        let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
         Ok(Response::new(answer.to_wire()))
     }
 }
 
-/// A refusal of something that belongs to `lease`, counted and made a status.
-fn refused(exchange: &Exchange, lease: Option<LeaseId>, refusal: Refusal) -> Status {
-    exchange.refused(lease, &refusal);
+/// A refusal of something that belongs to `lease`, told, counted and made a status.
+fn refused(
+    exchange: &Exchange,
+    caller: &Caller,
+    lease: Option<LeaseId>,
+    refusal: Refusal,
+) -> Status {
+    exchange.refused(caller, lease, &refusal);
     refusal.into()
 }

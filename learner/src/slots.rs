@@ -28,7 +28,7 @@ use board::{Board, Verdict};
 pub use board::{Disagreement, Testimony};
 use evaluations::Evaluations;
 use leases::{Claim, Finished, OpenLease, Standing, follows, repeated, wrong_kind};
-pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Offer, SlotRollout};
+pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Incident, Offer, SlotRollout};
 
 /// Who computes what.
 #[derive(Debug)]
@@ -46,6 +46,7 @@ pub struct SlotTable {
     evaluations: Evaluations,
     reissued: u64,
     effects: Vec<Effect>,
+    incidents: Vec<Incident>,
 }
 
 impl SlotTable {
@@ -66,6 +67,7 @@ impl SlotTable {
             evaluations: Evaluations::default(),
             reissued: 0,
             effects: Vec::new(),
+            incidents: Vec::new(),
         }
     }
 
@@ -75,7 +77,11 @@ impl SlotTable {
         let over =
             |(id, lease): (&LeaseId, &OpenLease)| (lease.deadline <= self.now).then_some(*id);
         let expired = self.open.iter().filter_map(over).collect::<Vec<_>>();
-        expired.into_iter().for_each(|id| self.abandon(id));
+        for id in expired {
+            let lost = self.open[&id].status(id, self.now);
+            self.incidents.push(Incident::Expired(lost));
+            self.abandon(id);
+        }
     }
 
     /// When the next lease ends unless something is heard of it.
@@ -87,6 +93,11 @@ impl SlotTable {
     /// What is to be done since the last call, in order.
     pub fn effects(&mut self) -> Vec<Effect> {
         std::mem::take(&mut self.effects)
+    }
+
+    /// What went wrong since the last call, in order.
+    pub fn incidents(&mut self) -> Vec<Incident> {
+        std::mem::take(&mut self.incidents)
     }
 
     /// Opens an iteration; whatever was open before is dropped, and its leases end.
@@ -183,10 +194,12 @@ impl SlotTable {
     }
 
     fn end_leases_of(&mut self, gone: &[ActorId]) {
-        let of_gone =
-            |(id, lease): (&LeaseId, &OpenLease)| gone.contains(&lease.actor).then_some(*id);
-        let ended = self.open.iter().filter_map(of_gone).collect::<Vec<_>>();
-        ended.into_iter().for_each(|id| self.abandon(id));
+        for actor in gone.iter().copied() {
+            let leases = self.open.iter().filter(|(_, lease)| lease.actor == actor);
+            let leases = leases.map(|(id, lease)| lease.status(*id, self.now)).collect::<Vec<_>>();
+            leases.iter().for_each(|lost| self.abandon(lost.lease));
+            self.incidents.push(Incident::Gone { actor, leases });
+        }
     }
 
     /// Gives `actor` the lowest free slot, or else the first free evaluation episode.
@@ -331,10 +344,12 @@ impl SlotTable {
 
     /// A message of this lease was refused: the lease ends, and the actor's refusals are counted.
     pub fn refuse(&mut self, lease: LeaseId) {
-        if let Some(open) = self.open.get(&lease) {
-            self.actors.strike(open.actor, self.now);
-            self.abandon(lease);
+        let Some(open) = self.open.get(&lease) else { return };
+        let actor = open.actor;
+        if let Some(pause) = self.actors.strike(actor, self.now) {
+            self.incidents.push(Incident::Quarantined { actor, pause });
         }
+        self.abandon(lease);
     }
 
     fn abandon(&mut self, id: LeaseId) {

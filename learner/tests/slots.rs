@@ -1,6 +1,8 @@
 //! The slot table: each rule by a case worked by hand, and all of them together under random faults.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[path = "slots/cluster.rs"]
+mod cluster;
 #[path = "slots/disturbances.rs"]
 mod disturbances;
 #[path = "slots/faults.rs"]

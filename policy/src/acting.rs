@@ -17,6 +17,9 @@ use crate::math::{sigmoid, tanh};
 use crate::ops::LAYER_NORM_EPSILON;
 use crate::standardisation::Standardisation;
 
+/// No policy of ours is wider or deeper.
+const MOST_UNITS: usize = 1 << 20;
+
 /// Sizes of one agent's policy and how it acts; travels with its weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -57,7 +60,19 @@ impl ActorSpec {
         Ok(spec)
     }
 
+    /// Refuses sizes with which no network can be built, before anything is computed from them.
     fn check(&self) -> Result<(), PolicyError> {
+        let of_core = match self.core {
+            CoreKind::Gru => [("encoder", self.encoder), ("hidden", self.hidden)],
+            CoreKind::Mlp => [("width", self.width), ("layers", self.layers)],
+        };
+        let shared = [("observation", self.observation), ("action", self.action)];
+        for (name, size) in shared.into_iter().chain(of_core) {
+            if !(1..=MOST_UNITS).contains(&size) {
+                let detail = format!("{name} is {size}, expected 1 to {MOST_UNITS}");
+                return Err(PolicyError::Snapshot(detail));
+            }
+        }
         self.head().check(self.action)
     }
 

@@ -107,6 +107,36 @@ fn an_array_that_is_missing_extra_reshaped_or_not_finite_is_named() {
 }
 
 #[test]
+fn sizes_with_which_no_network_can_act_are_refused_by_name() {
+    for (core, name, size) in [
+        ("gru", "observation", 0),
+        ("gru", "action", 0),
+        ("gru", "hidden", 0),
+        // Three times as many gates do not fit 64 bits.
+        ("gru", "hidden", u64::MAX / 2),
+        ("mlp", "width", 0),
+        ("mlp", "layers", 0),
+    ] {
+        let mut spec = serde_json::json!({
+            "core": core, "observation": 1, "action": 1, "encoder": 1, "hidden": 1, "width": 1,
+            "layers": 1, "chunk_steps": 1, "sigma_scale": 0.5
+        });
+        spec[name] = size.into();
+        let metadata = BTreeMap::from([("s2mia.policy".to_owned(), format!("[{spec}]"))]);
+        let one = |shape: Vec<usize>| Array::F32 { data: vec![0.0; shape.iter().product()], shape };
+        let arrays = BTreeMap::from([
+            ("agent_0.encoder.norm.weight".to_owned(), one(vec![1])),
+            ("agent_0.encoder.norm.bias".to_owned(), one(vec![1])),
+            ("agent_0.encoder.linear.weight".to_owned(), one(vec![1, 1])),
+            ("agent_0.encoder.linear.bias".to_owned(), one(vec![1])),
+        ]);
+        let bytes = to_safetensors(&arrays, &metadata).unwrap();
+        let error = PolicySnapshot::from_bytes(&bytes).unwrap_err().to_string();
+        assert!(error.contains(&format!("{name} is {size}")), "{error}");
+    }
+}
+
+#[test]
 fn bytes_that_are_no_snapshot_are_refused_without_a_panic() {
     let bytes = snapshot().to_bytes().unwrap();
     for length in (0..bytes.len()).step_by(7) {

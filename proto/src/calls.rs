@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-use crate::read::{digest, required};
+use crate::read::{digest, required, short_line};
 use crate::{
     ActorId, Digest, EnvironmentSpec, Incarnation, Lease, LeaseId, Reason, Refusal, RunDescription,
     WeightsName, wire,
@@ -37,8 +37,9 @@ impl Registration {
     /// Reads the message.
     ///
     /// # Errors
-    /// Refuses missing parts and a fingerprint that is no SHA-256.
+    /// Refuses a name that is no short line, missing parts and a fingerprint that is no SHA-256.
     pub fn from_wire(wire: wire::RegisterRequest) -> Result<Self, Refusal> {
+        short_line(&wire.client, "client")?;
         let environment = required(wire.environment, "environment")?;
         let fingerprint =
             wire.rollout_fingerprint.map(|bytes| digest(&bytes, "rollout_fingerprint"));

@@ -7,6 +7,17 @@ pub(crate) fn required<T>(value: Option<T>, field: &str) -> Result<T, Refusal> {
     value.ok_or_else(|| Refusal::new(Reason::MissingField, field, "must be set"))
 }
 
+/// Longest name by which a peer is called in logs, bytes.
+const MAX_NAME_BYTES: usize = 128;
+
+/// A name that can be kept and stands in one line of a log.
+pub(crate) fn short_line(name: &str, field: &str) -> Result<(), Refusal> {
+    let bytes = name.len();
+    let short = bytes <= MAX_NAME_BYTES && !name.contains(char::is_control);
+    let detail = || format!("{bytes} bytes; a name is one line of at most {MAX_NAME_BYTES}");
+    hold(short.then_some(()).ok_or_else(detail), field)
+}
+
 /// Exactly 32 bytes.
 pub(crate) fn digest(bytes: &[u8], field: &str) -> Result<Digest, Refusal> {
     let found = bytes.len();

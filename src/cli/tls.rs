@@ -19,13 +19,13 @@ pub(crate) struct ServerTlsArguments {
     tls_client_ca: Option<PathBuf>,
 }
 
-/// How an actor shows who it is, and whom it trusts.
+/// How a client of a learner shows who it is, and whom it trusts.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ClientTlsArguments {
     /// Authority that signed the learner's certificate (PEM); needed for an https:// URL.
     #[arg(long, value_name = "FILE", requires_all = ["tls_certificate", "tls_key"])]
     tls_ca: Option<PathBuf>,
-    /// This actor's certificate (PEM, its chain after it), which carries the role actor.
+    /// This client's certificate (PEM, its chain after it); the role in it says what it may ask.
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_certificate: Option<PathBuf>,
     /// Private key of --tls-certificate (PEM).

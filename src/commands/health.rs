@@ -1,13 +1,15 @@
 //! `s2mia health`: for whoever watches a learner from outside, such as a container engine.
 
 use crate::cli::HealthArguments;
-use crate::commands::{patience, runtime};
+use crate::commands::{credentials, patience, runtime};
 use crate::output;
 
 /// Ends with status 0 if the learner serves, else with one line that says why not.
 pub(super) fn run(arguments: &HealthArguments) -> anyhow::Result<()> {
     let patience = patience(arguments.timeout_secs)?;
-    runtime()?.block_on(learner::health::demand_serving(&arguments.learner, patience))?;
+    let tls = credentials(&arguments.learner, &arguments.tls)?;
+    let asked = learner::health::demand_serving(&arguments.learner, tls.as_ref(), patience);
+    runtime()?.block_on(asked)?;
     output::line(format!("{} serves", arguments.learner));
     Ok(())
 }

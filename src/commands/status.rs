@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::chart::thousands;
 use crate::cli::StatusArguments;
-use crate::commands::{checkpointed, patience, runtime};
+use crate::commands::{checkpointed, credentials, patience, runtime};
 use crate::output;
 use crate::run_config::RunConfig;
 
@@ -18,11 +18,13 @@ pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
     let url = match arguments.of.contains("://") {
         true => arguments.of.clone(),
         false => match RunFolder::listening(Path::new(&arguments.of))? {
+            Some(address) if arguments.tls.files().is_some() => format!("https://{address}"),
             Some(address) => format!("http://{address}"),
             None => return at_rest(arguments),
         },
     };
-    let status = runtime()?.block_on(learner::service::status(&url, patience))?;
+    let tls = credentials(&url, &arguments.tls)?;
+    let status = runtime()?.block_on(learner::service::status(&url, tls.as_ref(), patience))?;
     match arguments.json {
         true => output::line(to_json(&status)),
         false => output::line(text(&status)),

@@ -36,7 +36,7 @@ pub(crate) fn inspect(folder: &Path) -> serde_json::Value {
 
 /// A learner, and where it listens.
 pub(crate) struct Learner {
-    process: Child,
+    pub(crate) process: Child,
     log: Arc<Mutex<String>>,
     reader: Option<JoinHandle<()>>,
     pub(crate) url: String,

@@ -14,7 +14,8 @@ pub(crate) const ROOMS: [&str; 17] = [
 pub(crate) const LIBRARIES: [&str; 7] =
     ["actor", "learner", "marl", "policy", "proto", "security", "sim"];
 
-const NEVER_ENTERED: [&str; 4] = ["__pycache__", "node_modules", "runs", "target"];
+const NEVER_ENTERED: [&str; 6] =
+    ["__pycache__", "artifacts", "corpus", "node_modules", "runs", "target"];
 
 /// A file that can be read as text.
 pub(crate) struct Text {

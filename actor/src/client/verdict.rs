@@ -67,6 +67,8 @@ async fn shake_hands(url: &str, files: &ClientFiles) -> Option<String> {
         Ok(stream) => stream,
         Err(error) => return security::explain(&error),
     };
+    // A learner lets in who has begun to speak. If it has closed already, reading says why.
+    let _heard = stream.write_all(PREFACE).await;
     let verdict = stream.read(&mut [0]).await.err()?;
     security::explain(&verdict)
 }

@@ -16,13 +16,16 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 use tonic::{Request, Status};
 
+use super::crowd::{Crowd, Place};
 use super::greeting::{Admitted, Bytes, greet};
 use crate::door::{Door, Guard};
-use crate::exchange::Exchange;
+use crate::exchange::{Caller, Exchange};
 use crate::slots::ConnectionId;
 
 /// Connections at a time; more wait to be accepted.
 const MOST_CONNECTIONS: usize = 1024;
+/// Connections of one address, so that no machine by itself can keep all others out.
+const MOST_OF_ONE_ADDRESS: usize = 512;
 /// Pause after a failed accept, for example because the process is out of file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
@@ -39,6 +42,11 @@ pub(super) fn of<T>(request: &Request<T>) -> ConnectionId {
     request.extensions().get().map_or(ConnectionId(0), |peer: &Peer| peer.connection)
 }
 
+/// Who makes a call, for the log.
+pub(super) fn caller<T>(request: &Request<T>, call: &'static str) -> Caller {
+    Caller { peer: request.extensions().get().map(|peer: &Peer| peer.address), call }
+}
+
 /// Lets calls pass whose peer has this role, and refuses all others by name.
 pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, Status> + Clone {
     move |request| {
@@ -46,7 +54,7 @@ pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, S
         // Without a peer the call came over no socket.
         let Some(peer) = peer else { return Ok(request) };
         if let Err(denied) = peer.standing.demand(role) {
-            tracing::warn!(peer = %peer.address, "a call is refused: {denied}");
+            tracing::warn!(peer = %peer.address, "a call is refused: {denied}; the connection stays open");
             return Err(Status::permission_denied(denied.to_string()));
         }
         Ok(request)
@@ -62,6 +70,7 @@ pub(super) fn accept(
     let (sender, stream) = mpsc::channel(1);
     tokio::spawn(async move {
         let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+        let crowd = Crowd::new(MOST_OF_ONE_ADDRESS);
         let mut last = 0;
         while let Ok(permit) = Arc::clone(&room).acquire_owned().await {
             let accepted = tokio::select! {
@@ -70,14 +79,23 @@ pub(super) fn accept(
             };
             match accepted.and_then(|(io, address)| io.set_nodelay(true).map(|()| (io, address))) {
                 Ok((io, address)) => {
+                    let Some(place) = crowd.admit(address.ip()) else {
+                        let most = MOST_OF_ONE_ADDRESS;
+                        tracing::warn!(peer = %address, "a connection is refused: its address has {most} \
+                             already; it is closed");
+                        continue;
+                    };
                     last += 1;
                     let id = ConnectionId(last);
-                    let open = Open { id, exchange: Arc::clone(&exchange), _permit: permit };
+                    let exchange = Arc::clone(&exchange);
+                    let open = Open { id, exchange, _permit: permit, _place: place };
                     // Whoever is slow to say who they are keeps nobody else waiting.
                     tokio::spawn(usher(io, address, door.guard.clone(), open, sender.clone()));
                 }
                 Err(error) => {
-                    tracing::warn!(%error, "cannot accept a connection");
+                    tracing::warn!(
+                        "cannot accept a connection: {error}; it is tried again in a moment"
+                    );
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             }
@@ -122,6 +140,7 @@ struct Open {
     id: ConnectionId,
     exchange: Arc<Exchange>,
     _permit: OwnedSemaphorePermit,
+    _place: Place,
 }
 
 impl Drop for Open {

@@ -6,11 +6,12 @@ use std::time::Duration;
 use proto::wire::control_service_client::ControlServiceClient;
 use proto::wire::control_service_server::ControlService;
 use proto::{Status, wire};
+use security::ClientFiles;
 use tonic::transport::Endpoint;
 use tonic::{Request, Response};
 
 use crate::exchange::Exchange;
-use crate::health::{HealthError, innermost};
+use crate::health::{self, HealthError, denial, reason};
 
 /// The calls of `ControlService`.
 #[derive(Debug)]
@@ -28,13 +29,16 @@ impl ControlService for Control {
     }
 }
 
-/// Asks the learner at `url` once where its run stands, and waits at most `patience`.
+/// Asks the learner at `url` once where its run stands, over TLS with `tls`, and waits at most `patience`.
 ///
 /// # Errors
-/// The address is no URL, or nobody answers there.
-pub async fn status(url: &str, patience: Duration) -> Result<Status, HealthError> {
-    let endpoint = Endpoint::from_shared(url.to_owned())
-        .map_err(|error| HealthError::Address { url: url.to_owned(), detail: error.to_string() })?;
+/// The address is no URL, a certificate cannot be used, or nobody answers there.
+pub async fn status(
+    url: &str,
+    tls: Option<&ClientFiles>,
+    patience: Duration,
+) -> Result<Status, HealthError> {
+    let endpoint = health::endpoint(url, tls)?;
     let silent = |detail: String| HealthError::Silent { url: url.to_owned(), detail };
     let answer = tokio::time::timeout(patience, ask(endpoint)).await;
     answer
@@ -43,7 +47,7 @@ pub async fn status(url: &str, patience: Duration) -> Result<Status, HealthError
 }
 
 async fn ask(endpoint: Endpoint) -> Result<Status, String> {
-    let channel = endpoint.connect().await.map_err(|error| innermost(&error))?;
+    let channel = endpoint.connect().await.map_err(|error| reason(&error))?;
     let answer = ControlServiceClient::new(channel).get_status(wire::GetStatusRequest {}).await;
-    answer.map(|found| Status::from_wire(found.into_inner())).map_err(|error| error.to_string())
+    answer.map(|found| Status::from_wire(found.into_inner())).map_err(|status| denial(&status))
 }

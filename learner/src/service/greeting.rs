@@ -11,6 +11,7 @@ use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 
+use super::opened::Opened;
 use crate::door::Guard;
 
 /// A connection that has not said who it is by then is closed.
@@ -20,8 +21,8 @@ const FAREWELL: Duration = Duration::from_secs(1);
 
 /// The first byte of a TLS handshake (RFC 8446, section 5.1).
 const TLS_HANDSHAKE: u8 = 22;
-/// The first byte of HTTP/2 in plain text (RFC 9113, section 3.4).
-const HTTP_2_PREFACE: u8 = b'P';
+/// How a client of HTTP/2 begins (RFC 9113, section 3.4).
+const PREFACE: [u8; 24] = *b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 /// How a server of HTTP/2 begins: settings, here none of them (RFC 9113, section 6.5). To a client that speaks
 /// TLS they say that this is none.
@@ -45,8 +46,11 @@ pub(super) struct Admitted {
 pub(super) async fn greet(stream: TcpStream, peer: SocketAddr, guard: &Guard) -> Option<Admitted> {
     match tokio::time::timeout(PATIENCE, admit(stream, guard)).await {
         Ok(Ok(admitted)) => return Some(admitted),
-        Ok(Err(why)) => tracing::warn!(%peer, "a connection is refused: {why}"),
-        Err(_) => tracing::debug!(%peer, "a connection said nothing for {} s", PATIENCE.as_secs()),
+        Ok(Err(why)) => tracing::warn!(%peer, "a connection is refused: {why}; it is closed"),
+        Err(_) => {
+            let secs = PATIENCE.as_secs();
+            tracing::warn!(%peer, "a connection did not say who it is within {secs} s; it is closed");
+        }
     }
     None
 }
@@ -62,9 +66,9 @@ async fn admit(stream: TcpStream, guard: &Guard) -> Result<Admitted, String> {
             Err("it speaks TLS, but this learner serves plain text".to_owned())
         }
         (Guard::Nobody, ..) => {
-            Ok(Admitted { bytes: Box::new(stream), standing: Standing::Unasked })
+            Ok(Admitted { bytes: opened(stream).await?, standing: Standing::Unasked })
         }
-        (Guard::Tls(_), _, HTTP_2_PREFACE) => {
+        (Guard::Tls(_), _, first) if first == PREFACE[0] => {
             part(stream, &[SETTINGS.as_slice(), &GOODBYE].concat()).await;
             Err("it speaks plain text, but this learner asks for TLS".to_owned())
         }
@@ -79,12 +83,24 @@ async fn shake_hands(stream: TcpStream, tls: &Arc<ServerTls>) -> Result<Admitted
     match TlsAcceptor::from(config).accept(stream).into_fallible().await {
         Ok(stream) => {
             let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
-            Ok(Admitted { bytes: Box::new(stream), standing })
+            Ok(Admitted { bytes: opened(stream).await?, standing })
         }
         Err((error, stream)) => {
             part(stream, &[]).await;
             Err(error.to_string())
         }
+    }
+}
+
+/// Waits for the whole preface: the server behind has no patience of its own before it has one, and would keep
+/// whoever stops in the middle for ever. What it is handed begins with the preface again.
+async fn opened(mut stream: impl Bytes + 'static) -> Result<Box<dyn Bytes>, String> {
+    let mut preface = [0; PREFACE.len()];
+    let read = stream.read_exact(&mut preface).await;
+    match read {
+        Ok(_) if preface == PREFACE => Ok(Box::new(Opened { first: &PREFACE, stream })),
+        Ok(_) => Err("it does not speak HTTP/2".to_owned()),
+        Err(error) => Err(format!("it left before it had begun: {error}")),
     }
 }
 

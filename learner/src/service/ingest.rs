@@ -8,9 +8,10 @@ use proto::{
     Ack, AckState, EvaluationResult, LeaseId, PushHeader, Reason, Refusal, TrajectoryChunk, wire,
 };
 use tokio::sync::mpsc;
+use tokio::sync::mpsc::error::SendTimeoutError;
 use tonic::{Code, Status, Streaming};
 
-use crate::exchange::Exchange;
+use crate::exchange::{Caller, Exchange};
 
 /// A stream on which no whole message came for this long is closed.
 const SILENCE: Duration = Duration::from_secs(300);
@@ -23,6 +24,7 @@ type Acks = mpsc::Sender<Result<wire::PushTrajectoryResponse, Status>>;
 /// Takes in everything that comes over `inbound`, until it ends or something is refused.
 pub(super) async fn pump(
     exchange: Arc<Exchange>,
+    caller: Caller,
     mut inbound: Streaming<wire::PushTrajectoryRequest>,
     acks: Acks,
 ) {
@@ -36,20 +38,28 @@ pub(super) async fn pump(
             Ok(Ok(None)) => return,
             Ok(Ok(Some(request))) => {
                 lease = Some(LeaseId(request.lease_id));
-                take_in(&exchange, request).await
+                take_in(&exchange, caller, request).await
             }
             Ok(Err(status)) => match unreadable(&status) {
                 None => return,
-                Some(refusal) => Err(super::refused(&exchange, lease, refusal)),
+                Some(refusal) => Err(super::refused(&exchange, &caller, lease, refusal)),
             },
             Err(_) => {
                 let detail = format!("no message for {} s", SILENCE.as_secs());
-                Err(Refusal::new(Reason::TooSlow, "stream", detail).into())
+                let refusal = Refusal::new(Reason::TooSlow, "stream", detail);
+                Err(super::refused(&exchange, &caller, lease, refusal))
             }
         };
         let last = result.is_err();
-        let sent = acks.send_timeout(result, ACK_DEADLINE).await;
-        if last || sent.is_err() {
+        if let Err(SendTimeoutError::Timeout(_)) = acks.send_timeout(result, ACK_DEADLINE).await {
+            let secs = ACK_DEADLINE.as_secs();
+            tracing::warn!(
+                "{caller} breaks off: acknowledgements are not taken away for {secs} s; its lease ends \
+                 unless it comes back"
+            );
+            return;
+        }
+        if last {
             return;
         }
     }
@@ -69,6 +79,7 @@ fn unreadable(status: &Status) -> Option<Refusal> {
 /// Checks and takes in one message on a thread that may compute.
 async fn take_in(
     exchange: &Arc<Exchange>,
+    caller: Caller,
     request: wire::PushTrajectoryRequest,
 ) -> Result<wire::PushTrajectoryResponse, Status> {
     let shared = Arc::clone(exchange);
@@ -76,9 +87,9 @@ async fn take_in(
     let result = tokio::task::spawn_blocking(move || read(&shared, request)).await;
     match result {
         Ok(Ok(ack)) => Ok(ack.to_wire()),
-        Ok(Err(refusal)) => Err(super::refused(exchange, Some(lease), refusal)),
+        Ok(Err(refusal)) => Err(super::refused(exchange, &caller, Some(lease), refusal)),
         Err(panic) => {
-            tracing::error!(%panic, "the check of a message broke down");
+            tracing::error!(%lease, "{caller}: the check of a message broke down: {panic}; its stream ends");
             Err(Status::internal("the check of this message broke down"))
         }
     }

@@ -6,8 +6,11 @@ use bytes::Bytes;
 use proto::wire::get_weights_response::Part;
 use proto::{MAX_WEIGHTS_PIECE_BYTES, WeightsName, wire};
 use tokio::sync::mpsc;
+use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
+
+use crate::exchange::Caller;
 
 /// A piece that is not taken away for this long ends the stream.
 const PIECE_DEADLINE: Duration = Duration::from_secs(30);
@@ -18,19 +21,31 @@ const PIECES_AHEAD: usize = 2;
 pub(super) fn stream(
     name: WeightsName,
     bytes: Bytes,
+    caller: Caller,
 ) -> ReceiverStream<Result<wire::GetWeightsResponse, Status>> {
     // Full when the actor reads slowly; the task below then waits, holding no copy.
     let (sender, stream) = mpsc::channel(PIECES_AHEAD);
     tokio::spawn(async move {
         for part in parts(name, &bytes) {
             let response = wire::GetWeightsResponse { part: Some(part) };
-            if sender.send_timeout(Ok(response), PIECE_DEADLINE).await.is_err() {
-                tracing::debug!(version = %name.version, "an actor gave up on its weights");
+            if let Err(error) = sender.send_timeout(Ok(response), PIECE_DEADLINE).await {
+                let version = name.version;
+                let why = broken_off(&error);
+                tracing::warn!(%version, "{caller} breaks off: {why}; it may ask for them again");
                 return;
             }
         }
     });
     ReceiverStream::new(stream)
+}
+
+fn broken_off<T>(error: &SendTimeoutError<T>) -> String {
+    match error {
+        SendTimeoutError::Timeout(_) => {
+            format!("the weights are not taken away for {} s", PIECE_DEADLINE.as_secs())
+        }
+        SendTimeoutError::Closed(_) => "whoever asked for the weights is gone".to_owned(),
+    }
 }
 
 fn parts(name: WeightsName, bytes: &Bytes) -> impl Iterator<Item = Part> {

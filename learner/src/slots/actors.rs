@@ -125,14 +125,14 @@ impl Actors {
         }
     }
 
-    pub(super) fn strike(&mut self, id: ActorId, now: Duration) {
-        let Some(actor) = self.registered.get_mut(&id) else {
-            return;
-        };
+    /// Counts a refusal; the pause, if the actor gets no work for a while now.
+    pub(super) fn strike(&mut self, id: ActorId, now: Duration) -> Option<Duration> {
+        let actor = self.registered.get_mut(&id)?;
         actor.strikes += 1;
-        if let Some(doublings) = actor.strikes.checked_sub(STRIKES) {
-            actor.quarantined_until = now + self.pause * 2_u32.pow(doublings.min(MOST_DOUBLINGS));
-        }
+        let doublings = actor.strikes.checked_sub(STRIKES)?;
+        let pause = self.pause * 2_u32.pow(doublings.min(MOST_DOUBLINGS));
+        actor.quarantined_until = now + pause;
+        Some(pause)
     }
 
     pub(super) fn count(&self) -> usize {

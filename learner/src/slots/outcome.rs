@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use proto::{ActorId, Digest, EvaluationResult, Lease, LeaseId, TrajectoryChunk};
+use proto::{ActorId, Digest, EvaluationResult, Lease, LeaseId, LeaseStatus, TrajectoryChunk};
 
 use super::Disagreement;
 
@@ -41,6 +41,27 @@ pub enum Effect {
     Evaluation(EvaluationOutcome),
     /// Two valid results differ.
     Failed(Box<Disagreement>),
+}
+
+/// What went wrong with an actor's work, for whoever tells people.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Incident {
+    /// The actor's connection closed, or had no more room for it.
+    Gone {
+        /// The actor.
+        actor: ActorId,
+        /// What it was at, ended now.
+        leases: Vec<LeaseStatus>,
+    },
+    /// Nothing was heard of this lease for its time to live, or its work stood still for long.
+    Expired(LeaseStatus),
+    /// Too many messages in a row were refused.
+    Quarantined {
+        /// The actor.
+        actor: ActorId,
+        /// How long it gets no work.
+        pause: Duration,
+    },
 }
 
 /// The answer to an actor that asks for work.

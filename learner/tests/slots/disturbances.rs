@@ -1,6 +1,4 @@
-//! What may happen to a cluster, and how often.
-
-use proptest::prelude::*;
+//! What may happen to a cluster.
 
 /// Places for actors.
 pub(crate) const SEATS: usize = 4;
@@ -34,23 +32,4 @@ pub(crate) enum Event {
     Restart,
     /// Time passes, in tenths of the time to live.
     Pass(u32),
-}
-
-pub(crate) fn event() -> impl Strategy<Value = Event> {
-    let seat = || 0..SEATS;
-    let message = || prop_oneof![3 => Just(0), 1 => 0..MOST_UNDER_WAY];
-    prop_oneof![
-        24 => seat().prop_map(Event::Act),
-        4 => seat().prop_map(Event::Beat),
-        36 => message().prop_map(Event::Arrive),
-        4 => message().prop_map(Event::ArriveTwice),
-        2 => message().prop_map(Event::Lose),
-        1 => seat().prop_map(Event::Kill),
-        1 => seat().prop_map(Event::Freeze),
-        2 => seat().prop_map(Event::Thaw),
-        2 => seat().prop_map(Event::Join),
-        4 => Just(Event::Learn),
-        1 => (0..12_u32).prop_map(|once| if once == 0 { Event::Restart } else { Event::Learn }),
-        4 => (1..8_u32).prop_map(Event::Pass),
-    ]
 }

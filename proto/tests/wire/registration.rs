@@ -33,6 +33,18 @@ fn a_client_without_a_fingerprint_is_admitted() {
 }
 
 #[test]
+fn a_name_that_could_fill_the_memory_or_forge_a_line_of_a_log_is_refused() {
+    let refused = |client: &str| {
+        let named = Registration { client: client.to_owned(), ..registration() };
+        Registration::from_wire(named.to_wire()).err().map(|refusal| refusal.field)
+    };
+    assert_eq!(refused(&"n".repeat(128)), None);
+    for hostile in ["n".repeat(129).as_str(), "a\n2026-01-01 INFO all is well", "\u{1b}[2J"] {
+        assert_eq!(refused(hostile).as_deref(), Some("client"));
+    }
+}
+
+#[test]
 fn another_fingerprint_or_protocol_is_refused() {
     let other = Registration { rollout_fingerprint: Some(Digest([8; 32])), ..registration() };
     assert_eq!(other.check(&sample::run()).unwrap_err().reason, Reason::OtherFingerprint);

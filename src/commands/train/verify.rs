@@ -96,6 +96,10 @@ impl Trial<'_> {
         }
         command.arg(format!("run.dir={}", self.folder.display()));
         command.arg(format!("run.iterations={iterations}")).arg("evaluation.every_steps=0");
+        if std::env::var_os("RUST_LOG").is_none() {
+            // What a trial does to its actors is no news to whoever asked for it.
+            command.env("RUST_LOG", "error");
+        }
         let mut learner = command.stdout(Stdio::piped()).spawn().context("no learner")?;
         let lines = learner.stdout.take().map(BufReader::new).context("no output")?.lines();
         let mut crew = Crew { learner, lines, actors: Vec::new() };

@@ -1,0 +1,259 @@
+//! The slot table under arbitrary lists of events: an honest cluster on a hostile network, watched by the model of its
+//! tests, and actors who say whatever they like, among whom an honest one must still get its work done.
+#![no_main]
+#![expect(dead_code, reason = "the table's tests call more of what they share with this")]
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a finding")]
+
+#[path = "../../learner/tests/slots/cluster.rs"]
+mod cluster;
+#[path = "../../learner/tests/slots/disturbances.rs"]
+mod disturbances;
+#[path = "../../learner/tests/slots/table.rs"]
+mod table;
+
+use std::time::Duration;
+
+use arbitrary::{Arbitrary, Unstructured};
+use cluster::Cluster;
+use disturbances::{Event, MOST_UNDER_WAY, SEATS};
+use learner::slots::{ConnectionId, Effect, Offer, SlotTable, Trust};
+use libfuzzer_sys::fuzz_target;
+use proto::{
+    ActorId, Beat, Digest, EvaluationResult, Incarnation, Lease, LeaseId, PolicyVersion,
+    PushHeader, WeightsName, Work,
+};
+use table::{CHUNKS, INCARNATION, TTL, chunk, honest, weights, works};
+
+const SLOTS: u32 = 3;
+/// Longer lists of events show nothing that shorter ones do not.
+const MOST_EVENTS: usize = 600;
+
+fuzz_target!(|data: &[u8]| {
+    let mut unstructured = Unstructured::new(data);
+    let _ended = match u8::arbitrary(&mut unstructured) {
+        Ok(kind) if kind % 2 == 0 => honest_cluster(&mut unstructured),
+        Ok(_) => hostile_actors(&mut unstructured),
+        Err(_) => Ok(()),
+    };
+});
+
+fn honest_cluster(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> {
+    let mut cluster = Cluster::new();
+    for _ in 0..MOST_EVENTS {
+        if unstructured.is_empty() {
+            break;
+        }
+        cluster.happen(event(unstructured)?);
+    }
+    cluster.settle();
+    Ok(())
+}
+
+fn event(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<Event> {
+    let kind = unstructured.int_in_range(0..=11)?;
+    let number = usize::from(u8::arbitrary(unstructured)?);
+    let (seat, message) = (number % SEATS, number % MOST_UNDER_WAY);
+    Ok(match kind {
+        0 => Event::Act(seat),
+        1 => Event::Beat(seat),
+        2 => Event::Arrive(message),
+        3 => Event::ArriveTwice(message),
+        4 => Event::Lose(message),
+        5 => Event::Kill(seat),
+        6 => Event::Freeze(seat),
+        7 => Event::Thaw(seat),
+        8 => Event::Join(seat),
+        9 => Event::Learn,
+        10 => Event::Restart,
+        _ => Event::Pass(number as u32 % 16),
+    })
+}
+
+/// A call of the table, as whoever reaches the service can cause it. Numbers choose among what there is.
+#[derive(Arbitrary, Debug)]
+enum Call {
+    Register { connection: u8, foreign: bool },
+    Disconnect(u8),
+    Lease { actor: u8, other_start: bool },
+    Chunk { lease: u8, sequence: u8, lie: Lie },
+    Evaluation { lease: u8, episode: u8, lie: Lie },
+    Refuse(u8),
+    Beat { actor: u8, lease: u8, step: u32 },
+    Pass(u8),
+    OpenIteration,
+    OpenEvaluation(u8),
+    Drain,
+}
+
+/// What is wrong with a message.
+#[derive(Arbitrary, Clone, Copy, Debug, PartialEq, Eq)]
+enum Lie {
+    Nothing,
+    Digest(u8),
+    Version(u64),
+    Start(u64),
+    Lease(u64),
+}
+
+struct Siege {
+    table: SlotTable,
+    now: Duration,
+    leases: Vec<Lease>,
+    iteration: u64,
+    evaluations: u64,
+    failed: bool,
+}
+
+fn hostile_actors(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> {
+    let mut siege = Siege {
+        table: table::table(SLOTS),
+        now: Duration::ZERO,
+        leases: Vec::new(),
+        iteration: 0,
+        evaluations: 0,
+        failed: false,
+    };
+    for _ in 0..MOST_EVENTS {
+        if unstructured.is_empty() || siege.failed {
+            break;
+        }
+        let call = Call::arbitrary(unstructured)?;
+        siege.suffer(call);
+        siege.take_effects();
+        siege.is_bounded();
+    }
+    siege.an_honest_actor_gets_its_work_done();
+    Ok(())
+}
+
+impl Siege {
+    fn suffer(&mut self, call: Call) {
+        match call {
+            Call::Register { connection, foreign } => {
+                let trust = if foreign { Trust::Foreign } else { Trust::Exact };
+                self.table.register(ConnectionId(u64::from(connection % 4)), trust);
+            }
+            Call::Disconnect(connection) => {
+                self.table.disconnect(ConnectionId(u64::from(connection % 4)));
+            }
+            Call::Lease { actor, other_start } => {
+                let incarnation = Incarnation(INCARNATION.0 + u64::from(other_start));
+                let offer = self.table.lease(ActorId(actor.into()), incarnation);
+                if let Ok(Offer::Lease(lease)) = offer {
+                    self.leases.push(lease);
+                }
+            }
+            Call::Chunk { lease, sequence, lie } => self.push(lease, sequence.into(), lie),
+            Call::Evaluation { lease, episode, lie } => self.evaluate(lease, episode.into(), lie),
+            Call::Refuse(lease) => self.table.refuse(LeaseId(lease.into())),
+            Call::Beat { actor, lease, step } => {
+                let (actor, lease) = (ActorId(actor.into()), LeaseId(lease.into()));
+                let beat = Beat { actor, incarnation: INCARNATION, lease, slot_step: step };
+                let _valid = self.table.heartbeat(&beat);
+            }
+            Call::Pass(tenths) => {
+                self.now += TTL * u32::from(tenths) / 10;
+                self.table.tick(self.now);
+            }
+            Call::OpenIteration => self.open_next(),
+            Call::OpenEvaluation(episodes) if self.evaluations < 4 => {
+                self.table.open_evaluation(self.evaluations, weights(), u32::from(episodes % 3) + 1);
+                self.evaluations += 1;
+            }
+            Call::OpenEvaluation(_) => {}
+            Call::Drain => self.table.drain(),
+        }
+    }
+
+    fn open_next(&mut self) {
+        self.iteration += 1;
+        self.table.open_iteration(self.iteration, weights(), works(self.iteration, SLOTS));
+    }
+
+    fn lease_at(&self, at: u8) -> Option<&Lease> {
+        usize::from(at).checked_rem(self.leases.len()).map(|at| &self.leases[at])
+    }
+
+    fn push(&mut self, lease: u8, sequence: u32, lie: Lie) {
+        let Some(lease) = self.lease_at(lease).cloned() else { return };
+        let Work::Rollout(_) = lease.work else { return };
+        let header = bent(PushHeader::of(&lease, honest(&lease, sequence)), lie);
+        let seen = self.table.preview_chunk(&header, sequence);
+        let taken = self.table.chunk(&header, chunk(&lease, sequence));
+        // What would be taken is taken, and the other way round.
+        assert_eq!(seen, taken.map(|ack| ack.state));
+    }
+
+    fn evaluate(&mut self, lease: u8, episode: u32, lie: Lie) {
+        let Some(lease) = self.lease_at(lease).cloned() else { return };
+        let result = EvaluationResult { episode, extrinsic_return: 1.0, steps: 5 };
+        let header = bent(PushHeader::of(&lease, result.digest()), lie);
+        let _taken = self.table.evaluation(&header, result);
+    }
+
+    fn take_effects(&mut self) {
+        for effect in self.table.effects() {
+            match effect {
+                Effect::WorkFreed => {}
+                Effect::Iteration(rollouts) => {
+                    assert!(rollouts.iter().map(|rollout| rollout.slot).eq(0..SLOTS));
+                    for rollout in rollouts {
+                        let sequences = rollout.chunks.iter().map(|chunk| chunk.sequence);
+                        assert!(sequences.eq(0..CHUNKS), "a slot is not whole");
+                        assert_eq!(rollout.digests.len(), CHUNKS as usize);
+                    }
+                    self.open_next();
+                }
+                Effect::Evaluation(outcome) => assert!(outcome.iteration < self.evaluations),
+                Effect::Failed(found) => {
+                    assert_ne!(found.first.digest, found.second.digest);
+                    self.failed = true;
+                }
+            }
+        }
+    }
+
+    fn is_bounded(&self) {
+        let held = self.table.footprint();
+        assert!(held.actors <= 4 * 16, "{held:?}");
+        assert!(held.open_leases <= SLOTS as usize + 4 * 3, "{held:?}");
+        assert!(held.chunks <= u64::from(SLOTS * CHUNKS), "{held:?}");
+        assert!(held.witnesses <= 9 * SLOTS as usize, "{held:?}");
+        assert!(held.finished_leases <= 4096, "{held:?}");
+    }
+
+    /// The siege is over: old leases have ended, and one actor on a connection of its own is left.
+    fn an_honest_actor_gets_its_work_done(&mut self) {
+        if self.failed || self.table.state() != proto::RunState::Running {
+            return;
+        }
+        self.now += 100 * TTL;
+        self.table.tick(self.now);
+        self.open_next();
+        let target = self.iteration + 1;
+        let actor = self.table.register(ConnectionId(99), Trust::Exact);
+        for _ in 0..SLOTS {
+            let lease = table::lease(&mut self.table, actor);
+            for sequence in 0..CHUNKS {
+                let header = PushHeader::of(&lease, honest(&lease, sequence));
+                self.table.chunk(&header, chunk(&lease, sequence)).unwrap();
+            }
+            self.take_effects();
+        }
+        assert_eq!(self.iteration, target, "the iteration cannot be completed");
+    }
+}
+
+fn bent(header: PushHeader, lie: Lie) -> PushHeader {
+    let WeightsName { digest, .. } = header.weights;
+    match lie {
+        Lie::Nothing => header,
+        Lie::Digest(byte) => PushHeader { digest: Digest([byte; 32]), ..header },
+        Lie::Start(start) => PushHeader { incarnation: Incarnation(start), ..header },
+        Lie::Lease(lease) => PushHeader { lease: LeaseId(lease), ..header },
+        Lie::Version(version) => {
+            let weights = WeightsName { version: PolicyVersion(version), digest };
+            PushHeader { weights, ..header }
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! What goes wrong with actors, each in one line of the log: who it was, what they were at, and what happens next.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::net::SocketAddr;
+
+use proto::{ActorId, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal};
+
+use crate::exchange::Exchange;
+use crate::slots::Incident;
+
+/// Who made a call, and which: for the log.
+#[derive(Clone, Copy, Debug)]
+pub struct Caller {
+    /// The other end of the connection; none where there is no socket.
+    pub peer: Option<SocketAddr>,
+    /// What was asked for, such as `register`.
+    pub call: &'static str,
+}
+
+impl fmt::Display for Caller {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.peer {
+            Some(peer) => write!(formatter, "{} from {peer}", self.call),
+            None => formatter.write_str(self.call),
+        }
+    }
+}
+
+/// How registered actors call themselves.
+#[derive(Debug, Default)]
+pub(super) struct Names(BTreeMap<ActorId, String>);
+
+impl Names {
+    pub(super) fn insert(&mut self, actor: ActorId, name: String) {
+        self.0.insert(actor, name);
+    }
+
+    /// What the incident is in words; an actor that is gone loses its name.
+    pub(super) fn describe(&mut self, incident: &Incident) -> Notice {
+        match incident {
+            Incident::Gone { actor, leases } => {
+                let who = self.call(*actor);
+                self.0.remove(actor);
+                match leases[..] {
+                    [] => Notice::Usual(format!("{who} is gone; it held no lease")),
+                    _ => Notice::Loss(format!("{who} is gone, {}; {FREE}", each(leases))),
+                }
+            }
+            Incident::Expired(lease) => {
+                let (who, still) = (self.call(lease.actor), lease.still_secs);
+                Notice::Loss(format!(
+                    "{who} got nothing done for {still:.1} s, {}; the lease ends, {FREE}",
+                    each(std::slice::from_ref(lease))
+                ))
+            }
+            Incident::Quarantined { actor, pause } => {
+                let (who, secs) = (self.call(*actor), pause.as_secs_f64());
+                Notice::Loss(format!(
+                    "{who} is in quarantine: too many of its messages in a row were refused; it gets no work \
+                     for {secs:.1} s"
+                ))
+            }
+        }
+    }
+
+    fn call(&self, actor: ActorId) -> String {
+        match self.0.get(&actor) {
+            Some(name) => format!("actor {actor} ({name})"),
+            None => format!("actor {actor}"),
+        }
+    }
+}
+
+const FREE: &str = "its work is free again, from the first step";
+
+/// A line, and how much it matters.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Notice {
+    /// Nothing is lost.
+    Usual(String),
+    /// Work is.
+    Loss(String),
+}
+
+impl Notice {
+    pub(super) fn tell(&self) {
+        match self {
+            Self::Usual(line) => tracing::info!("{line}"),
+            Self::Loss(line) => tracing::warn!("{line}"),
+        }
+    }
+}
+
+fn each(leases: &[LeaseStatus]) -> String {
+    leases.iter().map(at).collect::<Vec<_>>().join(", ")
+}
+
+fn at(lease: &LeaseStatus) -> String {
+    let LeaseStatus { lease, work, chunks, .. } = lease;
+    match work {
+        LeasedWork::Slot(slot) => format!("at slot {slot} (lease {lease}) after {chunks} chunks"),
+        LeasedWork::Episode(episode) => {
+            format!("at evaluation episode {episode} (lease {lease})")
+        }
+    }
+}
+
+/// What a lease did before it ended, or under another learner, cannot end it again.
+pub(super) fn is_about_the_lease(refusal: &Refusal) -> bool {
+    !matches!(refusal.reason, Reason::UnknownLease | Reason::OtherIncarnation)
+}
+
+impl Exchange {
+    /// One line for a refusal, before its consequences are told.
+    pub(super) fn tell_refusal(&self, caller: &Caller, lease: Option<LeaseId>, why: &Refusal) {
+        let leases = lease.map(|_| self.lock().table.leases()).unwrap_or_default();
+        let stood = leases.iter().find(|status| Some(status.lease) == lease);
+        let (reason, field) = (why.reason.name(), &why.field);
+        let next = match stood {
+            Some(lease) if is_about_the_lease(why) => {
+                let who = self.lock().names.call(lease.actor);
+                format!("{who} was {}; the lease ends, {FREE}", at(lease))
+            }
+            _ => "no lease is touched".to_owned(),
+        };
+        // A detail may quote the peer, who must not begin a line of its own.
+        let detail = why.detail.split_whitespace().collect::<Vec<_>>().join(" ");
+        tracing::warn!(reason, %field, "{caller} is refused: {detail}; {next}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    fn lease(work: LeasedWork) -> LeaseStatus {
+        LeaseStatus { lease: LeaseId(7), actor: ActorId(3), work, chunks: 2, still_secs: 20.0 }
+    }
+
+    fn line(incident: &Incident) -> String {
+        let mut names = Names::default();
+        names.insert(ActorId(3), "local-0".to_owned());
+        match names.describe(incident) {
+            Notice::Loss(line) => line,
+            usual => panic!("work was lost: {usual:?}"),
+        }
+    }
+
+    #[test]
+    fn each_loss_is_a_line_with_the_actor_what_it_was_at_and_what_happens_next() {
+        let (slot, episode) = (lease(LeasedWork::Slot(5)), lease(LeasedWork::Episode(1)));
+        assert_eq!(
+            line(&Incident::Gone { actor: ActorId(3), leases: vec![slot.clone(), episode] }),
+            "actor 3 (local-0) is gone, at slot 5 (lease 7) after 2 chunks, at evaluation episode 1 (lease 7); \
+             its work is free again, from the first step"
+        );
+        assert_eq!(
+            line(&Incident::Expired(slot)),
+            "actor 3 (local-0) got nothing done for 20.0 s, at slot 5 (lease 7) after 2 chunks; the lease \
+             ends, its work is free again, from the first step"
+        );
+        let pause = Duration::from_secs(40);
+        assert_eq!(
+            line(&Incident::Quarantined { actor: ActorId(3), pause }),
+            "actor 3 (local-0) is in quarantine: too many of its messages in a row were refused; it gets no \
+             work for 40.0 s"
+        );
+    }
+
+    #[test]
+    fn an_actor_that_leaves_without_a_lease_is_no_loss_and_its_name_goes_with_it() {
+        let mut names = Names::default();
+        names.insert(ActorId(3), "local-0".to_owned());
+        let gone = Incident::Gone { actor: ActorId(3), leases: Vec::new() };
+        let usual = Notice::Usual("actor 3 (local-0) is gone; it held no lease".to_owned());
+        assert_eq!((names.describe(&gone), names.0.len()), (usual, 0));
+    }
+}

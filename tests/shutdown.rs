@@ -1,0 +1,108 @@
+//! Told to stop: the first signal leaves a checkpoint and ends with status 0, also in the middle of an update; the second
+//! one ends at once.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+
+use std::io::{BufRead as _, BufReader, Lines};
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use runs::{Runs, TINY, inspect, s2mia, train};
+
+/// No stop takes longer.
+const GRACE: Duration = Duration::from_secs(30);
+
+fn started(arguments: &[&str]) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+    command.spawn().unwrap()
+}
+
+fn signal(process: &Child, name: &str) {
+    let sent = Command::new("kill").args([name, &process.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+}
+
+/// A learner and an actor that has given it all that an update needs.
+struct Cluster {
+    learner: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    actor: Child,
+}
+
+impl Cluster {
+    /// In the middle of an update of `epochs` passes.
+    fn in_an_update(folder: &Path, epochs: &str) -> Self {
+        let (dir, epochs) =
+            (format!("run.dir={}", folder.display()), format!("update.epochs={epochs}"));
+        let own = ["run.iterations=2", "evaluation.every_steps=0", &dir, &epochs];
+        let mut learner = started(&[&["learner", "--listen=127.0.0.1:0"], TINY, &own].concat());
+        let mut lines = BufReader::new(learner.stdout.take().unwrap()).lines();
+        let first = lines.next().unwrap().unwrap();
+        let url = first.split_whitespace().last().unwrap();
+        let actor = started(&["actor", "--learner", url, "--exit-with-stdin"]);
+        let patience = Instant::now() + GRACE;
+        while !all_collected(url) {
+            assert!(Instant::now() < patience, "the first iteration's slots are not complete");
+        }
+        Self { learner, lines, actor }
+    }
+
+    /// Waits for the line that says so.
+    fn is_stopping(&mut self) {
+        let stopping = |line: std::io::Result<String>| line.unwrap().starts_with("stopping after");
+        assert!(self.lines.by_ref().any(stopping));
+    }
+}
+
+impl Drop for Cluster {
+    fn drop(&mut self) {
+        // Those that ended by themselves cannot be killed any more.
+        for process in [&mut self.learner, &mut self.actor] {
+            let _ended = process.kill();
+            let _reaped = process.wait();
+        }
+    }
+}
+
+fn all_collected(url: &str) -> bool {
+    let told = s2mia(&["status", url, "--json"]);
+    let status: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
+    status["slots"] == 2 && status["complete_slots"] == 2
+}
+
+#[test]
+fn the_second_signal_ends_a_learner_at_once_with_its_number_as_the_status() {
+    let runs = Runs::new();
+    for (name, status) in [("-TERM", 143), ("-INT", 130)] {
+        let mut cluster = Cluster::in_an_update(&runs.folder(name), "10000000");
+        signal(&cluster.learner, "-TERM");
+        cluster.is_stopping();
+        assert_eq!(cluster.learner.try_wait().unwrap(), None, "it waits for the update");
+        let begun = Instant::now();
+        signal(&cluster.learner, name);
+        assert_eq!(cluster.learner.wait().unwrap().code(), Some(status));
+        assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    }
+}
+
+#[test]
+fn the_first_signal_in_the_middle_of_an_update_leaves_a_checkpoint_of_it_and_status_0() {
+    let runs = Runs::new();
+    let (stopped, whole) = (runs.folder("stopped"), runs.folder("whole"));
+    let mut cluster = Cluster::in_an_update(&stopped, "400");
+    let begun = Instant::now();
+    signal(&cluster.learner, "-TERM");
+    cluster.is_stopping();
+    assert!(cluster.learner.wait().unwrap().success());
+    assert!(begun.elapsed() < GRACE, "{:?}", begun.elapsed());
+    let settings = ["run.iterations=1", "evaluation.every_steps=0", "update.epochs=400"];
+    train(&whole, &settings);
+    assert_eq!(inspect(&stopped), inspect(&whole));
+    // The actor, whose learner is gone, is told as well.
+    signal(&cluster.actor, "-TERM");
+    assert_eq!(cluster.actor.wait().unwrap().code(), Some(0));
+}

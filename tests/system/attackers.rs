@@ -1,0 +1,90 @@
+//! A client that speaks the protocol and lies.
+
+use proto::wire::learner_service_client::LearnerServiceClient;
+use proto::{
+    AgentChunk, Lease, LeaseAnswer, PushHeader, Registered, Registration, RunDescription,
+    TrajectoryChunk, wire,
+};
+use tonic::Status;
+use tonic::transport::Channel;
+
+/// A connection of its own for every attack, so that one attack's consequences do not reach the next.
+pub(crate) struct Attacker {
+    pub(crate) service: LearnerServiceClient<Channel>,
+    pub(crate) run: RunDescription,
+    pub(crate) own: Registered,
+}
+
+impl Attacker {
+    pub(crate) async fn connect(url: &str) -> Self {
+        let mut service = LearnerServiceClient::connect(url.to_owned()).await.unwrap();
+        let run = service.describe_run(wire::DescribeRunRequest {}).await.unwrap().into_inner();
+        let run = RunDescription::from_wire(run.run).unwrap();
+        let registered = service.register(registration(&run).to_wire()).await.unwrap();
+        let own = Registered::from_wire(&registered.into_inner());
+        Self { service, run, own }
+    }
+
+    pub(crate) async fn lease(&mut self) -> Lease {
+        let request = wire::LeaseSlotsRequest {
+            actor_id: self.own.actor.0,
+            incarnation: self.own.incarnation.0,
+            wait_millis: 20_000,
+        };
+        let answer = self.service.lease_slots(request).await.unwrap().into_inner();
+        match LeaseAnswer::from_wire(answer, &self.run).unwrap() {
+            LeaseAnswer::Lease(lease) => lease,
+            other => panic!("expected a lease, got {other:?}"),
+        }
+    }
+
+    pub(crate) async fn push(&mut self, message: wire::PushTrajectoryRequest) -> Status {
+        let stream = self.service.push_trajectory(tokio_stream::iter([message])).await;
+        stream.unwrap().into_inner().message().await.unwrap_err()
+    }
+}
+
+pub(crate) fn registration(run: &RunDescription) -> Registration {
+    Registration {
+        client: "attacker".to_owned(),
+        protocol_version: run.protocol_version,
+        environment: run.environment.clone(),
+        rollout_fingerprint: Some(run.rollout_fingerprint),
+    }
+}
+
+/// A first chunk of the right shape that nobody has computed.
+pub(crate) fn invented(run: &RunDescription) -> TrajectoryChunk {
+    let rows = (run.chunk_steps * run.environments_per_slot) as usize;
+    let stored = (run.chunk_steps / run.hidden_every * run.environments_per_slot) as usize;
+    let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
+    let agents = agents.map(|(agent, hidden)| AgentChunk {
+        observation: vec![0.1; rows * agent.observation.len()],
+        action: vec![0.1; rows * agent.action.size as usize],
+        log_prob: vec![0.0; rows],
+        hidden: vec![0.0; stored * *hidden as usize],
+    });
+    TrajectoryChunk {
+        sequence: 0,
+        first_step: 0,
+        steps: run.chunk_steps,
+        agents: agents.collect(),
+        state: vec![0.1; rows * run.environment.state.len()],
+        reward: vec![0.0; rows],
+        terminated: vec![false; rows],
+        truncated: vec![false; rows],
+        finals: Vec::new(),
+        end: None,
+    }
+}
+
+/// The message that an actor with this lease would send.
+pub(crate) fn message(
+    lease: &Lease,
+    chunk: &TrajectoryChunk,
+    run: &RunDescription,
+) -> wire::PushTrajectoryRequest {
+    let (chunk, digest) = chunk.to_wire(run);
+    let content = wire::push_trajectory_request::Content::Chunk(chunk);
+    PushHeader::of(lease, digest).to_wire(content)
+}
