@@ -153,7 +153,7 @@ mod tests {
     fn each_loss_is_a_line_with_the_actor_what_it_was_at_and_what_happens_next() {
         let (slot, episode) = (lease(LeasedWork::Slot(5)), lease(LeasedWork::Episode(1)));
         assert_eq!(
-            line(&Incident::Gone { actor: ActorId(3), leases: vec![slot.clone(), episode] }),
+            line(&Incident::Gone { actor: ActorId(3), leases: vec![slot, episode] }),
             "actor 3 (local-0) is gone, at slot 5 (lease 7) after 2 chunks, at evaluation episode 1 (lease 7); \
              its work is free again, from the first step"
         );
