@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PROJECT = "s2mia-cluster-test"
@@ -38,8 +39,10 @@ class NotRun(Exception):
 class Form:
     """How long the run is, and which binary runs it."""
 
+    # Enough for the slowest engine to play all faults before the run's end.
     iterations: int
     binary: str
+    disturb: Callable[["Cluster"], None]
     files: tuple[str, ...] = ("deploy/compose.yaml", "tests/containers/short.yaml")
 
     def settings(self) -> dict[str, str]:
@@ -53,10 +56,6 @@ class Form:
 
     def env_steps(self) -> str:
         return str(self.iterations * STEPS_PER_ITERATION)
-
-
-SHORT = Form(iterations=40, binary="target/debug/s2mia")
-WHOLE = Form(iterations=120, binary="target/release/s2mia")
 
 
 def output(*command: str, **options) -> str:
@@ -223,13 +222,17 @@ def disturb(cluster: Cluster) -> None:
     cluster.scale(2)
 
 
+SHORT = Form(iterations=150, binary="target/debug/s2mia", disturb=disturb_shortly)
+WHOLE = Form(iterations=150, binary="target/release/s2mia", disturb=disturb)
+
+
 def cluster_hashes(form: Form) -> dict[str, str]:
     """Hashes of the disturbed run."""
     cluster = Cluster(form)
     cluster.down()
     try:
         cluster.scale(1)
-        (disturb_shortly if form.iterations == SHORT.iterations else disturb)(cluster)
+        form.disturb(cluster)
         cluster.wait_for("the end of the run", lambda: not cluster.running("learner"))
         cluster.wait_for("the actors' end", lambda: not cluster.running("actor"))
         return hashes(cluster.in_volume("s2mia", "inspect", f"/runs/{RUN}", "--json"))
@@ -247,7 +250,12 @@ def build_image(form: Form) -> None:
     arguments = ["BINARY=prebuilt", f"PREBUILT={form.binary}"]
     build = [word for argument in arguments for word in ("--build-arg", argument)]
     environment = {**os.environ, "DOCKER_BUILDKIT": "1"}
-    output("docker", "build", "-q", "-f", "deploy/Dockerfile", *build, "-t", IMAGE, ".", env=environment)
+    try:
+        output("docker", "build", "-q", "-f", "deploy/Dockerfile", *build, "-t", IMAGE, ".", env=environment)
+    except RuntimeError as error:
+        if "buildx component is missing" in str(error):
+            raise NotRun("this docker has no BuildKit") from error
+        raise
 
 
 def main() -> int:
