@@ -42,7 +42,7 @@ pub(crate) struct RunConfig {
     pub(crate) policy: policy::PolicyConfig,
     /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
     pub(crate) training: marl::Config,
-    /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `learner`.
+    /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `metrics`, `learner`.
     pub(crate) learner: learner::Config,
 }
 
@@ -82,7 +82,7 @@ impl RunConfig {
             training: sections(resolved, &["update", "critic", "surprise", "influence", "maddpg"])?,
             learner: sections(
                 resolved,
-                &["environments", "lease", "evaluation", "checkpoint", "learner"],
+                &["environments", "lease", "evaluation", "checkpoint", "metrics", "learner"],
             )?,
             resolved: resolved.clone(),
         };

@@ -189,7 +189,7 @@ fn build(
     let observations = ObservationMoments::new(launch.observations, &problem);
     let environments = &launch.config.environments;
     let layout = Layout::of(description, environments.slots());
-    let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
+    let (metrics, measured) = Metrics::open(folder.path(), &launch.config.metrics, iteration)?;
     Ok(Trainer {
         surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
         environments: Environments::fresh(

@@ -2,7 +2,7 @@
 
 /// Keys and sections that decide who computes and when, never what.
 const OPERATIONAL: &[&str] =
-    &["run.actors", "run.dir", "lease.", "evaluation.", "checkpoint.", "learner."];
+    &["run.actors", "run.dir", "lease.", "evaluation.", "checkpoint.", "metrics.", "learner."];
 
 /// Keys that only say how far a run goes; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
