@@ -5,6 +5,7 @@ mod certs;
 mod checkpointed;
 mod config;
 mod eval;
+mod experiment;
 mod film;
 mod health;
 mod inspect;
@@ -44,6 +45,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Record(arguments) => record::run(&arguments),
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
+        Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),
         Command::Status(arguments) => status::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
