@@ -1,5 +1,6 @@
 //! The arguments of every command, and how a wrong one is reported.
 
+mod figures;
 mod log;
 mod tls;
 
@@ -10,6 +11,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
@@ -62,6 +64,8 @@ pub(crate) enum Command {
     Film(FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
     Plot(PlotArguments),
+    /// Run tasks x variants x seeds, several at once, then make a table and figures of them; go on with it at will.
+    Experiment(ExperimentArguments),
     /// Say what the newest good checkpoint of a run holds.
     Inspect(InspectArguments),
     /// List the tasks with their agents, joints and sizes.
@@ -138,6 +142,9 @@ pub(crate) struct TrainArguments {
         value_parser = clap::value_parser!(u64).range(2..)
     )]
     pub(crate) verify_determinism: Option<u64>,
+    /// Stop after a checkpoint as soon as standard input closes, so that no run outlives the process that started it.
+    #[arg(long)]
+    pub(crate) stop_with_stdin: bool,
 }
 
 /// `s2mia learner`
@@ -262,17 +269,6 @@ pub(crate) struct FilmArguments {
     pub(crate) every_secs: f64,
     /// PNG file to write [default: RUN/film.png].
     #[arg(long, value_name = "FILE")]
-    pub(crate) out: Option<PathBuf>,
-}
-
-/// `s2mia plot`
-#[derive(Args, Debug)]
-pub(crate) struct PlotArguments {
-    /// Run folders; runs of the same task and algorithm are drawn as one mean with its range.
-    #[arg(required = true, value_name = "RUN")]
-    pub(crate) runs: Vec<PathBuf>,
-    /// Folder for learning_curve.svg and .png [default: the run folder; for several runs this folder].
-    #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }
 

@@ -5,6 +5,7 @@ mod certs;
 mod checkpointed;
 mod config;
 mod eval;
+mod experiment;
 mod film;
 mod health;
 mod inspect;
@@ -49,6 +50,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Log(command) => log::run(&command),
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
+        Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),
         Command::Status(arguments) => status::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),

@@ -1,151 +1,104 @@
-//! The evaluation returns of finished or running runs, read from their folders, and what is drawn of them.
+//! Runs that are finished or still going on, read from their folders, and what is drawn of them: one curve per
+//! task and variant, over the seeds.
 
-use std::collections::BTreeMap;
+mod quantity;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use policy::{Draw, Purpose};
+use serde_json::Value;
 
 use crate::commands::Usage;
-use crate::config::{Request, Resolved, layers};
+use crate::config::{Request, layers};
 use crate::run_path;
+use crate::statistics::{
+    Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
+};
 
-/// Evaluations of one run, in order of env steps.
+pub(crate) use quantity::Quantity;
+
+/// Settings that have a place of their own in a picture.
+const SHOWN_ELSEWHERE: [&str; 3] = ["task", "algorithm", "run.seed"];
+
+/// What one run says over environment steps.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Curve {
-    /// Name of the run folder.
-    pub(crate) name: String,
     /// Task.
     pub(crate) task: String,
-    /// Algorithm.
+    /// Algorithm, or what a picture calls the variant.
     pub(crate) algorithm: String,
     /// Seed.
     pub(crate) seed: String,
-    /// Every other semantic setting; runs that differ in one are never averaged.
-    pub(crate) settings: String,
-    /// Env steps and mean extrinsic return.
-    pub(crate) points: Vec<(f64, f64)>,
+    /// Every other semantic setting; runs that differ in one are never joined.
+    pub(crate) settings: BTreeMap<String, String>,
+    /// Env steps and value, in order of env steps.
+    pub(crate) points: BTreeMap<Quantity, Vec<(f64, f64)>>,
 }
 
-/// One line of a picture: a run, or the mean over the seeds of several runs with its range.
+impl Curve {
+    /// Env steps and values of a quantity; empty if the run has none.
+    pub(crate) fn of(&self, quantity: Quantity) -> &[(f64, f64)] {
+        self.points.get(&quantity).map_or(&[], Vec::as_slice)
+    }
+}
+
+/// One line of a panel: what the runs of one variant say together.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Series {
-    /// For the legend.
+    /// Variant, for the legend; the same in every panel.
     pub(crate) label: String,
+    /// Place of the label among all of the picture, which decides its colour.
+    pub(crate) rank: usize,
     /// Runs in it.
     pub(crate) runs: usize,
     /// In order of env steps.
     pub(crate) points: Vec<Point>,
 }
 
-/// Returns of a series after some env steps.
+/// The runs of a series after some env steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Point {
     /// Environment steps.
     pub(crate) env_steps: f64,
-    /// Mean over the runs.
-    pub(crate) mean: f64,
-    /// Smallest of the runs.
-    pub(crate) low: f64,
-    /// Largest of the runs.
-    pub(crate) high: f64,
+    /// Interquartile mean over the runs.
+    pub(crate) centre: f64,
+    /// Its 95 % confidence interval by bootstrap.
+    pub(crate) confidence: Interval,
+    /// The runs' interquartile range.
+    pub(crate) quartiles: Interval,
 }
 
-/// Reads the curve of a run folder.
+/// One pair of axes.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Panel {
+    /// Task.
+    pub(crate) task: String,
+    /// What the y-axis shows.
+    pub(crate) quantity: Quantity,
+    /// In order of rank.
+    pub(crate) series: Vec<Series>,
+}
+
+/// Reads the curves of a run folder.
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     let file = run_path::config_file(folder);
     if !file.is_file() {
-        return Err(Usage::new(format!(
-            "{} is no run folder: it has no config.toml",
-            folder.display()
-        ))
-        .into());
+        let why = format!("{} is no run folder: it has no config.toml", folder.display());
+        return Err(Usage::new(why).into());
     }
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
+    let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
+    let settings = semantic.map(|(key, value)| (key.to_owned(), value.to_string())).collect();
+    let lines = lines(&run_path::metrics_file(folder))?;
     Ok(Curve {
-        name: run_path::name(folder),
         task: resolved.text("task").to_owned(),
         algorithm: resolved.text("algorithm").to_owned(),
         seed: resolved.shown("run.seed"),
-        settings: settings_but_seed(&resolved),
-        points: evaluations(&run_path::metrics_file(folder))?,
+        settings,
+        points: Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into(),
     })
-}
-
-fn settings_but_seed(resolved: &Resolved) -> String {
-    let semantic = resolved.semantic().filter(|(key, _)| *key != "run.seed");
-    semantic.map(|(key, value)| format!("{key} = {value}\n")).collect()
-}
-
-/// Env steps and mean return of every evaluation in a `metrics.jsonl`; empty if there is none yet.
-pub(crate) fn evaluations(metrics: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
-    if !metrics.exists() {
-        return Ok(Vec::new());
-    }
-    let text = std::fs::read_to_string(metrics)
-        .with_context(|| format!("cannot read {}", metrics.display()))?;
-    let mut points: Vec<(f64, f64)> = text.lines().filter_map(evaluation).collect();
-    points.sort_by(|left, right| left.0.total_cmp(&right.0));
-    Ok(points)
-}
-
-/// The evaluation in one line. A run that still writes may end in half a line, which is no evaluation.
-fn evaluation(line: &str) -> Option<(f64, f64)> {
-    let values: serde_json::Value = serde_json::from_str(line).ok()?;
-    let of_evaluation = values["kind"] == "evaluation";
-    of_evaluation.then_some((values["env_steps"].as_f64()?, values["mean"].as_f64()?))
-}
-
-/// Joins runs that differ in nothing but their seed.
-pub(crate) fn series(curves: &[Curve]) -> Vec<Series> {
-    let mut groups: BTreeMap<(&str, &str, &str), Vec<&Curve>> = BTreeMap::new();
-    for curve in curves {
-        groups.entry((&curve.task, &curve.algorithm, &curve.settings)).or_default().push(curve);
-    }
-    let tasks: std::collections::BTreeSet<&str> = curves.iter().map(|c| c.task.as_str()).collect();
-    let mut all: Vec<Series> = groups.values().map(|group| joined(group, tasks.len())).collect();
-    tell_apart(
-        &mut all,
-        &groups.into_values().map(|group| group[0].name.clone()).collect::<Vec<_>>(),
-    );
-    all
-}
-
-/// Mean and range where every run of the group was evaluated.
-fn joined(group: &[&Curve], tasks: usize) -> Series {
-    let task = if tasks > 1 { format!("{} ", group[0].task) } else { String::new() };
-    let members = match group {
-        [single] => format!("seed {}", single.seed),
-        _ => format!("{} seeds", group.len()),
-    };
-    let label = format!("{task}{} ({members})", group[0].algorithm);
-    let at = |curve: &Curve, env_steps: f64| {
-        curve.points.iter().find(|point| point.0 == env_steps).map(|point| point.1)
-    };
-    let mut points = Vec::new();
-    for &(env_steps, _) in &group[0].points {
-        let returns: Option<Vec<f64>> = group.iter().map(|curve| at(curve, env_steps)).collect();
-        points.extend(returns.map(|returns| point(env_steps, &returns)));
-    }
-    Series { label, runs: group.len(), points }
-}
-
-fn point(env_steps: f64, returns: &[f64]) -> Point {
-    Point {
-        env_steps,
-        mean: returns.iter().sum::<f64>() / returns.len() as f64,
-        low: returns.iter().copied().fold(f64::INFINITY, f64::min),
-        high: returns.iter().copied().fold(f64::NEG_INFINITY, f64::max),
-    }
-}
-
-/// Adds the run's name where two series would have the same label.
-fn tell_apart(series: &mut [Series], names: &[String]) {
-    let labels: Vec<String> = series.iter().map(|series| series.label.clone()).collect();
-    for (index, series) in series.iter_mut().enumerate() {
-        if labels.iter().filter(|label| **label == labels[index]).count() > 1 {
-            series.label = format!("{} {}", labels[index], names[index]);
-        }
-    }
 }
 
 /// Reads all runs; refuses folders without any evaluation, since there is nothing to draw.
@@ -153,7 +106,7 @@ pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
     let mut curves = Vec::new();
     for folder in folders {
         let curve = read(folder)?;
-        if curve.points.is_empty() {
+        if curve.of(Quantity::Return).is_empty() {
             let why =
                 format!("{} has no evaluation yet; see evaluation.every_steps", folder.display());
             return Err(Usage::new(why).into());
@@ -161,6 +114,108 @@ pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
         curves.push(curve);
     }
     Ok(curves)
+}
+
+/// Env steps and mean return of every evaluation in a `metrics.jsonl`; empty if there is none yet.
+pub(crate) fn evaluations(metrics: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
+    Ok(Quantity::Return.points(&lines(metrics)?))
+}
+
+/// A run that still writes may end in half a line, which counts for nothing.
+fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
+    if !metrics.exists() {
+        return Ok(Vec::new());
+    }
+    let text = std::fs::read_to_string(metrics)
+        .with_context(|| format!("cannot read {}", metrics.display()))?;
+    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+}
+
+/// Runs that differ in nothing but their seed, by task and by the name that tells them from the task's others.
+type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
+
+/// A panel for each quantity and task, quantity by quantity; the same variant has the same label in all.
+pub(crate) fn panels(curves: &[Curve], quantities: &[Quantity]) -> Vec<Panel> {
+    let groups = grouped(curves);
+    let tasks: BTreeSet<&str> = groups.keys().map(|(task, _)| *task).collect();
+    let labels = labels(&groups);
+    let mut panels = Vec::new();
+    for &quantity in quantities {
+        for task in &tasks {
+            let inside = groups.iter().filter(|((of, _), _)| of == task);
+            let series = inside.filter_map(|((_, name), group)| {
+                let rank = labels.keys().position(|known| known == name)?;
+                let points = joined(group, quantity);
+                let label = labels[name].clone();
+                (!points.is_empty()).then_some(Series { label, rank, runs: group.len(), points })
+            });
+            panels.push(Panel { task: (*task).to_owned(), quantity, series: series.collect() });
+        }
+    }
+    panels
+}
+
+fn grouped(curves: &[Curve]) -> Groups<'_> {
+    let mut groups = Groups::new();
+    for curve in curves {
+        let rivals = curves
+            .iter()
+            .filter(|other| (&other.task, &other.algorithm) == (&curve.task, &curve.algorithm));
+        let rivals: Vec<&Curve> = rivals.collect();
+        groups.entry((&curve.task, variant(curve, &rivals))).or_default().push(curve);
+    }
+    groups
+}
+
+/// The algorithm, then each setting in which some run of the same task and algorithm differs.
+fn variant(curve: &Curve, rivals: &[&Curve]) -> String {
+    let differs =
+        |key: &&String| rivals.iter().any(|r| r.settings.get(*key) != curve.settings.get(*key));
+    let overrides = curve.settings.keys().filter(differs);
+    let shown = overrides.map(|key| format!(" {key}={}", curve.settings[key].trim_matches('"')));
+    format!("{}{}", curve.algorithm, shown.collect::<String>())
+}
+
+/// What the legend says of each variant: its name, and its seed or how many it has.
+fn labels(groups: &Groups<'_>) -> BTreeMap<String, String> {
+    let names: BTreeSet<&String> = groups.keys().map(|(_, name)| name).collect();
+    let label = |name: &String| {
+        let of_name = groups.iter().filter(|((_, other), _)| other == name);
+        let groups: Vec<&Vec<&Curve>> = of_name.map(|(_, group)| group).collect();
+        let seeds: BTreeSet<&str> =
+            groups.iter().flat_map(|g| g.iter().map(|c| c.seed.as_str())).collect();
+        let (fewest, most) = groups.iter().fold((usize::MAX, 0), |(fewest, most), group| {
+            (fewest.min(group.len()), most.max(group.len()))
+        });
+        match (fewest, most, seeds.first()) {
+            (_, 1, Some(seed)) if seeds.len() == 1 => format!("{name} (seed {seed})"),
+            (fewest, most, _) if fewest == most => format!("{name} ({most} seeds)"),
+            _ => format!("{name} ({fewest} to {most} seeds)"),
+        }
+    };
+    names.into_iter().map(|name| (name.clone(), label(name))).collect()
+}
+
+/// What the group's runs say together where every one of them has a value.
+fn joined(group: &[&Curve], quantity: Quantity) -> Vec<Point> {
+    let at = |curve: &Curve, env_steps: f64| {
+        curve.of(quantity).iter().find(|point| point.0 == env_steps).map(|point| point.1)
+    };
+    let together = |env_steps: f64| -> Option<Point> {
+        let values: Option<Vec<f64>> = group.iter().map(|curve| at(curve, env_steps)).collect();
+        values.map(|values| point(env_steps, &values))
+    };
+    group[0].of(quantity).iter().filter_map(|&(env_steps, _)| together(env_steps)).collect()
+}
+
+fn point(env_steps: f64, values: &[f64]) -> Point {
+    let key = Draw::of(Purpose::Bootstrap).iteration(env_steps as u64);
+    Point {
+        env_steps,
+        centre: interquartile_mean(values),
+        confidence: interquartile_mean_interval(values, key),
+        quartiles: interquartile_range(values),
+    }
 }
 
 #[cfg(test)]

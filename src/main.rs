@@ -5,6 +5,8 @@ mod chart;
 mod cli;
 mod commands;
 mod config;
+mod experiment;
+mod figures;
 mod film;
 mod fingerprints;
 mod launch;
@@ -18,6 +20,7 @@ mod resume;
 mod run_config;
 mod run_path;
 mod signals;
+mod statistics;
 mod supervisor;
 
 use std::process::ExitCode;

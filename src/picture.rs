@@ -1,24 +1,41 @@
-//! Draws learning curves as SVG and PNG.
+//! Draws panels of learning curves as SVG and PNG.
+
+use std::sync::Arc;
 
 use kuva::backend::png::PngBackend;
 use kuva::backend::svg::SvgBackend;
-use kuva::plot::{LegendPosition, LinePlot, LineStyle};
+use kuva::plot::{BandPlot, LegendPosition, LinePlot, LineStyle};
+use kuva::render::figure::Figure;
 use kuva::render::layout::{Layout, TickFormat};
 use kuva::render::plots::Plot;
 use kuva::render::render::{Scene, render_multiple};
 
-use std::sync::Arc;
-
 use crate::chart;
-use crate::learning_curve::Series;
+use crate::learning_curve::{Panel, Point, Series};
 use crate::palette::{OKABE_ITO, Rgb, hex};
+use crate::statistics::Interval;
 
 /// Colours that a thin line on white can have.
 const COLOURS: [Rgb; 7] = *OKABE_ITO.first_chunk().expect("the palette has more");
 
-/// Size of the axes' area in SVG units; the PNG has twice as many pixels.
+/// Size of a lone panel's axes in SVG units; the PNG has twice as many pixels.
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 420.0;
+
+/// Size of a panel among others.
+const CELL_WIDTH: f64 = 340.0;
+const CELL_HEIGHT: f64 = 270.0;
+
+/// Marks on an axis of a panel among others, about.
+const TICKS: usize = 4;
+
+/// How visible the two bands are.
+const RANGE_OPACITY: f64 = 0.26;
+const CONFIDENCE_OPACITY: f64 = 0.13;
+
+/// What the bands of a picture are.
+const CAPTION: &str =
+    "interquartile mean over seeds; pale: its 95 % confidence interval, dark: interquartile range";
 
 /// A picture in both forms.
 pub(crate) struct Picture {
@@ -28,49 +45,94 @@ pub(crate) struct Picture {
     pub(crate) png: Vec<u8>,
 }
 
-/// One panel: evaluation return over environment steps.
-pub(crate) fn draw(series: &[Series], title: &str) -> anyhow::Result<Picture> {
-    let scene = scene(series, title);
+/// Panels row by row, `columns` of them in each, with one legend.
+pub(crate) fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> {
+    let scene = match panels {
+        [only] => lone(only),
+        _ => grid(panels, columns),
+    };
     let png = PngBackend::new().with_scale(2.0).render_scene(&scene).map_err(anyhow::Error::msg)?;
     Ok(Picture { svg: SvgBackend::new().render_scene(&scene), png })
 }
 
-fn scene(series: &[Series], title: &str) -> Scene {
-    let plots: Vec<Plot> = series.iter().enumerate().map(|(i, s)| Plot::Line(line(i, s))).collect();
-    let steps = TickFormat::Custom(Arc::new(short_count));
-    let mut layout = Layout::auto_from_plots(&plots)
+fn lone(panel: &Panel) -> Scene {
+    let plots = plots(panel);
+    let mut layout = layout(panel, &plots)
         .with_width(WIDTH)
         .with_height(HEIGHT)
-        .with_title(title)
-        .with_x_label("environment steps")
-        .with_y_label("evaluation return")
-        .with_x_tick_format(steps)
         .with_legend_position(LegendPosition::OutsideBottomColumns)
-        .with_legend_box(false)
-        .with_grid_line_width(0.5);
-    if series.iter().any(|series| series.runs > 1) {
-        layout = layout.with_subtitle("mean over seeds, shaded from the lowest to the highest");
+        .with_legend_box(false);
+    if has_bands(panel) {
+        layout = layout.with_subtitle(CAPTION);
     }
     render_multiple(plots, layout)
 }
 
-fn line(index: usize, series: &Series) -> LinePlot {
-    let style = match index / COLOURS.len() {
+fn grid(panels: &[Panel], columns: usize) -> Scene {
+    let all: Vec<Vec<Plot>> = panels.iter().map(plots).collect();
+    let small = |(panel, plots): (&Panel, &Vec<Plot>)| {
+        layout(panel, plots).with_ticks(TICKS).with_title_size(15)
+    };
+    let layouts = panels.iter().zip(&all).map(small).collect();
+    let mut figure = Figure::new(panels.len().div_ceil(columns), columns)
+        .with_structure((0..panels.len()).map(|panel| vec![panel]).collect())
+        .with_plots(all)
+        .with_layouts(layouts)
+        .with_cell_size(CELL_WIDTH, CELL_HEIGHT)
+        .with_shared_legend_bottom();
+    if panels.iter().any(has_bands) {
+        figure = figure.with_title(CAPTION).with_title_size(14);
+    }
+    figure.render()
+}
+
+/// The simulator's name stands before the task, since returns are its own.
+fn layout(panel: &Panel, plots: &[Plot]) -> Layout {
+    let axes = match plots {
+        [] => Layout::new((0.0, 1.0), (0.0, 1.0)),
+        plots => Layout::auto_from_plots(plots),
+    };
+    axes.with_title(format!("rapier/{}", panel.task))
+        .with_x_label("environment steps")
+        .with_y_label(panel.quantity.label())
+        .with_x_tick_format(TickFormat::Custom(Arc::new(short_count)))
+        .with_grid_line_width(0.5)
+}
+
+fn has_bands(panel: &Panel) -> bool {
+    panel.series.iter().any(|series| series.runs > 1)
+}
+
+/// All bands, then all lines, so that no line is covered.
+fn plots(panel: &Panel) -> Vec<Plot> {
+    let many = panel.series.iter().filter(|series| series.runs > 1);
+    let bands = many.flat_map(|series| {
+        let confidence = band(series, CONFIDENCE_OPACITY, |point| point.confidence);
+        [confidence, band(series, RANGE_OPACITY, |point| point.quartiles)]
+    });
+    bands.chain(panel.series.iter().map(line)).collect()
+}
+
+fn band(series: &Series, opacity: f64, of: fn(&Point) -> Interval) -> Plot {
+    let steps = series.points.iter().map(|point| point.env_steps);
+    let (low, high) = (|point| of(point).low, |point| of(point).high);
+    let band = BandPlot::new(steps, series.points.iter().map(low), series.points.iter().map(high));
+    Plot::Band(band.with_color(colour(series)).with_opacity(opacity))
+}
+
+fn line(series: &Series) -> Plot {
+    let style = match series.rank / COLOURS.len() {
         0 => LineStyle::Solid,
         1 => LineStyle::Dashed,
         _ => LineStyle::Dotted,
     };
-    let line = LinePlot::new()
-        .with_data(series.points.iter().map(|point| (point.env_steps, point.mean)))
-        .with_color(hex(COLOURS[index % COLOURS.len()]))
-        .with_stroke_width(2.0)
-        .with_line_style(style)
-        .with_legend(series.label.as_str());
-    if series.runs < 2 {
-        return line;
-    }
-    let points = &series.points;
-    line.with_band(points.iter().map(|p| p.low), points.iter().map(|p| p.high))
+    let points = series.points.iter().map(|point| (point.env_steps, point.centre));
+    let line = LinePlot::new().with_data(points).with_color(colour(series)).with_stroke_width(2.0);
+    Plot::Line(line.with_line_style(style).with_legend(series.label.as_str()))
+}
+
+fn colour(series: &Series) -> String {
+    hex(COLOURS[series.rank % COLOURS.len()])
 }
 
 /// `250k`, `1M`, `2.5M`; counts below a thousand in full.
@@ -87,24 +149,39 @@ fn short_count(count: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learning_curve::Point;
+    use crate::learning_curve::Quantity;
 
-    fn rising(label: &str, runs: usize) -> Series {
+    fn rising(label: &str, rank: usize, runs: usize) -> Series {
         let point = |k: u32| {
-            let mean = 2000.0 * f64::from(k) / f64::from(k + 3);
-            let env_steps = f64::from(k) * 100_000.0;
-            Point { env_steps, mean, low: mean - 150.0, high: mean + 120.0 }
+            let centre = 2000.0 * f64::from(k) / f64::from(k + 3);
+            let around = |low, high| Interval { low: centre - low, high: centre + high };
+            let (confidence, quartiles) = (around(150.0, 120.0), around(80.0, 200.0));
+            Point { env_steps: f64::from(k) * 100_000.0, centre, confidence, quartiles }
         };
-        Series { label: label.into(), runs, points: (0..=10).map(point).collect() }
+        Series { label: label.into(), rank, runs, points: (0..=10).map(point).collect() }
+    }
+
+    fn panel(task: &str, quantity: Quantity) -> Panel {
+        let series = vec![rising("happo (3 seeds)", 0, 3), rising("other (seed 1)", 1, 1)];
+        Panel { task: task.into(), quantity, series }
     }
 
     #[test]
     fn both_forms_hold_the_curves() {
-        let picture =
-            draw(&[rising("happo (3 seeds)", 3), rising("other (seed 1)", 1)], "a task").unwrap();
+        let picture = draw(&[panel("a task", Quantity::Return)], 1).unwrap();
         assert!(picture.svg.starts_with("<svg") && picture.svg.contains("happo (3 seeds)"));
         assert!(picture.svg.contains(&hex(COLOURS[0])) && picture.svg.contains(&hex(COLOURS[1])));
         assert!(picture.png.starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn several_panels_share_one_legend() {
+        let panels = [panel("one", Quantity::Return), panel("two", Quantity::Surprise)];
+        let svg = draw(&panels, 2).unwrap().svg;
+        assert_eq!(svg.matches("happo (3 seeds)").count(), 1);
+        for words in ["rapier/one", "rapier/two", "evaluation return", "surprise, nats"] {
+            assert!(svg.contains(words), "{words}");
+        }
     }
 
     #[test]

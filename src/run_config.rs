@@ -62,7 +62,7 @@ pub(crate) struct RunConfig {
     pub(crate) policy: policy::PolicyConfig,
     /// `schedule` and sections `update`, `critic`, `surprise`, `influence`, `maddpg`, `overlap`.
     pub(crate) training: marl::Config,
-    /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `learner`.
+    /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `metrics`, `learner`.
     pub(crate) learner: learner::Config,
     /// Section `log`.
     pub(crate) log: actor::LogSettings,
@@ -104,7 +104,7 @@ impl RunConfig {
             training: training(resolved)?,
             learner: sections(
                 resolved,
-                &["environments", "lease", "evaluation", "checkpoint", "learner"],
+                &["environments", "lease", "evaluation", "checkpoint", "metrics", "learner"],
             )?,
             log: section(resolved, "log")?,
             resolved: resolved.clone(),

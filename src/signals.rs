@@ -1,5 +1,7 @@
-//! Ctrl-C and SIGTERM: the first asks for a clean end, the second ends the process at once, with 128 and its number
-//! as the status.
+//! What asks a process to end: Ctrl-C and SIGTERM, the first for a clean end, the second at once, with 128 and its
+//! number as the status; and the end of the process that started it.
+
+use std::io::Read as _;
 
 use anyhow::Context as _;
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -17,6 +19,18 @@ pub(crate) fn stop_on_signal(
     let terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
     tokio::spawn(watch_signals(stop, announce, interrupt, terminate));
     Ok(())
+}
+
+/// Sets `stop` when standard input closes. The pipe closes when the process at its other end ends, however that happens.
+pub(crate) fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
+    let until_closed = move || {
+        let mut ignored = [0; 256];
+        while std::io::stdin().lock().read(&mut ignored).is_ok_and(|count| count > 0) {}
+        stop.send_replace(true);
+    };
+    let watcher = std::thread::Builder::new().name("stdin".to_owned()).spawn(until_closed);
+    // The thread ends with the process; nobody waits for it.
+    watcher.map(drop).context("cannot watch standard input")
 }
 
 async fn watch_signals(

@@ -17,6 +17,8 @@ pub struct Config {
     pub evaluation: EvaluationConfig,
     /// When the run is saved.
     pub checkpoint: CheckpointConfig,
+    /// In which forms metrics are written.
+    pub metrics: MetricsConfig,
     /// The learner's own machine.
     pub learner: ThreadsConfig,
 }
@@ -86,6 +88,16 @@ impl CheckpointConfig {
         let (key, found) = ("checkpoint.keep_every", self.keep_every.to_string());
         Err(ConfigError { key, found, range })
     }
+}
+
+/// In which forms metrics are written, besides `metrics.jsonl`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MetricsConfig {
+    /// `metrics.csv` and `evaluations.csv`.
+    pub csv: bool,
+    /// `tensorboard/events.out.tfevents.*`.
+    pub tensorboard: bool,
 }
 
 /// The learner's own machine.

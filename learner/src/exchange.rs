@@ -11,53 +11,27 @@ use proto::{
     LeaseId, PolicyVersion, PushHeader, Refusal, Registered, Registration, RolloutWork,
     RunDescription, RunState, TrajectoryChunk, WeightsName,
 };
-use serde::{Deserialize, Serialize};
 use tokio::sync::{Notify, watch};
 
 use crate::canary;
-use crate::config::ConfigError;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
 mod incidents;
+mod patience;
 mod reports;
 mod status;
 mod weights;
 
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
+pub use patience::LeaseConfig;
 pub use reports::{Progress, Storage, Wake};
 use status::Pace;
 use weights::Weights;
 
 /// What an actor that finds nothing to do is told to wait before it asks again.
 const RETRY: Duration = Duration::from_millis(100);
-
-/// How long an actor may be silent.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LeaseConfig {
-    /// A lease ends when nothing is heard of it for this long, seconds.
-    pub ttl_secs: f64,
-    /// Time between two heartbeats of an actor, seconds; less than the time to live.
-    pub heartbeat_secs: f64,
-}
-
-impl LeaseConfig {
-    /// Refuses times that no run can work with.
-    ///
-    /// # Errors
-    /// Names the first key that is wrong and its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let within = |key, value: f64, low: f64, high: f64| {
-            let good = (low..=high).contains(&value);
-            let range = format!("{low} to {high}");
-            good.then_some(()).ok_or_else(|| ConfigError { key, found: value.to_string(), range })
-        };
-        within("lease.ttl_secs", self.ttl_secs, 0.1, 3600.0)?;
-        within("lease.heartbeat_secs", self.heartbeat_secs, 0.01, self.ttl_secs / 2.0)
-    }
-}
 
 /// Why the exchange cannot go on.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

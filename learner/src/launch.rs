@@ -192,7 +192,7 @@ fn build(
     let observations = ObservationMoments::new(launch.observations, &problem, policy_lag);
     let environments = &launch.config.environments;
     let layout = Layout::of(description, environments.slots());
-    let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
+    let (metrics, measured) = Metrics::open(folder.path(), &launch.config.metrics, iteration)?;
     Ok(Trainer {
         surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
         environments: Environments::fresh(

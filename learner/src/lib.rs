@@ -29,7 +29,8 @@ pub mod slots;
 pub mod trainer;
 
 pub use config::{
-    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Phase, ThreadsConfig,
+    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, MetricsConfig, Phase,
+    ThreadsConfig,
 };
 pub use door::Door;
 pub use error::LearnerError;

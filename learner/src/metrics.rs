@@ -1,13 +1,21 @@
 //! `metrics.jsonl`: one line per iteration and one per evaluation, each exactly once.
 //!
 //! `iteration` counts finished iterations: the line of an iteration bears the number that its new
-//! policies have, and an evaluation that of the policies it measured.
+//! policies have, and an evaluation that of the policies it measured. The same figures stand in
+//! `metrics.csv`, `evaluations.csv` and `tensorboard/`, as far as the settings ask for them.
+
+mod event_file;
+mod table;
+mod tags;
+mod view;
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
+use self::view::Views;
+use crate::config::MetricsConfig;
 use crate::durable::FileError;
 use crate::evaluation::Spread;
 use crate::event::IterationReport;
@@ -20,6 +28,7 @@ pub const METRICS_FILE: &str = "metrics.jsonl";
 #[derive(Debug)]
 pub struct Metrics {
     lines: JsonLines,
+    views: Views,
 }
 
 impl Metrics {
@@ -28,11 +37,16 @@ impl Metrics {
     ///
     /// # Errors
     /// Names the file if it cannot be read or written.
-    pub fn open(run_folder: &Path, iteration: u64) -> Result<(Self, BTreeSet<u64>), FileError> {
+    pub fn open(
+        run_folder: &Path,
+        config: &MetricsConfig,
+        iteration: u64,
+    ) -> Result<(Self, BTreeSet<u64>), FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS_FILE), iteration)?;
         let evaluations = kept.iter().filter(|line| line["kind"] == "evaluation");
         let measured = evaluations.filter_map(|line| line["iteration"].as_u64()).collect();
-        Ok((Self { lines }, measured))
+        let views = Views::make(run_folder, config, &kept)?;
+        Ok((Self { lines, views }, measured))
     }
 
     /// Adds an iteration; `density_secs` is the part of its update that densities took.
@@ -62,7 +76,7 @@ impl Metrics {
             "leases_reissued": report.leases_reissued,
         });
         line.extend(own.as_object().cloned().unwrap_or_default());
-        self.lines.append(&Value::Object(line))
+        self.append(line)
     }
 
     /// Adds an evaluation of the policies after `iteration` iterations.
@@ -76,7 +90,7 @@ impl Metrics {
         spread: &Spread,
         episodes: usize,
     ) -> Result<(), FileError> {
-        self.lines.append(&json!({
+        let line = json!({
             "kind": "evaluation",
             "iteration": iteration,
             "env_steps": env_steps,
@@ -85,7 +99,13 @@ impl Metrics {
             "minimum": spread.minimum,
             "maximum": spread.maximum,
             "episodes": episodes,
-        }))
+        });
+        self.append(line.as_object().cloned().unwrap_or_default())
+    }
+
+    fn append(&mut self, line: Map<String, Value>) -> Result<(), FileError> {
+        self.views.add(&line);
+        self.lines.append(&Value::Object(line))
     }
 
     /// Waits until the disk has all lines.
@@ -100,6 +120,8 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const ALL: MetricsConfig = MetricsConfig { csv: true, tensorboard: true };
 
     fn report(iteration: u64) -> IterationReport {
         IterationReport {
@@ -118,7 +140,7 @@ mod tests {
     #[test]
     fn a_line_holds_the_figures_by_their_names() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut metrics, _) = Metrics::open(folder.path(), 0).unwrap();
+        let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
         metrics.iteration(&report(1), 0.125).unwrap();
         let text = std::fs::read_to_string(folder.path().join(METRICS_FILE)).unwrap();
         let expected = json!({
@@ -133,14 +155,38 @@ mod tests {
     #[test]
     fn a_resumed_run_knows_which_evaluations_are_in() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut metrics, measured) = Metrics::open(folder.path(), 0).unwrap();
+        let (mut metrics, measured) = Metrics::open(folder.path(), &ALL, 0).unwrap();
         assert!(measured.is_empty());
         let spread = Spread { mean: 1.0, standard_deviation: 0.0, minimum: 1.0, maximum: 1.0 };
         for iteration in [0, 2, 4] {
             metrics.evaluation(iteration, iteration * 40, &spread, 10).unwrap();
             metrics.iteration(&report(iteration + 1), 0.0).unwrap();
         }
-        let (_, measured) = Metrics::open(folder.path(), 3).unwrap();
+        let (_, measured) = Metrics::open(folder.path(), &ALL, 3).unwrap();
         assert_eq!(measured, BTreeSet::from([0, 2]));
+    }
+
+    #[test]
+    fn a_resume_cuts_the_tables_back_with_the_lines() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
+        (1..=4).for_each(|iteration| metrics.iteration(&report(iteration), 0.0).unwrap());
+        let table = || std::fs::read_to_string(folder.path().join("metrics.csv")).unwrap();
+        let whole = table();
+        let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 2).unwrap();
+        assert_eq!(table().lines().count(), 3);
+        (3..=4).for_each(|iteration| metrics.iteration(&report(iteration), 0.0).unwrap());
+        assert_eq!(table(), whole);
+    }
+
+    #[test]
+    fn what_is_switched_off_is_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let none = MetricsConfig { csv: false, tensorboard: false };
+        let (mut metrics, _) = Metrics::open(folder.path(), &none, 0).unwrap();
+        metrics.iteration(&report(1), 0.0).unwrap();
+        let names =
+            std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
+        assert_eq!(names.collect::<Vec<_>>(), [METRICS_FILE]);
     }
 }

@@ -44,6 +44,8 @@ pub enum Purpose {
     DensityMinibatch = 21,
     /// Latent noise of a density, at its fit and where it is asked.
     DensityNoise = 22,
+    /// Runs drawn again to say how certain a mean over runs is.
+    Bootstrap = 30,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.

@@ -1,7 +1,5 @@
 //! `s2mia actor`: rolls out for a learner until its run is done.
 
-use std::io::Read as _;
-
 use actor::Transport;
 use anyhow::Context as _;
 use tokio::sync::watch;
@@ -18,7 +16,7 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
     let config = configure(arguments)?;
     let (stop_sender, stop) = watch::channel(false);
     if with_stdin {
-        stop_with_stdin(stop_sender.clone())?;
+        signals::stop_with_stdin(stop_sender.clone())?;
     }
     runtime()?.block_on(async {
         signals::stop_on_signal(stop_sender, || tracing::info!("stopping"))?;
@@ -65,16 +63,4 @@ fn default_name() -> String {
     let host = std::fs::read_to_string("/etc/hostname").unwrap_or_default();
     let host = if host.trim().is_empty() { "actor" } else { host.trim() };
     format!("{host}-{}", std::process::id())
-}
-
-/// The pipe closes when the process at its other end ends, however that happens.
-fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
-    let until_closed = move || {
-        let mut ignored = [0; 256];
-        while std::io::stdin().lock().read(&mut ignored).is_ok_and(|count| count > 0) {}
-        stop.send_replace(true);
-    };
-    let watcher = std::thread::Builder::new().name("stdin".to_owned()).spawn(until_closed);
-    // The thread ends with the process; nobody waits for it.
-    watcher.map(drop).context("cannot watch standard input")
 }

@@ -28,16 +28,22 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if let Some(iterations) = arguments.verify_determinism {
         return verify::run(&arguments.settings, iterations);
     }
-    runtime()?.block_on(train(prepared))
+    let (stop_sender, stop) = watch::channel(false);
+    if arguments.stop_with_stdin {
+        signals::stop_with_stdin(stop_sender.clone())?;
+    }
+    runtime()?.block_on(train(prepared, (stop_sender, stop)))
 }
 
-async fn train(prepared: Prepared) -> anyhow::Result<()> {
+async fn train(
+    prepared: Prepared,
+    (stop_sender, stop): (watch::Sender<bool>, watch::Receiver<bool>),
+) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
     output::line(opening(&config, &folder));
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
     let crew = crew(&config, &folder, &listener)?;
-    let (stop_sender, stop) = watch::channel(false);
     let (end, ended) = watch::channel(false);
     signals::stop_on_signal(stop_sender.clone(), || {
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");

@@ -1,8 +1,16 @@
 //! What is known of keys: which take part in the result of a run, and which are spelled alike.
 
 /// Keys and sections that decide who computes and when, never what.
-const OPERATIONAL: &[&str] =
-    &["run.actors", "run.dir", "lease.", "evaluation.", "checkpoint.", "learner.", "log."];
+const OPERATIONAL: &[&str] = &[
+    "run.actors",
+    "run.dir",
+    "lease.",
+    "evaluation.",
+    "checkpoint.",
+    "metrics.",
+    "learner.",
+    "log.",
+];
 
 /// Keys that only say how far a run goes; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];

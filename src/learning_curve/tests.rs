@@ -4,13 +4,16 @@ use super::*;
 
 fn curve(algorithm: &str, seed: u64, points: &[(f64, f64)]) -> Curve {
     Curve {
-        name: format!("run{seed}"),
         task: "halfcheetah-2x3".into(),
         algorithm: algorithm.into(),
         seed: seed.to_string(),
-        settings: format!("algorithm = {algorithm}"),
-        points: points.to_vec(),
+        settings: BTreeMap::from([("update.clip".into(), "0.2".into())]),
+        points: BTreeMap::from([(Quantity::Return, points.to_vec())]),
     }
+}
+
+fn returns(curves: &[Curve]) -> Vec<Panel> {
+    panels(curves, &[Quantity::Return])
 }
 
 #[test]
@@ -33,31 +36,49 @@ fn a_run_without_metrics_has_no_points() {
 }
 
 #[test]
-fn runs_that_differ_in_the_seed_alone_become_a_mean_with_its_range() {
+fn runs_that_differ_in_the_seed_alone_become_one_series_where_all_have_a_value() {
     let curves = [
         curve("happo", 1, &[(0.0, 1.0), (4000.0, 4.0)]),
         curve("happo", 2, &[(0.0, 3.0), (4000.0, 8.0), (8000.0, 9.0)]),
         curve("happo-s2mia", 1, &[(0.0, 5.0)]),
     ];
-    let all = series(&curves);
-    assert_eq!(all.len(), 2);
-    assert_eq!((all[0].label.as_str(), all[0].runs), ("happo (2 seeds)", 2));
-    let expected = [
-        Point { env_steps: 0.0, mean: 2.0, low: 1.0, high: 3.0 },
-        Point { env_steps: 4000.0, mean: 6.0, low: 4.0, high: 8.0 },
-    ];
-    assert_eq!(all[0].points, expected);
-    assert_eq!(all[1].label, "happo-s2mia (seed 1)");
+    let panels = returns(&curves);
+    let [Panel { series, .. }] = panels.as_slice() else { panic!("{panels:?}") };
+    assert_eq!((series[0].label.as_str(), series[0].runs), ("happo (2 seeds)", 2));
+    let centres: Vec<(f64, f64)> =
+        series[0].points.iter().map(|p| (p.env_steps, p.centre)).collect();
+    assert_eq!(centres, [(0.0, 2.0), (4000.0, 6.0)]);
+    // Between 1 and 3; a resampling takes one of the two alone in half of the cases.
+    assert_eq!(series[0].points[0].quartiles, Interval { low: 1.5, high: 2.5 });
+    assert_eq!(series[0].points[0].confidence, Interval { low: 1.0, high: 3.0 });
+    assert_eq!(series[1].label, "happo-s2mia (seed 1)");
 }
 
 #[test]
-fn runs_with_other_settings_are_never_averaged_and_are_told_apart_by_name() {
-    let mut other = curve("happo", 2, &[(0.0, 3.0)]);
-    other.settings = "update.clip = 0.3".into();
-    other.seed = "1".into();
-    let labels: Vec<String> =
-        series(&[curve("happo", 1, &[(0.0, 1.0)]), other]).into_iter().map(|s| s.label).collect();
-    assert_eq!(labels, ["happo (seed 1) run1", "happo (seed 1) run2"]);
+fn runs_with_other_settings_are_never_joined_and_are_told_apart_by_them() {
+    let mut other = curve("happo", 1, &[(0.0, 3.0)]);
+    other.settings.insert("update.clip".into(), "0.3".into());
+    let panels = returns(&[curve("happo", 1, &[(0.0, 1.0)]), other]);
+    let labels: Vec<&str> = panels[0].series.iter().map(|s| s.label.as_str()).collect();
+    assert_eq!(labels, ["happo update.clip=0.2 (seed 1)", "happo update.clip=0.3 (seed 1)"]);
+}
+
+#[test]
+fn a_variant_keeps_its_label_and_colour_in_every_panel() {
+    let mut ant = curve("mappo", 1, &[(0.0, 1.0)]);
+    ant.task = "ant-4x2".into();
+    let curves = [
+        curve("happo", 1, &[(0.0, 1.0)]),
+        curve("mappo", 1, &[(0.0, 1.0)]),
+        curve("mappo", 2, &[(0.0, 1.0)]),
+        ant,
+    ];
+    let panels = returns(&curves);
+    let tasks: Vec<&str> = panels.iter().map(|panel| panel.task.as_str()).collect();
+    assert_eq!(tasks, ["ant-4x2", "halfcheetah-2x3"]);
+    let (alone, beside) = (&panels[0].series[0], &panels[1].series[1]);
+    assert_eq!((alone.label.as_str(), alone.rank), ("mappo (1 to 2 seeds)", 1));
+    assert_eq!((beside.label.as_str(), beside.rank), ("mappo (1 to 2 seeds)", 1));
 }
 
 #[test]

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use learner::{
-    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Launch, LeaseConfig, Phase,
-    ThreadsConfig,
+    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Launch, LeaseConfig,
+    MetricsConfig, Phase, ThreadsConfig,
 };
 use policy::{CoreKind, PolicyConfig, RefreshHidden, RunSeed};
 use proto::Digest;
@@ -52,6 +52,7 @@ fn config() -> Config {
         lease: LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 },
         evaluation: EvaluationConfig { every_steps: 64, episodes: 3 },
         checkpoint: CheckpointConfig { every: 2, keep_last: 3, keep_every: 0 },
+        metrics: MetricsConfig { csv: true, tensorboard: true },
         learner: ThreadsConfig { threads: 2 },
     }
 }

@@ -1,0 +1,232 @@
+//! Metrics as a TensorBoard event file: records of TFRecord framing, each a protocol buffer `Event` with the
+//! line's figures as scalars over environment steps. Only these few fields are written, by hand.
+
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde_json::{Map, Value};
+
+use super::tags::scalars;
+use super::view::View;
+use crate::durable::{self, FileError};
+
+/// How TensorBoard knows an event file.
+const NAME: &str = "events.out.tfevents.";
+
+/// The scalars of a run, open for more.
+#[derive(Debug)]
+pub(super) struct EventFile {
+    path: PathBuf,
+    file: File,
+    clock: Clock,
+}
+
+/// When lines were written, as far as they tell: seconds since 1970 that rise by the time each iteration took.
+#[derive(Debug)]
+struct Clock {
+    secs: f64,
+}
+
+impl Clock {
+    /// The time of a line; it moves the clock on.
+    fn at(&mut self, line: &Map<String, Value>) -> f64 {
+        self.secs += spent_secs(line);
+        self.secs
+    }
+}
+
+/// How long the line's iteration took; nothing for an evaluation, which overlaps with iterations.
+fn spent_secs(line: &Map<String, Value>) -> f64 {
+    ["rollout_secs", "update_secs"].iter().filter_map(|name| line.get(*name)?.as_f64()).sum()
+}
+
+impl EventFile {
+    /// Writes all lines afresh, in place of the event files that `folder` holds. The last line counts as
+    /// written at `now`.
+    ///
+    /// # Errors
+    /// Names the file or folder that cannot be written.
+    pub(super) fn make(folder: &Path, lines: &[Value], now: SystemTime) -> Result<Self, FileError> {
+        let now_secs = now.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+        let lines = || lines.iter().filter_map(Value::as_object);
+        let mut clock = Clock { secs: now_secs - lines().map(spent_secs).sum::<f64>() };
+        let mut bytes = record(&version_event(clock.secs));
+        for line in lines() {
+            bytes.extend(record(&scalar_event(clock.at(line), line)));
+        }
+        durable::make_folder(folder)?;
+        remove_event_files(folder)?;
+        let path = folder.join(format!("{NAME}{:010}.s2mia", now_secs as u64));
+        durable::write(&path, &bytes)?;
+        let file = OpenOptions::new().append(true).open(&path);
+        let file = file.map_err(FileError::of("open", &path))?;
+        Ok(Self { path, file, clock })
+    }
+}
+
+impl View for EventFile {
+    fn add(&mut self, line: &Map<String, Value>) -> Result<(), FileError> {
+        let bytes = record(&scalar_event(self.clock.at(line), line));
+        self.file.write_all(&bytes).map_err(FileError::of("append to", &self.path))
+    }
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+fn remove_event_files(folder: &Path) -> Result<(), FileError> {
+    for entry in std::fs::read_dir(folder).map_err(FileError::of("read", folder))? {
+        let path = entry.map_err(FileError::of("read", folder))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        match name.starts_with(NAME).then(|| std::fs::remove_file(&path)) {
+            Some(Err(error)) if error.kind() != ErrorKind::NotFound => {
+                return Err(FileError::of("remove", &path)(error));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// The first event of every file: `Event { wall_time, file_version }`.
+fn version_event(wall_secs: f64) -> Vec<u8> {
+    let mut event = wall_time(wall_secs);
+    put_bytes(&mut event, 3, b"brain.Event:2");
+    event
+}
+
+/// `Event { wall_time, step, summary: { value: [{ tag, simple_value }, ...] } }`
+fn scalar_event(wall_secs: f64, line: &Map<String, Value>) -> Vec<u8> {
+    let mut summary = Vec::new();
+    for (tag, value) in scalars(line) {
+        let mut scalar = Vec::new();
+        put_bytes(&mut scalar, 1, tag.as_bytes());
+        scalar.push(key(2, FOUR_BYTES));
+        scalar.extend((value as f32).to_le_bytes());
+        put_bytes(&mut summary, 1, &scalar);
+    }
+    let mut event = wall_time(wall_secs);
+    event.push(key(2, VARINT));
+    put_varint(&mut event, line.get("env_steps").and_then(Value::as_u64).unwrap_or(0));
+    put_bytes(&mut event, 5, &summary);
+    event
+}
+
+fn wall_time(secs: f64) -> Vec<u8> {
+    let mut field = vec![key(1, EIGHT_BYTES)];
+    field.extend(secs.to_le_bytes());
+    field
+}
+
+/// How a protocol buffer's field is stored.
+const VARINT: u8 = 0;
+const EIGHT_BYTES: u8 = 1;
+const LENGTH_AND_BYTES: u8 = 2;
+const FOUR_BYTES: u8 = 5;
+
+fn key(field: u8, stored: u8) -> u8 {
+    field << 3 | stored
+}
+
+fn put_bytes(message: &mut Vec<u8>, field: u8, bytes: &[u8]) {
+    message.push(key(field, LENGTH_AND_BYTES));
+    put_varint(message, bytes.len() as u64);
+    message.extend(bytes);
+}
+
+/// Seven bits a byte, the lowest first; the top bit says that more follow.
+fn put_varint(message: &mut Vec<u8>, mut number: u64) {
+    while number >= 0x80 {
+        message.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    message.push(number as u8);
+}
+
+/// TFRecord: length (8 bytes, little-endian), its masked checksum (4), the data, their masked checksum (4).
+fn record(data: &[u8]) -> Vec<u8> {
+    let length = (data.len() as u64).to_le_bytes();
+    let mut record = length.to_vec();
+    record.extend(masked(crc32c(&length)).to_le_bytes());
+    record.extend(data);
+    record.extend(masked(crc32c(data)).to_le_bytes());
+    record
+}
+
+/// TFRecord's mask of a checksum: turned right by 15 bits, plus a constant.
+fn masked(checksum: u32) -> u32 {
+    checksum.rotate_right(15).wrapping_add(0xA282_EAD8)
+}
+
+/// CRC-32C (Castagnoli): polynomial `0x1EDC6F41`, bits reflected, begun and ended by inversion.
+fn crc32c(data: &[u8]) -> u32 {
+    !data.iter().fold(!0, |sum, byte| TABLE[usize::from(sum as u8 ^ byte)] ^ (sum >> 8))
+}
+
+/// The remainder of every byte.
+const TABLE: [u32; 256] = {
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let mut sum = byte as u32;
+        let mut bit = 0;
+        while bit < 8 {
+            sum = if sum & 1 == 1 { (sum >> 1) ^ 0x82F6_3B78 } else { sum >> 1 };
+            bit += 1;
+        }
+        table[byte] = sum;
+        byte += 1;
+    }
+    table
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+    use std::time::Duration;
+
+    #[test]
+    fn the_checksum_is_castagnoli_s() {
+        // The check value of CRC-32C, and two of RFC 3720, B.4.
+        assert_eq!(crc32c(b"123456789"), 0xE306_9283);
+        assert_eq!(crc32c(&[0; 32]), 0x8A91_36AA);
+        assert_eq!(crc32c(&[0xFF; 32]), 0x62A8_AB43);
+    }
+
+    #[test]
+    fn a_scalar_is_the_protocol_buffer_that_the_schema_asks_for() {
+        let line = json!({"kind": "iteration", "iteration": 1, "env_steps": 300, "a/b": 0.5});
+        let event = scalar_event(2.0, line.as_object().unwrap());
+        let (wall, rest) = event.split_at(9);
+        assert_eq!(wall, [&[0x09][..], &2.0_f64.to_le_bytes()].concat());
+        // Step 300 is 0b10_0101100; the summary has 22 bytes; `stats/iteration` follows `a/b` by name.
+        assert_eq!(&rest[..3], [0x10, 0xAC, 0x02]);
+        let scalar = [&[0x0A, 10, 0x0A, 3][..], b"a/b", &[0x15], &0.5_f32.to_le_bytes()].concat();
+        assert_eq!(rest[3], 0x2A);
+        assert!(rest[5..].starts_with(&scalar), "{rest:?}");
+    }
+
+    #[test]
+    fn a_file_made_afresh_replaces_the_one_before_and_ends_at_the_present() {
+        let folder = tempfile::tempdir().unwrap();
+        let line = |iteration: u64| {
+            json!({"kind": "iteration", "iteration": iteration, "env_steps": 40 * iteration,
+                   "rollout_secs": 2.0, "update_secs": 1.0})
+        };
+        let at = |secs| UNIX_EPOCH + Duration::from_secs(secs);
+        let mut first = EventFile::make(folder.path(), &[], at(1000)).unwrap();
+        first.add(line(1).as_object().unwrap()).unwrap();
+        assert_eq!(first.clock.secs, 1003.0);
+        let second = EventFile::make(folder.path(), &[line(1), line(2)], at(2000)).unwrap();
+        assert_eq!(second.clock.secs, 2000.0);
+        let names: Vec<String> = std::fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        assert_eq!(names, ["events.out.tfevents.0000002000.s2mia"]);
+    }
+}

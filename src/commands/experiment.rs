@@ -1,0 +1,72 @@
+//! `s2mia experiment`: many runs from one file, then what they say.
+
+use anyhow::Context as _;
+use tokio::sync::watch;
+
+use crate::cli::ExperimentArguments;
+use crate::commands::runtime;
+use crate::experiment::crew::{self, Tally};
+use crate::experiment::file::ExperimentFile;
+use crate::experiment::listing::listing;
+use crate::experiment::plan::{PlannedRun, plan};
+use crate::experiment::progress::Progress;
+use crate::experiment::report;
+use crate::{output, signals};
+
+/// Runs what is missing and reports; a stop leaves checkpoints and status 0, a failed run status 1.
+pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
+    let file = ExperimentFile::read(&arguments.file)?;
+    let runs = plan(&file)?;
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let at_once = arguments.jobs.map_or_else(|| file.runs_at_once(cores), usize::from);
+    if arguments.list {
+        output::line(listing(&runs, at_once));
+        return Ok(());
+    }
+    if arguments.report {
+        return tell(&file, &runs);
+    }
+    std::fs::create_dir_all(&file.folder)
+        .with_context(|| format!("cannot make {}", file.folder.display()))?;
+    let (tally, stopped) = runtime()?.block_on(bring_to_end(&runs, at_once))?;
+    tell(&file, &runs)?;
+    finish(&tally, runs.len(), stopped.then_some(arguments))
+}
+
+async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Tally, bool)> {
+    let (stop_sender, stop) = watch::channel(false);
+    signals::stop_on_signal(stop_sender, || {
+        output::line("stopping after a checkpoint of each run; Ctrl-C again ends at once");
+    })?;
+    let mut progress = Progress::new(runs);
+    let tally = crew::run_all(runs, at_once, stop.clone(), &mut progress).await?;
+    let stopped = *stop.borrow();
+    Ok((tally, stopped))
+}
+
+fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
+    let (table, written) = report::write(file, runs)?;
+    output::line(table);
+    written.iter().for_each(|path| output::line(path.display()));
+    Ok(())
+}
+
+fn finish(
+    tally: &Tally,
+    planned: usize,
+    stopped: Option<&ExperimentArguments>,
+) -> anyhow::Result<()> {
+    let Tally { finished, failed } = tally;
+    if let Some(arguments) = stopped {
+        let file = arguments.file.display();
+        output::line(format!(
+            "stopped with {finished} of {planned} runs finished; go on by `s2mia experiment {file}`"
+        ));
+    }
+    match failed {
+        0 => Ok(()),
+        failed => {
+            anyhow::bail!("{failed} of {planned} runs failed; the same command tries them again")
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! Many runs from one file: tasks x variants x seeds. What stands in the file, which runs that means, how they are
+//! kept going, and what they say when they are done.
+
+pub(crate) mod crew;
+pub(crate) mod file;
+pub(crate) mod listing;
+pub(crate) mod plan;
+pub(crate) mod progress;
+pub(crate) mod report;
+pub(crate) mod results;
+pub(crate) mod standing;

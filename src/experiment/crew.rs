@@ -1,0 +1,146 @@
+//! Keeps an experiment's runs going, several at once, each in a process of its own: begins those that are new,
+//! goes on with half ones, passes finished ones over. A run that fails does not stop the others.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use tokio::process::{Child, Command};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use super::plan::PlannedRun;
+use super::progress::Progress;
+use super::standing::{Standing, mismatch, standing};
+use crate::supervisor::last_line;
+
+/// Time between two looks at how far the runs are, and at whether a log is free.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// How one run ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// It is finished.
+    Finished,
+    /// It was asked to stop, and can be gone on with.
+    Stopped,
+    /// It failed, for this reason.
+    Failed(String),
+}
+
+/// How many runs ended how.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Tally {
+    /// Finished ones, also those that were before.
+    pub(crate) finished: usize,
+    /// Failed ones.
+    pub(crate) failed: usize,
+}
+
+/// Brings all runs to their end, at most `at_once` at a time, or stops them in good order.
+pub(crate) async fn run_all(
+    runs: &[PlannedRun],
+    at_once: usize,
+    stop: watch::Receiver<bool>,
+    progress: &mut Progress,
+) -> anyhow::Result<Tally> {
+    let program = std::env::current_exe().context("cannot find this program")?;
+    let mut tally = Tally::default();
+    let mut waiting = runs.iter();
+    let mut going = JoinSet::new();
+    loop {
+        while going.len() < at_once && !*stop.borrow() {
+            let Some(run) = waiting.next() else { break };
+            match standing(run) {
+                Standing::Finished if mismatch(run).is_none() => tally.finished += 1,
+                _ => drop(going.spawn(finish(program.clone(), run.clone(), stop.clone()))),
+            }
+        }
+        tokio::select! {
+            ended = going.join_next() => {
+                let Some(ended) = ended else { return Ok(tally) };
+                let (run, ending) = ended.context("the watch over a run failed")?;
+                tally.finished += usize::from(ending == Ending::Finished);
+                tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
+                progress.ended(&run, &ending);
+            }
+            () = tokio::time::sleep(LOOK) => progress.show(runs, going.len()),
+        }
+    }
+}
+
+/// One run from wherever it stands to its end.
+async fn finish(
+    program: PathBuf,
+    run: PlannedRun,
+    mut stop: watch::Receiver<bool>,
+) -> (PlannedRun, Ending) {
+    let ending = train(&program, &run, &mut stop).await;
+    let ending = ending.unwrap_or_else(|error| Ending::Failed(format!("{error:#}")));
+    (run, ending)
+}
+
+async fn train(
+    program: &Path,
+    run: &PlannedRun,
+    stop: &mut watch::Receiver<bool>,
+) -> anyhow::Result<Ending> {
+    let Some(log) = claimed_log(&run.log(), stop).await? else { return Ok(Ending::Stopped) };
+    if let Some(why) = mismatch(run) {
+        return Ok(Ending::Failed(why));
+    }
+    let mut child = start(program, run, log)?;
+    let stdin = child.stdin.take();
+    let asked = tokio::select! {
+        _ = child.wait() => false,
+        _ = stop.wait_for(|stop| *stop) => true,
+    };
+    if asked {
+        drop(stdin);
+    }
+    let status = child.wait().await.context("cannot wait for a run")?;
+    Ok(match (status.success(), standing(run)) {
+        (true, Standing::Finished) => Ending::Finished,
+        (true, _) => Ending::Stopped,
+        (false, _) => {
+            let last = last_line(&run.log()).map_or_else(String::new, |line| format!(": {line}"));
+            Ending::Failed(format!("{status}{last}; its log is {}", run.log().display()))
+        }
+    })
+}
+
+/// The run's log, locked. The process that writes to it keeps the lock as long as it lives, so a run of an
+/// experiment that was killed is waited for while it writes its last checkpoint. `None` if told to stop first.
+async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result<Option<File>> {
+    let log = OpenOptions::new().create(true).append(true).open(path);
+    let log = log.with_context(|| format!("cannot write {}", path.display()))?;
+    loop {
+        match log.try_lock() {
+            Ok(()) => return Ok(Some(log)),
+            Err(TryLockError::WouldBlock) if *stop.borrow() => return Ok(None),
+            Err(TryLockError::WouldBlock) => tokio::time::sleep(LOOK).await,
+            Err(TryLockError::Error(error)) => {
+                return Err(error).with_context(|| format!("cannot lock {}", path.display()));
+            }
+        }
+    }
+}
+
+/// A process of its own group, so that Ctrl-C reaches it only through its standard input, which closes.
+fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
+    let mut command = Command::new(program);
+    command.args(["train", "--stop-with-stdin"]).args(&run.settings);
+    match standing(run) {
+        Standing::New => command.arg(format!("run.dir={}", run.folder.display())),
+        _ => command.arg("--resume").arg(&run.folder),
+    };
+    let started = command
+        .stdin(Stdio::piped())
+        .stdout(log.try_clone().context("cannot share a log")?)
+        .stderr(log)
+        .process_group(0)
+        .spawn();
+    started.with_context(|| format!("cannot start {}", program.display()))
+}

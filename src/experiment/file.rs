@@ -1,0 +1,232 @@
+//! The file that describes an experiment. Which settings exist and which are valid is known elsewhere; here only
+//! what belongs to the experiment itself.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::{Table, Value};
+
+use crate::commands::Usage;
+
+/// Settings that an experiment decides by keys of its own.
+const DECIDED: [&str; 8] = [
+    "task",
+    "algorithm",
+    "run.seed",
+    "run.env_steps",
+    "run.iterations",
+    "run.dir",
+    "run.actors",
+    "learner.threads",
+];
+
+/// An experiment file larger than this is a mistake.
+const LIMIT_BYTES: usize = 1 << 20;
+
+/// The whole file.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ExperimentFile {
+    /// Where run folders, tables and figures go.
+    pub(crate) folder: PathBuf,
+    /// Environment steps of each run.
+    pub(crate) env_steps: u64,
+    /// Seeds of each variant on each task.
+    pub(crate) seeds: Vec<u64>,
+    /// Tasks.
+    pub(crate) tasks: Vec<String>,
+    /// Actor processes of each run.
+    pub(crate) actors: usize,
+    /// Learner threads of each run.
+    pub(crate) threads: usize,
+    /// The variant with which the others are compared.
+    pub(crate) baseline: String,
+    /// Share of the best variant's final return that counts as learnt.
+    pub(crate) threshold: f64,
+    /// Settings of all runs.
+    pub(crate) settings: Option<Table>,
+    /// What is compared.
+    pub(crate) variants: Vec<Variant>,
+}
+
+/// One kind of run.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Variant {
+    /// How tables, figures and run folders call it.
+    pub(crate) name: String,
+    /// Algorithm.
+    pub(crate) algorithm: String,
+    /// Its tasks, if not all.
+    pub(crate) tasks: Option<Vec<String>>,
+    /// Its seeds, if others.
+    pub(crate) seeds: Option<Vec<u64>>,
+    /// Its environment steps, if others.
+    pub(crate) env_steps: Option<u64>,
+    /// Its settings, above those of all runs.
+    pub(crate) settings: Option<Table>,
+}
+
+impl ExperimentFile {
+    /// Reads and checks the file.
+    pub(crate) fn read(path: &Path) -> Result<Self, Usage> {
+        let refused = |detail: String| Usage::new(format!("{}: {detail}", path.display()));
+        let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
+        if text.len() > LIMIT_BYTES {
+            return Err(refused(format!("{} bytes, the limit is {LIMIT_BYTES}", text.len())));
+        }
+        Self::parse(&text).map_err(refused)
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let file: Self = toml::from_str(text).map_err(|error| not_an_experiment(text, &error))?;
+        file.validate()?;
+        Ok(file)
+    }
+
+    fn validate(&self) -> Result<(), String> {
+        distinct("seeds", &self.seeds)?;
+        distinct("tasks", &self.tasks)?;
+        distinct("variants", &self.variants.iter().map(|v| &v.name).collect::<Vec<_>>())?;
+        self.variants.iter().try_for_each(Variant::validate)?;
+        undecided("settings", self.settings.as_ref())?;
+        if !self.variants.iter().any(|variant| variant.name == self.baseline) {
+            return Err(format!("baseline = \"{}\" must be the name of a variant", self.baseline));
+        }
+        if !(self.threshold > 0.0 && self.threshold <= 1.0) {
+            return Err(format!("threshold must be above 0 and at most 1, is {}", self.threshold));
+        }
+        match (self.actors, self.threads) {
+            (1..=1024, 1..=1024) => Ok(()),
+            (actors, threads) => {
+                Err(format!("actors and threads must lie in 1..=1024, are {actors} and {threads}"))
+            }
+        }
+    }
+
+    /// Runs that a machine with `cores` holds at once: a run's actors and its learner's threads take turns.
+    pub(crate) fn runs_at_once(&self, cores: usize) -> usize {
+        (cores / self.actors.max(self.threads)).max(1)
+    }
+}
+
+impl Variant {
+    fn validate(&self) -> Result<(), String> {
+        let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+        if self.name.is_empty() || !self.name.chars().all(plain) {
+            return Err(format!("name = \"{}\" must be letters, digits, - _ or .", self.name));
+        }
+        self.tasks.as_ref().map_or(Ok(()), |tasks| distinct("tasks", tasks))?;
+        self.seeds.as_ref().map_or(Ok(()), |seeds| distinct("seeds", seeds))?;
+        undecided(&format!("settings of {}", self.name), self.settings.as_ref())
+    }
+}
+
+/// Refuses a list that is empty or holds something twice.
+fn distinct<T: Ord>(key: &str, values: &[T]) -> Result<(), String> {
+    let different: BTreeSet<&T> = values.iter().collect();
+    match (values.is_empty(), different.len() == values.len()) {
+        (true, _) => Err(format!("{key} must not be empty")),
+        (false, false) => Err(format!("{key} must differ from each other")),
+        (false, true) => Ok(()),
+    }
+}
+
+fn undecided(place: &str, settings: Option<&Table>) -> Result<(), String> {
+    let keys = settings.map(assignments).unwrap_or_default();
+    let key = keys.iter().filter_map(|assignment| assignment.split('=').next());
+    match key.into_iter().find(|key| DECIDED.contains(key)) {
+        Some(key) => Err(format!("{place}: `{key}` is decided by the experiment's own keys")),
+        None => Ok(()),
+    }
+}
+
+/// A table of settings as `key.path=value`.
+pub(crate) fn assignments(table: &Table) -> Vec<String> {
+    let of = |(key, value): (&String, &Value)| match value {
+        Value::Table(inner) => {
+            assignments(inner).into_iter().map(|inside| format!("{key}.{inside}")).collect()
+        }
+        Value::String(text) => vec![format!("{key}={text}")],
+        other => vec![format!("{key}={other}")],
+    };
+    table.iter().flat_map(of).collect()
+}
+
+/// A parser's message in one line, with the line of the file.
+fn not_an_experiment(text: &str, error: &toml::de::Error) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+    let line = before.matches('\n').count() + 1;
+    let detail = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    format!("line {line}: {detail}")
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A file with two variants, one with settings and tasks of its own.
+    pub(crate) const SAMPLE: &str = r#"
+        folder = "runs/sample"
+        env_steps = 8_000
+        seeds = [0, 1]
+        tasks = ["halfcheetah-2x3", "ant-4x2"]
+        actors = 1
+        threads = 2
+        baseline = "happo"
+        threshold = 0.8
+        settings.evaluation.every_steps = 4_000
+
+        [[variants]]
+        name = "happo"
+        algorithm = "happo"
+
+        [[variants]]
+        name = "near"
+        algorithm = "happo-s2mia"
+        tasks = ["halfcheetah-2x3"]
+        seeds = [5]
+        settings.observation.mode = "k_nearest"
+    "#;
+
+    #[test]
+    fn a_table_of_settings_becomes_arguments() {
+        let file = ExperimentFile::parse(SAMPLE).unwrap();
+        assert_eq!(assignments(file.settings.as_ref().unwrap()), ["evaluation.every_steps=4000"]);
+        let near = file.variants[1].settings.as_ref().unwrap();
+        assert_eq!(assignments(near), ["observation.mode=k_nearest"]);
+    }
+
+    #[test]
+    fn runs_share_the_cores_by_what_they_use_at_a_time() {
+        let file = ExperimentFile::parse(SAMPLE).unwrap();
+        assert_eq!([1, 2, 8].map(|cores| file.runs_at_once(cores)), [1, 1, 4]);
+    }
+
+    #[test]
+    fn a_wrong_file_is_refused_in_one_line_that_names_the_key() {
+        for (from, to, words) in [
+            (
+                "threshold = 0.8",
+                "threshold = 1.5",
+                "threshold must be above 0 and at most 1, is 1.5",
+            ),
+            (
+                "baseline = \"happo\"",
+                "baseline = \"mappo\"",
+                "baseline = \"mappo\" must be the name",
+            ),
+            ("seeds = [0, 1]", "seeds = []", "seeds must not be empty"),
+            ("seeds = [0, 1]", "seeds = [1, 1]", "seeds must differ"),
+            ("name = \"near\"", "name = \"happo\"", "variants must differ"),
+            ("name = \"near\"", "name = \"a/b\"", "name = \"a/b\" must be letters"),
+            ("evaluation.every_steps", "run.seed", "`run.seed` is decided by the experiment"),
+            ("actors = 1", "actors = 0", "actors and threads must lie in 1..=1024, are 0 and 2"),
+            ("threads = 2", "treads = 2", "line 7: unknown field `treads`"),
+        ] {
+            let message = ExperimentFile::parse(&SAMPLE.replacen(from, to, 1)).unwrap_err();
+            assert!(message.contains(words) && !message.contains('\n'), "{message}");
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! The runs that an experiment's file means, each with its settings checked before anything starts.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+
+use super::file::{ExperimentFile, Variant, assignments};
+use crate::commands::Usage;
+use crate::config::{Request, layers};
+use crate::run_config::RunConfig;
+
+/// One run of an experiment.
+#[derive(Clone, Debug)]
+pub(crate) struct PlannedRun {
+    /// Task.
+    pub(crate) task: String,
+    /// Name of the variant.
+    pub(crate) variant: String,
+    /// Its folder.
+    pub(crate) folder: PathBuf,
+    /// Everything that `s2mia train` is told besides the folder.
+    pub(crate) settings: Vec<String>,
+    /// What that resolves to.
+    pub(crate) config: RunConfig,
+}
+
+impl PlannedRun {
+    /// Last part of the folder: task, variant and seed.
+    pub(crate) fn name(&self) -> String {
+        self.folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Where the run's words go.
+    pub(crate) fn log(&self) -> PathBuf {
+        self.folder.with_file_name(format!("{}.log", self.name()))
+    }
+}
+
+/// All runs: first every variant on every task with its first seed, then with its second, so that an experiment
+/// which is cut short has compared something.
+pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
+    let seeds = |variant: &Variant| variant.seeds.as_ref().unwrap_or(&file.seeds).clone();
+    let most = file.variants.iter().map(|variant| seeds(variant).len()).max().unwrap_or(0);
+    let mut runs = Vec::new();
+    for turn in 0..most {
+        for variant in &file.variants {
+            let Some(&seed) = seeds(variant).get(turn) else { continue };
+            for task in variant.tasks.as_ref().unwrap_or(&file.tasks) {
+                runs.push(planned(file, variant, task, seed)?);
+            }
+        }
+    }
+    Ok(runs)
+}
+
+fn planned(
+    file: &ExperimentFile,
+    variant: &Variant,
+    task: &str,
+    seed: u64,
+) -> anyhow::Result<PlannedRun> {
+    let of = |table: &Option<toml::Table>| table.as_ref().map(assignments).unwrap_or_default();
+    let env_steps = variant.env_steps.unwrap_or(file.env_steps);
+    let mut settings = vec![format!("task={task}"), format!("algorithm={}", variant.algorithm)];
+    settings.extend(of(&file.settings));
+    settings.extend(of(&variant.settings));
+    settings.extend([
+        format!("run.seed={seed}"),
+        format!("run.env_steps={env_steps}"),
+        format!("run.actors={}", file.actors),
+        format!("learner.threads={}", file.threads),
+    ]);
+    let name = format!("{task}-{}-seed{seed}", variant.name);
+    let resolved = layers::resolve(&Request::from_process(Vec::new(), settings.clone()));
+    let config = resolved.and_then(RunConfig::build).with_context(|| format!("run {name}"))?;
+    if config.learner.evaluation.every_steps == 0 {
+        let why =
+            format!("run {name}: evaluation.every_steps must be above 0: evaluations are compared");
+        return Err(Usage::new(why).into());
+    }
+    let folder = file.folder.join(name);
+    Ok(PlannedRun {
+        task: task.to_owned(),
+        variant: variant.name.clone(),
+        folder,
+        settings,
+        config,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::ConfigError;
+    use crate::experiment::file::tests::SAMPLE;
+
+    #[test]
+    fn every_variant_runs_on_its_tasks_with_its_seeds_first_seeds_first() {
+        let runs = plan(&toml::from_str(SAMPLE).unwrap()).unwrap();
+        let names: Vec<String> = runs.iter().map(PlannedRun::name).collect();
+        let expected = [
+            "halfcheetah-2x3-happo-seed0",
+            "ant-4x2-happo-seed0",
+            "halfcheetah-2x3-near-seed5",
+            "halfcheetah-2x3-happo-seed1",
+            "ant-4x2-happo-seed1",
+        ];
+        assert_eq!(names, expected);
+        assert_eq!(runs[2].config.resolved.text("observation.mode"), "k_nearest");
+        assert_eq!((runs[0].config.run.seed, runs[0].config.env_steps()), (0, 8_000));
+    }
+
+    #[test]
+    fn a_setting_that_no_run_can_have_names_the_run_and_the_key() {
+        for (from, to, words) in [
+            ("observation.mode", "observation.modus", "unknown key `observation.modus`"),
+            ("every_steps = 4_000", "every_steps = 0", "evaluation.every_steps must be above 0"),
+            ("\"ant-4x2\"", "\"ant-9x9\"", "ant-9x9"),
+        ] {
+            let text = SAMPLE.replacen(from, to, 1);
+            let error = plan(&toml::from_str(&text).unwrap()).unwrap_err();
+            let message = format!("{error:#}");
+            assert!(message.contains(words) && message.contains("run "), "{message}");
+            assert!(error.is::<ConfigError>() || error.is::<Usage>(), "{message}");
+        }
+    }
+}

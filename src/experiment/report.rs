@@ -1,0 +1,150 @@
+//! An experiment's table, as Markdown and CSV, and its figures.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+
+use super::file::ExperimentFile;
+use super::plan::PlannedRun;
+use super::results::{Estimate, Measured, Row, rows};
+use super::standing::{Standing, mismatch, standing};
+use crate::learning_curve::{self, Curve, Quantity};
+use crate::{chart, figures};
+
+/// Writes `results.md`, `results.csv` and the figures of what is there. Returns the table and where all of it is.
+pub(crate) fn write(
+    file: &ExperimentFile,
+    runs: &[PlannedRun],
+) -> anyhow::Result<(String, Vec<PathBuf>)> {
+    let there: Vec<&PlannedRun> = runs.iter().filter(|run| is_there(run)).collect();
+    let mut curves = Vec::new();
+    for run in &there {
+        curves.push(Curve { algorithm: run.variant.clone(), ..learning_curve::read(&run.folder)? });
+    }
+    let measured: Vec<Measured> = there.iter().zip(&curves).filter_map(measured).collect();
+    let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
+    let rows = rows(&measured, &variants, &file.baseline, file.threshold);
+    let table = markdown(&rows, file, (measured.len(), runs.len()));
+    let mut written = vec![
+        put(&file.folder, "results.md", &table)?,
+        put(&file.folder, "results.csv", &csv(&rows))?,
+    ];
+    curves.retain(|curve| !curve.of(Quantity::Return).is_empty());
+    if !curves.is_empty() {
+        written.extend(figures::write_learning_curve(&file.folder, &curves)?);
+        written.extend(figures::write_ablation(&file.folder, &curves)?);
+    }
+    Ok((table, written))
+}
+
+fn is_there(run: &PlannedRun) -> bool {
+    standing(run) != Standing::New && mismatch(run).is_none()
+}
+
+/// Only finished runs are compared; the figures show the others too.
+fn measured((run, curve): (&&PlannedRun, &Curve)) -> Option<Measured> {
+    let returns = curve.of(Quantity::Return).to_vec();
+    let (task, variant) = (run.task.clone(), run.variant.clone());
+    (standing(run) == Standing::Finished).then_some(Measured { task, variant, returns })
+}
+
+fn put(folder: &Path, name: &str, text: &str) -> anyhow::Result<PathBuf> {
+    let path = folder.join(name);
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    Ok(path)
+}
+
+fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, usize)) -> String {
+    let share = 100.0 * file.threshold;
+    let mut text = format!(
+        "{finished} of {planned} runs are finished. Interquartile means over seeds with 95 % bootstrap \
+         intervals; learnt is {share:.0} % of the task's best final return.\n\n\
+         | task | variant | runs | final return | mean return over training | steps until learnt (median) \
+         | P(better than {}) |\n| --- | --- | --- | --- | --- | --- | --- |\n",
+        file.baseline
+    );
+    for row in rows {
+        let improvement = row.improvement.map_or_else(|| "-".to_owned(), |p| shown(p, 2));
+        text += &format!(
+            "| {} | {} | {} | {} | {} | {} ({}/{}) | {improvement} |\n",
+            row.task,
+            row.variant,
+            row.runs,
+            shown(row.final_return, 0),
+            shown(row.area, 0),
+            row.steps_to_threshold.map_or_else(|| "-".to_owned(), |s| chart::thousands(s as u64)),
+            row.runs_at_threshold,
+            row.runs,
+        );
+    }
+    text
+}
+
+/// `86 (20 to 100)`
+fn shown(estimate: Estimate, decimals: usize) -> String {
+    let Estimate { value, interval } = estimate;
+    format!("{value:.decimals$} ({:.decimals$} to {:.decimals$})", interval.low, interval.high)
+}
+
+const CSV_HEADER: &str = "task,variant,runs,final_return,final_return_low,final_return_high,\
+    area,area_low,area_high,threshold,steps_to_threshold,runs_at_threshold,\
+    improvement,improvement_low,improvement_high";
+
+/// What does not exist is empty.
+fn csv(rows: &[Row]) -> String {
+    let three = |e: Estimate| format!("{},{},{}", e.value, e.interval.low, e.interval.high);
+    let line = |row: &Row| {
+        format!(
+            "{},{},{},{},{},{},{},{},{}\n",
+            row.task,
+            row.variant,
+            row.runs,
+            three(row.final_return),
+            three(row.area),
+            row.threshold,
+            row.steps_to_threshold.map_or_else(String::new, |steps| steps.to_string()),
+            row.runs_at_threshold,
+            row.improvement.map_or_else(|| ",,".to_owned(), three),
+        )
+    };
+    format!("{CSV_HEADER}\n{}", rows.iter().map(line).collect::<String>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::file::tests::SAMPLE;
+    use crate::statistics::Interval;
+
+    fn sample() -> Row {
+        let estimate = |value: f64| Estimate {
+            value,
+            interval: Interval { low: value - 1.0, high: value + 1.0 },
+        };
+        Row {
+            task: "ant-4x2".into(),
+            variant: "near".into(),
+            runs: 3,
+            final_return: estimate(86.0),
+            area: estimate(51.0),
+            threshold: 43.0,
+            steps_to_threshold: Some(150_000.0),
+            runs_at_threshold: 2,
+            improvement: None,
+        }
+    }
+
+    #[test]
+    fn both_tables_hold_each_figure_in_its_column() {
+        let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
+        let text = markdown(&[sample()], &file, (3, 5));
+        assert!(text.starts_with("3 of 5 runs are finished."), "{text}");
+        let row = "| ant-4x2 | near | 3 | 86 (85 to 87) | 51 (50 to 52) | 150,000 (2/3) | - |\n";
+        assert!(text.ends_with(row), "{text}");
+        let text = csv(&[sample()]);
+        let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+        assert_eq!(lines[0].len(), lines[1].len());
+        assert_eq!(lines[1].join(","), "ant-4x2,near,3,86,85,87,51,50,52,43,150000,2,,,");
+    }
+}

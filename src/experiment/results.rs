@@ -1,0 +1,174 @@
+//! What the finished runs of an experiment say: a row for each variant on each task. Pure.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use policy::{Draw, Purpose};
+
+use crate::statistics::{
+    Interval, area_under_curve, bootstrap_interval, first_reaching, interquartile_mean,
+    interquartile_mean_interval, probability_of_improvement, quantile,
+};
+
+/// A figure and its 95 % confidence interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Estimate {
+    /// The figure.
+    pub(crate) value: f64,
+    /// Its interval by bootstrap over runs.
+    pub(crate) interval: Interval,
+}
+
+/// One finished run.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Measured {
+    /// Task.
+    pub(crate) task: String,
+    /// Name of the variant.
+    pub(crate) variant: String,
+    /// Env steps and evaluation return, in order of env steps; at least one.
+    pub(crate) returns: Vec<(f64, f64)>,
+}
+
+/// A variant on a task.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row {
+    /// Task.
+    pub(crate) task: String,
+    /// Variant.
+    pub(crate) variant: String,
+    /// Finished runs.
+    pub(crate) runs: usize,
+    /// Interquartile mean of the returns of the last evaluation.
+    pub(crate) final_return: Estimate,
+    /// Interquartile mean of the areas under the curves, per environment step: the mean return over training.
+    pub(crate) area: Estimate,
+    /// The return that counts as learnt.
+    pub(crate) threshold: f64,
+    /// Median over the runs of the environment steps until it is reached; none if half of them never do.
+    pub(crate) steps_to_threshold: Option<f64>,
+    /// Runs that reach it.
+    pub(crate) runs_at_threshold: usize,
+    /// Probability that a run of the variant ends higher than one of the baseline; none for the baseline itself.
+    pub(crate) improvement: Option<Estimate>,
+}
+
+/// The curves of each variant on each task.
+type Groups<'a> = BTreeMap<(&'a str, &'a str), Vec<&'a [(f64, f64)]>>;
+
+/// A row for each variant on each task, in the order of `variants` within a task. What counts as learnt is
+/// `share` of the highest final return among the task's variants.
+pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share: f64) -> Vec<Row> {
+    let mut groups = Groups::new();
+    for run in runs {
+        groups.entry((&run.task, &run.variant)).or_default().push(&run.returns);
+    }
+    let tasks: BTreeSet<&str> = groups.keys().map(|(task, _)| *task).collect();
+    let mut rows = Vec::new();
+    for task in tasks {
+        let of_task = |variant| found(&groups, task, variant);
+        let bests = variants.iter().filter_map(|v| Some(interquartile_mean(&finals(of_task(v)?))));
+        let threshold = share * bests.fold(f64::NEG_INFINITY, f64::max);
+        let rivals = of_task(baseline).map(finals);
+        for variant in variants {
+            let Some(curves) = of_task(variant) else { continue };
+            let rivals = rivals.as_deref().filter(|_| variant != baseline);
+            rows.push(row((task, variant), curves, threshold, rivals));
+        }
+    }
+    rows
+}
+
+fn found<'a>(
+    groups: &'a Groups<'a>,
+    task: &'a str,
+    variant: &'a str,
+) -> Option<&'a [&'a [(f64, f64)]]> {
+    groups.get(&(task, variant)).map(Vec::as_slice)
+}
+
+fn row(
+    (task, variant): (&str, &str),
+    curves: &[&[(f64, f64)]],
+    threshold: f64,
+    baseline: Option<&[f64]>,
+) -> Row {
+    let finals = finals(curves);
+    let areas: Vec<f64> = curves.iter().map(|curve| area_under_curve(curve)).collect();
+    let reached: Vec<Option<f64>> =
+        curves.iter().map(|curve| first_reaching(curve, threshold)).collect();
+    Row {
+        task: task.to_owned(),
+        variant: variant.to_owned(),
+        runs: curves.len(),
+        final_return: mean(&finals, 0),
+        area: mean(&areas, 1),
+        threshold,
+        steps_to_threshold: median_steps(&reached),
+        runs_at_threshold: reached.iter().flatten().count(),
+        improvement: baseline.map(|baseline| improvement(&finals, baseline)),
+    }
+}
+
+/// The last evaluation of each curve.
+fn finals(curves: &[&[(f64, f64)]]) -> Vec<f64> {
+    curves.iter().filter_map(|curve| curve.last().map(|point| point.1)).collect()
+}
+
+fn mean(values: &[f64], figure: u32) -> Estimate {
+    let key = Draw::of(Purpose::Bootstrap).step(figure);
+    Estimate {
+        value: interquartile_mean(values),
+        interval: interquartile_mean_interval(values, key),
+    }
+}
+
+fn improvement(runs: &[f64], baseline: &[f64]) -> Estimate {
+    let key = Draw::of(Purpose::Bootstrap).step(2);
+    let of = |samples: &[Vec<f64>]| probability_of_improvement(&samples[0], &samples[1]);
+    let interval = bootstrap_interval(&[runs, baseline], key, of);
+    Estimate { value: probability_of_improvement(runs, baseline), interval }
+}
+
+/// The median, in which a run that never reaches the threshold takes for ever.
+fn median_steps(reached: &[Option<f64>]) -> Option<f64> {
+    let steps: Vec<f64> = reached.iter().map(|steps| steps.unwrap_or(f64::INFINITY)).collect();
+    let median = quantile(&steps, 0.5);
+    median.is_finite().then_some(median)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(variant: &str, middle: f64, last: f64) -> Measured {
+        let returns = vec![(0.0, 0.0), (100.0, middle), (200.0, last)];
+        Measured { task: "ant-4x2".into(), variant: variant.into(), returns }
+    }
+
+    #[test]
+    fn a_table_worked_by_hand_is_met() {
+        let runs = [
+            run("happo", 10.0, 40.0),
+            run("new", 90.0, 100.0),
+            run("new", 60.0, 100.0),
+            run("new", 30.0, 20.0),
+        ];
+        let variants = ["new".to_owned(), "happo".to_owned(), "absent".to_owned()];
+        let rows = rows(&runs, &variants, "happo", 0.5);
+        let [new, happo] = rows.as_slice() else { panic!("{rows:?}") };
+        // IQM of 20, 100, 100: 20 / 6 + 100 * 2 / 3 + 100 / 6 = 86.67; half of it is learnt.
+        assert!((new.final_return.value - 260.0 / 3.0).abs() < 1e-9, "{new:?}");
+        assert!((new.threshold - 130.0 / 3.0).abs() < 1e-9, "{new:?}");
+        assert_eq!((new.runs, new.runs_at_threshold, new.steps_to_threshold), (3, 2, Some(100.0)));
+        // Areas 70, 55 and 20: (20 + 70) / 6 + 55 * 2 / 3.
+        assert!((new.area.value - (15.0 + 110.0 / 3.0)).abs() < 1e-9, "{new:?}");
+        // Two of three end above 40.
+        assert!((new.improvement.unwrap().value - 2.0 / 3.0).abs() < 1e-9, "{new:?}");
+        assert_eq!(new.improvement.unwrap().interval, Interval { low: 0.0, high: 1.0 });
+        assert_eq!((happo.runs_at_threshold, happo.steps_to_threshold), (0, None));
+        assert_eq!(
+            (happo.final_return.value, happo.area.value, happo.improvement),
+            (40.0, 15.0, None)
+        );
+    }
+}

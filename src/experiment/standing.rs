@@ -1,0 +1,128 @@
+//! How far a run of an experiment is, as its folder tells.
+
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::plan::PlannedRun;
+use crate::run_config::RunConfig;
+use crate::{resume, run_path};
+
+/// Enough of a `metrics.jsonl` to hold its last lines.
+const TAIL_BYTES: u64 = 64 << 10;
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Standing {
+    /// There is nothing of it.
+    New,
+    /// It goes on, or can be gone on with.
+    Begun {
+        /// Environment steps of its finished iterations.
+        env_steps: u64,
+    },
+    /// Its last evaluation is in, and so is the checkpoint before it.
+    Finished,
+}
+
+impl Standing {
+    /// Environment steps done, of a run that has `total`.
+    pub(crate) fn env_steps(self, total: u64) -> u64 {
+        match self {
+            Self::New => 0,
+            Self::Begun { env_steps } => env_steps.min(total),
+            Self::Finished => total,
+        }
+    }
+}
+
+/// How far the run is; what its folder holds is not questioned.
+pub(crate) fn standing(run: &PlannedRun) -> Standing {
+    if !run_path::config_file(&run.folder).is_file() {
+        return Standing::New;
+    }
+    let last = last_lines(&run_path::metrics_file(&run.folder));
+    let finished =
+        |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
+    match last.iter().any(finished) {
+        true => Standing::Finished,
+        false => {
+            let steps = last.iter().filter_map(|line| line["env_steps"].as_u64());
+            Standing::Begun { env_steps: steps.max().unwrap_or(0) }
+        }
+    }
+}
+
+/// Why the folder's run cannot be the planned one; `None` if it can, or if there is none.
+pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
+    if !run_path::config_file(&run.folder).is_file() {
+        return None;
+    }
+    let same = RunConfig::of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));
+    same.err().map(|error| format!("{} holds another run: {error}", run.folder.display()))
+}
+
+/// The lines at the end of a file of JSON lines; what cannot be read is left out.
+fn last_lines(path: &Path) -> Vec<Value> {
+    let tail = || -> std::io::Result<Vec<u8>> {
+        let mut file = File::open(path)?;
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(length.saturating_sub(TAIL_BYTES)))?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    let bytes = tail().unwrap_or_default();
+    bytes
+        .split(|byte| *byte == b'\n')
+        .filter_map(|line| serde_json::from_slice(line).ok())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::file::ExperimentFile;
+    use crate::experiment::file::tests::SAMPLE;
+    use crate::experiment::plan::plan;
+
+    fn run_in(folder: &Path) -> PlannedRun {
+        let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
+        plan(&ExperimentFile { folder: folder.into(), ..file }).unwrap().remove(0)
+    }
+
+    #[test]
+    fn a_run_is_finished_when_the_evaluation_of_its_last_iteration_is_in() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        assert_eq!(standing(&run), Standing::New);
+        std::fs::create_dir(&run.folder).unwrap();
+        std::fs::write(run.folder.join("config.toml"), "").unwrap();
+        assert_eq!(standing(&run), Standing::Begun { env_steps: 0 });
+        let metrics = run.folder.join("metrics.jsonl");
+        let begun = "{\"kind\": \"iteration\", \"iteration\": 2, \"env_steps\": 8000}\n{\"ki";
+        std::fs::write(&metrics, begun).unwrap();
+        assert_eq!(standing(&run), Standing::Begun { env_steps: 8000 });
+        let last =
+            "{\"kind\": \"evaluation\", \"iteration\": 2, \"env_steps\": 8000, \"mean\": 1}\n";
+        std::fs::write(&metrics, last).unwrap();
+        assert_eq!(standing(&run), Standing::Finished);
+    }
+
+    #[test]
+    fn a_folder_with_other_settings_is_not_taken_for_the_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        assert_eq!(mismatch(&run), None);
+        std::fs::create_dir(&run.folder).unwrap();
+        let same = run.config.resolved.to_toml();
+        std::fs::write(run.folder.join("config.toml"), &same).unwrap();
+        assert_eq!(mismatch(&run), None);
+        let other = same.replace("gamma = 0.99", "gamma = 0.98");
+        std::fs::write(run.folder.join("config.toml"), other).unwrap();
+        let why = mismatch(&run).unwrap();
+        assert!(why.contains("holds another run") && why.contains("`update.gamma`"), "{why}");
+    }
+}

@@ -1,0 +1,48 @@
+//! Pictures of learning curves as files: one panel per task, or the ablation with its terms below.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+
+use crate::learning_curve::{Curve, Panel, Quantity, panels};
+use crate::picture;
+
+/// Panels beside each other in a picture of many tasks.
+const MOST_COLUMNS: usize = 3;
+
+/// Writes `learning_curve.svg` and `.png`: the return on each task.
+pub(crate) fn write_learning_curve(
+    folder: &Path,
+    curves: &[Curve],
+) -> anyhow::Result<Vec<PathBuf>> {
+    let panels = panels(curves, &[Quantity::Return]);
+    let columns = panels.len().clamp(1, MOST_COLUMNS);
+    write(folder, "learning_curve", &panels, columns)
+}
+
+/// Writes `ablation.svg` and `.png`: tasks beside each other; returns, surprise and information below each other,
+/// each where some run has it.
+pub(crate) fn write_ablation(folder: &Path, curves: &[Curve]) -> anyhow::Result<Vec<PathBuf>> {
+    let measured = |quantity: &Quantity| curves.iter().any(|curve| !curve.of(*quantity).is_empty());
+    let quantities: Vec<Quantity> = Quantity::ALL.into_iter().filter(measured).collect();
+    let panels = panels(curves, &quantities);
+    let columns = panels.len() / quantities.len().max(1);
+    write(folder, "ablation", &panels, columns)
+}
+
+fn write(
+    folder: &Path,
+    name: &str,
+    panels: &[Panel],
+    columns: usize,
+) -> anyhow::Result<Vec<PathBuf>> {
+    let picture = picture::draw(panels, columns)?;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let files = [("svg", picture.svg.into_bytes()), ("png", picture.png)];
+    let written = files.map(|(ending, bytes)| {
+        let path = folder.join(format!("{name}.{ending}"));
+        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(path)
+    });
+    written.into_iter().collect()
+}

@@ -1,0 +1,97 @@
+//! A small experiment: two variants of a game, three runs, one of them much longer than the others.
+
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+/// Exit status, and everything that is printed.
+pub(crate) fn s2mia(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap();
+    let text = [output.stdout, output.stderr].concat();
+    (output.status.code(), String::from_utf8(text).unwrap())
+}
+
+pub(crate) struct Experiment {
+    place: tempfile::TempDir,
+    file: String,
+}
+
+impl Experiment {
+    pub(crate) fn new() -> Self {
+        let place = tempfile::tempdir().unwrap();
+        let text = format!(
+            r#"
+            folder = "{}"
+            env_steps = 2_000
+            seeds = [0, 1]
+            tasks = ["cue-2x1"]
+            actors = 1
+            threads = 1
+            baseline = "short"
+            threshold = 0.5
+            settings.evaluation.every_steps = 1_000
+            settings.evaluation.episodes = 1
+            settings.checkpoint.every = 2
+
+            [[variants]]
+            name = "short"
+            algorithm = "happo"
+
+            [[variants]]
+            name = "long"
+            algorithm = "happo-s2mia"
+            seeds = [3]
+            env_steps = 40_000
+            "#,
+            place.path().join("runs").display()
+        );
+        let file = place.path().join("experiment.toml");
+        std::fs::write(&file, text).unwrap();
+        Self { file: file.to_str().unwrap().to_owned(), place }
+    }
+
+    pub(crate) fn file(&self) -> &str {
+        &self.file
+    }
+
+    pub(crate) fn folder(&self) -> PathBuf {
+        self.place.path().join("runs")
+    }
+
+    /// To its end; gives back what it tells.
+    pub(crate) fn run(&self) -> String {
+        let (status, told) = s2mia(&["experiment", &self.file, "--jobs", "2"]);
+        assert_eq!(status, Some(0), "{told}");
+        told
+    }
+
+    /// Sends the signal when the first run is finished, while the long one goes on.
+    pub(crate) fn end_after_its_first_run(&self, signal: &str) -> (Option<i32>, String) {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_s2mia"))
+            .args(["experiment", &self.file, "--jobs", "2"])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap());
+        let mut told = String::new();
+        while !told.contains(" is finished\n") {
+            assert!(lines.read_line(&mut told).unwrap() > 0, "{told}");
+        }
+        let id = child.id().to_string();
+        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+        lines.read_to_string(&mut told).unwrap();
+        (child.wait().unwrap().code(), told)
+    }
+
+    /// Hashes of the whole state of every run, in the order of their names.
+    pub(crate) fn hashes(&self) -> Vec<String> {
+        let names = ["cue-2x1-long-seed3", "cue-2x1-short-seed0", "cue-2x1-short-seed1"];
+        let state = |name: &str| {
+            let folder = self.folder().join(name);
+            let (_, told) = s2mia(&["inspect", folder.to_str().unwrap(), "--json"]);
+            let held: serde_json::Value = serde_json::from_str(&told).unwrap();
+            held["state_sha256"].as_str().unwrap().to_owned()
+        };
+        names.map(state).to_vec()
+    }
+}
