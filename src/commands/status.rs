@@ -67,10 +67,11 @@ fn text(status: &Status) -> String {
     let disk =
         if status.storage_degraded { "\nthe last checkpoint could not be written" } else { "" };
     let mut text = format!(
-        "{run_id}: iteration {iteration}, {} env steps{pace}\n\
+        "{run_id}: iteration {iteration}, {} env steps{pace}, policy lag {}\n\
          {complete_slots} of {slots} slots complete, {} leases on {actors} actors, \
          {} leased again, {} messages refused{disk}",
         thousands(status.env_steps),
+        status.policy_lag,
         leases.len(),
         status.leases_reissued,
         status.messages_refused,
@@ -116,6 +117,7 @@ fn to_json(status: &Status) -> Value {
         "messages_refused": status.messages_refused,
         "leases_reissued": status.leases_reissued,
         "storage_degraded": status.storage_degraded,
+        "policy_lag": status.policy_lag,
         "leases": status.leases.iter().map(lease).collect::<Vec<_>>(),
     })
 }
