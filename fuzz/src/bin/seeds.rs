@@ -50,7 +50,7 @@ fn lease() -> Lease {
         EnvironmentStart { environment: 1, start: Start::Fresh { episode: 0, limit: 20 } },
     ];
     let work = Work::Rollout(RolloutWork { iteration: 3, slot: 0, environments });
-    Lease { id: LeaseId(5), incarnation: Incarnation(11), weights, work }
+    Lease { id: LeaseId(5), incarnation: Incarnation(11), weights, attempt: 0, work }
 }
 
 /// In the order in which the target tells its kinds apart.
