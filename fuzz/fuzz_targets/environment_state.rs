@@ -4,20 +4,9 @@
 
 use std::cell::RefCell;
 
+use fuzz::{TASKS, world};
 use libfuzzer_sys::fuzz_target;
-use sim::{
-    ContactForces, Environments, ObservationConfig, ObservationMode, ObservationNorm, Outcome,
-    PartitionSemantics, RootView, TaskConfig,
-};
-
-/// A robot of each kind, one of them with contact forces in its state, and the game.
-const TASKS: [(&str, ContactForces); 5] = [
-    ("halfcheetah-2x3", ContactForces::Absent),
-    ("walker2d-2x3", ContactForces::Absent),
-    ("ant-2x4", ContactForces::Absent),
-    ("ant-2x4", ContactForces::Real),
-    ("cue-2x1", ContactForces::Absent),
-];
+use sim::{Environments, Outcome};
 
 thread_local! {
     static WORLDS: RefCell<Vec<Environments>> = RefCell::new(TASKS.map(world).into());
@@ -30,21 +19,6 @@ fuzz_target!(|data: &[u8]| {
         take_up(&mut worlds[at], bytes);
     });
 });
-
-fn world((task, contact_forces): (&str, ContactForces)) -> Environments {
-    let config = TaskConfig {
-        task: task.to_owned(),
-        observation: ObservationConfig {
-            mode: ObservationMode::FullId,
-            norm: ObservationNorm::None,
-            nearest: 0,
-            globals: RootView::Shown,
-            contact_forces,
-        },
-        partition: PartitionSemantics::ActuatorSlices,
-    };
-    Environments::new(&config, 1).expect("a known task")
-}
 
 fn take_up(world: &mut Environments, bytes: &[u8]) {
     let before = world.encode(0);

@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use candle_core::DType;
+use fuzz::{TASKS, world};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, CoreKind, PolicyConfig, PolicySnapshot, RefreshHidden};
 use prost::Message;
@@ -16,10 +17,7 @@ use proto::{
     PROTOCOL_VERSION, PolicyVersion, PushHeader, Registration, RolloutWork, Start, WeightsName,
     Work,
 };
-use sim::{
-    ContactForces, Environments, ObservationConfig, ObservationMode, ObservationNorm,
-    PartitionSemantics, RootView, TaskConfig,
-};
+use sim::ContactForces;
 
 /// An input, with the byte before it by which its target chooses how to read it, if it does.
 type Seed = (Option<u8>, Vec<u8>);
@@ -136,34 +134,15 @@ fn policies() -> Vec<Seed> {
     ]
 }
 
-/// Robots at rest and at the start of an episode; the tasks in the order of the target's list.
+/// Robots at rest and at the start of an episode.
 fn states() -> Vec<Seed> {
-    let (absent, real) = (ContactForces::Absent, ContactForces::Real);
-    let tasks = [
-        ("halfcheetah-2x3", absent),
-        ("walker2d-2x3", absent),
-        ("ant-2x4", absent),
-        ("ant-2x4", real),
-        ("cue-2x1", absent),
-    ];
-    let both = |(index, (task, contact_forces)): (u8, (&str, ContactForces))| {
-        let config = TaskConfig {
-            task: task.to_owned(),
-            observation: ObservationConfig {
-                mode: ObservationMode::FullId,
-                norm: ObservationNorm::None,
-                nearest: 0,
-                globals: RootView::Shown,
-                contact_forces,
-            },
-            partition: PartitionSemantics::ActuatorSlices,
-        };
-        let mut world = Environments::new(&config, 1).expect("a known task");
+    let both = |(index, task): (u8, (&str, ContactForces))| {
+        let mut world = world(task);
         let at_rest = world.encode(0);
         world.reset(0, 3, 40, &mut generator(RunSeed(1), Draw::of(Purpose::Reset)));
         [(Some(index), at_rest), (Some(index), world.encode(0))]
     };
-    (0..).zip(tasks).flat_map(both).collect()
+    (0..).zip(TASKS).flat_map(both).collect()
 }
 
 /// Bytes for targets that read them as lists of events.
