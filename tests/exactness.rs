@@ -9,12 +9,15 @@
 mod processes;
 #[path = "system/runs.rs"]
 mod runs;
+#[path = "system/waiting.rs"]
+mod waiting;
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use runs::{Runs, TINY, inspect, succeeded, train};
+use waiting::{eventually, under_way};
 
 /// What happens to a run of six iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -141,30 +144,15 @@ fn start(folder: &Path, more: &[&str]) -> Child {
 
 /// The actor processes of a run, as soon as there are as many as it wants.
 fn actors(run: &Child, wanted: u32) -> Vec<u32> {
-    let patience = Instant::now() + Duration::from_secs(30);
-    loop {
-        let found = processes::children(run.id());
-        if found.len() as u32 >= wanted {
-            return found;
-        }
-        assert!(Instant::now() < patience, "{} of {wanted} actors have started", found.len());
-        std::thread::yield_now();
-    }
+    eventually(|| match processes::children(run.id()) {
+        found if found.len() as u32 >= wanted => Ok(found),
+        found => Err(format!("{} of {wanted} actors have started", found.len())),
+    })
 }
 
 fn signal(process: u32, name: &str) {
     let sent = Command::new("kill").args([name, &process.to_string()]).status().unwrap();
     assert!(sent.success());
-}
-
-/// Waits until the run's metrics hold a line: the run is under way.
-fn under_way(folder: &Path) {
-    let patience = Instant::now() + Duration::from_secs(30);
-    let begun = || std::fs::metadata(folder.join("metrics.jsonl")).is_ok_and(|file| file.len() > 0);
-    while !begun() {
-        assert!(Instant::now() < patience, "no iteration in half a minute");
-        std::thread::yield_now();
-    }
 }
 
 fn play(folder: &Path, (rule, schedule, happening, count, threads): Cell) {

@@ -3,16 +3,18 @@
 
 #[path = "system/runs.rs"]
 mod runs;
+#[path = "system/waiting.rs"]
+mod waiting;
 
 use std::io::{BufRead as _, BufReader, Lines};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
-use std::time::{Duration, Instant};
 
 use serde_json::json;
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
+use waiting::{eventually, under_way};
 
 const SIXTY: &str = "run.iterations=60";
 
@@ -60,15 +62,6 @@ fn actor(url: &str) -> Child {
     command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-fn wait_for_metrics(folder: &Path) {
-    let patience = Instant::now() + Duration::from_secs(30);
-    let begun = || std::fs::metadata(folder.join("metrics.jsonl")).is_ok_and(|file| file.len() > 0);
-    while !begun() {
-        assert!(Instant::now() < patience, "no iteration in half a minute");
-        std::thread::yield_now();
-    }
-}
-
 #[test]
 fn an_actor_started_first_outlives_a_learner_that_is_stopped_and_started_again_in_its_folder() {
     let runs = Runs::new();
@@ -76,7 +69,7 @@ fn an_actor_started_first_outlives_a_learner_that_is_stopped_and_started_again_i
     let address = free_address();
     let mut actor = actor(&format!("http://{address}"));
     let mut learner = Learner::start(&folder, &address);
-    wait_for_metrics(&folder);
+    under_way(&folder);
     assert!(learner.terminate().starts_with("stopped after iteration"));
     assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
     let mut learner = Learner::start(&folder, &address);
@@ -92,14 +85,10 @@ fn status(of: &str) -> serde_json::Value {
 
 /// The status by address once the first iteration's slots are open: a learner listens a moment before.
 fn status_when_open(url: &str) -> serde_json::Value {
-    let patience = Instant::now() + Duration::from_secs(30);
-    loop {
-        let told = status(url);
-        if told["slots"] != json!(0) {
-            return told;
-        }
-        assert!(Instant::now() < patience, "no slot is open after half a minute: {told}");
-    }
+    eventually(|| match status(url) {
+        told if told["slots"] == json!(0) => Err(format!("no slot is open: {told}")),
+        told => Ok(told),
+    })
 }
 
 #[test]
