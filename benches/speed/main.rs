@@ -65,7 +65,7 @@ fn main() -> anyhow::Result<()> {
     single_threaded_candle();
     let (options, wanted): (Vec<String>, Vec<String>) =
         std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
-    // Cargo itself adds --bench.
+    // `cargo bench` adds --bench. `cargo test` does not: then only settings and shapes are looked at.
     let strange = options.iter().find(|o| !["--bench", "--quick", "--json"].contains(&o.as_str()));
     if let Some(strange) = strange {
         bail!("{strange} is no option; there are --quick and --json");
@@ -75,6 +75,7 @@ fn main() -> anyhow::Result<()> {
         bail!("{strange} is no section; there are {}", names.join(", "));
     }
     let given = |option: &str| options.iter().any(|found| found == option);
+    let wanted = if given("--bench") { wanted } else { vec!["shapes".to_owned()] };
     let effort = if given("--quick") { QUICK } else { FULL };
     let mut sections = Vec::new();
     for (name, caption, measure) in SECTIONS {

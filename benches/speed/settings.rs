@@ -37,11 +37,11 @@ impl Settings {
         let mut task = sections(&resolved, &["task", "observation"])?;
         task.insert("partition".to_owned(), resolved["partition"]["semantics"].clone());
         let training = ["update", "critic", "surprise", "influence", "maddpg"];
-        let learner = ["environments", "lease", "evaluation", "checkpoint", "learner"];
+        let learner = ["environments", "lease", "evaluation", "checkpoint", "metrics", "learner"];
         Ok(Self {
             task: typed(task)?,
-            policy: typed(sections(&resolved, &["policy"])?["policy"].clone())?,
-            training: typed(sections(&resolved, &training)?)?,
+            policy: typed(resolved["policy"].clone())?,
+            training: typed(synchronous(sections(&resolved, &training)?, &resolved)?)?,
             learner: typed(sections(&resolved, &learner)?)?,
         })
     }
@@ -83,6 +83,16 @@ impl Settings {
             fault: None,
         })
     }
+}
+
+/// The learning rule's settings where the newest weights roll out; `s2mia` makes `behaviour` of `overlap` and `schedule`.
+fn synchronous(mut training: Table, resolved: &Table) -> anyhow::Result<Table> {
+    let mut behaviour = sections(resolved, &["overlap"])?.remove("overlap");
+    let behaviour =
+        behaviour.as_mut().and_then(Value::as_table_mut).context("overlap is a section")?;
+    behaviour.insert("policy_lag".to_owned(), 0.into());
+    training.insert("behaviour".to_owned(), behaviour.clone().into());
+    Ok(training)
 }
 
 fn sections(resolved: &Table, names: &[&str]) -> anyhow::Result<Table> {

@@ -31,19 +31,27 @@ struct Case {
     problem: Problem,
 }
 
+/// Every task with every core, and one recurrent core through whole slots instead of chunks of 10.
 fn cases() -> anyhow::Result<Vec<Case>> {
     let mut cases = Vec::new();
     for task in TASKS {
         for core in CORES {
-            let settings = Settings::of(&[task, "preset=harl", &format!("policy.core={core}")])?;
-            let problem = settings.problem()?;
-            cases.push(Case { name: format!("{task} {core}"), settings, problem });
+            cases.push(Case::of(task, core, core, &[])?);
         }
     }
+    let whole = ["policy.chunk_steps=200", "environments.chunk_steps=200"];
+    cases.push(Case::of(TASKS[0], "gru", "gru, sequences of 200", &whole)?);
     Ok(cases)
 }
 
 impl Case {
+    fn of(task: &str, core: &str, name: &str, changes: &[&str]) -> anyhow::Result<Self> {
+        let core = format!("policy.core={core}");
+        let settings = Settings::of(&[&[task, "preset=harl", &core], changes].concat())?;
+        let problem = settings.problem()?;
+        Ok(Self { name: format!("{task} {name}"), settings, problem })
+    }
+
     fn rows(&self) -> usize {
         let environments = &self.settings.learner.environments;
         environments.count * environments.steps

@@ -1,20 +1,22 @@
 //! The policy as an actor holds it: plain numbers, no graph.
 //!
 //! A row's result has the same bits whatever batch it stands in and on every machine: each row is
-//! computed by itself, in one fixed order, with multiplications and additions that are never fused.
+//! computed by itself, in one fixed order, with multiplications and additions that are never fused. Wider
+//! registers take more of its numbers at once and change none.
 
+mod layers;
 mod reader;
 
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
+use crate::acting::layers::{Dense, Network, Trunk};
 use crate::acting::reader::Reader;
 use crate::arrays::NamedArrays;
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
-use crate::math::{sigmoid, tanh};
-use crate::ops::LAYER_NORM_EPSILON;
+use crate::math::sigmoid;
 use crate::standardisation::Standardisation;
 
 /// No policy of ours is wider or deeper.
@@ -76,6 +78,18 @@ impl ActorSpec {
         self.head().check(self.action)
     }
 
+    /// Whether the policy remembers.
+    #[must_use]
+    pub fn core(&self) -> CoreKind {
+        self.core
+    }
+
+    /// Layers of a network that does not remember.
+    #[must_use]
+    pub fn layers(&self) -> usize {
+        self.layers
+    }
+
     /// What actions are drawn from.
     #[must_use]
     pub fn head(&self) -> Head {
@@ -117,110 +131,11 @@ pub struct ActorPolicy {
     sigma: Vec<f32>,
 }
 
-#[derive(Clone, Debug)]
-enum Trunk {
-    Gru { norm: Norm, encoder: Dense, input: Dense, recurrent: Dense, output: Norm },
-    Mlp { norm: Norm, layers: Vec<(Dense, Norm)> },
-}
-
-/// Weights `[in, out]`, so that the inner loop runs over outputs.
-#[derive(Clone, Debug)]
-struct Dense {
-    weight: Vec<f32>,
-    bias: Vec<f32>,
-}
-
-/// Outputs whose sums grow side by side in registers.
-const BLOCK: usize = 32;
-
-#[derive(Clone, Debug)]
-struct Norm {
-    weight: Vec<f32>,
-    bias: Vec<f32>,
-}
-
 /// Buffers of [`ActorPolicy::forward`], kept by the caller so that a step allocates nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     observation: Vec<f32>,
-    normal: Vec<f32>,
-    layer: Vec<f32>,
-    input: Vec<f32>,
-    recurrent: Vec<f32>,
-}
-
-impl Dense {
-    fn apply(&self, x: &[f32], y: &mut Vec<f32>) {
-        y.clear();
-        y.extend_from_slice(&self.bias);
-        self.add(x, y);
-    }
-
-    /// `y += x weight`. Each output takes its terms in the order of the inputs, block or no block.
-    fn add(&self, x: &[f32], y: &mut [f32]) {
-        let width = y.len();
-        let (blocks, rest) = y.as_chunks_mut::<BLOCK>();
-        let first = blocks.len() * BLOCK;
-        for (block, y) in blocks.iter_mut().enumerate() {
-            let mut sums = *y;
-            for (&x, weights) in x.iter().zip(self.weight.chunks_exact(width)) {
-                let weights = &weights[block * BLOCK..][..BLOCK];
-                sums.iter_mut().zip(weights).for_each(|(sum, &weight)| *sum += x * weight);
-            }
-            *y = sums;
-        }
-        for (&x, weights) in x.iter().zip(self.weight.chunks_exact(width)) {
-            rest.iter_mut().zip(&weights[first..]).for_each(|(y, &weight)| *y += x * weight);
-        }
-    }
-}
-
-impl Norm {
-    fn apply(&self, x: &[f32], y: &mut Vec<f32>) {
-        let count = x.len() as f32;
-        let mean = x.iter().sum::<f32>() / count;
-        let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / count;
-        let inverse = 1.0 / (variance + LAYER_NORM_EPSILON as f32).sqrt();
-        let affine = self.weight.iter().zip(&self.bias);
-        y.clear();
-        y.extend(x.iter().zip(affine).map(|(x, (w, b))| (x - mean) * inverse * w + b));
-    }
-}
-
-/// The gated unit on one row, gates r, z, n; see `ops::gru_sequence`.
-fn cell(input: &[f32], recurrent: &[f32], state: &mut [f32]) {
-    let width = state.len();
-    for i in 0..width {
-        let r = sigmoid(input[i] + recurrent[i]);
-        let z = sigmoid(input[width + i] + recurrent[width + i]);
-        let n = tanh(input[2 * width + i] + r * recurrent[2 * width + i]);
-        state[i] = (1.0 - z) * n + z * state[i];
-    }
-}
-
-impl Trunk {
-    /// One row's features, left in `scratch.normal`.
-    fn features(&self, observation: &[f32], state: &mut [f32], scratch: &mut Scratch) {
-        match self {
-            Self::Gru { norm, encoder, input, recurrent, output } => {
-                norm.apply(observation, &mut scratch.normal);
-                encoder.apply(&scratch.normal, &mut scratch.layer);
-                scratch.layer.iter_mut().for_each(|x| *x = tanh(*x));
-                input.apply(&scratch.layer, &mut scratch.input);
-                recurrent.apply(state, &mut scratch.recurrent);
-                cell(&scratch.input, &scratch.recurrent, state);
-                output.apply(state, &mut scratch.normal);
-            }
-            Self::Mlp { norm, layers } => {
-                norm.apply(observation, &mut scratch.normal);
-                for (dense, norm) in layers {
-                    dense.apply(&scratch.normal, &mut scratch.layer);
-                    scratch.layer.iter_mut().for_each(|x| *x = x.max(0.0));
-                    norm.apply(&scratch.layer, &mut scratch.normal);
-                }
-            }
-        }
-    }
+    layers: layers::Buffers,
 }
 
 impl ActorPolicy {
@@ -354,29 +269,21 @@ impl ActorPolicy {
         output: &mut [f32],
         scratch: &mut Scratch,
     ) {
-        let (width, state, outputs) =
-            (self.spec.observation, self.hidden_size(), self.spec.outputs());
-        for row in 0..rows {
-            let observation = &observation[row * width..(row + 1) * width];
-            let state = &mut hidden[row * state..(row + 1) * state];
-            self.features(observation, state, scratch);
-            let output = &mut output[row * outputs..(row + 1) * outputs];
-            output.copy_from_slice(&self.head.bias);
-            self.head.add(&scratch.normal, output);
-            self.head().squash(output);
+        scratch.observation.clear();
+        scratch.observation.extend_from_slice(&observation[..rows * self.spec.observation]);
+        if let Some(standardisation) = &self.standardisation {
+            standardisation.apply(&mut scratch.observation);
         }
-    }
-
-    /// One row's features, left in `scratch.normal`.
-    fn features(&self, observation: &[f32], state: &mut [f32], scratch: &mut Scratch) {
-        let Some(standardisation) = &self.standardisation else {
-            return self.trunk.features(observation, state, scratch);
-        };
-        let mut standard = core::mem::take(&mut scratch.observation);
-        standard.clear();
-        standard.extend_from_slice(observation);
-        standardisation.apply(&mut standard);
-        self.trunk.features(&standard, state, scratch);
-        scratch.observation = standard;
+        let output = &mut output[..rows * self.spec.outputs()];
+        let hidden = &mut hidden[..rows * self.hidden_size()];
+        pulp::Arch::new().dispatch(Network {
+            trunk: &self.trunk,
+            head: &self.head,
+            observation: &scratch.observation,
+            hidden,
+            output,
+            buffers: &mut scratch.layers,
+        });
+        self.head().squash(output);
     }
 }

@@ -21,7 +21,7 @@ const ARROWS: [(&str, &[&str]); 7] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 26] = [
+const HEAVY: [(&str, &[&str]); 27] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
@@ -33,13 +33,14 @@ const HEAVY: [(&str, &[&str]); 26] = [
     ("candle-core", &["policy", "marl"]),
     ("candle-nn", &["policy", "marl"]),
     ("gemm", &["policy"]),
+    ("pulp", &["policy"]),
     ("rand_chacha", &["policy"]),
     ("rayon", &["marl", "learner"]),
     ("mjcf-rs", &["sim"]),
     ("rapier3d", &["sim"]),
     ("foxglove", &["actor"]),
     ("mcap", &["actor"]),
-    ("prost", &["proto", "actor"]),
+    ("prost", &["proto", "actor", ROOT]),
     ("rcgen", &["security"]),
     ("rustls", &["security"]),
     ("rustls-webpki", &["security"]),

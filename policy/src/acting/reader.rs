@@ -1,6 +1,7 @@
 //! Reading a policy's layers from its arrays, with refusals that name the array.
 
-use super::{ActorSpec, Dense, Norm, Trunk};
+use super::ActorSpec;
+use super::layers::{Dense, Norm, Trunk};
 use crate::arrays::{Array, NamedArrays};
 use crate::config::CoreKind;
 use crate::error::PolicyError;
@@ -50,10 +51,8 @@ impl Reader<'_> {
         from: usize,
         to: usize,
     ) -> Result<Dense, PolicyError> {
-        let rows = self.array(names[0], &[to, from])?;
-        let columns = (0..from).flat_map(|i| (0..to).map(move |o| o * from + i));
-        let weight = columns.map(|index| rows[index]).collect();
-        Ok(Dense { weight, bias: self.vector(names[1], to)? })
+        let weight = self.array(names[0], &[to, from])?.to_vec();
+        Ok(Dense::new(&weight, self.array(names[1], &[to])?))
     }
 
     /// How observations are standardised, where they are.
