@@ -1,5 +1,6 @@
 //! The arguments of every command, and how a wrong one is reported.
 
+mod export;
 mod figures;
 mod log;
 mod tls;
@@ -11,6 +12,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
@@ -66,6 +68,8 @@ pub(crate) enum Command {
     Plot(PlotArguments),
     /// Run tasks x variants x seeds, several at once, then make a table and figures of them; go on with it at will.
     Experiment(ExperimentArguments),
+    /// Write a trained policy as ONNX files, one for each agent, for programs that know nothing of this one.
+    Export(ExportArguments),
     /// Say what the newest good checkpoint of a run holds.
     Inspect(InspectArguments),
     /// List the tasks with their agents, joints and sizes.

@@ -6,6 +6,7 @@ mod checkpointed;
 mod config;
 mod eval;
 mod experiment;
+mod export;
 mod film;
 mod health;
 mod inspect;
@@ -51,6 +52,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),
         Command::Status(arguments) => status::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),

@@ -6,6 +6,7 @@ mod cli;
 mod commands;
 mod config;
 mod experiment;
+mod export;
 mod figures;
 mod film;
 mod fingerprints;

@@ -21,6 +21,12 @@ pub struct PlayedStep<'a> {
     pub world: &'a Environments,
     /// Every agent's action, agents side by side, `[A]`.
     pub action: &'a [f32],
+    /// What each agent saw before it, `[obs]`.
+    pub observation: &'a [Vec<f32>],
+    /// What each agent remembers from it, `[H]`.
+    pub hidden: &'a [Vec<f32>],
+    /// Each agent's own action, `[act]`.
+    pub actions: &'a [Vec<f32>],
     /// What came of it.
     pub outcome: Outcome,
     /// Steps done, this one included.
@@ -59,7 +65,15 @@ pub(crate) fn play_on(
         let outcome = outcomes[0];
         episode.extrinsic_return += f64::from(outcome.reward);
         episode.steps += 1;
-        on_step(&PlayedStep { world, action: &agents.joint, outcome, step: episode.steps });
+        on_step(&PlayedStep {
+            world,
+            action: &agents.joint,
+            observation: &agents.observation,
+            hidden: &agents.hidden,
+            actions: &agents.action,
+            outcome,
+            step: episode.steps,
+        });
         if outcome.terminated || outcome.truncated {
             return Ok(episode);
         }

@@ -1,5 +1,6 @@
 //! A run's newest good checkpoint, as `eval`, `record` and `inspect` read it.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -42,4 +43,17 @@ pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
         .with_context(|| format!("cannot read the policy in {}", loaded.path.display()))?;
     let (iteration, env_steps) = (loaded.checkpoint.iteration, loaded.checkpoint.env_steps);
     Ok(Trained { config, iteration, env_steps, policy })
+}
+
+/// What tells later from which run and policy something was made.
+pub(super) fn metadata(trained: &Trained) -> BTreeMap<String, String> {
+    let resolved = &trained.config.resolved;
+    BTreeMap::from([
+        ("task".to_owned(), trained.config.task.task.clone()),
+        ("algorithm".to_owned(), resolved.text("algorithm").to_owned()),
+        ("seed".to_owned(), trained.config.run.seed.to_string()),
+        ("iteration".to_owned(), trained.iteration.to_string()),
+        ("env_steps".to_owned(), trained.env_steps.to_string()),
+        ("config_sha256".to_owned(), policy::arrays::hex(&resolved.sha256())),
+    ])
 }

@@ -1,13 +1,12 @@
 //! `s2mia record`: episodes of a trained policy as MCAP.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
 use policy::RunSeed;
 
 use crate::cli::RecordArguments;
-use crate::commands::checkpointed::{self, Trained};
+use crate::commands::checkpointed;
 use crate::{chart, output, run_path};
 
 /// Writes the file and says what is in it.
@@ -25,7 +24,7 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         seed,
         arguments.episodes,
         &path,
-        &metadata(&trained),
+        &checkpointed::metadata(&trained),
     )
     .with_context(|| format!("cannot record {}", path.display()))?;
     for (index, episode) in summary.episodes.iter().enumerate() {
@@ -41,17 +40,4 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
 fn path(arguments: &RecordArguments, iteration: u64) -> PathBuf {
     let named = || run_path::logs(&arguments.run).join(format!("iter_{iteration:08}.mcap"));
     arguments.out.clone().unwrap_or_else(named)
-}
-
-/// What tells later which run and policy the episodes show.
-fn metadata(trained: &Trained) -> BTreeMap<String, String> {
-    let resolved = &trained.config.resolved;
-    BTreeMap::from([
-        ("task".to_owned(), trained.config.task.task.clone()),
-        ("algorithm".to_owned(), resolved.text("algorithm").to_owned()),
-        ("seed".to_owned(), trained.config.run.seed.to_string()),
-        ("iteration".to_owned(), trained.iteration.to_string()),
-        ("env_steps".to_owned(), trained.env_steps.to_string()),
-        ("config_sha256".to_owned(), policy::arrays::hex(&resolved.sha256())),
-    ])
 }

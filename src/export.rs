@@ -1,0 +1,46 @@
+//! Trained policies for programs that know nothing of this one: ONNX for each agent, the weights, and an episode to
+//! compare with.
+
+mod episode;
+mod graph;
+mod onnx;
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use policy::{ActorPolicy, PolicySnapshot, RunSeed};
+use sim::TaskConfig;
+
+/// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`; gives each
+/// file's name and what is in it.
+pub(crate) fn export(
+    folder: &Path,
+    snapshot: &PolicySnapshot,
+    (task, seed, iteration): (&TaskConfig, RunSeed, u64),
+    about: &[(String, String)],
+) -> anyhow::Result<Vec<(String, String)>> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let write = |name: &str, bytes: Vec<u8>| {
+        let path = folder.join(name);
+        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    };
+    let mut files = Vec::new();
+    for (index, agent) in snapshot.agents.iter().enumerate() {
+        let name = format!("agent_{index}.onnx");
+        write(&name, graph::model(agent, about).to_bytes())?;
+        files.push((name, sizes(agent)));
+    }
+    write("policy.safetensors", snapshot.to_bytes()?)?;
+    files.push(("policy.safetensors".to_owned(), "all agents' weights".to_owned()));
+    let episode = episode::play(task, snapshot, (seed, iteration))?;
+    write("episode.safetensors", episode.to_bytes()?)?;
+    let told = format!("one episode, {} steps: observation, hidden state, action", episode.steps);
+    files.push(("episode.safetensors".to_owned(), told));
+    Ok(files)
+}
+
+fn sizes(agent: &ActorPolicy) -> String {
+    let (observation, hidden) = (agent.observation_size(), agent.hidden_size());
+    let action = agent.action_size();
+    format!("observation {observation}, hidden {hidden} -> action {action}, next_hidden {hidden}")
+}

@@ -1,0 +1,68 @@
+//! One evaluation episode, step by step, so that another runtime can be held against it.
+
+use std::collections::BTreeMap;
+
+use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
+use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
+use sim::{Environments, SimError, TaskConfig};
+
+/// What every agent saw, remembered and did.
+pub(super) struct Episode {
+    pub(super) steps: usize,
+    agents: Vec<Track>,
+}
+
+/// One agent's part; row `t` of each is step `t`.
+#[derive(Default)]
+struct Track {
+    observation: Vec<f32>,
+    /// Before the step.
+    hidden: Vec<f32>,
+    action: Vec<f32>,
+}
+
+/// Plays the first episode of the iteration's evaluation.
+pub(super) fn play(
+    task: &TaskConfig,
+    policy: &PolicySnapshot,
+    (seed, iteration): (RunSeed, u64),
+) -> Result<Episode, SimError> {
+    let mut world = Environments::new(task, 1)?;
+    let mut rng = generator(seed, Draw::of(Purpose::EvaluationReset).iteration(iteration));
+    let mut agents: Vec<Track> = Vec::new();
+    for agent in &policy.agents {
+        agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });
+    }
+    let episode = actor::play_episode(&mut world, policy, &mut rng, |step| {
+        for (index, track) in agents.iter_mut().enumerate() {
+            track.observation.extend(&step.observation[index]);
+            track.hidden.extend(&step.hidden[index]);
+            track.action.extend(&step.actions[index]);
+        }
+    })?;
+    // The state behind the last step is nobody's.
+    for (track, agent) in agents.iter_mut().zip(&policy.agents) {
+        track.hidden.truncate(episode.steps as usize * agent.hidden_size());
+    }
+    Ok(Episode { steps: episode.steps as usize, agents })
+}
+
+impl Episode {
+    /// A safetensors file: `agent_I.observation` `[T, obs]`, `agent_I.hidden` `[T, H]`, `agent_I.action` `[T, act]`.
+    pub(super) fn to_bytes(&self) -> Result<Vec<u8>, ArrayError> {
+        let mut arrays = NamedArrays::new();
+        for (index, track) in self.agents.iter().enumerate() {
+            let parts = [
+                ("observation", &track.observation),
+                ("hidden", &track.hidden),
+                ("action", &track.action),
+            ];
+            for (name, data) in parts {
+                let shape = vec![self.steps, data.len() / self.steps];
+                let array = Array::F32 { shape, data: data.clone() };
+                arrays.insert(format!("agent_{index}.{name}"), array);
+            }
+        }
+        to_safetensors(&arrays, &BTreeMap::new())
+    }
+}

@@ -1,0 +1,227 @@
+//! As much of ONNX's file format as a policy needs. Field numbers are those of `onnx.proto` 1.16, IR version 8.
+
+use prost::Message;
+
+/// IR version 8 came with operator set 17, the first that has `LayerNormalization`.
+const IR_VERSION: i64 = 8;
+const OPERATOR_SET: i64 = 17;
+
+/// `TensorProto.DataType`
+#[derive(Clone, Copy)]
+pub(super) enum Element {
+    Float = 1,
+    Int64 = 7,
+}
+
+/// `ModelProto`
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct Model {
+    #[prost(int64, tag = "1")]
+    ir_version: i64,
+    #[prost(string, tag = "2")]
+    producer_name: String,
+    #[prost(string, tag = "3")]
+    producer_version: String,
+    #[prost(message, optional, tag = "7")]
+    graph: Option<Graph>,
+    #[prost(message, repeated, tag = "8")]
+    opset_import: Vec<OperatorSet>,
+    #[prost(message, repeated, tag = "14")]
+    metadata_props: Vec<Entry>,
+}
+
+/// `OperatorSetIdProto`
+#[derive(Clone, PartialEq, Message)]
+struct OperatorSet {
+    #[prost(string, tag = "1")]
+    domain: String,
+    #[prost(int64, tag = "2")]
+    version: i64,
+}
+
+/// `StringStringEntryProto`
+#[derive(Clone, PartialEq, Message)]
+struct Entry {
+    #[prost(string, tag = "1")]
+    key: String,
+    #[prost(string, tag = "2")]
+    value: String,
+}
+
+/// `GraphProto`
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct Graph {
+    #[prost(message, repeated, tag = "1")]
+    node: Vec<Node>,
+    #[prost(string, tag = "2")]
+    name: String,
+    #[prost(message, repeated, tag = "5")]
+    initializer: Vec<Tensor>,
+    #[prost(message, repeated, tag = "11")]
+    input: Vec<Value>,
+    #[prost(message, repeated, tag = "12")]
+    output: Vec<Value>,
+}
+
+/// `NodeProto`
+#[derive(Clone, PartialEq, Message)]
+struct Node {
+    #[prost(string, repeated, tag = "1")]
+    input: Vec<String>,
+    #[prost(string, repeated, tag = "2")]
+    output: Vec<String>,
+    #[prost(string, tag = "3")]
+    name: String,
+    #[prost(string, tag = "4")]
+    op_type: String,
+    #[prost(message, repeated, tag = "5")]
+    attribute: Vec<Attribute>,
+}
+
+/// `AttributeProto`, of the kinds used here.
+#[derive(Clone, PartialEq, Message)]
+pub(super) struct Attribute {
+    #[prost(string, tag = "1")]
+    name: String,
+    #[prost(float, optional, tag = "2")]
+    f: Option<f32>,
+    #[prost(int64, optional, tag = "3")]
+    i: Option<i64>,
+    /// 1 float, 2 integer.
+    #[prost(int32, tag = "20")]
+    kind: i32,
+}
+
+/// `TensorProto`
+#[derive(Clone, PartialEq, Message)]
+struct Tensor {
+    #[prost(int64, repeated, tag = "1")]
+    dims: Vec<i64>,
+    #[prost(int32, tag = "2")]
+    data_type: i32,
+    #[prost(string, tag = "8")]
+    name: String,
+    #[prost(bytes = "vec", tag = "9")]
+    raw_data: Vec<u8>,
+}
+
+/// `ValueInfoProto`
+#[derive(Clone, PartialEq, Message)]
+struct Value {
+    #[prost(string, tag = "1")]
+    name: String,
+    #[prost(message, optional, tag = "2")]
+    r#type: Option<Type>,
+}
+
+/// `TypeProto`, always a tensor.
+#[derive(Clone, PartialEq, Message)]
+struct Type {
+    #[prost(message, optional, tag = "1")]
+    tensor_type: Option<TensorType>,
+}
+
+/// `TypeProto.Tensor`
+#[derive(Clone, PartialEq, Message)]
+struct TensorType {
+    #[prost(int32, tag = "1")]
+    elem_type: i32,
+    #[prost(message, optional, tag = "2")]
+    shape: Option<Shape>,
+}
+
+/// `TensorShapeProto`
+#[derive(Clone, PartialEq, Message)]
+struct Shape {
+    #[prost(message, repeated, tag = "1")]
+    dim: Vec<Dimension>,
+}
+
+/// `TensorShapeProto.Dimension`: a length or the name of one.
+#[derive(Clone, PartialEq, Message)]
+struct Dimension {
+    #[prost(int64, optional, tag = "1")]
+    dim_value: Option<i64>,
+    #[prost(string, optional, tag = "2")]
+    dim_param: Option<String>,
+}
+
+impl Model {
+    pub(super) fn new(graph: Graph, about: &[(String, String)]) -> Self {
+        let entries = about.iter().cloned().map(|(key, value)| Entry { key, value });
+        Self {
+            ir_version: IR_VERSION,
+            producer_name: "s2mia".to_owned(),
+            producer_version: env!("CARGO_PKG_VERSION").to_owned(),
+            graph: Some(graph),
+            opset_import: vec![OperatorSet { domain: String::new(), version: OPERATOR_SET }],
+            metadata_props: entries.collect(),
+        }
+    }
+
+    pub(super) fn to_bytes(&self) -> Vec<u8> {
+        self.encode_to_vec()
+    }
+}
+
+impl Graph {
+    pub(super) fn new(name: String) -> Self {
+        Self { name, ..Self::default() }
+    }
+
+    /// An input `[rows, width]`, any number of rows.
+    pub(super) fn input(&mut self, name: &str, width: usize) {
+        self.input.push(rows_of(name, Element::Float, width));
+    }
+
+    /// An output `[rows, width]`.
+    pub(super) fn output(&mut self, name: &str, element: Element, width: usize) {
+        self.output.push(rows_of(name, element, width));
+    }
+
+    /// A constant.
+    pub(super) fn constant(&mut self, name: &str, shape: &[usize], data: &[f32]) {
+        self.initializer.push(Tensor {
+            dims: shape.iter().map(|&length| length as i64).collect(),
+            data_type: Element::Float as i32,
+            name: name.to_owned(),
+            raw_data: data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+        });
+    }
+
+    /// `outputs = operator(inputs)`
+    pub(super) fn node<const ATTRIBUTES: usize>(
+        &mut self,
+        operator: &str,
+        inputs: &[&str],
+        outputs: &[&str],
+        attributes: [Attribute; ATTRIBUTES],
+    ) {
+        let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+        self.node.push(Node {
+            input: owned(inputs),
+            output: owned(outputs),
+            name: format!("{}/{operator}", outputs[0]),
+            op_type: operator.to_owned(),
+            attribute: attributes.into(),
+        });
+    }
+}
+
+/// An attribute that is an integer.
+pub(super) fn integer(name: &str, value: i64) -> Attribute {
+    Attribute { name: name.to_owned(), f: None, i: Some(value), kind: 2 }
+}
+
+/// An attribute that is a float.
+pub(super) fn float(name: &str, value: f32) -> Attribute {
+    Attribute { name: name.to_owned(), f: Some(value), i: None, kind: 1 }
+}
+
+fn rows_of(name: &str, element: Element, width: usize) -> Value {
+    let rows = Dimension { dim_value: None, dim_param: Some("rows".to_owned()) };
+    let width = Dimension { dim_value: Some(width as i64), dim_param: None };
+    let shape = Some(Shape { dim: vec![rows, width] });
+    let tensor_type = Some(TensorType { elem_type: element as i32, shape });
+    Value { name: name.to_owned(), r#type: Some(Type { tensor_type }) }
+}

@@ -1,0 +1,90 @@
+"""Exported policies act elsewhere as they act here, and the examples in docs/EXPORT.md do what they say."""
+
+import re
+
+import numpy
+import onnxruntime
+import pytest
+from conftest import ROOT, TINY, s2mia
+from safetensors import safe_open
+from safetensors.numpy import load_file
+
+POLICIES = {
+    "recurrent": [],
+    "without memory": ["policy.core=mlp"],
+    "of choices": ["cue-2x1"],
+    "squashed": ["algorithm=maddpg"],
+    "standardising": ["observation.norm=running"],
+}
+
+
+@pytest.fixture(scope="module")
+def exported(run, tmp_path_factory):
+    """The folder of one run's exported policies."""
+    folder = tmp_path_factory.mktemp("export") / "exported"
+    s2mia("export", run, "--onnx", folder)
+    return folder
+
+
+def agents(folder):
+    """For each agent its session and its part of the recorded episode."""
+    episode = load_file(folder / "episode.safetensors")
+    for index, path in enumerate(sorted(folder.glob("agent_*.onnx"))):
+        own = {part: episode[f"agent_{index}.{part}"] for part in ("observation", "hidden", "action")}
+        yield onnxruntime.InferenceSession(path), own
+
+
+def fed(session, rows):
+    """Those of `rows` that the model takes."""
+    return {value.name: rows[value.name] for value in session.get_inputs()}
+
+
+@pytest.mark.parametrize("kind", POLICIES)
+def test_every_step_of_an_episode_comes_out_as_it_was_played(kind, tmp_path):
+    run, folder = tmp_path / "run", tmp_path / "exported"
+    own = [setting for setting in TINY if not (setting == TINY[0] and kind == "of choices")]
+    s2mia("train", *own, *POLICIES[kind], f"run.dir={run}", "run.iterations=2")
+    s2mia("export", run, "--onnx", folder)
+    count = 0
+    for session, episode in agents(folder):
+        action = session.run(["action"], fed(session, episode))[0]
+        assert numpy.abs(action - episode["action"]).max() < 1e-5
+        assert numpy.abs(episode["observation"]).max() > 0 and len(episode["action"]) > 1
+        count += 1
+    assert count > 1
+
+
+def test_what_an_agent_remembers_is_the_next_step_s_hidden_state(exported):
+    for session, episode in agents(exported):
+        remembered = session.run(["next_hidden"], fed(session, episode))[0]
+        assert numpy.abs(remembered[:-1] - episode["hidden"][1:]).max() < 1e-5
+        assert not episode["hidden"][0].any() and episode["hidden"][1].any()
+
+
+def test_the_model_says_where_it_comes_from(exported, inspected):
+    session = onnxruntime.InferenceSession(exported / "agent_0.onnx")
+    told = session.get_modelmeta().custom_metadata_map
+    assert told["task"] == "halfcheetah-6x1" and told["iteration"] == str(inspected["iteration"])
+    with safe_open(exported / "policy.safetensors", "numpy") as weights:
+        deviation = 0.5 / (1 + numpy.exp(-weights.get_tensor("agent_0.head.log_std")))
+    assert numpy.allclose([float(sigma) for sigma in told["sigma"].split()], deviation, atol=1e-6)
+
+
+def test_the_documented_examples_run(exported, monkeypatch, capsys):
+    monkeypatch.chdir(exported.parent)
+    with_onnx, with_numpy = re.findall(r"```python\n(.*?)```", (ROOT / "docs/EXPORT.md").read_text(), re.DOTALL)
+    exec(with_onnx, {})
+    assert float(capsys.readouterr().out.split(":")[1]) < 1e-5
+    scope = {}
+    exec(with_numpy, scope)
+    episode = load_file("exported/episode.safetensors")
+    hidden = episode["agent_0.hidden"][0]
+    for observation, expected in zip(episode["agent_0.observation"][:100], episode["agent_0.action"]):
+        action, hidden = scope["act"](observation, hidden)
+        assert numpy.abs(action - expected).max() < 1e-4
+
+
+def test_a_run_without_a_checkpoint_is_refused_in_one_line(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(AssertionError, match="no good checkpoint"):
+        s2mia("export", tmp_path / "empty", "--onnx", tmp_path / "out")
