@@ -19,6 +19,7 @@ use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
 use sim::{Environments, SimError, TaskConfig};
 use thiserror::Error;
 
+use crate::error::EnvironmentError;
 use crate::evaluation::{Episode, PlayedStep, play_on};
 use crate::recording::channels::Channels;
 
@@ -37,6 +38,9 @@ pub enum RecordError {
     /// The task cannot be built.
     #[error(transparent)]
     Task(#[from] SimError),
+    /// The episode broke off.
+    #[error(transparent)]
+    Episode(#[from] EnvironmentError),
     /// A message cannot be encoded.
     #[error("message on {topic}: {why}")]
     Message {

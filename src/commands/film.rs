@@ -6,7 +6,7 @@ mod times;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use policy::{Draw, Purpose, RunSeed, generator};
+use policy::{Draw, Key, Purpose, RunSeed};
 use sim::{Environments, Outcome};
 
 use crate::cli::FilmArguments;
@@ -18,7 +18,7 @@ use crate::output;
 
 /// Writes the strip and says what the whole episode came to.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained(&arguments.run)?;
+    let trained = checkpointed::trained_in_simulator(&arguments.run)?;
     let played = play(&trained, arguments.episode)?;
     let steps = times::steps(arguments, played.dt_secs, played.moments.len() - 1)?;
     let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
@@ -78,12 +78,12 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     let cast = Cast::new(world.description(), shapes, &world.pose(0));
     let dt_secs = world.description().dt_secs;
     let draw = Draw::of(Purpose::EvaluationReset).iteration(trained.iteration).environment(episode);
-    let rng = || generator(RunSeed(trained.config.run.seed), draw);
+    let key = Key::of(RunSeed(trained.config.run.seed), draw);
     // The same draw as the episode's own, to see where it starts.
-    world.reset(0, 0, world.description().episode_steps, &mut rng());
+    world.reset(0, 0, world.description().episode_steps, &mut key.generator());
     let mut moments = vec![Moment::of(&world)];
     let mut end = Outcome::default();
-    actor::play_episode(&mut world, &trained.policy, &mut rng(), |step| {
+    actor::play_episode(&mut world, &trained.policy, key, |step| {
         let before = moments.last().expect("the start is there");
         let now = Moment::after(step, before);
         moments.push(now);

@@ -12,7 +12,7 @@ use crate::{chart, output, run_path};
 
 /// Writes the file and says what is in it.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained(&arguments.run)?;
+    let trained = checkpointed::trained_in_simulator(&arguments.run)?;
     let path = path(arguments, trained.iteration);
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder)

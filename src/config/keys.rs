@@ -4,6 +4,7 @@
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     "run.dir",
+    "environment.url",
     "lease.",
     "evaluation.",
     "checkpoint.",
@@ -89,6 +90,7 @@ mod tests {
         for key in [
             "run.actors",
             "run.dir",
+            "environment.url",
             "lease.ttl_secs",
             "learner.threads",
             "log.episodes",
@@ -96,7 +98,9 @@ mod tests {
         ] {
             assert!(!is_semantic(key), "{key}");
         }
-        for key in ["task", "algorithm", "run.seed", "environments.count", "policy.core"] {
+        for key in
+            ["task", "run.seed", "environment.description", "environments.count", "policy.core"]
+        {
             assert!(is_semantic(key), "{key}");
         }
     }
