@@ -11,7 +11,7 @@ use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
 use crate::commands::Usage;
-use crate::config::{ConfigError, Request, layers};
+use crate::config::{ConfigError, Request, keys, layers};
 use crate::fingerprints::{Fingerprints, Kinship, ONE_KIND};
 use crate::offered::Offered;
 use crate::run_config::RunConfig;
@@ -43,7 +43,7 @@ pub(crate) fn prepare(
         }
         None => new_folder(&config, &offered.spec.task)?,
     };
-    config.resolved.set_text("environment.description", &offered.description(), "environment.url");
+    config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let fingerprints = Fingerprints::measure();
     let kinship = kinship(&fingerprints, resumed)?;

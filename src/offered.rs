@@ -18,6 +18,8 @@ pub(crate) struct Offered {
     pub(crate) spec: EnvironmentSpec,
     /// JSON from which actors build it; empty if another program steps it.
     pub(crate) task_settings: String,
+    /// The setting `environment.description`: empty for the simulator, whose settings say everything.
+    pub(crate) description: String,
     /// How an episode is brought back in another slot: `encoded` by the simulator, or as that program can.
     pub(crate) states: &'static str,
 }
@@ -31,18 +33,10 @@ impl Offered {
         }
     }
 
-    /// The setting `environment.description`: empty for the simulator, whose settings say everything.
-    pub(crate) fn description(&self) -> String {
-        match self.task_settings.as_str() {
-            "" => self.spec.digest().to_string(),
-            _ => String::new(),
-        }
-    }
-
     /// Refuses another environment than the one with which the run of `config` began.
     pub(crate) fn demand_that_of(&self, config: &RunConfig) -> Result<(), ConfigError> {
-        let (before, now) = (&config.environment.description, self.description());
-        if *before == now {
+        let (before, now) = (&config.environment.description, &self.description);
+        if before == now {
             return Ok(());
         }
         let shown = |sha256: &str| match sha256 {
@@ -52,7 +46,7 @@ impl Offered {
         Err(ConfigError::Refused {
             place: config.resolved.origin(URL).to_owned(),
             key: URL.to_owned(),
-            detail: format!("the run's environment is {}, this is {}", shown(before), shown(&now)),
+            detail: format!("the run's environment is {}, this is {}", shown(before), shown(now)),
         })
     }
 }
@@ -62,15 +56,20 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;
     let spec = actor::environment_spec(world.description());
-    Ok(Offered { spec, task_settings, states: "encoded" })
+    Ok(Offered { spec, task_settings, description: String::new(), states: "encoded" })
 }
 
 async fn outside(url: &str, transport: &Transport) -> anyhow::Result<Offered> {
     actor::config::check_environment(url, transport)
         .map_err(|error| Usage::new(format!("{URL}: {error}")))?;
     let service = EnvironmentService::connect(url).await.context("no environment to train in")?;
+    Ok(offered_by(&service))
+}
+
+fn offered_by(service: &EnvironmentService) -> Offered {
     let (spec, states) = (service.spec().clone(), service.states().name());
-    Ok(Offered { spec, task_settings: String::new(), states })
+    let description = spec.digest().to_string();
+    Offered { spec, task_settings: String::new(), description, states }
 }
 
 /// One environment of a run, to be played here.
@@ -82,7 +81,7 @@ pub(crate) struct Stage {
 }
 
 impl Stage {
-    /// Builds it, or connects to the program that offers it.
+    /// Builds it, or connects to the program that offers it; refuses another one than the run's.
     pub(crate) fn of(config: &RunConfig) -> anyhow::Result<Self> {
         let url = config.environment.url.as_str();
         if url.is_empty() {
@@ -92,7 +91,8 @@ impl Stage {
         let network = runtime()?;
         let environment = network.block_on(async {
             let service = EnvironmentService::connect(url).await?;
-            Ok::<_, actor::ActorError>(service.environments(1))
+            offered_by(&service).demand_that_of(config)?;
+            anyhow::Ok(service.environments(1))
         });
         let environment = Box::new(environment.context("no environment to play in")?);
         Ok(Self { environment, _network: Some(network) })

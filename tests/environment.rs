@@ -11,6 +11,7 @@ mod runs;
 #[path = "system/waiting.rs"]
 mod waiting;
 
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -67,25 +68,41 @@ fn start(folder: &Path, more: &[&str]) -> Child {
     command.spawn().unwrap()
 }
 
-#[test]
-fn neither_a_killed_actor_nor_a_program_that_breaks_off_changes_the_weights() {
-    let runs = Runs::new();
-    let [own, killed, broken] = ["own", "killed", "broken"].map(|name| runs.folder(name));
-    trained(&own, &["run.actors=1"]);
-    let service = CueService::start(Manners::GOOD);
-    let mut run = start(&killed, &["run.actors=2", "--environment", &service.url]);
-    under_way(&killed);
-    let actors = eventually(|| match processes::children(run.id()) {
+/// The actors of a run that is under way.
+fn actors(run: &Child, folder: &Path) -> Vec<u32> {
+    under_way(folder);
+    eventually(|| match processes::children(run.id()) {
         found if found.len() >= 2 => Ok(found),
         found => Err(format!("{} of 2 actors have started", found.len())),
-    });
-    assert!(
-        Command::new("kill").args(["-KILL", &actors[0].to_string()]).status().unwrap().success()
-    );
+    })
+}
+
+#[test]
+fn neither_a_killed_actor_nor_a_program_that_dies_or_breaks_off_changes_the_weights() {
+    let runs = Runs::new();
+    let [own, killed, died, broken] =
+        ["own", "killed", "died", "broken"].map(|name| runs.folder(name));
+    let longer = ["run.iterations=30", "run.actors=2", "--environment"];
+    trained(&own, &longer[..2]);
+    let service = CueService::start(Manners::GOOD);
+    let in_service = [&longer[..], &[service.url.as_str()]].concat();
+
+    let mut run = start(&killed, &in_service);
+    let actor = actors(&run, &killed)[0].to_string();
+    assert!(Command::new("kill").args(["-KILL", &actor]).status().unwrap().success());
     assert!(run.wait().unwrap().success());
     assert_eq!(weights(&killed), weights(&own));
+
+    let mut run = start(&died, &in_service);
+    actors(&run, &died);
+    let address = service.url.trim_start_matches("http://").to_owned();
+    drop(service);
+    let _again = CueService::start_at(&address, Manners::GOOD);
+    assert!(run.wait().unwrap().success());
+    assert_eq!(weights(&died), weights(&own));
+
     let service = CueService::start(Manners { breaks_off_every: 150, ..Manners::GOOD });
-    trained(&broken, &["run.actors=2", "--environment", &service.url]);
+    trained(&broken, &[&longer[..], &[service.url.as_str()]].concat());
     assert_eq!(weights(&broken), weights(&own));
 }
 
@@ -175,6 +192,9 @@ fn a_program_that_lies_in_its_answers_ends_its_actors_with_the_field() {
     }
 }
 
+/// Of another environment than the game.
+const OTHER: Manners = Manners { description: |spec| spec.dt_secs = 0.2, ..Manners::GOOD };
+
 #[test]
 fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
     let runs = Runs::new();
@@ -184,8 +204,7 @@ fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
     let path = folder.to_str().unwrap();
     let resume =
         |url: &str| s2mia(&["train", "--resume", path, "run.iterations=4", "--environment", url]);
-    let other =
-        CueService::start(Manners { description: |spec| spec.dt_secs = 0.2, ..Manners::GOOD });
+    let other = CueService::start(OTHER);
     for url in [other.url.as_str(), ""] {
         let output = resume(url);
         let line = String::from_utf8(output.stderr).unwrap();
@@ -195,5 +214,40 @@ fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
     let moved = CueService::start(Manners::GOOD);
     assert!(resume(&moved.url).status.success());
     let told = succeeded(&["eval", path, "--episodes", "1", "--json"]);
-    assert!(told.contains("\"steps\":50"), "{told}");
+    assert!(told.contains("\"task\":\"cue-2x1\"") && told.contains("\"steps\":50"), "{told}");
+    assert!(succeeded(&["record", path]).contains("50 steps"));
+    let told = |command: &str| String::from_utf8(s2mia(&[command, path]).stderr).unwrap();
+    let line = told("film");
+    assert!(line.contains("only the simulator's robots can be drawn"), "{line}");
+    let address = moved.url.trim_start_matches("http://").to_owned();
+    drop(moved);
+    let line = told("eval");
+    assert!(line.contains("does not answer"), "{line}");
+    let _other = CueService::start_at(&address, OTHER);
+    let line = told("eval");
+    assert!(line.contains("the run's environment is one with the description"), "{line}");
+}
+
+#[test]
+fn an_actor_that_is_not_told_where_the_environment_is_says_what_to_pass() {
+    let runs = Runs::new();
+    let service = CueService::start(Manners::GOOD);
+    let folder = dir(&runs.folder("untold"));
+    let arguments = ["learner", "--listen=127.0.0.1:0", "--environment", &service.url, &folder];
+    let mut learner = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    let mut learner = learner
+        .args(arguments)
+        .args(CUE)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut first = String::new();
+    BufReader::new(learner.stdout.take().unwrap()).read_line(&mut first).unwrap();
+    let output = s2mia(&["actor", "--learner", first.split_whitespace().last().unwrap()]);
+    learner.kill().unwrap();
+    learner.wait().unwrap();
+    let log = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{log}");
+    assert!(log.contains("pass --environment with its URL"), "{log}");
 }

@@ -38,7 +38,7 @@ pub enum ActorError {
         why: String,
     },
     /// The learner was out of reach for too long.
-    #[error("no learner at {url} for {secs:.0} s; last try: {last}")]
+    #[error("no session with {url} for {secs:.0} s; last try: {last}")]
     Outage {
         /// Its URL.
         url: String,

@@ -14,14 +14,14 @@ pub(crate) enum Source {
     /// Built from the run's own settings.
     Simulator(TaskConfig),
     /// Stepped by another program.
-    Service(EnvironmentService),
+    Service(Box<EnvironmentService>),
 }
 
 impl Source {
     /// What `config` says, for `run`.
     pub(crate) async fn of(config: &Config, run: &RunDescription) -> Result<Self, ActorError> {
         if let Some(url) = &config.environment {
-            return Ok(Self::Service(EnvironmentService::connect(url).await?));
+            return Ok(Self::Service(Box::new(EnvironmentService::connect(url).await?)));
         }
         if run.task_settings.is_empty() {
             return Err(ActorError::Task(format!(

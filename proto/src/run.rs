@@ -19,7 +19,8 @@ pub struct RunDescription {
     pub incarnation: Incarnation,
     /// Root of every random draw.
     pub seed: u64,
-    /// The task's settings as JSON, for actors that build the project's own environments.
+    /// The task's settings as JSON, for actors that build the project's own environments; empty if another program
+    /// offers the environment.
     pub task_settings: String,
     /// What every actor must offer.
     pub environment: EnvironmentSpec,

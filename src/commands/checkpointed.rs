@@ -34,20 +34,6 @@ pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
     Ok(loaded)
 }
 
-/// The newest policy of a run in the simulator, which alone can be drawn.
-pub(super) fn trained_in_simulator(run: &Path) -> anyhow::Result<Trained> {
-    let trained = trained(run)?;
-    match trained.config.environment.url.as_str() {
-        "" => Ok(trained),
-        url => Err(Usage::new(format!(
-            "{} was trained in the environment at {url}: only the simulator's can be drawn; \
-             `s2mia eval` plays it",
-            run.display()
-        ))
-        .into()),
-    }
-}
-
 /// The newest policy of a run.
 pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
     let loaded = load(run)?;

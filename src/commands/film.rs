@@ -18,7 +18,8 @@ use crate::output;
 
 /// Writes the strip and says what the whole episode came to.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained_in_simulator(&arguments.run)?;
+    let trained = checkpointed::trained(&arguments.run)?;
+    demand_simulator(&trained, &arguments.run)?;
     let played = play(&trained, arguments.episode)?;
     let steps = times::steps(arguments, played.dt_secs, played.moments.len() - 1)?;
     let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
@@ -63,6 +64,18 @@ impl Played {
             _ => "",
         };
         format!("{}{end}", Measures::of(&self.moments, self.dt_secs))
+    }
+}
+
+/// Only the simulator's robots have links that can be drawn.
+fn demand_simulator(trained: &Trained, run: &Path) -> Result<(), Usage> {
+    match trained.config.environment.url.as_str() {
+        "" => Ok(()),
+        url => Err(Usage::new(format!(
+            "the environment of {} is at {url}, and only the simulator's robots can be drawn; \
+             `s2mia record` shows its state",
+            run.display()
+        ))),
     }
 }
 

@@ -8,24 +8,28 @@ use policy::RunSeed;
 
 use crate::cli::RecordArguments;
 use crate::commands::checkpointed::{self, Trained};
+use crate::offered::Stage;
 use crate::{chart, output, run_path};
 
 /// Writes the file and says what is in it.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained_in_simulator(&arguments.run)?;
+    let trained = checkpointed::trained(&arguments.run)?;
     let path = path(arguments, trained.iteration);
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot make {}", folder.display()))?;
     }
     let seed = RunSeed(trained.config.run.seed);
+    let mut stage = Stage::of(&trained.config)?;
+    let name = stage.environment.description().task.clone();
+    let task = stage.environment.simulated().map(|_| &trained.config.task);
     let summary = actor::record(
-        &trained.config.task,
+        (stage.environment.as_mut(), task),
         &trained.policy,
         seed,
         arguments.episodes,
         &path,
-        &metadata(&trained),
+        &metadata(&trained, &name),
     )
     .with_context(|| format!("cannot record {}", path.display()))?;
     for (index, episode) in summary.episodes.iter().enumerate() {
@@ -44,10 +48,10 @@ fn path(arguments: &RecordArguments, iteration: u64) -> PathBuf {
 }
 
 /// What tells later which run and policy the episodes show.
-fn metadata(trained: &Trained) -> BTreeMap<String, String> {
+fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String> {
     let resolved = &trained.config.resolved;
     BTreeMap::from([
-        ("task".to_owned(), trained.config.task.task.clone()),
+        ("task".to_owned(), task.to_owned()),
         ("algorithm".to_owned(), resolved.text("algorithm").to_owned()),
         ("seed".to_owned(), trained.config.run.seed.to_string()),
         ("iteration".to_owned(), trained.iteration.to_string()),

@@ -13,6 +13,9 @@ const OPERATIONAL: &[&str] = &[
     "log.",
 ];
 
+/// The semantic key that the program fills in when a run starts.
+pub(crate) const FILLED_IN: &str = "environment.description";
+
 /// Keys that only say how far a run goes; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 

@@ -43,10 +43,14 @@ pub(crate) struct CueService {
 
 impl CueService {
     pub(crate) fn start(manners: Manners) -> Self {
+        Self::start_at("127.0.0.1:0", manners)
+    }
+
+    pub(crate) fn start_at(address: &str, manners: Manners) -> Self {
         let runtime =
             tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let runtime = runtime.unwrap();
-        let listener = runtime.block_on(TcpListener::bind("127.0.0.1:0")).unwrap();
+        let listener = runtime.block_on(TcpListener::bind(address)).unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
         let game = Game { manners, answers: Arc::default() };
         let server = Server::builder().add_service(EnvironmentServiceServer::new(game));

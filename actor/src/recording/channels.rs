@@ -81,13 +81,14 @@ impl<W: Write + Seek> Channels<W> {
         })
     }
 
-    /// Which run and policy the file shows, and the task's settings.
+    /// Which run and policy the file shows, and the task's settings if it has any.
     pub(super) fn describe(
         &mut self,
-        task: &TaskConfig,
+        task: Option<&TaskConfig>,
         metadata: &BTreeMap<String, String>,
     ) -> Result<(), RecordError> {
         self.file.metadata(METADATA_NAME, metadata)?;
+        let Some(task) = task else { return Ok(()) };
         self.file.attach("task.json", "application/json", json!(task).to_string().as_bytes())
     }
 

@@ -1,6 +1,7 @@
 """The service `EnvironmentService`: one thread and environments of its own for each stream of a player."""
 
 import abc
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent import futures
 
@@ -106,9 +107,12 @@ class Service(wire.EnvironmentServiceServicer):
         stage = Stage(self.make)
         for request in request_iterator:
             try:
-                yield stage.answer(request)
-            except (KeyError, ValueError) as error:
+                answer = stage.answer(request)
+            except Exception as error:
+                # Whatever an environment gets wrong, it would again: its player ends instead of asking for ever.
+                traceback.print_exc()
                 context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{type(error).__name__}: {error}")
+            yield answer
 
 
 def serve(make: Callable[[], Environment], listen: str) -> tuple[grpc.Server, int]:
