@@ -6,18 +6,22 @@ use std::path::PathBuf;
 use prost::Message;
 
 const ROOT: &str = "proto";
-const FILES: [&str; 5] = ["control", "learner", "environment", "trajectory", "tensor"];
+/// What a learner serves, and tells by reflection.
+const SERVED: [&str; 5] = ["control", "learner", "environment", "trajectory", "tensor"];
+/// What other programs serve to actors.
+const OFFERED: &str = "proto/s2mia/v1/environment_service.proto";
 /// What actors write for people: not part of the conversation.
 const LOG: &str = "proto/s2mia/log/v1/log.proto";
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let files = FILES.map(|name| format!("{ROOT}/s2mia/v1/{name}.proto"));
+    let mut files = SERVED.map(|name| format!("{ROOT}/s2mia/v1/{name}.proto")).to_vec();
     println!("cargo::rerun-if-changed={ROOT}");
     let descriptors = protox::compile(&files, [ROOT])?;
     let out = PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(out.join("s2mia_descriptors.bin"), descriptors.encode_to_vec())?;
+    files.push(OFFERED.to_owned());
     // Payloads stay slices of the received message instead of copies.
-    tonic_prost_build::configure().bytes(".").compile_fds(descriptors)?;
+    tonic_prost_build::configure().bytes(".").compile_fds(protox::compile(&files, [ROOT])?)?;
     let log = protox::compile([LOG], [ROOT])?;
     std::fs::write(out.join("s2mia_log_descriptors.bin"), log.encode_to_vec())?;
     tonic_prost_build::configure().compile_fds(log)?;

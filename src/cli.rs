@@ -93,6 +93,7 @@ const CONFIG_LAYERS: &str = "\
 Later layers win:
   configs/base.toml             every default
   configs/tasks/TASK.toml       the first argument, or task=TASK
+  configs/outside.toml          with --environment URL, or environment.url=URL
   configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
   configs/algorithms/NAME.toml  algorithm=NAME
   configs/presets/PRESET.toml   algorithm.NAME.TASK, where a preset says so
@@ -109,6 +110,18 @@ pub(crate) struct SettingsArguments {
     /// TOML file with settings; may be given several times, later ones win.
     #[arg(long = "config", value_name = "FILE")]
     pub(crate) files: Vec<PathBuf>,
+    /// Train in the environment that a program offers there; TASK then only says whose settings to take. Short for
+    /// environment.url=URL.
+    #[arg(long, value_name = "URL")]
+    pub(crate) environment: Option<String>,
+}
+
+impl SettingsArguments {
+    /// All settings as key.path=value, those with a flag of their own among them.
+    pub(crate) fn written(&self) -> Vec<String> {
+        let url = self.environment.iter().map(|url| format!("environment.url={url}"));
+        self.settings.iter().cloned().chain(url).collect()
+    }
 }
 
 /// How an earlier run is taken up again.
@@ -177,6 +190,9 @@ pub(crate) struct ActorArguments {
     /// Where the learner listens.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
+    /// Step the environment that a program offers there, instead of building the run's own.
+    #[arg(long, value_name = "URL", conflicts_with = "log_dir")]
+    pub(crate) environment: Option<String>,
     /// Name in the learner's log [default: host name and process id].
     #[arg(long)]
     pub(crate) name: Option<String>,

@@ -57,7 +57,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Status(arguments) => status::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
-        Command::Config(arguments) => config::run(arguments),
+        Command::Config(arguments) => config::run(&arguments),
         Command::Certs(arguments) => certs::run(&arguments),
     }
 }
@@ -87,7 +87,7 @@ fn credentials(url: &str, tls: &ClientTlsArguments) -> Result<Option<ClientFiles
 }
 
 /// Threads for sockets, signals and child processes; stepping and training have their own.
-fn runtime() -> anyhow::Result<Runtime> {
+pub(crate) fn runtime() -> anyhow::Result<Runtime> {
     tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .thread_name("network")

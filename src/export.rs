@@ -5,19 +5,20 @@ mod episode;
 mod graph;
 mod onnx;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
+use actor::EnvironmentBatch;
 use anyhow::Context as _;
-use policy::{ActorPolicy, PolicySnapshot, RunSeed};
-use sim::TaskConfig;
+use policy::{ActorPolicy, Key, PolicySnapshot};
 
 /// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`; gives each
 /// file's name and what is in it.
 pub(crate) fn export(
     folder: &Path,
     snapshot: &PolicySnapshot,
-    (task, seed, iteration): (&TaskConfig, RunSeed, u64),
-    about: &[(String, String)],
+    (world, start): (&mut dyn EnvironmentBatch, Key),
+    about: &BTreeMap<String, String>,
 ) -> anyhow::Result<Vec<(String, String)>> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let write = |name: &str, bytes: Vec<u8>| {
@@ -32,7 +33,7 @@ pub(crate) fn export(
     }
     write("policy.safetensors", snapshot.to_bytes()?)?;
     files.push(("policy.safetensors".to_owned(), "all agents' weights".to_owned()));
-    let episode = episode::play(task, snapshot, (seed, iteration))?;
+    let episode = episode::play(world, snapshot, start)?;
     write("episode.safetensors", episode.to_bytes()?)?;
     let told = format!("one episode, {} steps: observation, hidden state, action", episode.steps);
     files.push(("episode.safetensors".to_owned(), told));

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use anyhow::Context as _;
+use actor::Transport;
 use learner::Launch;
 use policy::RunSeed;
 use proto::Digest;
@@ -11,8 +11,9 @@ use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
 use crate::commands::Usage;
-use crate::config::{ConfigError, Request, layers};
+use crate::config::{ConfigError, Request, keys, layers};
 use crate::fingerprints::{Fingerprints, Kinship, ONE_KIND};
+use crate::offered::Offered;
 use crate::run_config::RunConfig;
 use crate::{resume, run_path};
 
@@ -26,20 +27,27 @@ pub(crate) struct Prepared {
     pub(crate) launch: Launch,
 }
 
-/// Checks the settings and the run folder; starts and writes nothing.
+/// Checks the settings and the run folder; starts and writes nothing. An environment from outside is asked for over
+/// what `transport` allows.
 pub(crate) fn prepare(
     settings: &SettingsArguments,
     resumed: &ResumeArguments,
+    transport: &Transport,
 ) -> anyhow::Result<Prepared> {
     let mut config = configure(settings, resumed.resume.as_deref())?;
+    let offered = Offered::of(&config, transport)?;
     let folder = match &resumed.resume {
-        Some(folder) => folder.clone(),
-        None => new_folder(&config)?,
+        Some(folder) => {
+            offered.demand_that_of(&config)?;
+            folder.clone()
+        }
+        None => new_folder(&config, &offered.spec.task)?,
     };
+    config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let fingerprints = Fingerprints::measure();
     let kinship = kinship(&fingerprints, resumed)?;
-    let mut launch = launch(&config, &folder, &fingerprints)?;
+    let mut launch = launch(&config, offered, &folder, &fingerprints);
     launch.resume = resumed.resume.is_some();
     launch.fault = resumed.die_at;
     launch.manifest[ONE_KIND] = json!(kinship == Kinship::Exact);
@@ -51,12 +59,13 @@ pub(crate) fn prepare(
 pub(crate) fn prepare_or_resume(
     settings: &SettingsArguments,
     resumed: &ResumeArguments,
+    transport: &Transport,
 ) -> anyhow::Result<Prepared> {
     let resume = match &resumed.resume {
         Some(folder) => Some(folder.clone()),
         None => run_in_place(&configure(settings, None)?),
     };
-    prepare(settings, &ResumeArguments { resume, ..resumed.clone() })
+    prepare(settings, &ResumeArguments { resume, ..resumed.clone() }, transport)
 }
 
 /// The run that stands in the configured folder.
@@ -80,7 +89,7 @@ fn kinship(fingerprints: &Fingerprints, resumed: &ResumeArguments) -> anyhow::Re
 
 /// The settings of a new run, or those of `resumed` with what may change.
 fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Result<RunConfig> {
-    let mut request = Request::from_process(settings.files.clone(), settings.settings.clone());
+    let mut request = Request::from_process(settings.files.clone(), settings.written());
     let Some(folder) = resumed else {
         return Ok(RunConfig::build(layers::resolve(&request)?)?);
     };
@@ -110,13 +119,13 @@ fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigErr
 }
 
 /// The folder of a new run; refuses one that holds a run already.
-fn new_folder(config: &RunConfig) -> anyhow::Result<PathBuf> {
+fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
     let run = &config.run;
     let folder = match run.dir.as_str() {
         "" => {
             let algorithm = config.resolved.text("algorithm");
             let now = SystemTime::now();
-            run_path::default_folder(&config.task.task, algorithm, run.seed, now)
+            run_path::default_folder(task, algorithm, run.seed, now)
         }
         given => PathBuf::from(given),
     };
@@ -132,18 +141,18 @@ fn new_folder(config: &RunConfig) -> anyhow::Result<PathBuf> {
 /// How a new run of `config` is started.
 fn launch(
     config: &RunConfig,
+    offered: Offered,
     folder: &Path,
     fingerprints: &Fingerprints,
-) -> anyhow::Result<Launch> {
-    let world = sim::Environments::new(&config.task, 1).context("cannot build the task")?;
-    Ok(Launch {
+) -> Launch {
+    Launch {
         config: config.learner.clone(),
         training: config.training.clone(),
         observations: config.observations(),
         policy: config.policy.clone(),
-        environment: actor::environment_spec(world.description()),
-        task_settings: serde_json::to_string(&config.task)
-            .context("cannot write the task's settings")?,
+        manifest: manifest(config, &offered),
+        environment: offered.spec,
+        task_settings: offered.task_settings,
         seed: RunSeed(config.run.seed),
         iterations: config.iterations(),
         run_id: run_path::name(folder),
@@ -152,20 +161,20 @@ fn launch(
         config_sha256: Digest(config.resolved.sha256()),
         rollout_fingerprint: fingerprints.rollout,
         learner_fingerprint: fingerprints.learner,
-        manifest: manifest(config),
         resume: false,
         fault: None,
-    })
+    }
 }
 
 /// What the manifest says besides the learner's own fields.
-fn manifest(config: &RunConfig) -> serde_json::Value {
+fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
     json!({
         "program": "s2mia",
         "version": env!("CARGO_PKG_VERSION"),
         "git_commit": env!("S2MIA_GIT_COMMIT"),
         "rustc": env!("S2MIA_RUSTC"),
-        "task": config.task.task,
+        "task": offered.spec.task,
+        "environment_states": offered.states,
         "algorithm": config.resolved.text("algorithm"),
         "preset": config.resolved.text("preset"),
         "seed": config.run.seed,

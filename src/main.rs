@@ -13,6 +13,7 @@ mod fingerprints;
 mod launch;
 mod learning_curve;
 mod logging;
+mod offered;
 mod output;
 mod palette;
 mod picture;

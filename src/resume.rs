@@ -12,6 +12,10 @@ const MAY_RISE: &str = "it may only be raised";
 /// Refuses, by name, the first setting of `new` that would make the run another one.
 pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError> {
     for (key, value) in old.resolved.semantic() {
+        if keys::FILLED_IN == key && new.environment.description.is_empty() {
+            // The environment has not been asked yet; whoever asks compares.
+            continue;
+        }
         if new.resolved.entries[key].value != *value {
             let allowed = if keys::is_length(key) { DECAYS } else { MAY_CHANGE };
             return Err(fixed(&old.resolved, &new.resolved, key, allowed));
@@ -82,6 +86,17 @@ mod tests {
         );
         let error = check(&old, &config(&["run.iterations=5", "run.seed=2"])).unwrap_err();
         assert!(error.to_string().contains("`run.seed`"), "{error}");
+    }
+
+    #[test]
+    fn a_description_that_is_not_asked_for_yet_is_no_change_and_another_one_is() {
+        let with = |description: &str| {
+            let description = format!("environment.description={description}");
+            config(&["environment.url=http://localhost:7", &description])
+        };
+        assert_eq!(check(&with("abc"), &with("")), Ok(()));
+        let error = check(&with("abc"), &with("def")).unwrap_err();
+        assert!(error.to_string().contains("`environment.description`"), "{error}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use actor::trajectory_log::Episodes;
 use marl::ObservationScale;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -27,6 +28,26 @@ pub(crate) struct RunSection {
     pub(crate) actors: usize,
     /// Run folder; empty: named for task, algorithm, seed and time.
     pub(crate) dir: String,
+}
+
+/// The section `environment`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct EnvironmentSection {
+    /// Of the program that offers the environment; empty: the simulator does.
+    pub(crate) url: String,
+    /// SHA-256 of what that program says of it; empty without one, and before the run has started.
+    pub(crate) description: String,
+}
+
+impl EnvironmentSection {
+    /// What tells an actor process where its environment comes from.
+    pub(crate) fn arguments(&self) -> Vec<String> {
+        match self.url.as_str() {
+            "" => Vec::new(),
+            url => vec!["--environment".to_owned(), url.to_owned()],
+        }
+    }
 }
 
 /// The setting `schedule`: when an iteration is rolled out.
@@ -56,6 +77,8 @@ pub(crate) struct RunConfig {
     pub(crate) resolved: Resolved,
     /// Section `run`.
     pub(crate) run: RunSection,
+    /// Section `environment`.
+    pub(crate) environment: EnvironmentSection,
     /// `task` and sections `observation`, `partition`.
     pub(crate) task: sim::TaskConfig,
     /// Section `policy`.
@@ -99,6 +122,7 @@ impl RunConfig {
     fn assemble(resolved: &Resolved) -> Result<Self, String> {
         let config = Self {
             run: section(resolved, "run")?,
+            environment: section(resolved, "environment")?,
             task: task(resolved)?,
             policy: section(resolved, "policy")?,
             training: training(resolved)?,
@@ -121,7 +145,10 @@ impl RunConfig {
         self.learner.validate().map_err(|error| error.to_string())?;
         self.log.validate().map_err(|error| error.to_string())?;
         self.validate_run()?;
-        self.validate_actions()?;
+        match self.environment.url.is_empty() {
+            true => self.validate_actions()?,
+            false => self.validate_outside()?,
+        }
         self.validate_burn_in()?;
         let (chunk, through_time) =
             (self.learner.environments.chunk_steps, self.policy.chunk_steps);
@@ -142,6 +169,22 @@ impl RunConfig {
             true => Err(refusal.to_string()),
             false => Ok(()),
         }
+    }
+
+    /// What the simulator alone can do.
+    fn validate_outside(&self) -> Result<(), String> {
+        if self.task.observation.norm == ObservationNorm::FeatureZ {
+            return Err(
+                "observation.norm must be none or running with environment.url, is feature_z: \
+                        the simulator alone scales what it shows"
+                    .to_owned(),
+            );
+        }
+        if self.log.episodes != Episodes::None {
+            return Err("log.episodes must be none with environment.url: the simulator's episodes alone are logged"
+                .to_owned());
+        }
+        Ok(())
     }
 
     fn validate_burn_in(&self) -> Result<(), String> {
@@ -309,6 +352,19 @@ mod tests {
         assert!(built(&["cue-2x1", count]).is_ok());
         let message = built(&["halfcheetah-6x1", count]).unwrap_err().to_string();
         assert!(message.contains("for continuous actions: counts need choices"), "{message}");
+    }
+
+    #[test]
+    fn what_the_simulator_alone_can_do_is_refused_for_an_environment_from_outside() {
+        let url = "environment.url=http://localhost:7";
+        assert!(built(&[url]).is_ok() && built(&[url, "observation.norm=running"]).is_ok());
+        for (setting, key) in [
+            ("observation.norm=feature_z", "observation.norm"),
+            ("log.episodes=all", "log.episodes"),
+        ] {
+            let message = built(&[url, setting]).unwrap_err().to_string();
+            assert!(message.contains(&format!("{key} must be none")), "{message}");
+        }
     }
 
     #[test]

@@ -29,9 +29,12 @@ pub(crate) fn name(folder: &Path) -> String {
     resolved.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// `runs/<task>-<algorithm>-seed<seed>-<UTC time>`
+/// `runs/<task>-<algorithm>-seed<seed>-<UTC time>`; a task's name may come from outside, so only letters, digits, dots
+/// and underscores of it are taken.
 pub(crate) fn default_folder(task: &str, algorithm: &str, seed: u64, now: SystemTime) -> PathBuf {
     let secs = now.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "._".contains(c) { c } else { '-' };
+    let task = task.chars().map(plain).collect::<String>();
     PathBuf::from(format!("runs/{task}-{algorithm}-seed{seed}-{}", utc(secs)))
 }
 
@@ -75,6 +78,10 @@ mod tests {
         assert_eq!(
             default_folder("halfcheetah-6x1", "happo", 7, now),
             PathBuf::from("runs/halfcheetah-6x1-happo-seed7-20000229-123456")
+        );
+        assert_eq!(
+            default_folder("../My task", "happo", 7, now),
+            PathBuf::from("runs/..-My-task-happo-seed7-20000229-123456")
         );
     }
 }

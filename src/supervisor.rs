@@ -30,6 +30,8 @@ pub(crate) struct Crew {
     pub(crate) program: PathBuf,
     /// Where the learner listens.
     pub(crate) learner: String,
+    /// What tells actors that their environment comes from outside, if it does.
+    pub(crate) environment: Vec<String>,
     /// Folder of `actor_<index>.log` and of trajectory logs.
     pub(crate) logs: PathBuf,
     /// What goes into trajectory logs.
@@ -150,6 +152,7 @@ impl Crew {
         Command::new(&self.program)
             .args(["actor", "--exit-with-stdin", "--learner", &self.learner])
             .args(["--name", &format!("local-{index}")])
+            .args(&self.environment)
             .args(self.log_arguments())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
@@ -233,6 +236,7 @@ mod tests {
         Crew {
             program,
             learner: "http://127.0.0.1:1".into(),
+            environment: Vec::new(),
             logs: folder.path().into(),
             log: LogSettings { episodes: Episodes::None, max_file_mib: 1 },
             actors: 2,

@@ -1,7 +1,8 @@
 //! All agents of a few environments acting together: observations in, joint actions out.
 
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
-use sim::Environments;
+
+use crate::environment_batch::EnvironmentBatch;
 
 /// Buffers of one slot's agents; `E` environments, rows in their order.
 #[derive(Debug, Default)]
@@ -41,7 +42,7 @@ pub(crate) struct Noise {
 
 impl Agents {
     /// Buffers for `policy` on these environments, recurrent states zero.
-    pub(crate) fn new(environments: &Environments, policy: &PolicySnapshot) -> Self {
+    pub(crate) fn new(environments: &dyn EnvironmentBatch, policy: &PolicySnapshot) -> Self {
         let count = environments.count();
         let sizes: Vec<Sizes> = policy
             .agents
@@ -70,7 +71,7 @@ impl Agents {
     }
 
     /// Reads every agent's observation of every environment.
-    pub(crate) fn observe(&mut self, environments: &Environments) {
+    pub(crate) fn observe(&mut self, environments: &dyn EnvironmentBatch) {
         for (agent, (rows, size)) in self.observation.iter_mut().zip(&self.sizes).enumerate() {
             for (environment, row) in rows.chunks_exact_mut(size.observation).enumerate() {
                 environments.observation(environment, agent, row);

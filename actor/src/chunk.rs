@@ -1,9 +1,11 @@
 //! Collects steps into the chunks that travel.
 
 use proto::{AgentChunk, FinalStep, SlotEnd, TrajectoryChunk};
-use sim::{Environments, Outcome};
+use sim::Outcome;
 
 use crate::acting::Agents;
+use crate::environment_batch::EnvironmentBatch;
+use crate::error::EnvironmentError;
 
 /// The chunk that is being filled.
 #[derive(Debug)]
@@ -14,7 +16,7 @@ pub(crate) struct ChunkBuilder {
 
 impl ChunkBuilder {
     /// An empty chunk, number `sequence` of its slot, that begins at step `first_step`.
-    pub(crate) fn new(sequence: u32, first_step: u32, environments: &Environments) -> Self {
+    pub(crate) fn new(sequence: u32, first_step: u32, environments: &dyn EnvironmentBatch) -> Self {
         let description = environments.description();
         let nothing = || AgentChunk {
             observation: Vec::new(),
@@ -45,7 +47,11 @@ impl ChunkBuilder {
     }
 
     /// What the agents see and the global state, before the step.
-    pub(crate) fn push_observation(&mut self, agents: &Agents, environments: &Environments) {
+    pub(crate) fn push_observation(
+        &mut self,
+        agents: &Agents,
+        environments: &dyn EnvironmentBatch,
+    ) {
         for (chunk, observation) in self.chunk.agents.iter_mut().zip(&agents.observation) {
             chunk.observation.extend_from_slice(observation);
         }
@@ -68,7 +74,12 @@ impl ChunkBuilder {
     }
 
     /// The true state and observations after step `step`, before any reset.
-    pub(crate) fn push_final(&mut self, step: u32, environment: usize, world: &Environments) {
+    pub(crate) fn push_final(
+        &mut self,
+        step: u32,
+        environment: usize,
+        world: &dyn EnvironmentBatch,
+    ) {
         let description = world.description();
         let mut state = vec![0.0; description.state.len()];
         world.state(environment, &mut state);
@@ -88,15 +99,20 @@ impl ChunkBuilder {
     }
 
     /// The chunk, and a new one that follows it in its place.
-    pub(crate) fn take(&mut self, environments: &Environments) -> TrajectoryChunk {
+    pub(crate) fn take(&mut self, environments: &dyn EnvironmentBatch) -> TrajectoryChunk {
         let (sequence, first) = (self.chunk.sequence + 1, self.chunk.first_step + self.chunk.steps);
         std::mem::replace(self, Self::new(sequence, first, environments)).chunk
     }
 
     /// Where the slot's environments and agents stand, on its last chunk.
-    pub(crate) fn close(&mut self, agents: &Agents, environments: &Environments) {
+    pub(crate) fn close(
+        &mut self,
+        agents: &Agents,
+        environments: &dyn EnvironmentBatch,
+    ) -> Result<(), EnvironmentError> {
         let states = (0..environments.count()).map(|index| environments.encode(index));
-        let end = SlotEnd { environments: states.collect(), recurrent: agents.hidden.clone() };
-        self.chunk.end = Some(end);
+        let environments = states.collect::<Result<_, _>>()?;
+        self.chunk.end = Some(SlotEnd { environments, recurrent: agents.hidden.clone() });
+        Ok(())
     }
 }

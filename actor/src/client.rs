@@ -18,9 +18,12 @@ use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity
 use tonic::{Code, Request, Status, Streaming};
 
 use crate::config::{Config, Transport};
-use crate::error::ActorError;
+use crate::error::{ActorError, EnvironmentError};
 
+mod environment;
 mod verdict;
+
+pub(crate) use environment::{EnvironmentClient, Play};
 
 /// Longest wait for an answer that the learner can give at once.
 const CALL_DEADLINE: Duration = Duration::from_secs(10);
@@ -213,9 +216,12 @@ pub(crate) async fn explained(error: ActorError, config: &Config) -> ActorError 
 
 /// Whether trying again, from a new connection on, can help.
 pub(crate) fn may_pass(error: &ActorError) -> bool {
-    let ActorError::Refused(status) = error else {
+    let status = match error {
+        ActorError::Refused(status) => status,
+        ActorError::Environment(EnvironmentError::Away { status, .. }) => status.as_ref(),
         // Files that are being renewed do not fit each other for a moment.
-        return matches!(error, ActorError::Weights { .. } | ActorError::Credentials(_));
+        ActorError::Weights { .. } | ActorError::Credentials(_) => return true,
+        _ => return false,
     };
     !matches!(
         status.code(),

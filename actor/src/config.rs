@@ -13,6 +13,8 @@ pub struct Config {
     pub learner: String,
     /// What is spoken with it.
     pub transport: Transport,
+    /// URL of the program that offers the environment; `None`: the simulator does.
+    pub environment: Option<String>,
     /// Seconds without the learner after which the actor gives up.
     pub max_outage_secs: f64,
     /// Name of this actor, for people.
@@ -60,6 +62,26 @@ impl Config {
     }
 }
 
+/// Refuses a URL of an environment that is none. What is spoken with it is plain text, which leaves this machine only
+/// with [`Transport::PlainText`].
+///
+/// # Errors
+/// Says what is wrong and what to give instead.
+pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorError> {
+    let wrong =
+        |why: &str| Err(ActorError::EnvironmentUrl { url: url.to_owned(), why: why.to_owned() });
+    let Ok(parsed) = url.parse::<Uri>() else { return wrong("write http://HOST:PORT") };
+    let local = addresses::is_loopback(parsed.host().unwrap_or_default());
+    match parsed.scheme_str() {
+        Some("http") if local || *transport == Transport::PlainText => Ok(()),
+        Some("http") => wrong(
+            "it is another machine, and environments are stepped in plain text; start one on this machine, or \
+             pass --insecure-allow-remote",
+        ),
+        _ => wrong("write http://HOST:PORT"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -68,6 +90,7 @@ mod tests {
         let config = Config {
             learner: learner.to_owned(),
             transport,
+            environment: None,
             max_outage_secs: 1.0,
             name: "a".into(),
             log: None,
@@ -84,6 +107,23 @@ mod tests {
             let line = refusal(url, Transport::PlainTextOnLoopback);
             assert!(line.contains("another machine"), "{line}");
             assert_eq!(refusal(url, Transport::PlainText), "accepted", "{url}");
+        }
+    }
+
+    #[test]
+    fn an_environment_is_stepped_in_plain_text_and_on_this_machine_unless_told_otherwise() {
+        let told = |url: &str, transport: &Transport| {
+            check_environment(url, transport).map_err(|error| error.to_string())
+        };
+        assert_eq!(told("http://[::1]:7", &Transport::PlainTextOnLoopback), Ok(()));
+        assert_eq!(told("http://gpu-box:7", &Transport::PlainText), Ok(()));
+        for (url, why) in [
+            ("http://gpu-box:7", "another machine"),
+            ("https://localhost:7", "write http://HOST:PORT"),
+            ("localhost:7", "write http://HOST:PORT"),
+        ] {
+            let line = told(url, &Transport::PlainTextOnLoopback).unwrap_err();
+            assert!(line.contains(why), "{line}");
         }
     }
 

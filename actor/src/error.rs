@@ -1,7 +1,8 @@
 //! What ends an actor before its run is done.
 
-use proto::Refusal;
+use proto::{LeaseId, Refusal};
 use security::SecurityError;
+use sim::SimError;
 use thiserror::Error;
 use tonic::Status;
 
@@ -37,7 +38,7 @@ pub enum ActorError {
         why: String,
     },
     /// The learner was out of reach for too long.
-    #[error("no learner at {url} for {secs:.0} s; last try: {last}")]
+    #[error("no session with {url} for {secs:.0} s; last try: {last}")]
     Outage {
         /// Its URL.
         url: String,
@@ -63,12 +64,62 @@ pub enum ActorError {
     /// The environments cannot be built from the run's settings.
     #[error("the run's task: {0}")]
     Task(String),
+    /// The URL of the environment is none, or it offers what cannot be stepped.
+    #[error("{url} is no URL of an environment: {why}")]
+    EnvironmentUrl {
+        /// What was given.
+        url: String,
+        /// Why it is none.
+        why: String,
+    },
+    /// Whoever steps the environments failed.
+    #[error(transparent)]
+    Environment(#[from] EnvironmentError),
     /// The log's settings or folder cannot be used.
     #[error("{0}")]
     Log(String),
     /// The stepping thread ended by itself.
     #[error("the stepping thread ended: {0}")]
     Stepping(String),
+}
+
+/// Why environments did not do what they were asked.
+#[derive(Debug, Error)]
+pub enum EnvironmentError {
+    /// The simulator refuses it.
+    #[error(transparent)]
+    Simulator(#[from] SimError),
+    /// The program that offers the environment cannot be reached, or broke off.
+    #[error("the environment at {url} does not answer: {}", describe(.status))]
+    Away {
+        /// Its URL.
+        url: String,
+        /// How the call ended.
+        status: Box<Status>,
+    },
+    /// Its answer does not fit what it says of itself.
+    #[error("the environment at {url} answers wrongly: {refusal}")]
+    Wrong {
+        /// Its URL.
+        url: String,
+        /// The field and what is wrong with it.
+        refusal: Box<Refusal>,
+    },
+    /// An encoded state is none of this environment's.
+    #[error("the environment state is refused: {0}")]
+    State(String),
+}
+
+impl EnvironmentError {
+    /// As what ends an actor that works on `lease`.
+    pub(crate) fn of_lease(self, lease: LeaseId) -> ActorError {
+        match self {
+            Self::Simulator(_) | Self::State(_) => {
+                ActorError::Task(format!("lease {lease}: {self}"))
+            }
+            Self::Away { .. } | Self::Wrong { .. } => self.into(),
+        }
+    }
 }
 
 /// A status as one line, with the field if it names one.

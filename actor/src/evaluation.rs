@@ -1,10 +1,11 @@
 //! One whole episode with mean actions, or the likeliest choices: what evaluation, `eval` and recordings play.
 
-use policy::PolicySnapshot;
-use rand::RngCore;
-use sim::{Environments, Outcome, SimError};
+use policy::{Key, PolicySnapshot};
+use sim::Outcome;
 
 use crate::acting::Agents;
+use crate::environment_batch::EnvironmentBatch;
+use crate::error::EnvironmentError;
 
 /// What an episode came to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -18,7 +19,7 @@ pub struct Episode {
 /// A step of an episode that is being played.
 pub struct PlayedStep<'a> {
     /// The world after the step.
-    pub world: &'a Environments,
+    pub world: &'a dyn EnvironmentBatch,
     /// Every agent's action, agents side by side, `[A]`.
     pub action: &'a [f32],
     /// What each agent saw before it, `[obs]`.
@@ -33,27 +34,27 @@ pub struct PlayedStep<'a> {
     pub step: u32,
 }
 
-/// Plays environment 0 from a start drawn with `rng` to the end of its episode, every agent taking
+/// Plays environment 0 from a start drawn with `key` to the end of its episode, every agent taking
 /// its mean action, and shows each step to `on_step`. `world` has one environment.
 ///
 /// # Errors
-/// If a policy's action is not finite.
+/// If a policy's action is not finite, or whoever steps the environment fails.
 pub fn play_episode(
-    world: &mut Environments,
+    world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
-    rng: &mut impl RngCore,
+    key: Key,
     mut on_step: impl FnMut(&PlayedStep<'_>),
-) -> Result<Episode, SimError> {
-    world.reset(0, 0, world.description().episode_steps, rng);
+) -> Result<Episode, EnvironmentError> {
+    world.reset(0, 0, world.description().episode_steps, key)?;
     play_on(world, policy, &mut on_step)
 }
 
 /// As [`play_episode`], from where environment 0 stands.
 pub(crate) fn play_on(
-    world: &mut Environments,
+    world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
     on_step: &mut impl FnMut(&PlayedStep<'_>),
-) -> Result<Episode, SimError> {
+) -> Result<Episode, EnvironmentError> {
     let mut agents = Agents::new(world, policy);
     let mut outcomes = vec![Outcome::default(); world.count()];
     let mut episode = Episode::default();

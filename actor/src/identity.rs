@@ -27,6 +27,21 @@ pub fn rollout_fingerprint() -> Digest {
     Digest(hash.finalize().into())
 }
 
+/// The words of the wire as the simulator's description: what [`environment_spec`] was made of.
+#[must_use]
+pub(crate) fn description(spec: &EnvironmentSpec) -> sim::Description {
+    sim::Description {
+        task: spec.task.clone(),
+        agents: spec.agents.iter().map(described_agent).collect(),
+        state: spec.state.iter().map(described_feature).collect(),
+        dt_secs: spec.dt_secs,
+        episode_steps: spec.episode_steps,
+        state_kind: spec.state_kind.clone(),
+        state_version: spec.state_version,
+        max_state_bytes: spec.max_state_bytes,
+    }
+}
+
 fn agent(agent: &sim::AgentDescription) -> AgentSpec {
     AgentSpec {
         name: agent.name.clone(),
@@ -51,4 +66,45 @@ fn feature(feature: &sim::Feature) -> FeatureSpec {
         sim::FeatureRole::Constant => FeatureRole::Constant,
     };
     FeatureSpec { name: feature.name.clone(), role }
+}
+
+fn described_agent(agent: &AgentSpec) -> sim::AgentDescription {
+    let ActionSpec { size, low, high, choices } = agent.action;
+    sim::AgentDescription {
+        name: agent.name.clone(),
+        joints: agent.joints.clone(),
+        observation: agent.observation.iter().map(described_feature).collect(),
+        seen: agent.seen.iter().map(|&place| place as usize).collect(),
+        near: agent.near.iter().map(|&place| place as usize).collect(),
+        action: sim::ActionRange { size: size as usize, low, high, choices },
+    }
+}
+
+fn described_feature(feature: &FeatureSpec) -> sim::Feature {
+    let role = match feature.role {
+        FeatureRole::Signal => sim::FeatureRole::Signal,
+        FeatureRole::Identity => sim::FeatureRole::Identity,
+        FeatureRole::Duplicate => sim::FeatureRole::Duplicate,
+        FeatureRole::Constant => sim::FeatureRole::Constant,
+    };
+    sim::Feature { name: feature.name.clone(), role }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_description_comes_back_from_the_words_of_the_wire_as_it_was() {
+        let config = serde_json::json!({
+            "task": "ant-4x2",
+            "observation": {
+                "mode": "k_nearest", "norm": "none", "nearest": 1, "globals": "shown", "contact_forces": "zeros",
+            },
+            "partition": "labels",
+        });
+        let task = serde_json::from_value(config).unwrap();
+        let own = sim::Environments::new(&task, 1).unwrap();
+        assert_eq!(&description(&environment_spec(own.description())), own.description());
+    }
 }

@@ -91,7 +91,7 @@ async fn stream(
                     Produced::End => progress.produced_all = true,
                     Produced::Failed(error) => {
                         progress.produced_all = true;
-                        return Err(ActorError::Task(format!("lease {}: {error}", beat.lease)));
+                        return Err(error.of_lease(beat.lease));
                     }
                 }
             }

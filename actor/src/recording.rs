@@ -1,7 +1,7 @@
 //! Episodes as MCAP files that Foxglove shows without set-up and any MCAP reader opens.
 //!
 //! Topics: `/tf` (every link's frame), `/scene` (the links' real shapes and the floor, once per
-//! episode), `/joint_states`, and as JSON `/agents/I/action` and `/episode`. A game has no links: it is shown as
+//! episode), `/joint_states`, and as JSON `/agents/I/action` and `/episode`. A game has no links, nor has an environment of another program: they are shown as
 //! JSON on `/state`, the global state feature by feature. Times count from 0 in
 //! simulated time; episodes follow one another with a second between them.
 
@@ -15,10 +15,12 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
-use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
-use sim::{Environments, SimError, TaskConfig};
+use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
+use sim::{SimError, TaskConfig};
 use thiserror::Error;
 
+use crate::environment_batch::EnvironmentBatch;
+use crate::error::EnvironmentError;
 use crate::evaluation::{Episode, PlayedStep, play_on};
 use crate::recording::channels::Channels;
 
@@ -37,6 +39,9 @@ pub enum RecordError {
     /// The task cannot be built.
     #[error(transparent)]
     Task(#[from] SimError),
+    /// The episode broke off.
+    #[error(transparent)]
+    Episode(#[from] EnvironmentError),
     /// A message cannot be encoded.
     #[error("message on {topic}: {why}")]
     Message {
@@ -66,27 +71,26 @@ pub struct RecordSummary {
     pub bytes: u64,
 }
 
-/// Plays `episodes` episodes with mean actions, the first states drawn with `seed`, and writes them to
-/// `path`. The file is flushed to the disk, closed, read back and counted.
+/// Plays `episodes` episodes with mean actions in the one environment of `world`, built from `task` if the simulator did,
+/// the first states drawn with `seed`, and writes them to `path`. The file is flushed to the disk, closed, read back and counted.
 ///
 /// # Errors
-/// If the task cannot be built or the file not be written or read back whole.
+/// If an episode breaks off, or the file cannot be written or read back whole.
 pub fn record(
-    task: &TaskConfig,
+    (world, task): (&mut dyn EnvironmentBatch, Option<&TaskConfig>),
     policy: &PolicySnapshot,
     seed: RunSeed,
     episodes: u32,
     path: &Path,
     metadata: &BTreeMap<String, String>,
 ) -> Result<RecordSummary, RecordError> {
-    let mut world = Environments::new(task, 1)?;
-    let mut channels = Channels::create(BufWriter::new(File::create(path)?), &world)?;
+    let mut channels = Channels::create(BufWriter::new(File::create(path)?), world)?;
     channels.describe(task, metadata)?;
     let mut summary = RecordSummary::default();
     for episode in 0..episodes {
-        let mut rng = generator(seed, Draw::of(Purpose::Recording).environment(episode));
-        world.reset(0, 0, world.description().episode_steps, &mut rng);
-        summary.episodes.push(record_episode(&mut world, policy, episode, &mut channels)?);
+        let key = Key::of(seed, Draw::of(Purpose::Recording).environment(episode));
+        world.reset(0, 0, world.description().episode_steps, key)?;
+        summary.episodes.push(record_episode(world, policy, episode, &mut channels)?);
     }
     summary.messages = channels.finish()?;
     summary.bytes = std::fs::metadata(path)?.len();
@@ -95,7 +99,7 @@ pub fn record(
 }
 
 fn record_episode(
-    world: &mut Environments,
+    world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
     index: u32,
     channels: &mut Channels<BufWriter<File>>,

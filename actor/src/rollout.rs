@@ -2,19 +2,21 @@
 
 use std::ops::ControlFlow;
 
-use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
+use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
 use proto::{RolloutWork, RunDescription, Start, TrajectoryChunk};
-use sim::{ActionError, Environments, Outcome, SimError};
+use sim::Outcome;
 
 use crate::acting::{Agents, Noise};
 use crate::chunk::ChunkBuilder;
+use crate::environment_batch::EnvironmentBatch;
+use crate::error::EnvironmentError;
 
 /// A slot in the making.
 struct Slot<'a> {
     run: &'a RunDescription,
     work: &'a RolloutWork,
     policy: &'a PolicySnapshot,
-    world: &'a mut Environments,
+    world: &'a mut dyn EnvironmentBatch,
     agents: Agents,
     indices: Vec<u32>,
     outcomes: Vec<Outcome>,
@@ -25,20 +27,21 @@ struct Slot<'a> {
 /// break off. Before each step `see` is shown the number of steps done and the worlds as they stand.
 ///
 /// # Errors
-/// If the lease's environment states are none of this task's, or a policy's action is not finite.
+/// If the lease's environment states are none of this task's, a policy's action is not finite, or whoever steps the
+/// environments fails.
 pub fn roll_out(
     run: &RunDescription,
     work: &RolloutWork,
     policy: &PolicySnapshot,
-    world: &mut Environments,
-    mut see: impl FnMut(u32, &Environments),
+    world: &mut dyn EnvironmentBatch,
+    mut see: impl FnMut(u32, &dyn EnvironmentBatch),
     mut emit: impl FnMut(TrajectoryChunk) -> ControlFlow<()>,
-) -> Result<(), SimError> {
+) -> Result<(), EnvironmentError> {
     let mut slot = Slot::begin(run, work, policy, world)?;
     for step in 0..run.slot_steps {
         see(step, slot.world);
         slot.step(step)?;
-        if let Some(chunk) = slot.full_chunk(step)
+        if let Some(chunk) = slot.full_chunk(step)?
             && emit(chunk).is_break()
         {
             break;
@@ -52,13 +55,13 @@ impl<'a> Slot<'a> {
         run: &'a RunDescription,
         work: &'a RolloutWork,
         policy: &'a PolicySnapshot,
-        world: &'a mut Environments,
-    ) -> Result<Self, SimError> {
+        world: &'a mut dyn EnvironmentBatch,
+    ) -> Result<Self, EnvironmentError> {
         let mut agents = Agents::new(world, policy);
         for (position, environment) in work.environments.iter().enumerate() {
             match &environment.start {
                 Start::Fresh { episode, limit } => {
-                    reset(run, world, (position, environment.environment), *episode, *limit);
+                    reset(run, world, (position, environment.environment), *episode, *limit)?;
                 }
                 Start::Continue { state, recurrent } => {
                     world.restore(position, state)?;
@@ -79,7 +82,7 @@ impl<'a> Slot<'a> {
     }
 
     /// Observe, act, step, record, reset what is done.
-    fn step(&mut self, step: u32) -> Result<(), ActionError> {
+    fn step(&mut self, step: u32) -> Result<(), EnvironmentError> {
         if step.is_multiple_of(self.run.hidden_every) {
             self.chunk.store_hidden(&self.agents);
         }
@@ -92,21 +95,21 @@ impl<'a> Slot<'a> {
         self.world.step(self.agents.join(), &mut self.outcomes)?;
         self.chunk.push_step(&self.agents, &self.outcomes);
         for position in 0..self.outcomes.len() {
-            self.finish(step, position);
+            self.finish(step, position)?;
         }
         Ok(())
     }
 
     /// After a step that ended an episode, or the slot's last one, keeps the true next state; then
     /// begins the next episode where one has ended.
-    fn finish(&mut self, step: u32, position: usize) {
+    fn finish(&mut self, step: u32, position: usize) -> Result<(), EnvironmentError> {
         let outcome = self.outcomes[position];
         let done = outcome.terminated || outcome.truncated;
         if done || step + 1 == self.run.slot_steps {
             self.chunk.push_final(step, position, self.world);
         }
         if !done {
-            return;
+            return Ok(());
         }
         let index = self.indices[position];
         if outcome.fault {
@@ -121,26 +124,28 @@ impl<'a> Slot<'a> {
         }
         let (episode, limit) =
             (self.world.episode(position) + 1, self.run.environment.episode_steps);
-        reset(self.run, self.world, (position, index), episode, limit);
+        reset(self.run, self.world, (position, index), episode, limit)?;
         self.agents.forget(position);
+        Ok(())
     }
 
-    fn full_chunk(&mut self, step: u32) -> Option<TrajectoryChunk> {
+    fn full_chunk(&mut self, step: u32) -> Result<Option<TrajectoryChunk>, EnvironmentError> {
         if step + 1 == self.run.slot_steps {
-            self.chunk.close(&self.agents, self.world);
+            self.chunk.close(&self.agents, self.world)?;
         }
-        (self.chunk.steps() == self.run.chunk_steps).then(|| self.chunk.take(self.world))
+        let full = self.chunk.steps() == self.run.chunk_steps;
+        Ok(full.then(|| self.chunk.take(self.world)))
     }
 }
 
 /// Begins an episode; its draws are keyed by its index and its environment's.
 fn reset(
     run: &RunDescription,
-    world: &mut Environments,
+    world: &mut dyn EnvironmentBatch,
     (position, environment): (usize, u32),
     episode: u64,
     limit: u32,
-) {
-    let key = Draw::of(Purpose::Reset).iteration(episode).environment(environment);
-    world.reset(position, episode, limit, &mut generator(RunSeed(run.seed), key));
+) -> Result<(), EnvironmentError> {
+    let draw = Draw::of(Purpose::Reset).iteration(episode).environment(environment);
+    world.reset(position, episode, limit, Key::of(RunSeed(run.seed), draw))
 }

@@ -4,15 +4,15 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use proto::{LeaseAnswer, Registration, RunDescription};
-use sim::TaskConfig;
+use proto::{LeaseAnswer, Registration};
 use tokio::sync::watch;
 
 use crate::client::{Client, WeightsCache, explained, may_pass};
 use crate::config::Config;
 use crate::error::{ActorError, describe};
-use crate::identity::{environment_spec, rollout_fingerprint};
+use crate::identity::rollout_fingerprint;
 use crate::leasing::{Ended, work_off};
+use crate::source::Source;
 use crate::stepping::Stepper;
 use crate::trajectory_log::Log;
 
@@ -96,12 +96,11 @@ async fn attend(
 ) -> Result<Session, ActorError> {
     let mut client = Client::connect(config).await?;
     let run = Arc::new(client.describe_run().await?);
-    let (registration, task) = present(config, &run)?;
-    let own = client.register(&registration).await?;
+    let source = Source::of(config, &run).await?;
+    let own = client.register(&registration(config, &source)?).await?;
     tracing::info!(actor = own.actor.0, run = run.run_id, "registered with {}", config.learner);
-    let desk = log.map(|log| log.desk(&run, &task));
-    let mut stepper = Stepper::start(Arc::clone(&run), &task, desk)
-        .map_err(|error| ActorError::Task(error.to_string()))?;
+    let desk = log.and_then(|log| Some(log.desk(&run, source.task()?)));
+    let mut stepper = Stepper::start(Arc::clone(&run), &source, desk)?;
     let mut weights = WeightsCache::default();
     loop {
         outage.over();
@@ -127,22 +126,14 @@ async fn attend(
     }
 }
 
-/// What this actor offers for the run: its environments, built from the run's own settings.
-fn present(
-    config: &Config,
-    run: &RunDescription,
-) -> Result<(Registration, TaskConfig), ActorError> {
-    let task: TaskConfig = serde_json::from_str(&run.task_settings)
-        .map_err(|error| ActorError::Task(error.to_string()))?;
-    let environments =
-        sim::Environments::new(&task, 1).map_err(|error| ActorError::Task(error.to_string()))?;
-    let registration = Registration {
+/// What this actor offers for the run.
+fn registration(config: &Config, source: &Source) -> Result<Registration, ActorError> {
+    Ok(Registration {
         client: config.name.clone(),
         protocol_version: proto::PROTOCOL_VERSION,
-        environment: environment_spec(environments.description()),
+        environment: source.spec()?,
         rollout_fingerprint: Some(rollout_fingerprint()),
-    };
-    Ok((registration, task))
+    })
 }
 
 /// How long the learner has been away, and how patiently it was tried.

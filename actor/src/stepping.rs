@@ -5,16 +5,18 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
+use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     EvaluationResult, EvaluationWork, Lease, PushHeader, RolloutWork, RunDescription, Work, wire,
 };
-use sim::{Environments, SimError, TaskConfig};
 use tokio::sync::mpsc;
 
+use crate::environment_batch::EnvironmentBatch;
+use crate::error::{ActorError, EnvironmentError};
 use crate::evaluation::play_on;
 use crate::rollout::roll_out;
+use crate::source::Source;
 use crate::trajectory_log::Desk;
 
 /// Results that may wait for the network. When the queue is full the stepping thread waits: a slow
@@ -43,8 +45,8 @@ pub(crate) enum Produced {
     Message(Box<wire::PushTrajectoryRequest>),
     /// The job has ended, whole or broken off.
     End,
-    /// The lease's environment states are none of this task's.
-    Failed(SimError),
+    /// The lease's environment states are none of this task's, or whoever steps the environments failed.
+    Failed(EnvironmentError),
 }
 
 /// The two ends of the stepping thread.
@@ -55,22 +57,22 @@ pub(crate) struct Stepper {
 
 struct Worlds {
     run: Arc<RunDescription>,
-    slot: Environments,
+    slot: Box<dyn EnvironmentBatch + Send>,
     /// One environment of its own, so that evaluation touches no slot's.
-    evaluation: Environments,
+    evaluation: Box<dyn EnvironmentBatch + Send>,
     /// Where what is logged is handed in.
     desk: Option<Desk>,
 }
 
 impl Stepper {
-    /// Builds the run's environments and starts the thread; it ends when the stepper is dropped.
+    /// Opens the run's environments and starts the thread; it ends when the stepper is dropped.
     pub(crate) fn start(
         run: Arc<RunDescription>,
-        task: &TaskConfig,
+        source: &Source,
         desk: Option<Desk>,
-    ) -> Result<Self, SimError> {
-        let slot = Environments::new(task, run.environments_per_slot as usize)?;
-        let worlds = Worlds { run, slot, evaluation: Environments::new(task, 1)?, desk };
+    ) -> Result<Self, ActorError> {
+        let slot = source.open(run.environments_per_slot as usize)?;
+        let worlds = Worlds { run, slot, evaluation: source.open(1)?, desk };
         let (jobs, queue) = mpsc::channel(1);
         let (results, produced) = mpsc::channel(QUEUE);
         let thread = std::thread::Builder::new().name("stepping".to_owned());
@@ -98,7 +100,11 @@ fn step_until_dropped(
 }
 
 impl Worlds {
-    fn work_off(&mut self, job: &Job, results: &mpsc::Sender<Produced>) -> Result<(), SimError> {
+    fn work_off(
+        &mut self,
+        job: &Job,
+        results: &mpsc::Sender<Produced>,
+    ) -> Result<(), EnvironmentError> {
         match &job.lease.work {
             Work::Rollout(work) => self.roll_out(job, work, results),
             Work::Evaluation(work) => {
@@ -115,16 +121,16 @@ impl Worlds {
         job: &Job,
         work: &RolloutWork,
         results: &mpsc::Sender<Produced>,
-    ) -> Result<(), SimError> {
+    ) -> Result<(), EnvironmentError> {
         let Self { run, slot, desk, .. } = self;
         let witness = desk.as_ref().map(|desk| RefCell::new(desk.rollout(&job.lease, work)));
-        let see = |step, world: &Environments| {
+        let see = |step, world: &dyn EnvironmentBatch| {
             job.watch.step.store(step, Ordering::Relaxed);
-            if let Some(witness) = &witness {
-                witness.borrow_mut().see(step, world);
+            if let Some((witness, own)) = witness.as_ref().zip(world.simulated()) {
+                witness.borrow_mut().see(step, own);
             }
         };
-        roll_out(run, work, &job.policy, slot, see, |chunk| {
+        roll_out(run, work, &job.policy, slot.as_mut(), see, |chunk| {
             let (message, digest) = chunk.to_wire(run);
             if let Some(witness) = &witness {
                 witness.borrow_mut().keep(chunk);
@@ -137,14 +143,20 @@ impl Worlds {
         Ok(())
     }
 
-    fn evaluate(&mut self, job: &Job, work: EvaluationWork) -> Result<EvaluationResult, SimError> {
-        let key =
+    fn evaluate(
+        &mut self,
+        job: &Job,
+        work: EvaluationWork,
+    ) -> Result<EvaluationResult, EnvironmentError> {
+        let draw =
             Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
-        let mut rng = generator(RunSeed(self.run.seed), key);
-        let world = &mut self.evaluation;
-        world.reset(0, 0, world.description().episode_steps, &mut rng);
+        let key = Key::of(RunSeed(self.run.seed), draw);
+        let world = self.evaluation.as_mut();
+        world.reset(0, 0, world.description().episode_steps, key)?;
         let desk = self.desk.as_ref();
-        let mut witness = desk.and_then(|desk| desk.evaluation(&job.lease, work, world));
+        let mut witness = desk
+            .zip(world.simulated())
+            .and_then(|(desk, own)| desk.evaluation(&job.lease, work, own));
         let episode = play_on(world, &job.policy, &mut |step| {
             if let Some(witness) = &mut witness {
                 witness.see(step);

@@ -34,6 +34,6 @@ pub use network::{ActorNetwork, SequenceInput};
 pub use parameters::Parameters;
 pub use precision::Precision;
 pub use probe::probe;
-pub use randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+pub use randomness::{Draw, Key, Purpose, RunSeed, generator, standard_normal};
 pub use snapshot::{PolicySnapshot, digest};
 pub use standardisation::Standardisation;

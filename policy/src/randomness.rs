@@ -95,18 +95,36 @@ impl Draw {
     }
 }
 
-/// The generator of one draw. The 32 bytes of its ChaCha key are, little-endian: run seed (8),
-/// purpose (4), agent (4), iteration (8), environment (4), step (4).
+/// The ChaCha key of one draw. Its 32 bytes are, little-endian: run seed (8), purpose (4), agent (4),
+/// iteration (8), environment (4), step (4).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Key(pub [u8; 32]);
+
+impl Key {
+    /// The key of `draw` in the run of `seed`.
+    #[must_use]
+    pub fn of(seed: RunSeed, draw: Draw) -> Self {
+        let mut key = [0_u8; 32];
+        key[0..8].copy_from_slice(&seed.0.to_le_bytes());
+        key[8..12].copy_from_slice(&(draw.purpose as u32).to_le_bytes());
+        key[12..16].copy_from_slice(&draw.agent.to_le_bytes());
+        key[16..24].copy_from_slice(&draw.iteration.to_le_bytes());
+        key[24..28].copy_from_slice(&draw.environment.to_le_bytes());
+        key[28..32].copy_from_slice(&draw.step.to_le_bytes());
+        Self(key)
+    }
+
+    /// The generator with this key, from its beginning.
+    #[must_use]
+    pub fn generator(self) -> ChaCha8Rng {
+        ChaCha8Rng::from_seed(self.0)
+    }
+}
+
+/// The generator of one draw, which [`Key::of`] keys.
 #[must_use]
 pub fn generator(seed: RunSeed, draw: Draw) -> ChaCha8Rng {
-    let mut key = [0_u8; 32];
-    key[0..8].copy_from_slice(&seed.0.to_le_bytes());
-    key[8..12].copy_from_slice(&(draw.purpose as u32).to_le_bytes());
-    key[12..16].copy_from_slice(&draw.agent.to_le_bytes());
-    key[16..24].copy_from_slice(&draw.iteration.to_le_bytes());
-    key[24..28].copy_from_slice(&draw.environment.to_le_bytes());
-    key[28..32].copy_from_slice(&draw.step.to_le_bytes());
-    ChaCha8Rng::from_seed(key)
+    Key::of(seed, draw).generator()
 }
 
 /// One standard normal number by Box and Muller: `sqrt(-2 ln u) cos(2 pi v)` with two 32-bit draws,

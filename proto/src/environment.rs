@@ -2,8 +2,10 @@
 
 use std::fmt::{Debug, Display};
 
-use crate::read::required;
-use crate::{Reason, Refusal, wire};
+use prost::Message as _;
+
+use crate::read::{hold, positive, required, seconds, short_line};
+use crate::{Digest, Reason, Refusal, wire};
 
 /// Most choices of a discrete action.
 const MOST_CHOICES: u32 = 1 << 16;
@@ -108,6 +110,44 @@ impl EnvironmentSpec {
             .or_else(|| differ("max_state_bytes", &found.max_state_bytes, &self.max_state_bytes))
     }
 
+    /// SHA-256 of its message: descriptions with the same one are equal.
+    #[must_use]
+    pub fn digest(&self) -> Digest {
+        Digest::of(&self.to_wire().encode_to_vec())
+    }
+
+    /// Refuses sizes of nothing, places outside the global state, and actions that nobody can choose.
+    pub(crate) fn check(&self, field: &str) -> Result<(), Refusal> {
+        positive(self.agents.len() as u64, &format!("{field}.agents"))?;
+        for (i, agent) in self.agents.iter().enumerate() {
+            hold(agent.action.check(), &format!("{field}.agents[{i}].action.choices"))?;
+            let places = agent.check_places(self.state.len());
+            hold(places, &format!("{field}.agents[{i}].seen or near"))?;
+        }
+        positive(self.episode_steps.into(), &format!("{field}.episode_steps"))?;
+        seconds(self.dt_secs, &format!("{field}.dt_secs"))
+    }
+
+    /// Reads what a program says of the environment that it offers, which nobody has vouched for.
+    ///
+    /// # Errors
+    /// Refuses, by field, what [`Self::from_wire`] refuses, names that are no short lines, sizes of nothing, ranges of
+    /// actions that are none, and places outside the global state.
+    pub fn from_service(wire: wire::DescribeEnvironmentResponse) -> Result<Self, Refusal> {
+        let spec = Self::from_wire(required(wire.environment, "environment")?, "environment")?;
+        short_line(&spec.task, "environment.task")?;
+        short_line(&spec.state_kind, "environment.state_kind")?;
+        positive(spec.state.len() as u64, "environment.state")?;
+        for (i, agent) in spec.agents.iter().enumerate() {
+            let field = format!("environment.agents[{i}]");
+            positive(agent.observation.len() as u64, &format!("{field}.observation"))?;
+            positive(agent.action.size.into(), &format!("{field}.action.size"))?;
+            hold(agent.action.check_range(), &format!("{field}.action.high"))?;
+        }
+        spec.check("environment")?;
+        Ok(spec)
+    }
+
     /// The message for it.
     #[must_use]
     pub fn to_wire(&self) -> wire::EnvironmentSpec {
@@ -183,6 +223,13 @@ impl ActionSpec {
     fn from_wire(wire: wire::ActionSpec) -> Self {
         let choices = Some(wire.choices).filter(|choices| *choices > 0);
         Self { size: wire.size, low: wire.low, high: wire.high, choices }
+    }
+
+    /// What is wrong with its range, if anything.
+    fn check_range(&self) -> Result<(), String> {
+        let Self { low, high, .. } = self;
+        let good = low.is_finite() && high.is_finite() && low <= high;
+        good.then_some(()).ok_or_else(|| format!("{high}, above a lowest value of {low}"))
     }
 
     /// What is wrong with it, if anything: a choice is one number, and every index exact as an f32.

@@ -9,6 +9,7 @@ pub mod calls;
 mod digest;
 mod environment;
 mod ids;
+mod play;
 mod read;
 mod refusal;
 mod run;
@@ -29,6 +30,7 @@ pub use environment::{
     ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
 };
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
+pub use play::{PlayRequest, Steps, View, saved_state};
 pub use refusal::{ERROR_DOMAIN, Reason, Refusal};
 pub use run::RunDescription;
 pub use status::{LeaseStatus, LeasedWork, Status};

@@ -46,3 +46,14 @@ pub(crate) fn equal(reason: Reason, found: u64, expected: u64, field: &str) -> R
 pub(crate) fn hold(condition: Result<(), String>, field: &str) -> Result<(), Refusal> {
     condition.map_err(|detail| Refusal::new(Reason::BadValue, field, detail))
 }
+
+/// A count that is not 0.
+pub(crate) fn positive(value: u64, field: &str) -> Result<(), Refusal> {
+    hold((value > 0).then_some(()).ok_or_else(|| "must be at least 1".to_owned()), field)
+}
+
+/// A time that passes.
+pub(crate) fn seconds(value: f64, field: &str) -> Result<(), Refusal> {
+    let good = value.is_finite() && value > 0.0;
+    hold(good.then_some(()).ok_or_else(|| format!("{value} s is no positive time")), field)
+}

@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-use crate::read::{digest, hold, length, required};
+use crate::read::{digest, hold, length, positive, required, seconds};
 use crate::{Digest, EnvironmentSpec, Incarnation, MAX_MESSAGE_BYTES, Refusal, wire};
 
 /// Room in a message for everything but tensors: headers, shapes, names of fields.
@@ -19,7 +19,8 @@ pub struct RunDescription {
     pub incarnation: Incarnation,
     /// Root of every random draw.
     pub seed: u64,
-    /// The task's settings as JSON, for actors that build the project's own environments.
+    /// The task's settings as JSON, for actors that build the project's own environments; empty if another program
+    /// offers the environment.
     pub task_settings: String,
     /// What every actor must offer.
     pub environment: EnvironmentSpec,
@@ -57,15 +58,8 @@ impl RunDescription {
     /// Names the field that is wrong.
     pub fn validate(&self) -> Result<(), Refusal> {
         let agents = self.environment.agents.len();
-        positive(agents as u64, "run.environment.agents")?;
-        for (i, agent) in self.environment.agents.iter().enumerate() {
-            hold(agent.action.check(), &format!("run.environment.agents[{i}].action.choices"))?;
-            let places = agent.check_places(self.environment.state.len());
-            hold(places, &format!("run.environment.agents[{i}].seen or near"))?;
-        }
+        self.environment.check("run.environment")?;
         positive(self.environment.max_state_bytes.into(), "run.environment.max_state_bytes")?;
-        positive(self.environment.episode_steps.into(), "run.environment.episode_steps")?;
-        seconds(self.environment.dt_secs, "run.environment.dt_secs")?;
         positive(self.environments_per_slot.into(), "run.environments_per_slot")?;
         divides(self.chunk_steps, self.slot_steps, "run.chunk_steps")?;
         length(self.hidden_sizes.len(), agents, "run.hidden_sizes")?;
@@ -152,18 +146,9 @@ impl RunDescription {
     }
 }
 
-fn positive(value: u64, field: &str) -> Result<(), Refusal> {
-    hold((value > 0).then_some(()).ok_or_else(|| "must be at least 1".to_owned()), field)
-}
-
 fn divides(part: u32, whole: u32, field: &str) -> Result<(), Refusal> {
     let good = part > 0 && whole > 0 && whole.is_multiple_of(part);
     hold(good.then_some(()).ok_or_else(|| format!("{part} does not divide {whole} steps")), field)
-}
-
-fn seconds(value: f64, field: &str) -> Result<(), Refusal> {
-    let good = value.is_finite() && value > 0.0;
-    hold(good.then_some(()).ok_or_else(|| format!("{value} s is no positive time")), field)
 }
 
 fn fits(bytes: Option<u64>, field: &str) -> Result<(), Refusal> {

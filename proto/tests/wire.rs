@@ -7,6 +7,8 @@ mod choices;
 mod hostile;
 #[path = "wire/lies.rs"]
 mod lies;
+#[path = "wire/play.rs"]
+mod play;
 #[path = "wire/registration.rs"]
 mod registration;
 #[path = "wire/round_trips.rs"]

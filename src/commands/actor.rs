@@ -36,9 +36,14 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
         (None, true) => Transport::PlainText,
         (None, false) => Transport::PlainTextOnLoopback,
     };
+    if let Some(url) = &arguments.environment {
+        let allowed = actor::config::check_environment(url, &transport);
+        allowed.map_err(|error| Usage::new(format!("--environment: {error}")))?;
+    }
     let config = actor::Config {
         learner: arguments.learner,
         transport,
+        environment: arguments.environment,
         max_outage_secs: patience,
         name: arguments.name.unwrap_or_else(default_name),
         log: log(arguments.log)?,

@@ -46,10 +46,10 @@ pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
 }
 
 /// What tells later from which run and policy something was made.
-pub(super) fn metadata(trained: &Trained) -> BTreeMap<String, String> {
+pub(super) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String> {
     let resolved = &trained.config.resolved;
     BTreeMap::from([
-        ("task".to_owned(), trained.config.task.task.clone()),
+        ("task".to_owned(), task.to_owned()),
         ("algorithm".to_owned(), resolved.text("algorithm").to_owned()),
         ("seed".to_owned(), trained.config.run.seed.to_string()),
         ("iteration".to_owned(), trained.iteration.to_string()),

@@ -6,8 +6,8 @@ use crate::output;
 use crate::run_config::RunConfig;
 
 /// Prints TOML that `--config` can read again.
-pub(super) fn run(arguments: SettingsArguments) -> anyhow::Result<()> {
-    let request = Request::from_process(arguments.files, arguments.settings);
+pub(super) fn run(arguments: &SettingsArguments) -> anyhow::Result<()> {
+    let request = Request::from_process(arguments.files.clone(), arguments.written());
     let config = RunConfig::build(layers::resolve(&request)?)?;
     output::line(config.resolved.to_toml_with_origins());
     output::line(format!("# config_sha256 = {}", policy::arrays::hex(&config.resolved.sha256())));

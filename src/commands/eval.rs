@@ -2,39 +2,49 @@
 
 use std::path::Path;
 
+use actor::EnvironmentBatch;
 use anyhow::Context as _;
-use policy::{Draw, Purpose, RunSeed, generator};
+use policy::{Draw, Key, Purpose, RunSeed};
 use serde_json::json;
 
 use crate::chart;
 use crate::cli::EvalArguments;
 use crate::commands::checkpointed::{self, Trained};
+use crate::offered::Stage;
 use crate::output;
 
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
-    let returns = play(&trained, arguments.episodes)?;
+    let mut stage = Stage::of(&trained.config)?;
+    let returns = play(stage.environment.as_mut(), &trained, arguments.episodes)?;
+    let task = &stage.environment.description().task;
+    let world = if stage.environment.simulated().is_some() { "rapier/" } else { "" };
     let spread = Spread::of(&returns);
     if arguments.json {
-        output::line(as_json(&trained, &returns, &spread));
+        output::line(as_json(task, &trained, &returns, &spread));
     } else {
-        output::line(as_table(&arguments.run, &trained, &returns, &spread).trim_end());
+        output::line(
+            as_table((&arguments.run, &format!("{world}{task}")), &trained, &returns, &spread)
+                .trim_end(),
+        );
     }
     Ok(())
 }
 
 /// Extrinsic return and length of each episode.
-fn play(trained: &Trained, episodes: u32) -> anyhow::Result<Vec<(f64, u32)>> {
-    let mut world =
-        sim::Environments::new(&trained.config.task, 1).context("cannot build the task")?;
+fn play(
+    world: &mut dyn EnvironmentBatch,
+    trained: &Trained,
+    episodes: u32,
+) -> anyhow::Result<Vec<(f64, u32)>> {
     let seed = RunSeed(trained.config.run.seed);
     let mut returns = Vec::new();
     for episode in 0..episodes {
         let draw =
             Draw::of(Purpose::EvaluationReset).iteration(trained.iteration).environment(episode);
-        let mut rng = generator(seed, draw);
-        let played = actor::play_episode(&mut world, &trained.policy, &mut rng, |_| {})
+        let key = Key::of(seed, draw);
+        let played = actor::play_episode(world, &trained.policy, key, |_| {})
             .context("the episode broke off")?;
         returns.push((played.extrinsic_return, played.steps));
     }
@@ -64,11 +74,16 @@ impl Spread {
     }
 }
 
-fn as_json(trained: &Trained, returns: &[(f64, u32)], spread: &Spread) -> serde_json::Value {
+fn as_json(
+    task: &str,
+    trained: &Trained,
+    returns: &[(f64, u32)],
+    spread: &Spread,
+) -> serde_json::Value {
     let episodes: Vec<serde_json::Value> =
         returns.iter().map(|(value, steps)| json!({ "return": value, "steps": steps })).collect();
     json!({
-        "task": trained.config.task.task,
+        "task": task,
         "iteration": trained.iteration,
         "env_steps": trained.env_steps,
         "return_mean": spread.mean,
@@ -79,11 +94,15 @@ fn as_json(trained: &Trained, returns: &[(f64, u32)], spread: &Spread) -> serde_
     })
 }
 
-fn as_table(run: &Path, trained: &Trained, returns: &[(f64, u32)], spread: &Spread) -> String {
+fn as_table(
+    (run, task): (&Path, &str),
+    trained: &Trained,
+    returns: &[(f64, u32)],
+    spread: &Spread,
+) -> String {
     let mut text = format!(
-        "{}: rapier/{} after {} env steps\n\nepisode      return   steps\n",
+        "{}: {task} after {} env steps\n\nepisode      return   steps\n",
         run.display(),
-        trained.config.task.task,
         chart::thousands(trained.env_steps)
     );
     for (episode, (value, steps)) in returns.iter().enumerate() {

@@ -6,7 +6,7 @@ mod times;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use policy::{Draw, Purpose, RunSeed, generator};
+use policy::{Draw, Key, Purpose, RunSeed};
 use sim::{Environments, Outcome};
 
 use crate::cli::FilmArguments;
@@ -19,6 +19,7 @@ use crate::output;
 /// Writes the strip and says what the whole episode came to.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
+    demand_simulator(&trained, &arguments.run)?;
     let played = play(&trained, arguments.episode)?;
     let steps = times::steps(arguments, played.dt_secs, played.moments.len() - 1)?;
     let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
@@ -66,6 +67,18 @@ impl Played {
     }
 }
 
+/// Only the simulator's robots have links that can be drawn.
+fn demand_simulator(trained: &Trained, run: &Path) -> Result<(), Usage> {
+    match trained.config.environment.url.as_str() {
+        "" => Ok(()),
+        url => Err(Usage::new(format!(
+            "the environment of {} is at {url}, and only the simulator's robots can be drawn; \
+             `s2mia record` shows its state",
+            run.display()
+        ))),
+    }
+}
+
 /// The episode that `s2mia eval` plays under this number.
 fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     let task = &trained.config.task;
@@ -78,12 +91,12 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     let cast = Cast::new(world.description(), shapes, &world.pose(0));
     let dt_secs = world.description().dt_secs;
     let draw = Draw::of(Purpose::EvaluationReset).iteration(trained.iteration).environment(episode);
-    let rng = || generator(RunSeed(trained.config.run.seed), draw);
+    let key = Key::of(RunSeed(trained.config.run.seed), draw);
     // The same draw as the episode's own, to see where it starts.
-    world.reset(0, 0, world.description().episode_steps, &mut rng());
+    world.reset(0, 0, world.description().episode_steps, &mut key.generator());
     let mut moments = vec![Moment::of(&world)];
     let mut end = Outcome::default();
-    actor::play_episode(&mut world, &trained.policy, &mut rng(), |step| {
+    actor::play_episode(&mut world, &trained.policy, key, |step| {
         let before = moments.last().expect("the start is there");
         let now = Moment::after(step, before);
         moments.push(now);

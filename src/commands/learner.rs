@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 
+use actor::Transport;
 use anyhow::Context as _;
 use learner::Door;
 use security::ServerTls;
@@ -21,8 +22,17 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
         demand_loopback(arguments.listen)?;
     }
     let tls = files.map(ServerTls::open).transpose().map_err(|why| Usage::new(why.to_string()))?;
-    let prepared = launch::prepare_or_resume(&arguments.settings, &arguments.resume)?;
+    let prepared =
+        launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
     runtime()?.block_on(serve(prepared, arguments.listen, tls))
+}
+
+/// How far away an environment from outside may be.
+fn plain_text(arguments: &LearnerArguments) -> Transport {
+    match arguments.insecure_allow_remote {
+        true => Transport::PlainText,
+        false => Transport::PlainTextOnLoopback,
+    }
 }
 
 /// Nothing in plain text is encrypted, so other machines are let in only on request.

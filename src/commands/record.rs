@@ -7,6 +7,7 @@ use policy::RunSeed;
 
 use crate::cli::RecordArguments;
 use crate::commands::checkpointed;
+use crate::offered::Stage;
 use crate::{chart, output, run_path};
 
 /// Writes the file and says what is in it.
@@ -18,13 +19,16 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
             .with_context(|| format!("cannot make {}", folder.display()))?;
     }
     let seed = RunSeed(trained.config.run.seed);
+    let mut stage = Stage::of(&trained.config)?;
+    let name = stage.environment.description().task.clone();
+    let task = stage.environment.simulated().map(|_| &trained.config.task);
     let summary = actor::record(
-        &trained.config.task,
+        (stage.environment.as_mut(), task),
         &trained.policy,
         seed,
         arguments.episodes,
         &path,
-        &checkpointed::metadata(&trained),
+        &checkpointed::metadata(&trained, &name),
     )
     .with_context(|| format!("cannot record {}", path.display()))?;
     for (index, episode) in summary.episodes.iter().enumerate() {

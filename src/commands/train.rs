@@ -6,6 +6,7 @@ mod verify;
 use std::path::Path;
 use std::time::Instant;
 
+use actor::Transport;
 use actor::trajectory_log::Episodes;
 use anyhow::Context as _;
 use learner::{LearnerError, Summary};
@@ -24,9 +25,10 @@ use crate::{learning_curve, output, run_path, signals};
 
 /// Trains to the end of the run, or until told to stop; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
-    let prepared = launch::prepare(&arguments.settings, &arguments.resume)?;
+    let prepared =
+        launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     if let Some(iterations) = arguments.verify_determinism {
-        return verify::run(&arguments.settings, iterations);
+        return verify::run(&arguments.settings, &prepared.config.environment, iterations);
     }
     let (stop_sender, stop) = watch::channel(false);
     if arguments.stop_with_stdin {
@@ -40,7 +42,7 @@ async fn train(
     (stop_sender, stop): (watch::Sender<bool>, watch::Receiver<bool>),
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    output::line(opening(&config, &folder));
+    output::line(opening(&config, &launch.environment.task, &folder));
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
     let crew = crew(&config, &folder, &listener)?;
@@ -65,11 +67,10 @@ async fn train(
 }
 
 /// The first line: what runs, and where it is kept.
-fn opening(config: &RunConfig, folder: &Path) -> String {
+fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
     format!(
-        "{}: task {}, algorithm {}, seed {}, {} actors, {} env steps",
+        "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps",
         folder.display(),
-        config.task.task,
         config.resolved.text("algorithm"),
         config.run.seed,
         config.actors(),
@@ -83,6 +84,7 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
     Ok(Crew {
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),
+        environment: config.environment.arguments(),
         logs,
         log: config.log,
         actors: config.actors(),

@@ -4,6 +4,7 @@
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     "run.dir",
+    "environment.url",
     "lease.",
     "evaluation.",
     "checkpoint.",
@@ -11,6 +12,9 @@ const OPERATIONAL: &[&str] = &[
     "learner.",
     "log.",
 ];
+
+/// The semantic key that the program fills in when a run starts.
+pub(crate) const FILLED_IN: &str = "environment.description";
 
 /// Keys that only say how far a run goes; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
@@ -89,6 +93,7 @@ mod tests {
         for key in [
             "run.actors",
             "run.dir",
+            "environment.url",
             "lease.ttl_secs",
             "learner.threads",
             "log.episodes",
@@ -96,7 +101,9 @@ mod tests {
         ] {
             assert!(!is_semantic(key), "{key}");
         }
-        for key in ["task", "algorithm", "run.seed", "environments.count", "policy.core"] {
+        for key in
+            ["task", "run.seed", "environment.description", "environments.count", "policy.core"]
+        {
             assert!(is_semantic(key), "{key}");
         }
     }

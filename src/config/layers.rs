@@ -132,21 +132,32 @@ fn asked_layers(request: &Request, schema: &Schema) -> Result<Vec<Layer>, Config
     Ok(layers)
 }
 
-/// The files of the task, the preset and the algorithm that the other layers choose. What a preset says for one
-/// algorithm on one task stands above the algorithm's file, everything else of it below.
-fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<[Layer; 5], ConfigError> {
+/// The files of the task, the preset and the algorithm that the other layers choose, and of an environment from outside
+/// if they name one. What a preset says for one algorithm on one task stands above the algorithm's file, everything
+/// else of it below.
+fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<Vec<Layer>, ConfigError> {
     let task = chosen("task", presets::TASKS, base, asked)?;
     let algorithm = chosen("algorithm", presets::ALGORITHMS, base, asked)?;
     let preset = chosen("preset", presets::PRESETS, base, asked)?;
     let parts = PresetParts::of(preset, task.name, algorithm.name)?;
     let part = |table: &toml::Table| laid_out(preset.path, table, schema);
-    Ok([
-        preset_layer(task, schema)?,
+    let mut layers = vec![preset_layer(task, schema)?];
+    if names_outside(asked) {
+        layers.push(preset_layer(presets::OUTSIDE, schema)?);
+    }
+    layers.extend([
         part(&parts.general)?,
         part(&parts.of_task)?,
         preset_layer(algorithm, schema)?,
         part(&parts.of_algorithm)?,
-    ])
+    ]);
+    Ok(layers)
+}
+
+/// Whether the environment comes from outside.
+fn names_outside(asked: &[Layer]) -> bool {
+    let url = asked.iter().rev().find_map(|layer| layer.values.get("environment.url"));
+    url.is_some_and(|url| *url != Scalar::Text(String::new()))
 }
 
 fn chosen(

@@ -28,6 +28,13 @@ pub(crate) const BASE: Preset = Preset {
     text: include_str!("../../configs/base.toml"),
 };
 
+/// What an environment from outside changes.
+pub(crate) const OUTSIDE: Preset = Preset {
+    name: "outside",
+    path: "configs/outside.toml",
+    text: include_str!("../../configs/outside.toml"),
+};
+
 /// What is set per task.
 pub(crate) const TASKS: &[Preset] = presets!(
     "tasks":

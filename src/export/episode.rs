@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use actor::{EnvironmentBatch, EnvironmentError};
 use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
-use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
-use sim::{Environments, SimError, TaskConfig};
+use policy::{Key, PolicySnapshot};
 
 /// What every agent saw, remembered and did.
 pub(super) struct Episode {
@@ -21,19 +21,17 @@ struct Track {
     action: Vec<f32>,
 }
 
-/// Plays the first episode of the iteration's evaluation.
+/// Plays an episode with mean actions from the start that the key draws.
 pub(super) fn play(
-    task: &TaskConfig,
+    world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
-    (seed, iteration): (RunSeed, u64),
-) -> Result<Episode, SimError> {
-    let mut world = Environments::new(task, 1)?;
-    let mut rng = generator(seed, Draw::of(Purpose::EvaluationReset).iteration(iteration));
+    start: Key,
+) -> Result<Episode, EnvironmentError> {
     let mut agents: Vec<Track> = Vec::new();
     for agent in &policy.agents {
         agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });
     }
-    let episode = actor::play_episode(&mut world, policy, &mut rng, |step| {
+    let episode = actor::play_episode(world, policy, start, |step| {
         for (index, track) in agents.iter_mut().enumerate() {
             track.observation.extend(&step.observation[index]);
             track.hidden.extend(&step.hidden[index]);

@@ -3,6 +3,8 @@
 //! `action` is what evaluation takes: the mean, or the index of the likeliest choice. `output` is what the network
 //! gives: means before they are squashed, or logits. Standard deviations, for whoever wants to draw, are in the metadata.
 
+use std::collections::BTreeMap;
+
 use policy::arrays::Array;
 use policy::ops::LAYER_NORM_EPSILON;
 use policy::standardisation::LIMIT;
@@ -11,7 +13,7 @@ use policy::{ActorPolicy, CoreKind, Head};
 use super::onnx::{Element, Graph, Model, float, integer};
 
 /// The model of one agent; `about` goes into its metadata.
-pub(super) fn model(agent: &ActorPolicy, about: &[(String, String)]) -> Model {
+pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Model {
     let mut graph = Graph::new("policy".to_owned());
     for (name, array) in agent.arrays() {
         let Array::F32 { shape, data } = array else { unreachable!("{name}: policies are f32") };
@@ -27,8 +29,8 @@ pub(super) fn model(agent: &ActorPolicy, about: &[(String, String)]) -> Model {
     graph.output("output", Element::Float, agent.output_size());
     action(&mut graph, agent);
     let sigma = agent.sigma().iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
-    let mut about = about.to_vec();
-    about.push(("sigma".to_owned(), sigma));
+    let mut about = about.clone();
+    about.insert("sigma".to_owned(), sigma);
     Model::new(graph, &about)
 }
 

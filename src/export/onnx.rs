@@ -1,5 +1,7 @@
 //! As much of ONNX's file format as a policy needs. Field numbers are those of `onnx.proto` 1.16, IR version 8.
 
+use std::collections::BTreeMap;
+
 use prost::Message;
 
 /// IR version 8 came with operator set 17, the first that has `LayerNormalization`.
@@ -147,15 +149,16 @@ struct Dimension {
 }
 
 impl Model {
-    pub(super) fn new(graph: Graph, about: &[(String, String)]) -> Self {
-        let entries = about.iter().cloned().map(|(key, value)| Entry { key, value });
+    pub(super) fn new(graph: Graph, about: &BTreeMap<String, String>) -> Self {
+        let entry =
+            |(key, value): (&String, &String)| Entry { key: key.clone(), value: value.clone() };
         Self {
             ir_version: IR_VERSION,
             producer_name: "s2mia".to_owned(),
             producer_version: env!("CARGO_PKG_VERSION").to_owned(),
             graph: Some(graph),
             opset_import: vec![OperatorSet { domain: String::new(), version: OPERATOR_SET }],
-            metadata_props: entries.collect(),
+            metadata_props: about.iter().map(entry).collect(),
         }
     }
 

@@ -5,11 +5,12 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 
 use serde_json::json;
-use sim::{Environments, TaskConfig};
+use sim::TaskConfig;
 
 use super::robot::RobotChannels;
 use super::writer::{Channel, McapFile};
 use super::{METADATA_NAME, RecordError};
+use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::PlayedStep;
 
 /// A recording in the making.
@@ -32,7 +33,7 @@ enum Show {
 impl Show {
     fn create(
         file: &mut McapFile<impl Write + Seek>,
-        world: &Environments,
+        world: &dyn EnvironmentBatch,
     ) -> Result<Self, RecordError> {
         if !world.pose(0).links.is_empty() {
             return Ok(Self::Robot(RobotChannels::create(file)?));
@@ -46,7 +47,7 @@ impl Show {
     fn stand(
         &mut self,
         file: &mut McapFile<impl Write + Seek>,
-        world: &Environments,
+        world: &dyn EnvironmentBatch,
     ) -> Result<(), RecordError> {
         let (channel, features) = match self {
             Self::Robot(channels) => return channels.pose(file, &world.pose(0)),
@@ -62,7 +63,7 @@ impl Show {
 
 impl<W: Write + Seek> Channels<W> {
     /// Declares every channel, schemas embedded.
-    pub(super) fn create(target: W, world: &Environments) -> Result<Self, RecordError> {
+    pub(super) fn create(target: W, world: &dyn EnvironmentBatch) -> Result<Self, RecordError> {
         let mut file = McapFile::create(target)?;
         let description = world.description();
         let mut actions = Vec::new();
@@ -80,18 +81,19 @@ impl<W: Write + Seek> Channels<W> {
         })
     }
 
-    /// Which run and policy the file shows, and the task's settings.
+    /// Which run and policy the file shows, and the task's settings if it has any.
     pub(super) fn describe(
         &mut self,
-        task: &TaskConfig,
+        task: Option<&TaskConfig>,
         metadata: &BTreeMap<String, String>,
     ) -> Result<(), RecordError> {
         self.file.metadata(METADATA_NAME, metadata)?;
+        let Some(task) = task else { return Ok(()) };
         self.file.attach("task.json", "application/json", json!(task).to_string().as_bytes())
     }
 
     /// The shapes and the world, at an episode's start.
-    pub(super) fn begin(&mut self, world: &Environments) -> Result<(), RecordError> {
+    pub(super) fn begin(&mut self, world: &dyn EnvironmentBatch) -> Result<(), RecordError> {
         if let Show::Robot(channels) = &mut self.show {
             channels.scene(&mut self.file, &world.description().task)?;
         }

@@ -19,6 +19,7 @@ use proto::{
 use super::shares::{LoggedShare, ReadShares, read_shares};
 use super::source::read_bytes;
 use super::{Desk, Episodes, Log, LogConfig, LogSettings};
+use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::play_on;
 use fixture::{fresh_work, policy, run, task, world};
 
@@ -44,7 +45,9 @@ fn lease(work: Work) -> Lease {
 fn roll(desk: &Desk, work: &RolloutWork, most: usize) -> Vec<TrajectoryChunk> {
     let witness = std::cell::RefCell::new(desk.rollout(&lease(Work::Rollout(work.clone())), work));
     let mut chunks = Vec::new();
-    let see = |step, world: &sim::Environments| witness.borrow_mut().see(step, world);
+    let see = |step, world: &dyn EnvironmentBatch| {
+        witness.borrow_mut().see(step, world.simulated().unwrap());
+    };
     crate::roll_out(&run(), work, &policy(), &mut world(), see, |chunk| {
         witness.borrow_mut().keep(chunk.clone());
         chunks.push(chunk);

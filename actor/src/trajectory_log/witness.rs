@@ -6,6 +6,7 @@ use sim::{Environments, Pose};
 
 use super::config::Episodes;
 use super::shares::{LoggedShare, LoggedStep};
+use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::PlayedStep;
 
 /// A finished slot of which something is logged.
@@ -128,7 +129,7 @@ struct Sight {
 
 impl Sight {
     /// Environment 0.
-    fn of(world: &Environments) -> Self {
+    fn of(world: &dyn EnvironmentBatch) -> Self {
         let description = world.description();
         let mut state = vec![0.0; description.state.len()];
         world.state(0, &mut state);

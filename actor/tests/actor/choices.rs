@@ -105,7 +105,9 @@ fn a_game_is_recorded_without_links_by_its_states_and_choices() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("game.mcap");
     let none = BTreeMap::new();
-    let summary = actor::record(&task(), &policy(), RunSeed(1), 2, &path, &none).unwrap();
+    let mut world = Environments::new(&task(), 1).unwrap();
+    let played = (&mut world as &mut dyn actor::EnvironmentBatch, Some(&task()));
+    let summary = actor::record(played, &policy(), RunSeed(1), 2, &path, &none).unwrap();
     assert_eq!(summary.episodes[0].steps, 50);
     let bytes = std::fs::read(&path).unwrap();
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();

@@ -121,12 +121,12 @@ fn a_state_of_another_kind_is_refused_and_not_stepped() {
 
 #[test]
 fn an_evaluation_episode_repeats_itself_and_lasts_to_the_limit() {
-    use policy::randomness::{Draw, Purpose, RunSeed, generator};
+    use policy::randomness::{Draw, Key, Purpose, RunSeed};
     let play = |seed: u64| {
         let mut world = sim::Environments::new(&task(), 1).unwrap();
-        let mut rng = generator(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
+        let key = Key::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
         let mut shown = 0;
-        let episode = actor::play_episode(&mut world, &policy(), &mut rng, |_| shown += 1).unwrap();
+        let episode = actor::play_episode(&mut world, &policy(), key, |_| shown += 1).unwrap();
         assert_eq!(shown, episode.steps);
         episode
     };

@@ -15,7 +15,8 @@ from grpc_tools import protoc
 
 _HERE = pathlib.Path(__file__).resolve()
 PROTO = pathlib.Path(os.environ.get("S2MIA_PROTO", _HERE.parents[3] / "proto" / "proto"))
-_FILES = ["tensor", "environment", "trajectory", "learner", "control"]
+_FILES = ["tensor", "environment", "trajectory", "learner", "control", "environment_service"]
+_SERVICES = ["learner", "control", "environment_service"]
 
 
 def _compile() -> None:
@@ -34,9 +35,10 @@ def _compile() -> None:
             for name in _FILES:
                 module = importlib.import_module(f"s2mia.v1.{name}_pb2")
                 globals().update({key: value for key, value in vars(module).items() if key[0].isupper()})
-            for name in ("learner", "control"):
+            for name in _SERVICES:
                 module = importlib.import_module(f"s2mia.v1.{name}_pb2_grpc")
-                globals().update({key: value for key, value in vars(module).items() if key.endswith("Stub")})
+                ours = ("Stub", "Servicer", "_to_server")
+                globals().update({key: value for key, value in vars(module).items() if key.endswith(ours)})
         finally:
             sys.path.remove(folder)
 

@@ -39,9 +39,10 @@ impl Moment {
 
     /// After a step from `before`. A motor's torque is constant within a step, so its work is torque times turn.
     pub(super) fn after(step: &PlayedStep<'_>, before: &Self) -> Self {
-        let now = Self::of(step.world);
-        let robot = step.world.world(0).robot();
-        let joints = step.world.description().agents.iter().flat_map(|agent| &agent.joints);
+        let world = step.world.simulated().expect("film plays in the simulator");
+        let now = Self::of(world);
+        let robot = world.world(0).robot();
+        let joints = world.description().agents.iter().flat_map(|agent| &agent.joints);
         let work = joints.zip(step.action).map(|(joint, control)| {
             let angle =
                 |pose: &Pose| pose.joints.iter().find(|j| j.name == *joint).map(|j| j.position);

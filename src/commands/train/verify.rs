@@ -10,6 +10,7 @@ use anyhow::Context as _;
 use learner::checkpoint;
 
 use crate::cli::SettingsArguments;
+use crate::run_config::EnvironmentSection;
 use crate::{output, run_path};
 
 /// How often a running learner is looked at.
@@ -36,12 +37,16 @@ const TRIALS: [(&str, usize, Happening); 3] = [
 ///
 /// # Errors
 /// A trial failed, or the states differ.
-pub(super) fn run(settings: &SettingsArguments, iterations: u64) -> anyhow::Result<()> {
+pub(super) fn run(
+    settings: &SettingsArguments,
+    environment: &EnvironmentSection,
+    iterations: u64,
+) -> anyhow::Result<()> {
     let place = Scratch::make()?;
     let mut states = Vec::new();
     for (index, (name, actors, happening)) in TRIALS.into_iter().enumerate() {
         let folder = place.0.join(index.to_string());
-        let trial = Trial { settings, folder: &folder, actors };
+        let trial = Trial { settings, environment, folder: &folder, actors };
         trial.play(happening, iterations).with_context(|| format!("trial `{name}` failed"))?;
         let state = checkpoint::load_newest(&folder)?.saved().state_sha256;
         output::line(format!("{name:<31} {state}"));
@@ -65,6 +70,7 @@ fn verdict(states: &[String]) -> anyhow::Result<()> {
 
 struct Trial<'a> {
     settings: &'a SettingsArguments,
+    environment: &'a EnvironmentSection,
     folder: &'a Path,
     actors: usize,
 }
@@ -90,7 +96,7 @@ impl Trial<'_> {
     fn start(&self, iterations: u64) -> anyhow::Result<Crew> {
         let program = std::env::current_exe().context("cannot find this program")?;
         let mut command = Command::new(&program);
-        command.args(["learner", "--listen", "127.0.0.1:0"]).args(&self.settings.settings);
+        command.args(["learner", "--listen", "127.0.0.1:0"]).args(self.settings.written());
         for file in &self.settings.files {
             command.arg("--config").arg(file);
         }
@@ -108,6 +114,7 @@ impl Trial<'_> {
         for _ in 0..self.actors {
             let mut actor = Command::new(&program);
             actor.args(["actor", "--exit-with-stdin", "--learner", url]);
+            actor.args(self.environment.arguments());
             actor.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
             crew.actors.push(actor.spawn().context("no actor")?);
         }

@@ -47,6 +47,21 @@ fn the_algorithm_file_sets_the_three_weights_of_a_variant() {
 }
 
 #[test]
+fn an_environment_from_outside_is_shown_as_it_is_unless_something_else_is_asked_for() {
+    let norm = |settings: &[&str]| {
+        resolve(&request(settings)).unwrap().entries["observation.norm"].clone()
+    };
+    let url = "environment.url=http://localhost:7";
+    let shown = norm(&[url]);
+    assert_eq!(
+        shown,
+        Entry { value: Scalar::Text("none".into()), origin: "configs/outside.toml".into() }
+    );
+    assert_eq!(norm(&[url, "observation.norm=running"]).value, Scalar::Text("running".into()));
+    assert_eq!(norm(&[url, "environment.url="]).value, Scalar::Text("feature_z".into()));
+}
+
+#[test]
 fn a_file_may_choose_the_task() {
     let folder = tempfile::tempdir().unwrap();
     let mut request = request(&[]);

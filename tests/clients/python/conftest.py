@@ -1,4 +1,4 @@
-"""Learners for foreign clients: the real binary, the game `cue-2x1`."""
+"""Learners for foreign clients: the real binary, the game `cue-2x1`; and programs that offer environments."""
 
 import json
 import os
@@ -9,7 +9,8 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
-sys.path.insert(0, str(ROOT / "clients" / "python"))
+CLIENTS = ROOT / "clients" / "python"
+sys.path.insert(0, str(CLIENTS))
 
 SMALL = ["cue-2x1", "run.seed=3", "evaluation.episodes=2", "checkpoint.every=10"]
 FEW = [*SMALL, "run.iterations=2", "evaluation.every_steps=0"]
@@ -67,3 +68,26 @@ def serve(tmp_path):
         one.process.kill()
         one.process.wait()
         one.process.stdout.close()
+
+
+@pytest.fixture
+def offer():
+    """Starts programs that offer environments, and says where; none outlives its test."""
+    started = []
+
+    def start(function: str, *settings: str) -> str:
+        places = os.pathsep.join([str(CLIENTS), str(pathlib.Path(__file__).parent)])
+        arguments = [sys.executable, "-m", "s2mia_environment", "--listen", "127.0.0.1:0", function, *settings]
+        process = subprocess.Popen(
+            arguments, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": places}
+        )
+        started.append(process)
+        words = process.stdout.readline().split()
+        assert words and words[0] == "offers", words
+        return words[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()

@@ -1,0 +1,148 @@
+//! A program that offers environments, as actors and learners call it: what it is once, then a stream of requests, each
+//! with its answer.
+
+use std::time::Duration;
+
+use proto::wire::environment_service_client::EnvironmentServiceClient;
+use proto::{EnvironmentSpec, MAX_MESSAGE_BYTES, PlayRequest, Refusal, Steps, View, wire};
+use tokio::runtime::Handle;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Status, Streaming};
+
+use super::{CALL_DEADLINE, causes, within};
+use crate::error::{ActorError, EnvironmentError};
+
+/// Longest wait for an answer while playing.
+const ANSWER_DEADLINE: Duration = Duration::from_secs(60);
+
+/// A connection to a program that offers an environment.
+#[derive(Clone, Debug)]
+pub(crate) struct EnvironmentClient {
+    url: String,
+    service: EnvironmentServiceClient<Channel>,
+}
+
+/// A stream of requests, called from a thread that may block. It opens with the first request, because some servers
+/// say nothing before.
+#[derive(Debug)]
+pub(crate) struct Play {
+    client: EnvironmentClient,
+    spec: EnvironmentSpec,
+    runtime: Handle,
+    open: Option<Open>,
+}
+
+#[derive(Debug)]
+struct Open {
+    /// Holds the one request that waits for its answer.
+    requests: mpsc::Sender<wire::PlayRequest>,
+    answers: Streaming<wire::PlayResponse>,
+}
+
+impl EnvironmentClient {
+    /// Connects. No pings go over this connection: servers of other projects take frequent ones for an attack.
+    pub(crate) async fn connect(url: &str) -> Result<Self, ActorError> {
+        let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|error| {
+            ActorError::EnvironmentUrl { url: url.to_owned(), why: causes(&error) }
+        })?;
+        let endpoint = endpoint.connect_timeout(CALL_DEADLINE).tcp_nodelay(true);
+        let channel = endpoint
+            .connect()
+            .await
+            .map_err(|error| away(url, Status::unavailable(causes(&error))))?;
+        let service = EnvironmentServiceClient::new(channel)
+            .max_decoding_message_size(MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(MAX_MESSAGE_BYTES);
+        Ok(Self { url: url.to_owned(), service })
+    }
+
+    /// What the environment is.
+    pub(crate) async fn describe(&mut self) -> Result<EnvironmentSpec, ActorError> {
+        let request = within(CALL_DEADLINE, wire::DescribeEnvironmentRequest {});
+        let answer = self.service.describe_environment(request).await;
+        let answer = answer.map_err(|status| away(&self.url, status))?.into_inner();
+        Ok(EnvironmentSpec::from_service(answer).map_err(|refusal| wrong(&self.url, refusal))?)
+    }
+
+    /// A stream for environments that `spec` describes. Must be called where the network's threads are.
+    pub(crate) fn play(&self, spec: &EnvironmentSpec) -> Play {
+        let (client, spec) = (self.clone(), spec.clone());
+        Play { client, spec, runtime: Handle::current(), open: None }
+    }
+}
+
+impl Play {
+    pub(crate) fn reset(&mut self, environment: u32, seed: [u8; 32]) -> Answer<View> {
+        let answer = self.ask(&PlayRequest::Reset { environment, seed })?;
+        self.read(View::from_wire(&answer, &self.spec))
+    }
+
+    pub(crate) fn restore(&mut self, environment: u32, state: &[u8]) -> Answer<View> {
+        let answer = self.ask(&PlayRequest::Restore { environment, state: state.to_vec() })?;
+        self.read(View::from_wire(&answer, &self.spec))
+    }
+
+    pub(crate) fn save(&mut self, environment: u32) -> Answer<Vec<u8>> {
+        let answer = self.ask(&PlayRequest::Save { environment })?;
+        self.read(proto::saved_state(&answer, &self.spec))
+    }
+
+    /// `actions` for each agent `[n, act]`.
+    pub(crate) fn step(&mut self, environments: Vec<u32>, actions: Vec<Vec<f32>>) -> Answer<Steps> {
+        let count = environments.len();
+        let answer = self.ask(&PlayRequest::Step { environments, actions })?;
+        self.read(Steps::from_wire(&answer, &self.spec, count))
+    }
+
+    fn read<T>(&self, answer: Result<T, Refusal>) -> Answer<T> {
+        answer.map_err(|refusal| wrong(&self.client.url, refusal))
+    }
+
+    /// Blocks until the answer is there. After a failure the stream is done with.
+    fn ask(&mut self, request: &PlayRequest) -> Answer<wire::PlayResponse> {
+        let (runtime, request) = (self.runtime.clone(), request.to_wire());
+        let answered = runtime.block_on(async {
+            let answered = tokio::time::timeout(ANSWER_DEADLINE, self.exchange(request)).await;
+            answered.unwrap_or_else(|_| Err(Status::deadline_exceeded("no answer for a minute")))
+        });
+        answered.map_err(|status| {
+            self.open = None;
+            away(&self.client.url, status)
+        })
+    }
+
+    async fn exchange(&mut self, request: wire::PlayRequest) -> Result<wire::PlayResponse, Status> {
+        let closed = || Status::unavailable("the stream was closed");
+        let open = match &mut self.open {
+            Some(open) => {
+                // If the stream is closed, its status says why.
+                let _ = open.requests.send(request).await;
+                open
+            }
+            none => none.insert(begin(&mut self.client.service, request).await?),
+        };
+        open.answers.message().await?.ok_or_else(closed)
+    }
+}
+
+type Answer<T> = Result<T, EnvironmentError>;
+
+async fn begin(
+    service: &mut EnvironmentServiceClient<Channel>,
+    first: wire::PlayRequest,
+) -> Result<Open, Status> {
+    let (requests, queue) = mpsc::channel(1);
+    requests.send(first).await.map_err(|_| Status::internal("the queue is held"))?;
+    let answers = service.play(ReceiverStream::new(queue)).await?.into_inner();
+    Ok(Open { requests, answers })
+}
+
+fn away(url: &str, status: Status) -> EnvironmentError {
+    EnvironmentError::Away { url: url.to_owned(), status: Box::new(status) }
+}
+
+fn wrong(url: &str, refusal: Refusal) -> EnvironmentError {
+    EnvironmentError::Wrong { url: url.to_owned(), refusal: Box::new(refusal) }
+}

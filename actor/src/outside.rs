@@ -1,0 +1,360 @@
+//! Environments that another program offers, in the form in which actors step their own: who counts episodes and their
+//! steps, cuts them at their limits, and brings an episode back in the next slot.
+//!
+//! An encoded state begins with the episode's index (u64), steps done (u32) and limit (u32), little-endian. Behind
+//! that stands the state that the program saved; or, if it saves none, the episode's key (32 bytes) and its actions so
+//! far (f32 `[step, A]`), with which it is played again.
+
+use std::cell::RefCell;
+
+use policy::Key;
+use proto::{EnvironmentSpec, View};
+use sim::{Description, Environments, Outcome};
+
+use crate::client::{EnvironmentClient, Play};
+use crate::environment_batch::EnvironmentBatch;
+use crate::error::{ActorError, EnvironmentError};
+use crate::identity::description;
+
+/// Bytes of an encoded state before what brings the episode back.
+const HEADER_BYTES: usize = 16;
+const KEY_BYTES: usize = 32;
+
+/// How an episode is brought back in another slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum States {
+    /// The program saves and restores them.
+    Saved,
+    /// From its key and its actions, played again.
+    Replayed,
+}
+
+impl States {
+    /// In a word, for manifests.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Saved => "saved",
+            Self::Replayed => "replayed",
+        }
+    }
+}
+
+/// A program that offers an environment.
+#[derive(Clone, Debug)]
+pub struct EnvironmentService {
+    client: EnvironmentClient,
+    /// In its own words.
+    offered: EnvironmentSpec,
+    states: States,
+    /// As runs know it.
+    spec: EnvironmentSpec,
+}
+
+impl EnvironmentService {
+    /// Connects to the program at `url` and asks what it offers.
+    ///
+    /// # Errors
+    /// If nobody answers there, or wrongly, or an episode would need more bytes than a message has.
+    pub async fn connect(url: &str) -> Result<Self, ActorError> {
+        let mut client = EnvironmentClient::connect(url).await?;
+        let offered = client.describe().await?;
+        let states = if offered.max_state_bytes > 0 { States::Saved } else { States::Replayed };
+        let spec = spec_of_run(&offered, states).ok_or_else(|| ActorError::EnvironmentUrl {
+            url: url.to_owned(),
+            why: "the actions of an episode have more bytes than can be counted".to_owned(),
+        })?;
+        Ok(Self { client, offered, states, spec })
+    }
+
+    /// What every actor of the run must offer.
+    #[must_use]
+    pub fn spec(&self) -> &EnvironmentSpec {
+        &self.spec
+    }
+
+    /// How its episodes are brought back.
+    #[must_use]
+    pub fn states(&self) -> States {
+        self.states
+    }
+
+    /// `count` environments before their first reset. Must be called on a thread of a tokio runtime, and stepped on one
+    /// that may block.
+    #[must_use]
+    pub fn environments(&self, count: usize) -> OutsideEnvironments {
+        let rows = self.offered.agents.iter().map(|agent| vec![0.0; agent.observation.len()]);
+        let episode = Episode {
+            index: 0,
+            step: 0,
+            limit: self.spec.episode_steps,
+            key: Key([0; KEY_BYTES]),
+            actions: Vec::new(),
+            observations: rows.collect(),
+            state: vec![0.0; self.offered.state.len()],
+        };
+        OutsideEnvironments {
+            description: description(&self.spec),
+            sizes: self.offered.agents.iter().map(|agent| agent.action.size as usize).collect(),
+            states: self.states,
+            play: RefCell::new(self.client.play(&self.offered)),
+            episodes: vec![episode; count],
+        }
+    }
+}
+
+/// With the states that the run's actors hand to one another; `None` if they are too long.
+fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentSpec> {
+    let (kind, more) = match states {
+        States::Saved => (offered.state_kind.as_str(), u64::from(offered.max_state_bytes)),
+        States::Replayed => {
+            let numbers: u64 = offered.agents.iter().map(|a| u64::from(a.action.size)).sum();
+            let actions = numbers.checked_mul(offered.episode_steps.into())?.checked_mul(4)?;
+            (offered.task.as_str(), actions.checked_add(KEY_BYTES as u64)?)
+        }
+    };
+    Some(EnvironmentSpec {
+        state_kind: format!("outside/{}/{kind}", states.name()),
+        max_state_bytes: u32::try_from(more.checked_add(HEADER_BYTES as u64)?).ok()?,
+        ..offered.clone()
+    })
+}
+
+/// A slot's environments, stepped by another program.
+#[derive(Debug)]
+pub struct OutsideEnvironments {
+    description: Description,
+    /// Numbers of each agent's action.
+    sizes: Vec<usize>,
+    states: States,
+    /// Asking for a state changes nothing that can be seen.
+    play: RefCell<Play>,
+    episodes: Vec<Episode>,
+}
+
+/// Where an environment stands.
+#[derive(Clone, Debug)]
+struct Episode {
+    index: u64,
+    step: u32,
+    limit: u32,
+    key: Key,
+    /// `[step, A]`; only kept where episodes are played again.
+    actions: Vec<f32>,
+    /// For each agent `[obs]`.
+    observations: Vec<Vec<f32>>,
+    /// `[S]`.
+    state: Vec<f32>,
+}
+
+impl Episode {
+    /// Takes over what row `row` of a view shows.
+    fn look(&mut self, view: &View, row: usize) {
+        let views = view.observations.iter().zip(&mut self.observations);
+        for (rows, own) in views.chain([(&view.state, &mut self.state)]) {
+            let size = own.len();
+            own.copy_from_slice(&rows[row * size..][..size]);
+        }
+    }
+}
+
+impl EnvironmentBatch for OutsideEnvironments {
+    fn description(&self) -> &Description {
+        &self.description
+    }
+
+    fn count(&self) -> usize {
+        self.episodes.len()
+    }
+
+    fn reset(
+        &mut self,
+        environment: usize,
+        episode: u64,
+        limit: u32,
+        key: Key,
+    ) -> Result<(), EnvironmentError> {
+        let view = self.play.get_mut().reset(environment as u32, key.0)?;
+        let limit = limit.clamp(1, self.description.episode_steps);
+        let now = &mut self.episodes[environment];
+        (now.index, now.step, now.limit, now.key) = (episode, 0, limit, key);
+        now.actions.clear();
+        now.look(&view, 0);
+        Ok(())
+    }
+
+    fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), EnvironmentError> {
+        let (header, rest) = Header::read(state, self.description.episode_steps)?;
+        match self.states {
+            States::Saved => self.restore_saved(environment, rest)?,
+            States::Replayed => self.play_again(environment, &header, rest)?,
+        }
+        let now = &mut self.episodes[environment];
+        (now.index, now.step, now.limit) = (header.episode, header.step, header.limit);
+        Ok(())
+    }
+
+    fn encode(&self, environment: usize) -> Result<Vec<u8>, EnvironmentError> {
+        let now = &self.episodes[environment];
+        let mut bytes = Header { episode: now.index, step: now.step, limit: now.limit }.write();
+        match self.states {
+            States::Saved => bytes.extend(self.play.borrow_mut().save(environment as u32)?),
+            States::Replayed => {
+                bytes.extend_from_slice(&now.key.0);
+                bytes.extend(now.actions.iter().flat_map(|number| number.to_le_bytes()));
+            }
+        }
+        Ok(bytes)
+    }
+
+    fn episode(&self, environment: usize) -> u64 {
+        self.episodes[environment].index
+    }
+
+    fn episode_step(&self, environment: usize) -> u32 {
+        self.episodes[environment].step
+    }
+
+    fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), EnvironmentError> {
+        let environments = (0..self.count()).collect::<Vec<_>>();
+        self.step_some(&environments, actions, outcome)
+    }
+
+    fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
+        out.copy_from_slice(&self.episodes[environment].observations[agent]);
+    }
+
+    fn state(&self, environment: usize, out: &mut [f32]) {
+        out.copy_from_slice(&self.episodes[environment].state);
+    }
+
+    fn simulated(&self) -> Option<&Environments> {
+        None
+    }
+}
+
+impl OutsideEnvironments {
+    /// One step of the given environments; `actions` is `[n, A]`, `outcome` `[n]`.
+    fn step_some(
+        &mut self,
+        environments: &[usize],
+        actions: &[f32],
+        outcome: &mut [Outcome],
+    ) -> Result<(), EnvironmentError> {
+        let numbers = environments.iter().map(|environment| *environment as u32).collect();
+        let actions_by_agent = self.by_agent(actions);
+        let steps = self.play.get_mut().step(numbers, actions_by_agent)?;
+        let width = self.sizes.iter().sum::<usize>();
+        for (row, &environment) in environments.iter().enumerate() {
+            let now = &mut self.episodes[environment];
+            now.look(&steps.view, row);
+            if self.states == States::Replayed {
+                now.actions.extend_from_slice(&actions[row * width..][..width]);
+            }
+            now.step = now.step.saturating_add(1);
+            let terminated = steps.terminated[row];
+            let truncated = steps.truncated[row] || (!terminated && now.step >= now.limit);
+            outcome[row] =
+                Outcome { reward: steps.reward[row], terminated, truncated, fault: false };
+        }
+        Ok(())
+    }
+
+    /// `[n, A]` as for each agent `[n, act]`.
+    fn by_agent(&self, actions: &[f32]) -> Vec<Vec<f32>> {
+        let width = self.sizes.iter().sum::<usize>();
+        let mut from = 0;
+        let agent = |size: &usize| {
+            let columns = from..from + size;
+            from += size;
+            actions.chunks_exact(width).flat_map(|row| &row[columns.clone()]).copied().collect()
+        };
+        self.sizes.iter().map(agent).collect()
+    }
+
+    fn restore_saved(&mut self, environment: usize, state: &[u8]) -> Result<(), EnvironmentError> {
+        let view = self.play.get_mut().restore(environment as u32, state)?;
+        self.episodes[environment].look(&view, 0);
+        Ok(())
+    }
+
+    /// Brings an episode back by what was done in it. One that ends on the way is another episode.
+    fn play_again(
+        &mut self,
+        environment: usize,
+        header: &Header,
+        past: &[u8],
+    ) -> Result<(), EnvironmentError> {
+        let width = self.sizes.iter().sum::<usize>();
+        let (found, expected) = (past.len(), KEY_BYTES + 4 * width * header.step as usize);
+        let key = past.first_chunk::<KEY_BYTES>().filter(|_| found == expected);
+        let Some(key) = key else {
+            let why = format!("{found} bytes of its past, {} steps have {expected}", header.step);
+            return Err(EnvironmentError::State(why));
+        };
+        let (rest, _) = past[KEY_BYTES..].as_chunks::<4>();
+        let actions = rest.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
+        self.reset(environment, header.episode, header.limit, Key(*key))?;
+        for (step, action) in actions.chunks_exact(width).enumerate() {
+            let mut outcome = [Outcome::default()];
+            self.step_some(&[environment], action, &mut outcome)?;
+            if outcome[0].terminated || outcome[0].truncated {
+                let why = format!(
+                    "played again, its episode ends after step {} of {}: the same seed and actions must give the same \
+                     steps",
+                    step + 1,
+                    header.step
+                );
+                return Err(EnvironmentError::State(why));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What an encoded state begins with.
+struct Header {
+    episode: u64,
+    step: u32,
+    limit: u32,
+}
+
+impl Header {
+    fn write(&self) -> Vec<u8> {
+        let Self { episode, step, limit } = self;
+        [&episode.to_le_bytes()[..], &step.to_le_bytes(), &limit.to_le_bytes()].concat()
+    }
+
+    /// The header, and what stands behind it.
+    fn read(bytes: &[u8], longest: u32) -> Result<(Self, &[u8]), EnvironmentError> {
+        let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
+            let why = format!("{} bytes, it begins with {HEADER_BYTES}", bytes.len());
+            return Err(EnvironmentError::State(why));
+        };
+        let number = u128::from_le_bytes(*header);
+        let (episode, step, limit) = (number as u64, (number >> 64) as u32, (number >> 96) as u32);
+        if step >= limit || limit > longest {
+            let why = format!("step {step} of {limit}, an episode has at most {longest}");
+            return Err(EnvironmentError::State(why));
+        }
+        Ok((Self { episode, step, limit }, rest))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_survives_its_bytes_and_one_of_an_episode_that_is_over_is_refused() {
+        let header = Header { episode: 7 << 40, step: 3, limit: 5 };
+        let bytes = [header.write(), b"rest".to_vec()].concat();
+        let (read, rest) = Header::read(&bytes, 5).unwrap();
+        assert_eq!((read.episode, read.step, read.limit, rest), (7 << 40, 3, 5, &b"rest"[..]));
+        for (step, limit) in [(5, 5), (0, 6), (0, 0)] {
+            let bytes = Header { episode: 0, step, limit }.write();
+            assert!(Header::read(&bytes, 5).is_err(), "step {step} of {limit}");
+        }
+        assert!(Header::read(&bytes[..15], 5).is_err());
+    }
+}

@@ -1,0 +1,131 @@
+"""A PettingZoo `ParallelEnv` as an environment for s2mia."""
+
+import hashlib
+
+import numpy as np
+from gymnasium import spaces
+from s2mia_client import wire
+
+from s2mia_environment.server import Environment
+
+# Where an environment says nothing of its length, or of the time that a step takes.
+EPISODE_STEPS = 1000
+STEP_SECS = 0.05
+
+
+class Box:
+    """A continuous action: ours lies in -1 to 1 unless all its numbers have one range."""
+
+    def __init__(self, space: spaces.Box) -> None:
+        low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
+        if not np.all(np.isfinite([low, high])):
+            raise ValueError(f"an action without bounds, {space}, is nothing that policies can be taught")
+        self.space, self.low, self.high = space, low, high
+        one_range = np.unique(low).size == np.unique(high).size == 1
+        self.own = (low[0], high[0]) if one_range else (-1.0, 1.0)
+        self.spec = wire.ActionSpec(size=low.size, low=self.own[0], high=self.own[1])
+
+    def action(self, numbers: np.ndarray) -> np.ndarray:
+        """What the environment takes, clamped and in its own range."""
+        low, high = self.own
+        clamped = np.clip(numbers.astype(np.float64), low, high)
+        scaled = clamped if (low, high) == (self.low[0], self.high[0]) else self._scaled((clamped - low) / (high - low))
+        return scaled.reshape(self.space.shape).astype(self.space.dtype)
+
+    def _scaled(self, share: np.ndarray) -> np.ndarray:
+        return self.low + share * (self.high - self.low)
+
+
+class Choice:
+    """One choice among a few."""
+
+    def __init__(self, space: spaces.Discrete) -> None:
+        self.start = int(space.start)
+        self.spec = wire.ActionSpec(size=1, low=0.0, high=float(space.n - 1), choices=int(space.n))
+
+    def action(self, numbers: np.ndarray) -> int:
+        """The choice as the environment numbers it."""
+        return self.start + int(numbers[0])
+
+
+ACTIONS = {spaces.Box: Box, spaces.Discrete: Choice}
+
+
+def action_of(space: spaces.Space):
+    """How an agent acts."""
+    if type(space) not in ACTIONS:
+        raise ValueError(f"actions are one Box or one Discrete for each agent, not {space}")
+    return ACTIONS[type(space)](space)
+
+
+def features(name: str, count: int) -> list:
+    """Numbers that are told apart by their place."""
+    signal = wire.FEATURE_ROLE_SIGNAL
+    return [wire.FeatureSpec(name=f"{name}.{index}", role=signal) for index in range(count)]
+
+
+class Parallel(Environment):
+    """All agents step at once and share one reward, the mean of theirs; the first agent's end ends the episode.
+
+    The global state is the environment's `state()`, or all observations one behind the other if it has none. States are
+    not saved: an episode is brought back by playing it again.
+    """
+
+    def __init__(self, env) -> None:
+        self.env = env
+        self.agents = list(env.possible_agents)
+        self.spaces = [env.observation_space(agent) for agent in self.agents]
+        self.actions = [action_of(env.action_space(agent)) for agent in self.agents]
+        self.seen: list[np.ndarray] = []
+        self.reset(bytes(32))
+        state, observations = self.observe()
+        self.spec = wire.EnvironmentSpec(
+            task=str(env.metadata.get("name", type(env.unwrapped).__name__)),
+            agents=[
+                wire.AgentSpec(name=str(agent), observation=features(str(agent), row.size), action=action.spec)
+                for agent, row, action in zip(self.agents, observations, self.actions, strict=True)
+            ],
+            state=features("state", state.size),
+            dt_secs=self.step_secs(),
+            episode_steps=self.episode_steps(),
+        )
+
+    def step_secs(self) -> float:
+        """Seconds of a step, for whoever draws."""
+        return 1.0 / self.env.metadata["render_fps"] if "render_fps" in self.env.metadata else STEP_SECS
+
+    def episode_steps(self) -> int:
+        """Steps after which the player cuts an episode, if the environment has not."""
+        known = (getattr(self.env.unwrapped, name, None) for name in ("max_cycles", "max_steps", "max_episode_steps"))
+        return next((int(steps) for steps in known if steps), EPISODE_STEPS)
+
+    def reset(self, seed: bytes) -> None:
+        number = int.from_bytes(hashlib.sha256(seed).digest()[:4], "little")
+        observations, _ = self.env.reset(seed=number)
+        self._look(observations)
+
+    def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
+        taken = {
+            agent: kind.action(numbers) for agent, kind, numbers in zip(self.agents, self.actions, actions, strict=True)
+        }
+        observations, rewards, terminations, truncations, _ = self.env.step(taken)
+        self._look(observations)
+        terminated = any(terminations.values())
+        reward = float(np.mean([rewards[agent] for agent in self.agents]))
+        return reward, terminated, not terminated and any(truncations.values())
+
+    def observe(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        return self.state(), self.seen
+
+    def state(self) -> np.ndarray:
+        """The global state."""
+        try:
+            return np.asarray(self.env.state(), np.float32).ravel()
+        except (AttributeError, NotImplementedError):
+            return np.concatenate(self.seen)
+
+    def _look(self, observations: dict) -> None:
+        self.seen = [
+            np.asarray(spaces.flatten(space, observations[agent]), np.float32)
+            for agent, space in zip(self.agents, self.spaces, strict=True)
+        ]

@@ -1,0 +1,250 @@
+//! What is said to a program that offers an environment, and the one place where its answers are checked.
+
+use bytes::Bytes;
+
+use crate::read::{hold, length, required};
+use crate::tensor::{self, Flags, Floats};
+use crate::wire::play_request::Request;
+use crate::wire::play_response::Answer;
+use crate::{EnvironmentSpec, Reason, Refusal, wire};
+
+/// What some environments are to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PlayRequest {
+    /// Begin an episode.
+    Reset {
+        /// Which one.
+        environment: u32,
+        /// Of which all the episode's chance is a function.
+        seed: [u8; 32],
+    },
+    /// Go on from a saved state.
+    Restore {
+        /// Which one.
+        environment: u32,
+        /// As it was saved.
+        state: Vec<u8>,
+    },
+    /// Save the state.
+    Save {
+        /// Which one.
+        environment: u32,
+    },
+    /// One step each.
+    Step {
+        /// `[n]`.
+        environments: Vec<u32>,
+        /// For each agent `[n, act]`.
+        actions: Vec<Vec<f32>>,
+    },
+}
+
+/// How `n` environments look.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// For each agent `[n, obs]`.
+    pub observations: Vec<Vec<f32>>,
+    /// `[n, S]`.
+    pub state: Vec<f32>,
+}
+
+/// What came of a step of `n` environments.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Steps {
+    /// After the step, before any reset.
+    pub view: View,
+    /// `[n]`.
+    pub reward: Vec<f32>,
+    /// `[n]`: the episode ended for good.
+    pub terminated: Vec<bool>,
+    /// `[n]`: the episode was cut; never together with `terminated`.
+    pub truncated: Vec<bool>,
+}
+
+impl PlayRequest {
+    /// The message for it.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::PlayRequest {
+        let request = match self {
+            Self::Reset { environment, seed } => Request::Reset(wire::ResetEnvironment {
+                environment: *environment,
+                seed: Bytes::copy_from_slice(seed),
+            }),
+            Self::Restore { environment, state } => Request::Restore(wire::RestoreEnvironment {
+                environment: *environment,
+                state: Bytes::copy_from_slice(state),
+            }),
+            Self::Save { environment } => {
+                Request::Save(wire::SaveEnvironment { environment: *environment })
+            }
+            Self::Step { environments, actions } => Request::Step(wire::StepEnvironments {
+                environments: environments.clone(),
+                actions: actions.iter().map(|rows| stacked(environments.len(), rows)).collect(),
+            }),
+        };
+        wire::PlayRequest { request: Some(request) }
+    }
+
+    /// Reads the message, sent to the environment that `spec` describes.
+    ///
+    /// # Errors
+    /// Refuses missing parts, a seed of another length, and actions of other shapes or that are not finite.
+    pub fn from_wire(wire: &wire::PlayRequest, spec: &EnvironmentSpec) -> Result<Self, Refusal> {
+        Ok(match required(wire.request.as_ref(), "request")? {
+            Request::Reset(reset) => {
+                let detail = format!("{} bytes, a seed has 32", reset.seed.len());
+                let wrong = |_| Refusal::new(Reason::BadValue, "reset.seed", detail);
+                let seed = reset.seed.as_ref().try_into().map_err(wrong)?;
+                Self::Reset { environment: reset.environment, seed }
+            }
+            Request::Restore(restore) => {
+                Self::Restore { environment: restore.environment, state: restore.state.to_vec() }
+            }
+            Request::Save(save) => Self::Save { environment: save.environment },
+            Request::Step(step) => {
+                let sizes = spec.agents.iter().map(|agent| agent.action.size as usize);
+                let count = step.environments.len();
+                let actions = columns(&step.actions, count, sizes, "step.actions")?;
+                Self::Step { environments: step.environments.clone(), actions }
+            }
+        })
+    }
+}
+
+impl View {
+    /// The answer that it is.
+    #[must_use]
+    pub fn to_wire(&self, count: usize) -> wire::PlayResponse {
+        wire::PlayResponse { answer: Some(Answer::View(self.message(count))) }
+    }
+
+    /// Reads the answer to a reset or a restore.
+    ///
+    /// # Errors
+    /// Refuses another answer, other shapes than `spec` says, and numbers that are not finite.
+    pub fn from_wire(wire: &wire::PlayResponse, spec: &EnvironmentSpec) -> Result<Self, Refusal> {
+        match &wire.answer {
+            Some(Answer::View(view)) => Self::read(view, spec, 1, "view"),
+            other => Err(other_answer(other.as_ref(), "view")),
+        }
+    }
+
+    fn message(&self, count: usize) -> wire::EnvironmentsView {
+        wire::EnvironmentsView {
+            observations: self.observations.iter().map(|rows| stacked(count, rows)).collect(),
+            state: Some(stacked(count, &self.state)),
+        }
+    }
+
+    fn read(
+        wire: &wire::EnvironmentsView,
+        spec: &EnvironmentSpec,
+        count: usize,
+        field: &str,
+    ) -> Result<Self, Refusal> {
+        let sizes = spec.agents.iter().map(|agent| agent.observation.len());
+        let observations =
+            columns(&wire.observations, count, sizes, &format!("{field}.observations"))?;
+        let shape = [count, spec.state.len()];
+        let state = Floats::check(wire.state.as_ref(), &shape, format!("{field}.state"))?;
+        Ok(Self { observations, state: state.decode()? })
+    }
+}
+
+impl Steps {
+    /// The answer that it is.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::PlayResponse {
+        let count = self.reward.len();
+        let steps = wire::EnvironmentsSteps {
+            view: Some(self.view.message(count)),
+            reward: Some(tensor::floats(&[count], &self.reward)),
+            terminated: Some(tensor::flags(&[count], &self.terminated)),
+            truncated: Some(tensor::flags(&[count], &self.truncated)),
+        };
+        wire::PlayResponse { answer: Some(Answer::Steps(steps)) }
+    }
+
+    /// Reads the answer to a step of `count` environments.
+    ///
+    /// # Errors
+    /// Refuses another answer, other shapes than `spec` says, numbers that are not finite, and an episode that ended in
+    /// both ways.
+    pub fn from_wire(
+        wire: &wire::PlayResponse,
+        spec: &EnvironmentSpec,
+        count: usize,
+    ) -> Result<Self, Refusal> {
+        let wire = match &wire.answer {
+            Some(Answer::Steps(steps)) => steps,
+            other => return Err(other_answer(other.as_ref(), "steps")),
+        };
+        let reward = Floats::check(wire.reward.as_ref(), &[count], "steps.reward".into())?;
+        let terminated = Flags::check(wire.terminated.as_ref(), &[count], "steps.terminated")?;
+        let truncated = Flags::check(wire.truncated.as_ref(), &[count], "steps.truncated")?;
+        let steps = Self {
+            view: View::read(
+                required(wire.view.as_ref(), "steps.view")?,
+                spec,
+                count,
+                "steps.view",
+            )?,
+            reward: reward.decode()?,
+            terminated: terminated.decode()?,
+            truncated: truncated.decode()?,
+        };
+        let mut flags = steps.terminated.iter().zip(&steps.truncated);
+        match flags.position(|(terminated, truncated)| *terminated && *truncated) {
+            None => Ok(steps),
+            Some(at) => {
+                let detail = format!("element {at} is terminated too");
+                Err(Refusal::new(Reason::Inconsistent, "steps.truncated", detail))
+            }
+        }
+    }
+}
+
+/// Reads the answer to a save.
+///
+/// # Errors
+/// Refuses another answer, and a state of no bytes or of more than `spec` says.
+pub fn saved_state(wire: &wire::PlayResponse, spec: &EnvironmentSpec) -> Result<Vec<u8>, Refusal> {
+    let state = match &wire.answer {
+        Some(Answer::Saved(saved)) => &saved.state,
+        other => return Err(other_answer(other.as_ref(), "saved")),
+    };
+    let (found, most) = (state.len(), spec.max_state_bytes as usize);
+    let fits = (1..=most).contains(&found).then_some(());
+    let detail = || format!("{found} bytes, allowed are 1 to {most}");
+    hold(fits.ok_or_else(detail), "saved.state")?;
+    Ok(state.to_vec())
+}
+
+fn other_answer(found: Option<&Answer>, expected: &str) -> Refusal {
+    let found = match found {
+        None => return Refusal::new(Reason::MissingField, "answer", "must be set"),
+        Some(Answer::View(_)) => "view",
+        Some(Answer::Steps(_)) => "steps",
+        Some(Answer::Saved(_)) => "saved",
+    };
+    Refusal::new(Reason::BadValue, "answer", format!("{found}, expected {expected}"))
+}
+
+/// For each agent `[count, size]`.
+fn columns(
+    tensors: &[wire::Tensor],
+    count: usize,
+    sizes: impl ExactSizeIterator<Item = usize>,
+    field: &str,
+) -> Result<Vec<Vec<f32>>, Refusal> {
+    length(tensors.len(), sizes.len(), field)?;
+    let checked = tensors.iter().zip(sizes).enumerate().map(|(i, (tensor, size))| {
+        Floats::check(Some(tensor), &[count, size], format!("{field}[{i}]"))?.decode()
+    });
+    checked.collect()
+}
+
+/// `[count, width]` of equally long rows.
+fn stacked(count: usize, rows: &[f32]) -> wire::Tensor {
+    tensor::floats(&[count, rows.len() / count.max(1)], rows)
+}

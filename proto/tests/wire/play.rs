@@ -1,0 +1,123 @@
+//! What is said to a program that offers an environment: every message survives the round trip, and an answer that
+//! does not fit is refused by name.
+
+use bytes::Bytes;
+use proto::wire::play_response::Answer;
+use proto::{EnvironmentSpec, PlayRequest, Reason, Refusal, Steps, View, saved_state, wire};
+
+use crate::sample::environment;
+
+fn view(count: usize) -> View {
+    let rows = |size: usize| (0..count * size).map(|i| i as f32).collect::<Vec<_>>();
+    View { observations: vec![rows(3), rows(2)], state: rows(4) }
+}
+
+fn steps() -> Steps {
+    Steps {
+        view: view(2),
+        reward: vec![0.5, -1.0],
+        terminated: vec![true, false],
+        truncated: vec![false, true],
+    }
+}
+
+fn saved(bytes: usize) -> wire::PlayResponse {
+    let state = wire::EnvironmentState { state: vec![7; bytes].into() };
+    wire::PlayResponse { answer: Some(Answer::Saved(state)) }
+}
+
+#[test]
+fn requests_survive_the_round_trip() {
+    for request in [
+        PlayRequest::Reset { environment: 3, seed: [9; 32] },
+        PlayRequest::Restore { environment: 0, state: vec![1, 2] },
+        PlayRequest::Save { environment: 1 },
+        PlayRequest::Step {
+            environments: vec![0, 2],
+            actions: vec![vec![0.1, 0.2, 0.3, 0.4], vec![-1.0, 1.0]],
+        },
+    ] {
+        assert_eq!(PlayRequest::from_wire(&request.to_wire(), &environment()), Ok(request));
+    }
+}
+
+#[test]
+fn answers_survive_the_round_trip() {
+    let spec = environment();
+    assert_eq!(View::from_wire(&view(1).to_wire(1), &spec), Ok(view(1)));
+    assert_eq!(Steps::from_wire(&steps().to_wire(), &spec, 2), Ok(steps()));
+    assert_eq!(saved_state(&saved(64), &spec), Ok(vec![7; 64]));
+}
+
+fn refused(change: fn(&mut wire::EnvironmentsSteps)) -> Refusal {
+    let mut answer = steps().to_wire();
+    let Some(Answer::Steps(steps)) = &mut answer.answer else { panic!("no steps") };
+    change(steps);
+    Steps::from_wire(&answer, &environment(), 2).unwrap_err()
+}
+
+#[test]
+fn an_answer_that_does_not_fit_is_refused_by_name() {
+    type Lie = (fn(&mut wire::EnvironmentsSteps), Reason, &'static str);
+    let lies: [Lie; 6] = [
+        (|steps| steps.view = None, Reason::MissingField, "steps.view"),
+        (|steps| steps.reward = None, Reason::MissingField, "steps.reward"),
+        (
+            |steps| steps.terminated.as_mut().unwrap().data = Bytes::from_static(&[1, 2]),
+            Reason::BadValue,
+            "steps.terminated",
+        ),
+        (
+            |steps| steps.truncated = steps.terminated.clone(),
+            Reason::Inconsistent,
+            "steps.truncated",
+        ),
+        (
+            |steps| steps.view.as_mut().unwrap().observations.swap(0, 1),
+            Reason::BadShape,
+            "steps.view.observations[0]",
+        ),
+        (
+            |steps| {
+                let state = steps.view.as_mut().unwrap().state.as_mut().unwrap();
+                state.data = f32::INFINITY.to_le_bytes().repeat(8).into();
+            },
+            Reason::NotFinite,
+            "steps.view.state",
+        ),
+    ];
+    for (lie, reason, field) in lies {
+        let refusal = refused(lie);
+        assert_eq!((refusal.reason, refusal.field.as_str()), (reason, field), "{refusal}");
+    }
+}
+
+#[test]
+fn another_answer_than_the_one_asked_for_is_refused() {
+    let field = |refused: Result<View, Refusal>| refused.unwrap_err().to_string();
+    let spec = environment();
+    assert_eq!(
+        field(View::from_wire(&steps().to_wire(), &spec)),
+        "BAD_VALUE: answer: steps, expected view"
+    );
+    let nothing = wire::PlayResponse { answer: None };
+    assert_eq!(field(View::from_wire(&nothing, &spec)), "MISSING_FIELD: answer: must be set");
+}
+
+#[test]
+fn a_saved_state_has_bytes_and_not_more_than_it_may() {
+    for bytes in [0, 65] {
+        let refusal = saved_state(&saved(bytes), &environment()).unwrap_err();
+        let detail = format!("BAD_VALUE: saved.state: {bytes} bytes, allowed are 1 to 64");
+        assert_eq!(refusal.to_string(), detail);
+    }
+}
+
+#[test]
+fn a_program_that_cannot_save_states_is_no_liar_and_equal_descriptions_have_one_digest() {
+    let offered = EnvironmentSpec { max_state_bytes: 0, ..environment() };
+    let answer = wire::DescribeEnvironmentResponse { environment: Some(offered.to_wire()) };
+    let read = EnvironmentSpec::from_service(answer);
+    assert_eq!(read.as_ref().map(EnvironmentSpec::digest), Ok(offered.digest()));
+    assert_ne!(offered.digest(), environment().digest());
+}

@@ -1,0 +1,118 @@
+"""Environments of other authors, offered over gRPC by `s2mia_environment`, and policies that learn in them."""
+
+import json
+import subprocess
+
+import numpy as np
+import pytest
+from conftest import SMALL, command
+from games import STEPS, Follow, Push
+from gymnasium import spaces
+from s2mia_environment import Parallel
+
+# Both agents guess: one step of nine is paid.
+GUESSING = STEPS / 9
+CUE = ["run.env_steps=30000", "evaluation.every_steps=10000"]
+
+
+def train(folder, url: str, *settings: str) -> subprocess.CompletedProcess:
+    arguments = ("train", *SMALL, f"run.dir={folder}", "--environment", url, *settings)
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, check=False)
+
+
+def told(folder) -> tuple[str, list[float]]:
+    """Hash of the final weights, and the mean returns of evaluations."""
+    done = subprocess.run(command("inspect", folder, "--json"), capture_output=True, text=True, check=True)
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    return json.loads(done.stdout)["weights_sha256"], [line["mean"] for line in lines if line["kind"] == "evaluation"]
+
+
+def test_agents_learn_in_a_pettingzoo_environment(offer, tmp_path):
+    done = train(tmp_path / "run", offer("games:Follow"), "run.actors=2", *CUE)
+    assert done.returncode == 0, done.stderr
+    assert "task follow" in done.stdout
+    _, returns = told(tmp_path / "run")
+    assert returns[0] < 3 * GUESSING
+    assert returns[-1] > 0.9 * STEPS
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert manifest["environment_states"] == "replayed"
+
+
+def test_an_environment_without_states_gives_one_actor_and_two_the_same_weights(offer, tmp_path):
+    url = offer("games:Follow")
+    short = ("run.iterations=3", "environments.steps=20", "environments.chunk_steps=20")
+    hashes = []
+    for actors in (1, 2):
+        folder = tmp_path / str(actors)
+        done = train(folder, url, *short, f"run.actors={actors}")
+        assert done.returncode == 0, done.stderr
+        hashes.append(told(folder)[0])
+    assert hashes[0] == hashes[1]
+
+
+@pytest.mark.parametrize(
+    ("lie", "field"),
+    [
+        ("shown=NaN", "NOT_FINITE: view.observations[0]: element 0 is NaN"),
+        ("count=2", "BAD_SHAPE: view.observations[0]: [1, 2], expected [1, 1]"),
+        ("state=3", "BAD_SHAPE: view.state: [1, 3], expected [1, 1]"),
+    ],
+)
+def test_a_program_that_shows_something_else_than_it_says_ends_the_run_by_field(offer, tmp_path, lie, field):
+    done = train(tmp_path / "run", offer("games:Liar", lie), "run.actors=1")
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()[-1:]
+    assert f"answers wrongly: {field}" in line
+
+
+def test_choices_are_numbered_as_the_environment_does_and_observations_lie_flat():
+    game = Parallel(Follow())
+    game.reset(bytes(32))
+    state, seen = game.observe()
+    assert [row.tolist() for row in seen] == [np.eye(3)[game.env.sign].tolist()] * 2
+    assert state.tolist() == [*seen[0], *seen[1]], "without a state of its own, all observations"
+    right = [np.array([game.env.sign], np.float32)] * 2
+    assert game.step(right) == (1.0, False, False)
+    action = game.spec.agents[0].action
+    assert (action.size, action.choices, game.spec.episode_steps, game.spec.dt_secs) == (1, 3, STEPS, 0.1)
+
+
+def test_the_same_seed_gives_the_same_episode_and_another_seed_another():
+    def signs(seed: bytes) -> list[int]:
+        game = Parallel(Follow())
+        game.reset(seed)
+        return [game.step([np.zeros(1)] * 2) and game.env.sign for _ in range(20)]
+
+    assert signs(bytes(32)) == signs(bytes(32)) != signs(bytes(31) + b"\x01")
+
+
+def test_pushes_are_clamped_and_brought_into_ranges_of_their_own():
+    game = Parallel(Push())
+    action = game.spec.agents[0].action
+    assert (action.size, action.low, action.high) == (2, -2.0, 2.0)
+    game.step([np.array([0.5, 9.0], np.float32)] * 2)
+    assert game.observe()[1][0].tolist() == [0.5, 2.0]
+    uneven = Parallel(Push(low=(0.0, -1.0), high=(4.0, 1.0)))
+    assert (uneven.spec.agents[0].action.low, uneven.spec.agents[0].action.high) == (-1.0, 1.0)
+    uneven.step([np.array([0.0, 9.0], np.float32)] * 2)
+    assert uneven.observe()[1][0].tolist() == [2.0, 1.0]
+
+
+def test_the_team_is_paid_the_mean_and_ends_with_its_first_agent():
+    game = Parallel(Push())
+    assert game.step([np.zeros(2)] * 2) == (2.0, False, True)
+    assert game.step([np.full(2, 2.0)] * 2) == (2.0, True, False)
+
+
+def test_actions_that_no_policy_can_be_taught_are_refused_when_the_program_starts():
+    class Endless(Push):
+        def action_space(self, agent):
+            return spaces.Box(-np.inf, np.inf, (1,))
+
+    class Many(Push):
+        def action_space(self, agent):
+            return spaces.MultiDiscrete([2, 2])
+
+    for kind, why in ((Endless, "without bounds"), (Many, "one Box or one Discrete")):
+        with pytest.raises(ValueError, match=why):
+            Parallel(kind())

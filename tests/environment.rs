@@ -1,0 +1,253 @@
+//! A run whose environment another program offers: it is the run that the simulator's own environment gives, whatever
+//! dies on the way, and a program that lies is found out by field.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/cue_service.rs"]
+mod cue_service;
+#[path = "system/processes.rs"]
+mod processes;
+#[path = "system/runs.rs"]
+mod runs;
+#[path = "system/waiting.rs"]
+mod waiting;
+
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use proto::wire;
+use proto::wire::play_response::Answer;
+
+use cue_service::{CueService, Manners};
+use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
+use waiting::{eventually, under_way};
+
+/// Episodes of up to 50 steps begin in one slot and end in another.
+const CUE: &[&str] = &["task=cue-2x1", "run.iterations=6"];
+
+fn settings<'a>(folder: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&["train"], TINY, CUE, &[folder], more].concat()
+}
+
+fn dir(folder: &Path) -> String {
+    format!("run.dir={}", folder.display())
+}
+
+fn trained(folder: &Path, more: &[&str]) {
+    train(folder, &[CUE, more].concat());
+}
+
+fn weights(folder: &Path) -> serde_json::Value {
+    inspect(folder)["weights_sha256"].clone()
+}
+
+fn manifest(folder: &Path) -> serde_json::Value {
+    serde_json::from_str(&std::fs::read_to_string(folder.join("manifest.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn a_game_offered_by_another_program_gives_the_weights_of_our_own() {
+    let runs = Runs::new();
+    let own = runs.folder("own");
+    trained(&own, &["run.actors=1"]);
+    assert_eq!(manifest(&own)["environment_states"], "encoded");
+    for (manners, states) in [(Manners::GOOD, "saved"), (Manners::FORGETFUL, "replayed")] {
+        let service = CueService::start(manners);
+        for actors in ["run.actors=1", "run.actors=2"] {
+            let folder = runs.folder(&format!("{states}-{actors}"));
+            trained(&folder, &[actors, "--environment", &service.url]);
+            assert_eq!(weights(&folder), weights(&own), "states {states}, {actors}");
+            assert_eq!(manifest(&folder)["environment_states"], states);
+        }
+    }
+}
+
+fn start(folder: &Path, more: &[&str]) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(settings(&dir(folder), more)).stdout(Stdio::null()).stderr(Stdio::null());
+    command.spawn().unwrap()
+}
+
+/// The actors of a run that is under way.
+fn actors(run: &Child, folder: &Path) -> Vec<u32> {
+    under_way(folder);
+    eventually(|| match processes::children(run.id()) {
+        found if found.len() >= 2 => Ok(found),
+        found => Err(format!("{} of 2 actors have started", found.len())),
+    })
+}
+
+#[test]
+fn neither_a_killed_actor_nor_a_program_that_dies_or_breaks_off_changes_the_weights() {
+    let runs = Runs::new();
+    let [own, killed, died, broken] =
+        ["own", "killed", "died", "broken"].map(|name| runs.folder(name));
+    let longer = ["run.iterations=30", "run.actors=2", "--environment"];
+    trained(&own, &longer[..2]);
+    let service = CueService::start(Manners::GOOD);
+    let in_service = [&longer[..], &[service.url.as_str()]].concat();
+
+    let mut run = start(&killed, &in_service);
+    let actor = actors(&run, &killed)[0].to_string();
+    assert!(Command::new("kill").args(["-KILL", &actor]).status().unwrap().success());
+    assert!(run.wait().unwrap().success());
+    assert_eq!(weights(&killed), weights(&own));
+
+    let mut run = start(&died, &in_service);
+    actors(&run, &died);
+    let address = service.url.trim_start_matches("http://").to_owned();
+    drop(service);
+    let _again = CueService::start_at(&address, Manners::GOOD);
+    assert!(run.wait().unwrap().success());
+    assert_eq!(weights(&died), weights(&own));
+
+    let service = CueService::start(Manners { breaks_off_every: 150, ..Manners::GOOD });
+    trained(&broken, &[&longer[..], &[service.url.as_str()]].concat());
+    assert_eq!(weights(&broken), weights(&own));
+}
+
+/// The one line with which training in `manners` ends.
+fn refusal(manners: Manners) -> String {
+    let (runs, service) = (Runs::new(), CueService::start(manners));
+    let folder = runs.folder("refused");
+    let output = s2mia(&settings(
+        &dir(&folder),
+        &[
+            "run.actors=1",
+            "lease.ttl_secs=1",
+            "lease.heartbeat_secs=0.2",
+            "--environment",
+            &service.url,
+        ],
+    ));
+    assert_eq!(output.status.code(), Some(1));
+    String::from_utf8(output.stderr).unwrap().lines().last().unwrap().to_owned()
+}
+
+#[test]
+fn a_program_that_lies_about_itself_is_refused_by_field_before_anything_starts() {
+    type Lie = fn(&mut wire::EnvironmentSpec);
+    let lies: [(Lie, &str); 6] = [
+        (|spec| spec.agents.clear(), "environment.agents: must be at least 1"),
+        (|spec| spec.task = "two\nlines".into(), "environment.task"),
+        (|spec| spec.agents[1].observation.clear(), "environment.agents[1].observation"),
+        (|spec| spec.agents[0].seen = vec![4], "environment.agents[0].seen"),
+        (|spec| spec.agents[0].action.as_mut().unwrap().low = f32::NAN, "agents[0].action.high"),
+        (|spec| spec.dt_secs = 0.0, "environment.dt_secs"),
+    ];
+    for (description, field) in lies {
+        let line = refusal(Manners { description, ..Manners::GOOD });
+        assert!(line.contains("answers wrongly") && line.contains(field), "{line}");
+    }
+}
+
+#[test]
+fn a_program_that_lies_in_its_answers_ends_its_actors_with_the_field() {
+    type Lie = fn(&mut Answer);
+    let lies: [(Lie, &str); 5] = [
+        (
+            |answer| {
+                if let Answer::View(view) = answer {
+                    view.observations.pop();
+                }
+            },
+            "view.observations: 1 entries, expected 2",
+        ),
+        (
+            |answer| {
+                if let Answer::Steps(steps) = answer {
+                    steps.reward.as_mut().unwrap().data = f32::NAN.to_le_bytes().repeat(2).into();
+                }
+            },
+            "NOT_FINITE: steps.reward: element 0 is NaN",
+        ),
+        (
+            |answer| {
+                if let Answer::Steps(steps) = answer {
+                    steps.view.as_mut().unwrap().state.as_mut().unwrap().shape = vec![2, 5];
+                }
+            },
+            "steps.view.state",
+        ),
+        (
+            |answer| {
+                if let Answer::Saved(saved) = answer {
+                    saved.state = vec![0; 10_000].into();
+                }
+            },
+            "saved.state: 10000 bytes",
+        ),
+        (
+            |answer| {
+                if let Answer::Saved(_) = answer {
+                    *answer = Answer::View(wire::EnvironmentsView::default());
+                }
+            },
+            "answer: view, expected saved",
+        ),
+    ];
+    for (answer, field) in lies {
+        let line = refusal(Manners { answer, ..Manners::GOOD });
+        assert!(line.contains("answers wrongly") && line.contains(field), "{line}");
+    }
+}
+
+/// Of another environment than the game.
+const OTHER: Manners = Manners { description: |spec| spec.dt_secs = 0.2, ..Manners::GOOD };
+
+#[test]
+fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
+    let runs = Runs::new();
+    let folder = runs.folder("resumed");
+    let service = CueService::start(Manners::GOOD);
+    trained(&folder, &["run.iterations=2", "--environment", &service.url]);
+    let path = folder.to_str().unwrap();
+    let resume =
+        |url: &str| s2mia(&["train", "--resume", path, "run.iterations=4", "--environment", url]);
+    let other = CueService::start(OTHER);
+    for url in [other.url.as_str(), ""] {
+        let output = resume(url);
+        let line = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), line.lines().count()), (Some(2), 1), "{line}");
+        assert!(line.contains("the run's environment is one with the description"), "{line}");
+    }
+    let moved = CueService::start(Manners::GOOD);
+    assert!(resume(&moved.url).status.success());
+    let told = succeeded(&["eval", path, "--episodes", "1", "--json"]);
+    assert!(told.contains("\"task\":\"cue-2x1\"") && told.contains("\"steps\":50"), "{told}");
+    assert!(succeeded(&["record", path]).contains("50 steps"));
+    let told = |command: &str| String::from_utf8(s2mia(&[command, path]).stderr).unwrap();
+    let line = told("film");
+    assert!(line.contains("only the simulator's robots can be drawn"), "{line}");
+    let address = moved.url.trim_start_matches("http://").to_owned();
+    drop(moved);
+    let line = told("eval");
+    assert!(line.contains("does not answer"), "{line}");
+    let _other = CueService::start_at(&address, OTHER);
+    let line = told("eval");
+    assert!(line.contains("the run's environment is one with the description"), "{line}");
+}
+
+#[test]
+fn an_actor_that_is_not_told_where_the_environment_is_says_what_to_pass() {
+    let runs = Runs::new();
+    let service = CueService::start(Manners::GOOD);
+    let folder = dir(&runs.folder("untold"));
+    let arguments = ["learner", "--listen=127.0.0.1:0", "--environment", &service.url, &folder];
+    let mut learner = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    let mut learner = learner
+        .args(arguments)
+        .args(CUE)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut first = String::new();
+    BufReader::new(learner.stdout.take().unwrap()).read_line(&mut first).unwrap();
+    let output = s2mia(&["actor", "--learner", first.split_whitespace().last().unwrap()]);
+    learner.kill().unwrap();
+    learner.wait().unwrap();
+    let log = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{log}");
+    assert!(log.contains("pass --environment with its URL"), "{log}");
+}

@@ -1,0 +1,199 @@
+//! The game `cue-2x1`, offered over gRPC by this process as any program might.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use policy::Key;
+use proto::wire::environment_service_server::{EnvironmentService, EnvironmentServiceServer};
+use proto::wire::{PlayResponse, play_response};
+use proto::{EnvironmentSpec, PlayRequest, Steps, View, wire};
+use sim::{Environments, Outcome, TaskConfig};
+use tokio::net::TcpListener;
+use tokio::runtime::Runtime;
+use tokio::sync::mpsc;
+use tokio_stream::StreamExt as _;
+use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
+use tonic::transport::Server;
+use tonic::{Request, Response, Status, Streaming};
+
+/// What the program does wrong, if anything.
+#[derive(Clone)]
+pub(crate) struct Manners {
+    /// Changes what it says of itself.
+    pub(crate) description: fn(&mut wire::EnvironmentSpec),
+    /// Changes an answer.
+    pub(crate) answer: fn(&mut play_response::Answer),
+    /// Breaks off the stream of every such answer, counted over all streams; 0: none.
+    pub(crate) breaks_off_every: u32,
+}
+
+impl Manners {
+    pub(crate) const GOOD: Self = Self { description: |_| {}, answer: |_| {}, breaks_off_every: 0 };
+    /// Good ones, of a program that cannot save states.
+    pub(crate) const FORGETFUL: Self =
+        Self { description: |spec| spec.max_state_bytes = 0, ..Self::GOOD };
+}
+
+/// The program; it ends with this value.
+pub(crate) struct CueService {
+    pub(crate) url: String,
+    _runtime: Runtime,
+}
+
+impl CueService {
+    pub(crate) fn start(manners: Manners) -> Self {
+        Self::start_at("127.0.0.1:0", manners)
+    }
+
+    pub(crate) fn start_at(address: &str, manners: Manners) -> Self {
+        let runtime =
+            tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+        let runtime = runtime.unwrap();
+        let listener = runtime.block_on(TcpListener::bind(address)).unwrap();
+        let url = format!("http://{}", listener.local_addr().unwrap());
+        let game = Game { manners, answers: Arc::default() };
+        let server = Server::builder().add_service(EnvironmentServiceServer::new(game));
+        runtime.spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
+        Self { url, _runtime: runtime }
+    }
+}
+
+#[derive(Clone)]
+struct Game {
+    manners: Manners,
+    answers: Arc<AtomicU32>,
+}
+
+fn environment() -> Environments {
+    let task = serde_json::json!({
+        "task": "cue-2x1",
+        "observation": {
+            "mode": "full_id", "norm": "none", "nearest": 1, "globals": "shown", "contact_forces": "absent",
+        },
+        "partition": "actuator_slices",
+    });
+    let task: TaskConfig = serde_json::from_value(task).unwrap();
+    Environments::new(&task, 1).unwrap()
+}
+
+fn spec() -> EnvironmentSpec {
+    actor::environment_spec(environment().description())
+}
+
+#[tonic::async_trait]
+impl EnvironmentService for Game {
+    async fn describe_environment(
+        &self,
+        _: Request<wire::DescribeEnvironmentRequest>,
+    ) -> Result<Response<wire::DescribeEnvironmentResponse>, Status> {
+        let mut environment = spec().to_wire();
+        (self.manners.description)(&mut environment);
+        let environment = Some(environment);
+        Ok(Response::new(wire::DescribeEnvironmentResponse { environment }))
+    }
+
+    type PlayStream = ReceiverStream<Result<PlayResponse, Status>>;
+
+    async fn play(
+        &self,
+        request: Request<Streaming<wire::PlayRequest>>,
+    ) -> Result<Response<Self::PlayStream>, Status> {
+        let (answers, queue) = mpsc::channel(1);
+        tokio::spawn(self.clone().answer_all(request.into_inner(), answers));
+        Ok(Response::new(ReceiverStream::new(queue)))
+    }
+}
+
+impl Game {
+    async fn answer_all(
+        self,
+        mut requests: Streaming<wire::PlayRequest>,
+        answers: mpsc::Sender<Result<PlayResponse, Status>>,
+    ) {
+        let mut games = BTreeMap::new();
+        while let Some(Ok(request)) = requests.next().await {
+            let answer =
+                self.answer(&mut games, PlayRequest::from_wire(&request, &spec()).unwrap());
+            if answers.send(answer).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    fn answer(
+        &self,
+        games: &mut BTreeMap<u32, Environments>,
+        request: PlayRequest,
+    ) -> Result<PlayResponse, Status> {
+        let count = self.answers.fetch_add(1, Ordering::Relaxed) + 1;
+        if self.manners.breaks_off_every > 0 && count.is_multiple_of(self.manners.breaks_off_every)
+        {
+            return Err(Status::unavailable("gone for a moment"));
+        }
+        let mut answer = play(games, request);
+        if let Some(answer) = &mut answer.answer {
+            (self.manners.answer)(answer);
+        }
+        Ok(answer)
+    }
+}
+
+fn play(games: &mut BTreeMap<u32, Environments>, request: PlayRequest) -> PlayResponse {
+    match request {
+        PlayRequest::Reset { environment: number, seed } => {
+            let game = games.entry(number).or_insert_with(environment);
+            // The player cuts episodes; this game would at its own limit, which is never earlier.
+            game.reset(0, 0, u32::MAX, &mut Key(seed).generator());
+            look(game).to_wire(1)
+        }
+        PlayRequest::Restore { environment: number, state } => {
+            let game = games.entry(number).or_insert_with(environment);
+            game.restore(0, &state).unwrap();
+            look(game).to_wire(1)
+        }
+        PlayRequest::Save { environment: number } => {
+            let state = games[&number].encode(0).into();
+            let answer = play_response::Answer::Saved(wire::EnvironmentState { state });
+            PlayResponse { answer: Some(answer) }
+        }
+        PlayRequest::Step { environments, actions } => step(games, &environments, &actions),
+    }
+}
+
+fn step(
+    games: &mut BTreeMap<u32, Environments>,
+    environments: &[u32],
+    actions: &[Vec<f32>],
+) -> PlayResponse {
+    let nothing = View { observations: vec![Vec::new(); actions.len()], state: Vec::new() };
+    let (reward, terminated, truncated) = Default::default();
+    let mut steps = Steps { view: nothing, reward, terminated, truncated };
+    for (row, number) in environments.iter().enumerate() {
+        let game = games.get_mut(number).unwrap();
+        let joint = actions.iter().map(|rows| rows[row]).collect::<Vec<_>>();
+        let mut outcome = [Outcome::default()];
+        game.step(&joint, &mut outcome).unwrap();
+        let seen = look(game);
+        for (all, own) in steps.view.observations.iter_mut().zip(seen.observations) {
+            all.extend(own);
+        }
+        steps.view.state.extend(seen.state);
+        steps.reward.push(outcome[0].reward);
+        steps.terminated.push(outcome[0].terminated);
+        steps.truncated.push(outcome[0].truncated);
+    }
+    steps.to_wire()
+}
+
+fn look(game: &Environments) -> View {
+    let description = game.description();
+    let agents = description.agents.iter().enumerate().map(|(agent, of)| {
+        let mut row = vec![0.0; of.observation.len()];
+        game.observation(0, agent, &mut row);
+        row
+    });
+    let mut state = vec![0.0; description.state.len()];
+    game.state(0, &mut state);
+    View { observations: agents.collect(), state }
+}
