@@ -17,7 +17,8 @@ use policy::{ActorPolicy, Key, PolicySnapshot};
 pub(crate) fn export(
     folder: &Path,
     snapshot: &PolicySnapshot,
-    (world, start): (&mut dyn EnvironmentBatch, Key),
+    world: &mut dyn EnvironmentBatch,
+    start: Key,
     about: &BTreeMap<String, String>,
 ) -> anyhow::Result<Vec<(String, String)>> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;

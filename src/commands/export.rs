@@ -15,8 +15,8 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let about = checkpointed::metadata(&trained, &stage.environment.description().task);
     // The first episode that `s2mia eval` plays.
     let start = Key::of(seed, Draw::of(Purpose::EvaluationReset).iteration(trained.iteration));
-    let world = (stage.environment.as_mut(), start);
-    let files = export::export(&arguments.onnx, &trained.policy, world, &about)?;
+    let world = stage.environment.as_mut();
+    let files = export::export(&arguments.onnx, &trained.policy, world, start, &about)?;
     for (name, holds) in files {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }
