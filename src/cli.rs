@@ -2,6 +2,7 @@
 
 mod figures;
 mod log;
+mod page;
 mod tls;
 
 use std::net::SocketAddr;
@@ -13,6 +14,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
+pub(crate) use page::{PageAddress, PageArguments};
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
@@ -145,6 +147,9 @@ pub(crate) struct TrainArguments {
     /// Stop after a checkpoint as soon as standard input closes, so that no run outlives the process that started it.
     #[arg(long)]
     pub(crate) stop_with_stdin: bool,
+    /// Page.
+    #[command(flatten)]
+    pub(crate) page: PageArguments,
 }
 
 /// `s2mia learner`
@@ -165,6 +170,9 @@ pub(crate) struct LearnerArguments {
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ServerTlsArguments,
+    /// Page.
+    #[command(flatten)]
+    pub(crate) page: PageArguments,
 }
 
 /// `s2mia actor`

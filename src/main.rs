@@ -13,6 +13,7 @@ mod launch;
 mod learning_curve;
 mod logging;
 mod output;
+mod page;
 mod palette;
 mod picture;
 mod progress;
