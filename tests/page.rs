@@ -142,6 +142,11 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
     // Two slots of two chunks in each iteration.
     let chunks = sample(&scrape, "s2mia_chunks_total{result=\"accepted\"}");
     assert!(chunks >= 4.0 * line["iteration"].as_f64().unwrap(), "{chunks} chunks");
+    // Evaluations are at every second iteration, and each is filmed.
+    let film = learner.json("/api/film");
+    assert_eq!(film["iteration"], shown["film"]);
+    let numbers = film["ends"].as_array().unwrap().len();
+    assert_eq!(numbers, 400 * film["radii"].as_array().unwrap().len() * 6);
     let curves = learner.json("/api/curves");
     assert_eq!(curves["lines"], shown["lines"]);
     let curve = &curves["curves"]["rollout_secs"];
@@ -186,7 +191,7 @@ fn a_page_that_is_looked_at_all_the_time_changes_no_weight() {
     let mut learner = Learner::start(&watched, "127.0.0.1:0");
     learner.add_actor();
     eventually(|| {
-        let paths = ["/", "/api/run", "/api/status", "/api/curves", "/metrics"];
+        let paths = ["/", "/api/run", "/api/status", "/api/curves", "/api/film", "/metrics"];
         paths.iter().for_each(|path| drop(learner.get(path)));
         let iteration = last_iteration(&watched)["iteration"].as_u64().unwrap_or_default();
         if iteration >= 3 { Ok(()) } else { Err(format!("{iteration} iterations of 3")) }

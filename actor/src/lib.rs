@@ -14,6 +14,7 @@ mod client;
 pub mod config;
 pub mod error;
 pub mod evaluation;
+mod film;
 pub mod identity;
 mod leasing;
 pub mod recording;

@@ -8,12 +8,14 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, generator};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    EvaluationResult, EvaluationWork, Lease, PushHeader, RolloutWork, RunDescription, Work, wire,
+    EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork, RunDescription, Work,
+    wire,
 };
 use sim::{Environments, SimError, TaskConfig};
 use tokio::sync::mpsc;
 
 use crate::evaluation::play_on;
+use crate::film::{Camera, FILMED};
 use crate::rollout::roll_out;
 use crate::trajectory_log::Desk;
 
@@ -58,6 +60,8 @@ struct Worlds {
     slot: Environments,
     /// One environment of its own, so that evaluation touches no slot's.
     evaluation: Environments,
+    /// Its name.
+    task: String,
     /// Where what is logged is handed in.
     desk: Option<Desk>,
 }
@@ -70,7 +74,13 @@ impl Stepper {
         desk: Option<Desk>,
     ) -> Result<Self, SimError> {
         let slot = Environments::new(task, run.environments_per_slot as usize)?;
-        let worlds = Worlds { run, slot, evaluation: Environments::new(task, 1)?, desk };
+        let worlds = Worlds {
+            run,
+            slot,
+            evaluation: Environments::new(task, 1)?,
+            task: task.task.clone(),
+            desk,
+        };
         let (jobs, queue) = mpsc::channel(1);
         let (results, produced) = mpsc::channel(QUEUE);
         let thread = std::thread::Builder::new().name("stepping".to_owned());
@@ -102,9 +112,12 @@ impl Worlds {
         match &job.lease.work {
             Work::Rollout(work) => self.roll_out(job, work, results),
             Work::Evaluation(work) => {
-                let result = self.evaluate(job, *work)?;
+                let (result, film) = self.evaluate(job, *work)?;
+                let content = Content::Evaluation(result.to_wire());
+                let mut message = PushHeader::of(&job.lease, result.digest()).to_wire(content);
+                message.film = film.as_ref().map(Film::to_wire);
                 // Nobody waits behind an evaluation's only message.
-                let _ = send(job, result.digest(), Content::Evaluation(result.to_wire()), results);
+                let _ = send(job, message, results);
                 Ok(())
             }
         }
@@ -129,7 +142,8 @@ impl Worlds {
             if let Some(witness) = &witness {
                 witness.borrow_mut().keep(chunk);
             }
-            send(job, digest, Content::Chunk(message), results)
+            let content = Content::Chunk(message);
+            send(job, PushHeader::of(&job.lease, digest).to_wire(content), results)
         })?;
         if let (Some(desk), Some(witness)) = (desk, witness) {
             desk.take_rollout(witness.into_inner());
@@ -137,7 +151,11 @@ impl Worlds {
         Ok(())
     }
 
-    fn evaluate(&mut self, job: &Job, work: EvaluationWork) -> Result<EvaluationResult, SimError> {
+    fn evaluate(
+        &mut self,
+        job: &Job,
+        work: EvaluationWork,
+    ) -> Result<(EvaluationResult, Option<Film>), SimError> {
         let key =
             Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
         let mut rng = generator(RunSeed(self.run.seed), key);
@@ -145,7 +163,14 @@ impl Worlds {
         world.reset(0, 0, world.description().episode_steps, &mut rng);
         let desk = self.desk.as_ref();
         let mut witness = desk.and_then(|desk| desk.evaluation(&job.lease, work, world));
+        let mut camera = match work.episode {
+            FILMED => Camera::before(world, &self.task)?,
+            _ => None,
+        };
         let episode = play_on(world, &job.policy, &mut |step| {
+            if let Some(camera) = &mut camera {
+                camera.see(step.world);
+            }
             if let Some(witness) = &mut witness {
                 witness.see(step);
             }
@@ -153,24 +178,23 @@ impl Worlds {
         if let (Some(desk), Some(witness)) = (desk, witness) {
             desk.take_evaluation(witness);
         }
-        Ok(EvaluationResult {
+        let result = EvaluationResult {
             episode: work.episode,
             extrinsic_return: episode.extrinsic_return,
             steps: episode.steps,
-        })
+        };
+        Ok((result, camera.map(Camera::film)))
     }
 }
 
 fn send(
     job: &Job,
-    digest: proto::Digest,
-    content: Content,
+    message: wire::PushTrajectoryRequest,
     results: &mpsc::Sender<Produced>,
 ) -> ControlFlow<()> {
     if job.watch.cancelled.load(Ordering::Relaxed) {
         return ControlFlow::Break(());
     }
-    let message = PushHeader::of(&job.lease, digest).to_wire(content);
     match results.blocking_send(Produced::Message(Box::new(message))) {
         Ok(()) => ControlFlow::Continue(()),
         Err(_) => ControlFlow::Break(()),

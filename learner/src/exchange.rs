@@ -17,12 +17,14 @@ use crate::canary;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
+mod film;
 mod incidents;
 mod patience;
 mod reports;
 mod status;
 mod weights;
 
+pub use film::FilmedEpisode;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
 pub use patience::LeaseConfig;
@@ -71,6 +73,7 @@ struct Shared {
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
     chunks_accepted: u64,
+    film: Option<Arc<FilmedEpisode>>,
     names: Names,
     pace: Pace,
 }
@@ -87,6 +90,7 @@ impl Exchange {
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
             chunks_accepted: 0,
+            film: None,
             names: Names::default(),
             pace: Pace::default(),
         };

@@ -15,6 +15,9 @@ from runs import free_port, training
 STATE = "document.getElementById('state').textContent"
 CURVES = "document.querySelectorAll('figure path').length"
 POINTS = "(document.querySelector('[id=\"chart training return\"] path')?.getAttribute('d').length ?? 0)"
+# Two looks at the film differ: the robot moves.
+MOVES = "((now) => { const moved = window.seen !== undefined && window.seen !== now; window.seen = now; return moved; })" \
+    "(document.querySelector('canvas').toDataURL())"
 ITERATION = "Number(document.querySelector('#tiles b')?.textContent.replace(/,/g, '') ?? 0)"
 
 
@@ -33,6 +36,7 @@ def watch(page: Tab, folder: pathlib.Path, pictures: pathlib.Path | None) -> Non
             if pictures:
                 page.screenshot(pictures / f"page-{scheme}.png")
         hover(page)
+        page.wait_until(f"!document.getElementById('film').hidden && {MOVES}")
         learner.kill()
         page.wait_until(f"{STATE} === 'disconnected'")
         if pictures:

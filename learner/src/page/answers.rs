@@ -28,6 +28,7 @@ pub(super) fn status(board: &Board) -> Value {
         "checkpoint": told.checkpoint.map(|written| written.iteration),
         "checkpoint_failures": told.checkpoint_failures,
         "lines": board.lines(),
+        "film": board.exchange.film().map(|episode| episode.version.0),
     })
 }
 
@@ -41,4 +42,20 @@ pub(super) fn curves(board: &Board) -> Value {
         (name.to_owned(), json!([steps, figures]))
     });
     json!({"lines": curves.lines(), "curves": all.collect::<Map<_, _>>()})
+}
+
+/// The newest film of an evaluated episode, or null. Ends are told in millimetres.
+pub(super) fn film(board: &Board) -> Value {
+    let Some(episode) = board.exchange.film() else { return Value::Null };
+    let film = &episode.film;
+    let millimetres = film.ends.iter().map(|metres| (metres * 1e3).round() as i64);
+    json!({
+        "iteration": episode.version.0,
+        "return": episode.result.extrinsic_return,
+        "steps": episode.result.steps,
+        "frame_secs": film.frame_secs,
+        "radii": film.radii,
+        "drivers": film.drivers,
+        "ends": millimetres.collect::<Vec<_>>(),
+    })
 }

@@ -61,6 +61,7 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/api/run", get(async |State(site): Shared| json(&answers::run(&site.board))))
         .route("/api/status", get(async |State(site): Shared| json(&answers::status(&site.board))))
         .route("/api/curves", get(async |State(site): Shared| json(&answers::curves(&site.board))))
+        .route("/api/film", get(async |State(site): Shared| json(&answers::film(&site.board))))
         .route("/metrics", get(async |State(site): Shared| metrics(&site.board)))
         .layer(middleware::from_fn_with_state(Arc::clone(&site), guard))
         .with_state(site)
