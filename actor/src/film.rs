@@ -52,3 +52,31 @@ impl Camera {
         self.film
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trajectory_log::tests::fixture;
+
+    #[test]
+    fn a_film_shows_every_capsule_where_its_link_is_for_as_many_steps_as_it_has_room_for() {
+        let world = fixture::world();
+        let mut camera = Camera::before(&world, &fixture::task().task).unwrap().unwrap();
+        (0..MAX_FRAMES).for_each(|_| camera.see(&world));
+        let film = camera.film();
+        // The torso, its head, and two legs of three links.
+        assert_eq!((film.radii.len(), film.ends.len()), (8, MAX_FRAMES * 8 * 6));
+        let of = |agent| film.drivers.iter().filter(|driver| **driver == agent).count();
+        assert_eq!((of(None), of(Some(0)), of(Some(1))), (2, 3, 3));
+        let torso = &world.pose(0).links[0];
+        let middle = [0, 1, 2].map(|i| (film.ends[i] + film.ends[i + 3]) / 2.0);
+        let off = middle.iter().zip(torso.position).map(|(a, b)| (a - b).abs()).sum::<f32>();
+        assert!(off < 1e-5, "{middle:?} and {torso:?}");
+    }
+
+    #[test]
+    fn of_a_game_there_is_no_film() {
+        let world = fixture::world();
+        assert!(Camera::before(&world, "cue-2x1").unwrap().is_none());
+    }
+}

@@ -25,7 +25,7 @@ const CLOSING: Duration = Duration::from_secs(1);
 
 /// Runs from the start, or from the newest good checkpoint, to the last iteration and its evaluation,
 /// or until `stop` is true. Both ends leave a checkpoint and return within seconds. Actors are told that a
-/// run is done when it is; of one that was stopped they wait for the next learner.
+/// run is done when it is; of one that was stopped they wait for the next learner. A `page` shows the run meanwhile.
 ///
 /// # Errors
 /// Says what could not start or broke; a resume goes on from the last checkpoint.
