@@ -101,7 +101,8 @@ def tab() -> Iterator[Tab]:
             [program, *options, f"--user-data-dir={profile}"],
             stderr=subprocess.DEVNULL, close_fds=False, preexec_fn=take_pipes,
         )
-        os.close(their_in), os.close(their_out)
+        os.close(their_in)
+        os.close(their_out)
         try:
             yield Tab(our_out, our_in)
         finally:

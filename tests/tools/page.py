@@ -24,11 +24,7 @@ ITERATION = "Number(document.querySelector('#tiles b')?.textContent.replace(/,/g
 def watch(page: Tab, folder: pathlib.Path, pictures: pathlib.Path | None) -> None:
     address = f"127.0.0.1:{free_port()}"
     with training(folder, address) as learner:
-        # The learner listens once it has built its task; a browser would be reloaded by hand until then.
         page.show(f"http://{address}/")
-        while page.evaluate("document.title") != f"{folder.name} - s2mia":
-            page.call("Page.navigate", url=f"http://{address}/")
-            page.wait_until("document.readyState === 'complete'")
         page.wait_until(f"{CURVES} > 10 && {POINTS} > 40 && {ITERATION} > 60")
         for scheme in ("light", "dark"):
             page.look(scheme, 1200, 1500)

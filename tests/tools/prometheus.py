@@ -11,18 +11,15 @@ import re
 import shutil
 import subprocess
 import tempfile
-import time
-import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from debian import ROOT, program
-from runs import free_port, training
+from runs import eventually, free_port, training
 
 DEPLOY = ROOT / "deploy" / "prometheus"
 DASHBOARD = ROOT / "deploy" / "grafana" / "dashboards" / "s2mia.json"
-PATIENCE_SECS = 60
 # These stand still at nothing, and are not shown before the first of their kind.
 NOT_BEFORE_THE_FIRST = {"s2mia_messages_refused_total"}
 
@@ -30,16 +27,6 @@ NOT_BEFORE_THE_FIRST = {"s2mia_messages_refused_total"}
 def get(url: str) -> str:
     with urllib.request.urlopen(url, timeout=5) as answer:
         return answer.read().decode()
-
-
-def eventually(holds: Callable[[], bool], missing: str) -> None:
-    deadline = time.monotonic() + PATIENCE_SECS
-    while time.monotonic() < deadline:
-        with contextlib.suppress(urllib.error.URLError, ConnectionError, TimeoutError):
-            if holds():
-                return
-        time.sleep(0.2)
-    raise SystemExit(f"{missing} after {PATIENCE_SECS} s")
 
 
 def promtool(*arguments: str, given: str | None = None) -> None:
