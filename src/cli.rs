@@ -3,6 +3,7 @@
 mod export;
 mod figures;
 mod log;
+mod page;
 mod tls;
 
 use std::net::SocketAddr;
@@ -15,6 +16,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
+pub(crate) use page::{PageAddress, PageArguments};
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
@@ -162,6 +164,9 @@ pub(crate) struct TrainArguments {
     /// Stop after a checkpoint as soon as standard input closes, so that no run outlives the process that started it.
     #[arg(long)]
     pub(crate) stop_with_stdin: bool,
+    /// Page.
+    #[command(flatten)]
+    pub(crate) page: PageArguments,
 }
 
 /// `s2mia learner`
@@ -182,6 +187,9 @@ pub(crate) struct LearnerArguments {
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ServerTlsArguments,
+    /// Page.
+    #[command(flatten)]
+    pub(crate) page: PageArguments,
 }
 
 /// `s2mia actor`

@@ -34,18 +34,9 @@ pub(crate) struct Cast {
 }
 
 impl Cast {
-    /// The shapes of a robot, and of any of its poses who drives what. The root is held by no hinge, and every link
-    /// behind it hangs on one, so links and hinges stand in the same order.
+    /// The shapes of a robot, and of any of its poses who drives what.
     pub(crate) fn new(description: &Description, shapes: Vec<LinkShape>, pose: &Pose) -> Self {
-        let driver = |joint: &str| {
-            description
-                .agents
-                .iter()
-                .position(|agent| agent.joints.iter().any(|name| name == joint))
-        };
-        let roots = pose.links.len() - pose.joints.len();
-        let hinged = pose.joints.iter().map(|joint| driver(&joint.name));
-        let drivers = std::iter::repeat_n(None, roots).chain(hinged).collect();
+        let drivers = sim::drivers(description, pose);
         Self { shapes, drivers, agents: description.agents.len() }
     }
 }
@@ -60,7 +51,7 @@ pub(crate) struct Frame<'a> {
 
 /// Whether the root's upper side points down.
 pub(crate) fn is_upside_down(pose: &Pose) -> bool {
-    solids::rotated(pose.links[0].quaternion, [0.0, 0.0, 1.0])[2] < 0.0
+    sim::rotated(pose.links[0].quaternion, [0.0, 0.0, 1.0])[2] < 0.0
 }
 
 /// Width and height of a strip, pixels.

@@ -15,6 +15,7 @@ mod learning_curve;
 mod logging;
 mod offered;
 mod output;
+mod page;
 mod palette;
 mod picture;
 mod progress;

@@ -45,7 +45,7 @@ impl Progress {
             Event::Waiting { .. } | Event::Evaluation { .. } => {
                 self.line(&wording::notice(event).unwrap_or_default());
             }
-            Event::Checkpoint { .. } => {}
+            Event::Stage(_) | Event::Checkpoint { .. } | Event::CheckpointFailed { .. } => {}
         }
         if self.standing.is_complete() {
             self.clear();

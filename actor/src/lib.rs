@@ -15,6 +15,7 @@ pub mod config;
 mod environment_batch;
 pub mod error;
 pub mod evaluation;
+mod film;
 pub mod identity;
 mod leasing;
 mod outside;

@@ -8,13 +8,15 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    EvaluationResult, EvaluationWork, Lease, PushHeader, RolloutWork, RunDescription, Work, wire,
+    EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork, RunDescription, Work,
+    wire,
 };
 use tokio::sync::mpsc;
 
 use crate::environment_batch::EnvironmentBatch;
 use crate::error::{ActorError, EnvironmentError};
 use crate::evaluation::play_on;
+use crate::film::{Camera, FILMED};
 use crate::rollout::roll_out;
 use crate::source::Source;
 use crate::trajectory_log::Desk;
@@ -108,9 +110,12 @@ impl Worlds {
         match &job.lease.work {
             Work::Rollout(work) => self.roll_out(job, work, results),
             Work::Evaluation(work) => {
-                let result = self.evaluate(job, *work)?;
+                let (result, film) = self.evaluate(job, *work)?;
+                let content = Content::Evaluation(result.to_wire());
+                let mut message = PushHeader::of(&job.lease, result.digest()).to_wire(content);
+                message.film = film.as_ref().map(Film::to_wire);
                 // Nobody waits behind an evaluation's only message.
-                let _ = send(job, result.digest(), Content::Evaluation(result.to_wire()), results);
+                let _ = send(job, message, results);
                 Ok(())
             }
         }
@@ -135,7 +140,8 @@ impl Worlds {
             if let Some(witness) = &witness {
                 witness.borrow_mut().keep(chunk);
             }
-            send(job, digest, Content::Chunk(message), results)
+            let content = Content::Chunk(message);
+            send(job, PushHeader::of(&job.lease, digest).to_wire(content), results)
         })?;
         if let (Some(desk), Some(witness)) = (desk, witness) {
             desk.take_rollout(witness.into_inner());
@@ -147,7 +153,7 @@ impl Worlds {
         &mut self,
         job: &Job,
         work: EvaluationWork,
-    ) -> Result<EvaluationResult, EnvironmentError> {
+    ) -> Result<(EvaluationResult, Option<Film>), EnvironmentError> {
         let draw =
             Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
         let key = Key::of(RunSeed(self.run.seed), draw);
@@ -157,7 +163,14 @@ impl Worlds {
         let mut witness = desk
             .zip(world.simulated())
             .and_then(|(desk, own)| desk.evaluation(&job.lease, work, own));
+        let mut camera = match work.episode {
+            FILMED => Camera::before(world)?,
+            _ => None,
+        };
         let episode = play_on(world, &job.policy, &mut |step| {
+            if let Some(camera) = &mut camera {
+                camera.see(step.world);
+            }
             if let Some(witness) = &mut witness {
                 witness.see(step);
             }
@@ -165,24 +178,23 @@ impl Worlds {
         if let (Some(desk), Some(witness)) = (desk, witness) {
             desk.take_evaluation(witness);
         }
-        Ok(EvaluationResult {
+        let result = EvaluationResult {
             episode: work.episode,
             extrinsic_return: episode.extrinsic_return,
             steps: episode.steps,
-        })
+        };
+        Ok((result, camera.map(Camera::film)))
     }
 }
 
 fn send(
     job: &Job,
-    digest: proto::Digest,
-    content: Content,
+    message: wire::PushTrajectoryRequest,
     results: &mpsc::Sender<Produced>,
 ) -> ControlFlow<()> {
     if job.watch.cancelled.load(Ordering::Relaxed) {
         return ControlFlow::Break(());
     }
-    let message = PushHeader::of(&job.lease, digest).to_wire(content);
     match results.blocking_send(Produced::Message(Box::new(message))) {
         Ok(()) => ControlFlow::Continue(()),
         Err(_) => ControlFlow::Break(()),

@@ -20,7 +20,7 @@ mod shares;
 mod source;
 mod survey;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod witness;
 
 pub use config::{Episodes, LogConfig, LogSettings};

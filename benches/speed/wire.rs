@@ -64,7 +64,7 @@ fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::R
         let start = |_| Ok(program(&["actor", "--learner", &url]).stderr(Stdio::null()).spawn()?);
         let actors: Vec<Child> = (0..ACTORS).map(start).collect::<anyhow::Result<_>>()?;
         let (log, (_stop, never)) = (Log::default(), watch::channel(false));
-        learner::run(launch, listener, log.observer(), never).await?;
+        learner::run(launch, listener, None, log.observer(), never).await?;
         for mut actor in actors {
             actor.wait()?;
         }

@@ -241,6 +241,12 @@ fn hash_of(arrays: &NamedArrays, counts: impl Fn(&str) -> bool) -> String {
     hex(&sha256(arrays.iter().filter(|(name, _)| counts(name))))
 }
 
+/// Bytes of a checkpoint's files, as far as they can be looked at.
+pub(crate) fn size(path: &Path) -> u64 {
+    let files = std::fs::read_dir(path).into_iter().flatten().flatten();
+    files.filter_map(|file| file.metadata().ok()).map(|file| file.len()).sum()
+}
+
 /// `iter_00000120`
 fn name(iteration: u64) -> String {
     format!("iter_{iteration:08}")

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 /// Something happened that a watcher may show.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
+    /// The trainer goes over to something else.
+    Stage(Stage),
     /// An iteration is finished.
     Iteration(IterationReport),
     /// Rollouts are coming in.
@@ -37,6 +39,15 @@ pub enum Event {
         path: PathBuf,
         /// Its iteration.
         iteration: u64,
+        /// How long it took to write.
+        secs: f64,
+        /// Size of its files.
+        bytes: u64,
+    },
+    /// A checkpoint could not be written; the next iteration tries again.
+    CheckpointFailed {
+        /// Those in a row that could not.
+        failures: u32,
     },
     /// Nothing has come in for a while.
     Waiting {
@@ -45,6 +56,32 @@ pub enum Event {
         /// What is missing.
         reason: String,
     },
+}
+
+/// What the trainer is at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// It waits for rollouts.
+    Collect,
+    /// It learns from them.
+    Update,
+    /// It writes a checkpoint.
+    Save,
+}
+
+impl Stage {
+    /// All of them, in the order of an iteration.
+    pub const ALL: [Self; 3] = [Self::Collect, Self::Update, Self::Save];
+
+    /// Its name in lower case.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Collect => "collect",
+            Self::Update => "update",
+            Self::Save => "save",
+        }
+    }
 }
 
 /// What one iteration was like.
@@ -58,6 +95,8 @@ pub struct IterationReport {
     pub rollout_secs: f64,
     /// From the last chunk to the new policies, densities included.
     pub update_secs: f64,
+    /// The part of it that densities took.
+    pub density_secs: f64,
     /// Mean extrinsic return of the last finished episodes, at most 20; `None` before the first.
     pub episode_return: Option<f64>,
     /// Actors connected.

@@ -17,17 +17,20 @@ use crate::canary;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
+mod film;
 mod incidents;
 mod patience;
 mod reports;
 mod status;
 mod weights;
 
+pub use film::FilmedEpisode;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
 pub use patience::LeaseConfig;
 pub use reports::{Progress, Storage, Wake};
 use status::Pace;
+pub use status::status_json;
 use weights::Weights;
 
 /// What an actor that finds nothing to do is told to wait before it asks again.
@@ -69,6 +72,8 @@ struct Shared {
     /// Bounded by what is open: one iteration, a few evaluations, one failure.
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
+    chunks_accepted: u64,
+    film: Option<Arc<FilmedEpisode>>,
     names: Names,
     pace: Pace,
 }
@@ -84,6 +89,8 @@ impl Exchange {
             weights: Weights::default(),
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
+            chunks_accepted: 0,
+            film: None,
             names: Names::default(),
             pace: Pace::default(),
         };
@@ -172,6 +179,8 @@ impl Exchange {
         let steps = u64::from(self.run.chunk_steps) * u64::from(self.run.environments_per_slot);
         Progress {
             steps_collected: counts.chunks * steps,
+            chunks_accepted: shared.chunks_accepted,
+            weights_bytes: shared.weights.newest_bytes(),
             actors: counts.actors,
             foreign_actors: counts.foreign,
             refusals: shared.refusals.clone(),
@@ -307,7 +316,11 @@ impl Exchange {
             let published = self.lock().weights.find(header.weights)?;
             canary::check(&published.policy, &self.run, &chunk)?;
         }
-        self.change(|shared| shared.table.chunk(header, chunk))
+        self.change(|shared| {
+            let ack = shared.table.chunk(header, chunk)?;
+            shared.chunks_accepted += u64::from(ack.state == AckState::Accepted);
+            Ok(ack)
+        })
     }
 
     /// Takes in the validated result of an evaluation episode.

@@ -102,7 +102,7 @@ impl Launch {
     }
 
     /// What the run folder says of the run, besides the fields given in `manifest`.
-    fn manifest(&self) -> Value {
+    pub(crate) fn manifest(&self) -> Value {
         let mut manifest = self.manifest.as_object().cloned().unwrap_or_default();
         let own = json!({
             "run_id": self.run_id,

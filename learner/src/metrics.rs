@@ -4,6 +4,7 @@
 //! policies have, and an evaluation that of the policies it measured. The same figures stand in
 //! `metrics.csv`, `evaluations.csv` and `tensorboard/`, as far as the settings ask for them.
 
+mod curves;
 mod event_file;
 mod table;
 mod tags;
@@ -11,9 +12,11 @@ mod view;
 
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::{Map, Value, json};
 
+pub use self::curves::{Curve, Curves};
 use self::view::Views;
 use crate::config::MetricsConfig;
 use crate::durable::FileError;
@@ -29,6 +32,7 @@ pub const METRICS_FILE: &str = "metrics.jsonl";
 pub struct Metrics {
     lines: JsonLines,
     views: Views,
+    curves: Arc<Mutex<Curves>>,
 }
 
 impl Metrics {
@@ -46,18 +50,22 @@ impl Metrics {
         let evaluations = kept.iter().filter(|line| line["kind"] == "evaluation");
         let measured = evaluations.filter_map(|line| line["iteration"].as_u64()).collect();
         let views = Views::make(run_folder, config, &kept)?;
-        Ok((Self { lines, views }, measured))
+        let mut curves = Curves::default();
+        kept.iter().filter_map(Value::as_object).for_each(|line| curves.add(line));
+        Ok((Self { lines, views, curves: Arc::new(Mutex::new(curves)) }, measured))
     }
 
-    /// Adds an iteration; `density_secs` is the part of its update that densities took.
+    /// All figures over the run so far, also those of iterations before a resume; they go on with the run.
+    #[must_use]
+    pub fn curves(&self) -> Arc<Mutex<Curves>> {
+        Arc::clone(&self.curves)
+    }
+
+    /// Adds an iteration.
     ///
     /// # Errors
     /// Names the file if it cannot be written.
-    pub fn iteration(
-        &mut self,
-        report: &IterationReport,
-        density_secs: f64,
-    ) -> Result<(), FileError> {
+    pub fn iteration(&mut self, report: &IterationReport) -> Result<(), FileError> {
         let mut line = Map::new();
         for (name, value) in &report.metrics {
             // JSON has no number for what is not finite: such a figure becomes null.
@@ -70,7 +78,7 @@ impl Metrics {
             "episode_return": report.episode_return,
             "rollout_secs": report.rollout_secs,
             "update_secs": report.update_secs,
-            "density_secs": density_secs,
+            "density_secs": report.density_secs,
             "actors": report.actors,
             "messages_refused": report.messages_refused,
             "leases_reissued": report.leases_reissued,
@@ -105,6 +113,7 @@ impl Metrics {
 
     fn append(&mut self, line: Map<String, Value>) -> Result<(), FileError> {
         self.views.add(&line);
+        self.curves.lock().unwrap_or_else(PoisonError::into_inner).add(&line);
         self.lines.append(&Value::Object(line))
     }
 
@@ -129,6 +138,7 @@ mod tests {
             env_steps: iteration * 40,
             rollout_secs: 0.5,
             update_secs: 0.25,
+            density_secs: 0.125,
             episode_return: None,
             actors: 2,
             messages_refused: 3,
@@ -141,7 +151,7 @@ mod tests {
     fn a_line_holds_the_figures_by_their_names() {
         let folder = tempfile::tempdir().unwrap();
         let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
-        metrics.iteration(&report(1), 0.125).unwrap();
+        metrics.iteration(&report(1)).unwrap();
         let text = std::fs::read_to_string(folder.path().join(METRICS_FILE)).unwrap();
         let expected = json!({
             "kind": "iteration", "iteration": 1, "env_steps": 40, "episode_return": null,
@@ -160,7 +170,7 @@ mod tests {
         let spread = Spread { mean: 1.0, standard_deviation: 0.0, minimum: 1.0, maximum: 1.0 };
         for iteration in [0, 2, 4] {
             metrics.evaluation(iteration, iteration * 40, &spread, 10).unwrap();
-            metrics.iteration(&report(iteration + 1), 0.0).unwrap();
+            metrics.iteration(&report(iteration + 1)).unwrap();
         }
         let (_, measured) = Metrics::open(folder.path(), &ALL, 3).unwrap();
         assert_eq!(measured, BTreeSet::from([0, 2]));
@@ -170,12 +180,12 @@ mod tests {
     fn a_resume_cuts_the_tables_back_with_the_lines() {
         let folder = tempfile::tempdir().unwrap();
         let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
-        (1..=4).for_each(|iteration| metrics.iteration(&report(iteration), 0.0).unwrap());
+        (1..=4).for_each(|iteration| metrics.iteration(&report(iteration)).unwrap());
         let table = || std::fs::read_to_string(folder.path().join("metrics.csv")).unwrap();
         let whole = table();
         let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 2).unwrap();
         assert_eq!(table().lines().count(), 3);
-        (3..=4).for_each(|iteration| metrics.iteration(&report(iteration), 0.0).unwrap());
+        (3..=4).for_each(|iteration| metrics.iteration(&report(iteration)).unwrap());
         assert_eq!(table(), whole);
     }
 
@@ -184,7 +194,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let none = MetricsConfig { csv: false, tensorboard: false };
         let (mut metrics, _) = Metrics::open(folder.path(), &none, 0).unwrap();
-        metrics.iteration(&report(1), 0.0).unwrap();
+        metrics.iteration(&report(1)).unwrap();
         let names =
             std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
         assert_eq!(names.collect::<Vec<_>>(), [METRICS_FILE]);

@@ -6,15 +6,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
-use tokio::task::JoinHandle;
+use tokio::task::{JoinHandle, JoinSet};
 
 use crate::door::Door;
 use crate::error::LearnerError;
 use crate::event::Event;
 use crate::exchange::Exchange;
 use crate::launch::{Launch, prepare};
+use crate::page::{self, Board, Facts, Page};
 use crate::service;
-use crate::trainer::{Outside, Summary, Trainer};
+use crate::trainer::{Observer, Outside, Summary, Trainer};
 
 /// How long actors have to hear that the run is over.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -24,17 +25,19 @@ const CLOSING: Duration = Duration::from_secs(1);
 
 /// Runs from the start, or from the newest good checkpoint, to the last iteration and its evaluation,
 /// or until `stop` is true. Both ends leave a checkpoint and return within seconds. Actors are told that a
-/// run is done when it is; of one that was stopped they wait for the next learner.
+/// run is done when it is; of one that was stopped they wait for the next learner. A `page` shows the run meanwhile.
 ///
 /// # Errors
 /// Says what could not start or broke; a resume goes on from the last checkpoint.
 pub async fn run(
     launch: Launch,
     door: impl Into<Door>,
-    observer: Box<dyn FnMut(&Event) + Send>,
+    page: Option<Page>,
+    observer: Observer,
     stop: watch::Receiver<bool>,
 ) -> Result<Summary, LearnerError> {
     let lease = launch.config.lease;
+    let facts = Facts::of(&launch);
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) =
         prepared.map_err(|error| LearnerError::Panic(error.to_string()))??;
@@ -43,6 +46,10 @@ pub async fn run(
     let address = address.map_err(|error| LearnerError::Service(error.to_string()))?;
     trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease);
+    let (observer, _shown) = match page {
+        Some(page) => show(page, facts, &trainer, &exchange, observer),
+        None => (observer, None),
+    };
     let server = Server::start(door, &exchange);
     let broken = Arc::clone(&server.broken);
     let outside = Outside {
@@ -57,6 +64,26 @@ pub async fn run(
         false => server.close().await,
     };
     result.and_then(|summary| served.map(|()| summary))
+}
+
+/// Shows the run on `page` for as long as the second value lives; the first observes in place of `observer`, which
+/// goes on hearing everything.
+fn show(
+    page: Page,
+    facts: Facts,
+    trainer: &Trainer,
+    exchange: &Arc<Exchange>,
+    mut observer: Observer,
+) -> (Observer, Option<JoinSet<()>>) {
+    let (facts, curves) = (facts.taken_up_at(trainer.iteration), trainer.metrics.curves());
+    let board = Arc::new(Board::new(facts, Arc::clone(exchange), curves));
+    let mut serving = JoinSet::new();
+    serving.spawn(page::serve(page, Arc::clone(&board)));
+    let observer = Box::new(move |event: &Event| {
+        board.observe(event);
+        observer(event);
+    });
+    (observer, Some(serving))
 }
 
 /// The service while the trainer works.

@@ -20,7 +20,7 @@ use crate::config::Config;
 use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::{Evaluated, Evaluations};
-use crate::event::{Event, IterationReport};
+use crate::event::{Event, IterationReport, Stage};
 use crate::exchange::{Exchange, SlotRollout};
 use crate::fault::{self, Fault, Point};
 use crate::metrics::Metrics;
@@ -157,6 +157,7 @@ impl Work {
         self.begin()?;
         while self.trainer.iteration < self.trainer.last_iteration {
             let Some(collected) = self.collect()? else { break };
+            self.enter(Stage::Update);
             self.trainer.fault_at(Point::AfterCollect);
             let batch = assemble(&self.trainer.layout, &collected.rollouts)?;
             self.trainer.environments.advance(&batch, &collected.rollouts);
@@ -246,13 +247,14 @@ impl Work {
             env_steps: trainer.env_steps(),
             rollout_secs: collected.secs,
             update_secs: learnt.update_secs,
+            density_secs: learnt.density_secs,
             episode_return: trainer.environments.mean_return(),
             actors: progress.actors,
             messages_refused: progress.refusals.values().sum(),
             leases_reissued: progress.leases_reissued,
             metrics,
         };
-        trainer.metrics.iteration(&report, learnt.density_secs)?;
+        trainer.metrics.iteration(&report)?;
         trainer.trace(collected.behaviour, &collected.rollouts, &learnt.report)?;
         self.tell(&Event::Iteration(report));
         Ok(())
@@ -277,6 +279,10 @@ impl Work {
         exchange.publish(version, evaluated.policy.clone())?;
         exchange.open_evaluation(evaluated.iteration, version, self.trainer.evaluations.episodes());
         Ok(())
+    }
+
+    fn enter(&mut self, stage: Stage) {
+        self.tell(&Event::Stage(stage));
     }
 
     fn tell(&mut self, event: &Event) {

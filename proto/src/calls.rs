@@ -180,6 +180,7 @@ impl PushHeader {
             weights: Some(self.weights.to_wire()),
             digest: Bytes::copy_from_slice(&self.digest.0),
             content: Some(content),
+            film: None,
         }
     }
 

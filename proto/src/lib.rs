@@ -8,6 +8,7 @@
 pub mod calls;
 mod digest;
 mod environment;
+mod film;
 mod ids;
 mod play;
 mod read;
@@ -29,6 +30,7 @@ pub use digest::Digest;
 pub use environment::{
     ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
 };
+pub use film::{Film, MAX_FRAMES};
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
 pub use play::{PlayRequest, Steps, View, saved_state};
 pub use refusal::{ERROR_DOMAIN, Reason, Refusal};

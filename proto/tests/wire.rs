@@ -3,6 +3,8 @@
 
 #[path = "wire/choices.rs"]
 mod choices;
+#[path = "wire/film.rs"]
+mod film;
 #[path = "wire/hostile.rs"]
 mod hostile;
 #[path = "wire/lies.rs"]

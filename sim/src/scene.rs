@@ -3,6 +3,7 @@
 use rapier3d::math::Pose as Transform;
 use rapier3d::prelude::SharedShape;
 
+use crate::description::Description;
 use crate::error::SimError;
 use crate::game;
 use crate::robot::Robot;
@@ -69,7 +70,56 @@ pub enum Shape {
     },
 }
 
+impl LinkShape {
+    /// The ends of its middle line in the world, metres, when its link stands at `link`; a ball's are equal.
+    #[must_use]
+    pub fn ends(&self, link: &LinkPose) -> [[f32; 3]; 2] {
+        let axis = rotated(self.quaternion, [0.0, 0.0, 1.0]);
+        let half = match self.shape {
+            Shape::Capsule { half_length, .. } => half_length,
+            Shape::Sphere { .. } => 0.0,
+        };
+        [-half, half].map(|along| {
+            let turned =
+                rotated(link.quaternion, [0, 1, 2].map(|i| self.position[i] + along * axis[i]));
+            [0, 1, 2].map(|i| link.position[i] + turned[i])
+        })
+    }
+}
+
+/// `v + 2 w (u x v) + 2 u x (u x v)`: a vector turned by the unit quaternion `(u, w)`.
+#[must_use]
+pub fn rotated([x, y, z, w]: [f32; 4], vector: [f32; 3]) -> [f32; 3] {
+    let once = cross([x, y, z], vector);
+    let twice = cross([x, y, z], once);
+    [0, 1, 2].map(|i| vector[i] + 2.0 * (w * once[i] + twice[i]))
+}
+
+fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// For each link of a robot's pose the agent that drives its joint, if any does. The root is held by no hinge, and
+/// every link behind it hangs on one, so links and hinges stand in the same order.
+#[must_use]
+pub fn drivers(description: &Description, pose: &Pose) -> Vec<Option<usize>> {
+    let driver = |joint: &str| {
+        description.agents.iter().position(|agent| agent.joints.iter().any(|name| name == joint))
+    };
+    let roots = pose.links.len() - pose.joints.len();
+    let hinged = pose.joints.iter().map(|joint| driver(&joint.name));
+    std::iter::repeat_n(None, roots).chain(hinged).collect()
+}
+
 impl Shape {
+    /// Metres.
+    #[must_use]
+    pub fn radius(self) -> f32 {
+        match self {
+            Self::Capsule { radius, .. } | Self::Sphere { radius } => radius,
+        }
+    }
+
     pub(crate) fn collider(self) -> SharedShape {
         match self {
             Self::Capsule { half_length, radius } => SharedShape::capsule_z(half_length, radius),
@@ -98,4 +148,17 @@ pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
 /// A transform as position and quaternion (x y z w).
 pub(crate) fn parts(pose: &Transform) -> ([f32; 3], [f32; 4]) {
     (pose.translation.to_array(), pose.rotation.to_array())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quarter_turn_about_y_takes_z_to_x() {
+        let half = core::f32::consts::FRAC_1_SQRT_2;
+        let turned = rotated([0.0, half, 0.0, half], [0.0, 0.0, 1.0]);
+        let error = turned.iter().zip([1.0, 0.0, 0.0]).map(|(a, b)| (a - b).abs()).sum::<f32>();
+        assert!(error < 1e-6, "{turned:?}");
+    }
 }

@@ -13,7 +13,7 @@ use crate::cli::LearnerArguments;
 use crate::commands::{Usage, runtime};
 use crate::launch::{self, Prepared};
 use crate::progress::Progress;
-use crate::{output, signals};
+use crate::{output, page, signals};
 
 /// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
@@ -21,10 +21,11 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     if files.is_none() && !arguments.insecure_allow_remote {
         demand_loopback(arguments.listen)?;
     }
+    page::check(&arguments.page)?;
     let tls = files.map(ServerTls::open).transpose().map_err(|why| Usage::new(why.to_string()))?;
     let prepared =
         launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
-    runtime()?.block_on(serve(prepared, arguments.listen, tls))
+    runtime()?.block_on(serve(prepared, arguments, tls))
 }
 
 /// How far away an environment from outside may be.
@@ -49,10 +50,11 @@ fn demand_loopback(address: SocketAddr) -> Result<(), Usage> {
 
 async fn serve(
     prepared: Prepared,
-    address: SocketAddr,
+    arguments: &LearnerArguments,
     tls: Option<ServerTls>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
+    let address = arguments.listen;
     let listener =
         TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}"))?;
     let scheme = if tls.is_some() { "https" } else { "http" };
@@ -61,6 +63,7 @@ async fn serve(
         folder.display(),
         listener.local_addr()?
     ));
+    let page = page::open(&arguments.page).await?;
     let door = match tls {
         Some(tls) => Door::guarded(listener, tls),
         None => Door::from(listener),
@@ -69,7 +72,8 @@ async fn serve(
     signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))?;
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
-    let summary = learner::run(launch, door, observer, stop).await.context("the learner failed")?;
+    let summary =
+        learner::run(launch, door, page, observer, stop).await.context("the learner failed")?;
     let done = if summary.stopped_early { "stopped" } else { "finished" };
     output::line(format!(
         "{done} after iteration {}: {}",

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use learner::run_folder::RunFolder;
 use proto::{LeaseStatus, LeasedWork, Status};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::chart::thousands;
 use crate::cli::StatusArguments;
@@ -26,7 +26,7 @@ pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
     let tls = credentials(&url, &arguments.tls)?;
     let status = runtime()?.block_on(learner::service::status(&url, tls.as_ref(), patience))?;
     match arguments.json {
-        true => output::line(to_json(&status)),
+        true => output::line(learner::exchange::status_json(&status)),
         false => output::line(text(&status)),
     }
     Ok(())
@@ -87,37 +87,4 @@ fn line(lease: &LeaseStatus) -> String {
     };
     let (chunks, still) = (lease.chunks, lease.still_secs);
     format!("  {work}: actor {}, {chunks} chunks, {still:.1} s since the last", lease.actor)
-}
-
-fn to_json(status: &Status) -> Value {
-    let lease = |lease: &LeaseStatus| {
-        let (slot, episode) = match lease.work {
-            LeasedWork::Slot(slot) => (Some(slot), None),
-            LeasedWork::Episode(episode) => (None, Some(episode)),
-        };
-        json!({
-            "lease": lease.lease.0,
-            "actor": lease.actor.0,
-            "slot": slot,
-            "episode": episode,
-            "chunks": lease.chunks,
-            "still_secs": lease.still_secs,
-        })
-    };
-    json!({
-        "state": "running",
-        "run_id": status.run_id,
-        "incarnation": status.incarnation.0,
-        "iteration": status.iteration,
-        "env_steps": status.env_steps,
-        "env_steps_per_sec": status.env_steps_per_sec,
-        "slots": status.slots,
-        "complete_slots": status.complete_slots,
-        "actors": status.actors,
-        "messages_refused": status.messages_refused,
-        "leases_reissued": status.leases_reissued,
-        "storage_degraded": status.storage_degraded,
-        "policy_lag": status.policy_lag,
-        "leases": status.leases.iter().map(lease).collect::<Vec<_>>(),
-    })
 }

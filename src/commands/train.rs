@@ -14,17 +14,18 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 use crate::chart;
-use crate::cli::TrainArguments;
+use crate::cli::{PageArguments, TrainArguments};
 use crate::commands::runtime;
 use crate::commands::train::closing::Length;
 use crate::launch::{self, Prepared};
 use crate::progress::Progress;
 use crate::run_config::RunConfig;
 use crate::supervisor::{self, Crew, Surrender};
-use crate::{learning_curve, output, run_path, signals};
+use crate::{learning_curve, output, page, run_path, signals};
 
 /// Trains to the end of the run, or until told to stop; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
+    page::check(&arguments.page)?;
     let prepared =
         launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     if let Some(iterations) = arguments.verify_determinism {
@@ -34,15 +35,17 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if arguments.stop_with_stdin {
         signals::stop_with_stdin(stop_sender.clone())?;
     }
-    runtime()?.block_on(train(prepared, (stop_sender, stop)))
+    runtime()?.block_on(train(prepared, &arguments.page, (stop_sender, stop)))
 }
 
 async fn train(
     prepared: Prepared,
+    page: &PageArguments,
     (stop_sender, stop): (watch::Sender<bool>, watch::Receiver<bool>),
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
     output::line(opening(&config, &launch.environment.task, &folder));
+    let page = page::open(page).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
     let crew = crew(&config, &folder, &listener)?;
@@ -53,7 +56,7 @@ async fn train(
     let actors = tokio::spawn(supervisor::supervise(crew, ended, stop_sender));
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
-    let summary = learner::run(launch, listener, observer, stop).await;
+    let summary = learner::run(launch, listener, page, observer, stop).await;
     end.send_replace(true);
     let surrender = actors.await.context("the watch over the actors failed")?;
     if config.log.episodes != Episodes::None {

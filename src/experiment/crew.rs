@@ -131,7 +131,7 @@ async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Resul
 /// A process of its own group, so that Ctrl-C reaches it only through its standard input, which closes.
 fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     let mut command = Command::new(program);
-    command.args(["train", "--stop-with-stdin"]).args(&run.settings);
+    command.args(["train", "--stop-with-stdin", "--page", "off"]).args(&run.settings);
     match standing(run) {
         Standing::New => command.arg(format!("run.dir={}", run.folder.display())),
         _ => command.arg("--resume").arg(&run.folder),

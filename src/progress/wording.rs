@@ -166,6 +166,7 @@ mod tests {
             env_steps: iteration * 4000,
             rollout_secs: 1.0,
             update_secs: 3.0,
+            density_secs: 0.5,
             episode_return,
             actors: 2,
             messages_refused: 0,

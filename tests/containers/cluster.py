@@ -47,7 +47,7 @@ class Form:
 
     def settings(self) -> dict[str, str]:
         """For the compose file."""
-        return {"ENV_STEPS": self.env_steps(), "S2MIA_IMAGE": IMAGE, "SEED": SEED, "RUN": RUN}
+        return {"ENV_STEPS": self.env_steps(), "S2MIA_IMAGE": IMAGE, "SEED": SEED, "RUN": RUN, "PAGE_PORT": ""}
 
     def local(self) -> list[str]:
         """The same run without containers."""

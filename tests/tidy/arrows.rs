@@ -21,7 +21,7 @@ const ARROWS: [(&str, &[&str]); 7] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 27] = [
+const HEAVY: [(&str, &[&str]); 32] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
@@ -44,6 +44,11 @@ const HEAVY: [(&str, &[&str]); 27] = [
     ("rcgen", &["security"]),
     ("rustls", &["security"]),
     ("rustls-webpki", &["security"]),
+    ("axum", &["learner"]),
+    ("base64", &["learner"]),
+    ("hyper", &["learner"]),
+    ("hyper-util", &["learner"]),
+    ("prometheus-client", &["learner"]),
     ("tokio", &[ROOT, "actor", "learner"]),
     ("tokio-rustls", &["actor", "learner"]),
     ("tokio-stream", &[ROOT, "actor", "learner"]),

@@ -78,6 +78,7 @@ const PLACES: [(&str, &[&str], &str); 2] = [
             "learner/src/durable",
             "learner/src/json_lines",
             "learner/src/metrics",
+            "learner/src/page/memory",
             "learner/src/run_folder",
         ],
         "touch the disk",

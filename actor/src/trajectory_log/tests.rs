@@ -2,7 +2,7 @@
 
 mod damage;
 #[path = "../../tests/actor/fixture.rs"]
-mod fixture;
+pub(crate) mod fixture;
 mod several;
 mod whole;
 

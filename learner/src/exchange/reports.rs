@@ -28,6 +28,10 @@ pub enum Wake {
 pub struct Progress {
     /// Environment steps accepted in the open iteration.
     pub steps_collected: u64,
+    /// Chunks accepted since the learner started.
+    pub chunks_accepted: u64,
+    /// Size of the newest weights.
+    pub weights_bytes: u64,
     /// Actors that are connected.
     pub actors: usize,
     /// Registrations without a fingerprint so far: with any, the run is not exactly repeatable.

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use proto::{PolicyVersion, Status};
+use proto::{LeaseStatus, LeasedWork, PolicyVersion, Status};
+use serde_json::{Value, json};
 
 use crate::exchange::{Exchange, Storage};
 
@@ -59,6 +60,41 @@ impl Exchange {
             policy_lag: shared.pace.lag,
         }
     }
+}
+
+/// A status as one JSON object.
+#[must_use]
+pub fn status_json(status: &Status) -> Value {
+    let lease = |lease: &LeaseStatus| {
+        let (slot, episode) = match lease.work {
+            LeasedWork::Slot(slot) => (Some(slot), None),
+            LeasedWork::Episode(episode) => (None, Some(episode)),
+        };
+        json!({
+            "lease": lease.lease.0,
+            "actor": lease.actor.0,
+            "slot": slot,
+            "episode": episode,
+            "chunks": lease.chunks,
+            "still_secs": lease.still_secs,
+        })
+    };
+    json!({
+        "state": "running",
+        "run_id": status.run_id,
+        "incarnation": status.incarnation.0,
+        "iteration": status.iteration,
+        "env_steps": status.env_steps,
+        "env_steps_per_sec": status.env_steps_per_sec,
+        "slots": status.slots,
+        "complete_slots": status.complete_slots,
+        "actors": status.actors,
+        "messages_refused": status.messages_refused,
+        "leases_reissued": status.leases_reissued,
+        "storage_degraded": status.storage_degraded,
+        "policy_lag": status.policy_lag,
+        "leases": status.leases.iter().map(lease).collect::<Vec<_>>(),
+    })
 }
 
 #[cfg(test)]

@@ -48,6 +48,11 @@ impl Weights {
         self.held.keys().next_back().copied()
     }
 
+    /// Size of the newest version.
+    pub(super) fn newest_bytes(&self) -> u64 {
+        self.held.values().next_back().map_or(0, |newest| newest.bytes.len() as u64)
+    }
+
     pub(super) fn find(&self, name: WeightsName) -> Result<Arc<Published>, Refusal> {
         let held = self.held.get(&name.version).filter(|held| held.name == name);
         held.cloned().ok_or_else(|| {

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    Ack, AckState, EvaluationResult, LeaseId, PushHeader, Reason, Refusal, TrajectoryChunk, wire,
+    Ack, AckState, EvaluationResult, Film, LeaseId, PushHeader, Reason, Refusal, TrajectoryChunk,
+    wire,
 };
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::SendTimeoutError;
@@ -96,7 +97,8 @@ async fn take_in(
 }
 
 /// Header, then lease and order, then the content, then the canary.
-fn read(exchange: &Exchange, request: wire::PushTrajectoryRequest) -> Result<Ack, Refusal> {
+fn read(exchange: &Exchange, mut request: wire::PushTrajectoryRequest) -> Result<Ack, Refusal> {
+    let film = request.film.take();
     let (header, content) = PushHeader::from_wire(request)?;
     match content {
         Content::Chunk(chunk) => {
@@ -107,7 +109,10 @@ fn read(exchange: &Exchange, request: wire::PushTrajectoryRequest) -> Result<Ack
         }
         Content::Evaluation(result) => {
             let result = EvaluationResult::from_wire(&result, exchange.run(), header.digest)?;
-            exchange.accept_evaluation(&header, result)
+            let film = film.map(|film| Film::from_wire(&film, exchange.run())).transpose()?;
+            let ack = exchange.accept_evaluation(&header, result)?;
+            film.into_iter().for_each(|film| exchange.show(&header, result, film));
+            Ok(ack)
         }
     }
 }

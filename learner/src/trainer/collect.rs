@@ -6,7 +6,7 @@ use proto::WeightsName;
 
 use crate::error::LearnerError;
 use crate::evaluation::Spread;
-use crate::event::Event;
+use crate::event::{Event, Stage};
 use crate::exchange::{EvaluationOutcome, Progress, SlotRollout, Wake};
 use crate::trainer::Work;
 
@@ -29,6 +29,7 @@ pub(super) struct Collected {
 impl Work {
     /// The rollouts of the open iteration; `None` if the run is to stop instead.
     pub(super) fn collect(&mut self) -> Result<Option<Collected>, LearnerError> {
+        self.enter(Stage::Collect);
         self.patience.begin(Instant::now());
         while !(self.outside.stop)() {
             if let Some(collected) = self.arrived.take() {

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::path::Path;
+use std::time::Instant;
 
 use bytes::Bytes;
 use policy::arrays::{Array, NamedArrays};
@@ -9,7 +10,7 @@ use proto::PolicyVersion;
 
 use crate::checkpoint::{self, Checkpoint, Saved, Step};
 use crate::error::LearnerError;
-use crate::event::Event;
+use crate::event::{Event, Stage};
 use crate::exchange::Storage;
 use crate::fault::{self, Point};
 use crate::trainer::{Trainer, Work};
@@ -37,6 +38,7 @@ impl Work {
                 let failures = self.trainer.failed_saves;
                 let then = "training goes on, and the next iteration tries again";
                 tracing::error!(failures, "no checkpoint: {error}; {then}");
+                self.tell(&Event::CheckpointFailed { failures });
                 Storage::Degraded
             }
         };
@@ -51,9 +53,16 @@ impl Work {
         {
             return Ok(saved.clone());
         }
+        self.enter(Stage::Save);
+        let begin = Instant::now();
         let saved = self.trainer.save()?;
         self.trainer.saved = Some(saved.clone());
-        self.tell(&Event::Checkpoint { path: saved.path.clone(), iteration });
+        self.tell(&Event::Checkpoint {
+            path: saved.path.clone(),
+            iteration,
+            secs: begin.elapsed().as_secs_f64(),
+            bytes: checkpoint::size(&saved.path),
+        });
         Ok(saved)
     }
 }

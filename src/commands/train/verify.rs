@@ -96,7 +96,9 @@ impl Trial<'_> {
     fn start(&self, iterations: u64) -> anyhow::Result<Crew> {
         let program = std::env::current_exe().context("cannot find this program")?;
         let mut command = Command::new(&program);
-        command.args(["learner", "--listen", "127.0.0.1:0"]).args(self.settings.written());
+        command
+            .args(["learner", "--listen", "127.0.0.1:0", "--page", "off"])
+            .args(self.settings.written());
         for file in &self.settings.files {
             command.arg("--config").arg(file);
         }

@@ -1,0 +1,89 @@
+//! What an evaluated episode looks like, as capsules in the world, for whoever watches the run.
+
+use proto::{Film, MAX_FRAMES};
+use sim::LinkShape;
+
+use crate::environment_batch::EnvironmentBatch;
+use crate::error::EnvironmentError;
+
+/// Episode of each evaluation that is filmed.
+pub(crate) const FILMED: u32 = 0;
+
+/// Films the beginning of an episode, a frame at each step.
+pub(crate) struct Camera {
+    /// Each with the index of its link in a pose.
+    shapes: Vec<(usize, LinkShape)>,
+    film: Film,
+    frames: usize,
+}
+
+impl Camera {
+    /// In front of `world`; none where there is no simulated robot to be seen.
+    pub(crate) fn before(world: &dyn EnvironmentBatch) -> Result<Option<Self>, EnvironmentError> {
+        let Some(own) = world.simulated() else { return Ok(None) };
+        let pose = world.pose(0);
+        let link = |shape: &LinkShape| pose.links.iter().position(|link| link.name == shape.link);
+        let shapes = sim::shapes(&own.description().task)?.into_iter();
+        let shapes: Vec<_> = shapes.filter_map(|shape| Some((link(&shape)?, shape))).collect();
+        if shapes.is_empty() {
+            return Ok(None);
+        }
+        let drivers = sim::drivers(own.description(), &pose);
+        let film = Film {
+            frame_secs: world.description().dt_secs,
+            radii: shapes.iter().map(|(_, shape)| shape.shape.radius()).collect(),
+            drivers: shapes.iter().map(|(link, _)| drivers[*link]).collect(),
+            ends: Vec::new(),
+        };
+        let mut camera = Self { shapes, film, frames: 0 };
+        camera.see(world);
+        Ok(Some(camera))
+    }
+
+    /// Takes one more frame, if the film is long enough for it.
+    pub(crate) fn see(&mut self, world: &dyn EnvironmentBatch) {
+        if self.frames == MAX_FRAMES {
+            return;
+        }
+        self.frames += 1;
+        let pose = world.pose(0);
+        let ends = self.shapes.iter().map(|(link, shape)| shape.ends(&pose.links[*link]));
+        self.film.ends.extend(ends.flatten().flatten());
+    }
+
+    /// What it took.
+    pub(crate) fn film(self) -> Film {
+        self.film
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sim::{Environments, TaskConfig};
+
+    use super::*;
+    use crate::trajectory_log::tests::fixture;
+
+    #[test]
+    fn a_film_shows_every_capsule_where_its_link_is_for_as_many_steps_as_it_has_room_for() {
+        let world = fixture::world();
+        let mut camera = Camera::before(&world).unwrap().unwrap();
+        (0..MAX_FRAMES).for_each(|_| camera.see(&world));
+        let film = camera.film();
+        // The torso, its head, and two legs of three links.
+        assert_eq!((film.radii.len(), film.ends.len()), (8, MAX_FRAMES * 8 * 6));
+        let of = |agent| film.drivers.iter().filter(|driver| **driver == agent).count();
+        assert_eq!((of(None), of(Some(0)), of(Some(1))), (2, 3, 3));
+        let torso = &world.pose(0).links[0];
+        let middle = [0, 1, 2].map(|i| (film.ends[i] + film.ends[i + 3]) / 2.0);
+        let off = middle.iter().zip(torso.position).map(|(a, b)| (a - b).abs()).sum::<f32>();
+        assert!(off < 1e-5, "{middle:?} and {torso:?}");
+    }
+
+    #[test]
+    fn of_a_game_there_is_no_film() {
+        let task = TaskConfig { task: "cue-2x1".to_owned(), ..fixture::task() };
+        let world = Environments::new(&task, 1).unwrap();
+        assert!(Camera::before(&world).unwrap().is_none());
+    }
+}

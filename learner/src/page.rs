@@ -1,0 +1,24 @@
+//! The run's page: what a browser and Prometheus are shown of a learner at work, over plain HTTP. Nothing that is
+//! asked here can change a run, and a run never waits for it.
+
+mod answers;
+mod board;
+mod exposition;
+mod hosts;
+mod memory;
+mod server;
+
+use tokio::net::TcpListener;
+
+pub(crate) use board::{Board, Facts};
+pub use hosts::Hosts;
+pub(crate) use server::serve;
+
+/// Where the page is shown, and to whom.
+#[derive(Debug)]
+pub struct Page {
+    /// Where browsers come in.
+    pub listener: TcpListener,
+    /// The names by which the page may be asked for.
+    pub hosts: Hosts,
+}

@@ -1,0 +1,177 @@
+//! The run's figures as Prometheus reads them. Nothing is counted for it: each scrape reads what the learner knows.
+
+use std::collections::BTreeSet;
+use std::sync::atomic::AtomicU64;
+
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::{ConstCounter, Counter};
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
+use prometheus_client::registry::Registry;
+use proto::LeasedWork;
+
+use super::Board;
+use super::board::Told;
+use super::memory::resident_bytes;
+use crate::event::Stage;
+
+/// What [`text`] is written in.
+pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// What distinguishes the figures of one name.
+type Labels = Vec<(&'static str, String)>;
+
+/// Every figure, as it is now.
+pub(super) fn text(board: &Board) -> String {
+    let mut sheet = Sheet(Registry::with_prefix("s2mia"));
+    let told = board.told();
+    sheet.run(board);
+    sheet.progress(board, &told);
+    sheet.returns(board);
+    sheet.work(board);
+    sheet.intake(board);
+    sheet.checkpoints(board, &told);
+    sheet.faults(&told);
+    let mut process = Sheet(Registry::with_prefix("process"));
+    process.memory();
+    let mut text = String::new();
+    let written = prometheus_client::encoding::text::encode_registry(&mut text, &process.0);
+    written.and_then(|()| encode(&mut text, &sheet.0)).expect("a string takes everything");
+    text
+}
+
+/// The figures under one prefix.
+struct Sheet(Registry);
+
+impl Sheet {
+    fn run(&mut self, board: &Board) {
+        let manifest = &board.facts.manifest;
+        let text = |name| (name, manifest[name].as_str().unwrap_or_default().to_owned());
+        let info = Family::<Labels, Gauge>::default();
+        info.get_or_create(&["run_id", "task", "algorithm", "version"].map(text).into()).set(1);
+        self.0.register("run_info", "What is trained; always 1", info);
+    }
+
+    fn progress(&mut self, board: &Board, told: &Told) {
+        let (status, facts) = (board.exchange.status(), &board.facts);
+        self.counter("env_steps", "Environment steps of complete slots", status.env_steps);
+        self.gauge("iteration", "Finished iterations", status.iteration as f64);
+        let planned = facts.iterations as f64;
+        self.gauge("iterations_planned", "Iterations of the whole run", planned);
+        let behind = "Updates by which the weights that roll out are behind the newest";
+        self.gauge("policy_lag", behind, status.policy_lag as f64);
+        self.gauge(
+            "policy_lag_bound",
+            "Most that policy_lag may be",
+            facts.policy_lag_bound as f64,
+        );
+        let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == told.stage)));
+        self.gauges("phase", "1 for what the trainer is at", "phase", Stage::ALL.map(at));
+        let secs = told.secs().into_iter().flatten();
+        self.gauges("phase_seconds", "How long the last iteration's parts took", "phase", secs);
+    }
+
+    fn returns(&mut self, board: &Board) {
+        for (name, help, figure) in [
+            ("episode_return", "Mean return of the last training episodes", "episode_return"),
+            ("evaluation_return", "Mean return of the last evaluation", "evaluation/mean"),
+        ] {
+            if let Some(value) = board.newest(figure) {
+                self.gauge(name, help, value);
+            }
+        }
+    }
+
+    /// Who is at what.
+    fn work(&mut self, board: &Board) {
+        let status = board.exchange.status();
+        let on_slots = status.leases.iter().filter(|l| matches!(l.work, LeasedWork::Slot(_)));
+        let (complete, leased) = (status.complete_slots, on_slots.count() as u64);
+        let free = status.slots.saturating_sub(complete + leased);
+        let slots = [("free", free), ("leased", leased), ("complete", complete)];
+        let slots = slots.map(|(state, count)| (state, count as f64));
+        self.gauges("slots", "Slots of the open iteration", "state", slots);
+        let working = status.leases.iter().map(|lease| lease.actor).collect::<BTreeSet<_>>().len();
+        let idle = status.actors.saturating_sub(working as u64);
+        let actors = [("working", working as f64), ("idle", idle as f64)];
+        self.gauges("actors", "Connected actors", "state", actors);
+        let help = "Slots and episodes leased again";
+        self.counter("leases_reissued", help, status.leases_reissued);
+    }
+
+    /// What came from actors.
+    fn intake(&mut self, board: &Board) {
+        let progress = board.exchange.progress();
+        let chunks = [(vec![("result", "accepted".to_owned())], progress.chunks_accepted)];
+        self.counters("chunks", "Chunks of trajectories", chunks);
+        let refusals = progress.refusals.into_iter();
+        let refusals = refusals.map(|(reason, count)| (vec![("reason", reason)], count));
+        self.counters("messages_refused", "Messages that did not fit, by reason", refusals);
+        let help =
+            "Registrations without a fingerprint: with any, the run is not exactly repeatable";
+        self.counter("foreign_actors", help, progress.foreign_actors);
+        self.gauge("weights_bytes", "Size of the newest weights", progress.weights_bytes as f64);
+    }
+
+    fn checkpoints(&mut self, board: &Board, told: &Told) {
+        if let Some(written) = told.checkpoint {
+            self.gauge("checkpoint_seconds", "How long the last checkpoint took", written.secs);
+            self.gauge("checkpoint_bytes", "Size of the last checkpoint", written.bytes as f64);
+        }
+        let facts = &board.facts;
+        let newest = told.checkpoint.map_or(facts.taken_up_at, |written| written.iteration);
+        self.gauge("checkpoint_iteration", "Iteration of the last checkpoint", newest as f64);
+        let help = "Iterations from one checkpoint to the next";
+        self.gauge("checkpoint_every_iterations", help, facts.checkpoint_every as f64);
+        let help = "Checkpoints that could not be written";
+        self.counter("checkpoint_failures", help, told.checkpoint_failures);
+    }
+
+    fn faults(&mut self, told: &Told) {
+        let help = "Episodes that a fault of their world cut";
+        self.counter("env_faults", help, told.environment_faults);
+        let help = "Updates left out because returns were no finite numbers";
+        self.counter("nonfinite_updates", help, told.updates_skipped);
+    }
+
+    fn memory(&mut self) {
+        if let Some(bytes) = resident_bytes() {
+            self.gauge("resident_memory_bytes", "Memory that the learner holds", bytes as f64);
+        }
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: f64) {
+        self.0.register(name, help, ConstGauge::new(value));
+    }
+
+    fn counter(&mut self, name: &str, help: &str, value: u64) {
+        self.0.register(name, help, ConstCounter::new(value));
+    }
+
+    fn gauges(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &'static str,
+        values: impl IntoIterator<Item = (&'static str, f64)>,
+    ) {
+        let family = Family::<Labels, Gauge<f64, AtomicU64>>::default();
+        for (of, value) in values {
+            family.get_or_create(&vec![(label, of.to_owned())]).set(value);
+        }
+        self.0.register(name, help, family);
+    }
+
+    fn counters(
+        &mut self,
+        name: &str,
+        help: &str,
+        values: impl IntoIterator<Item = (Labels, u64)>,
+    ) {
+        let family = Family::<Labels, Counter>::default();
+        for (labels, value) in values {
+            family.get_or_create(&labels).inc_by(value);
+        }
+        self.0.register(name, help, family);
+    }
+}

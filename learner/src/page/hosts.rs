@@ -1,0 +1,69 @@
+//! By which names the page may be asked for. A site on the web can let its own name lead to this machine (DNS
+//! rebinding) and would then read the answers; a browser tells that name in the header `Host`.
+
+use std::net::IpAddr;
+
+/// Loopback under all its names, and what the user allows besides.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Hosts(Vec<String>);
+
+impl Hosts {
+    /// Loopback and `more` names or addresses, without ports.
+    #[must_use]
+    pub fn with(more: &[String]) -> Self {
+        Self(more.iter().map(|name| bare(name).to_ascii_lowercase()).collect())
+    }
+
+    /// Whether a `Host` header with this value is one of them, whatever its port.
+    #[must_use]
+    pub fn allow(&self, host: &str) -> bool {
+        let name = bare(host).to_ascii_lowercase();
+        let loopback = name.parse().is_ok_and(|address: IpAddr| address.is_loopback());
+        name == "localhost" || loopback || self.0.contains(&name)
+    }
+}
+
+/// A host without its port and without the brackets of an IPv6 address.
+fn bare(host: &str) -> &str {
+    if let Some(rest) = host.strip_prefix('[') {
+        return rest.split(']').next().unwrap_or_default();
+    }
+    match host.split_once(':') {
+        // More than one colon without brackets is an address of IPv6.
+        Some((name, port)) if !port.contains(':') => name,
+        _ => host,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn loopback_is_let_in_under_all_its_names_and_no_other_host_is() {
+        let hosts = Hosts::default();
+        for host in
+            ["localhost", "LocalHost:80", "127.0.0.1:8080", "127.9.9.9", "[::1]:8080", "[::1]"]
+        {
+            assert!(hosts.allow(host), "{host}");
+        }
+        for host in [
+            "",
+            "example.org",
+            "localhost.example.org",
+            "127.0.0.1.example.org:80",
+            "10.0.0.1",
+            "0.0.0.0",
+            "[2001:db8::1]:80",
+        ] {
+            assert!(!hosts.allow(host), "{host}");
+        }
+    }
+
+    #[test]
+    fn names_that_the_user_allows_are_let_in_too() {
+        let hosts = Hosts::with(&["Learner".to_owned(), "2001:db8::1".to_owned()]);
+        assert!(hosts.allow("learner:50080") && hosts.allow("[2001:db8::1]:1"));
+        assert!(hosts.allow("localhost") && !hosts.allow("learner.example.org"));
+    }
+}

@@ -1,0 +1,172 @@
+//! The page's HTTP server: a connection asks once, may only read, and is gone within seconds.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::header::{
+    ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, REFERRER_POLICY,
+    X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use hyper::server::conn::http1;
+use hyper_util::rt::TokioIo;
+use hyper_util::service::TowerToHyperService;
+use serde_json::Value;
+use sha2::{Digest as _, Sha256};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
+
+use super::{Board, Hosts, Page, answers, exposition};
+
+/// The page, with its script and its style.
+const PAGE: &str = include_str!("page.html");
+
+/// Connections at a time; more wait to be accepted.
+const MOST_CONNECTIONS: usize = 32;
+/// How long a connection may take to ask and to take its answer away.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Size of a request without its body, bytes; bodies are never read.
+const MOST_HEADER_BYTES: usize = 16 << 10;
+/// Pause after a failed accept, for example because the process is out of file descriptors.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+const EMBEDDING: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+
+/// What every connection needs.
+#[derive(Debug)]
+struct Site {
+    board: Arc<Board>,
+    hosts: Hosts,
+    policy: HeaderValue,
+}
+
+/// Shows `board` on `page` until dropped.
+pub(crate) async fn serve(page: Page, board: Arc<Board>) {
+    let site = Site { board, hosts: page.hosts, policy: content_policy(PAGE) };
+    accept(&page.listener, &routes(Arc::new(site))).await;
+}
+
+fn routes(site: Arc<Site>) -> Router {
+    Router::new()
+        .route("/", get(async || ([(CONTENT_TYPE, "text/html; charset=utf-8")], PAGE)))
+        .route("/api/run", get(async |State(site): Shared| json(&answers::run(&site.board))))
+        .route("/api/status", get(async |State(site): Shared| json(&answers::status(&site.board))))
+        .route("/api/curves", get(async |State(site): Shared| json(&answers::curves(&site.board))))
+        .route("/api/film", get(async |State(site): Shared| json(&answers::film(&site.board))))
+        .route("/metrics", get(async |State(site): Shared| metrics(&site.board)))
+        .layer(middleware::from_fn_with_state(Arc::clone(&site), guard))
+        .with_state(site)
+}
+
+type Shared = State<Arc<Site>>;
+
+async fn accept(listener: &TcpListener, routes: &Router) {
+    let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let mut open = JoinSet::new();
+    while let Ok(permit) = Arc::clone(&room).acquire_owned().await {
+        match listener.accept().await {
+            Ok((stream, _)) => {
+                let answered = answer(stream, routes.clone());
+                open.spawn(async move {
+                    answered.await;
+                    drop(permit);
+                });
+            }
+            Err(error) => {
+                tracing::warn!("the page cannot accept a connection: {error}");
+                tokio::time::sleep(ACCEPT_PAUSE).await;
+            }
+        }
+        while open.try_join_next().is_some() {}
+    }
+}
+
+/// Serves one request, or none if it does not come in time.
+async fn answer(stream: TcpStream, routes: Router) {
+    let mut server = http1::Builder::new();
+    server.keep_alive(false).max_buf_size(MOST_HEADER_BYTES);
+    let served = server.serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes));
+    // Whoever left or was too slow has itself to blame.
+    let _ended = tokio::time::timeout(PATIENCE, served).await;
+}
+
+/// Refuses other hosts and everything that is no question; tells the browser how little the page needs.
+async fn guard(State(site): Shared, request: Request, next: Next) -> Response {
+    let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let mut response = if !site.hosts.allow(host) {
+        let why = "this page is not asked for by that name; --page-host allows more names\n";
+        (StatusCode::FORBIDDEN, why).into_response()
+    } else if ![Method::GET, Method::HEAD].contains(request.method()) {
+        (StatusCode::METHOD_NOT_ALLOWED, [(ALLOW, "GET, HEAD")]).into_response()
+    } else {
+        next.run(request).await
+    };
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_SECURITY_POLICY, site.policy.clone());
+    for (name, value) in [
+        (CACHE_CONTROL, "no-store"),
+        (EMBEDDING, "same-origin"),
+        (REFERRER_POLICY, "no-referrer"),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+fn json(value: &Value) -> Response<Body> {
+    ([(CONTENT_TYPE, "application/json")], value.to_string()).into_response()
+}
+
+fn metrics(board: &Board) -> Response<Body> {
+    ([(CONTENT_TYPE, exposition::CONTENT_TYPE)], exposition::text(board)).into_response()
+}
+
+/// The page runs the script and wears the style that stand in it, and asks its own origin; nothing else.
+fn content_policy(page: &str) -> HeaderValue {
+    let hash = |tag: &str| {
+        let inside = page.split_once(&format!("<{tag}>")).map_or("", |(_, after)| after);
+        let inside = inside.split_once(&format!("</{tag}>")).map_or("", |(text, _)| text);
+        STANDARD.encode(Sha256::digest(inside))
+    };
+    let policy = format!(
+        "default-src 'none'; script-src 'sha256-{}'; style-src 'sha256-{}'; connect-src 'self'; \
+         base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+        hash("script"),
+        hash("style")
+    );
+    HeaderValue::from_str(&policy).expect("a policy is plain text")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_policy_names_the_script_and_the_style_by_their_hashes() {
+        let page = "<style>b{}</style><script>a()</script>";
+        let policy = content_policy(page);
+        // base64.b64encode(hashlib.sha256(b"a()").digest()), and of b"b{}".
+        let script = "script-src 'sha256-qVpDBgj7bpq5hMAcGp3AOc79J3Y1Z4HvySTwKrWDoy4='";
+        let style = "style-src 'sha256-7yqHVAesot11p6HczDsgKRipvI5UPgs97z80zNXlans='";
+        let policy = policy.to_str().unwrap();
+        assert!(policy.contains(script) && policy.contains(style), "{policy}");
+    }
+
+    #[test]
+    fn the_page_asks_nobody_but_its_own_learner() {
+        for outside in ["http:", "https:", "//cdn", "src=", "@import", "url("] {
+            assert!(!PAGE.contains(outside), "{outside}");
+        }
+        assert_eq!((PAGE.matches("<script>").count(), PAGE.matches("<style>").count()), (1, 1));
+    }
+}

@@ -1,0 +1,29 @@
+//! Films of evaluated episodes, as the exchange hands them on.
+
+use learner::exchange::FilmedEpisode;
+use learner::{Exchange, launch};
+use proto::{
+    Digest, EvaluationResult, Film, Incarnation, LeaseId, PolicyVersion, PushHeader, WeightsName,
+};
+
+use crate::settings::launch_in;
+
+#[test]
+fn a_film_of_older_policies_that_comes_late_does_not_replace_a_newer_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let launch = launch_in(folder.path(), 1);
+    let lease = launch.config.lease;
+    let exchange = Exchange::new(launch::prepare(launch).unwrap().1, lease);
+    assert_eq!(exchange.film(), None);
+    let film = Film { frame_secs: 0.05, radii: vec![0.1], drivers: vec![None], ends: vec![0.0; 6] };
+    let result = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps: 5 };
+    for (version, shown) in [(2, 2), (1, 2), (2, 2), (4, 4)] {
+        let weights = WeightsName { version: PolicyVersion(version), digest: Digest([0; 32]) };
+        let (incarnation, digest) = (Incarnation(1), result.digest());
+        let header = PushHeader { lease: LeaseId(1), incarnation, weights, digest };
+        exchange.show(&header, result, film.clone());
+        let found = exchange.film().map(|episode| FilmedEpisode::clone(&episode));
+        let version = PolicyVersion(shown);
+        assert_eq!(found, Some(FilmedEpisode { version, result, film: film.clone() }));
+    }
+}

@@ -1,0 +1,78 @@
+//! The run's page as `train` and `learner` open it: who may come in, and where it is.
+
+use std::net::SocketAddr;
+
+use learner::{Hosts, Page};
+use tokio::net::TcpListener;
+
+use crate::cli::{PageAddress, PageArguments};
+use crate::commands::Usage;
+use crate::output;
+
+/// Refuses a page that other machines could reach unless that is allowed.
+pub(crate) fn check(arguments: &PageArguments) -> Result<(), Usage> {
+    match arguments.page {
+        PageAddress::At(address) if !arguments.insecure_allow_remote_page => {
+            demand_loopback(address)
+        }
+        PageAddress::At(_) | PageAddress::Off => Ok(()),
+    }
+}
+
+fn demand_loopback(address: SocketAddr) -> Result<(), Usage> {
+    if address.ip().is_loopback() {
+        return Ok(());
+    }
+    Err(Usage::new(format!(
+        "--page {address} would show this run to other machines without encryption or identity; \
+         pass --insecure-allow-remote-page to allow that, and --page-host with the names they use"
+    )))
+}
+
+/// Opens the page and says where it is.
+///
+/// # Errors
+/// If something else has the port.
+pub(crate) async fn open(arguments: &PageArguments) -> anyhow::Result<Option<Page>> {
+    let PageAddress::At(address) = arguments.page else { return Ok(None) };
+    let listener = TcpListener::bind(address).await.map_err(|error| {
+        Usage::new(format!(
+            "--page {address}: {error}; choose another port, or 0 for any free one, or --page off"
+        ))
+    })?;
+    output::line(format!("page: http://{}", listener.local_addr()?));
+    Ok(Some(Page { listener, hosts: Hosts::with(&arguments.page_host) }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn arguments(page: &str) -> PageArguments {
+        let page = page.parse().unwrap();
+        PageArguments { page, page_host: Vec::new(), insecure_allow_remote_page: false }
+    }
+
+    #[test]
+    fn only_this_machine_sees_the_page_without_being_told() {
+        for page in ["127.0.0.1:8080", "[::1]:0", "off"] {
+            assert!(check(&arguments(page)).is_ok(), "{page}");
+        }
+        for page in ["0.0.0.0:8080", "192.168.1.2:1", "[::]:0"] {
+            let refused = check(&arguments(page)).unwrap_err().to_string();
+            assert!(refused.contains("--insecure-allow-remote-page"), "{refused}");
+            let allowed = PageArguments { insecure_allow_remote_page: true, ..arguments(page) };
+            assert!(check(&allowed).is_ok(), "{page}");
+        }
+        assert!("8080".parse::<PageAddress>().is_err());
+    }
+
+    #[tokio::test]
+    async fn a_port_that_is_taken_is_named_in_one_line() {
+        let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = taken.local_addr().unwrap();
+        let refused = open(&arguments(&address.to_string())).await.unwrap_err().to_string();
+        assert!(refused.starts_with(&format!("--page {address}: ")), "{refused}");
+        assert!(!refused.contains('\n') && refused.contains("--page off"), "{refused}");
+    }
+}

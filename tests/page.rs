@@ -1,0 +1,207 @@
+//! What a learner shows over HTTP, asked as a browser and Prometheus ask.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+#[path = "system/waiting.rs"]
+mod waiting;
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use serde_json::Value;
+
+use runs::{Runs, TINY, inspect, succeeded, train};
+use waiting::{eventually, under_way};
+
+/// A learner with its page, and the actors that it was given.
+struct Learner {
+    processes: Vec<Child>,
+    url: String,
+    page: String,
+}
+
+impl Learner {
+    fn start(folder: &Path, page: &str) -> Self {
+        let dir = format!("run.dir={}", folder.display());
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        command.arg("learner").args(TINY).args([&dir, "run.iterations=100000", "--page", page]);
+        command.args(["--listen", "127.0.0.1:0"]).stderr(Stdio::null());
+        let mut process = command.stdout(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        let mut last_word = || {
+            let line = lines.next().unwrap().unwrap();
+            line.rsplit_once("http://").unwrap().1.to_owned()
+        };
+        let (url, page) = (format!("http://{}", last_word()), last_word());
+        Self { processes: vec![process], url, page }
+    }
+
+    fn add_actor(&mut self) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        command.args(["actor", "--learner", &self.url]).stderr(Stdio::null());
+        self.processes.push(command.spawn().unwrap());
+    }
+
+    fn kill_actor(&mut self) {
+        let mut actor = self.processes.pop().unwrap();
+        actor.kill().unwrap();
+        actor.wait().unwrap();
+    }
+
+    /// Status code, headers and body.
+    fn ask(&self, request: &str) -> (u16, String, String) {
+        let mut stream = TcpStream::connect(&self.page).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        let code = head.split(' ').nth(1).unwrap().parse().unwrap();
+        (code, head.to_owned(), body.to_owned())
+    }
+
+    fn get(&self, path: &str) -> String {
+        let (code, _, body) =
+            self.ask(&format!("GET {path} HTTP/1.1\r\nHost: {}\r\n\r\n", self.page));
+        assert_eq!(code, 200, "{path}: {body}");
+        body
+    }
+
+    fn json(&self, path: &str) -> Value {
+        serde_json::from_str(&self.get(path)).unwrap()
+    }
+}
+
+impl Drop for Learner {
+    fn drop(&mut self) {
+        for process in &mut self.processes {
+            // Only a failed test leaves one that has ended already.
+            let _ended = process.kill();
+            let _waited = process.wait();
+        }
+    }
+}
+
+/// The value of a sample, such as `s2mia_slots{state="free"}`.
+fn sample(scrape: &str, name: &str) -> f64 {
+    let line = scrape.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+    line.unwrap_or_else(|| panic!("no {name} in\n{scrape}")).parse().unwrap()
+}
+
+/// The last iteration that the run's metrics hold.
+fn last_iteration(folder: &Path) -> Value {
+    let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap_or_default();
+    let mut lines = text.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    lines.rfind(|line| line["kind"] == "iteration").unwrap_or_default()
+}
+
+#[test]
+fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_status() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let mut learner = Learner::start(&folder, "127.0.0.1:0");
+    learner.add_actor();
+    eventually(|| {
+        let iteration = last_iteration(&folder)["iteration"].as_u64().unwrap_or_default();
+        if iteration >= 3 { Ok(()) } else { Err(format!("{iteration} iterations of 3")) }
+    });
+    // Without an actor the run stands still, and everything can be read twice.
+    learner.kill_actor();
+    let still = |learner: &Learner| {
+        let status = learner.json("/api/status");
+        let waits = status["stage"] == "collect" && status["status"]["actors"] == 0;
+        if waits { Ok(status) } else { Err(status.to_string()) }
+    };
+    let shown = eventually(|| still(&learner));
+    let (line, scrape) = (last_iteration(&folder), learner.get("/metrics"));
+    let told = succeeded(&["status", &learner.url, "--json"]);
+    assert_eq!(shown["status"], serde_json::from_str::<Value>(&told).unwrap());
+    for (name, of_status) in [
+        ("s2mia_iteration", "iteration"),
+        ("s2mia_env_steps_total", "env_steps"),
+        ("s2mia_policy_lag", "policy_lag"),
+        ("s2mia_leases_reissued_total", "leases_reissued"),
+        ("s2mia_slots{state=\"complete\"}", "complete_slots"),
+    ] {
+        assert_eq!(sample(&scrape, name), shown["status"][of_status].as_f64().unwrap(), "{name}");
+    }
+    for (name, of_metrics) in [
+        ("s2mia_iteration", "iteration"),
+        ("s2mia_phase_seconds{phase=\"collect\"}", "rollout_secs"),
+        ("s2mia_phase_seconds{phase=\"refit\"}", "density_secs"),
+    ] {
+        assert_eq!(sample(&scrape, name), line[of_metrics].as_f64().unwrap(), "{name}");
+    }
+    let slots =
+        ["free", "leased", "complete"].map(|state| format!("s2mia_slots{{state=\"{state}\"}}"));
+    assert_eq!(slots.iter().map(|name| sample(&scrape, name)).sum::<f64>(), 2.0);
+    assert_eq!(sample(&scrape, "s2mia_iterations_planned"), 100_000.0);
+    assert!(sample(&scrape, "process_resident_memory_bytes") > 1e6);
+    // Two slots of two chunks in each iteration.
+    let chunks = sample(&scrape, "s2mia_chunks_total{result=\"accepted\"}");
+    assert!(chunks >= 4.0 * line["iteration"].as_f64().unwrap(), "{chunks} chunks");
+    // Evaluations are at every second iteration, and each is filmed.
+    let film = learner.json("/api/film");
+    assert_eq!(film["iteration"], shown["film"]);
+    let numbers = film["ends"].as_array().unwrap().len();
+    assert_eq!(numbers, 400 * film["radii"].as_array().unwrap().len() * 6);
+    let curves = learner.json("/api/curves");
+    assert_eq!(curves["lines"], shown["lines"]);
+    let curve = &curves["curves"]["rollout_secs"];
+    assert_eq!(curve[0].as_array().unwrap().len() as u64, line["iteration"].as_u64().unwrap());
+}
+
+#[test]
+fn other_names_and_other_methods_are_refused_and_the_page_may_load_nothing_from_elsewhere() {
+    let runs = Runs::new();
+    let learner = Learner::start(&runs.folder("run"), "127.0.0.1:0");
+    let code = |request: &str| learner.ask(request).0;
+    assert_eq!(code("GET / HTTP/1.1\r\nHost: example.org\r\n\r\n"), 403);
+    assert_eq!(code("GET /api/status HTTP/1.0\r\n\r\n"), 403);
+    assert_eq!(code("POST /api/status HTTP/1.1\r\nHost: localhost\r\n\r\n"), 405);
+    assert_eq!(code("GET /runs HTTP/1.1\r\nHost: localhost\r\n\r\n"), 404);
+    let (code, head, page) = learner.ask("GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    assert_eq!(code, 200);
+    assert!(head.contains("default-src 'none'; script-src 'sha256-"), "{head}");
+    assert!(!head.to_lowercase().contains("access-control-allow"), "{head}");
+    assert!(page.starts_with("<!doctype html>"));
+    let (code, _, body) = learner.ask("HEAD / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    assert_eq!((code, body.as_str()), (200, ""));
+}
+
+#[test]
+fn visitors_that_say_nothing_hold_up_neither_the_run_nor_for_long_other_visitors() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let mut learner = Learner::start(&folder, "127.0.0.1:0");
+    let silent: Vec<_> = (0..40).map(|_| TcpStream::connect(&learner.page).unwrap()).collect();
+    learner.add_actor();
+    under_way(&folder);
+    assert_eq!(learner.json("/api/status")["status"]["run_id"], "run");
+    drop(silent);
+}
+
+#[test]
+fn a_page_that_is_looked_at_all_the_time_changes_no_weight() {
+    let runs = Runs::new();
+    let (plain, watched) = (runs.folder("plain"), runs.folder("watched"));
+    train(&plain, &["run.iterations=3", "--page", "off"]);
+    let mut learner = Learner::start(&watched, "127.0.0.1:0");
+    learner.add_actor();
+    eventually(|| {
+        let paths = ["/", "/api/run", "/api/status", "/api/curves", "/api/film", "/metrics"];
+        paths.iter().for_each(|path| drop(learner.get(path)));
+        let iteration = last_iteration(&watched)["iteration"].as_u64().unwrap_or_default();
+        if iteration >= 3 { Ok(()) } else { Err(format!("{iteration} iterations of 3")) }
+    });
+    drop(learner);
+    let third = |folder: &Path| {
+        let text = std::fs::read_to_string(folder.join("provenance.jsonl")).unwrap();
+        let line = text.lines().nth(2).unwrap().to_owned();
+        serde_json::from_str::<Value>(&line).unwrap()["weights_sha256"].clone()
+    };
+    assert_eq!(third(&plain), inspect(&plain)["weights_sha256"]);
+    assert_eq!(third(&watched), third(&plain));
+}
