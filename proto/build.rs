@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use prost::Message;
 
 const ROOT: &str = "proto";
-const FILES: [&str; 5] = ["control", "learner", "environment", "trajectory", "tensor"];
+const FILES: [&str; 6] = ["control", "learner", "policy", "environment", "trajectory", "tensor"];
 /// What actors write for people: not part of the conversation.
 const LOG: &str = "proto/s2mia/log/v1/log.proto";
 

@@ -1,5 +1,6 @@
 //! The arguments of every command, and how a wrong one is reported.
 
+mod control;
 mod figures;
 mod log;
 mod tls;
@@ -11,6 +12,9 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub(crate) use control::{
+    CheckpointArguments, LearnerArgument, OrderArguments, StatusArguments, WatchArguments,
+};
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
@@ -53,6 +57,16 @@ pub(crate) enum Command {
     Health(HealthArguments),
     /// Say where a run stands: iteration, slots, leases, actors, steps per second.
     Status(StatusArguments),
+    /// Print a line for each iteration that a learner finishes, also over its restarts.
+    Watch(WatchArguments),
+    /// Let a learner hand out no more work; what is leased is finished.
+    Pause(OrderArguments),
+    /// Let a paused learner go on. (`s2mia train --resume` takes up a run that has ended.)
+    Resume(OrderArguments),
+    /// Let a learner write a checkpoint, and say where it is.
+    Checkpoint(CheckpointArguments),
+    /// Let a learner end after a checkpoint, as SIGTERM does.
+    Stop(OrderArguments),
     /// Measure a trained policy: whole episodes, mean action, extrinsic return.
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.
@@ -200,23 +214,6 @@ pub(crate) struct HealthArguments {
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
     /// How long to wait for its answer.
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
-    pub(crate) timeout_secs: f64,
-    /// TLS.
-    #[command(flatten)]
-    pub(crate) tls: ClientTlsArguments,
-}
-
-/// `s2mia status`
-#[derive(Args, Debug)]
-pub(crate) struct StatusArguments {
-    /// Run folder, or where the learner listens.
-    #[arg(value_name = "RUN | URL", default_value = "http://127.0.0.1:50051")]
-    pub(crate) of: String,
-    /// Print one JSON object.
-    #[arg(long)]
-    pub(crate) json: bool,
-    /// How long to wait for the learner's answer.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
     /// TLS.

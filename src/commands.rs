@@ -4,6 +4,8 @@ mod actor;
 mod certs;
 mod checkpointed;
 mod config;
+mod control;
+mod entrance;
 mod eval;
 mod experiment;
 mod film;
@@ -16,6 +18,7 @@ mod record;
 mod status;
 mod tasks;
 mod train;
+mod watch;
 
 use std::time::Duration;
 
@@ -53,6 +56,11 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),
         Command::Status(arguments) => status::run(&arguments),
+        Command::Watch(arguments) => watch::run(&arguments),
+        Command::Pause(arguments) => control::pause(&arguments),
+        Command::Resume(arguments) => control::resume(&arguments),
+        Command::Checkpoint(arguments) => control::checkpoint(&arguments),
+        Command::Stop(arguments) => control::stop(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
         Command::Config(arguments) => config::run(arguments),

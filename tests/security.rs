@@ -119,7 +119,7 @@ fn asked(question: &[&str], tls: &[String]) -> (i32, String) {
 }
 
 #[test]
-fn status_and_health_are_told_over_tls_to_whoever_has_the_role() {
+fn over_tls_a_learner_tells_and_does_what_the_role_in_the_certificate_allows() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
     let other = Certificates::make(folder.path().join("other"));
@@ -131,7 +131,19 @@ fn status_and_health_are_told_over_tls_to_whoever_has_the_role() {
     let of = |role| own.of_client(&own, role);
     let (nobody, strangers) = (Vec::new(), other.of_client(&own, "viewer"));
     let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
-    let cases: [(&[&str], &[String], i32, &str); 9] = [
+    let orders = ["pause", "resume", "checkpoint", "stop"].map(|order| [order, url.as_str()]);
+    for order in &orders {
+        for role in ["viewer", "actor"] {
+            let told = asked(order, &of(role));
+            let words = format!("needs the role admin; the certificate carries {role}");
+            assert!(told.0 == 1 && told.1.contains(&words), "{order:?}: {told:?}");
+        }
+    }
+    let cases: [(&[&str], &[String], i32, &str); 13] = [
+        (&orders[0], &of("admin"), 0, "is paused; 0 leases"),
+        (&orders[1], &of("admin"), 0, "goes on"),
+        (&orders[2], &of("admin"), 0, "iteration 0: "),
+        (&["watch", &url], &of("actor"), 1, "needs the role viewer; the certificate carries actor"),
         (&status, &of("viewer"), 0, "iteration 0"),
         (&status, &of("admin"), 0, "iteration 0"),
         (&["status", run], &of("viewer"), 0, "iteration 0"),

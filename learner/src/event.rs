@@ -38,6 +38,10 @@ pub enum Event {
         /// Its iteration.
         iteration: u64,
     },
+    /// No work is handed out until somebody resumes.
+    Paused,
+    /// Work is handed out again.
+    Resumed,
     /// Nothing has come in for a while.
     Waiting {
         /// Seconds since anything did.

@@ -21,6 +21,7 @@ pub mod json_lines;
 pub mod launch;
 pub mod metrics;
 pub mod provenance;
+pub mod published;
 pub mod run;
 pub mod run_folder;
 pub mod schedule;

@@ -5,16 +5,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use proto::RunEnd;
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
 
 use crate::door::Door;
 use crate::error::LearnerError;
-use crate::event::Event;
 use crate::exchange::Exchange;
 use crate::launch::{Launch, prepare};
 use crate::service;
-use crate::trainer::{Outside, Summary, Trainer};
+use crate::trainer::{Observer, Outside, Summary, Trainer};
 
 /// How long actors have to hear that the run is over.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -31,7 +31,7 @@ const CLOSING: Duration = Duration::from_secs(1);
 pub async fn run(
     launch: Launch,
     door: impl Into<Door>,
-    observer: Box<dyn FnMut(&Event) + Send>,
+    observer: Observer,
     stop: watch::Receiver<bool>,
 ) -> Result<Summary, LearnerError> {
     let lease = launch.config.lease;
@@ -45,18 +45,31 @@ pub async fn run(
     let exchange = Exchange::new(description, lease);
     let server = Server::start(door, &exchange);
     let broken = Arc::clone(&server.broken);
+    let asked = Arc::clone(&exchange);
+    let stop = move || *stop.borrow() || asked.is_asked_to_stop() || broken.load(Ordering::Relaxed);
     let outside = Outside {
         exchange: Arc::clone(&exchange),
-        observer,
-        stop: Box::new(move || *stop.borrow() || broken.load(Ordering::Relaxed)),
+        observer: shown_to_watchers(observer, &exchange),
+        stop: Box::new(stop),
     };
     let result = on_own_thread(trainer, outside).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
+    exchange.refuse_saves();
+    exchange.show_end(if complete { RunEnd::Finished } else { RunEnd::Stopped });
     let served = match complete {
         true => server.bid_farewell(&exchange).await.close().await,
         false => server.close().await,
     };
     result.and_then(|summary| served.map(|()| summary))
+}
+
+/// The same observer, after whoever watches over the network.
+fn shown_to_watchers(mut observer: Observer, exchange: &Arc<Exchange>) -> Observer {
+    let exchange = Arc::clone(exchange);
+    Box::new(move |event| {
+        exchange.show(event);
+        observer(event);
+    })
 }
 
 /// The service while the trainer works.

@@ -5,10 +5,12 @@
 //! face the network. Every domain type has `to_wire`, which cannot fail, and `from_wire`, which refuses
 //! what is wrong with a [`Refusal`] that names the field.
 
+mod acting;
 pub mod calls;
 mod digest;
 mod environment;
 mod ids;
+mod line;
 mod read;
 mod refusal;
 mod run;
@@ -20,6 +22,9 @@ pub mod validate;
 pub mod wire;
 mod work;
 
+pub use acting::{
+    ActStep, Acted, ActionChoice, ActionDistribution, PolicyAgent, PolicyDescription,
+};
 pub use calls::{
     Ack, AckState, Beat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,
     RunState,
@@ -29,6 +34,7 @@ pub use environment::{
     ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
 };
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
+pub use line::{EvaluationSummary, RunEnd, RunLine};
 pub use refusal::{ERROR_DOMAIN, Reason, Refusal};
 pub use run::RunDescription;
 pub use status::{LeaseStatus, LeasedWork, Status};

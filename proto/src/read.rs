@@ -46,3 +46,8 @@ pub(crate) fn equal(reason: Reason, found: u64, expected: u64, field: &str) -> R
 pub(crate) fn hold(condition: Result<(), String>, field: &str) -> Result<(), Refusal> {
     condition.map_err(|detail| Refusal::new(Reason::BadValue, field, detail))
 }
+
+/// An enumeration's value that this version does not know.
+pub(crate) fn unknown(field: &str, value: i32) -> Refusal {
+    Refusal::new(Reason::BadValue, field, format!("unknown value {value}"))
+}
