@@ -3,6 +3,7 @@
 mod control;
 mod figures;
 mod log;
+mod serve;
 mod tls;
 
 use std::net::SocketAddr;
@@ -17,6 +18,7 @@ pub(crate) use control::{
 };
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
+pub(crate) use serve::ServeArguments;
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
@@ -67,6 +69,8 @@ pub(crate) enum Command {
     Checkpoint(CheckpointArguments),
     /// Let a learner end after a checkpoint, as SIGTERM does.
     Stop(OrderArguments),
+    /// Act by a run's trained policies for whoever observes, over gRPC.
+    Serve(ServeArguments),
     /// Measure a trained policy: whole episodes, mean action, extrinsic return.
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.

@@ -15,6 +15,7 @@ mod learner;
 mod log;
 mod plot;
 mod record;
+mod serve;
 mod status;
 mod tasks;
 mod train;
@@ -48,6 +49,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Train(arguments) => train::run(&arguments),
         Command::Learner(arguments) => learner::run(&arguments),
         Command::Actor(arguments) => actor::run(arguments),
+        Command::Serve(arguments) => serve::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Log(command) => log::run(&command),

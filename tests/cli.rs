@@ -42,6 +42,7 @@ fn wrong_settings_are_one_line_and_status_two() {
         (&["checkpoint", "https://localhost:1"], "--tls-ca"),
         (&["eval", "no/such/run"], "no/such/run"),
         (&["record", "no/such/run"], "no/such/run"),
+        (&["serve", "no/such/run"], "no/such/run"),
         (&["plot", "no/such/run"], "no/such/run"),
         (&["dance"], "dance"),
     ] {
@@ -68,6 +69,7 @@ fn every_command_has_help() {
         "train",
         "learner",
         "actor",
+        "serve",
         "health",
         "certs",
         "eval",

@@ -27,6 +27,7 @@ pub mod run_folder;
 pub mod schedule;
 pub mod service;
 pub mod slots;
+mod team;
 pub mod trainer;
 
 pub use config::{

@@ -27,14 +27,17 @@ use crate::service::control::Control;
 mod connections;
 mod control;
 mod crowd;
+mod deadline;
 mod greeting;
 mod ingest;
 mod opened;
 mod operator;
+mod policies;
 mod snapshots;
 mod storage;
 
 pub use operator::{DistantCheckpoint, Operator, WatchedLines};
+pub use policies::{ServedPolicies, serve_policies};
 pub use storage::STORAGE;
 
 /// A connection on which nothing came is asked for a sign of life after this long...
