@@ -11,11 +11,12 @@ import tempfile
 
 import grpc_tools
 import numpy as np
+from google.protobuf import descriptor_pool
 from grpc_tools import protoc
 
 _HERE = pathlib.Path(__file__).resolve()
 PROTO = pathlib.Path(os.environ.get("S2MIA_PROTO", _HERE.parents[3] / "proto" / "proto"))
-_FILES = ["tensor", "environment", "trajectory", "learner", "control"]
+_FILES = ["tensor", "environment", "trajectory", "learner", "control", "policy"]
 
 
 def _compile() -> None:
@@ -34,7 +35,7 @@ def _compile() -> None:
             for name in _FILES:
                 module = importlib.import_module(f"s2mia.v1.{name}_pb2")
                 globals().update({key: value for key, value in vars(module).items() if key[0].isupper()})
-            for name in ("learner", "control"):
+            for name in ("learner", "control", "policy"):
                 module = importlib.import_module(f"s2mia.v1.{name}_pb2_grpc")
                 globals().update({key: value for key, value in vars(module).items() if key.endswith("Stub")})
         finally:
@@ -42,6 +43,11 @@ def _compile() -> None:
 
 
 _compile()
+
+
+def service(name: str):
+    """The description of a service by its full name, such as `s2mia.v1.LearnerService`."""
+    return descriptor_pool.Default().FindServiceByName(name)
 
 
 def tensor(array: np.ndarray):
