@@ -6,14 +6,16 @@
 #[path = "system/learners.rs"]
 mod learners;
 
+use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, SystemTime};
 
 use learners::{Learner, inspect};
-use proto::wire::DescribeRunRequest;
 use proto::wire::learner_service_client::LearnerServiceClient;
+use proto::wire::policy_service_client::PolicyServiceClient;
+use proto::wire::{DescribePolicyRequest, DescribeRunRequest};
 use security::Role;
 use security::development::{Issued, Issuer};
 use tonic::Code;
@@ -242,6 +244,41 @@ async fn changed_certificates_are_served_without_a_restart_and_broken_ones_are_n
 async fn until(happened: impl AsyncFn() -> bool) {
     let tries = async { while !happened().await {} };
     tokio::time::timeout(Duration::from_secs(30), tries).await.unwrap();
+}
+
+/// A server of the policies in `run`, and where it listens.
+fn served(run: &Path, tls: &[String]) -> (Child, String) {
+    let own = ["serve", run.to_str().unwrap(), "--listen=127.0.0.1:0"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(own).args(tls).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut server = command.spawn().unwrap();
+    let mut first = String::new();
+    BufReader::new(server.stdout.take().unwrap()).read_line(&mut first).unwrap();
+    (server, first.split_whitespace().last().unwrap().to_owned())
+}
+
+#[tokio::test]
+async fn policies_are_served_over_tls_to_whoever_may_watch() {
+    let folder = tempfile::tempdir().unwrap();
+    let (own, run) = (Certificates::make(folder.path().join("own")), folder.path().join("run"));
+    let mut learner = Learner::start(&run, &[]);
+    assert_eq!(s2mia(&["checkpoint", run.to_str().unwrap()]).0, 0);
+    learner.stop();
+    let (mut server, url) = served(&run, &own.of_learner());
+    assert!(url.starts_with("https://"));
+    for (role, may) in [("viewer", true), ("admin", true), ("actor", false)] {
+        let read = |name: String| std::fs::read(own.file(&name)).unwrap();
+        let identity = Identity::from_pem(read(format!("{role}.pem")), read(format!("{role}.key")));
+        let authority = Certificate::from_pem(read("ca.pem".to_owned()));
+        let tls = ClientTlsConfig::new().ca_certificate(authority).identity(identity);
+        let channel = Endpoint::from_shared(url.clone()).unwrap().tls_config(tls).unwrap();
+        let mut client = PolicyServiceClient::new(channel.connect().await.unwrap());
+        let told = client.describe_policy(DescribePolicyRequest {}).await;
+        let denied = told.as_ref().is_err_and(|status| status.code() == Code::PermissionDenied);
+        assert!(told.is_ok() == may && denied != may, "{role}: {told:?}");
+    }
+    server.kill().unwrap();
+    server.wait().unwrap();
 }
 
 #[test]

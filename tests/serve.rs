@@ -122,9 +122,22 @@ impl Acting {
         Ok(Acted::from_wire(answer, &self.action_sizes).unwrap())
     }
 
-    async fn step(&mut self, reset: bool, observations: Vec<(usize, Vec<f32>)>) -> Acted {
-        self.send(ActStep { reset, observations }.to_wire()).await.unwrap()
+    async fn step(&mut self, step: ActStep) -> Acted {
+        self.send(step.to_wire()).await.unwrap()
     }
+}
+
+/// A step with these observations.
+type Step = fn(Vec<(usize, Vec<f32>)>) -> ActStep;
+
+/// The first step of an episode.
+fn first(observations: Vec<(usize, Vec<f32>)>) -> ActStep {
+    ActStep { reset: true, observations }
+}
+
+/// A later step.
+fn next(observations: Vec<(usize, Vec<f32>)>) -> ActStep {
+    ActStep { reset: false, observations }
 }
 
 /// One number after the other.
@@ -137,7 +150,8 @@ async fn play(acting: &mut Acting, world: &mut Environments, episode: u32) -> (V
     reset(world, episode);
     let (mut joint, mut total, mut outcomes) = (Vec::new(), 0.0, [Outcome::default()]);
     loop {
-        let acted = acting.step(joint.is_empty(), observations(world)).await;
+        let begins = if joint.is_empty() { first } else { next };
+        let acted = acting.step(begins(observations(world))).await;
         joint.push(side_by_side(&acted));
         world.step(joint.last().unwrap(), &mut outcomes).unwrap();
         total += f64::from(outcomes[0].reward);
@@ -185,8 +199,8 @@ async fn the_service_says_who_acts_and_by_which_weights() {
     let kinds = described.agents.iter().map(|agent| (agent.hidden_size, agent.distribution));
     assert!(kinds.clone().all(|kind| kind == (8, ActionDistribution::Gaussian)));
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
-    let first = observations(&world(folder));
-    assert_eq!(acting.step(false, first).await.weights, described.weights);
+    let seen = observations(&world(folder));
+    assert_eq!(acting.step(next(seen)).await.weights, described.weights);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -198,11 +212,12 @@ async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agen
     reset(&mut world, 0);
     let seen = observations(&world);
     let mut by_seed = Vec::new();
-    for seed in [1, 1, 2] {
+    // A stream's first step begins an episode, whether it says so or not.
+    for (seed, begins) in [(1, first as Step), (1, next), (2, next)] {
         let mut acting = Acting::begin(&server, ActionChoice::Sampled { seed }).await;
         let mut actions = Vec::new();
-        for reset in [false, false, true] {
-            actions.push(side_by_side(&acting.step(reset, seen.clone()).await));
+        for step in [begins, next, first] {
+            actions.push(side_by_side(&acting.step(step(seen.clone())).await));
         }
         by_seed.push(actions);
     }
@@ -216,8 +231,8 @@ async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agen
     let mut alone = vec![Vec::new(); seen.len()];
     for (agent, observation) in seen.iter().rev() {
         let (one, everybody) = tokio::join!(
-            acting.step(false, vec![(*agent, observation.clone())]),
-            other.step(false, seen.clone())
+            acting.step(next(vec![(*agent, observation.clone())])),
+            other.step(next(seen.clone()))
         );
         assert_eq!(everybody.actions.len(), seen.len());
         alone[*agent] = one.actions[0].1.clone();
@@ -230,18 +245,18 @@ async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
     let (_, folder) = trained();
     let server = Server::start(folder, &[]);
     let seen = observations(&world(folder));
-    let (first, mut short, mut wild) = (seen[0].clone(), seen.clone(), seen.clone());
+    let (one, mut short, mut wild) = (seen[0].clone(), seen.clone(), seen.clone());
     short[2].1.pop();
     wild[1].1[0] = f32::NAN;
-    let step = |observations| ActStep { reset: false, observations }.to_wire();
+    let step = |observations| next(observations).to_wire();
     let mut honest = Acting::begin(&server, ActionChoice::Mean).await;
-    honest.step(false, seen.clone()).await;
+    honest.step(next(seen.clone())).await;
     for (message, reason, field) in [
         (step(vec![]), Reason::MissingField, "step.observations"),
         (step(short), Reason::BadShape, "step.observations[2].observation"),
         (step(wild), Reason::NotFinite, "step.observations[1].observation"),
-        (step(vec![(6, first.1.clone())]), Reason::BadValue, "step.observations[0].agent"),
-        (step(vec![first.clone(), first]), Reason::BadValue, "step.observations[1].agent"),
+        (step(vec![(6, one.1.clone())]), Reason::BadValue, "step.observations[0].agent"),
+        (step(vec![one.clone(), one]), Reason::BadValue, "step.observations[1].agent"),
         (ActionChoice::Mean.to_wire(), Reason::BadValue, "start"),
         (wire::ActRequest { content: None }, Reason::MissingField, "content"),
     ] {
@@ -250,7 +265,7 @@ async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
         let refusal = Refusal::from_status(&status).unwrap();
         assert_eq!((refusal.reason, refusal.field.as_str()), (reason, field));
     }
-    honest.step(false, seen).await;
+    honest.step(next(seen)).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -267,7 +282,7 @@ async fn a_stream_ends_at_its_deadline_and_when_the_server_is_told_to_stop() {
     assert_eq!(ended.unwrap().unwrap_err().code(), Code::DeadlineExceeded);
 
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
-    acting.step(false, observations(&world(folder))).await;
+    acting.step(next(observations(&world(folder)))).await;
     let process = server.process.id().to_string();
     assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
     assert_eq!(acting.answers.message().await.unwrap_err().code(), Code::Unavailable);
@@ -283,7 +298,7 @@ async fn newer_checkpoints_are_taken_up_between_episodes() {
     let server = Server::start(&folder, &["--follow"]);
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
     let seen = observations(&world(&folder));
-    assert_eq!(acting.step(false, seen.clone()).await.weights.version.0, 2);
+    assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2);
     succeeded(&["train", "--resume", folder.to_str().unwrap(), "run.iterations=4"]);
     let mut newest = 2;
     while newest == 2 {
@@ -292,8 +307,8 @@ async fn newer_checkpoints_are_taken_up_between_episodes() {
         newest = described.into_inner().weights.unwrap().version;
     }
     assert_eq!(newest, 4);
-    assert_eq!(acting.step(false, seen.clone()).await.weights.version.0, 2, "in the same episode");
-    assert_eq!(acting.step(true, seen).await.weights.version.0, 4);
+    assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2, "in the same episode");
+    assert_eq!(acting.step(first(seen)).await.weights.version.0, 4);
 }
 
 #[test]

@@ -26,8 +26,7 @@ mod reports;
 mod status;
 mod weights;
 
-use control::Orders;
-pub use control::SaveError;
+pub use control::{Orders, SaveError};
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
 pub use lines::Lines;

@@ -46,7 +46,8 @@ pub async fn run(
     let server = Server::start(door, &exchange);
     let broken = Arc::clone(&server.broken);
     let asked = Arc::clone(&exchange);
-    let stop = move || *stop.borrow() || asked.is_asked_to_stop() || broken.load(Ordering::Relaxed);
+    let stop =
+        move || *stop.borrow() || asked.orders().is_stopped() || broken.load(Ordering::Relaxed);
     let outside = Outside {
         exchange: Arc::clone(&exchange),
         observer: shown_to_watchers(observer, &exchange),
@@ -54,7 +55,7 @@ pub async fn run(
     };
     let result = on_own_thread(trainer, outside).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
-    exchange.refuse_saves();
+    exchange.orders().end();
     exchange.show_end(if complete { RunEnd::Finished } else { RunEnd::Stopped });
     let served = match complete {
         true => server.bid_farewell(&exchange).await.close().await,

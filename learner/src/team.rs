@@ -13,7 +13,7 @@ use crate::published::Published;
 pub(crate) struct Team {
     weights: Arc<Published>,
     choice: ActionChoice,
-    /// Episodes begun.
+    /// Episodes before the present one.
     episodes: u64,
     members: Vec<Member>,
     scratch: Scratch,
@@ -29,17 +29,17 @@ struct Member {
 }
 
 impl Team {
-    /// Before its first episode.
+    /// At the start of its first episode.
     pub(crate) fn new(weights: Arc<Published>, choice: ActionChoice) -> Self {
         let members = beginners(&weights);
         Self { weights, choice, episodes: 0, members, scratch: Scratch::default() }
     }
 
-    /// An episode begins, by these weights: all recurrent states are zero.
+    /// An episode begins, by these weights: all recurrent states are zero. One that nobody has acted in counts for none.
     pub(crate) fn reset(&mut self, weights: Arc<Published>) {
+        self.episodes += u64::from(self.members.iter().any(|member| member.steps > 0));
         self.members = beginners(&weights);
         self.weights = weights;
-        self.episodes += 1;
     }
 
     /// Actions for the observations of a step, which has been checked. Each row is computed by itself, so no agent's

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use learner::checkpoint::Loaded;
 use learner::published::Published;
 use learner::service::{ServedPolicies, serve_policies};
 use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
@@ -25,30 +26,31 @@ pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {
         demand_loopback(arguments.listen, &arguments.tls)?;
     }
     let entrance = Entrance::new(arguments.listen, &arguments.tls)?;
-    let folder = Arc::new(Folder::open(&arguments.run)?);
-    runtime()?.block_on(serve(folder, entrance, arguments))
-}
-
-async fn serve(
-    folder: Arc<Folder>,
-    entrance: Entrance,
-    arguments: &ServeArguments,
-) -> anyhow::Result<()> {
-    let first = folder.newest()?;
-    let (door, url) = entrance.open().await?;
-    let (run, version) = (folder.path.display(), first.name.version);
-    output::line(format!("{run} acts by its policies after iteration {version} on {url}"));
-    let (sender, newest) = watch::channel(Arc::new(first));
+    let loaded = checkpointed::load(&arguments.run)?;
+    let folder = Folder::open(&arguments.run)?;
+    let (sender, newest) = watch::channel(Arc::new(folder.policies(loaded)?));
     let served = ServedPolicies {
         run_id: run_path::name(&folder.path),
         environment: folder.environment.clone(),
         newest,
     };
+    if arguments.follow {
+        let thread = std::thread::Builder::new().name("follow".to_owned());
+        // It ends with the process; nobody waits for it.
+        thread.spawn(move || follow(&folder, &sender)).context("cannot follow the run")?;
+    }
+    runtime()?.block_on(serve(&arguments.run, served, entrance))
+}
+
+async fn serve(run: &Path, served: ServedPolicies, entrance: Entrance) -> anyhow::Result<()> {
+    let (door, url) = entrance.open().await?;
+    let version = served.newest.borrow().name.version;
+    output::line(format!(
+        "{} acts by its policies after iteration {version} on {url}",
+        run.display()
+    ));
     let (stop_sender, stop) = watch::channel(false);
     signals::stop_on_signal(stop_sender, || output::line("stopping"))?;
-    if arguments.follow {
-        tokio::spawn(follow(Arc::clone(&folder), sender));
-    }
     serve_policies(served, door, stop).await.context("the service ended")
 }
 
@@ -62,8 +64,6 @@ struct Folder {
 
 impl Folder {
     fn open(run: &Path) -> anyhow::Result<Self> {
-        // Says what is wrong with the folder, if anything, before its settings are missed.
-        checkpointed::load(run)?;
         let config = RunConfig::of_run(run)?;
         let world = sim::Environments::new(&config.task, 1).context("cannot build the task")?;
         let environment = actor::environment_spec(world.description());
@@ -72,45 +72,33 @@ impl Folder {
         Ok(Self { path: run.to_path_buf(), environment, hidden_sizes })
     }
 
-    /// The policies of the newest good checkpoint.
-    fn newest(&self) -> anyhow::Result<Published> {
-        let loaded = checkpointed::load(&self.path)?;
+    /// The policies in a checkpoint of the run.
+    fn policies(&self, loaded: Loaded) -> anyhow::Result<Published> {
         let version = PolicyVersion(loaded.checkpoint.iteration);
-        let agents = &self.environment.agents;
-        Published::parse(version, loaded.checkpoint.policy.into(), agents, &self.hidden_sizes)
-            .map_err(|why| {
-                anyhow::anyhow!("cannot serve the policy in {}: {why}", loaded.path.display())
-            })
+        let bytes = loaded.checkpoint.policy.into();
+        Published::parse(version, bytes, &self.environment.agents, &self.hidden_sizes).map_err(
+            |why| anyhow::anyhow!("cannot serve the policy in {}: {why}", loaded.path.display()),
+        )
     }
 }
 
-/// Takes up each new checkpoint once; one that cannot be used is told of and passed over.
-async fn follow(folder: Arc<Folder>, sender: watch::Sender<Arc<Published>>) {
-    let mut seen = sender.borrow().name.version.0;
-    while !sender.is_closed() {
-        tokio::time::sleep(LOOK_AGAIN).await;
-        let looked = Arc::clone(&folder);
-        let found = tokio::task::spawn_blocking(move || newer(&looked, seen)).await;
-        match found {
-            Ok(Ok(None)) => {}
-            Ok(Ok(Some((iteration, policies)))) => {
-                seen = iteration;
+/// Takes up each new checkpoint as it is written; one that cannot be used is told of and passed over.
+fn follow(folder: &Folder, newest: &watch::Sender<Arc<Published>>) {
+    let mut seen = newest.borrow().name.version.0;
+    while !newest.is_closed() {
+        std::thread::sleep(LOOK_AGAIN);
+        let found = learner::checkpoint::newest_iteration(&folder.path).ok().flatten();
+        let Some(iteration) = found.filter(|iteration| *iteration > seen) else { continue };
+        seen = iteration;
+        match checkpointed::load(&folder.path).and_then(|loaded| folder.policies(loaded)) {
+            Ok(policies) => {
+                let version = policies.name.version;
                 tracing::info!(
-                    "episodes that begin now act by the policies after iteration {}",
-                    policies.name.version
+                    "episodes that begin now act by the policies after iteration {version}"
                 );
-                sender.send_replace(Arc::new(policies));
+                newest.send_replace(Arc::new(policies));
             }
-            Ok(Err(error)) => tracing::warn!("the policies before are kept: {error:#}"),
-            Err(panic) => tracing::error!("looking for new policies broke down: {panic}"),
+            Err(error) => tracing::warn!("the policies before are kept: {error:#}"),
         }
-    }
-}
-
-/// The policies of a checkpoint after that of iteration `seen`, and which iteration was looked at.
-fn newer(folder: &Folder, seen: u64) -> anyhow::Result<Option<(u64, Published)>> {
-    match learner::checkpoint::newest_iteration(&folder.path)? {
-        Some(iteration) if iteration > seen => Ok(Some((iteration, folder.newest()?))),
-        _ => Ok(None),
     }
 }

@@ -75,7 +75,7 @@ impl ControlService for Control {
         request: Request<wire::SaveCheckpointRequest>,
     ) -> Result<Response<wire::SaveCheckpointResponse>, Status> {
         demand(&request, Role::Admin)?;
-        let saved = self.exchange.save().await.map_err(|error| match error {
+        let saved = self.exchange.orders().save().await.map_err(|error| match error {
             SaveError::Failed(_) => Status::failed_precondition(error.to_string()),
             SaveError::Ended => Status::unavailable(error.to_string()),
         })?;
@@ -89,7 +89,7 @@ impl ControlService for Control {
         request: Request<wire::StopRequest>,
     ) -> Result<Response<wire::StopResponse>, Status> {
         demand(&request, Role::Admin)?;
-        self.exchange.ask_to_stop();
+        self.exchange.orders().stop();
         tracing::info!("{}: the run ends after a checkpoint", caller(&request, "stop"));
         Ok(Response::new(wire::StopResponse {}))
     }

@@ -26,6 +26,8 @@ use crate::team::Team;
 
 /// Answers that wait to be taken away; then nothing more is read.
 const ANSWERS_AHEAD: usize = 1;
+/// How long open streams have to end when the server stops.
+const CLOSING: Duration = Duration::from_secs(1);
 /// Longer than any stream; tokio's clock reaches as far.
 const NO_DEADLINE: Duration = Duration::from_secs(86_400 * 365);
 /// What is served besides health and reflection.
@@ -56,13 +58,17 @@ pub async fn serve_policies(
     let policies = PolicyServiceServer::new(policies).max_decoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<PolicyServiceServer<Policies>>().await;
-    server()
+    let serving = server()
         .add_service(InterceptedService::new(policies, connections::needs(Role::Viewer)))
         .add_service(health)
         .add_service(reflection(&SERVICES).build_v1().expect(COMPILED))
         .add_service(reflection(&SERVICES).build_v1alpha().expect(COMPILED))
-        .serve_with_incoming_shutdown(incoming, stopped(stop))
-        .await
+        .serve_with_incoming_shutdown(incoming, stopped(stop.clone()));
+    tokio::select! {
+        ended = serving => ended,
+        // Whoever takes no answers away keeps nobody from leaving.
+        () = async { stopped(stop).await; tokio::time::sleep(CLOSING).await } => Ok(()),
+    }
 }
 
 /// Completes when `stop` turns true, or nobody can say so any more.

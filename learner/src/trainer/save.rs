@@ -47,7 +47,7 @@ impl Work {
     /// Writes a checkpoint if somebody asked for one, and answers them.
     pub(super) fn save_if_asked(&mut self) {
         let exchange = Arc::clone(&self.outside.exchange);
-        exchange.answer_saves(|| self.save_now());
+        exchange.orders().answer_saves(|| self.save_now());
     }
 
     /// Writes a checkpoint of the last finished iteration, unless there is one.
