@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use prost::Message;
 
 const ROOT: &str = "proto";
-/// What a learner serves, and tells by reflection.
-const SERVED: [&str; 5] = ["control", "learner", "environment", "trajectory", "tensor"];
+/// What learners and servers of policies serve, and tell by reflection.
+const SERVED: [&str; 6] = ["control", "learner", "policy", "environment", "trajectory", "tensor"];
 /// What other programs serve to actors.
 const OFFERED: &str = "proto/s2mia/v1/environment_service.proto";
 /// What actors write for people: not part of the conversation.

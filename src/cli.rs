@@ -1,9 +1,11 @@
 //! The arguments of every command, and how a wrong one is reported.
 
+mod control;
 mod export;
 mod figures;
 mod log;
 mod page;
+mod serve;
 mod tls;
 
 use std::net::SocketAddr;
@@ -13,10 +15,14 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub(crate) use control::{
+    CheckpointArguments, LearnerArgument, OrderArguments, StatusArguments, WatchArguments,
+};
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use page::{PageAddress, PageArguments};
+pub(crate) use serve::ServeArguments;
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
@@ -57,6 +63,18 @@ pub(crate) enum Command {
     Health(HealthArguments),
     /// Say where a run stands: iteration, slots, leases, actors, steps per second.
     Status(StatusArguments),
+    /// Print a line for each iteration that a learner finishes, also over its restarts.
+    Watch(WatchArguments),
+    /// Let a learner hand out no more work; what is leased is finished.
+    Pause(OrderArguments),
+    /// Let a paused learner go on. (`s2mia train --resume` takes up a run that has ended.)
+    Resume(OrderArguments),
+    /// Let a learner write a checkpoint, and say where it is.
+    Checkpoint(CheckpointArguments),
+    /// Let a learner end after a checkpoint, as SIGTERM does.
+    Stop(OrderArguments),
+    /// Act by a run's trained policies for whoever observes, over gRPC.
+    Serve(ServeArguments),
     /// Measure a trained policy: whole episodes, mean action, extrinsic return.
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP, ready for Foxglove.
@@ -228,23 +246,6 @@ pub(crate) struct HealthArguments {
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
     /// How long to wait for its answer.
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
-    pub(crate) timeout_secs: f64,
-    /// TLS.
-    #[command(flatten)]
-    pub(crate) tls: ClientTlsArguments,
-}
-
-/// `s2mia status`
-#[derive(Args, Debug)]
-pub(crate) struct StatusArguments {
-    /// Run folder, or where the learner listens.
-    #[arg(value_name = "RUN | URL", default_value = "http://127.0.0.1:50051")]
-    pub(crate) of: String,
-    /// Print one JSON object.
-    #[arg(long)]
-    pub(crate) json: bool,
-    /// How long to wait for the learner's answer.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
     /// TLS.

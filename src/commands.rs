@@ -4,6 +4,8 @@ mod actor;
 mod certs;
 mod checkpointed;
 mod config;
+mod control;
+mod entrance;
 mod eval;
 mod experiment;
 mod export;
@@ -14,9 +16,11 @@ mod learner;
 mod log;
 mod plot;
 mod record;
+mod serve;
 mod status;
 mod tasks;
 mod train;
+mod watch;
 
 use std::time::Duration;
 
@@ -46,6 +50,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Train(arguments) => train::run(&arguments),
         Command::Learner(arguments) => learner::run(&arguments),
         Command::Actor(arguments) => actor::run(arguments),
+        Command::Serve(arguments) => serve::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Log(command) => log::run(&command),
@@ -55,6 +60,11 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Export(arguments) => export::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),
         Command::Status(arguments) => status::run(&arguments),
+        Command::Watch(arguments) => watch::run(&arguments),
+        Command::Pause(arguments) => control::pause(&arguments),
+        Command::Resume(arguments) => control::resume(&arguments),
+        Command::Checkpoint(arguments) => control::checkpoint(&arguments),
+        Command::Stop(arguments) => control::stop(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),

@@ -36,8 +36,13 @@ fn wrong_settings_are_one_line_and_status_two() {
         (&["learner", "--tls-certificate", "a.pem"], "--tls-client-ca"),
         (&["inspect", "no/such/run"], "no/such/run"),
         (&["status", "no/such/run"], "no/such/run"),
+        (&["pause", "no/such/run"], "no/such/run"),
+        (&["watch", "no/such/run"], "no/such/run"),
+        (&["watch", "--max-outage-secs=-1"], "--max-outage-secs"),
+        (&["checkpoint", "https://localhost:1"], "--tls-ca"),
         (&["eval", "no/such/run"], "no/such/run"),
         (&["record", "no/such/run"], "no/such/run"),
+        (&["serve", "no/such/run"], "no/such/run"),
         (&["plot", "no/such/run"], "no/such/run"),
         (&["dance"], "dance"),
     ] {
@@ -61,8 +66,25 @@ fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
 #[test]
 fn every_command_has_help() {
     for command in [
-        "train", "learner", "actor", "health", "certs", "eval", "record", "film", "plot",
-        "inspect", "status", "tasks", "config",
+        "train",
+        "learner",
+        "actor",
+        "serve",
+        "health",
+        "certs",
+        "eval",
+        "record",
+        "film",
+        "plot",
+        "inspect",
+        "status",
+        "watch",
+        "pause",
+        "resume",
+        "checkpoint",
+        "stop",
+        "tasks",
+        "config",
     ] {
         let output = s2mia(&[command, "--help"]);
         assert!(output.status.success(), "{command}");

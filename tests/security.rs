@@ -6,14 +6,16 @@
 #[path = "system/learners.rs"]
 mod learners;
 
+use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, SystemTime};
 
 use learners::{Learner, inspect};
-use proto::wire::DescribeRunRequest;
 use proto::wire::learner_service_client::LearnerServiceClient;
+use proto::wire::policy_service_client::PolicyServiceClient;
+use proto::wire::{DescribePolicyRequest, DescribeRunRequest};
 use security::Role;
 use security::development::{Issued, Issuer};
 use tonic::Code;
@@ -119,7 +121,7 @@ fn asked(question: &[&str], tls: &[String]) -> (i32, String) {
 }
 
 #[test]
-fn status_and_health_are_told_over_tls_to_whoever_has_the_role() {
+fn over_tls_a_learner_tells_and_does_what_the_role_in_the_certificate_allows() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
     let other = Certificates::make(folder.path().join("other"));
@@ -131,7 +133,19 @@ fn status_and_health_are_told_over_tls_to_whoever_has_the_role() {
     let of = |role| own.of_client(&own, role);
     let (nobody, strangers) = (Vec::new(), other.of_client(&own, "viewer"));
     let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
-    let cases: [(&[&str], &[String], i32, &str); 9] = [
+    let orders = ["pause", "resume", "checkpoint", "stop"].map(|order| [order, url.as_str()]);
+    for order in &orders {
+        for role in ["viewer", "actor"] {
+            let told = asked(order, &of(role));
+            let words = format!("needs the role admin; the certificate carries {role}");
+            assert!(told.0 == 1 && told.1.contains(&words), "{order:?}: {told:?}");
+        }
+    }
+    let cases: [(&[&str], &[String], i32, &str); 13] = [
+        (&orders[0], &of("admin"), 0, "is paused; 0 leases"),
+        (&orders[1], &of("admin"), 0, "goes on"),
+        (&orders[2], &of("admin"), 0, "iteration 0: "),
+        (&["watch", &url], &of("actor"), 1, "needs the role viewer; the certificate carries actor"),
         (&status, &of("viewer"), 0, "iteration 0"),
         (&status, &of("admin"), 0, "iteration 0"),
         (&["status", run], &of("viewer"), 0, "iteration 0"),
@@ -230,6 +244,41 @@ async fn changed_certificates_are_served_without_a_restart_and_broken_ones_are_n
 async fn until(happened: impl AsyncFn() -> bool) {
     let tries = async { while !happened().await {} };
     tokio::time::timeout(Duration::from_secs(30), tries).await.unwrap();
+}
+
+/// A server of the policies in `run`, and where it listens.
+fn served(run: &Path, tls: &[String]) -> (Child, String) {
+    let own = ["serve", run.to_str().unwrap(), "--listen=127.0.0.1:0"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(own).args(tls).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut server = command.spawn().unwrap();
+    let mut first = String::new();
+    BufReader::new(server.stdout.take().unwrap()).read_line(&mut first).unwrap();
+    (server, first.split_whitespace().last().unwrap().to_owned())
+}
+
+#[tokio::test]
+async fn policies_are_served_over_tls_to_whoever_may_watch() {
+    let folder = tempfile::tempdir().unwrap();
+    let (own, run) = (Certificates::make(folder.path().join("own")), folder.path().join("run"));
+    let mut learner = Learner::start(&run, &[]);
+    assert_eq!(s2mia(&["checkpoint", run.to_str().unwrap()]).0, 0);
+    learner.stop();
+    let (mut server, url) = served(&run, &own.of_learner());
+    assert!(url.starts_with("https://"));
+    for (role, may) in [("viewer", true), ("admin", true), ("actor", false)] {
+        let read = |name: String| std::fs::read(own.file(&name)).unwrap();
+        let identity = Identity::from_pem(read(format!("{role}.pem")), read(format!("{role}.key")));
+        let authority = Certificate::from_pem(read("ca.pem".to_owned()));
+        let tls = ClientTlsConfig::new().ca_certificate(authority).identity(identity);
+        let channel = Endpoint::from_shared(url.clone()).unwrap().tls_config(tls).unwrap();
+        let mut client = PolicyServiceClient::new(channel.connect().await.unwrap());
+        let told = client.describe_policy(DescribePolicyRequest {}).await;
+        let denied = told.as_ref().is_err_and(|status| status.code() == Code::PermissionDenied);
+        assert!(told.is_ok() == may && denied != may, "{role}: {told:?}");
+    }
+    server.kill().unwrap();
+    server.wait().unwrap();
 }
 
 #[test]

@@ -237,6 +237,14 @@ pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
     }
 }
 
+/// The iteration of the newest checkpoint of a run, whole or not; `None` if there is none.
+///
+/// # Errors
+/// The folder of checkpoints cannot be read.
+pub fn newest_iteration(run_folder: &Path) -> Result<Option<u64>, CheckpointError> {
+    Ok(iterations(&folder(run_folder))?.last().copied())
+}
+
 fn hash_of(arrays: &NamedArrays, counts: impl Fn(&str) -> bool) -> String {
     hex(&sha256(arrays.iter().filter(|(name, _)| counts(name))))
 }

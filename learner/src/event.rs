@@ -49,6 +49,10 @@ pub enum Event {
         /// Those in a row that could not.
         failures: u32,
     },
+    /// No work is handed out until somebody resumes.
+    Paused,
+    /// Work is handed out again.
+    Resumed,
     /// Nothing has come in for a while.
     Waiting {
         /// Seconds since anything did.

@@ -14,19 +14,24 @@ use proto::{
 use tokio::sync::{Notify, watch};
 
 use crate::canary;
+use crate::published::Published;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
+mod control;
 mod film;
 mod incidents;
+mod lines;
 mod patience;
 mod reports;
 mod status;
 mod weights;
 
+pub use control::{Orders, SaveError};
 pub use film::FilmedEpisode;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
+pub use lines::Lines;
 pub use patience::LeaseConfig;
 pub use reports::{Progress, Storage, Wake};
 use status::Pace;
@@ -63,6 +68,8 @@ pub struct Exchange {
     /// Wakes tasks that wait for a lease.
     work: Notify,
     storage: watch::Sender<Storage>,
+    orders: Orders,
+    lines: watch::Sender<Lines>,
 }
 
 #[derive(Debug)]
@@ -95,6 +102,8 @@ impl Exchange {
             pace: Pace::default(),
         };
         Arc::new(Self {
+            lines: watch::Sender::new(Lines::new(run.run_id.clone())),
+            orders: Orders::default(),
             run,
             begun: Instant::now(),
             shared: Mutex::new(shared),
@@ -122,7 +131,8 @@ impl Exchange {
         version: PolicyVersion,
         snapshot: Bytes,
     ) -> Result<WeightsName, ExchangeError> {
-        let published = weights::parse(version, snapshot, &self.run)
+        let (agents, hidden) = (&self.run.environment.agents, &self.run.hidden_sizes);
+        let published = Published::parse(version, snapshot, agents, hidden)
             .map_err(|detail| ExchangeError::Weights { version, detail })?;
         let name = published.name;
         self.change(|shared| {
@@ -185,6 +195,7 @@ impl Exchange {
             foreign_actors: counts.foreign,
             refusals: shared.refusals.clone(),
             leases_reissued: counts.reissued,
+            paused: shared.table.is_paused(),
         }
     }
 

@@ -8,7 +8,7 @@ use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
-/// Why a learner does not count as healthy.
+/// Why a learner does not count as healthy, or does not do what it was asked for.
 #[derive(Debug, thiserror::Error)]
 pub enum HealthError {
     /// The address is no URL.
@@ -28,6 +28,14 @@ pub enum HealthError {
         /// Who was asked.
         url: String,
         /// What went wrong.
+        detail: String,
+    },
+    /// Somebody answered, but not what was asked for.
+    #[error("{url} refuses: {detail}")]
+    Refused {
+        /// Who was asked.
+        url: String,
+        /// The reason given.
         detail: String,
     },
     /// Somebody answered, but not that it serves.

@@ -22,11 +22,13 @@ pub mod launch;
 pub mod metrics;
 pub mod page;
 pub mod provenance;
+pub mod published;
 pub mod run;
 pub mod run_folder;
 pub mod schedule;
 pub mod service;
 pub mod slots;
+mod team;
 pub mod trainer;
 
 pub use config::{

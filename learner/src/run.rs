@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use proto::RunEnd;
 use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 
@@ -52,13 +53,18 @@ pub async fn run(
     };
     let server = Server::start(door, &exchange);
     let broken = Arc::clone(&server.broken);
+    let asked = Arc::clone(&exchange);
+    let stop =
+        move || *stop.borrow() || asked.orders().is_stopped() || broken.load(Ordering::Relaxed);
     let outside = Outside {
         exchange: Arc::clone(&exchange),
-        observer,
-        stop: Box::new(move || *stop.borrow() || broken.load(Ordering::Relaxed)),
+        observer: shown_to_watchers(observer, &exchange),
+        stop: Box::new(stop),
     };
     let result = on_own_thread(trainer, outside).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
+    exchange.orders().end();
+    exchange.show_end(if complete { RunEnd::Finished } else { RunEnd::Stopped });
     let served = match complete {
         true => server.bid_farewell(&exchange).await.close().await,
         false => server.close().await,
@@ -84,6 +90,15 @@ fn show(
         observer(event);
     });
     (observer, Some(serving))
+}
+
+/// The same observer, after whoever watches over the network.
+fn shown_to_watchers(mut observer: Observer, exchange: &Arc<Exchange>) -> Observer {
+    let exchange = Arc::clone(exchange);
+    Box::new(move |event| {
+        exchange.show(event);
+        observer(event);
+    })
 }
 
 /// The service while the trainer works.

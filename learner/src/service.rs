@@ -4,8 +4,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::wire::control_service_server::ControlServiceServer;
-use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
+use proto::wire::control_service_server::{self, ControlServiceServer};
+use proto::wire::learner_service_server::{self, LearnerService, LearnerServiceServer};
 use proto::{
     ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
     MAX_UNACKNOWLEDGED, Refusal, Registration, WeightsName, wire,
@@ -17,6 +17,8 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Server;
 use tonic::transport::server::Router;
 use tonic::{Request, Response, Status, Streaming};
+use tonic_health::pb::health_server;
+use tonic_reflection::server::Builder;
 
 use crate::door::Door;
 use crate::exchange::{Caller, Exchange};
@@ -25,13 +27,17 @@ use crate::service::control::Control;
 mod connections;
 mod control;
 mod crowd;
+mod deadline;
 mod greeting;
 mod ingest;
 mod opened;
+mod operator;
+mod policies;
 mod snapshots;
 mod storage;
 
-pub use control::status;
+pub use operator::{DistantCheckpoint, Operator, WatchedLines};
+pub use policies::{ServedPolicies, serve_policies};
 pub use storage::STORAGE;
 
 /// A connection on which nothing came is asked for a sign of life after this long...
@@ -47,6 +53,12 @@ const CONNECTION_WINDOW: u32 = 4 << 20;
 /// Size of all headers of one request, bytes.
 const MOST_HEADER_BYTES: u32 = 16 << 10;
 
+/// What a learner serves besides health and reflection.
+const OF_LEARNERS: [&str; 2] =
+    [learner_service_server::SERVICE_NAME, control_service_server::SERVICE_NAME];
+/// Why reflection can always be built.
+const COMPILED: &str = "the descriptors were compiled with the program";
+
 /// Serves `exchange` at `door` until `shutdown` completes and the open calls have ended.
 ///
 /// # Errors
@@ -56,7 +68,8 @@ pub async fn serve(
     door: Door,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), tonic::transport::Error> {
-    let incoming = connections::accept(door, Arc::clone(&exchange));
+    let held = Arc::clone(&exchange);
+    let incoming = connections::accept(door, Arc::new(move |id| held.disconnect(id)));
     service(exchange).await.serve_with_incoming_shutdown(incoming, shutdown).await
 }
 
@@ -71,11 +84,16 @@ pub async fn service(exchange: Arc<Exchange>) -> Router {
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<LearnerServiceServer<Learner>>().await;
     tokio::spawn(storage::follow(storage, reporter));
-    let reflection = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()
-        .expect("the descriptors were compiled with the program");
+    server()
+        .add_service(InterceptedService::new(learner, connections::needs(Role::Actor)))
+        .add_service(control)
+        .add_service(health)
+        .add_service(reflection(&OF_LEARNERS).build_v1().expect(COMPILED))
+        .add_service(reflection(&OF_LEARNERS).build_v1alpha().expect(COMPILED))
+}
+
+/// A server with the limits that hold for all of ours.
+fn server() -> Server {
     Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
@@ -83,10 +101,15 @@ pub async fn service(exchange: Arc<Exchange>) -> Router {
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
         .http2_max_header_list_size(MOST_HEADER_BYTES)
-        .add_service(InterceptedService::new(learner, connections::needs(Role::Actor)))
-        .add_service(InterceptedService::new(control, connections::needs(Role::Viewer)))
-        .add_service(health)
-        .add_service(reflection)
+}
+
+/// Tells which of our services there are. Tools in use ask in either of two versions, so both are served.
+fn reflection(services: &[&str]) -> Builder<'static> {
+    let configured = Builder::configure()
+        .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .with_service_name(health_server::SERVICE_NAME);
+    services.iter().fold(configured, |configured, name| configured.with_service_name(*name))
 }
 
 /// The calls of `LearnerService`.

@@ -21,6 +21,7 @@ mod board;
 mod evaluations;
 mod leases;
 mod outcome;
+mod pause;
 
 use actors::{Actors, Admission};
 pub use actors::{ConnectionId, Trust};
@@ -38,6 +39,7 @@ pub struct SlotTable {
     chunks_per_slot: u32,
     now: Duration,
     state: RunState,
+    paused: bool,
     actors: Actors,
     last_lease: u64,
     open: BTreeMap<LeaseId, OpenLease>,
@@ -59,6 +61,7 @@ impl SlotTable {
             chunks_per_slot,
             now: Duration::ZERO,
             state: RunState::Running,
+            paused: false,
             actors: Actors::new(ttl),
             last_lease: 0,
             open: BTreeMap::new(),
@@ -213,6 +216,7 @@ impl SlotTable {
         match (self.state, admission) {
             (RunState::Done, _) => return Ok(Offer::Done),
             (RunState::Draining, _) => return Ok(Offer::Nothing),
+            (RunState::Running, _) if self.paused => return Ok(Offer::Nothing),
             (RunState::Running, Admission::Quarantined(wait)) => {
                 return Ok(Offer::Quarantined(wait));
             }

@@ -170,6 +170,7 @@ impl Work {
             self.record(&collected, &learnt)?;
             self.evaluate_if_due()?;
             self.save_if_due();
+            self.save_if_asked();
         }
         self.end()
     }
@@ -190,6 +191,7 @@ impl Work {
     /// The last checkpoint, then the last evaluation's result.
     fn end(&mut self) -> Result<Summary, LearnerError> {
         let saved = self.save_now()?;
+        self.save_if_asked();
         let complete = self.trainer.iteration >= self.trainer.last_iteration;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.trainer.metrics.sync()?;

@@ -44,6 +44,8 @@ pub enum Purpose {
     DensityMinibatch = 21,
     /// Latent noise of a density, at its fit and where it is asked.
     DensityNoise = 22,
+    /// Noise of an action for a world that somebody else steps.
+    ServedAction = 23,
     /// Runs drawn again to say how certain a mean over runs is.
     Bootstrap = 30,
 }
@@ -53,11 +55,11 @@ pub enum Purpose {
 pub struct Draw {
     /// What the draw is for.
     pub purpose: Purpose,
-    /// Iteration; for resets the episode's index, for evaluation resets the evaluated iteration.
+    /// Iteration; for resets and served actions the episode's index, for evaluation resets the evaluated iteration.
     pub iteration: u64,
     /// Environment, counted over the whole run.
     pub environment: u32,
-    /// Step in the slot, or epoch.
+    /// Step in the slot or episode, or epoch.
     pub step: u32,
     /// Agent.
     pub agent: u32,

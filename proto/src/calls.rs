@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-use crate::read::{digest, required, short_line};
+use crate::read::{digest, required, short_line, unknown};
 use crate::{
     ActorId, Digest, EnvironmentSpec, Incarnation, Lease, LeaseId, Reason, Refusal, RunDescription,
     WeightsName, wire,
@@ -336,8 +336,4 @@ impl HeartbeatAnswer {
         };
         Ok(Self { lease_valid: wire.lease_valid, run_state })
     }
-}
-
-fn unknown(field: &str, value: i32) -> Refusal {
-    Refusal::new(Reason::BadValue, field, format!("unknown value {value}"))
 }

@@ -185,7 +185,7 @@ impl EnvironmentSpec {
 }
 
 impl AgentSpec {
-    fn to_wire(&self) -> wire::AgentSpec {
+    pub(crate) fn to_wire(&self) -> wire::AgentSpec {
         let ActionSpec { size, low, high, choices } = self.action;
         let choices = choices.unwrap_or(0);
         wire::AgentSpec {
@@ -206,7 +206,7 @@ impl AgentSpec {
         }
     }
 
-    fn from_wire(wire: wire::AgentSpec, field: &str) -> Result<Self, Refusal> {
+    pub(crate) fn from_wire(wire: wire::AgentSpec, field: &str) -> Result<Self, Refusal> {
         let action = required(wire.action, &format!("{field}.action"))?;
         Ok(Self {
             name: wire.name,

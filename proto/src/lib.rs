@@ -5,11 +5,13 @@
 //! face the network. Every domain type has `to_wire`, which cannot fail, and `from_wire`, which refuses
 //! what is wrong with a [`Refusal`] that names the field.
 
+mod acting;
 pub mod calls;
 mod digest;
 mod environment;
 mod film;
 mod ids;
+mod line;
 mod play;
 mod read;
 mod refusal;
@@ -22,6 +24,9 @@ pub mod validate;
 pub mod wire;
 mod work;
 
+pub use acting::{
+    ActStep, Acted, ActionChoice, ActionDistribution, PolicyAgent, PolicyDescription,
+};
 pub use calls::{
     Ack, AckState, Beat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,
     RunState,
@@ -32,6 +37,7 @@ pub use environment::{
 };
 pub use film::{Film, MAX_FRAMES};
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
+pub use line::{EvaluationSummary, RunEnd, RunLine};
 pub use play::{PlayRequest, Steps, View, saved_state};
 pub use refusal::{ERROR_DOMAIN, Reason, Refusal};
 pub use run::RunDescription;

@@ -57,3 +57,8 @@ pub(crate) fn seconds(value: f64, field: &str) -> Result<(), Refusal> {
     let good = value.is_finite() && value > 0.0;
     hold(good.then_some(()).ok_or_else(|| format!("{value} s is no positive time")), field)
 }
+
+/// An enumeration's value that this version does not know.
+pub(crate) fn unknown(field: &str, value: i32) -> Refusal {
+    Refusal::new(Reason::BadValue, field, format!("unknown value {value}"))
+}

@@ -31,6 +31,8 @@ pub struct Status {
     pub leases: Vec<LeaseStatus>,
     /// Updates between the open iteration and the weights that roll it out.
     pub policy_lag: u64,
+    /// Whether no work is handed out until somebody resumes.
+    pub paused: bool,
 }
 
 /// An open lease.
@@ -75,6 +77,7 @@ impl Status {
             storage_degraded: self.storage_degraded,
             leases: self.leases.iter().map(|lease| lease.to_wire()).collect(),
             policy_lag: self.policy_lag,
+            paused: self.paused,
         }
     }
 
@@ -95,6 +98,7 @@ impl Status {
             storage_degraded: wire.storage_degraded,
             leases: wire.leases.iter().filter_map(LeaseStatus::from_wire).collect(),
             policy_lag: wire.policy_lag,
+            paused: wire.paused,
         }
     }
 }
@@ -156,6 +160,7 @@ mod tests {
             storage_degraded: true,
             leases: vec![lease(11, LeasedWork::Slot(6)), lease(12, LeasedWork::Episode(0))],
             policy_lag: 1,
+            paused: true,
         };
         assert_eq!(Status::from_wire(status.to_wire()), status);
     }

@@ -3,6 +3,8 @@
 //! finite, choices among those there are, flags consistent, final steps and end states exactly where they must be. Past this point
 //! nobody checks again.
 
+mod acting;
+
 use crate::read::{equal, hold, length, required};
 use crate::tensor::{Flags, Floats, MAX_MAGNITUDE};
 use crate::trajectory::Sizes;

@@ -1,6 +1,8 @@
 //! What goes over the wire: every message survives the round trip, and one that lies is refused by name.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[path = "wire/acting.rs"]
+mod acting;
 #[path = "wire/choices.rs"]
 mod choices;
 #[path = "wire/film.rs"]

@@ -1,31 +1,26 @@
 //! `s2mia learner`: one run, served to actors that come from anywhere.
 
-use std::net::SocketAddr;
-
 use actor::Transport;
 use anyhow::Context as _;
-use learner::Door;
-use security::ServerTls;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 use crate::cli::LearnerArguments;
-use crate::commands::{Usage, runtime};
+use crate::commands::entrance::{Entrance, demand_loopback};
+use crate::commands::runtime;
 use crate::launch::{self, Prepared};
 use crate::progress::Progress;
 use crate::{output, page, signals};
 
 /// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
-    let files = arguments.tls.files();
-    if files.is_none() && !arguments.insecure_allow_remote {
-        demand_loopback(arguments.listen)?;
+    if !arguments.insecure_allow_remote {
+        demand_loopback(arguments.listen, &arguments.tls)?;
     }
     page::check(&arguments.page)?;
-    let tls = files.map(ServerTls::open).transpose().map_err(|why| Usage::new(why.to_string()))?;
+    let entrance = Entrance::new(arguments.listen, &arguments.tls)?;
     let prepared =
         launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
-    runtime()?.block_on(serve(prepared, arguments, tls))
+    runtime()?.block_on(serve(prepared, entrance, arguments))
 }
 
 /// How far away an environment from outside may be.
@@ -36,38 +31,15 @@ fn plain_text(arguments: &LearnerArguments) -> Transport {
     }
 }
 
-/// Nothing in plain text is encrypted, so other machines are let in only on request.
-fn demand_loopback(address: SocketAddr) -> Result<(), Usage> {
-    if address.ip().is_loopback() {
-        return Ok(());
-    }
-    Err(Usage::new(format!(
-        "--listen {address} would let other machines in without encryption or identity; \
-         give --tls-certificate, --tls-key and --tls-client-ca (`s2mia certs DIR` makes them), or \
-         pass --insecure-allow-remote to allow that"
-    )))
-}
-
 async fn serve(
     prepared: Prepared,
+    entrance: Entrance,
     arguments: &LearnerArguments,
-    tls: Option<ServerTls>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let address = arguments.listen;
-    let listener =
-        TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}"))?;
-    let scheme = if tls.is_some() { "https" } else { "http" };
-    output::line(format!(
-        "{} waits for actors on {scheme}://{}",
-        folder.display(),
-        listener.local_addr()?
-    ));
+    let (door, url) = entrance.open().await?;
+    output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = page::open(&arguments.page).await?;
-    let door = match tls {
-        Some(tls) => Door::guarded(listener, tls),
-        None => Door::from(listener),
-    };
     let (stop_sender, stop) = watch::channel(false);
     signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))?;
     let mut progress = Progress::new(config.env_steps());
@@ -81,19 +53,4 @@ async fn serve(
         summary.checkpoint.display()
     ));
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_this_machine_is_let_in_without_being_told() {
-        for address in ["127.0.0.1:50051", "[::1]:0"] {
-            assert!(demand_loopback(address.parse().expect("an address")).is_ok());
-        }
-        for address in ["0.0.0.0:50051", "192.168.1.2:1", "[::]:0"] {
-            assert!(demand_loopback(address.parse().expect("an address")).is_err());
-        }
-    }
 }

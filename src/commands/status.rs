@@ -2,29 +2,24 @@
 
 use std::path::Path;
 
-use learner::run_folder::RunFolder;
 use proto::{LeaseStatus, LeasedWork, Status};
 use serde_json::json;
 
 use crate::chart::thousands;
 use crate::cli::StatusArguments;
-use crate::commands::{checkpointed, credentials, patience, runtime};
+use crate::commands::control::{operator, url};
+use crate::commands::{checkpointed, patience, runtime};
 use crate::output;
 use crate::run_config::RunConfig;
 
 /// Prints one line and a table of leases, or one JSON object.
 pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
     let patience = patience(arguments.timeout_secs)?;
-    let url = match arguments.of.contains("://") {
-        true => arguments.of.clone(),
-        false => match RunFolder::listening(Path::new(&arguments.of))? {
-            Some(address) if arguments.tls.files().is_some() => format!("https://{address}"),
-            Some(address) => format!("http://{address}"),
-            None => return at_rest(arguments),
-        },
-    };
-    let tls = credentials(&url, &arguments.tls)?;
-    let status = runtime()?.block_on(learner::service::status(&url, tls.as_ref(), patience))?;
+    let Some(url) = url(&arguments.learner)? else { return at_rest(arguments) };
+    let status = runtime()?.block_on(async {
+        let mut operator = operator(&url, &arguments.learner, patience).await?;
+        anyhow::Ok(operator.status().await?)
+    })?;
     match arguments.json {
         true => output::line(learner::exchange::status_json(&status)),
         false => output::line(text(&status)),
@@ -33,12 +28,32 @@ pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
 }
 
 /// A run on which no learner works: finished, stopped or dead.
+pub(super) struct AtRest {
+    iteration: u64,
+    iterations: u64,
+    env_steps: u64,
+}
+
+impl AtRest {
+    /// What the newest checkpoint and the settings of the run in this folder say.
+    pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
+        let checkpoint = checkpointed::load(run)?.checkpoint;
+        let iterations = RunConfig::of_run(run)?.iterations();
+        let (iteration, env_steps) = (checkpoint.iteration, checkpoint.env_steps);
+        Ok(Self { iteration, iterations, env_steps })
+    }
+
+    /// Whether the run has had its last iteration.
+    pub(super) fn is_finished(&self) -> bool {
+        self.iteration >= self.iterations
+    }
+}
+
 fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
-    let run = Path::new(&arguments.of);
-    let checkpoint = checkpointed::load(run)?.checkpoint;
-    let iterations = RunConfig::of_run(run)?.iterations();
-    let (iteration, env_steps) = (checkpoint.iteration, checkpoint.env_steps);
-    let state = if iteration >= iterations { "finished" } else { "stopped" };
+    let run = Path::new(&arguments.learner.of);
+    let rest = AtRest::of(run)?;
+    let AtRest { iteration, iterations, env_steps } = rest;
+    let state = if rest.is_finished() { "finished" } else { "stopped" };
     if arguments.json {
         let told = json!({
             "state": state,
@@ -66,8 +81,9 @@ fn text(status: &Status) -> String {
     });
     let disk =
         if status.storage_degraded { "\nthe last checkpoint could not be written" } else { "" };
+    let paused = if status.paused { " is paused" } else { "" };
     let mut text = format!(
-        "{run_id}: iteration {iteration}, {} env steps{pace}, policy lag {}\n\
+        "{run_id}{paused}: iteration {iteration}, {} env steps{pace}, policy lag {}\n\
          {complete_slots} of {slots} slots complete, {} leases on {actors} actors, \
          {} leased again, {} messages refused{disk}",
         thousands(status.env_steps),

@@ -11,12 +11,13 @@ import tempfile
 
 import grpc_tools
 import numpy as np
+from google.protobuf import descriptor_pool
 from grpc_tools import protoc
 
 _HERE = pathlib.Path(__file__).resolve()
 PROTO = pathlib.Path(os.environ.get("S2MIA_PROTO", _HERE.parents[3] / "proto" / "proto"))
-_FILES = ["tensor", "environment", "trajectory", "learner", "control", "environment_service"]
-_SERVICES = ["learner", "control", "environment_service"]
+_FILES = ["tensor", "environment", "trajectory", "learner", "control", "policy", "environment_service"]
+_SERVICES = ["learner", "control", "policy", "environment_service"]
 
 
 def _compile() -> None:
@@ -44,6 +45,11 @@ def _compile() -> None:
 
 
 _compile()
+
+
+def service(name: str):
+    """The description of a service by its full name, such as `s2mia.v1.LearnerService`."""
+    return descriptor_pool.Default().FindServiceByName(name)
 
 
 def tensor(array: np.ndarray):

@@ -19,7 +19,7 @@ pub struct FilmedEpisode {
 
 impl Exchange {
     /// Keeps the film of an episode that was accepted in place of the one before, unless that shows newer policies.
-    pub fn show(&self, header: &PushHeader, result: EvaluationResult, film: Film) {
+    pub fn keep_film(&self, header: &PushHeader, result: EvaluationResult, film: Film) {
         let version = header.weights.version;
         let mut shared = self.lock();
         if shared.film.as_ref().is_none_or(|shown| shown.version <= version) {

@@ -40,6 +40,8 @@ pub struct Progress {
     pub refusals: BTreeMap<String, u64>,
     /// Slots and episodes that had to be leased again.
     pub leases_reissued: u64,
+    /// Whether no work is handed out until somebody resumes.
+    pub paused: bool,
 }
 
 /// Whether what the run learns reaches the disk.

@@ -33,6 +33,11 @@ impl Pace {
 }
 
 impl Exchange {
+    /// Environment steps of one slot.
+    pub(super) fn slot_steps(&self) -> u64 {
+        u64::from(self.run.slot_steps) * u64::from(self.run.environments_per_slot)
+    }
+
     /// Where the run stands.
     #[must_use]
     pub fn status(&self) -> Status {
@@ -41,7 +46,7 @@ impl Exchange {
         let shared = self.lock();
         let counts = shared.table.counts();
         let (slots, complete_slots) = (counts.slots as u64, counts.complete_slots as u64);
-        let slot_steps = u64::from(self.run.slot_steps) * u64::from(self.run.environments_per_slot);
+        let slot_steps = self.slot_steps();
         let iteration = shared.pace.iteration;
         let per_sec = |took: Duration| (slots * slot_steps) as f64 / took.as_secs_f64();
         Status {
@@ -58,6 +63,7 @@ impl Exchange {
             storage_degraded: storage == Storage::Degraded,
             leases: shared.table.leases(),
             policy_lag: shared.pace.lag,
+            paused: shared.table.is_paused(),
         }
     }
 }
@@ -80,7 +86,7 @@ pub fn status_json(status: &Status) -> Value {
         })
     };
     json!({
-        "state": "running",
+        "state": if status.paused { "paused" } else { "running" },
         "run_id": status.run_id,
         "incarnation": status.incarnation.0,
         "iteration": status.iteration,

@@ -1,22 +1,14 @@
-//! Published weights: their bytes for actors, the parsed policies for the canary.
+//! Published weights that are still held: those just published, and those that open work names.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use bytes::Bytes;
-use policy::{ActorPolicy, Head, PolicySnapshot};
-use proto::{Digest, PolicyVersion, Reason, Refusal, RunDescription, WeightsName};
+use proto::{PolicyVersion, Reason, Refusal, WeightsName};
+
+use crate::published::Published;
 
 /// Versions kept although no open work names them: the one just published, and the one before it.
 const LATEST: usize = 2;
-
-/// One version.
-#[derive(Debug)]
-pub(super) struct Published {
-    pub(super) name: WeightsName,
-    pub(super) bytes: Bytes,
-    pub(super) policy: PolicySnapshot,
-}
 
 /// Published versions that are still held.
 #[derive(Debug, Default)]
@@ -68,35 +60,4 @@ impl Weights {
         let published = self.held.get(&version);
         published.unwrap_or_else(|| panic!("weights {version} are not held, only {held:?}")).name
     }
-}
-
-/// Parses a snapshot and compares its sizes with the run's.
-pub(super) fn parse(
-    version: PolicyVersion,
-    bytes: Bytes,
-    run: &RunDescription,
-) -> Result<Published, String> {
-    let policy = PolicySnapshot::from_bytes(&bytes).map_err(|error| error.to_string())?;
-    let sizes = |policy: &ActorPolicy| {
-        let choices = match policy.head() {
-            Head::Categorical { choices } => Some(choices),
-            Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => None,
-        };
-        (policy.observation_size(), policy.action_size(), choices, policy.hidden_size())
-    };
-    let found = policy.agents.iter().map(sizes).collect::<Vec<_>>();
-    let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
-    let expected = agents
-        .map(|(agent, hidden)| {
-            let choices = agent.action.choices.map(|choices| choices as usize);
-            (agent.observation.len(), agent.action.size as usize, choices, *hidden as usize)
-        })
-        .collect::<Vec<_>>();
-    if found != expected {
-        return Err(format!(
-            "the agents' (observation, action, choices, hidden) sizes are {found:?}, the run has {expected:?}"
-        ));
-    }
-    let digest = Digest(policy::digest(&bytes));
-    Ok(Published { name: WeightsName { version, digest }, bytes, policy })
 }

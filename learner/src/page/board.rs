@@ -154,7 +154,7 @@ impl Told {
                 self.checkpoint = Some(Written { iteration, secs, bytes });
             }
             Event::CheckpointFailed { .. } => self.checkpoint_failures += 1,
-            Event::Evaluation { .. } => {}
+            Event::Evaluation { .. } | Event::Paused | Event::Resumed => {}
         }
     }
 

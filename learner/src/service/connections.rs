@@ -1,5 +1,5 @@
-//! Accepted connections: numbered, counted, greeted, and reported to the exchange when they close, so that
-//! the leases of an actor that died are free at once.
+//! Accepted connections: numbered, counted, greeted, and reported when they close, so that the leases of an actor
+//! that died are free at once.
 
 use std::io;
 use std::net::SocketAddr;
@@ -19,7 +19,7 @@ use tonic::{Request, Status};
 use super::crowd::{Crowd, Place};
 use super::greeting::{Admitted, Bytes, greet};
 use crate::door::{Door, Guard};
-use crate::exchange::{Caller, Exchange};
+use crate::exchange::Caller;
 use crate::slots::ConnectionId;
 
 /// Connections at a time; more wait to be accepted.
@@ -49,23 +49,25 @@ pub(super) fn caller<T>(request: &Request<T>, call: &'static str) -> Caller {
 
 /// Lets calls pass whose peer has this role, and refuses all others by name.
 pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, Status> + Clone {
-    move |request| {
-        let peer: Option<&Peer> = request.extensions().get();
-        // Without a peer the call came over no socket.
-        let Some(peer) = peer else { return Ok(request) };
-        if let Err(denied) = peer.standing.demand(role) {
-            tracing::warn!(peer = %peer.address, "a call is refused: {denied}; the connection stays open");
-            return Err(Status::permission_denied(denied.to_string()));
-        }
-        Ok(request)
-    }
+    move |request| demand(&request, role).map(|()| request)
 }
 
+/// Refuses a call whose peer has not this role.
+pub(super) fn demand<T>(request: &Request<T>, role: Role) -> Result<(), Status> {
+    let peer: Option<&Peer> = request.extensions().get();
+    // Without a peer the call came over no socket.
+    let Some(peer) = peer else { return Ok(()) };
+    peer.standing.demand(role).map_err(|denied| {
+        tracing::warn!(peer = %peer.address, "a call is refused: {denied}; the connection stays open");
+        Status::permission_denied(denied.to_string())
+    })
+}
+
+/// Told of each connection that has closed.
+pub(super) type Farewell = Arc<dyn Fn(ConnectionId) + Send + Sync>;
+
 /// Accepts connections until the returned stream is dropped.
-pub(super) fn accept(
-    door: Door,
-    exchange: Arc<Exchange>,
-) -> ReceiverStream<io::Result<Connection>> {
+pub(super) fn accept(door: Door, farewell: Farewell) -> ReceiverStream<io::Result<Connection>> {
     // One accepted connection waits for the server; the others stay with the kernel.
     let (sender, stream) = mpsc::channel(1);
     tokio::spawn(async move {
@@ -87,8 +89,8 @@ pub(super) fn accept(
                     };
                     last += 1;
                     let id = ConnectionId(last);
-                    let exchange = Arc::clone(&exchange);
-                    let open = Open { id, exchange, _permit: permit, _place: place };
+                    let farewell = Arc::clone(&farewell);
+                    let open = Open { id, farewell, _permit: permit, _place: place };
                     // Whoever is slow to say who they are keeps nobody else waiting.
                     tokio::spawn(usher(io, address, door.guard.clone(), open, sender.clone()));
                 }
@@ -138,14 +140,14 @@ pub(super) struct Connection {
 /// Says when it is closed.
 struct Open {
     id: ConnectionId,
-    exchange: Arc<Exchange>,
+    farewell: Farewell,
     _permit: OwnedSemaphorePermit,
     _place: Place,
 }
 
 impl Drop for Open {
     fn drop(&mut self) {
-        self.exchange.disconnect(self.id);
+        (self.farewell)(self.id);
     }
 }
 

@@ -1,17 +1,19 @@
-//! `ControlService`: the answer of a learner at work, and the question.
+//! `ControlService`: what a learner at work answers people and scripts, and which role each question takes.
 
 use std::sync::Arc;
-use std::time::Duration;
 
-use proto::wire::control_service_client::ControlServiceClient;
+use proto::wire;
 use proto::wire::control_service_server::ControlService;
-use proto::{Status, wire};
-use security::ClientFiles;
-use tonic::transport::Endpoint;
-use tonic::{Request, Response};
+use security::Role;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status};
 
-use crate::exchange::Exchange;
-use crate::health::{self, HealthError, denial, reason};
+use crate::exchange::{Exchange, SaveError};
+use crate::service::connections::{caller, demand};
+
+/// Lines that wait for a watcher to take them away; the exchange keeps the others.
+const LINES_AHEAD: usize = 16;
 
 /// The calls of `ControlService`.
 #[derive(Debug)]
@@ -23,31 +25,97 @@ pub(super) struct Control {
 impl ControlService for Control {
     async fn get_status(
         &self,
-        _request: Request<wire::GetStatusRequest>,
-    ) -> Result<Response<wire::GetStatusResponse>, tonic::Status> {
+        request: Request<wire::GetStatusRequest>,
+    ) -> Result<Response<wire::GetStatusResponse>, Status> {
+        demand(&request, Role::Viewer)?;
         Ok(Response::new(self.exchange.status().to_wire()))
+    }
+
+    type WatchRunStream = ReceiverStream<Result<wire::WatchRunResponse, Status>>;
+
+    async fn watch_run(
+        &self,
+        request: Request<wire::WatchRunRequest>,
+    ) -> Result<Response<Self::WatchRunStream>, Status> {
+        demand(&request, Role::Viewer)?;
+        // Full when the watcher reads slowly; it then misses the lines that the exchange no longer keeps.
+        let (sender, stream) = mpsc::channel(LINES_AHEAD);
+        let whoever = caller(&request, "watch_run");
+        let after = request.into_inner().after_iteration;
+        tracing::info!("{whoever}: lines after iteration {after}");
+        tokio::spawn(show_lines(Arc::clone(&self.exchange), after, sender));
+        Ok(Response::new(ReceiverStream::new(stream)))
+    }
+
+    async fn pause(
+        &self,
+        request: Request<wire::PauseRequest>,
+    ) -> Result<Response<wire::PauseResponse>, Status> {
+        demand(&request, Role::Admin)?;
+        let open_leases = self.exchange.pause();
+        tracing::info!(
+            "{}: no new leases; {open_leases} go on to their end",
+            caller(&request, "pause")
+        );
+        Ok(Response::new(wire::PauseResponse { open_leases }))
+    }
+
+    async fn resume(
+        &self,
+        request: Request<wire::ResumeRequest>,
+    ) -> Result<Response<wire::ResumeResponse>, Status> {
+        demand(&request, Role::Admin)?;
+        self.exchange.resume();
+        tracing::info!("{}: the run goes on", caller(&request, "resume"));
+        Ok(Response::new(wire::ResumeResponse {}))
+    }
+
+    async fn save_checkpoint(
+        &self,
+        request: Request<wire::SaveCheckpointRequest>,
+    ) -> Result<Response<wire::SaveCheckpointResponse>, Status> {
+        demand(&request, Role::Admin)?;
+        let saved = self.exchange.orders().save().await.map_err(|error| match error {
+            SaveError::Failed(_) => Status::failed_precondition(error.to_string()),
+            SaveError::Ended => Status::unavailable(error.to_string()),
+        })?;
+        let (iteration, path) = (saved.iteration, saved.path.display().to_string());
+        tracing::info!(iteration, path, "{}", caller(&request, "save_checkpoint"));
+        Ok(Response::new(wire::SaveCheckpointResponse { iteration, path }))
+    }
+
+    async fn stop(
+        &self,
+        request: Request<wire::StopRequest>,
+    ) -> Result<Response<wire::StopResponse>, Status> {
+        demand(&request, Role::Admin)?;
+        self.exchange.orders().stop();
+        tracing::info!("{}: the run ends after a checkpoint", caller(&request, "stop"));
+        Ok(Response::new(wire::StopResponse {}))
     }
 }
 
-/// Asks the learner at `url` once where its run stands, over TLS with `tls`, and waits at most `patience`.
-///
-/// # Errors
-/// The address is no URL, a certificate cannot be used, or nobody answers there.
-pub async fn status(
-    url: &str,
-    tls: Option<&ClientFiles>,
-    patience: Duration,
-) -> Result<Status, HealthError> {
-    let endpoint = health::endpoint(url, tls)?;
-    let silent = |detail: String| HealthError::Silent { url: url.to_owned(), detail };
-    let answer = tokio::time::timeout(patience, ask(endpoint)).await;
-    answer
-        .map_err(|_| silent(format!("nothing came for {} s", patience.as_secs_f64())))?
-        .map_err(silent)
-}
-
-async fn ask(endpoint: Endpoint) -> Result<Status, String> {
-    let channel = endpoint.connect().await.map_err(|error| reason(&error))?;
-    let answer = ControlServiceClient::new(channel).get_status(wire::GetStatusRequest {}).await;
-    answer.map(|found| Status::from_wire(found.into_inner())).map_err(|status| denial(&status))
+/// Sends each line after iteration `seen` once, until the last one or until nobody reads any more.
+async fn show_lines(
+    exchange: Arc<Exchange>,
+    mut seen: u64,
+    watcher: mpsc::Sender<Result<wire::WatchRunResponse, Status>>,
+) {
+    let mut lines = exchange.lines();
+    loop {
+        let news = lines.borrow_and_update().after(seen);
+        for line in news {
+            seen = line.iteration;
+            if watcher.send(Ok(line.to_wire())).await.is_err() || line.end.is_some() {
+                return;
+            }
+        }
+        let changed = tokio::select! {
+            () = watcher.closed() => return,
+            changed = lines.changed() => changed,
+        };
+        if changed.is_err() {
+            return;
+        }
+    }
 }

@@ -111,7 +111,7 @@ fn read(exchange: &Exchange, mut request: wire::PushTrajectoryRequest) -> Result
             let result = EvaluationResult::from_wire(&result, exchange.run(), header.digest)?;
             let film = film.map(|film| Film::from_wire(&film, exchange.run())).transpose()?;
             let ack = exchange.accept_evaluation(&header, result)?;
-            film.into_iter().for_each(|film| exchange.show(&header, result, film));
+            film.into_iter().for_each(|film| exchange.keep_film(&header, result, film));
             Ok(ack)
         }
     }

@@ -53,6 +53,7 @@ impl Work {
     }
 
     fn wait(&mut self) -> Result<(), LearnerError> {
+        self.save_if_asked();
         match self.outside.exchange.wait(GLANCE) {
             Wake::Iteration { rollouts, secs } => {
                 let open = self.open.expect("an iteration is opened before it is complete");
@@ -87,6 +88,9 @@ impl Work {
     fn report_progress(&mut self) {
         let progress = self.outside.exchange.progress();
         let told = self.patience.look(Instant::now(), &progress);
+        if let Some(change) = told.change {
+            self.tell(&change);
+        }
         if told.moved && self.arrived.is_none() {
             let iteration = self.trainer.iteration;
             let env_steps = self.trainer.env_steps() + progress.steps_collected;
@@ -103,6 +107,7 @@ pub(super) struct Patience {
     steps: u64,
     moved: Instant,
     told: Instant,
+    paused: bool,
 }
 
 /// What a look at the progress showed.
@@ -111,12 +116,14 @@ pub(super) struct Look {
     pub(super) moved: bool,
     /// What is missing, if nothing has come for long.
     pub(super) waiting: Option<Event>,
+    /// That the run was paused or resumed, if it was.
+    pub(super) change: Option<Event>,
 }
 
 impl Patience {
     /// From now on.
     pub(super) fn new(now: Instant) -> Self {
-        Self { steps: 0, moved: now, told: now }
+        Self { steps: 0, moved: now, told: now, paused: false }
     }
 
     /// The trainer waits from now on: what it did before, such as an update beside which all rollouts came in, is no
@@ -127,14 +134,20 @@ impl Patience {
 
     /// Compares the progress with that of the last look.
     pub(super) fn look(&mut self, now: Instant, progress: &Progress) -> Look {
-        if progress.steps_collected != self.steps {
-            self.steps = progress.steps_collected;
-            (self.moved, self.told) = (now, now);
-            return Look { moved: true, waiting: None };
+        let moved = progress.steps_collected != self.steps;
+        let event = if progress.paused { Event::Paused } else { Event::Resumed };
+        let change = (progress.paused != self.paused).then_some(event);
+        (self.steps, self.paused) = (progress.steps_collected, progress.paused);
+        if moved || progress.paused {
+            // A pause is no stillness.
+            self.begin(now);
         }
-        if now.duration_since(self.told) < STILL {
-            return Look { moved: false, waiting: None };
-        }
+        let waiting = (now.duration_since(self.told) >= STILL).then(|| self.missing(now, progress));
+        Look { moved, waiting, change }
+    }
+
+    /// What is missing; it is told again after as long a time.
+    fn missing(&mut self, now: Instant, progress: &Progress) -> Event {
         self.told = now;
         let seconds = now.duration_since(self.moved).as_secs_f64();
         let reason = match progress.actors {
@@ -142,7 +155,7 @@ impl Patience {
             1 => "the one actor has sent nothing".to_owned(),
             actors => format!("none of {actors} actors has sent anything"),
         };
-        Look { moved: false, waiting: Some(Event::Waiting { seconds, reason }) }
+        Event::Waiting { seconds, reason }
     }
 }
 
@@ -173,6 +186,22 @@ mod tests {
             Some(Event::Waiting { seconds: 20.0, reason })
         );
         assert!(look(22, progress(80, 1)).moved);
+    }
+
+    #[test]
+    fn a_pause_is_told_when_it_begins_and_ends_and_is_no_stillness() {
+        let start = Instant::now();
+        let mut patience = Patience::new(start);
+        let mut look = |secs, paused| {
+            let told = patience
+                .look(start + Duration::from_secs(secs), &Progress { paused, ..progress(0, 2) });
+            (told.change, told.waiting.is_some())
+        };
+        assert_eq!(look(1, true), (Some(Event::Paused), false));
+        assert_eq!(look(100, true), (None, false));
+        assert_eq!(look(101, false), (Some(Event::Resumed), false));
+        assert_eq!(look(109, false), (None, false));
+        assert_eq!(look(110, false), (None, true));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -43,6 +44,12 @@ impl Work {
             }
         };
         self.outside.exchange.report_storage(storage);
+    }
+
+    /// Writes a checkpoint if somebody asked for one, and answers them.
+    pub(super) fn save_if_asked(&mut self) {
+        let exchange = Arc::clone(&self.outside.exchange);
+        exchange.orders().answer_saves(|| self.save_now());
     }
 
     /// Writes a checkpoint of the last finished iteration, unless there is one.

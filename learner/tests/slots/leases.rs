@@ -154,6 +154,24 @@ fn a_finished_run_answers_done_and_a_draining_one_gives_no_work() {
 }
 
 #[test]
+fn a_paused_run_gives_no_work_lets_open_work_be_finished_and_goes_on() {
+    let mut table = table(2);
+    let a = actor(&mut table, 1);
+    let open = lease(&mut table, a);
+    table.open_evaluation(0, weights(), 1);
+    table.pause();
+    assert_eq!((table.lease(a, INCARNATION), table.is_paused()), (Ok(Offer::Nothing), true));
+    assert!((0..CHUNKS).all(|sequence| push(&mut table, &open, sequence).is_ok()));
+    table.effects();
+    table.resume();
+    assert_eq!(table.effects(), [Effect::WorkFreed], "whoever waits for a lease asks again");
+    assert_eq!(slot(&lease(&mut table, a)), 1);
+    table.pause();
+    table.finish();
+    assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Done), "a run that is over is over");
+}
+
+#[test]
 fn a_connection_that_registers_for_the_seventeenth_time_loses_its_first_actor() {
     let mut table = table(1);
     let first = actor(&mut table, 1);

@@ -21,7 +21,7 @@ fn a_film_of_older_policies_that_comes_late_does_not_replace_a_newer_one() {
         let weights = WeightsName { version: PolicyVersion(version), digest: Digest([0; 32]) };
         let (incarnation, digest) = (Incarnation(1), result.digest());
         let header = PushHeader { lease: LeaseId(1), incarnation, weights, digest };
-        exchange.show(&header, result, film.clone());
+        exchange.keep_film(&header, result, film.clone());
         let found = exchange.film().map(|episode| FilmedEpisode::clone(&episode));
         let version = PolicyVersion(shown);
         assert_eq!(found, Some(FilmedEpisode { version, result, film: film.clone() }));

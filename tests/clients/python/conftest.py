@@ -6,7 +6,10 @@ import pathlib
 import subprocess
 import sys
 
+import grpc
 import pytest
+from google.rpc import error_details_pb2
+from grpc_status import rpc_status
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 CLIENTS = ROOT / "clients" / "python"
@@ -52,6 +55,52 @@ class Served:
 
     def metrics(self) -> list[dict]:
         return [json.loads(line) for line in (self.folder / "metrics.jsonl").read_text().splitlines()]
+
+
+class Serving:
+    """The trained policies of a run, served."""
+
+    def __init__(self, folder: pathlib.Path) -> None:
+        arguments = command("serve", folder, "--listen", "127.0.0.1:0")
+        self.process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        first = self.process.stdout.readline()
+        assert "acts by its policies" in first, first
+        self.address = first.split()[-1].removeprefix("http://")
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory):
+    """Folder of a finished run of the game."""
+    folder = tmp_path_factory.mktemp("runs") / "trained"
+    train = command("train", *SMALL, "run.iterations=10", "evaluation.every_steps=0", "run.actors=1", f"run.dir={folder}")
+    subprocess.run(train, check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture
+def policies(trained):
+    """A server of its policies."""
+    server = Serving(trained)
+    yield server
+    server.process.kill()
+    server.process.wait()
+    server.process.stdout.close()
+
+
+def refusal(call) -> tuple[str, str]:
+    """Reason and field with which a call is refused."""
+    with pytest.raises(grpc.RpcError) as raised:
+        call()
+    status = rpc_status.from_call(raised.value)
+    assert status is not None, raised.value
+    info, request = error_details_pb2.ErrorInfo(), error_details_pb2.BadRequest()
+    for detail in status.details:
+        detail.Unpack(info)
+        detail.Unpack(request)
+    assert info.domain == "s2mia"
+    (violation,) = request.field_violations
+    assert violation.description
+    return info.reason, violation.field
 
 
 @pytest.fixture

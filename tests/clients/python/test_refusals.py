@@ -5,12 +5,8 @@ import re
 import socket
 import subprocess
 
-import grpc
 import numpy as np
-import pytest
-from conftest import FEW, ROOT, command, hashes
-from google.rpc import error_details_pb2
-from grpc_status import rpc_status
+from conftest import FEW, ROOT, command, hashes, refusal
 from s2mia_client import Learner, Policy, wire
 from s2mia_client.actor import Slot
 from s2mia_client.cue import Cue
@@ -150,22 +146,6 @@ CALLS = {
 }
 # Takes five minutes of silence.
 UNTRIED = {"TOO_SLOW"}
-
-
-def refusal(attack) -> tuple[str, str]:
-    """Reason and field with which an attack is refused."""
-    with pytest.raises(grpc.RpcError) as raised:
-        attack()
-    status = rpc_status.from_call(raised.value)
-    assert status is not None, raised.value
-    info, request = error_details_pb2.ErrorInfo(), error_details_pb2.BadRequest()
-    for detail in status.details:
-        detail.Unpack(info)
-        detail.Unpack(request)
-    assert info.domain == "s2mia"
-    (violation,) = request.field_violations
-    assert violation.description
-    return info.reason, violation.field
 
 
 def attack(address: str, act) -> tuple[str, str]:

@@ -1,0 +1,188 @@
+//! `PolicyService`: trained policies act for whoever observes. Steps of different streams are computed beside each other;
+//! those of one in their order. A policy multiplies row by row, so putting rows of several streams together would not
+//! make any of them cheaper.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use policy::{ActorPolicy, Head};
+use proto::wire::policy_service_server::{self, PolicyService, PolicyServiceServer};
+use proto::{
+    ActStep, ActionChoice, ActionDistribution, EnvironmentSpec, MAX_MESSAGE_BYTES, PolicyAgent,
+    PolicyDescription, Refusal, wire,
+};
+use security::Role;
+use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::service::interceptor::InterceptedService;
+use tonic::{Request, Response, Status, Streaming};
+
+use super::{COMPILED, connections, deadline, reflection, server};
+use crate::door::Door;
+use crate::exchange::Caller;
+use crate::published::Published;
+use crate::team::Team;
+
+/// Answers that wait to be taken away; then nothing more is read.
+const ANSWERS_AHEAD: usize = 1;
+/// How long open streams have to end when the server stops.
+const CLOSING: Duration = Duration::from_secs(1);
+/// Longer than any stream; tokio's clock reaches as far.
+const NO_DEADLINE: Duration = Duration::from_secs(86_400 * 365);
+/// What is served besides health and reflection.
+const SERVICES: [&str; 1] = [policy_service_server::SERVICE_NAME];
+
+/// What is served.
+#[derive(Clone, Debug)]
+pub struct ServedPolicies {
+    /// Names the run for people.
+    pub run_id: String,
+    /// The world in which the policies were trained.
+    pub environment: EnvironmentSpec,
+    /// Their newest version, now and whenever there is another.
+    pub newest: watch::Receiver<Arc<Published>>,
+}
+
+/// Serves policies at `door` until `stop` turns true; open streams then end with `UNAVAILABLE`.
+///
+/// # Errors
+/// Says why the service broke down.
+pub async fn serve_policies(
+    served: ServedPolicies,
+    door: Door,
+    stop: watch::Receiver<bool>,
+) -> Result<(), tonic::transport::Error> {
+    let incoming = connections::accept(door, Arc::new(drop));
+    let policies = Policies { served, stop: stop.clone() };
+    let policies = PolicyServiceServer::new(policies).max_decoding_message_size(MAX_MESSAGE_BYTES);
+    let (reporter, health) = tonic_health::server::health_reporter();
+    reporter.set_serving::<PolicyServiceServer<Policies>>().await;
+    let serving = server()
+        .add_service(InterceptedService::new(policies, connections::needs(Role::Viewer)))
+        .add_service(health)
+        .add_service(reflection(&SERVICES).build_v1().expect(COMPILED))
+        .add_service(reflection(&SERVICES).build_v1alpha().expect(COMPILED))
+        .serve_with_incoming_shutdown(incoming, stopped(stop.clone()));
+    tokio::select! {
+        ended = serving => ended,
+        // Whoever takes no answers away keeps nobody from leaving.
+        () = async { stopped(stop).await; tokio::time::sleep(CLOSING).await } => Ok(()),
+    }
+}
+
+/// Completes when `stop` turns true, or nobody can say so any more.
+async fn stopped(mut stop: watch::Receiver<bool>) {
+    let _told = stop.wait_for(|stop| *stop).await;
+}
+
+/// The calls of `PolicyService`.
+#[derive(Debug)]
+struct Policies {
+    served: ServedPolicies,
+    stop: watch::Receiver<bool>,
+}
+
+#[tonic::async_trait]
+impl PolicyService for Policies {
+    async fn describe_policy(
+        &self,
+        _request: Request<wire::DescribePolicyRequest>,
+    ) -> Result<Response<wire::DescribePolicyResponse>, Status> {
+        Ok(Response::new(self.served.description().to_wire()))
+    }
+
+    type ActStream = ReceiverStream<Result<wire::ActResponse, Status>>;
+
+    async fn act(
+        &self,
+        request: Request<Streaming<wire::ActRequest>>,
+    ) -> Result<Response<Self::ActStream>, Status> {
+        let (answers, stream) = mpsc::channel(ANSWERS_AHEAD);
+        let caller = connections::caller(&request, "act");
+        let patience = deadline::of(request.metadata()).unwrap_or(NO_DEADLINE);
+        let end = Instant::now() + patience.min(NO_DEADLINE);
+        let (newest, stop) = (self.served.newest.clone(), self.stop.clone());
+        let steps = request.into_inner();
+        tokio::spawn(async move {
+            let over = tokio::select! {
+                () = answers.closed() => return,
+                ended = act_to_the_end(steps, newest, &answers, caller) => ended.err(),
+                () = tokio::time::sleep_until(end) => Some(Status::deadline_exceeded("the stream's deadline has passed")),
+                () = stopped(stop) => Some(Status::unavailable("the server stops")),
+            };
+            if let Some(status) = over {
+                // Whoever has left needs no reason.
+                let _told = answers.send(Err(status)).await;
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(stream)))
+    }
+}
+
+/// Answers one step after the other.
+async fn act_to_the_end(
+    mut steps: Streaming<wire::ActRequest>,
+    mut newest: watch::Receiver<Arc<Published>>,
+    answers: &mpsc::Sender<Result<wire::ActResponse, Status>>,
+    caller: Caller,
+) -> Result<(), Status> {
+    let refused = |refusal: Refusal| {
+        tracing::warn!(
+            reason = refusal.reason.name(),
+            field = refusal.field,
+            "{caller} is refused: {}",
+            refusal.detail
+        );
+        Status::from(refusal)
+    };
+    let Some(start) = steps.message().await? else { return Ok(()) };
+    let choice = ActionChoice::from_wire(start).map_err(refused)?;
+    let first = Arc::clone(&newest.borrow_and_update());
+    let sizes = first.policy.agents.iter().map(ActorPolicy::observation_size).collect::<Vec<_>>();
+    let mut team = Team::new(first, choice);
+    while let Some(step) = steps.message().await? {
+        let step = ActStep::from_wire(&step, &sizes).map_err(refused)?;
+        if step.reset {
+            team.reset(Arc::clone(&newest.borrow_and_update()));
+        }
+        let computed = tokio::task::spawn_blocking(move || {
+            let acted = team.act(&step);
+            (team, acted.to_wire())
+        });
+        let (kept, answer) = computed.await.map_err(|panic| Status::internal(panic.to_string()))?;
+        team = kept;
+        if answers.send(Ok(answer)).await.is_err() {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+impl ServedPolicies {
+    fn description(&self) -> PolicyDescription {
+        let newest = self.newest.borrow();
+        let agents = self.environment.agents.iter().zip(&newest.policy.agents);
+        let agents = agents.map(|(agent, policy)| PolicyAgent {
+            agent: agent.clone(),
+            hidden_size: policy.hidden_size() as u32,
+            distribution: distribution(policy.head()),
+        });
+        PolicyDescription {
+            run_id: self.run_id.clone(),
+            task: self.environment.task.clone(),
+            weights: newest.name,
+            agents: agents.collect(),
+            dt_secs: self.environment.dt_secs,
+        }
+    }
+}
+
+fn distribution(head: Head) -> ActionDistribution {
+    match head {
+        Head::Gaussian => ActionDistribution::Gaussian,
+        Head::Categorical { .. } => ActionDistribution::Categorical,
+        Head::Deterministic { .. } => ActionDistribution::ClampedGaussian,
+        Head::Uniform { .. } => ActionDistribution::Uniform,
+    }
+}

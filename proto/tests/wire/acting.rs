@@ -1,0 +1,86 @@
+//! What trained policies are asked and answer survives the way, and a step that lies is refused by name.
+
+use proto::{
+    ActStep, Acted, ActionChoice, ActionDistribution, Digest, PolicyAgent, PolicyDescription,
+    PolicyVersion, Reason, WeightsName, wire,
+};
+
+use crate::sample;
+
+/// What the sample run's agents observe and do.
+const OBSERVATIONS: [usize; 2] = [3, 2];
+const ACTIONS: [usize; 2] = [2, 1];
+
+fn weights() -> WeightsName {
+    WeightsName { version: PolicyVersion(7), digest: Digest([3; 32]) }
+}
+
+fn step() -> ActStep {
+    ActStep { reset: true, observations: vec![(1, vec![0.5, -1.0]), (0, vec![1.0, 2.0, 3.0])] }
+}
+
+#[test]
+fn descriptions_beginnings_steps_and_answers_survive_the_round_trip() {
+    let kinds = [
+        ActionDistribution::Gaussian,
+        ActionDistribution::Categorical,
+        ActionDistribution::ClampedGaussian,
+        ActionDistribution::Uniform,
+    ];
+    for distribution in kinds {
+        let agents = sample::environment().agents.into_iter();
+        let agents = agents.map(|agent| PolicyAgent { agent, hidden_size: 4, distribution });
+        let described = PolicyDescription {
+            run_id: "a run".to_owned(),
+            task: "toy".to_owned(),
+            weights: weights(),
+            agents: agents.collect(),
+            dt_secs: 0.05,
+        };
+        assert_eq!(PolicyDescription::from_wire(described.to_wire()), Ok(described));
+    }
+    for choice in [ActionChoice::Mean, ActionChoice::Sampled { seed: 9 }] {
+        assert_eq!(ActionChoice::from_wire(choice.to_wire()), Ok(choice));
+    }
+    assert_eq!(ActStep::from_wire(&step().to_wire(), &OBSERVATIONS), Ok(step()));
+    let acted = Acted { weights: weights(), actions: vec![(1, vec![0.25]), (0, vec![1.0, -1.0])] };
+    assert_eq!(Acted::from_wire(acted.to_wire(), &ACTIONS), Ok(acted));
+}
+
+/// Reason and field with which a step with these observations is refused.
+fn refused(observations: Vec<(usize, Vec<f32>)>) -> (Reason, String) {
+    let wire = ActStep { reset: false, observations }.to_wire();
+    let refusal = ActStep::from_wire(&wire, &OBSERVATIONS).unwrap_err();
+    (refusal.reason, refusal.field)
+}
+
+#[test]
+fn a_step_that_does_not_fit_the_team_is_refused_by_field() {
+    let at = |field: &str| format!("step.observations{field}");
+    for (observations, reason, field) in [
+        (vec![], Reason::MissingField, ""),
+        (vec![(2, vec![0.0; 2])], Reason::BadValue, "[0].agent"),
+        (vec![(1, vec![0.0; 2]), (1, vec![0.0; 2])], Reason::BadValue, "[1].agent"),
+        (vec![(0, vec![0.0; 2])], Reason::BadShape, "[0].observation"),
+        (vec![(1, vec![0.0; 2]), (0, vec![0.0; 4])], Reason::BadShape, "[1].observation"),
+        (vec![(1, vec![0.0, f32::NAN])], Reason::NotFinite, "[0].observation"),
+        (vec![(1, vec![f32::INFINITY, 0.0])], Reason::NotFinite, "[0].observation"),
+    ] {
+        assert_eq!(refused(observations), (reason, at(field)));
+    }
+}
+
+#[test]
+fn a_stream_begins_once_and_with_its_beginning() {
+    let (start, step) = (ActionChoice::Mean.to_wire(), step().to_wire());
+    let begun = ActionChoice::from_wire(step).unwrap_err();
+    assert_eq!((begun.reason, begun.field.as_str()), (Reason::MissingField, "start"));
+    let again = ActStep::from_wire(&start, &OBSERVATIONS).unwrap_err();
+    assert_eq!((again.reason, again.field.as_str()), (Reason::BadValue, "start"));
+    let undecided = wire::act_request::Content::Start(wire::ActStart { choice: None });
+    let undecided = wire::ActRequest { content: Some(undecided) };
+    let undecided = ActionChoice::from_wire(undecided).unwrap_err();
+    assert_eq!(undecided.field, "start.choice");
+    let nothing = ActStep::from_wire(&wire::ActRequest { content: None }, &OBSERVATIONS);
+    assert_eq!(nothing.unwrap_err().field, "content");
+}

@@ -1,0 +1,151 @@
+//! A learner at work is paused, saved, watched and stopped by whoever may, and ends with the very state of one that was
+//! left in peace.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+#[path = "system/waiting.rs"]
+mod waiting;
+
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use serde_json::{Value, json};
+
+use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
+use waiting::{eventually, under_way};
+
+const THIRTY: &str = "run.iterations=30";
+
+fn background(arguments: &[&str]) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+/// A run of thirty iterations that has begun.
+fn begun(folder: &Path, more: &[&str]) -> Child {
+    let dir = format!("run.dir={}", folder.display());
+    let run = background(&[&["train"], TINY, &[dir.as_str(), THIRTY], more].concat());
+    under_way(folder);
+    run
+}
+
+fn status(of: &str) -> Value {
+    serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
+}
+
+/// The status of a paused run that has come to rest, and where its checkpoint is. A checkpoint is answered between
+/// updates only, so an update that was still to come shows in the status after it.
+fn at_rest(of: &str) -> (Value, String) {
+    eventually(|| {
+        let before = status(of);
+        let saved = succeeded(&["checkpoint", of]);
+        let after = status(of);
+        let rests = before == after && after["leases"] == json!([]);
+        if rests { Ok((after, saved)) } else { Err(format!("the run moves: {after}")) }
+    })
+}
+
+#[test]
+fn pauses_and_checkpoints_at_any_moment_change_not_one_bit() {
+    let runs = Runs::new();
+    for schedule in ["schedule=synchronous", "schedule=overlap"] {
+        let [disturbed, quiet] =
+            ["disturbed", "quiet"].map(|name| runs.folder(&format!("{name}-{schedule}")));
+        let of = disturbed.to_str().unwrap();
+        let mut run = begun(&disturbed, &[schedule]);
+        assert!(succeeded(&["pause", of]).contains("is paused"));
+        let (paused, line) = at_rest(of);
+        assert_eq!(paused["state"], "paused");
+        let health = ["health", "--learner", &address(&disturbed)];
+        assert!(succeeded(&health).contains("serves"), "a pause is no illness");
+        let iteration = &paused["iteration"];
+        assert!(line.starts_with(&format!("iteration {iteration}: ")), "{line}");
+        assert!(
+            Path::new(line.trim().rsplit(": ").next().unwrap()).join("manifest.json").is_file()
+        );
+        assert_eq!(inspect(&disturbed)["iteration"], *iteration);
+        assert!(succeeded(&["resume", of]).contains("goes on"));
+        let line = succeeded(&["checkpoint", of]);
+        assert!(line.starts_with("iteration "), "{line}");
+        assert!(run.wait().unwrap().success());
+        train(&quiet, &[THIRTY, schedule]);
+        assert_eq!(inspect(&disturbed), inspect(&quiet), "{schedule}");
+    }
+}
+
+/// Where the learner of a run listens.
+fn address(folder: &Path) -> String {
+    let address = std::fs::read_to_string(folder.join("address")).unwrap();
+    format!("http://{}", address.trim())
+}
+
+#[test]
+fn a_run_that_is_told_to_stop_while_it_is_paused_ends_as_by_a_signal_and_can_be_taken_up_again() {
+    let runs = Runs::new();
+    let (stopped, quiet) = (runs.folder("stopped"), runs.folder("quiet"));
+    let of = stopped.to_str().unwrap();
+    let mut run = begun(&stopped, &[]);
+    succeeded(&["pause", of]);
+    let iteration = at_rest(of).0["iteration"].clone();
+    assert!(succeeded(&["stop", of]).contains("stops after a checkpoint"));
+    assert!(run.wait().unwrap().success());
+    let left = status(of);
+    assert_eq!((&left["state"], &left["iteration"]), (&json!("stopped"), &iteration));
+    for order in ["pause", "resume", "checkpoint", "stop"] {
+        let answer = s2mia(&[order, of]);
+        let line = String::from_utf8(answer.stderr).unwrap();
+        assert_eq!(answer.status.code(), Some(1));
+        assert!(line.contains("no learner works on") && line.lines().count() == 1, "{line}");
+    }
+    succeeded(&["train", "--resume", of]);
+    train(&quiet, &[THIRTY]);
+    assert_eq!(inspect(&stopped), inspect(&quiet));
+}
+
+/// A learner that goes on with the run in `folder`, and whoever watches it already.
+fn watched(folder: &Path) -> Child {
+    let dir = format!("run.dir={}", folder.display());
+    let arguments = [&["learner", "--listen=127.0.0.1:0"], TINY, &[dir.as_str(), THIRTY]].concat();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(arguments).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut learner = command.spawn().unwrap();
+    let mut log = BufReader::new(learner.stderr.take().unwrap()).lines();
+    assert!(log.any(|line| line.unwrap().contains("watch_run from")));
+    // Else the learner would have nowhere to write to.
+    std::thread::Builder::new().name("log".into()).spawn(move || log.for_each(drop)).unwrap();
+    learner
+}
+
+#[test]
+fn whoever_watches_sees_each_iteration_once_over_a_restart_and_then_the_end() {
+    let runs = Runs::new();
+    let folder = runs.folder("watched");
+    let of = folder.to_str().unwrap();
+    let mut first = begun(&folder, &[]);
+    let mut watch = background(&["watch", of, "--json"]);
+    let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
+    let begin = told.next().unwrap().unwrap();
+    succeeded(&["stop", of]);
+    assert!(first.wait().unwrap().success());
+    let mut second = watched(&folder);
+    succeeded(&["actor", "--learner", &address(&folder)]);
+    assert!(second.wait().unwrap().success());
+    let rest: Vec<String> = told.map(Result::unwrap).collect();
+    assert!(watch.wait().unwrap().success());
+    let lines = [begin].into_iter().chain(rest);
+    let lines: Vec<Value> = lines.map(|line| serde_json::from_str(&line).unwrap()).collect();
+    let (ends, iterations): (Vec<&Value>, Vec<&Value>) =
+        lines.iter().partition(|line| line["end"] != Value::Null);
+    let seen: Vec<u64> =
+        iterations.iter().map(|line| line["iteration"].as_u64().unwrap()).collect();
+    assert_eq!(seen, (1..=30).collect::<Vec<_>>());
+    assert!(iterations.iter().all(|line| line["env_steps_per_sec"].as_f64() > Some(0.0)));
+    assert_eq!(ends.iter().map(|line| &line["end"]).collect::<Vec<_>>(), ["stopped", "finished"]);
+    assert_eq!(
+        (&ends[1]["iteration"], &ends[1]["evaluation"]["iteration"]),
+        (&json!(30), &json!(30))
+    );
+    assert!(succeeded(&["watch", of]).is_empty(), "there is nothing to wait for any more");
+}

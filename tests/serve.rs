@@ -1,0 +1,322 @@
+//! Trained policies as a service: they act for a world elsewhere as the evaluator does at home, bit for bit.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+
+use std::io::{BufRead as _, BufReader, Lines};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::OnceLock;
+use std::time::Duration;
+
+use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed, generator};
+use proto::wire::policy_service_client::PolicyServiceClient;
+use proto::{
+    ActStep, Acted, ActionChoice, ActionDistribution, PolicyDescription, Reason, Refusal, wire,
+};
+use sim::{Environments, Outcome};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::Channel;
+use tonic::{Code, Request, Status, Streaming};
+
+use runs::{Runs, inspect, s2mia, succeeded, train};
+
+/// A finished run of two iterations, shared by all tests.
+fn trained() -> &'static (Runs, PathBuf) {
+    static RUN: OnceLock<(Runs, PathBuf)> = OnceLock::new();
+    RUN.get_or_init(|| {
+        let runs = Runs::new();
+        let folder = runs.folder("trained");
+        train(&folder, &["run.iterations=2"]);
+        (runs, folder)
+    })
+}
+
+/// A server of its policies.
+struct Server {
+    process: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    url: String,
+}
+
+impl Server {
+    fn start(folder: &Path, more: &[&str]) -> Self {
+        let own = ["serve", folder.to_str().unwrap(), "--listen=127.0.0.1:0"];
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        command.args(own).args(more).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut process = command.spawn().unwrap();
+        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        let first = lines.next().unwrap().unwrap();
+        let url = first.split_whitespace().last().unwrap().to_owned();
+        Self { process, lines, url }
+    }
+
+    async fn client(&self) -> PolicyServiceClient<Channel> {
+        PolicyServiceClient::connect(self.url.clone()).await.unwrap()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // One that was told to stop has ended already.
+        let _ended = self.process.kill();
+        let _reaped = self.process.wait();
+    }
+}
+
+/// The world in which the run's policies were trained.
+fn world(folder: &Path) -> Environments {
+    let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
+    let settings: toml::Table = settings.parse().unwrap();
+    let task = sim::TaskConfig {
+        task: settings["task"].as_str().unwrap().to_owned(),
+        observation: settings["observation"].clone().try_into().unwrap(),
+        partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
+    };
+    Environments::new(&task, 1).unwrap()
+}
+
+/// The first state of the evaluator's episode of this index, after two iterations.
+fn reset(world: &mut Environments, episode: u32) {
+    let key = Draw::of(Purpose::EvaluationReset).iteration(2).environment(episode);
+    let steps = world.description().episode_steps;
+    world.reset(0, 0, steps, &mut generator(RunSeed(7), key));
+}
+
+/// What each agent observes.
+fn observations(world: &Environments) -> Vec<(usize, Vec<f32>)> {
+    let agents = world.description().agents.iter().enumerate();
+    let seen = agents.map(|(agent, description)| {
+        let mut row = vec![0.0; description.observation.len()];
+        world.observation(0, agent, &mut row);
+        (agent, row)
+    });
+    seen.collect()
+}
+
+/// An open stream of actions.
+struct Acting {
+    steps: mpsc::Sender<wire::ActRequest>,
+    answers: Streaming<wire::ActResponse>,
+    action_sizes: Vec<usize>,
+}
+
+impl Acting {
+    async fn begin(server: &Server, choice: ActionChoice) -> Self {
+        let mut client = server.client().await;
+        let described = client.describe_policy(wire::DescribePolicyRequest {}).await.unwrap();
+        let described = PolicyDescription::from_wire(described.into_inner()).unwrap();
+        let sizes = described.agents.iter().map(|agent| agent.agent.action.size as usize);
+        let action_sizes = sizes.collect();
+        let (steps, queue) = mpsc::channel(4);
+        steps.send(choice.to_wire()).await.unwrap();
+        let answers = client.act(ReceiverStream::new(queue)).await.unwrap().into_inner();
+        Self { steps, answers, action_sizes }
+    }
+
+    async fn send(&mut self, message: wire::ActRequest) -> Result<Acted, Status> {
+        self.steps.send(message).await.unwrap();
+        let answer = self.answers.message().await?.unwrap();
+        Ok(Acted::from_wire(answer, &self.action_sizes).unwrap())
+    }
+
+    async fn step(&mut self, step: ActStep) -> Acted {
+        self.send(step.to_wire()).await.unwrap()
+    }
+}
+
+/// A step with these observations.
+type Step = fn(Vec<(usize, Vec<f32>)>) -> ActStep;
+
+/// The first step of an episode.
+fn first(observations: Vec<(usize, Vec<f32>)>) -> ActStep {
+    ActStep { reset: true, observations }
+}
+
+/// A later step.
+fn next(observations: Vec<(usize, Vec<f32>)>) -> ActStep {
+    ActStep { reset: false, observations }
+}
+
+/// One number after the other.
+fn side_by_side(acted: &Acted) -> Vec<f32> {
+    acted.actions.iter().flat_map(|(_, action)| action.clone()).collect()
+}
+
+/// Plays an episode to its end by what `acting` says; joint actions and return.
+async fn play(acting: &mut Acting, world: &mut Environments, episode: u32) -> (Vec<Vec<f32>>, f64) {
+    reset(world, episode);
+    let (mut joint, mut total, mut outcomes) = (Vec::new(), 0.0, [Outcome::default()]);
+    loop {
+        let begins = if joint.is_empty() { first } else { next };
+        let acted = acting.step(begins(observations(world))).await;
+        joint.push(side_by_side(&acted));
+        world.step(joint.last().unwrap(), &mut outcomes).unwrap();
+        total += f64::from(outcomes[0].reward);
+        if outcomes[0].terminated || outcomes[0].truncated {
+            return (joint, total);
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn whole_episodes_by_the_service_are_the_evaluator_s_bit_for_bit() {
+    let (_, folder) = trained();
+    let server = Server::start(folder, &[]);
+    let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
+    let snapshot = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
+    let told = succeeded(&["eval", folder.to_str().unwrap(), "--episodes=2", "--json"]);
+    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+    let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
+    let (mut here, mut there) = (world(folder), world(folder));
+    for episode in 0..2 {
+        let (joint, total) = play(&mut acting, &mut here, episode).await;
+        let draw = Draw::of(Purpose::EvaluationReset).iteration(2).environment(episode);
+        let mut expected = Vec::new();
+        let keep = |step: &actor::PlayedStep<'_>| expected.push(step.action.to_vec());
+        actor::play_episode(&mut there, &snapshot, Key::of(RunSeed(7), draw), keep).unwrap();
+        assert_eq!(joint, expected);
+        assert_eq!(told["episodes"][episode as usize]["return"].as_f64(), Some(total));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_service_says_who_acts_and_by_which_weights() {
+    let (_, folder) = trained();
+    let server = Server::start(folder, &[]);
+    let described = server.client().await.describe_policy(wire::DescribePolicyRequest {}).await;
+    let described = PolicyDescription::from_wire(described.unwrap().into_inner()).unwrap();
+    let bytes = learner::checkpoint::load_newest(folder).unwrap().checkpoint.policy;
+    assert_eq!(described.weights.digest.0, policy::digest(&bytes));
+    assert_eq!(described.weights.version.0, inspect(folder)["iteration"]);
+    assert_eq!(described.run_id, "trained");
+    let environment = actor::environment_spec(world(folder).description());
+    let agents = described.agents.iter().map(|agent| agent.agent.clone()).collect::<Vec<_>>();
+    assert_eq!((described.task, agents), (environment.task, environment.agents));
+    let kinds = described.agents.iter().map(|agent| (agent.hidden_size, agent.distribution));
+    assert!(kinds.clone().all(|kind| kind == (8, ActionDistribution::Gaussian)));
+    let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
+    let seen = observations(&world(folder));
+    assert_eq!(acting.step(next(seen)).await.weights, described.weights);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agents_are_asked_together()
+ {
+    let (_, folder) = trained();
+    let server = Server::start(folder, &[]);
+    let mut world = world(folder);
+    reset(&mut world, 0);
+    let seen = observations(&world);
+    let mut by_seed = Vec::new();
+    // A stream's first step begins an episode, whether it says so or not.
+    for (seed, begins) in [(1, first as Step), (1, next), (2, next)] {
+        let mut acting = Acting::begin(&server, ActionChoice::Sampled { seed }).await;
+        let mut actions = Vec::new();
+        for step in [begins, next, first] {
+            actions.push(side_by_side(&acting.step(step(seen.clone())).await));
+        }
+        by_seed.push(actions);
+    }
+    assert_eq!(by_seed[0], by_seed[1]);
+    let distinct = |a: &Vec<f32>, b: &Vec<f32>| a.iter().zip(b).all(|(a, b)| a != b);
+    assert!(distinct(&by_seed[0][0], &by_seed[2][0]), "another seed draws other noise");
+    assert!(distinct(&by_seed[0][0], &by_seed[0][2]), "so does another episode");
+    // One agent a message, in another order, beside a stream that is busy with something else.
+    let mut other = Acting::begin(&server, ActionChoice::Mean).await;
+    let mut acting = Acting::begin(&server, ActionChoice::Sampled { seed: 1 }).await;
+    let mut alone = vec![Vec::new(); seen.len()];
+    for (agent, observation) in seen.iter().rev() {
+        let (one, everybody) = tokio::join!(
+            acting.step(next(vec![(*agent, observation.clone())])),
+            other.step(next(seen.clone()))
+        );
+        assert_eq!(everybody.actions.len(), seen.len());
+        alone[*agent] = one.actions[0].1.clone();
+    }
+    assert_eq!(alone.concat(), by_seed[0][0]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
+    let (_, folder) = trained();
+    let server = Server::start(folder, &[]);
+    let seen = observations(&world(folder));
+    let (one, mut short, mut wild) = (seen[0].clone(), seen.clone(), seen.clone());
+    short[2].1.pop();
+    wild[1].1[0] = f32::NAN;
+    let step = |observations| next(observations).to_wire();
+    let mut honest = Acting::begin(&server, ActionChoice::Mean).await;
+    honest.step(next(seen.clone())).await;
+    for (message, reason, field) in [
+        (step(vec![]), Reason::MissingField, "step.observations"),
+        (step(short), Reason::BadShape, "step.observations[2].observation"),
+        (step(wild), Reason::NotFinite, "step.observations[1].observation"),
+        (step(vec![(6, one.1.clone())]), Reason::BadValue, "step.observations[0].agent"),
+        (step(vec![one.clone(), one]), Reason::BadValue, "step.observations[1].agent"),
+        (ActionChoice::Mean.to_wire(), Reason::BadValue, "start"),
+        (wire::ActRequest { content: None }, Reason::MissingField, "content"),
+    ] {
+        let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
+        let status = acting.send(message).await.unwrap_err();
+        let refusal = Refusal::from_status(&status).unwrap();
+        assert_eq!((refusal.reason, refusal.field.as_str()), (reason, field));
+    }
+    honest.step(next(seen)).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_ends_at_its_deadline_and_when_the_server_is_told_to_stop() {
+    let (_, folder) = trained();
+    let mut server = Server::start(folder, &[]);
+    let (sender, queue) = mpsc::channel(1);
+    sender.send(ActionChoice::Mean.to_wire()).await.unwrap();
+    let mut request = Request::new(ReceiverStream::new(queue));
+    // The client's own clock is left out: only the server is to notice.
+    request.metadata_mut().insert("grpc-timeout", "200m".parse().unwrap());
+    let mut late = server.client().await.act(request).await.unwrap().into_inner();
+    let ended = tokio::time::timeout(Duration::from_secs(20), late.message()).await;
+    assert_eq!(ended.unwrap().unwrap_err().code(), Code::DeadlineExceeded);
+
+    let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
+    acting.step(next(observations(&world(folder)))).await;
+    let process = server.process.id().to_string();
+    assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
+    assert_eq!(acting.answers.message().await.unwrap_err().code(), Code::Unavailable);
+    assert_eq!(server.lines.next().unwrap().unwrap(), "stopping");
+    assert!(server.process.wait().unwrap().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn newer_checkpoints_are_taken_up_between_episodes() {
+    let runs = Runs::new();
+    let folder = runs.folder("followed");
+    train(&folder, &["run.iterations=2"]);
+    let server = Server::start(&folder, &["--follow"]);
+    let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
+    let seen = observations(&world(&folder));
+    assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2);
+    succeeded(&["train", "--resume", folder.to_str().unwrap(), "run.iterations=4"]);
+    let mut newest = 2;
+    while newest == 2 {
+        let mut client = server.client().await;
+        let described = client.describe_policy(wire::DescribePolicyRequest {}).await.unwrap();
+        newest = described.into_inner().weights.unwrap().version;
+    }
+    assert_eq!(newest, 4);
+    assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2, "in the same episode");
+    assert_eq!(acting.step(first(seen)).await.weights.version.0, 4);
+}
+
+#[test]
+fn health_is_told_and_other_machines_are_let_in_on_request_only() {
+    let (_, folder) = trained();
+    let server = Server::start(folder, &[]);
+    assert!(succeeded(&["health", "--learner", &server.url]).contains("serves"));
+    let refused = s2mia(&["serve", folder.to_str().unwrap(), "--listen=0.0.0.0:0"]);
+    let line = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(line.contains("--insecure-allow-remote") && line.lines().count() == 1, "{line}");
+}
