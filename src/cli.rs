@@ -6,6 +6,7 @@ mod figures;
 mod log;
 mod page;
 mod serve;
+mod settings;
 mod tls;
 
 use std::net::SocketAddr;
@@ -23,6 +24,7 @@ pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use page::{PageAddress, PageArguments};
 pub(crate) use serve::ServeArguments;
+pub(crate) use settings::SettingsArguments;
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
@@ -120,29 +122,6 @@ Later layers win:
   --config FILE                 in the order given
   S2MIA__SECTION__KEY           environment variables
   section.key=value             arguments";
-
-/// What decides the configuration.
-#[derive(Args, Clone, Debug, Default)]
-pub(crate) struct SettingsArguments {
-    /// Task, then settings as key.path=value.
-    #[arg(value_name = "TASK | KEY=VALUE")]
-    pub(crate) settings: Vec<String>,
-    /// TOML file with settings; may be given several times, later ones win.
-    #[arg(long = "config", value_name = "FILE")]
-    pub(crate) files: Vec<PathBuf>,
-    /// Train in the environment that a program offers there; TASK then only says whose settings to take. Short for
-    /// environment.url=URL.
-    #[arg(long, value_name = "URL")]
-    pub(crate) environment: Option<String>,
-}
-
-impl SettingsArguments {
-    /// All settings as key.path=value, those with a flag of their own among them.
-    pub(crate) fn written(&self) -> Vec<String> {
-        let url = self.environment.iter().map(|url| format!("environment.url={url}"));
-        self.settings.iter().cloned().chain(url).collect()
-    }
-}
 
 /// How an earlier run is taken up again.
 #[derive(Args, Clone, Debug, Default)]

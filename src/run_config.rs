@@ -1,8 +1,9 @@
 //! A run's configuration as the crates' own types, each section checked by the crate it belongs to.
 
+mod environment;
+
 use std::path::Path;
 
-use actor::trajectory_log::Episodes;
 use marl::ObservationScale;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -10,6 +11,7 @@ use sim::ObservationNorm;
 
 use crate::config::{ConfigError, Request, Resolved, layers};
 use crate::run_path;
+pub(crate) use environment::EnvironmentSection;
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -28,26 +30,6 @@ pub(crate) struct RunSection {
     pub(crate) actors: usize,
     /// Run folder; empty: named for task, algorithm, seed and time.
     pub(crate) dir: String,
-}
-
-/// The section `environment`.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct EnvironmentSection {
-    /// Of the program that offers the environment; empty: the simulator does.
-    pub(crate) url: String,
-    /// SHA-256 of what that program says of it; empty without one, and before the run has started.
-    pub(crate) description: String,
-}
-
-impl EnvironmentSection {
-    /// What tells an actor process where its environment comes from.
-    pub(crate) fn arguments(&self) -> Vec<String> {
-        match self.url.as_str() {
-            "" => Vec::new(),
-            url => vec!["--environment".to_owned(), url.to_owned()],
-        }
-    }
 }
 
 /// The setting `schedule`: when an iteration is rolled out.
@@ -147,7 +129,7 @@ impl RunConfig {
         self.validate_run()?;
         match self.environment.url.is_empty() {
             true => self.validate_actions()?,
-            false => self.validate_outside()?,
+            false => self.environment.validate(&self.task.observation, self.log)?,
         }
         self.validate_burn_in()?;
         let (chunk, through_time) =
@@ -169,22 +151,6 @@ impl RunConfig {
             true => Err(refusal.to_string()),
             false => Ok(()),
         }
-    }
-
-    /// What the simulator alone can do.
-    fn validate_outside(&self) -> Result<(), String> {
-        if self.task.observation.norm == ObservationNorm::FeatureZ {
-            return Err(
-                "observation.norm must be none or running with environment.url, is feature_z: \
-                        the simulator alone scales what it shows"
-                    .to_owned(),
-            );
-        }
-        if self.log.episodes != Episodes::None {
-            return Err("log.episodes must be none with environment.url: the simulator's episodes alone are logged"
-                .to_owned());
-        }
-        Ok(())
     }
 
     fn validate_burn_in(&self) -> Result<(), String> {
@@ -352,19 +318,6 @@ mod tests {
         assert!(built(&["cue-2x1", count]).is_ok());
         let message = built(&["halfcheetah-6x1", count]).unwrap_err().to_string();
         assert!(message.contains("for continuous actions: counts need choices"), "{message}");
-    }
-
-    #[test]
-    fn what_the_simulator_alone_can_do_is_refused_for_an_environment_from_outside() {
-        let url = "environment.url=http://localhost:7";
-        assert!(built(&[url]).is_ok() && built(&[url, "observation.norm=running"]).is_ok());
-        for (setting, key) in [
-            ("observation.norm=feature_z", "observation.norm"),
-            ("log.episodes=all", "log.episodes"),
-        ] {
-            let message = built(&[url, setting]).unwrap_err().to_string();
-            assert!(message.contains(&format!("{key} must be none")), "{message}");
-        }
     }
 
     #[test]

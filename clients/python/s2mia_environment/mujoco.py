@@ -4,6 +4,7 @@
 """
 
 import struct
+import sys
 
 import mujoco
 import numpy as np
@@ -16,6 +17,9 @@ from s2mia_environment.parallel import Parallel
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 STATE_VERSION = 1
 _STEPS = struct.Struct("<q")
+
+# MuJoCo would also write each warning into a file where the program stands.
+mujoco.set_mju_user_warning(lambda warning: print(warning, file=sys.stderr))
 
 
 class MultiAgentMujoco(Parallel):

@@ -1,0 +1,71 @@
+//! The section `environment`: who offers it, if not the simulator.
+
+use actor::LogSettings;
+use actor::trajectory_log::Episodes;
+use serde::Deserialize;
+use sim::{ObservationConfig, ObservationNorm};
+
+/// The section `environment`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct EnvironmentSection {
+    /// Of the program that offers the environment; empty: the simulator does.
+    pub(crate) url: String,
+    /// SHA-256 of what that program says of it; empty without one, and before the run has started.
+    pub(crate) description: String,
+}
+
+impl EnvironmentSection {
+    /// What tells an actor process where its environment comes from.
+    pub(crate) fn arguments(&self) -> Vec<String> {
+        match self.url.as_str() {
+            "" => Vec::new(),
+            url => vec!["--environment".to_owned(), url.to_owned()],
+        }
+    }
+
+    /// Refuses, for an environment from outside, what the simulator alone can do.
+    pub(super) fn validate(
+        &self,
+        observation: &ObservationConfig,
+        log: LogSettings,
+    ) -> Result<(), String> {
+        if observation.norm == ObservationNorm::FeatureZ {
+            return Err(
+                "observation.norm must be none or running with environment.url, is feature_z: \
+                        the simulator alone scales what it shows"
+                    .to_owned(),
+            );
+        }
+        if log.episodes != Episodes::None {
+            return Err("log.episodes must be none with environment.url: \
+                        the simulator's episodes alone are logged"
+                .to_owned());
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::{Request, layers};
+    use crate::run_config::RunConfig;
+
+    fn refused(more: &str) -> Option<String> {
+        let settings = vec!["environment.url=http://localhost:7".to_owned(), more.to_owned()];
+        let resolved = layers::resolve(&Request { settings, ..Request::default() }).unwrap();
+        RunConfig::build(resolved).err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_the_simulator_alone_can_do_is_refused_for_an_environment_from_outside() {
+        assert_eq!(refused("observation.norm=running"), None);
+        for (setting, key) in [
+            ("observation.norm=feature_z", "observation.norm"),
+            ("log.episodes=all", "log.episodes"),
+        ] {
+            let message = refused(setting).unwrap();
+            assert!(message.contains(&format!("{key} must be none")), "{message}");
+        }
+    }
+}
