@@ -296,6 +296,9 @@ pub(crate) struct TasksArguments {
     /// Print one JSON array.
     #[arg(long)]
     pub(crate) json: bool,
+    /// Draw every robot's partition into DIR/TASK.png: links in the colours of the agents, joints with numbers.
+    #[arg(long, value_name = "DIR", conflicts_with = "json")]
+    pub(crate) picture: Option<PathBuf>,
 }
 
 /// `s2mia certs`

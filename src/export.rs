@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use actor::EnvironmentBatch;
-use anyhow::Context as _;
 use policy::{ActorPolicy, Key, PolicySnapshot};
+
+use crate::output;
 
 /// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`; gives each
 /// file's name and what is in it.
@@ -21,21 +22,16 @@ pub(crate) fn export(
     start: Key,
     about: &BTreeMap<String, String>,
 ) -> anyhow::Result<Vec<(String, String)>> {
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    let write = |name: &str, bytes: Vec<u8>| {
-        let path = folder.join(name);
-        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))
-    };
     let mut files = Vec::new();
     for (index, agent) in snapshot.agents.iter().enumerate() {
         let name = format!("agent_{index}.onnx");
-        write(&name, graph::model(agent, about).to_bytes())?;
+        output::file(&folder.join(&name), &graph::model(agent, about).to_bytes())?;
         files.push((name, sizes(agent)));
     }
-    write("policy.safetensors", snapshot.to_bytes()?)?;
+    output::file(&folder.join("policy.safetensors"), &snapshot.to_bytes()?)?;
     files.push(("policy.safetensors".to_owned(), "all agents' weights".to_owned()));
     let episode = episode::play(world, snapshot, start)?;
-    write("episode.safetensors", episode.to_bytes()?)?;
+    output::file(&folder.join("episode.safetensors"), &episode.to_bytes()?)?;
     let told = format!("one episode, {} steps: observation, hidden state, action", episode.steps);
     files.push(("episode.safetensors".to_owned(), told));
     Ok(files)

@@ -1,9 +1,10 @@
-//! Film strips: a robot seen from the side at chosen moments, as one PNG. Draws what shapes and poses say; knows
+//! Film strips: a robot seen from the side at chosen moments, as one PNG; and a robot's portrait. Draws what shapes and poses say; knows
 //! no robot by its name, no policy and no file.
 
 mod camera;
 mod captions;
 mod drawing;
+mod portrait;
 mod solids;
 
 use anyhow::Context as _;
@@ -12,7 +13,8 @@ use tiny_skia::{Color, Pixmap, PixmapPaint, Transform};
 
 use crate::film::camera::Camera;
 use crate::film::captions::Captions;
-use crate::film::solids::Solid;
+pub(crate) use crate::film::portrait::portrait;
+use crate::film::solids::{Solid, View};
 
 /// Frames side by side in a full row.
 const COLUMNS: u32 = 4;
@@ -68,7 +70,7 @@ pub(crate) fn size(frames: usize, agents: usize) -> (u32, u32) {
 /// If the picture cannot be encoded.
 pub(crate) fn strip(cast: &Cast, frames: &[Frame<'_>]) -> anyhow::Result<Vec<u8>> {
     let seen: Vec<Vec<Solid>> =
-        frames.iter().map(|frame| solids::of_pose(cast, frame.pose)).collect();
+        frames.iter().map(|frame| solids::of_pose(cast, frame.pose, View::Side)).collect();
     let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.links[0].position[0]).collect();
     let pixels_per_metre = camera::scale(&seen, &roots);
     let (width, height) = size(frames.len(), cast.agents);

@@ -3,7 +3,7 @@
 mod measures;
 mod times;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context as _;
 use policy::{Draw, Key, Purpose, RunSeed};
@@ -25,7 +25,7 @@ pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
     let png = film::strip(&played.cast, &frames)?;
     let path = arguments.out.clone().unwrap_or_else(|| arguments.run.join("film.png"));
-    write(&path, &png)?;
+    output::file(&path, &png)?;
     let (iteration, episode) = (trained.iteration, arguments.episode);
     output::line(format!("iteration {iteration}, episode {episode}: {}", played.told()));
     output::line(format!("{}: {}", path.display(), told(&frames, arguments.every_secs)));
@@ -104,11 +104,4 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     })
     .context("the episode broke off")?;
     Ok(Played { cast, dt_secs, moments, end })
-}
-
-fn write(path: &Path, png: &[u8]) -> anyhow::Result<()> {
-    let folder = path.parent().map(PathBuf::from).unwrap_or_default();
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("cannot make {}", folder.display()))?;
-    std::fs::write(path, png).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -1,19 +1,29 @@
 //! `s2mia tasks`: what can be trained.
 
+use std::path::Path;
+
 use anyhow::Context as _;
 use serde_json::json;
+use sim::{Description, Environments};
 
 use crate::cli::TasksArguments;
 use crate::config::{Request, layers};
+use crate::film::{self, Cast};
 use crate::output;
 use crate::run_config::RunConfig;
 
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
-    let tasks: Vec<sim::Description> =
-        sim::task_names().iter().map(|name| describe(name)).collect::<anyhow::Result<_>>()?;
+    let worlds: Vec<Environments> =
+        sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
+    if let Some(folder) = &arguments.picture {
+        return worlds.iter().try_for_each(|world| draw(world, folder));
+    }
+    let tasks: Vec<&Description> = worlds.iter().map(Environments::description).collect();
     if arguments.json {
-        output::line(serde_json::Value::from(tasks.iter().map(as_json).collect::<Vec<_>>()));
+        output::line(serde_json::Value::from(
+            tasks.iter().map(|task| as_json(task)).collect::<Vec<_>>(),
+        ));
         return Ok(());
     }
     for task in &tasks {
@@ -22,15 +32,30 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn describe(task: &str) -> anyhow::Result<sim::Description> {
+fn world(task: &str) -> anyhow::Result<Environments> {
     let request = Request { settings: vec![task.to_owned()], ..Request::default() };
     let config = RunConfig::build(layers::resolve(&request)?)?;
-    let world =
-        sim::Environments::new(&config.task, 1).with_context(|| format!("cannot build {task}"))?;
-    Ok(world.description().clone())
+    Environments::new(&config.task, 1).with_context(|| format!("cannot build {task}"))
 }
 
-fn as_table(task: &sim::Description) -> String {
+/// One picture, and whose each number is; nothing of a game.
+fn draw(world: &Environments, folder: &Path) -> anyhow::Result<()> {
+    let (task, pose) = (world.description(), world.pose(0));
+    let shapes = sim::shapes(&task.task).context("cannot build the robot")?;
+    if shapes.is_empty() {
+        return Ok(());
+    }
+    let cast = Cast::new(task, shapes, &pose);
+    let path = folder.join(format!("{}.png", task.task));
+    output::file(&path, &film::portrait(&cast, task, &pose)?)?;
+    let names = task.agents.iter().flat_map(|agent| &agent.joints);
+    let numbers: Vec<String> =
+        (1..).zip(names).map(|(number, name)| format!("{number} {name}")).collect();
+    output::line(format!("{}: {}", path.display(), numbers.join(", ")));
+    Ok(())
+}
+
+fn as_table(task: &Description) -> String {
     let mut text = format!(
         "{}: {} agents, state {}, {} steps of {} s\n",
         task.task,
@@ -51,7 +76,7 @@ fn as_table(task: &sim::Description) -> String {
     text
 }
 
-fn as_json(task: &sim::Description) -> serde_json::Value {
+fn as_json(task: &Description) -> serde_json::Value {
     let agents: Vec<serde_json::Value> = task
         .agents
         .iter()

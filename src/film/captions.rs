@@ -41,6 +41,12 @@ impl Captions {
         self.write(format!("agent {agent}"), f64::from(x), baseline, TIME, TextAnchor::Start);
     }
 
+    /// A joint's number around a point, pixels.
+    pub(super) fn number(&mut self, number: usize, x: f32, y: f32) {
+        let baseline = f64::from(y) + 4.5;
+        self.write(number.to_string(), f64::from(x), baseline, METRE, TextAnchor::Middle);
+    }
+
     /// Darkens the sheet where words stand.
     pub(super) fn print_on(self, sheet: &mut Pixmap) -> anyhow::Result<()> {
         let backend = PngBackend::new().with_scale(1.0);

@@ -13,18 +13,30 @@ const FLOOR: Rgb = [90, 98, 106];
 const UNDRIVEN: Rgb = [152, 158, 164];
 /// Width of the edge around a solid, pixels.
 const EDGE: f32 = 1.5;
+/// Radius of a disc that holds a number, pixels.
+const SIGN: f32 = 9.0;
 /// Length of a metre's mark on the floor, pixels.
 const TICK: f32 = 8.0;
 
 /// One frame without its captions. `solids` are painted in their order.
 pub(super) fn panel(solids: &[Solid], camera: &Camera) -> Pixmap {
-    let mut pixmap = Pixmap::new(WIDTH, HEIGHT).expect("a frame has a size");
-    pixmap.fill(Color::from_rgba8(SKY[0], SKY[1], SKY[2], 255));
+    let mut pixmap = sky();
     floor(&mut pixmap, camera);
-    for solid in solids {
-        draw(&mut pixmap, solid, camera);
-    }
+    draw_all(&mut pixmap, solids, camera);
     pixmap
+}
+
+/// Solids alone, painted in their order.
+pub(super) fn panel_without_floor(solids: &[Solid], camera: &Camera) -> Pixmap {
+    let mut pixmap = sky();
+    draw_all(&mut pixmap, solids, camera);
+    pixmap
+}
+
+/// A white disc with room for a number.
+pub(super) fn sign(pixmap: &mut Pixmap, x: f32, y: f32) {
+    rounded(pixmap, [(x, y); 2], SIGN, FLOOR);
+    rounded(pixmap, [(x, y); 2], SIGN - EDGE, [255; 3]);
 }
 
 /// An agent's mark in the legend.
@@ -45,6 +57,18 @@ fn floor(pixmap: &mut Pixmap, camera: &Camera) {
     rectangle(pixmap, [0.0, top, WIDTH as f32, 2.0], FLOOR);
     for (_, x) in camera.metres() {
         rectangle(pixmap, [x - 1.0, top, 2.0, TICK], FLOOR);
+    }
+}
+
+fn sky() -> Pixmap {
+    let mut pixmap = Pixmap::new(WIDTH, HEIGHT).expect("a frame has a size");
+    pixmap.fill(Color::from_rgba8(SKY[0], SKY[1], SKY[2], 255));
+    pixmap
+}
+
+fn draw_all(pixmap: &mut Pixmap, solids: &[Solid], camera: &Camera) {
+    for solid in solids {
+        draw(pixmap, solid, camera);
     }
 }
 

@@ -1,4 +1,4 @@
-//! A robot's shapes in the world, as they look from the side.
+//! A robot's shapes in the world, as they look from the side or from above.
 
 use sim::Pose;
 
@@ -8,26 +8,53 @@ use crate::film::Cast;
 /// what a capsule looks like from any side, and with equal ends a ball.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Solid {
-    /// x and z in the world, metres.
+    /// In the picture's plane, metres: x, and z or y.
     pub(super) ends: [[f32; 2]; 2],
     /// Metres.
     pub(super) radius: f32,
-    /// y of the middle in the world, metres; the viewer stands at the smallest.
+    /// How far behind the plane the middle is, metres.
     pub(super) depth: f32,
     /// Who drives the joint of its link.
     pub(super) agent: Option<usize>,
 }
 
+/// From where a robot is seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum View {
+    /// Along y.
+    Side,
+    /// Down along z.
+    Above,
+}
+
+impl View {
+    /// A point of the world in the picture's plane, metres.
+    pub(super) fn plane(self, [x, y, z]: [f32; 3]) -> [f32; 2] {
+        match self {
+            Self::Side => [x, z],
+            Self::Above => [x, y],
+        }
+    }
+
+    /// How far behind the plane it is, metres.
+    fn depth(self, [_, y, z]: [f32; 3]) -> f32 {
+        match self {
+            Self::Side => y,
+            Self::Above => -z,
+        }
+    }
+}
+
 /// The solids of a pose, the farthest first.
-pub(super) fn of_pose(cast: &Cast, pose: &Pose) -> Vec<Solid> {
+pub(super) fn of_pose(cast: &Cast, pose: &Pose, view: View) -> Vec<Solid> {
     let links = pose.links.iter().zip(&cast.drivers);
     let mut solids: Vec<Solid> = links
         .flat_map(|(link, &agent)| {
             let shapes = cast.shapes.iter().filter(|shape| shape.link == link.name);
             shapes.map(move |shape| {
-                let [low, high] = shape.ends(link);
-                let ends = [[low[0], low[2]], [high[0], high[2]]];
-                let (radius, depth) = (shape.shape.radius(), (low[1] + high[1]) / 2.0);
+                let ends = shape.ends(link);
+                let (radius, depth) = (shape.shape.radius(), ends.map(|end| view.depth(end)));
+                let (ends, depth) = (ends.map(|end| view.plane(end)), (depth[0] + depth[1]) / 2.0);
                 Solid { ends, radius, depth, agent }
             })
         })

@@ -1,0 +1,84 @@
+//! One picture of a robot: every link in its driver's colour, every joint with its number.
+
+use anyhow::Context as _;
+use sim::{Description, Pose};
+use tiny_skia::{Color, Pixmap};
+
+use crate::film::camera::{self, Camera};
+use crate::film::captions::Captions;
+use crate::film::solids::{self, Solid, View};
+use crate::film::{Cast, GAP, drawing, legend, paste, size};
+
+/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. Joints are numbered as the
+/// task's agents drive them, from 1 on.
+///
+/// # Errors
+/// If the picture cannot be encoded.
+pub(crate) fn portrait(
+    cast: &Cast,
+    description: &Description,
+    pose: &Pose,
+) -> anyhow::Result<Vec<u8>> {
+    let view = view(cast, pose);
+    let mut solids = solids::of_pose(cast, pose, view);
+    let lift = lift(&solids, view);
+    for [_, height] in solids.iter_mut().flat_map(|solid| &mut solid.ends) {
+        *height += lift;
+    }
+    let middle = pose.links[0].position[0];
+    let pixels_per_metre = camera::scale(std::slice::from_ref(&solids), &[middle]);
+    let camera = Camera { middle, pixels_per_metre };
+    let (width, height) = size(1, cast.agents);
+    let mut sheet = Pixmap::new(width, height).context("a picture of this size has no room")?;
+    sheet.fill(Color::WHITE);
+    let mut panel = match view {
+        View::Side => drawing::panel(&solids, &camera),
+        View::Above => drawing::panel_without_floor(&solids, &camera),
+    };
+    let mut captions = Captions::new(width, height);
+    for (number, point) in joints(description, pose) {
+        let [x, height] = view.plane(point);
+        let (x, y) = camera.pixel([x, height + lift]);
+        drawing::sign(&mut panel, x, y);
+        captions.number(number, GAP as f32 + x, GAP as f32 + y);
+    }
+    paste(&mut sheet, &panel, GAP, GAP);
+    legend(&mut sheet, &mut captions, cast.agents);
+    captions.print_on(&mut sheet)?;
+    sheet.encode_png().context("cannot encode the picture")
+}
+
+/// From above where the robot is wider than it is high.
+fn view(cast: &Cast, pose: &Pose) -> View {
+    let extent = |view| {
+        let solids = solids::of_pose(cast, pose, view);
+        let edges = solids.iter().flat_map(|solid| {
+            solid.ends.map(|[_, height]| (height - solid.radius, height + solid.radius))
+        });
+        let (low, high) = edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| {
+            (low.min(bottom), high.max(top))
+        });
+        high - low
+    };
+    if extent(View::Above) > extent(View::Side) { View::Above } else { View::Side }
+}
+
+/// What brings a robot that is seen from above into the picture, metres.
+fn lift(solids: &[Solid], view: View) -> f32 {
+    let bottom = |solid: &Solid| solid.ends[0][1].min(solid.ends[1][1]) - solid.radius;
+    match view {
+        View::Side => 0.0,
+        View::Above => -solids.iter().map(bottom).fold(f32::MAX, f32::min),
+    }
+}
+
+/// For each driven joint its number and where it is, metres.
+fn joints(description: &Description, pose: &Pose) -> Vec<(usize, [f32; 3])> {
+    let driven = description.agents.iter().flat_map(|agent| &agent.joints);
+    let roots = pose.links.len() - pose.joints.len();
+    let place = |name: &String| {
+        let index = pose.joints.iter().position(|joint| joint.name == *name)?;
+        Some(pose.links[roots + index].position)
+    };
+    (1..).zip(driven).filter_map(|(number, name)| Some((number, place(name)?))).collect()
+}
