@@ -29,7 +29,7 @@ pub use environments::Outcome;
 pub use error::{ActionError, SimError, StateError};
 pub use probe::probe;
 pub use robot::Robot;
-pub use scene::{JointPose, LinkPose, LinkShape, Pose, Shape, drivers, rotated, shapes};
+pub use scene::{JointPose, LinkPose, LinkShape, Pose, Shape, drivers, hinges, rotated, shapes};
 pub use simulation::Environments;
 pub use state::{State, StateBounds};
 pub use task::task_names;

@@ -6,7 +6,7 @@ use rapier3d::prelude::SharedShape;
 use crate::description::Description;
 use crate::error::SimError;
 use crate::game;
-use crate::robot::Robot;
+use crate::robot::{JointPlan, LinkPlan, Robot};
 use crate::task;
 
 /// A robot at a moment.
@@ -143,6 +143,20 @@ pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
             })
         })
         .collect())
+}
+
+/// Where each hinge of a task's robot is in the frame of the link behind it, metres, in the order of a pose's joints; none
+/// of a game.
+pub fn hinges(task: &str) -> Result<Vec<[f32; 3]>, SimError> {
+    if task == game::cue::NAME {
+        return Ok(Vec::new());
+    }
+    let robot = Robot::build(task::find(task)?.robot)?;
+    let anchor = |link: &LinkPlan| match &link.joint {
+        JointPlan::Hinge(hinge) => Some(hinge.anchor.to_array()),
+        _ => None,
+    };
+    Ok(robot.blueprint().links.iter().filter_map(anchor).collect())
 }
 
 /// A transform as position and quaternion (x y z w).

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use serde_json::json;
-use sim::{Description, Environments};
+use sim::{Description, Environments, Outcome};
 
 use crate::cli::TasksArguments;
 use crate::config::{Request, layers};
@@ -12,12 +12,17 @@ use crate::film::{self, Cast};
 use crate::output;
 use crate::run_config::RunConfig;
 
+/// Joints that are nearer to one another hide their numbers, metres.
+const APART: f32 = 0.08;
+/// Steps in which legs are driven apart.
+const MOST_STEPS: usize = 30;
+
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
-    let worlds: Vec<Environments> =
+    let mut worlds: Vec<Environments> =
         sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
     if let Some(folder) = &arguments.picture {
-        return worlds.iter().try_for_each(|world| draw(world, folder));
+        return worlds.iter_mut().try_for_each(|world| draw(world, folder));
     }
     let tasks: Vec<&Description> = worlds.iter().map(Environments::description).collect();
     if arguments.json {
@@ -39,20 +44,60 @@ fn world(task: &str) -> anyhow::Result<Environments> {
 }
 
 /// One picture, and whose each number is; nothing of a game.
-fn draw(world: &Environments, folder: &Path) -> anyhow::Result<()> {
-    let (task, pose) = (world.description(), world.pose(0));
-    let shapes = sim::shapes(&task.task).context("cannot build the robot")?;
+fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
+    let shapes = sim::shapes(&world.description().task).context("cannot build the robot")?;
     if shapes.is_empty() {
         return Ok(());
     }
+    let joints = spread(world)?;
+    let (task, pose) = (world.description(), world.pose(0));
     let cast = Cast::new(task, shapes, &pose);
     let path = folder.join(format!("{}.png", task.task));
-    output::file(&path, &film::portrait(&cast, task, &pose)?)?;
+    output::file(&path, &film::portrait(&cast, &joints, &pose)?)?;
     let names = task.agents.iter().flat_map(|agent| &agent.joints);
     let numbers: Vec<String> =
         (1..).zip(names).map(|(number, name)| format!("{number} {name}")).collect();
     output::line(format!("{}: {}", path.display(), numbers.join(", ")));
     Ok(())
+}
+
+/// Where all joints are, as soon as none hides another: legs that stand one behind the other are driven apart.
+fn spread(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
+    let mut joints = joints(world)?;
+    for _ in 0..MOST_STEPS {
+        if !joints.iter().enumerate().any(|(index, joint)| hidden(joint, &joints[..index])) {
+            break;
+        }
+        // Of two joints in one place the first turns one way, the second the other.
+        let actions: Vec<f32> = (0..joints.len())
+            .map(|index| if hidden(&joints[index], &joints[..index]) { -1.0 } else { 1.0 })
+            .collect();
+        world.step(&actions, &mut [Outcome::default()]).context("the robot cannot be moved")?;
+        joints = self::joints(world)?;
+    }
+    Ok(joints)
+}
+
+/// Whether a joint is where one of the others is.
+fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
+    let near = |other: &[f32; 3]| {
+        let squares = joint.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
+        squares.sum::<f32>() < APART * APART
+    };
+    others.iter().any(near)
+}
+
+/// Where the joints are that the agents drive, in the order of their actions.
+fn joints(world: &Environments) -> anyhow::Result<Vec<[f32; 3]>> {
+    let (task, pose) = (world.description(), world.pose(0));
+    let anchors = sim::hinges(&task.task).context("cannot build the robot")?;
+    let links = &pose.links[pose.links.len() - anchors.len()..];
+    let place = |name: &String| {
+        let index = pose.joints.iter().position(|joint| joint.name == *name)?;
+        let turned = sim::rotated(links[index].quaternion, anchors[index]);
+        Some([0, 1, 2].map(|axis| links[index].position[axis] + turned[axis]))
+    };
+    Ok(task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect())
 }
 
 fn as_table(task: &Description) -> String {

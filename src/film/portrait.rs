@@ -1,7 +1,7 @@
 //! One picture of a robot: every link in its driver's colour, every joint with its number.
 
 use anyhow::Context as _;
-use sim::{Description, Pose};
+use sim::Pose;
 use tiny_skia::{Color, Pixmap};
 
 use crate::film::camera::{self, Camera};
@@ -9,16 +9,12 @@ use crate::film::captions::Captions;
 use crate::film::solids::{self, Solid, View};
 use crate::film::{Cast, GAP, drawing, legend, paste, size};
 
-/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. Joints are numbered as the
-/// task's agents drive them, from 1 on.
+/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. `joints` are the places in
+/// the world, metres, that get the numbers from 1 on.
 ///
 /// # Errors
 /// If the picture cannot be encoded.
-pub(crate) fn portrait(
-    cast: &Cast,
-    description: &Description,
-    pose: &Pose,
-) -> anyhow::Result<Vec<u8>> {
+pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow::Result<Vec<u8>> {
     let view = view(cast, pose);
     let mut solids = solids::of_pose(cast, pose, view);
     let lift = lift(&solids, view);
@@ -36,7 +32,7 @@ pub(crate) fn portrait(
         View::Above => drawing::panel_without_floor(&solids, &camera),
     };
     let mut captions = Captions::new(width, height);
-    for (number, point) in joints(description, pose) {
+    for (number, &point) in (1..).zip(joints) {
         let [x, height] = view.plane(point);
         let (x, y) = camera.pixel([x, height + lift]);
         drawing::sign(&mut panel, x, y);
@@ -70,15 +66,4 @@ fn lift(solids: &[Solid], view: View) -> f32 {
         View::Side => 0.0,
         View::Above => -solids.iter().map(bottom).fold(f32::MAX, f32::min),
     }
-}
-
-/// For each driven joint its number and where it is, metres.
-fn joints(description: &Description, pose: &Pose) -> Vec<(usize, [f32; 3])> {
-    let driven = description.agents.iter().flat_map(|agent| &agent.joints);
-    let roots = pose.links.len() - pose.joints.len();
-    let place = |name: &String| {
-        let index = pose.joints.iter().position(|joint| joint.name == *name)?;
-        Some(pose.links[roots + index].position)
-    };
-    (1..).zip(driven).filter_map(|(number, name)| Some((number, place(name)?))).collect()
 }

@@ -12,7 +12,7 @@ from safetensors.numpy import load_file
 POLICIES = {
     "recurrent": [],
     "without memory": ["policy.core=mlp"],
-    "of choices": ["cue-2x1"],
+    "of choices": ["task=cue-2x1"],
     "squashed": ["algorithm=maddpg"],
     "standardising": ["observation.norm=running"],
 }
@@ -42,8 +42,7 @@ def fed(session, rows):
 @pytest.mark.parametrize("kind", POLICIES)
 def test_every_step_of_an_episode_comes_out_as_it_was_played(kind, tmp_path):
     run, folder = tmp_path / "run", tmp_path / "exported"
-    own = [setting for setting in TINY if not (setting == TINY[0] and kind == "of choices")]
-    s2mia("train", *own, *POLICIES[kind], f"run.dir={run}", "run.iterations=2")
+    s2mia("train", f"task={TINY[0]}", *TINY[1:], *POLICIES[kind], f"run.dir={run}", "run.iterations=2")
     s2mia("export", run, "--onnx", folder)
     count = 0
     for session, episode in agents(folder):
