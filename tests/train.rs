@@ -126,7 +126,8 @@ fn a_signal_leaves_a_checkpoint_and_status_zero() {
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
     // The second line comes after the first iteration or evaluation: the run is under way.
-    lines.by_ref().take(2).for_each(|line| drop(line.unwrap()));
+    // What runs, where its page is, and its first iteration.
+    lines.by_ref().take(3).for_each(|line| drop(line.unwrap()));
     let terminated = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(terminated.success());
     let rest: Vec<String> = lines.map(Result::unwrap).collect();
