@@ -262,7 +262,7 @@ async fn policies_are_served_over_tls_to_whoever_may_watch() {
     let folder = tempfile::tempdir().unwrap();
     let (own, run) = (Certificates::make(folder.path().join("own")), folder.path().join("run"));
     let mut learner = Learner::start(&run, &[]);
-    assert_eq!(s2mia(&["checkpoint", run.to_str().unwrap()]).0, 0);
+    assert_eq!(s2mia(&["checkpoint", &learner.url]).0, 0);
     learner.stop();
     let (mut server, url) = served(&run, &own.of_learner());
     assert!(url.starts_with("https://"));

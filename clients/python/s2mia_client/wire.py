@@ -11,7 +11,6 @@ import tempfile
 
 import grpc_tools
 import numpy as np
-from google.protobuf import descriptor_pool
 from grpc_tools import protoc
 
 _HERE = pathlib.Path(__file__).resolve()
@@ -45,11 +44,6 @@ def _compile() -> None:
 
 
 _compile()
-
-
-def service(name: str):
-    """The description of a service by its full name, such as `s2mia.v1.LearnerService`."""
-    return descriptor_pool.Default().FindServiceByName(name)
 
 
 def tensor(array: np.ndarray):

@@ -10,6 +10,10 @@ use tonic::{Code, Response, Streaming};
 
 use crate::health::{self, HealthError, denial, reason};
 
+/// A learner of which nothing came is asked for a sign of life after this long, so that nobody watches one that is
+/// out of reach for ever.
+const KEEPALIVE: Duration = Duration::from_secs(30);
+
 /// A connection to the control service of a learner.
 #[derive(Clone, Debug)]
 pub struct Operator {
@@ -44,7 +48,10 @@ impl Operator {
         tls: Option<&ClientFiles>,
         patience: Duration,
     ) -> Result<Self, HealthError> {
-        let endpoint = health::endpoint(url, tls)?;
+        let endpoint = health::endpoint(url, tls)?
+            .http2_keep_alive_interval(KEEPALIVE)
+            .keep_alive_timeout(super::KEEPALIVE_TIMEOUT)
+            .keep_alive_while_idle(true);
         let connected = tokio::time::timeout(patience, endpoint.connect()).await;
         let channel = connected
             .map_err(|_| silent(url, patience))?
