@@ -5,6 +5,7 @@ mod chart;
 mod cli;
 mod commands;
 mod config;
+mod environment_section;
 mod experiment;
 mod export;
 mod figures;

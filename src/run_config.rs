@@ -1,7 +1,5 @@
 //! A run's configuration as the crates' own types, each section checked by the crate it belongs to.
 
-mod environment;
-
 use std::path::Path;
 
 use marl::ObservationScale;
@@ -10,8 +8,8 @@ use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
 
 use crate::config::{ConfigError, Request, Resolved, layers};
+use crate::environment_section::EnvironmentSection;
 use crate::run_path;
-pub(crate) use environment::EnvironmentSection;
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;

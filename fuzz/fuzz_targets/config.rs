@@ -23,6 +23,8 @@ mod config {
     pub(crate) use layers::Request;
     pub(crate) use resolved::Resolved;
 }
+#[path = "../../src/environment_section.rs"]
+mod environment_section;
 #[path = "../../src/run_config.rs"]
 mod run_config;
 #[path = "../../src/run_path.rs"]

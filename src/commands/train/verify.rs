@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use learner::checkpoint;
 
 use crate::cli::SettingsArguments;
-use crate::run_config::EnvironmentSection;
+use crate::environment_section::EnvironmentSection;
 use crate::{output, run_path};
 
 /// How often a running learner is looked at.

@@ -25,7 +25,7 @@ impl EnvironmentSection {
     }
 
     /// Refuses, for an environment from outside, what the simulator alone can do.
-    pub(super) fn validate(
+    pub(crate) fn validate(
         &self,
         observation: &ObservationConfig,
         log: LogSettings,
