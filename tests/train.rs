@@ -125,8 +125,7 @@ fn a_signal_leaves_a_checkpoint_and_status_zero() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // The second line comes after the first iteration or evaluation: the run is under way.
-    // What runs, where its page is, and its first iteration.
+    // The third line comes after the first iteration or evaluation: the run is under way.
     lines.by_ref().take(3).for_each(|line| drop(line.unwrap()));
     let terminated = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(terminated.success());
@@ -203,7 +202,8 @@ fn a_killed_actor_is_replaced_and_changes_nothing() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    lines.by_ref().take(2).for_each(|line| drop(line.unwrap()));
+    // What runs, where its page is, and its first iteration.
+    lines.by_ref().take(3).for_each(|line| drop(line.unwrap()));
     let actors = children(child.id());
     assert_eq!(actors.len(), 1);
     let kill = Command::new("kill").args(["-9", &actors[0].to_string()]).status().unwrap();
