@@ -76,7 +76,7 @@ pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorEr
         Some("http") if local || *transport == Transport::PlainText => Ok(()),
         Some("http") => wrong(
             "it is another machine, and environments are stepped in plain text; start one on this machine, or \
-             pass --insecure-allow-remote",
+             pass --insecure-allow-remote to learner and actor",
         ),
         _ => wrong("write http://HOST:PORT"),
     }
