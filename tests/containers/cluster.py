@@ -235,6 +235,7 @@ def cluster_hashes(form: Form) -> dict[str, str]:
         form.disturb(cluster)
         cluster.wait_for("the end of the run", lambda: not cluster.running("learner"))
         cluster.wait_for("the actors' end", lambda: not cluster.running("actor"))
+        say(f"the evaluator: {cluster.compose('run', '--rm', '-T', 'evaluator').splitlines()[-1]}")
         return hashes(cluster.in_volume("s2mia", "inspect", f"/runs/{RUN}", "--json"))
     except BaseException:
         print(cluster.compose("logs", "--tail", "30"), file=sys.stderr)
