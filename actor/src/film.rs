@@ -59,7 +59,7 @@ impl Camera {
 
 #[cfg(test)]
 mod tests {
-    use sim::{Environments, TaskConfig};
+    use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
 
     use super::*;
     use crate::trajectory_log::tests::fixture;
@@ -82,7 +82,9 @@ mod tests {
 
     #[test]
     fn of_a_game_there_is_no_film() {
-        let task = TaskConfig { task: "cue-2x1".to_owned(), ..fixture::task() };
+        let observation =
+            ObservationConfig { norm: ObservationNorm::None, ..fixture::task().observation };
+        let task = TaskConfig { task: "cue-2x1".to_owned(), observation, ..fixture::task() };
         let world = Environments::new(&task, 1).unwrap();
         assert!(Camera::before(&world).unwrap().is_none());
     }
