@@ -60,10 +60,15 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
 }
 
 async fn outside(url: &str, transport: &Transport) -> anyhow::Result<Offered> {
-    actor::config::check_environment(url, transport)
-        .map_err(|error| Usage::new(format!("{URL}: {error}")))?;
+    demand_allowed(url, transport)?;
     let service = EnvironmentService::connect(url).await.context("no environment to train in")?;
     Ok(offered_by(&service))
+}
+
+/// Nothing is encrypted on the way to that program.
+fn demand_allowed(url: &str, transport: &Transport) -> Result<(), Usage> {
+    let allowed = actor::config::check_environment(url, transport);
+    allowed.map_err(|error| Usage::new(format!("{URL}: {error}")))
 }
 
 fn offered_by(service: &EnvironmentService) -> Offered {
@@ -88,6 +93,7 @@ impl Stage {
             let own = sim::Environments::new(&config.task, 1).context("cannot build the task")?;
             return Ok(Self { environment: Box::new(own), _network: None });
         }
+        demand_allowed(url, &Transport::PlainTextOnLoopback)?;
         let network = runtime()?;
         let environment = network.block_on(async {
             let service = EnvironmentService::connect(url).await?;

@@ -1,6 +1,6 @@
 //! What an evaluated episode looks like, as capsules in the world, for whoever watches the run.
 
-use proto::{Film, MAX_FRAMES};
+use proto::{Film, MAX_CAPSULES, MAX_FRAMES};
 use sim::LinkShape;
 
 use crate::environment_batch::EnvironmentBatch;
@@ -18,14 +18,15 @@ pub(crate) struct Camera {
 }
 
 impl Camera {
-    /// In front of `world`; none where there is no simulated robot to be seen.
+    /// In front of `world`; none where there is no simulated robot to be seen, or
+    /// one of more shapes than a film takes.
     pub(crate) fn before(world: &dyn EnvironmentBatch) -> Result<Option<Self>, EnvironmentError> {
         let Some(own) = world.simulated() else { return Ok(None) };
         let pose = world.pose(0);
         let link = |shape: &LinkShape| pose.links.iter().position(|link| link.name == shape.link);
         let shapes = sim::shapes(&own.description().task)?.into_iter();
         let shapes: Vec<_> = shapes.filter_map(|shape| Some((link(&shape)?, shape))).collect();
-        if shapes.is_empty() {
+        if !(1..=MAX_CAPSULES).contains(&shapes.len()) {
             return Ok(None);
         }
         let drivers = sim::drivers(own.description(), &pose);

@@ -103,16 +103,18 @@ async fn attend(
     let mut stepper = Stepper::start(Arc::clone(&run), &source, desk)?;
     let mut weights = WeightsCache::default();
     loop {
-        outage.over();
         match client.lease(&own, &run).await? {
             LeaseAnswer::Done => return Ok(Session::Done),
             LeaseAnswer::Retry { wait_millis } => {
+                outage.over();
                 tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
             }
             LeaseAnswer::Lease(lease) => {
                 let (id, policy) = (lease.id, client.weights(&mut weights, lease.weights).await?);
                 let pace = Duration::from_secs_f64(run.heartbeat_secs);
-                match work_off(&mut client, &own, &mut stepper, lease, policy, pace).await? {
+                let ended = work_off(&mut client, &own, &mut stepper, lease, policy, pace).await?;
+                outage.over();
+                match ended {
                     Ended::Finished => {}
                     Ended::Dropped(why) => {
                         tracing::warn!(

@@ -1,5 +1,5 @@
 //! The run's page: what a browser and Prometheus are shown of a learner at work, over plain HTTP. Nothing that is
-//! asked here can change a run, and a run never waits for it.
+//! asked here can change a run, and a run waits for no viewer.
 
 mod answers;
 mod board;

@@ -64,7 +64,8 @@ pub async fn run(
     let result = on_own_thread(trainer, outside).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
     exchange.orders().end();
-    exchange.show_end(if complete { RunEnd::Finished } else { RunEnd::Stopped });
+    let reached = result.as_ref().ok().map(|summary| (summary.iteration, summary.env_steps));
+    exchange.show_end(if complete { RunEnd::Finished } else { RunEnd::Stopped }, reached);
     let served = match complete {
         true => server.bid_farewell(&exchange).await.close().await,
         false => server.close().await,

@@ -242,7 +242,10 @@ impl Work {
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());
         metrics.push(("policy_lag".to_owned(), lag as f64));
-        metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
+        // An environment of another program may have a time limit of its own, which is no fault.
+        if !self.outside.exchange.run().task_settings.is_empty() {
+            metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
+        }
         metrics.push(("checkpoints_failed".to_owned(), trainer.failed_saves.into()));
         let report = IterationReport {
             iteration: trainer.iteration,

@@ -8,7 +8,7 @@ use crate::{AgentSpec, Reason, Refusal, WeightsName, tensor, wire};
 pub struct PolicyDescription {
     /// Names the run for people.
     pub run_id: String,
-    /// For example `rapier/halfcheetah-2x3`.
+    /// For example `halfcheetah-2x3`.
     pub task: String,
     /// The weights by which a stream acts that begins now.
     pub weights: WeightsName,

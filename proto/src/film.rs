@@ -7,14 +7,16 @@ use crate::{Refusal, RunDescription, wire};
 /// Most frames of a film.
 pub const MAX_FRAMES: usize = 400;
 /// Most capsules in one frame.
-const MAX_CAPSULES: usize = 64;
+pub const MAX_CAPSULES: usize = 64;
+/// Farthest from the world's origin that a capsule may be, metres.
+const FARTHEST: f32 = 1e5;
 /// Numbers of one capsule in one frame: two ends in the world.
 const NUMBERS: usize = 6;
 
 /// A robot in motion, as capsules in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Film {
-    /// Time from one frame to the next, seconds.
+    /// Time from one frame to the next, seconds; more than 0.
     pub frame_secs: f64,
     /// For each capsule, metres.
     pub radii: Vec<f32>,
@@ -56,12 +58,12 @@ impl Film {
         let known = wire.drivers.iter().all(|driver| *driver <= agents);
         hold(known.then_some(()).ok_or_else(|| format!("of {agents} agents")), "film.drivers")?;
         let sane = |radius: &f32| (0.0..=1e3).contains(radius);
-        let (radii, secs) = (wire.radii.iter().all(sane), (0.0..=1e3).contains(&wire.frame_secs));
+        let (radii, secs) = (wire.radii.iter().all(sane), (1e-6..=1e3).contains(&wire.frame_secs));
         hold(
             radii.then_some(()).ok_or_else(|| "a radius in 0 to 1000 m".to_owned()),
             "film.radii",
         )?;
-        hold(secs.then_some(()).ok_or_else(|| "0 to 1000 s".to_owned()), "film.frame_secs")?;
+        hold(secs.then_some(()).ok_or_else(|| "1e-6 to 1000 s".to_owned()), "film.frame_secs")?;
         Ok(Self {
             frame_secs: wire.frame_secs,
             radii: wire.radii.clone(),
@@ -70,9 +72,16 @@ impl Film {
                 .iter()
                 .map(|driver| driver.checked_sub(1).map(|i| i as usize))
                 .collect(),
-            ends: ends.decode()?,
+            ends: within_sight(ends.decode()?)?,
         })
     }
+}
+
+/// Refuses capsules that no picture could show.
+fn within_sight(ends: Vec<f32>) -> Result<Vec<f32>, Refusal> {
+    let near = ends.iter().all(|metres| metres.abs() <= FARTHEST);
+    hold(near.then_some(()).ok_or_else(|| format!("within {FARTHEST} m")), "film.ends")?;
+    Ok(ends)
 }
 
 fn between(found: usize, most: usize, field: &str) -> Result<(), Refusal> {

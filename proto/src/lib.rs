@@ -35,7 +35,7 @@ pub use digest::Digest;
 pub use environment::{
     ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
 };
-pub use film::{Film, MAX_FRAMES};
+pub use film::{Film, MAX_CAPSULES, MAX_FRAMES};
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
 pub use line::{EvaluationSummary, RunEnd, RunLine};
 pub use play::{PlayRequest, Steps, View, saved_state};

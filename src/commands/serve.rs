@@ -14,6 +14,7 @@ use tokio::sync::watch;
 use crate::cli::ServeArguments;
 use crate::commands::entrance::{Entrance, demand_loopback};
 use crate::commands::{checkpointed, runtime};
+use crate::offered::Stage;
 use crate::run_config::RunConfig;
 use crate::{output, run_path, signals};
 
@@ -65,8 +66,8 @@ struct Folder {
 impl Folder {
     fn open(run: &Path) -> anyhow::Result<Self> {
         let config = RunConfig::of_run(run)?;
-        let world = sim::Environments::new(&config.task, 1).context("cannot build the task")?;
-        let environment = actor::environment_spec(world.description());
+        let stage = Stage::of(&config)?;
+        let environment = actor::environment_spec(stage.environment.description());
         let hidden = |_: &AgentSpec| config.policy.hidden_size() as u32;
         let hidden_sizes = environment.agents.iter().map(hidden).collect();
         Ok(Self { path: run.to_path_buf(), environment, hidden_sizes })

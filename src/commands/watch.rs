@@ -97,7 +97,7 @@ impl<'a> Watch<'a> {
     }
 
     fn show(&mut self, line: &RunLine) {
-        self.seen = line.iteration;
+        self.seen = self.seen.max(line.iteration);
         match self.arguments.json {
             true => output::line(to_json(line)),
             false => output::line(text(line)),

@@ -64,14 +64,15 @@ impl Orders {
         latest.ok_or(SaveError::Ended)?.map_err(SaveError::Failed)
     }
 
-    /// Answers all who wait for a checkpoint by what `write` makes, if anybody does.
-    pub fn answer_saves<E: Display>(&self, write: impl FnOnce() -> Result<Saved, E>) {
+    /// Answers all who wait for a checkpoint by what `write` makes, if anybody does, and says whether anybody did.
+    pub fn answer_saves<E: Display>(&self, write: impl FnOnce() -> Result<Saved, E>) -> bool {
         let asked = self.saves.borrow().asked;
         if self.saves.borrow().answered == asked {
-            return;
+            return false;
         }
         let made = write().map_err(|error| error.to_string());
         self.saves.send_modify(|saves| (saves.answered, saves.latest) = (asked, Some(made)));
+        true
     }
 
     /// The trainer is gone: whoever waits for a checkpoint, or asks from now on, gets none.

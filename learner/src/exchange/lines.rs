@@ -96,11 +96,12 @@ impl Exchange {
         self.lines.send_modify(|lines| lines.take_in(event));
     }
 
-    /// Tells watchers that no more lines come.
-    pub fn show_end(&self, end: RunEnd) {
+    /// Tells watchers that no more lines come; `reached` are the run's iterations and their environment steps, where the
+    /// trainer could still tell.
+    pub fn show_end(&self, end: RunEnd, reached: Option<(u64, u64)>) {
         let status = self.status();
-        let env_steps = status.iteration * status.slots * self.slot_steps();
-        self.lines.send_modify(|lines| lines.end(end, (status.iteration, env_steps)));
+        let counted = (status.iteration, status.iteration * status.slots * self.slot_steps());
+        self.lines.send_modify(|lines| lines.end(end, reached.unwrap_or(counted)));
     }
 
     /// The lines so far, and whenever they change.

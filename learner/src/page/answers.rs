@@ -36,12 +36,16 @@ pub(super) fn status(board: &Board) -> Value {
 pub(super) fn curves(board: &Board) -> Value {
     let curves = board.curves();
     let all = curves.iter().map(|(name, curve)| {
-        // Nobody sees more digits than single precision has, and they are half of the text.
-        let (steps, figures): (Vec<u64>, Vec<f32>) =
-            curve.points().map(|(steps, figure)| (steps, figure as f32)).unzip();
+        let (steps, figures): (Vec<u64>, Vec<f64>) =
+            curve.points().map(|(steps, figure)| (steps, short(figure))).unzip();
         (name.to_owned(), json!([steps, figures]))
     });
     json!({"lines": curves.lines(), "curves": all.collect::<Map<_, _>>()})
+}
+
+/// The figure with as many digits as single precision has: nobody sees more, and they would be half of the text.
+fn short(figure: f64) -> f64 {
+    (figure as f32).to_string().parse().unwrap_or(f64::NAN)
 }
 
 /// The newest film of an evaluated episode, or null. Ends are told in millimetres.
@@ -58,4 +62,15 @@ pub(super) fn film(board: &Board) -> Value {
         "drivers": film.drivers,
         "ends": millimetres.collect::<Vec<_>>(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_told_with_seven_digits_at_most() {
+        assert_eq!(json!([short(0.1), short(1.0 / 3.0)]).to_string(), "[0.1,0.33333334]");
+        assert_eq!(json!(short(f64::NAN)), Value::Null);
+    }
 }

@@ -147,14 +147,14 @@ impl Told {
         match event {
             Event::Stage(stage) => self.stage = *stage,
             Event::Iteration(report) => self.iteration(report),
-            Event::Collecting { .. } => self.waiting = None,
+            Event::Collecting { .. } | Event::Paused => self.waiting = None,
             Event::Waiting { reason, .. } => self.waiting = Some(reason.clone()),
             Event::Checkpoint { iteration, secs, bytes, .. } => {
                 let (iteration, secs, bytes) = (*iteration, *secs, *bytes);
                 self.checkpoint = Some(Written { iteration, secs, bytes });
             }
             Event::CheckpointFailed { .. } => self.checkpoint_failures += 1,
-            Event::Evaluation { .. } | Event::Paused | Event::Resumed => {}
+            Event::Evaluation { .. } | Event::Resumed => {}
         }
     }
 

@@ -67,6 +67,8 @@ impl Sheet {
         );
         let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == told.stage)));
         self.gauges("phase", "1 for what the trainer is at", "phase", Stage::ALL.map(at));
+        let paused = f64::from(u8::from(status.paused));
+        self.gauge("paused", "1 while no work is handed out until somebody resumes", paused);
         let secs = told.secs().into_iter().flatten();
         self.gauges("phase_seconds", "How long the last iteration's parts took", "phase", secs);
     }

@@ -109,9 +109,14 @@ fn read(exchange: &Exchange, mut request: wire::PushTrajectoryRequest) -> Result
         }
         Content::Evaluation(result) => {
             let result = EvaluationResult::from_wire(&result, exchange.run(), header.digest)?;
-            let film = film.map(|film| Film::from_wire(&film, exchange.run())).transpose()?;
             let ack = exchange.accept_evaluation(&header, result)?;
-            film.into_iter().for_each(|film| exchange.keep_film(&header, result, film));
+            // No result depends on a film, so one that does not fit costs nobody a lease.
+            match film.map(|film| Film::from_wire(&film, exchange.run())).transpose() {
+                Ok(film) => {
+                    film.into_iter().for_each(|film| exchange.keep_film(&header, result, film))
+                }
+                Err(why) => tracing::warn!(lease = %header.lease, "a film is passed over: {why}"),
+            }
             Ok(ack)
         }
     }

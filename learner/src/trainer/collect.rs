@@ -53,7 +53,9 @@ impl Work {
     }
 
     fn wait(&mut self) -> Result<(), LearnerError> {
-        self.save_if_asked();
+        if self.save_if_asked() {
+            self.enter(Stage::Collect);
+        }
         match self.outside.exchange.wait(GLANCE) {
             Wake::Iteration { rollouts, secs } => {
                 let open = self.open.expect("an iteration is opened before it is complete");

@@ -46,10 +46,10 @@ impl Work {
         self.outside.exchange.report_storage(storage);
     }
 
-    /// Writes a checkpoint if somebody asked for one, and answers them.
-    pub(super) fn save_if_asked(&mut self) {
+    /// Writes a checkpoint if somebody asked for one, and answers them; whether somebody did.
+    pub(super) fn save_if_asked(&mut self) -> bool {
         let exchange = Arc::clone(&self.outside.exchange);
-        exchange.orders().answer_saves(|| self.save_now());
+        exchange.orders().answer_saves(|| self.save_now())
     }
 
     /// Writes a checkpoint of the last finished iteration, unless there is one.

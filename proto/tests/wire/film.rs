@@ -37,6 +37,10 @@ fn a_film_that_is_too_long_or_has_no_form_is_refused_by_name() {
     assert_eq!(verdict(&|wire| wire.drivers[0] = 99), unknown);
     let slow = (Reason::BadValue, "film.frame_secs".to_owned());
     assert_eq!(verdict(&|wire| wire.frame_secs = f64::NAN), slow);
+    assert_eq!(verdict(&|wire| wire.frame_secs = 0.0), slow);
+    let far = Film { ends: vec![1e6; 24], ..film() }.to_wire();
+    let ends = (Reason::BadValue, "film.ends".to_owned());
+    assert_eq!(verdict(&|wire| *wire = far.clone()), ends);
     let mut broken = film();
     broken.ends[7] = f32::INFINITY;
     let broken = broken.to_wire();
