@@ -116,10 +116,12 @@ mod tests {
     #[tokio::test]
     async fn all_who_ask_before_a_checkpoint_begins_get_it_and_later_ones_the_next() {
         let orders = Orders::default();
-        orders.answer_saves(|| -> Result<Saved, Infallible> { panic!("nobody has asked") });
+        assert!(
+            !orders.answer_saves(|| -> Result<Saved, Infallible> { panic!("nobody has asked") })
+        );
         let answer = async |iteration| {
             tokio::task::yield_now().await;
-            orders.answer_saves(|| Ok::<_, Infallible>(saved(iteration)));
+            assert!(orders.answer_saves(|| Ok::<_, Infallible>(saved(iteration))));
         };
         let (one, other, ()) = tokio::join!(orders.save(), orders.save(), answer(3));
         assert_eq!((one, other), (Ok(saved(3)), Ok(saved(3))));
@@ -131,7 +133,8 @@ mod tests {
     async fn a_checkpoint_that_failed_is_told_and_the_end_leaves_nobody_waiting() {
         let orders = Orders::default();
         let failure = async { orders.answer_saves(|| Err("the disk is full")) };
-        let (told, ()) = tokio::join!(orders.save(), failure);
+        let (told, asked) = tokio::join!(orders.save(), failure);
+        assert!(asked);
         assert_eq!(told, Err(SaveError::Failed("the disk is full".to_owned())));
         let (waiting, ()) = tokio::join!(orders.save(), async { orders.end() });
         assert_eq!((waiting, orders.save().await), (Err(SaveError::Ended), Err(SaveError::Ended)));
