@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use crate::exchange::ExchangeError;
+use tokio::sync::watch;
+
+use crate::exchange::{Exchange, ExchangeError};
 use crate::slots::{EvaluationOutcome, SlotRollout};
 
 /// Why the trainer woke up.
@@ -51,4 +53,35 @@ pub enum Storage {
     Sound,
     /// The last checkpoint that was due could not be written.
     Degraded,
+}
+
+impl Exchange {
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        let shared = self.lock();
+        let counts = shared.table.counts();
+        let steps = u64::from(self.run.chunk_steps) * u64::from(self.run.environments_per_slot);
+        Progress {
+            steps_collected: counts.chunks * steps,
+            chunks_accepted: shared.chunks_accepted,
+            weights_bytes: shared.weights.newest_bytes(),
+            actors: counts.actors,
+            foreign_actors: counts.foreign,
+            refusals: shared.refusals.clone(),
+            leases_reissued: counts.reissued,
+            paused: shared.table.is_paused(),
+        }
+    }
+
+    /// Says whether checkpoints reach the disk.
+    pub fn report_storage(&self, storage: Storage) {
+        self.storage.send_replace(storage);
+    }
+
+    /// Whether checkpoints reach the disk, now and whenever it changes.
+    #[must_use]
+    pub fn storage(&self) -> watch::Receiver<Storage> {
+        self.storage.subscribe()
+    }
 }
