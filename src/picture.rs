@@ -22,7 +22,10 @@ const COLOURS: [Rgb; 7] = *OKABE_ITO.first_chunk().expect("the palette has more"
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 420.0;
 
-/// Size of a panel among others.
+/// Series that the legend of a lone panel has room for.
+const LEGEND_OF_ONE: usize = 4;
+
+/// Size of a panel among others; one that has a row to itself is as wide as a lone one.
 const CELL_WIDTH: f64 = 340.0;
 const CELL_HEIGHT: f64 = 270.0;
 
@@ -48,7 +51,8 @@ pub(crate) struct Picture {
 /// Panels row by row, `columns` of them in each, with one legend.
 pub(crate) fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> {
     let scene = match panels {
-        [only] => lone(only),
+        [only] if only.series.len() <= LEGEND_OF_ONE => lone(only),
+        [_] => grid(panels, 1),
         _ => grid(panels, columns),
     };
     let png = PngBackend::new().with_scale(2.0).render_scene(&scene).map_err(anyhow::Error::msg)?;
@@ -78,7 +82,7 @@ fn grid(panels: &[Panel], columns: usize) -> Scene {
         .with_structure((0..panels.len()).map(|panel| vec![panel]).collect())
         .with_plots(all)
         .with_layouts(layouts)
-        .with_cell_size(CELL_WIDTH, CELL_HEIGHT)
+        .with_cell_size(if columns == 1 { WIDTH } else { CELL_WIDTH }, CELL_HEIGHT)
         .with_shared_legend_bottom();
     if panels.iter().any(has_bands) {
         figure = figure.with_title(CAPTION).with_title_size(14);

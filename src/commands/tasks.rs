@@ -61,17 +61,19 @@ fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Where all joints are, as soon as none hides another: legs that stand one behind the other are driven apart.
+/// Where all joints are, as soon as no more than one stands where another does: legs one behind the other are driven
+/// apart, their hips stay in one place.
 fn spread(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
     let mut joints = joints(world)?;
     for _ in 0..MOST_STEPS {
-        if !joints.iter().enumerate().any(|(index, joint)| hidden(joint, &joints[..index])) {
+        let hidden: Vec<bool> =
+            (0..joints.len()).map(|index| hidden(&joints[index], &joints[..index])).collect();
+        if hidden.iter().filter(|hidden| **hidden).count() <= 1 {
             break;
         }
         // Of two joints in one place the first turns one way, the second the other.
-        let actions: Vec<f32> = (0..joints.len())
-            .map(|index| if hidden(&joints[index], &joints[..index]) { -1.0 } else { 1.0 })
-            .collect();
+        let actions: Vec<f32> =
+            hidden.iter().map(|hidden| if *hidden { -1.0 } else { 1.0 }).collect();
         world.step(&actions, &mut [Outcome::default()]).context("the robot cannot be moved")?;
         joints = self::joints(world)?;
     }

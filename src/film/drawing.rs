@@ -14,7 +14,7 @@ const UNDRIVEN: Rgb = [152, 158, 164];
 /// Width of the edge around a solid, pixels.
 const EDGE: f32 = 1.5;
 /// Radius of a disc that holds a number, pixels.
-const SIGN: f32 = 9.0;
+pub(super) const SIGN: f32 = 9.0;
 /// Length of a metre's mark on the floor, pixels.
 const TICK: f32 = 8.0;
 

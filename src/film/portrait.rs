@@ -32,9 +32,18 @@ pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow:
         View::Above => drawing::panel_without_floor(&solids, &camera),
     };
     let mut captions = Captions::new(width, height);
+    let mut signs: Vec<(f32, f32)> = Vec::new();
     for (number, &point) in (1..).zip(joints) {
         let [x, height] = view.plane(point);
-        let (x, y) = camera.pixel([x, height + lift]);
+        let (mut x, y) = camera.pixel([x, height + lift]);
+        // Two hips in one place get signs side by side.
+        let apart = 2.0 * drawing::SIGN;
+        let near =
+            |sign: &(f32, f32), x: f32| (sign.0 - x).abs() < apart && (sign.1 - y).abs() < apart;
+        while signs.iter().any(|sign| near(sign, x)) {
+            x += apart;
+        }
+        signs.push((x, y));
         drawing::sign(&mut panel, x, y);
         captions.number(number, GAP as f32 + x, GAP as f32 + y);
     }
