@@ -2,7 +2,8 @@
 
 Needs Chromium (Debian's package chromium). The curves must appear, in light and dark; when the learner is killed the page must
 say so, and when it comes back on the same port the page must go on by itself, with the curves from the start of the run.
-`--screenshots FOLDER` keeps pictures. Ends with 0 if all of it holds, and never skips.
+`--screenshots FOLDER` keeps pictures. Ends with 0 if all of it holds, and with 3 where
+no Debian package can be had.
 """
 
 import argparse
