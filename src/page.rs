@@ -1,7 +1,5 @@
 //! The run's page as `train` and `learner` open it: who may come in, and where it is.
 
-use std::net::SocketAddr;
-
 use learner::{Hosts, Page};
 use tokio::net::TcpListener;
 
@@ -11,16 +9,8 @@ use crate::output;
 
 /// Refuses a page that other machines could reach unless that is allowed.
 pub(crate) fn check(arguments: &PageArguments) -> Result<(), Usage> {
-    match arguments.page {
-        PageAddress::At(address) if !arguments.insecure_allow_remote_page => {
-            demand_loopback(address)
-        }
-        PageAddress::At(_) | PageAddress::Off => Ok(()),
-    }
-}
-
-fn demand_loopback(address: SocketAddr) -> Result<(), Usage> {
-    if address.ip().is_loopback() {
+    let PageAddress::At(address) = arguments.page else { return Ok(()) };
+    if address.ip().is_loopback() || arguments.insecure_allow_remote_page {
         return Ok(());
     }
     Err(Usage::new(format!(

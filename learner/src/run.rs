@@ -53,12 +53,12 @@ pub async fn run(
     };
     let server = Server::start(door, &exchange);
     let broken = Arc::clone(&server.broken);
-    let asked = Arc::clone(&exchange);
+    let (asked, watched) = (Arc::clone(&exchange), Arc::clone(&exchange));
     let stop =
         move || *stop.borrow() || asked.orders().is_stopped() || broken.load(Ordering::Relaxed);
     let outside = Outside {
         exchange: Arc::clone(&exchange),
-        observer: shown_to_watchers(observer, &exchange),
+        observer: heard_first(observer, move |event| watched.show(event)),
         stop: Box::new(stop),
     };
     let result = on_own_thread(trainer, outside).await;
@@ -80,24 +80,19 @@ fn show(
     facts: Facts,
     trainer: &Trainer,
     exchange: &Arc<Exchange>,
-    mut observer: Observer,
+    observer: Observer,
 ) -> (Observer, Option<JoinSet<()>>) {
     let (facts, curves) = (facts.taken_up_at(trainer.iteration), trainer.metrics.curves());
     let board = Arc::new(Board::new(facts, Arc::clone(exchange), curves));
     let mut serving = JoinSet::new();
     serving.spawn(page::serve(page, Arc::clone(&board)));
-    let observer = Box::new(move |event: &Event| {
-        board.observe(event);
-        observer(event);
-    });
-    (observer, Some(serving))
+    (heard_first(observer, move |event| board.observe(event)), Some(serving))
 }
 
-/// The same observer, after whoever watches over the network.
-fn shown_to_watchers(mut observer: Observer, exchange: &Arc<Exchange>) -> Observer {
-    let exchange = Arc::clone(exchange);
+/// The same observer, after somebody else has heard.
+fn heard_first(mut observer: Observer, mut first: impl FnMut(&Event) + Send + 'static) -> Observer {
     Box::new(move |event| {
-        exchange.show(event);
+        first(event);
         observer(event);
     })
 }

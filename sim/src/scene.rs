@@ -79,11 +79,17 @@ impl LinkShape {
             Shape::Capsule { half_length, .. } => half_length,
             Shape::Sphere { .. } => 0.0,
         };
-        [-half, half].map(|along| {
-            let turned =
-                rotated(link.quaternion, [0, 1, 2].map(|i| self.position[i] + along * axis[i]));
-            [0, 1, 2].map(|i| link.position[i] + turned[i])
-        })
+        [-half, half]
+            .map(|along| link.in_world([0, 1, 2].map(|i| self.position[i] + along * axis[i])))
+    }
+}
+
+impl LinkPose {
+    /// A point of the link in the world, metres.
+    #[must_use]
+    pub fn in_world(&self, point_in_link: [f32; 3]) -> [f32; 3] {
+        let turned = rotated(self.quaternion, point_in_link);
+        [0, 1, 2].map(|i| self.position[i] + turned[i])
     }
 }
 
@@ -130,10 +136,7 @@ impl Shape {
 
 /// The shapes of a task's robot, link by link; none of a game.
 pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
-    if task == game::cue::NAME {
-        return Ok(Vec::new());
-    }
-    let robot = Robot::build(task::find(task)?.robot)?;
+    let Some(robot) = robot(task)? else { return Ok(Vec::new()) };
     let links = robot.blueprint().links.iter();
     Ok(links
         .flat_map(|link| {
@@ -148,15 +151,20 @@ pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
 /// Where each hinge of a task's robot is in the frame of the link behind it, metres, in the order of a pose's joints; none
 /// of a game.
 pub fn hinges(task: &str) -> Result<Vec<[f32; 3]>, SimError> {
-    if task == game::cue::NAME {
-        return Ok(Vec::new());
-    }
-    let robot = Robot::build(task::find(task)?.robot)?;
+    let Some(robot) = robot(task)? else { return Ok(Vec::new()) };
     let anchor = |link: &LinkPlan| match &link.joint {
         JointPlan::Hinge(hinge) => Some(hinge.anchor.to_array()),
         _ => None,
     };
     Ok(robot.blueprint().links.iter().filter_map(anchor).collect())
+}
+
+/// A task's robot; a game has none.
+fn robot(task: &str) -> Result<Option<Robot>, SimError> {
+    match task {
+        game::cue::NAME => Ok(None),
+        task => Ok(Some(Robot::build(task::find(task)?.robot)?)),
+    }
 }
 
 /// A transform as position and quaternion (x y z w).

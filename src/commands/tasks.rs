@@ -64,7 +64,8 @@ fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
 /// Where all joints are, as soon as no more than one stands where another does: legs one behind the other are driven
 /// apart, their hips stay in one place.
 fn spread(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
-    let mut joints = joints(world)?;
+    let anchors = sim::hinges(&world.description().task).context("cannot build the robot")?;
+    let mut joints = joints(world, &anchors);
     for _ in 0..MOST_STEPS {
         let hidden: Vec<bool> =
             (0..joints.len()).map(|index| hidden(&joints[index], &joints[..index])).collect();
@@ -75,7 +76,7 @@ fn spread(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
         let actions: Vec<f32> =
             hidden.iter().map(|hidden| if *hidden { -1.0 } else { 1.0 }).collect();
         world.step(&actions, &mut [Outcome::default()]).context("the robot cannot be moved")?;
-        joints = self::joints(world)?;
+        joints = self::joints(world, &anchors);
     }
     Ok(joints)
 }
@@ -89,17 +90,15 @@ fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
     others.iter().any(near)
 }
 
-/// Where the joints are that the agents drive, in the order of their actions.
-fn joints(world: &Environments) -> anyhow::Result<Vec<[f32; 3]>> {
+/// Where the joints are that the agents drive, in the order of their actions; `anchors` say where on its link each is.
+fn joints(world: &Environments, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let (task, pose) = (world.description(), world.pose(0));
-    let anchors = sim::hinges(&task.task).context("cannot build the robot")?;
     let links = &pose.links[pose.links.len() - anchors.len()..];
     let place = |name: &String| {
         let index = pose.joints.iter().position(|joint| joint.name == *name)?;
-        let turned = sim::rotated(links[index].quaternion, anchors[index]);
-        Some([0, 1, 2].map(|axis| links[index].position[axis] + turned[axis]))
+        Some(links[index].in_world(anchors[index]))
     };
-    Ok(task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect())
+    task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect()
 }
 
 fn as_table(task: &Description) -> String {

@@ -17,7 +17,10 @@ use crate::film::{Cast, GAP, drawing, legend, paste, size};
 pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow::Result<Vec<u8>> {
     let view = view(cast, pose);
     let mut solids = solids::of_pose(cast, pose, view);
-    let lift = lift(&solids, view);
+    let lift = match view {
+        View::Side => 0.0,
+        View::Above => -edges(&solids).0,
+    };
     for [_, height] in solids.iter_mut().flat_map(|solid| &mut solid.ends) {
         *height += lift;
     }
@@ -32,18 +35,11 @@ pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow:
         View::Above => drawing::panel_without_floor(&solids, &camera),
     };
     let mut captions = Captions::new(width, height);
-    let mut signs: Vec<(f32, f32)> = Vec::new();
-    for (number, &point) in (1..).zip(joints) {
+    let places = joints.iter().map(|&point| {
         let [x, height] = view.plane(point);
-        let (mut x, y) = camera.pixel([x, height + lift]);
-        // Two hips in one place get signs side by side.
-        let apart = 2.0 * drawing::SIGN;
-        let near =
-            |sign: &(f32, f32), x: f32| (sign.0 - x).abs() < apart && (sign.1 - y).abs() < apart;
-        while signs.iter().any(|sign| near(sign, x)) {
-            x += apart;
-        }
-        signs.push((x, y));
+        camera.pixel([x, height + lift])
+    });
+    for (number, (x, y)) in (1..).zip(side_by_side(places)) {
         drawing::sign(&mut panel, x, y);
         captions.number(number, GAP as f32 + x, GAP as f32 + y);
     }
@@ -56,23 +52,29 @@ pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow:
 /// From above where the robot is wider than it is high.
 fn view(cast: &Cast, pose: &Pose) -> View {
     let extent = |view| {
-        let solids = solids::of_pose(cast, pose, view);
-        let edges = solids.iter().flat_map(|solid| {
-            solid.ends.map(|[_, height]| (height - solid.radius, height + solid.radius))
-        });
-        let (low, high) = edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| {
-            (low.min(bottom), high.max(top))
-        });
+        let (low, high) = edges(&solids::of_pose(cast, pose, view));
         high - low
     };
     if extent(View::Above) > extent(View::Side) { View::Above } else { View::Side }
 }
 
-/// What brings a robot that is seen from above into the picture, metres.
-fn lift(solids: &[Solid], view: View) -> f32 {
-    let bottom = |solid: &Solid| solid.ends[0][1].min(solid.ends[1][1]) - solid.radius;
-    match view {
-        View::Side => 0.0,
-        View::Above => -solids.iter().map(bottom).fold(f32::MAX, f32::min),
+/// The lowest and the highest edge of all solids in the picture's plane, metres.
+fn edges(solids: &[Solid]) -> (f32, f32) {
+    let edges = solids.iter().flat_map(|solid| {
+        solid.ends.map(|[_, height]| (height - solid.radius, height + solid.radius))
+    });
+    edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| (low.min(bottom), high.max(top)))
+}
+
+/// The places of signs, pixels; those that would cover one before, such as the second of two hips, move to the right.
+fn side_by_side(places: impl Iterator<Item = (f32, f32)>) -> Vec<(f32, f32)> {
+    let apart = 2.0 * drawing::SIGN;
+    let mut signs: Vec<(f32, f32)> = Vec::new();
+    for (mut x, y) in places {
+        while signs.iter().any(|sign| (sign.0 - x).abs() < apart && (sign.1 - y).abs() < apart) {
+            x += apart;
+        }
+        signs.push((x, y));
     }
+    signs
 }
