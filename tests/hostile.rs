@@ -135,6 +135,7 @@ async fn ask_for_the_impossible(url: &str) -> usize {
         actor_id: 77_777,
         incarnation: attacker.own.incarnation.0,
         wait_millis: 0,
+        log_steps_lost: 0,
     };
     let status = service.lease_slots(stranger).await.unwrap_err();
     assert_eq!(refused(status), Reason::UnknownActor);

@@ -39,9 +39,9 @@ impl Learner {
         Self { processes: vec![process], url, page }
     }
 
-    fn add_actor(&mut self) {
+    fn add_actor(&mut self, more: &[&str]) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        command.args(["actor", "--learner", &self.url]).stderr(Stdio::null());
+        command.args(["actor", "--learner", &self.url]).args(more).stderr(Stdio::null());
         self.processes.push(command.spawn().unwrap());
     }
 
@@ -102,7 +102,7 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
     let runs = Runs::new();
     let folder = runs.folder("run");
     let mut learner = Learner::start(&folder, "127.0.0.1:0");
-    learner.add_actor();
+    learner.add_actor(&[]);
     eventually(|| {
         let iteration = last_iteration(&folder)["iteration"].as_u64().unwrap_or_default();
         if iteration >= 3 { Ok(()) } else { Err(format!("{iteration} iterations of 3")) }
@@ -139,9 +139,13 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
     assert_eq!(slots.iter().map(|name| sample(&scrape, name)).sum::<f64>(), 2.0);
     assert_eq!(sample(&scrape, "s2mia_iterations_planned"), 100_000.0);
     assert!(sample(&scrape, "process_resident_memory_bytes") > 1e6);
+    assert_eq!(sample(&scrape, "s2mia_sample_reuse_ratio"), 2.0, "two epochs");
+    assert_eq!(sample(&scrape, "s2mia_log_dropped_total"), 0.0);
     // Two slots of two chunks in each iteration.
     let chunks = sample(&scrape, "s2mia_chunks_total{result=\"accepted\"}");
     assert!(chunks >= 4.0 * line["iteration"].as_f64().unwrap(), "{chunks} chunks");
+    // Two environments, ten steps, a state of more than ten numbers of four bytes.
+    assert!(sample(&scrape, "s2mia_ingest_bytes_total") > 800.0 * chunks);
     // Evaluations are at every second iteration, and each is filmed.
     let film = learner.json("/api/film");
     assert_eq!(film["iteration"], shown["film"]);
@@ -151,6 +155,19 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
     assert_eq!(curves["lines"], shown["lines"]);
     let curve = &curves["curves"]["rollout_secs"];
     assert_eq!(curve[0].as_array().unwrap().len() as u64, line["iteration"].as_u64().unwrap());
+}
+
+#[test]
+fn steps_that_an_actors_log_lost_are_seen_at_the_learner() {
+    let runs = Runs::new();
+    let mut learner = Learner::start(&runs.folder("run"), "127.0.0.1:0");
+    // A folder that is there and takes no file, even of root.
+    learner.add_actor(&["--log-dir", "/proc", "--log-episodes", "all"]);
+    eventually(|| {
+        let lost = sample(&learner.get("/metrics"), "s2mia_log_dropped_total");
+        // A slot has two environments of twenty steps.
+        if lost >= 80.0 { Ok(()) } else { Err(format!("{lost} steps lost, of 80")) }
+    });
 }
 
 #[test]
@@ -177,7 +194,7 @@ fn visitors_that_say_nothing_hold_up_neither_the_run_nor_for_long_other_visitors
     let folder = runs.folder("run");
     let mut learner = Learner::start(&folder, "127.0.0.1:0");
     let silent: Vec<_> = (0..40).map(|_| TcpStream::connect(&learner.page).unwrap()).collect();
-    learner.add_actor();
+    learner.add_actor(&[]);
     under_way(&folder);
     assert_eq!(learner.json("/api/status")["status"]["run_id"], "run");
     drop(silent);
@@ -189,7 +206,7 @@ fn a_page_that_is_looked_at_all_the_time_changes_no_weight() {
     let (plain, watched) = (runs.folder("plain"), runs.folder("watched"));
     train(&plain, &["run.iterations=3", "--page", "off"]);
     let mut learner = Learner::start(&watched, "127.0.0.1:0");
-    learner.add_actor();
+    learner.add_actor(&[]);
     eventually(|| {
         let paths = ["/", "/api/run", "/api/status", "/api/curves", "/api/film", "/metrics"];
         paths.iter().for_each(|path| drop(learner.get(path)));

@@ -81,15 +81,18 @@ impl Client {
         Ok(Registered::from_wire(&self.service.register(request).await?.into_inner()))
     }
 
+    /// Waits for work, and tells how many steps the log lost since the last answer.
     pub(crate) async fn lease(
         &mut self,
         own: &Registered,
         run: &RunDescription,
+        log_steps_lost: u64,
     ) -> Result<LeaseAnswer, ActorError> {
         let message = wire::LeaseSlotsRequest {
             actor_id: own.actor.0,
             incarnation: own.incarnation.0,
             wait_millis: LEASE_WAIT_MILLIS,
+            log_steps_lost,
         };
         let deadline = CALL_DEADLINE + Duration::from_millis(LEASE_WAIT_MILLIS.into());
         let answer = self.service.lease_slots(within(deadline, message)).await?.into_inner();

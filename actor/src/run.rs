@@ -103,7 +103,12 @@ async fn attend(
     let mut stepper = Stepper::start(Arc::clone(&run), &source, desk)?;
     let mut weights = WeightsCache::default();
     loop {
-        match client.lease(&own, &run).await? {
+        let lost = log.map_or(0, Log::untold);
+        let answer = client.lease(&own, &run, lost).await?;
+        if let Some(log) = log {
+            log.tell(lost);
+        }
+        match answer {
             LeaseAnswer::Done => return Ok(Session::Done),
             LeaseAnswer::Retry { wait_millis } => {
                 outage.over();

@@ -116,6 +116,7 @@ async fn act(
             actor_id: own.actor.0,
             incarnation: own.incarnation.0,
             wait_millis: 10_000,
+            log_steps_lost: 0,
         };
         let answer = service.lease_slots(request).await?.into_inner();
         let lease = match LeaseAnswer::from_wire(answer, &run)? {

@@ -95,6 +95,8 @@ pub struct IterationReport {
     pub iteration: u64,
     /// Environment steps of all of them.
     pub env_steps: u64,
+    /// From the end of the iteration before, or from the learner's start, to this one's end, whatever came between.
+    pub iteration_secs: f64,
     /// From the lease of its slots to the last chunk.
     pub rollout_secs: f64,
     /// From the last chunk to the new policies, densities included.
@@ -111,4 +113,12 @@ pub struct IterationReport {
     pub leases_reissued: u64,
     /// The densities' and the algorithm's figures.
     pub metrics: Vec<(String, f64)>,
+}
+
+impl IterationReport {
+    /// Environment steps per second of this iteration; all iterations have equally many.
+    #[must_use]
+    pub fn env_steps_per_sec(&self) -> f64 {
+        self.env_steps as f64 / self.iteration as f64 / self.iteration_secs
+    }
 }

@@ -21,6 +21,7 @@ pub use crate::slots::{EvaluationOutcome, SlotRollout};
 mod control;
 mod film;
 mod incidents;
+mod intake;
 mod lines;
 mod patience;
 mod reports;
@@ -31,6 +32,7 @@ pub use control::{Orders, SaveError};
 pub use film::FilmedEpisode;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
+use intake::Intake;
 pub use lines::Lines;
 pub use patience::LeaseConfig;
 pub use reports::{Progress, Storage, Wake};
@@ -70,6 +72,7 @@ pub struct Exchange {
     storage: watch::Sender<Storage>,
     orders: Orders,
     lines: watch::Sender<Lines>,
+    intake: Intake,
 }
 
 #[derive(Debug)]
@@ -110,6 +113,7 @@ impl Exchange {
             trainer: Condvar::new(),
             work: Notify::new(),
             storage: watch::Sender::new(Storage::Sound),
+            intake: Intake::default(),
         })
     }
 

@@ -76,6 +76,8 @@ impl Metrics {
             "iteration": report.iteration,
             "env_steps": report.env_steps,
             "episode_return": report.episode_return,
+            "env_steps_per_sec": report.env_steps_per_sec(),
+            "iteration_secs": report.iteration_secs,
             "rollout_secs": report.rollout_secs,
             "update_secs": report.update_secs,
             "density_secs": report.density_secs,
@@ -136,6 +138,7 @@ mod tests {
         IterationReport {
             iteration,
             env_steps: iteration * 40,
+            iteration_secs: 0.8,
             rollout_secs: 0.5,
             update_secs: 0.25,
             density_secs: 0.125,
@@ -155,6 +158,7 @@ mod tests {
         let text = std::fs::read_to_string(folder.path().join(METRICS_FILE)).unwrap();
         let expected = json!({
             "kind": "iteration", "iteration": 1, "env_steps": 40, "episode_return": null,
+            "env_steps_per_sec": 50.0, "iteration_secs": 0.8,
             "rollout_secs": 0.5, "update_secs": 0.25, "density_secs": 0.125, "actors": 2,
             "messages_refused": 3, "leases_reissued": 1,
             "losses/value": 1.5, "agent0/sigma": null,

@@ -157,7 +157,9 @@ impl LearnerService for Learner {
         let (actor, incarnation) = (ActorId(request.actor_id), Incarnation(request.incarnation));
         let patience = Duration::from_millis(millis.into());
         let answer = self.exchange.lease(actor, incarnation, patience).await;
-        Ok(Response::new(answer.map_err(|refusal| self.counted(&caller, refusal))?.to_wire()))
+        let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
+        self.exchange.count_lost_log_steps(request.log_steps_lost);
+        Ok(Response::new(answer.to_wire()))
     }
 
     type GetWeightsStream = ReceiverStream<Result<wire::GetWeightsResponse, Status>>;

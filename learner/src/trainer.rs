@@ -93,6 +93,8 @@ struct Work {
     arrived: Option<Collected>,
     /// The iteration that was opened last.
     open: Option<Open>,
+    /// When the last iteration ended.
+    ended: Instant,
 }
 
 /// An iteration whose slots were opened.
@@ -128,6 +130,7 @@ impl Trainer {
             patience: Patience::new(Instant::now()),
             arrived: None,
             open: None,
+            ended: Instant::now(),
         };
         let result = work.run();
         if let Err(LearnerError::Exchange(_)) = &result {
@@ -231,6 +234,7 @@ impl Work {
     /// Metrics and provenance of the iteration that has just been finished.
     fn record(&mut self, collected: &Collected, learnt: &Learnt) -> Result<(), LearnerError> {
         let progress = self.outside.exchange.progress();
+        let begun = std::mem::replace(&mut self.ended, Instant::now());
         let trainer = &mut self.trainer;
         if progress.foreign_actors > 0 {
             // Tried again after every iteration until the manifest says it.
@@ -250,6 +254,7 @@ impl Work {
         let report = IterationReport {
             iteration: trainer.iteration,
             env_steps: trainer.env_steps(),
+            iteration_secs: (self.ended - begun).as_secs_f64(),
             rollout_secs: collected.secs,
             update_secs: learnt.update_secs,
             density_secs: learnt.density_secs,

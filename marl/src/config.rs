@@ -201,6 +201,16 @@ impl Config {
         within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
     }
 
+    /// Times that an environment step goes into an optimiser step of an agent, on average: passes over `D_k`, or
+    /// transitions drawn from the replay for each that goes into it once the warm-up is over.
+    #[must_use]
+    pub fn sample_reuse(&self) -> f64 {
+        match self.update.rule {
+            Rule::Happo | Rule::Mappo => self.update.epochs as f64,
+            Rule::Maddpg => self.maddpg.batch as f64 * self.maddpg.updates_per_step,
+        }
+    }
+
     /// Refuses actor networks that the rule cannot train.
     ///
     /// # Errors

@@ -71,6 +71,18 @@ fn config(rule: Rule, parameters: Sharing) -> Config {
     }
 }
 
+#[test]
+fn a_sample_is_used_in_every_epoch_or_as_often_as_the_replay_is_asked_for_it() {
+    let epochs = config(Rule::Happo, Sharing::Separate).update.epochs as f64;
+    for (rule, reuse) in [(Rule::Happo, epochs), (Rule::Mappo, epochs), (Rule::Maddpg, 6.4)] {
+        let found = config(rule, Sharing::Separate).sample_reuse();
+        assert!(
+            (found - reuse).abs() < 1e-12,
+            "{rule:?}: {found}, a tenth of a batch of 64 is 6.4"
+        );
+    }
+}
+
 fn update_config(rule: Rule, parameters: Sharing) -> UpdateConfig {
     UpdateConfig {
         rule,

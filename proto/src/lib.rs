@@ -45,6 +45,12 @@ pub use status::{LeaseStatus, LeasedWork, Status};
 pub use trajectory::{AgentChunk, EvaluationResult, FinalStep, SlotEnd, TrajectoryChunk};
 pub use work::{EnvironmentStart, EvaluationWork, Lease, RolloutWork, Start, WeightsName, Work};
 
+/// Bytes that a message takes on the wire.
+#[must_use]
+pub fn wire_bytes(message: &impl prost::Message) -> usize {
+    message.encoded_len()
+}
+
 /// Version of what the `.proto` files say. Both sides must have the same one.
 pub const PROTOCOL_VERSION: u32 = 1;
 /// Largest message in either direction, bytes.

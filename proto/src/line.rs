@@ -12,7 +12,7 @@ pub struct RunLine {
     pub iteration: u64,
     /// Environment steps of all of them.
     pub env_steps: u64,
-    /// Environment steps per second of this iteration: rolling out, then its update.
+    /// Environment steps per second of this iteration, over the time since the end of the one before.
     pub env_steps_per_sec: f64,
     /// Mean extrinsic return of the last finished episodes; `None` before the first.
     pub episode_return: Option<f64>,

@@ -164,6 +164,7 @@ mod tests {
         Event::Iteration(IterationReport {
             iteration,
             env_steps: iteration * 4000,
+            iteration_secs: 4.0,
             rollout_secs: 1.0,
             update_secs: 3.0,
             density_secs: 0.5,

@@ -30,6 +30,7 @@ impl Attacker {
             actor_id: self.own.actor.0,
             incarnation: self.own.incarnation.0,
             wait_millis: 20_000,
+            log_steps_lost: 0,
         };
         let answer = self.service.lease_slots(request).await.unwrap().into_inner();
         match LeaseAnswer::from_wire(answer, &self.run).unwrap() {

@@ -45,17 +45,22 @@ enum Order {
     Close,
 }
 
-/// What was logged and not written, since it was last asked for.
+/// What was logged and not written.
 #[derive(Debug, Default)]
 struct Lost {
+    /// Since it was last asked for.
     shares: AtomicU64,
+    /// Since it was last asked for.
     steps: AtomicU64,
+    /// Steps that the learner has not been told of.
+    untold: AtomicU64,
 }
 
 impl Lost {
     fn add(&self, shares: usize, steps: usize) {
         self.shares.fetch_add(shares as u64, Ordering::Relaxed);
         self.steps.fetch_add(steps as u64, Ordering::Relaxed);
+        self.untold.fetch_add(steps as u64, Ordering::Relaxed);
     }
 
     /// Shares and steps; counting begins again.
@@ -97,6 +102,16 @@ impl Log {
             episodes: self.episodes,
             origin: Arc::new(origin),
         }
+    }
+
+    /// Lost steps that the learner has not been told of.
+    pub(crate) fn untold(&self) -> u64 {
+        self.lost.untold.load(Ordering::Relaxed)
+    }
+
+    /// The learner has been told of `steps` of them.
+    pub(crate) fn tell(&self, steps: u64) {
+        self.lost.untold.fetch_sub(steps, Ordering::Relaxed);
     }
 
     /// Waits until everything is on the disk.
@@ -252,6 +267,7 @@ mod tests {
         lost.add(2, 30);
         lost.add(1, 5);
         assert_eq!((lost.take(), lost.take()), ((3, 35), (0, 0)));
+        assert_eq!(lost.untold.load(Ordering::Relaxed), 35, "the learner has not heard of them");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 """Offers what FUNCTION makes to s2mia: a PettingZoo `ParallelEnv`, or an `Environment` of this package.
 
-    python -m s2mia_environment [--listen HOST:PORT] PACKAGE.module:FUNCTION [NAME=VALUE ...]
+    python -m s2mia_environment [--listen HOST:PORT] [--streams N] PACKAGE.module:FUNCTION [NAME=VALUE ...]
 
 Each NAME=VALUE is handed to FUNCTION; a VALUE that is JSON is read as such, anything else is text.
 """
@@ -11,7 +11,7 @@ import importlib
 import json
 
 from s2mia_environment.parallel import Parallel
-from s2mia_environment.server import Environment, serve
+from s2mia_environment.server import STREAMS, Environment, serve
 
 
 def value(text: str):
@@ -31,6 +31,7 @@ def make(function, settings: dict) -> Environment:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="s2mia_environment", description=__doc__.splitlines()[0])
     parser.add_argument("--listen", default="127.0.0.1:50061", metavar="HOST:PORT")
+    parser.add_argument("--streams", type=int, default=STREAMS, metavar="N", help="most at a time; an actor has two")
     parser.add_argument("function", metavar="PACKAGE.module:FUNCTION")
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE")
     arguments = parser.parse_args()
@@ -39,7 +40,7 @@ def main() -> None:
         parser.error("write PACKAGE.module:FUNCTION NAME=VALUE ...")
     settings = {key: value(text) for key, _, text in (setting.partition("=") for setting in arguments.settings)}
     function = getattr(importlib.import_module(module), name)
-    server, port = serve(functools.partial(make, function, settings), arguments.listen)
+    server, port = serve(functools.partial(make, function, settings), arguments.listen, arguments.streams)
     host = arguments.listen.rpartition(":")[0]
     print(f"offers {arguments.function} at http://{host}:{port}", flush=True)
     server.wait_for_termination()

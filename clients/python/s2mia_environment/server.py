@@ -11,7 +11,7 @@ from s2mia_client import wire
 
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
 # Each actor keeps two streams open: one for its slot, one for evaluations.
-MOST_STREAMS = 64
+STREAMS = 64
 
 
 class Environment(abc.ABC):
@@ -115,10 +115,10 @@ class Service(wire.EnvironmentServiceServicer):
             yield answer
 
 
-def serve(make: Callable[[], Environment], listen: str) -> tuple[grpc.Server, int]:
-    """Starts the service; gives the server and its port back."""
+def serve(make: Callable[[], Environment], listen: str, streams: int = STREAMS) -> tuple[grpc.Server, int]:
+    """Starts the service; gives the server and its port back. Whoever opens a stream above `streams` is refused."""
     options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)]
-    server = grpc.server(futures.ThreadPoolExecutor(MOST_STREAMS), options=options)
+    server = grpc.server(futures.ThreadPoolExecutor(streams), options=options, maximum_concurrent_rpcs=streams)
     wire.add_EnvironmentServiceServicer_to_server(Service(make), server)
     port = server.add_insecure_port(listen)
     server.start()

@@ -65,12 +65,11 @@ impl Lines {
     }
 
     fn of_iteration(&self, report: &IterationReport) -> RunLine {
-        let steps = report.env_steps as f64 / report.iteration as f64;
         RunLine {
             run_id: self.run_id.clone(),
             iteration: report.iteration,
             env_steps: report.env_steps,
-            env_steps_per_sec: steps / (report.rollout_secs + report.update_secs),
+            env_steps_per_sec: report.env_steps_per_sec(),
             episode_return: report.episode_return,
             evaluation: self.evaluation,
             end: None,
@@ -119,7 +118,9 @@ mod tests {
         Event::Iteration(IterationReport {
             iteration,
             env_steps: iteration * 4000,
-            rollout_secs: 1.5,
+            // The update of the iteration before went on beside the roll-out.
+            iteration_secs: 2.0,
+            rollout_secs: 1.75,
             update_secs: 0.5,
             density_secs: 0.1,
             episode_return: Some(iteration as f64),

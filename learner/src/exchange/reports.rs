@@ -32,6 +32,10 @@ pub struct Progress {
     pub steps_collected: u64,
     /// Chunks accepted since the learner started.
     pub chunks_accepted: u64,
+    /// Bytes of results that came in since the learner started.
+    pub bytes_taken_in: u64,
+    /// Steps that actors' trajectory logs lost since the learner started.
+    pub log_steps_lost: u64,
     /// Size of the newest weights.
     pub weights_bytes: u64,
     /// Actors that are connected.
@@ -65,6 +69,8 @@ impl Exchange {
         Progress {
             steps_collected: counts.chunks * steps,
             chunks_accepted: shared.chunks_accepted,
+            bytes_taken_in: self.intake.bytes(),
+            log_steps_lost: self.intake.log_steps_lost(),
             weights_bytes: shared.weights.newest_bytes(),
             actors: counts.actors,
             foreign_actors: counts.foreign,

@@ -10,8 +10,7 @@ const OF_THE_PAPER: [&str; 5] = ["surprise_", "influence_", "mi_", "posterior_",
 pub(super) fn scalars(line: &Map<String, Value>) -> Vec<(String, f64)> {
     let evaluation = line.get("kind").is_some_and(|kind| kind == "evaluation");
     let tag = if evaluation { evaluation_tag } else { iteration_tag };
-    let of_line = line.iter().filter_map(|(name, value)| Some((tag(name)?, value.as_f64()?)));
-    of_line.chain(steps_per_sec(line).map(|speed| ("charts/SPS".to_owned(), speed))).collect()
+    line.iter().filter_map(|(name, value)| Some((tag(name)?, value.as_f64()?))).collect()
 }
 
 /// `mean` of an evaluation is the return that learning curves show.
@@ -27,6 +26,8 @@ fn iteration_tag(name: &str) -> Option<String> {
     let tag = match name {
         "kind" | "env_steps" => return None,
         "episode_return" => "charts/episodic_return".to_owned(),
+        "env_steps_per_sec" => "charts/SPS".to_owned(),
+        "iteration_secs" => "stats/iteration_time".to_owned(),
         "rollout_secs" => "stats/rollout_time".to_owned(),
         "update_secs" => "stats/update_time".to_owned(),
         "density_secs" => "stats/density_time".to_owned(),
@@ -39,14 +40,6 @@ fn iteration_tag(name: &str) -> Option<String> {
         },
     };
     Some(tag)
-}
-
-/// Environment steps per second of the line's iteration; all iterations have equally many.
-fn steps_per_sec(line: &Map<String, Value>) -> Option<f64> {
-    let number = |name: &str| line.get(name).and_then(Value::as_f64);
-    let steps = number("env_steps")? / number("iteration")?;
-    let secs = number("rollout_secs")? + number("update_secs")?;
-    (secs > 0.0).then_some(steps / secs)
 }
 
 #[cfg(test)]
@@ -62,19 +55,18 @@ mod tests {
     fn figures_of_an_iteration_stand_under_the_names_that_people_know() {
         let line = json!({
             "kind": "iteration", "iteration": 2, "env_steps": 80, "episode_return": 5.0,
-            "rollout_secs": 1.5, "update_secs": 0.5, "losses/value_loss": 0.25,
+            "env_steps_per_sec": 20.0, "rollout_secs": 1.5, "update_secs": 0.5, "losses/value_loss": 0.25,
             "agent1/surprise_share": 0.125, "agent1/entropy": null, "actors": 2,
         });
         let expected = [
             ("stats/actors", 2.0),
             ("s2mia/surprise_share/agent1", 0.125),
+            ("charts/SPS", 20.0),
             ("charts/episodic_return", 5.0),
             ("stats/iteration", 2.0),
             ("losses/value_loss", 0.25),
             ("stats/rollout_time", 1.5),
             ("stats/update_time", 0.5),
-            // 40 steps in 2 seconds.
-            ("charts/SPS", 20.0),
         ];
         assert_eq!(tags(&line), expected.map(|(tag, value)| (tag.to_owned(), value)));
     }

@@ -22,6 +22,8 @@ pub(crate) struct Facts {
     pub(super) checkpoint_every: u64,
     /// Updates by which the weights that roll out may be behind the newest.
     pub(super) policy_lag_bound: u64,
+    /// Times that an environment step goes into an optimiser step of an agent.
+    pub(super) sample_reuse: f64,
     /// The iteration after which this learner took the run up.
     pub(super) taken_up_at: u64,
 }
@@ -36,6 +38,7 @@ impl Facts {
             env_steps: launch.iterations.saturating_mul(steps),
             checkpoint_every: launch.config.checkpoint.every,
             policy_lag_bound: launch.training.behaviour.policy_lag,
+            sample_reuse: launch.training.sample_reuse(),
             taken_up_at: 0,
         }
     }

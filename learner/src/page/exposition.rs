@@ -65,6 +65,8 @@ impl Sheet {
             "Most that policy_lag may be",
             facts.policy_lag_bound as f64,
         );
+        let help = "Times that an environment step goes into an optimiser step of an agent";
+        self.gauge("sample_reuse_ratio", help, facts.sample_reuse);
         let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == told.stage)));
         self.gauges("phase", "1 for what the trainer is at", "phase", Stage::ALL.map(at));
         let paused = f64::from(u8::from(status.paused));
@@ -106,6 +108,10 @@ impl Sheet {
         let progress = board.exchange.progress();
         let chunks = [(vec![("result", "accepted".to_owned())], progress.chunks_accepted)];
         self.counters("chunks", "Chunks of trajectories", chunks);
+        let help = "Size of all messages with trajectories and evaluations";
+        self.counter("ingest_bytes", help, progress.bytes_taken_in);
+        let help = "Steps of episodes that actors' trajectory logs lost";
+        self.counter("log_dropped", help, progress.log_steps_lost);
         let refusals = progress.refusals.into_iter();
         let refusals = refusals.map(|(reason, count)| (vec![("reason", reason)], count));
         self.counters("messages_refused", "Messages that did not fit, by reason", refusals);

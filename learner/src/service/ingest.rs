@@ -39,6 +39,7 @@ pub(super) async fn pump(
             Ok(Ok(None)) => return,
             Ok(Ok(Some(request))) => {
                 lease = Some(LeaseId(request.lease_id));
+                exchange.count_bytes(proto::wire_bytes(&request));
                 take_in(&exchange, caller, request).await
             }
             Ok(Err(status)) => match unreadable(&status) {

@@ -57,7 +57,9 @@ fn lines(folder: &Path, name: &str) -> Vec<Value> {
 }
 
 /// Fields that say how a run went, and differ from one run to the next.
-const OF_THE_DAY: [&str; 6] = [
+const OF_THE_DAY: [&str; 8] = [
+    "env_steps_per_sec",
+    "iteration_secs",
     "rollout_secs",
     "update_secs",
     "density_secs",

@@ -2,12 +2,15 @@
 
 import json
 import subprocess
+import threading
 
+import grpc
 import numpy as np
 import pytest
 from conftest import SMALL, command
 from games import STEPS, Follow, Push
 from gymnasium import spaces
+from s2mia_client import wire
 from s2mia_environment import Parallel
 
 # Both agents guess: one step of nine is paid.
@@ -63,6 +66,27 @@ def test_a_program_that_shows_something_else_than_it_says_ends_the_run_by_field(
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()[-1:]
     assert f"answers wrongly: {field}" in line
+
+
+def test_a_stream_too_many_is_refused_until_another_ends(offer):
+    url = offer("games:Follow", "--streams", "1")
+    with grpc.insecure_channel(url.removeprefix("http://")) as channel:
+        service = wire.EnvironmentServiceStub(channel)
+        start = wire.PlayRequest(reset=wire.ResetEnvironment(environment=0, seed=bytes(32)))
+        over = threading.Event()
+
+        def first():
+            yield start
+            over.wait()
+
+        answers = service.Play(first())
+        assert next(answers).WhichOneof("answer") == "view"
+        with pytest.raises(grpc.RpcError) as refused:
+            next(service.Play(iter([start])))
+        assert refused.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+        over.set()
+        assert list(answers) == []
+        assert next(service.Play(iter([start]))).WhichOneof("answer") == "view"
 
 
 def test_choices_are_numbered_as_the_environment_does_and_observations_lie_flat():
