@@ -58,11 +58,11 @@ pub(crate) async fn serve(page: Page, board: Arc<Board>) {
 fn routes(site: Arc<Site>) -> Router {
     Router::new()
         .route("/", get(async || ([(CONTENT_TYPE, "text/html; charset=utf-8")], PAGE)))
-        .route("/api/run", get(async |State(site): Shared| json(&answers::run(&site.board))))
-        .route("/api/status", get(async |State(site): Shared| json(&answers::status(&site.board))))
-        .route("/api/curves", get(async |State(site): Shared| json(&answers::curves(&site.board))))
-        .route("/api/film", get(async |State(site): Shared| json(&answers::film(&site.board))))
-        .route("/metrics", get(async |State(site): Shared| metrics(&site.board)))
+        .route("/api/run", get(async |State(site): Shared| json(site, answers::run).await))
+        .route("/api/status", get(async |State(site): Shared| json(site, answers::status).await))
+        .route("/api/curves", get(async |State(site): Shared| json(site, answers::curves).await))
+        .route("/api/film", get(async |State(site): Shared| json(site, answers::film).await))
+        .route("/metrics", get(async |State(site): Shared| metrics(site).await))
         .layer(middleware::from_fn_with_state(Arc::clone(&site), guard))
         .with_state(site)
 }
@@ -123,12 +123,23 @@ async fn guard(State(site): Shared, request: Request, next: Next) -> Response {
     response
 }
 
-fn json(value: &Value) -> Response<Body> {
-    ([(CONTENT_TYPE, "application/json")], value.to_string()).into_response()
+async fn json(site: Arc<Site>, answer: fn(&Board) -> Value) -> Response<Body> {
+    written("application/json", move || answer(&site.board).to_string()).await
 }
 
-fn metrics(board: &Board) -> Response<Body> {
-    ([(CONTENT_TYPE, exposition::CONTENT_TYPE)], exposition::text(board)).into_response()
+async fn metrics(site: Arc<Site>) -> Response<Body> {
+    written(exposition::CONTENT_TYPE, move || exposition::text(&site.board)).await
+}
+
+/// Answers what `write` writes, on a thread that may compute: the network's threads are there for actors.
+async fn written(
+    content_type: &'static str,
+    write: impl FnOnce() -> String + Send + 'static,
+) -> Response<Body> {
+    match tokio::task::spawn_blocking(write).await {
+        Ok(text) => ([(CONTENT_TYPE, content_type)], text).into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
 }
 
 /// The page runs the script and wears the style that stand in it, and asks its own origin; nothing else.
