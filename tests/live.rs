@@ -209,6 +209,25 @@ fn a_run_under_way_shows_its_curves_before_its_first_checkpoint_and_then_its_rob
     assert_eq!(viewer.json_on("/episode")["step"], 1);
 }
 
+#[test]
+fn of_an_environment_that_another_program_offers_the_curves_alone_are_shown() {
+    let runs = Runs::new();
+    let folder = runs.folder("outside");
+    train(&folder, &["run.iterations=2", "observation.norm=none"]);
+    let settings = folder.join("config.toml");
+    let own = std::fs::read_to_string(&settings).unwrap();
+    let theirs = own.replacen("\nurl = \"\"", "\nurl = \"http://127.0.0.1:1\"", 1);
+    assert_ne!(own, theirs);
+    std::fs::write(settings, theirs).unwrap();
+    let mut shown = Shown::watch(&folder);
+    let told = shown.lines.next().unwrap().unwrap();
+    assert!(told.contains("only the learning curves"), "{told}");
+    let mut viewer = Viewer::connect(&shown.url);
+    viewer.subscribe(&["/curves"]);
+    assert!(viewer.json_on("/curves")["evaluation"]["mean"].is_object());
+    assert_eq!(viewer.topics.keys().collect::<Vec<_>>(), ["/curves"]);
+}
+
 /// Hashes of the weights after each iteration.
 fn weights(folder: &Path) -> Vec<String> {
     let text = std::fs::read_to_string(folder.join("provenance.jsonl")).unwrap();
