@@ -132,7 +132,11 @@ impl Robot {
             "waits_for".to_owned(),
             "the first checkpoint of the run".to_owned(),
         )]))?;
-        Ok(Self { show, stage, scene, trained: None, seen: None, episodes: 0 })
+        let mut robot = Self { show, stage, scene, trained: None, seen: None, episodes: 0 };
+        if let Err(error) = robot.take_up_newest() {
+            robot.stand_still(&error);
+        }
+        Ok(robot)
     }
 
     fn is_watched(&self) -> bool {
@@ -143,12 +147,16 @@ impl Robot {
     fn play(&mut self, curves: &mut Curves) {
         let played = self.take_up_newest().and_then(|()| self.episode(curves));
         if let Err(error) = played {
-            self.trained = None;
-            tracing::warn!("the robot stands still until the next checkpoint: {error:#}");
+            self.stand_still(&error);
         }
         if self.trained.is_none() {
             std::thread::sleep(LOOK_AGAIN);
         }
+    }
+
+    fn stand_still(&mut self, error: &anyhow::Error) {
+        self.trained = None;
+        tracing::warn!("the robot stands still until the next checkpoint: {error:#}");
     }
 
     /// The policy of a checkpoint that has been written since.
