@@ -17,7 +17,8 @@ use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub(crate) use control::{
-    CheckpointArguments, LearnerArgument, OrderArguments, StatusArguments, WatchArguments,
+    CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
+    WatchArguments,
 };
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
@@ -65,7 +66,7 @@ pub(crate) enum Command {
     Health(HealthArguments),
     /// Say where a run stands: iteration, slots, leases, actors, steps per second.
     Status(StatusArguments),
-    /// Print a line for each iteration that a learner finishes, also over its restarts.
+    /// Show a run folder live to Foxglove, or print a line for each iteration that a learner finishes.
     Watch(WatchArguments),
     /// Let a learner hand out no more work; what is leased is finished.
     Pause(OrderArguments),
@@ -164,6 +165,9 @@ pub(crate) struct TrainArguments {
     /// Page.
     #[command(flatten)]
     pub(crate) page: PageArguments,
+    /// Live view.
+    #[command(flatten)]
+    pub(crate) live: LiveArguments,
 }
 
 /// `s2mia learner`

@@ -13,6 +13,7 @@ mod film;
 mod health;
 mod inspect;
 mod learner;
+mod live;
 mod log;
 mod plot;
 mod record;

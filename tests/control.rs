@@ -124,7 +124,7 @@ fn whoever_watches_sees_each_iteration_once_over_a_restart_and_then_the_end() {
     let folder = runs.folder("watched");
     let of = folder.to_str().unwrap();
     let mut first = begun(&folder, &[]);
-    let mut watch = background(&["watch", of, "--json"]);
+    let mut watch = background(&["watch", of, "--lines", "--json"]);
     let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
     let begin = told.next().unwrap().unwrap();
     succeeded(&["stop", of]);
@@ -147,5 +147,8 @@ fn whoever_watches_sees_each_iteration_once_over_a_restart_and_then_the_end() {
         (&ends[1]["iteration"], &ends[1]["evaluation"]["iteration"]),
         (&json!(30), &json!(30))
     );
-    assert!(succeeded(&["watch", of]).is_empty(), "there is nothing to wait for any more");
+    assert!(
+        succeeded(&["watch", of, "--lines"]).is_empty(),
+        "there is nothing to wait for any more"
+    );
 }

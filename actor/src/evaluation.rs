@@ -1,5 +1,7 @@
 //! One whole episode with mean actions, or the likeliest choices: what evaluation, `eval` and recordings play.
 
+use std::ops::ControlFlow;
+
 use policy::{Key, PolicySnapshot};
 use sim::Outcome;
 
@@ -55,6 +57,18 @@ pub(crate) fn play_on(
     policy: &PolicySnapshot,
     on_step: &mut impl FnMut(&PlayedStep<'_>),
 ) -> Result<Episode, EnvironmentError> {
+    play_while(world, policy, &mut |step| {
+        on_step(step);
+        ControlFlow::Continue(())
+    })
+}
+
+/// As [`play_on`], but `on_step` may break the episode off.
+pub(crate) fn play_while(
+    world: &mut dyn EnvironmentBatch,
+    policy: &PolicySnapshot,
+    on_step: &mut impl FnMut(&PlayedStep<'_>) -> ControlFlow<()>,
+) -> Result<Episode, EnvironmentError> {
     let mut agents = Agents::new(world, policy);
     let mut outcomes = vec![Outcome::default(); world.count()];
     let mut episode = Episode::default();
@@ -66,7 +80,7 @@ pub(crate) fn play_on(
         let outcome = outcomes[0];
         episode.extrinsic_return += f64::from(outcome.reward);
         episode.steps += 1;
-        on_step(&PlayedStep {
+        let wanted = on_step(&PlayedStep {
             world,
             action: &agents.joint,
             observation: &agents.observation,
@@ -75,7 +89,7 @@ pub(crate) fn play_on(
             outcome,
             step: episode.steps,
         });
-        if outcome.terminated || outcome.truncated {
+        if outcome.terminated || outcome.truncated || wanted.is_break() {
             return Ok(episode);
         }
     }

@@ -5,14 +5,16 @@
 //! JSON on `/state`, the global state feature by feature. Times count from 0 in
 //! simulated time; episodes follow one another with a second between them.
 
-mod channels;
+pub(crate) mod channels;
 pub(crate) mod robot;
 mod scene;
+pub(crate) mod sink;
 pub(crate) mod writer;
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
@@ -21,8 +23,10 @@ use thiserror::Error;
 
 use crate::environment_batch::EnvironmentBatch;
 use crate::error::EnvironmentError;
-use crate::evaluation::{Episode, PlayedStep, play_on};
+use crate::evaluation::{Episode, PlayedStep, play_while};
 use crate::recording::channels::Channels;
+use crate::recording::sink::Sink;
+use crate::recording::writer::McapFile;
 
 /// Name of the metadata record that tells which run and policy the file shows.
 pub const METADATA_NAME: &str = "s2mia.run";
@@ -84,13 +88,15 @@ pub fn record(
     path: &Path,
     metadata: &BTreeMap<String, String>,
 ) -> Result<RecordSummary, RecordError> {
-    let mut channels = Channels::create(BufWriter::new(File::create(path)?), world)?;
+    let file = McapFile::create(BufWriter::new(File::create(path)?))?;
+    let mut channels = Channels::create(file, world)?;
     channels.describe(task, metadata)?;
     let mut summary = RecordSummary::default();
     for episode in 0..episodes {
         let key = Key::of(seed, Draw::of(Purpose::Recording).environment(episode));
         world.reset(0, 0, world.description().episode_steps, key)?;
-        summary.episodes.push(record_episode(world, policy, episode, &mut channels)?);
+        let whole = || ControlFlow::Continue(());
+        summary.episodes.push(show_episode((&mut *world, policy), episode, &mut channels, whole)?);
     }
     summary.messages = channels.finish()?;
     summary.bytes = std::fs::metadata(path)?.len();
@@ -98,22 +104,23 @@ pub fn record(
     Ok(summary)
 }
 
-fn record_episode(
-    world: &mut dyn EnvironmentBatch,
-    policy: &PolicySnapshot,
+/// Shows an episode with mean actions, from where environment 0 of `world` stands to its end, or until `go_on`, which
+/// is asked after each step, breaks it off.
+pub(crate) fn show_episode<S: Sink>(
+    (world, policy): (&mut dyn EnvironmentBatch, &PolicySnapshot),
     index: u32,
-    channels: &mut Channels<BufWriter<File>>,
+    channels: &mut Channels<S>,
+    mut go_on: impl FnMut() -> ControlFlow<()>,
 ) -> Result<Episode, RecordError> {
     channels.begin(world)?;
-    let mut written = Ok(());
+    let mut shown = Ok(());
     let mut total = 0.0;
-    let episode = play_on(world, policy, &mut |step: &PlayedStep<'_>| {
+    let episode = play_while(world, policy, &mut |step: &PlayedStep<'_>| {
         total += f64::from(step.outcome.reward);
-        if written.is_ok() {
-            written = channels.step(step, index, total);
-        }
+        shown = channels.step(step, index, total);
+        if shown.is_err() { ControlFlow::Break(()) } else { go_on() }
     })?;
-    written?;
+    shown?;
     channels.pause();
     Ok(episode)
 }

@@ -6,15 +6,16 @@ mod verify;
 use std::path::Path;
 use std::time::Instant;
 
-use actor::Transport;
 use actor::trajectory_log::Episodes;
+use actor::{LiveServer, Transport};
 use anyhow::Context as _;
 use learner::{LearnerError, Summary};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 use crate::chart;
-use crate::cli::{PageArguments, TrainArguments};
+use crate::cli::{LiveArguments, PageArguments, TrainArguments};
+use crate::commands::live::{Place, Show};
 use crate::commands::runtime;
 use crate::commands::train::closing::Length;
 use crate::launch::{self, Prepared};
@@ -31,6 +32,12 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if let Some(iterations) = arguments.verify_determinism {
         return verify::run(&arguments.settings, &prepared.config.environment, iterations);
     }
+    let live = live(&arguments.live, &prepared)?;
+    let Prepared { config, folder, launch } = &prepared;
+    output::line(opening(config, &launch.environment.task, folder));
+    if let Some((show, server)) = live {
+        show.start(server)?;
+    }
     let (stop_sender, stop) = watch::channel(false);
     if arguments.stop_with_stdin {
         signals::stop_with_stdin(stop_sender.clone())?;
@@ -44,7 +51,6 @@ async fn train(
     (stop_sender, stop): (watch::Sender<bool>, watch::Receiver<bool>),
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    output::line(opening(&config, &launch.environment.task, &folder));
     let page = page::open(page).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
@@ -67,6 +73,23 @@ async fn train(
         false => Length::MayRise,
     };
     finish((&folder, length), summary, &surrender, begin)
+}
+
+/// The live view that is asked for; it listens already, so that a port that is taken stops nothing half-way.
+fn live(
+    arguments: &LiveArguments,
+    prepared: &Prepared,
+) -> anyhow::Result<Option<(Show, LiveServer)>> {
+    let Some(address) = arguments.watch else { return Ok(None) };
+    let place = Place {
+        address,
+        flag: "--watch",
+        permission: "--insecure-allow-remote-watch",
+        permitted: arguments.insecure_allow_remote_watch,
+    };
+    let show = Show { folder: prepared.folder.clone(), config: prepared.config.clone() };
+    let server = place.open(&run_path::name(&prepared.folder))?;
+    Ok(Some((show, server)))
 }
 
 /// The first line: what runs, and where it is kept.

@@ -1,32 +1,93 @@
-//! `s2mia watch`: a line for each iteration as it is finished, from one learner of a run and the next.
+//! `s2mia watch`: a run folder shown live to Foxglove, or a line for each iteration as it is finished, from one learner
+//! of a run and the next.
 
-use std::path::Path;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 use learner::health::HealthError;
 use learner::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::{Value, json};
+use tokio::sync::watch;
 
 use crate::chart::thousands;
 use crate::cli::WatchArguments;
 use crate::commands::control::{operator, url};
+use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;
-use crate::commands::{Usage, runtime};
-use crate::output;
+use crate::commands::{Usage, checkpointed, runtime};
+use crate::run_config::RunConfig;
+use crate::{output, run_path, signals};
 
 /// How long a learner may take to answer.
 const ANSWER: Duration = Duration::from_secs(3);
 /// Pause between two tries to reach it.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// Ends when the run has had its last iteration.
+/// How long a learner may be away, if nothing else is said.
+const OUTAGE_SECS: f64 = 300.0;
+/// Where the live view is, if nothing else is said.
+const LIVE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8765);
+
+/// A run folder live, a learner's URL line by line.
 pub(super) fn run(arguments: &WatchArguments) -> anyhow::Result<()> {
-    let outage = Duration::try_from_secs_f64(arguments.max_outage_secs).map_err(|_| {
-        let given = arguments.max_outage_secs;
-        Usage::new(format!("--max-outage-secs must be at least 0, is {given}"))
-    })?;
+    match arguments.lines || arguments.learner.of.contains("://") {
+        true => lines(arguments),
+        false => live(arguments),
+    }
+}
+
+/// Ends when the run has had its last iteration.
+fn lines(arguments: &WatchArguments) -> anyhow::Result<()> {
+    let of_live = [
+        ("--listen", arguments.listen.is_some()),
+        ("--insecure-allow-remote", arguments.insecure_allow_remote),
+    ];
+    refuse(&of_live, "belongs to the live view of a run folder, not to lines: leave it out")?;
+    let secs = arguments.max_outage_secs.unwrap_or(OUTAGE_SECS);
+    let outage = Duration::try_from_secs_f64(secs)
+        .map_err(|_| Usage::new(format!("--max-outage-secs must be at least 0, is {secs}")))?;
     runtime()?.block_on(Watch::new(arguments).until_the_end(outage))
+}
+
+/// Ends when it is told to.
+fn live(arguments: &WatchArguments) -> anyhow::Result<()> {
+    let of_lines = [
+        ("--after", arguments.after.is_some()),
+        ("--json", arguments.json),
+        ("--max-outage-secs", arguments.max_outage_secs.is_some()),
+        ("--tls-ca", arguments.learner.tls.files().is_some()),
+    ];
+    refuse(&of_lines, "belongs to lines, not to the live view: add --lines or leave it out")?;
+    let folder = PathBuf::from(&arguments.learner.of);
+    // Checks that it is a folder, too.
+    if url(&arguments.learner)?.is_none() {
+        checkpointed::trained(&folder)?;
+    }
+    let show = Show { config: RunConfig::of_run(&folder)?, folder };
+    let place = Place {
+        address: arguments.listen.unwrap_or(LIVE),
+        flag: "--listen",
+        permission: "--insecure-allow-remote",
+        permitted: arguments.insecure_allow_remote,
+    };
+    let server = place.open(&run_path::name(&show.folder))?;
+    show.start(server)?;
+    runtime()?.block_on(async {
+        let (stop_sender, mut stop) = watch::channel(false);
+        signals::stop_on_signal(stop_sender, || ())?;
+        stop.wait_for(|stop| *stop).await.map(drop).context("cannot wait for Ctrl-C")
+    })
+}
+
+/// Refuses the first flag that was given.
+fn refuse(flags: &[(&str, bool)], why: &str) -> Result<(), Usage> {
+    match flags.iter().find(|(_, given)| *given) {
+        Some((flag, _)) => Err(Usage::new(format!("{flag} {why}"))),
+        None => Ok(()),
+    }
 }
 
 /// How far somebody has watched.
@@ -40,7 +101,8 @@ struct Watch<'a> {
 
 impl<'a> Watch<'a> {
     fn new(arguments: &'a WatchArguments) -> Self {
-        Self { arguments, run_id: None, seen: arguments.after, reached: Instant::now() }
+        let seen = arguments.after.unwrap_or_default();
+        Self { arguments, run_id: None, seen, reached: Instant::now() }
     }
 
     /// One learner after the other; gives up when none has been reached for as long as `outage`.

@@ -119,15 +119,19 @@ def test_the_ten_lines_of_the_documentation_print_a_return_per_share(logged, cap
     assert printed[0].startswith("rollout-0-0 from step 0: ")
 
 
-def test_the_foxglove_layout_shows_topics_that_are_there(logged):
+def test_the_foxglove_layout_shows_topics_that_are_there(logged, recording):
     layout = json.loads((ROOT / "deploy" / "foxglove" / "s2mia.json").read_text())
     panels = layout["configById"]
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
+    paths += [panel["xAxisPath"]["value"] for panel in panels.values() if "xAxisPath" in panel]
     paths += [panel["topicPath"] for panel in panels.values() if "topicPath" in panel]
-    with (logged / "joined.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        topics = {channel.topic for channel in reader.get_summary().channels.values()}
-        links = {frame.child_frame_id for frame in next(reader.iter_decoded_messages(["/tf"]))[3].transforms}
+    # A live view has the topics of a recording, and two more.
+    topics = {"/curves", "/run"}
+    for name in [logged / "joined.mcap", recording]:
+        with name.open("rb") as file:
+            reader = make_reader(file, decoder_factories=[DecoderFactory()])
+            topics |= {channel.topic for channel in reader.get_summary().channels.values()}
+            links = {frame.child_frame_id for frame in next(reader.iter_decoded_messages(["/tf"]))[3].transforms}
+        assert panels["3D!robot"]["followTf"] in links
     assert paths and {path.split(".")[0] for path in paths} <= topics
-    assert panels["3D!robot"]["followTf"] in links
     assert set(panels["3D!robot"]["topics"]) <= topics

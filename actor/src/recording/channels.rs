@@ -1,21 +1,22 @@
-//! A recording's channels, and what stands on them after each step.
+//! The channels on which an episode is shown, and what stands on them after each step.
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufWriter, Seek, Write};
+use std::io::BufWriter;
 
 use serde_json::json;
 use sim::TaskConfig;
 
 use super::robot::RobotChannels;
-use super::writer::{Channel, McapFile};
+use super::sink::{Channel, Sink};
+use super::writer::McapFile;
 use super::{METADATA_NAME, RecordError};
 use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::PlayedStep;
 
-/// A recording in the making.
-pub(super) struct Channels<W: Write + Seek> {
-    file: McapFile<W>,
+/// Episodes on their way to a sink.
+pub(crate) struct Channels<S> {
+    pub(crate) sink: S,
     show: Show,
     episode: Channel,
     /// For each agent its channel and how many numbers of the joint action are its own.
@@ -31,88 +32,73 @@ enum Show {
 }
 
 impl Show {
-    fn create(
-        file: &mut McapFile<impl Write + Seek>,
-        world: &dyn EnvironmentBatch,
-    ) -> Result<Self, RecordError> {
+    fn create(sink: &mut impl Sink, world: &dyn EnvironmentBatch) -> Result<Self, RecordError> {
         if !world.pose(0).links.is_empty() {
-            return Ok(Self::Robot(RobotChannels::create(file)?));
+            return Ok(Self::Robot(RobotChannels::create(sink)?));
         }
         let state = world.description().state.iter();
         let features: Vec<String> = state.map(|feature| feature.name.clone()).collect();
-        Ok(Self::Game(file.json_channel("/state", &state_schema(&features))?, features))
+        Ok(Self::Game(sink.json_channel("/state", &state_schema(&features))?, features))
     }
 
     /// The world as it stands.
     fn stand(
         &mut self,
-        file: &mut McapFile<impl Write + Seek>,
+        sink: &mut impl Sink,
         world: &dyn EnvironmentBatch,
     ) -> Result<(), RecordError> {
         let (channel, features) = match self {
-            Self::Robot(channels) => return channels.pose(file, &world.pose(0)),
+            Self::Robot(channels) => return channels.pose(sink, &world.pose(0)),
             Self::Game(channel, features) => (channel, features),
         };
         let mut state = vec![0.0; features.len()];
         world.state(0, &mut state);
         let fields = features.iter().cloned().zip(state.into_iter().map(|x| json!(x)));
         let text = serde_json::Value::Object(fields.collect()).to_string();
-        file.write(channel, text.as_bytes())
+        sink.write(channel, text.as_bytes())
     }
 }
 
-impl<W: Write + Seek> Channels<W> {
+impl<S: Sink> Channels<S> {
     /// Declares every channel, schemas embedded.
-    pub(super) fn create(target: W, world: &dyn EnvironmentBatch) -> Result<Self, RecordError> {
-        let mut file = McapFile::create(target)?;
+    pub(crate) fn create(mut sink: S, world: &dyn EnvironmentBatch) -> Result<Self, RecordError> {
         let description = world.description();
         let mut actions = Vec::new();
         for (index, agent) in description.agents.iter().enumerate() {
             let topic = format!("/agents/{index}/action");
             let schema = action_schema(&agent.joints);
-            actions.push((file.json_channel(&topic, &schema)?, agent.action.size));
+            actions.push((sink.json_channel(&topic, &schema)?, agent.action.size));
         }
         Ok(Self {
-            show: Show::create(&mut file, world)?,
-            episode: file.json_channel("/episode", &episode_schema())?,
+            show: Show::create(&mut sink, world)?,
+            episode: sink.json_channel("/episode", &episode_schema())?,
             actions,
-            file,
+            sink,
             dt_nanos: (description.dt_secs * 1e9).round() as u64,
         })
     }
 
-    /// Which run and policy the file shows, and the task's settings if it has any.
-    pub(super) fn describe(
-        &mut self,
-        task: Option<&TaskConfig>,
-        metadata: &BTreeMap<String, String>,
-    ) -> Result<(), RecordError> {
-        self.file.metadata(METADATA_NAME, metadata)?;
-        let Some(task) = task else { return Ok(()) };
-        self.file.attach("task.json", "application/json", json!(task).to_string().as_bytes())
-    }
-
     /// The shapes and the world, at an episode's start.
-    pub(super) fn begin(&mut self, world: &dyn EnvironmentBatch) -> Result<(), RecordError> {
+    pub(crate) fn begin(&mut self, world: &dyn EnvironmentBatch) -> Result<(), RecordError> {
         if let Show::Robot(channels) = &mut self.show {
-            channels.scene(&mut self.file, &world.description().task)?;
+            channels.scene(&mut self.sink, &world.description().task)?;
         }
-        self.show.stand(&mut self.file, world)
+        self.show.stand(&mut self.sink, world)
     }
 
     /// A step of episode `episode` whose rewards add up to `total` so far.
-    pub(super) fn step(
+    pub(crate) fn step(
         &mut self,
         step: &PlayedStep<'_>,
         episode: u32,
         total: f64,
     ) -> Result<(), RecordError> {
-        self.file.advance(self.dt_nanos);
-        self.show.stand(&mut self.file, step.world)?;
+        self.sink.advance(self.dt_nanos);
+        self.show.stand(&mut self.sink, step.world)?;
         let mut from = 0;
         for (channel, size) in &mut self.actions {
             let text = json!({ "action": step.action[from..from + *size] }).to_string();
-            self.file.write(channel, text.as_bytes())?;
+            self.sink.write(channel, text.as_bytes())?;
             from += *size;
         }
         let text = json!({
@@ -123,19 +109,30 @@ impl<W: Write + Seek> Channels<W> {
             "terminated": step.outcome.terminated,
             "truncated": step.outcome.truncated,
         });
-        self.file.write(&mut self.episode, text.to_string().as_bytes())
+        self.sink.write(&mut self.episode, text.to_string().as_bytes())
     }
 
     /// Lets simulated time pass before the next episode.
-    pub(super) fn pause(&mut self) {
-        self.file.pause();
+    pub(crate) fn pause(&mut self) {
+        self.sink.pause();
     }
 }
 
-impl Channels<BufWriter<File>> {
+impl Channels<McapFile<BufWriter<File>>> {
+    /// Which run and policy the file shows, and the task's settings if it has any.
+    pub(super) fn describe(
+        &mut self,
+        task: Option<&TaskConfig>,
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<(), RecordError> {
+        self.sink.metadata(METADATA_NAME, metadata)?;
+        let Some(task) = task else { return Ok(()) };
+        self.sink.attach("task.json", "application/json", json!(task).to_string().as_bytes())
+    }
+
     /// Closes the file, on the disk, and gives the number of its messages.
     pub(super) fn finish(self) -> Result<u64, RecordError> {
-        self.file.finish()
+        self.sink.finish()
     }
 }
 

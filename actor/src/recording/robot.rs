@@ -1,13 +1,11 @@
 //! How a robot is shown: its links' frames, its joints, and its real shapes as a scene.
 
-use std::io::{Seek, Write};
-
 use foxglove::messages::{
     FrameTransform, FrameTransforms, JointState, JointStates, Quaternion, SceneUpdate, Vector3,
 };
 use sim::Pose;
 
-use super::writer::{Channel, McapFile};
+use super::sink::{Channel, Sink};
 use super::{RecordError, scene};
 
 /// The channels `/tf`, `/joint_states` and `/scene`.
@@ -19,31 +17,23 @@ pub(crate) struct RobotChannels {
 
 impl RobotChannels {
     /// Declares the channels.
-    pub(crate) fn create(file: &mut McapFile<impl Write + Seek>) -> Result<Self, RecordError> {
+    pub(crate) fn create(sink: &mut impl Sink) -> Result<Self, RecordError> {
         Ok(Self {
-            transforms: file.foxglove_channel::<FrameTransforms>("/tf")?,
-            joints: file.foxglove_channel::<JointStates>("/joint_states")?,
-            scene: file.foxglove_channel::<SceneUpdate>("/scene")?,
+            transforms: sink.foxglove_channel::<FrameTransforms>("/tf")?,
+            joints: sink.foxglove_channel::<JointStates>("/joint_states")?,
+            scene: sink.foxglove_channel::<SceneUpdate>("/scene")?,
         })
     }
 
     /// The shapes, at an episode's start.
-    pub(crate) fn scene(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-        task: &str,
-    ) -> Result<(), RecordError> {
-        let scene = scene::update(task, file.now())?;
-        file.foxglove(&mut self.scene, &scene)
+    pub(crate) fn scene(&mut self, sink: &mut impl Sink, task: &str) -> Result<(), RecordError> {
+        let scene = scene::update(task, sink.now())?;
+        sink.foxglove(&mut self.scene, &scene)
     }
 
     /// Where links and joints are.
-    pub(crate) fn pose(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-        pose: &Pose,
-    ) -> Result<(), RecordError> {
-        let now = file.now();
+    pub(crate) fn pose(&mut self, sink: &mut impl Sink, pose: &Pose) -> Result<(), RecordError> {
+        let now = sink.now();
         let transform = |link: &sim::LinkPose| FrameTransform {
             timestamp: Some(now),
             parent_frame_id: "world".to_owned(),
@@ -58,10 +48,10 @@ impl RobotChannels {
             ..JointState::default()
         };
         let transforms = FrameTransforms { transforms: pose.links.iter().map(transform).collect() };
-        file.foxglove(&mut self.transforms, &transforms)?;
+        sink.foxglove(&mut self.transforms, &transforms)?;
         let joints =
             JointStates { timestamp: Some(now), joints: pose.joints.iter().map(joint).collect() };
-        file.foxglove(&mut self.joints, &joints)
+        sink.foxglove(&mut self.joints, &joints)
     }
 }
 

@@ -14,7 +14,8 @@ use super::config::Episodes;
 use super::shares::{LoggedShare, LoggedStep, ReadShares};
 use super::{LogError, METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
 use crate::recording::robot::RobotChannels;
-use crate::recording::writer::{Channel, McapFile, Schema};
+use crate::recording::sink::{Channel, Schema, Sink as _};
+use crate::recording::writer::McapFile;
 use crate::recording::{RecordError, verify};
 
 /// Where the shares of a file come from.

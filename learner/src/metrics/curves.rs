@@ -30,7 +30,7 @@ pub struct Curve {
 
 impl Curves {
     /// Takes in a line of `metrics.jsonl`. What is no finite number is left out.
-    pub(super) fn add(&mut self, line: &Map<String, Value>) {
+    pub fn add(&mut self, line: &Map<String, Value>) {
         let Some(env_steps) = line.get("env_steps").and_then(Value::as_u64) else { return };
         let evaluation = line.get("kind").is_some_and(|kind| kind == "evaluation");
         self.lines += 1;

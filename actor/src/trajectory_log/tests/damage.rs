@@ -6,6 +6,7 @@ use mcap::records::Record;
 use serde_json::json;
 
 use super::slot_log;
+use crate::recording::sink::Sink as _;
 use crate::recording::writer::McapFile;
 use crate::trajectory_log::recover::{Loss, copy};
 use crate::trajectory_log::source::read_bytes;

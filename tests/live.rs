@@ -1,0 +1,322 @@
+//! A run shown live, seen by viewers that speak Foxglove's protocol.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+#[path = "system/viewer.rs"]
+mod viewer;
+
+use std::io::{BufRead as _, BufReader};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
+
+use actor::LiveServer;
+use foxglove::Decode as _;
+use foxglove::messages::{FrameTransforms, JointStates, SceneUpdate};
+use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
+use serde_json::{Value, json};
+use sim::Environments;
+
+use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
+use viewer::Viewer;
+
+/// A finished run of four iterations, shared by all tests.
+fn trained() -> &'static (Runs, PathBuf) {
+    static RUN: OnceLock<(Runs, PathBuf)> = OnceLock::new();
+    RUN.get_or_init(|| {
+        let runs = Runs::new();
+        let folder = runs.folder("trained");
+        train(&folder, &["run.iterations=4"]);
+        (runs, folder)
+    })
+}
+
+/// A process that shows a run.
+struct Shown {
+    process: Child,
+    url: String,
+    lines: std::io::Lines<BufReader<std::process::ChildStdout>>,
+}
+
+impl Shown {
+    fn by(arguments: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut process = command.spawn().unwrap();
+        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        let told = lines.find_map(|line| {
+            let line = line.unwrap();
+            line.strip_prefix("live view: ws://").map(str::to_owned)
+        });
+        let told = told.unwrap();
+        let (address, link) = told.split_once(", in Foxglove: ").unwrap();
+        let escaped = address.replace(':', "%3A");
+        assert!(link.ends_with(&format!("ds=foxglove-websocket&ds.url=ws%3A%2F%2F{escaped}")));
+        Self { process, url: format!("ws://{address}"), lines }
+    }
+
+    fn watch(folder: &Path) -> Self {
+        Self::by(&["watch", folder.to_str().unwrap(), "--listen=127.0.0.1:0"])
+    }
+
+    fn train(folder: &Path, more: &[&str]) -> Self {
+        let dir = format!("run.dir={}", folder.display());
+        let own = ["--watch=127.0.0.1:0", "--page=off", dir.as_str()];
+        Self::by(&[&["train"], TINY, &own, more].concat())
+    }
+}
+
+impl Drop for Shown {
+    fn drop(&mut self) {
+        // One that has trained to the end has ended already.
+        let _ended = self.process.kill();
+        let _reaped = self.process.wait();
+    }
+}
+
+/// All lines of `metrics.jsonl` of a kind.
+fn metrics(folder: &Path, kind: &str) -> Vec<Value> {
+    let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
+    let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    lines.filter(|line| line["kind"] == kind).collect()
+}
+
+/// The world of a run, its newest policy, and where that one's first evaluated episode begins.
+fn evaluation(folder: &Path) -> (Environments, PolicySnapshot, Key) {
+    let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
+    let policy = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
+    let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
+    let settings: toml::Table = settings.parse().unwrap();
+    let task = sim::TaskConfig {
+        task: settings["task"].as_str().unwrap().to_owned(),
+        observation: settings["observation"].clone().try_into().unwrap(),
+        partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
+    };
+    let draw = Draw::of(Purpose::EvaluationReset).iteration(loaded.iteration).environment(0);
+    (Environments::new(&task, 1).unwrap(), policy, Key::of(RunSeed(7), draw))
+}
+
+#[test]
+fn a_finished_run_s_topics_are_those_of_a_recording_with_the_curves_and_what_is_shown() {
+    let shown = Shown::watch(&trained().1);
+    let mut viewer = Viewer::connect(&shown.url);
+    // The last one that is declared.
+    viewer.wait_for("/episode");
+    let named = |(topic, told): (&String, &Value)| {
+        assert!(!told["schema"].as_str().unwrap().is_empty(), "{topic}");
+        (topic.clone(), told["schemaName"].as_str().unwrap().to_owned())
+    };
+    let found = viewer.topics.iter().map(named).collect::<Vec<_>>();
+    let actions = (0..6).map(|agent| (format!("/agents/{agent}/action"), "s2mia.Action"));
+    let others = [
+        ("/curves", "s2mia.Curves"),
+        ("/episode", "s2mia.Episode"),
+        ("/joint_states", "foxglove.JointStates"),
+        ("/run", "s2mia.Run"),
+        ("/scene", "foxglove.SceneUpdate"),
+        ("/tf", "foxglove.FrameTransforms"),
+    ];
+    let others = others.map(|(topic, schema)| (topic.to_owned(), schema));
+    let expected = actions.chain(others).map(|(topic, schema)| (topic, schema.to_owned()));
+    assert_eq!(found, expected.collect::<Vec<_>>());
+}
+
+#[test]
+fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time() {
+    let folder = &trained().1;
+    let shown = Shown::watch(folder);
+    let mut viewer = Viewer::connect(&shown.url);
+    viewer.subscribe(&["/scene", "/run", "/tf", "/joint_states", "/episode"]);
+    let (mut seen, mut times, mut torso) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut shapes, mut joints, mut run) = (0, 0, Value::Null);
+    while seen.len() < 5 {
+        let (topic, nanos, bytes) = viewer.next();
+        match topic.as_str() {
+            "/episode" => {
+                seen.push(serde_json::from_slice::<Value>(&bytes).unwrap());
+                times.push(nanos);
+            }
+            "/tf" => {
+                let frames = FrameTransforms::decode(bytes.as_slice()).unwrap().transforms;
+                torso.push(frames[0].translation.unwrap().x);
+            }
+            "/scene" => shapes = SceneUpdate::decode(bytes.as_slice()).unwrap().entities.len(),
+            "/joint_states" => joints = JointStates::decode(bytes.as_slice()).unwrap().joints.len(),
+            _ => run = serde_json::from_slice(&bytes).unwrap(),
+        }
+    }
+    let (mut world, policy, key) = evaluation(folder);
+    let mut rewards = Vec::new();
+    let keep = |step: &actor::PlayedStep<'_>| rewards.push(step.outcome.reward);
+    actor::play_episode(&mut world, &policy, key, keep).unwrap();
+    for told in &seen {
+        let step = told["step"].as_u64().unwrap() as usize;
+        assert_eq!(told["reward"].as_f64().unwrap() as f32, rewards[step - 1], "{told}");
+    }
+    assert!(torso.windows(2).any(|two| two[0] != two[1]), "the robot moves: {torso:?}");
+    assert!(times.windows(2).all(|two| two[1] - two[0] == 50_000_000), "{times:?}");
+    // Seven links with eight capsules, and the floor.
+    assert_eq!((shapes, joints), (9, 6));
+    let of_run = ["task", "iteration", "seed"].map(|word| run[word].as_str().unwrap().to_owned());
+    assert_eq!(of_run, ["halfcheetah-6x1", "4", "7"]);
+}
+
+#[test]
+fn whoever_comes_late_gets_the_scene_and_all_curves_at_once() {
+    let folder = &trained().1;
+    let shown = Shown::watch(folder);
+    let mut first = Viewer::connect(&shown.url);
+    first.subscribe(&["/scene", "/tf", "/curves"]);
+    first.next_on("/scene");
+    first.next_on("/curves");
+    // The next episode, and with it the next scene, is a minute away.
+    let mut late = Viewer::connect(&shown.url);
+    late.subscribe(&["/scene", "/curves"]);
+    late.next_on("/scene");
+    let curves = late.json_on("/curves");
+    drop(late);
+    let evaluations = metrics(folder, "evaluation");
+    let of = |name: &str| evaluations.iter().map(|line| line[name].clone()).collect::<Value>();
+    let mean = json!({ "env_steps": of("env_steps"), "value": of("mean") });
+    assert_eq!(curves["evaluation"]["mean"], mean);
+    let iterations = metrics(folder, "iteration");
+    let sigma = iterations.iter().map(|line| line["agent0/sigma"].clone()).collect::<Value>();
+    assert_eq!(curves["agent0"]["sigma"]["value"], sigma);
+    // The first viewer goes on when the other has left.
+    first.next_on("/tf");
+}
+
+#[test]
+fn a_run_under_way_shows_its_curves_before_its_first_checkpoint_and_then_its_robot() {
+    let runs = Runs::new();
+    let folder = runs.folder("begun");
+    let mut shown = Shown::train(&folder, &["run.iterations=100000", "checkpoint.every=100000"]);
+    let told = shown.lines.next().unwrap().unwrap();
+    assert!(told.contains("until the first checkpoint"), "{told}");
+    let mut viewer = Viewer::connect(&shown.url);
+    viewer.subscribe(&["/run", "/tf", "/curves"]);
+    assert!(viewer.json_on("/run")["waits_for"].is_string());
+    // Of the robot that stands still.
+    viewer.next_on("/tf");
+    let points = |curves: Value| curves["agent0"]["sigma"]["value"].as_array().map_or(0, Vec::len);
+    let before = points(viewer.json_on("/curves"));
+    let after = points(viewer.json_on("/curves"));
+    assert!(0 < before && before < after, "{before} points, then {after}");
+    viewer.subscribe(&["/episode"]);
+    succeeded(&["checkpoint", folder.to_str().unwrap()]);
+    assert_eq!(viewer.json_on("/episode")["step"], 1);
+}
+
+#[test]
+fn of_an_environment_that_another_program_offers_the_curves_alone_are_shown() {
+    let runs = Runs::new();
+    let folder = runs.folder("outside");
+    train(&folder, &["run.iterations=2", "observation.norm=none"]);
+    let settings = folder.join("config.toml");
+    let own = std::fs::read_to_string(&settings).unwrap();
+    let theirs = own.replacen("\nurl = \"\"", "\nurl = \"http://127.0.0.1:1\"", 1);
+    assert_ne!(own, theirs);
+    std::fs::write(settings, theirs).unwrap();
+    let mut shown = Shown::watch(&folder);
+    let told = shown.lines.next().unwrap().unwrap();
+    assert!(told.contains("only the learning curves"), "{told}");
+    let mut viewer = Viewer::connect(&shown.url);
+    viewer.subscribe(&["/curves"]);
+    assert!(viewer.json_on("/curves")["evaluation"]["mean"].is_object());
+    assert_eq!(viewer.topics.keys().collect::<Vec<_>>(), ["/curves"]);
+}
+
+/// Hashes of the weights after each iteration.
+fn weights(folder: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(folder.join("provenance.jsonl")).unwrap();
+    let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    lines.map(|line| line["weights_sha256"].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn a_run_whose_viewer_never_reads_ends_with_the_weights_of_one_without_viewers() {
+    let runs = Runs::new();
+    let (alone, watched) = (runs.folder("alone"), runs.folder("watched"));
+    let mut shown = Shown::train(&watched, &["run.iterations=40"]);
+    let mut viewer = Viewer::connect(&shown.url);
+    viewer.wait_for("/episode");
+    let topics = viewer.topics.keys().cloned().collect::<Vec<_>>();
+    viewer.subscribe(&topics.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(shown.process.wait().unwrap().success());
+    train(&alone, &["run.iterations=40"]);
+    assert_eq!((weights(&watched), inspect(&watched)), (weights(&alone), inspect(&alone)));
+    assert_eq!(weights(&alone).len(), 40);
+}
+
+#[test]
+fn whoever_reads_too_slowly_holds_nobody_up_and_misses_what_is_old() {
+    let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "slow").unwrap();
+    let topic = server.topic("/numbers", &json!({ "title": "Number", "type": "object" })).unwrap();
+    let mut viewer = Viewer::connect(&server.url());
+    topic.show(&json!({ "number": 0 }));
+    viewer.subscribe(&["/numbers"]);
+    assert_eq!(viewer.json_on("/numbers")["number"], 0);
+    // More than any socket takes in, and than may wait: no call returns before it is done.
+    let filler = "x".repeat(1 << 20);
+    (1..=400).for_each(|number| topic.show(&json!({ "number": number, "filler": filler })));
+    let mut seen = vec![0];
+    while seen.last() != Some(&400) {
+        seen.push(viewer.json_on("/numbers")["number"].as_u64().unwrap());
+    }
+    assert!(seen.is_sorted() && seen.len() < 300, "{seen:?}");
+}
+
+#[test]
+fn an_episode_at_which_nobody_looks_breaks_off_after_its_first_step() {
+    let (mut world, policy, key) = evaluation(&trained().1);
+    let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "alone").unwrap();
+    let mut scene = server.scene(&world).unwrap();
+    assert!(!scene.is_watched());
+    let played = scene.play((&mut world, &policy), (0, key), || ()).unwrap();
+    assert_eq!(played.steps, 1);
+}
+
+fn refusal(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = s2mia(arguments);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert!(output.stdout.is_empty() && line.lines().count() == 1, "{line}");
+    (output.status.code(), line)
+}
+
+#[test]
+fn a_port_that_is_taken_is_named_before_a_run_begins() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let (listen, watch) = (format!("--listen={address}"), format!("--watch={address}"));
+    let (code, line) = refusal(&["watch", trained().1.to_str().unwrap(), &listen]);
+    assert!(code == Some(2) && line.contains(&format!("--listen {address}: ")), "{line}");
+    let runs = Runs::new();
+    let folder = runs.folder("never");
+    let dir = format!("run.dir={}", folder.display());
+    let (code, line) = refusal(&[&["train"], TINY, &[dir.as_str(), &watch]].concat());
+    assert!(code == Some(2) && line.contains(&format!("--watch {address}: ")), "{line}");
+    assert!(!folder.exists());
+}
+
+#[test]
+fn a_folder_without_a_checkpoint_is_told_what_it_lacks() {
+    let runs = Runs::new();
+    let empty = runs.folder("empty");
+    std::fs::create_dir(&empty).unwrap();
+    let (code, line) = refusal(&["watch", empty.to_str().unwrap(), "--listen=127.0.0.1:0"]);
+    assert!(code == Some(1) && line.contains("holds no checkpoint"), "{line}");
+}
+
+#[test]
+fn other_machines_see_nothing_unless_they_are_let_in() {
+    let of = trained().1.to_str().unwrap();
+    for (arguments, permission) in [
+        (&["watch", of, "--listen=0.0.0.0:0"][..], "--insecure-allow-remote "),
+        (&["train", "--watch=0.0.0.0:0"], "--insecure-allow-remote-watch "),
+    ] {
+        let (code, line) = refusal(arguments);
+        assert!(code == Some(2) && line.contains(permission), "{line}");
+    }
+}
