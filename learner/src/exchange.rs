@@ -17,6 +17,7 @@ use crate::canary;
 use crate::published::Published;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
+use crate::traces::Traces;
 
 mod control;
 mod film;
@@ -70,6 +71,7 @@ pub struct Exchange {
     storage: watch::Sender<Storage>,
     orders: Orders,
     lines: watch::Sender<Lines>,
+    traces: Traces,
 }
 
 #[derive(Debug)]
@@ -110,6 +112,7 @@ impl Exchange {
             trainer: Condvar::new(),
             work: Notify::new(),
             storage: watch::Sender::new(Storage::Sound),
+            traces: Traces::begin(),
         })
     }
 
@@ -117,6 +120,11 @@ impl Exchange {
     #[must_use]
     pub fn run(&self) -> &RunDescription {
         &self.run
+    }
+
+    /// The traces that its iterations belong to.
+    pub(crate) fn traces(&self) -> Traces {
+        self.traces
     }
 
     // What the trainer does.
