@@ -4,7 +4,9 @@ use std::io;
 use std::sync::OnceLock;
 
 use indicatif::MultiProgress;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer, Registry};
 
 use crate::cli::{Arguments, Command, LogFormat};
 
@@ -16,8 +18,9 @@ pub(crate) fn bars() -> &'static MultiProgress {
     BARS.get_or_init(MultiProgress::new)
 }
 
-/// Starts logging; the filter is `--log`, then RUST_LOG, then the command's own level.
-pub(crate) fn start(arguments: &Arguments) {
+/// Starts logging, and gives `spans` what is recorded beside it; the filter is `--log`, then RUST_LOG, then the command's own
+/// level.
+pub(crate) fn start(arguments: &Arguments, spans: Option<impl Layer<Registry> + Send + Sync>) {
     let default = match arguments.command {
         Command::Learner(_) | Command::Actor(_) => "info",
         _ => "warn",
@@ -26,11 +29,12 @@ pub(crate) fn start(arguments: &Arguments) {
         Some(filter) => EnvFilter::new(filter),
         None => EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default)),
     };
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| AboveBars);
-    match arguments.log_format {
-        LogFormat::Text => builder.with_ansi(false).with_target(false).init(),
-        LogFormat::Json => builder.json().flatten_event(true).init(),
-    }
+    let lines = tracing_subscriber::fmt::layer().with_writer(|| AboveBars);
+    let lines = match arguments.log_format {
+        LogFormat::Text => lines.with_ansi(false).with_target(false).boxed(),
+        LogFormat::Json => lines.json().flatten_event(true).boxed(),
+    };
+    tracing_subscriber::registry().with(spans).with(lines.with_filter(filter)).init();
 }
 
 /// Writes to stderr while no bar is drawn.

@@ -42,6 +42,13 @@ pub(crate) struct PushStream {
     pub(crate) acknowledgements: Streaming<wire::PushTrajectoryResponse>,
 }
 
+/// What the learner answers who asks for work.
+pub(crate) struct Answered {
+    pub(crate) answer: LeaseAnswer,
+    /// The span in which the work stands, as W3C Trace Context writes it, from a learner that records spans.
+    pub(crate) parent: Option<String>,
+}
+
 /// A connection to the learner.
 #[derive(Clone)]
 pub(crate) struct Client {
@@ -87,7 +94,7 @@ impl Client {
         own: &Registered,
         run: &RunDescription,
         log_steps_lost: u64,
-    ) -> Result<LeaseAnswer, ActorError> {
+    ) -> Result<Answered, ActorError> {
         let message = wire::LeaseSlotsRequest {
             actor_id: own.actor.0,
             incarnation: own.incarnation.0,
@@ -95,8 +102,10 @@ impl Client {
             log_steps_lost,
         };
         let deadline = CALL_DEADLINE + Duration::from_millis(LEASE_WAIT_MILLIS.into());
-        let answer = self.service.lease_slots(within(deadline, message)).await?.into_inner();
-        Ok(LeaseAnswer::from_wire(answer, run)?)
+        let response = self.service.lease_slots(within(deadline, message)).await?;
+        let parent = response.metadata().get("traceparent").and_then(|text| text.to_str().ok());
+        let parent = parent.map(str::to_owned);
+        Ok(Answered { answer: LeaseAnswer::from_wire(response.into_inner(), run)?, parent })
     }
 
     pub(crate) async fn heartbeat(&mut self, beat: &Beat) -> Result<HeartbeatAnswer, ActorError> {

@@ -7,6 +7,7 @@ use std::time::Duration;
 use policy::PolicySnapshot;
 use proto::{Ack, Beat, Lease, Registered};
 use tonic::{Code, Status};
+use tracing::Instrument as _;
 
 use crate::client::{Client, MAX_UNACKNOWLEDGED, PushStream};
 use crate::error::{ActorError, describe};
@@ -43,10 +44,13 @@ pub(crate) async fn work_off(
     let beat =
         Beat { actor: own.actor, incarnation: own.incarnation, lease: lease.id, slot_step: 0 };
     let mut push = client.open_push().await?;
-    let job = Job { lease, policy, watch: Arc::clone(&watch) };
+    let span = tracing::Span::current();
+    let job = Job { lease, policy, watch: Arc::clone(&watch), span };
     stepper.jobs.send(job).await.map_err(|_| gone())?;
     let mut progress = Progress::default();
-    let ended = stream(client, stepper, &mut push, beat, (&watch, pace), &mut progress).await;
+    let ended = stream(client, stepper, &mut push, beat, (&watch, pace), &mut progress)
+        .instrument(tracing::trace_span!("push"))
+        .await;
     watch.cancelled.store(true, Ordering::Relaxed);
     while !progress.produced_all {
         progress.produced_all = match stepper.produced.recv().await {

@@ -4,10 +4,11 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use proto::{LeaseAnswer, Registration};
+use proto::{Lease, LeaseAnswer, Registration, Work};
 use tokio::sync::watch;
+use tracing::Instrument as _;
 
-use crate::client::{Client, WeightsCache, explained, may_pass};
+use crate::client::{Answered, Client, WeightsCache, explained, may_pass};
 use crate::config::Config;
 use crate::error::{ActorError, describe};
 use crate::identity::rollout_fingerprint;
@@ -104,7 +105,7 @@ async fn attend(
     let mut weights = WeightsCache::default();
     loop {
         let lost = log.map_or(0, Log::untold);
-        let answer = client.lease(&own, &run, lost).await?;
+        let Answered { answer, parent } = client.lease(&own, &run, lost).await?;
         if let Some(log) = log {
             log.tell(lost);
         }
@@ -115,9 +116,15 @@ async fn attend(
                 tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
             }
             LeaseAnswer::Lease(lease) => {
-                let (id, policy) = (lease.id, client.weights(&mut weights, lease.weights).await?);
+                let id = lease.id;
+                let span = span(&lease, parent.as_deref());
                 let pace = Duration::from_secs_f64(run.heartbeat_secs);
-                let ended = work_off(&mut client, &own, &mut stepper, lease, policy, pace).await?;
+                let work = async {
+                    let policy = client.weights(&mut weights, lease.weights);
+                    let policy = policy.instrument(tracing::trace_span!("weights")).await?;
+                    work_off(&mut client, &own, &mut stepper, lease, policy, pace).await
+                };
+                let ended = work.instrument(span).await?;
                 outage.over();
                 match ended {
                     Ended::Finished => {}
@@ -131,6 +138,15 @@ async fn attend(
             }
         }
     }
+}
+
+/// A lease, for whoever records spans: within the learner's iteration, or by itself if that is not known.
+fn span(lease: &Lease, parent: Option<&str>) -> tracing::Span {
+    let slot = match &lease.work {
+        Work::Rollout(work) => Some(work.slot),
+        Work::Evaluation(_) => None,
+    };
+    tracing::trace_span!("lease", trace.parent = parent, lease = lease.id.0, lease.attempt, slot)
 }
 
 /// What this actor offers for the run.

@@ -17,6 +17,7 @@ use crate::canary;
 use crate::published::Published;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
+use crate::traces::Traces;
 
 mod control;
 mod film;
@@ -73,6 +74,7 @@ pub struct Exchange {
     orders: Orders,
     lines: watch::Sender<Lines>,
     intake: Intake,
+    traces: Traces,
 }
 
 #[derive(Debug)]
@@ -114,6 +116,7 @@ impl Exchange {
             work: Notify::new(),
             storage: watch::Sender::new(Storage::Sound),
             intake: Intake::default(),
+            traces: Traces::begin(),
         })
     }
 
@@ -121,6 +124,11 @@ impl Exchange {
     #[must_use]
     pub fn run(&self) -> &RunDescription {
         &self.run
+    }
+
+    /// The traces that its iterations belong to.
+    pub(crate) fn traces(&self) -> Traces {
+        self.traces
     }
 
     // What the trainer does.

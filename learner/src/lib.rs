@@ -29,6 +29,7 @@ pub mod schedule;
 pub mod service;
 pub mod slots;
 mod team;
+mod traces;
 pub mod trainer;
 
 pub use config::{

@@ -1,8 +1,9 @@
 """Runs deploy/compose.yaml for real and disturbs it: the weights must be those of an undisturbed local run.
 
 `--mtls` adds deploy/compose.mtls.yaml. `--short` does with fewer iterations, actors and faults, and takes the binary that `cargo test` has built.
+`--swarm` plays the short form on deploy/stack.yaml, in a swarm of this one node that ends with the test.
 
-Needs a container engine with compose (v2, or docker-compose 1.29), started here if this user may.
+Needs a container engine, started here if this user may, and but for a swarm compose (v2, or docker-compose 1.29).
 Where no registry answers, debootstrap makes the base image. Ends with 0 if every check held, 1 if one
 did not, and 3 with one line `container test not run: REASON` where containers cannot run at all.
 """
@@ -43,10 +44,11 @@ class Form:
     iterations: int
     binary: str
     disturb: Callable[["Cluster"], None]
+    cluster: type["Cluster"]
     files: tuple[str, ...] = ("deploy/compose.yaml", "tests/containers/short.yaml")
 
     def settings(self) -> dict[str, str]:
-        """For the compose file."""
+        """For the compose file, or the stack."""
         return {"ENV_STEPS": self.env_steps(), "S2MIA_IMAGE": IMAGE, "SEED": SEED, "RUN": RUN, "PAGE_PORT": ""}
 
     def local(self) -> list[str]:
@@ -121,6 +123,10 @@ class Cluster:
     def compose(self, *arguments: str) -> str:
         return output(*self.command, *arguments, env=self.environment)
 
+    def up(self) -> None:
+        """With one actor."""
+        self.scale(1)
+
     def containers(self, service: str) -> list[str]:
         return self.compose("ps", "-q", service).split()
 
@@ -158,8 +164,66 @@ class Cluster:
         status = ("docker", "inspect", "-f", "{{.State.Health.Status}}")
         return [output(*status, one) for one in self.containers("learner")] == ["healthy"]
 
+    def start_again(self, killed: str) -> None:
+        output("docker", "start", killed)
+
+    def evaluated(self) -> str:
+        return self.compose("run", "--rm", "-T", "evaluator")
+
+    def logs(self) -> str:
+        return self.compose("logs", "--tail", "30")
+
     def down(self) -> None:
         self.compose("down", "-v", "--timeout", "5")
+
+
+class Swarm(Cluster):
+    """The services of deploy/stack.yaml, on a swarm of this one node."""
+
+    def __init__(self, form: Form) -> None:
+        if swarm_state() != "inactive":
+            raise NotRun("this engine is in a swarm already")
+        self.environment = {**os.environ, **form.settings()}
+
+    def up(self) -> None:
+        output("docker", "swarm", "init", "--advertise-addr", "127.0.0.1", "--listen-addr", "127.0.0.1:2377")
+        output("docker", "node", "update", "--label-add", "s2mia.runs=here", output("docker", "node", "ls", "-q"))
+        # Compose wants no version where its own file has none, and a stack wants the same in each.
+        short = 'version: "3.8"\n' + (ROOT / "tests/containers/short.yaml").read_text()
+        files = ("-c", "deploy/stack.yaml", "-c", "tests/containers/swarm.yaml", "-c", "-")
+        deploy = ("docker", "stack", "deploy", "--resolve-image", "never", *files, PROJECT)
+        output(*deploy, env=self.environment, input=short)
+
+    def containers(self, service: str) -> list[str]:
+        """Those that run; the swarm puts others in the place of what has ended."""
+        return output("docker", "ps", "-q", "--filter", f"label=com.docker.swarm.service.name={PROJECT}_{service}").split()
+
+    def scale(self, actors: int) -> None:
+        output("docker", "service", "scale", "--detach", f"{PROJECT}_actor={actors}")
+        say(f"{actors} actors asked for, iteration {self.iteration()}")
+
+    def start_again(self, killed: str) -> None:
+        """The swarm's own work."""
+        self.wait_for("a learner in its place", self.healthy)
+        say(f"the swarm has put another in its place, iteration {self.iteration()}")
+
+    def evaluated(self) -> str:
+        return self.in_volume("s2mia", "eval", f"/runs/{RUN}")
+
+    def logs(self) -> str:
+        services = [f"{PROJECT}_{service}" for service in ("learner", "actor")]
+        told = [output("docker", "service", "logs", "--tail", "30", service) for service in services]
+        return "\n".join([output("docker", "service", "ps", "--no-trunc", *services), *told])
+
+    def down(self) -> None:
+        if swarm_state() == "active":
+            output("docker", "stack", "rm", PROJECT)
+            output("docker", "swarm", "leave", "--force")
+        self.wait_for("the run's volume to be free", lambda: succeeds("docker", "volume", "rm", "-f", f"{PROJECT}_runs"))
+
+
+def swarm_state() -> str:
+    return output("docker", "info", "--format", "{{.Swarm.LocalNodeState}}")
 
 
 def say(what: str) -> None:
@@ -187,7 +251,7 @@ def kill_the_learner(cluster: Cluster) -> None:
     (learner,) = cluster.running("learner")
     output("docker", "kill", learner)
     say(f"the learner's container killed, iteration {cluster.iteration()}")
-    output("docker", "start", learner)
+    cluster.start_again(learner)
 
 
 def disturb_shortly(cluster: Cluster) -> None:
@@ -222,23 +286,23 @@ def disturb(cluster: Cluster) -> None:
     cluster.scale(2)
 
 
-SHORT = Form(iterations=150, binary="target/debug/s2mia", disturb=disturb_shortly)
-WHOLE = Form(iterations=150, binary="target/release/s2mia", disturb=disturb)
+SHORT = Form(iterations=150, binary="target/debug/s2mia", disturb=disturb_shortly, cluster=Cluster)
+SWARM = dataclasses.replace(SHORT, cluster=Swarm)
+WHOLE = Form(iterations=150, binary="target/release/s2mia", disturb=disturb, cluster=Cluster)
 
 
-def cluster_hashes(form: Form) -> dict[str, str]:
+def cluster_hashes(cluster: Cluster, form: Form) -> dict[str, str]:
     """Hashes of the disturbed run."""
-    cluster = Cluster(form)
     cluster.down()
     try:
-        cluster.scale(1)
+        cluster.up()
         form.disturb(cluster)
         cluster.wait_for("the end of the run", lambda: not cluster.running("learner"))
         cluster.wait_for("the actors' end", lambda: not cluster.running("actor"))
-        say(f"the evaluator: {cluster.compose('run', '--rm', '-T', 'evaluator').splitlines()[-1]}")
+        say(f"the evaluator: {cluster.evaluated().splitlines()[-1]}")
         return hashes(cluster.in_volume("s2mia", "inspect", f"/runs/{RUN}", "--json"))
     except BaseException:
-        print(cluster.compose("logs", "--tail", "30"), file=sys.stderr)
+        print(cluster.logs(), file=sys.stderr)
         raise
     finally:
         cluster.down()
@@ -261,11 +325,15 @@ def build_image(form: Form) -> None:
 
 def main() -> int:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--short", action="store_const", const=SHORT, default=WHOLE, dest="form")
+    forms = options.add_mutually_exclusive_group()
+    forms.add_argument("--short", action="store_const", const=SHORT, default=WHOLE, dest="form")
+    forms.add_argument("--swarm", action="store_const", const=SWARM, dest="form")
     options.add_argument("--mtls", action="store_true")
-    options = options.parse_args()
-    form = options.form
-    if options.mtls:
+    asked = options.parse_args()
+    form = asked.form
+    if asked.mtls and form is SWARM:
+        options.error("deploy/stack.yaml has no form with certificates")
+    if asked.mtls:
         form = dataclasses.replace(form, files=(*form.files, "deploy/compose.mtls.yaml"))
     try:
         engine = start_engine()
@@ -273,12 +341,12 @@ def main() -> int:
         print(f"container test not run: {reason}")
         return NOT_RUN
     try:
-        compose_command()
+        cluster = form.cluster(form)
         provide_base_image()
         build_image(form)
         with tempfile.TemporaryDirectory() as folder:
             expected = undisturbed(form, folder)
-        found = cluster_hashes(form)
+        found = cluster_hashes(cluster, form)
     except NotRun as reason:
         print(f"container test not run: {reason}")
         return NOT_RUN

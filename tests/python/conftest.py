@@ -27,11 +27,16 @@ TINY = [
 ]
 
 
-def s2mia(*arguments):
-    """What the binary prints; fails with its last words if it fails."""
+def program():
+    """The binary under test."""
     binary = Path(os.environ.get("S2MIA", ROOT / "target" / "debug" / "s2mia"))
     assert binary.is_file(), f"{binary} is not built; `cargo test` or `cargo build` makes it"
-    done = subprocess.run([binary, *map(str, arguments)], capture_output=True, text=True, timeout=600)
+    return binary
+
+
+def s2mia(*arguments):
+    """What the binary prints; fails with its last words if it fails."""
+    done = subprocess.run([program(), *map(str, arguments)], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, f"s2mia {arguments}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 

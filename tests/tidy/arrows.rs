@@ -21,12 +21,16 @@ const ARROWS: [(&str, &[&str]); 7] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 32] = [
+const HEAVY: [(&str, &[&str]); 36] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
     ("kuva", &[ROOT]),
     ("mimalloc", &[ROOT]),
+    ("opentelemetry", &[ROOT]),
+    ("opentelemetry-otlp", &[ROOT]),
+    ("opentelemetry-proto", &[ROOT]),
+    ("opentelemetry_sdk", &[ROOT]),
     ("tiny-skia", &[ROOT]),
     ("toml", &[ROOT]),
     ("tracing-subscriber", &[ROOT]),

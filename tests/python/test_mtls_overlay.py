@@ -1,0 +1,101 @@
+"""The overlay with certificates, its commands run as they stand: certificates from Secrets, a learner, its probe, an actor."""
+
+import re
+import shutil
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from conftest import TINY, program, s2mia
+from kustomize import rendered
+
+OVERLAY = Path(__file__).resolve().parents[2] / "deploy" / "k8s" / "overlays" / "mtls"
+PATIENCE_SECS = 60
+
+
+def pod(kind):
+    (found,) = [one["spec"]["template"]["spec"] for one in rendered(OVERLAY) if one["kind"] == kind]
+    return found
+
+
+def secrets():
+    """Names of files, by the Secret that the overlay's own commands put them in."""
+    text = (OVERLAY / "kustomization.yaml").read_text()
+    commands = re.findall(r"create secret generic (\S+)((?:[\s#\\]+--from-file=\S+)+)", text)
+    return {secret: re.findall(r"--from-file=(\S+)", files) for secret, files in commands}
+
+
+@pytest.fixture(scope="module")
+def mounted(tmp_path_factory):
+    """A folder for each Secret, as a pod that mounts it sees it."""
+    folder = tmp_path_factory.mktemp("secrets")
+    s2mia("certs", folder / "made", "--names", "learner,localhost")
+    for secret, files in secrets().items():
+        (folder / secret).mkdir()
+        for file in files:
+            shutil.copy(folder / "made" / file, folder / secret)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def port():
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
+def command(words, of, mounted, port):
+    """A pod's command on this machine: its Secret lies elsewhere, and its learner listens on loopback."""
+    (secret,) = [volume["secret"]["secretName"] for volume in of["volumes"] if volume["name"] == "certificates"]
+    here = {
+        "/certificates": str(mounted / secret),
+        "0.0.0.0:50051": f"127.0.0.1:{port}",
+        "://learner:50051": f"://localhost:{port}",
+        "://localhost:50051": f"://localhost:{port}",
+        "127.0.0.1:50080": "off",
+    }
+    for there, where in here.items():
+        words = [word.replace(there, where) for word in words]
+    return [program(), *words]
+
+
+def succeeds(words):
+    return subprocess.run(words, capture_output=True).returncode == 0
+
+
+def wait_for(learner, holds):
+    deadline = time.monotonic() + PATIENCE_SECS
+    while not holds():
+        assert learner.poll() is None, "the learner has ended"
+        assert time.monotonic() < deadline, "the learner does not become healthy"
+        time.sleep(0.1)
+
+
+def test_the_secrets_hold_a_key_for_each_side_and_no_other():
+    keys = {secret: {file for file in files if file.endswith(".key")} for secret, files in secrets().items()}
+    assert keys == {"learner-certificates": {"server.key", "viewer.key"}, "actor-certificates": {"actor.key"}}
+
+
+def test_no_plain_text_is_allowed():
+    for kind in ("StatefulSet", "Deployment"):
+        (container,) = pod(kind)["containers"]
+        assert not [word for word in container["args"] if word.startswith("--insecure") or "http://" in word]
+
+
+def test_a_run_is_finished_with_the_certificates_of_the_secrets(mounted, port, tmp_path):
+    of = pod("StatefulSet")
+    (container,) = of["containers"]
+    probes = [container[name]["exec"]["command"] for name in ("startupProbe", "readinessProbe", "livenessProbe")]
+    arguments = command(container["args"], of, mounted, port)
+    with subprocess.Popen([*arguments, *TINY, f"run.dir={tmp_path}/run"], stdout=subprocess.DEVNULL) as learner:
+        try:
+            for probe in probes:
+                wait_for(learner, lambda: succeeds(command(probe[1:], of, mounted, port)))
+            assert not succeeds([program(), "health", f"--learner=http://127.0.0.1:{port}"])
+            actor = pod("Deployment")
+            subprocess.run(command(actor["containers"][0]["args"], actor, mounted, port), check=True, timeout=PATIENCE_SECS)
+            assert learner.wait(PATIENCE_SECS) == 0
+        finally:
+            learner.kill()
