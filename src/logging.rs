@@ -23,7 +23,8 @@ pub(crate) fn bars() -> &'static MultiProgress {
 pub(crate) fn start(arguments: &Arguments, spans: Option<impl Layer<Registry> + Send + Sync>) {
     let default = match arguments.command {
         Command::Learner(_) | Command::Actor(_) => "info",
-        _ => "warn",
+        // A stranger at the live view's port is no trouble of the run's.
+        _ => "warn,foxglove=off",
     };
     let filter = match &arguments.log {
         Some(filter) => EnvFilter::new(filter),

@@ -28,8 +28,8 @@ const FLUSH: Duration = Duration::from_secs(1);
 /// Sends spans for as long as it lives, and the last ones when it is dropped.
 pub(crate) struct Telemetry {
     processor: Arc<BatchSpanProcessor>,
-    /// What the exporter's connection runs on; the run has its own.
-    _runtime: Runtime,
+    /// What the exporter's connection runs on, until it is dropped; the run has its own.
+    runtime: Option<Runtime>,
 }
 
 impl Telemetry {
@@ -38,8 +38,8 @@ impl Telemetry {
     /// # Errors
     /// If the variables name none that can be.
     pub(crate) fn start(command: &Command) -> anyhow::Result<Option<Self>> {
-        let endpoint = ENDPOINTS.iter().find_map(|name| std::env::var(name).ok());
-        match service(command).zip(endpoint.filter(|endpoint| !endpoint.is_empty())) {
+        let named = |name: &&str| std::env::var(name).ok().filter(|endpoint| !endpoint.is_empty());
+        match service(command).zip(ENDPOINTS.iter().find_map(named)) {
             Some((service, endpoint)) => Self::to(endpoint, service).map(Some),
             None => Ok(None),
         }
@@ -61,7 +61,7 @@ impl Telemetry {
         exporter.set_resource(&resource(service));
         // Its queue holds OTEL_BSP_MAX_QUEUE_SIZE spans, 2,048 by default; when it is full, more are dropped.
         let processor = Arc::new(BatchSpanProcessor::builder(exporter).build());
-        Ok(Self { processor, _runtime: runtime })
+        Ok(Self { processor, runtime: Some(runtime) })
     }
 
     /// Where spans are handed in.
@@ -74,6 +74,10 @@ impl Drop for Telemetry {
     fn drop(&mut self) {
         if let Err(error) = self.processor.shutdown_with_timeout(FLUSH) {
             tracing::debug!("the last spans did not get away: {error}");
+        }
+        // A name that is still being looked up would be waited for otherwise.
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
         }
     }
 }

@@ -69,7 +69,7 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
     for (name, last) in [
         ("paper.toml", "720 runs, 7,200,000,000 steps"),
-        ("paper-small.toml", "66 runs, 19,200,000 steps"),
+        ("paper-small.toml", "66 runs, 63,300,000 steps"),
     ] {
         let (status, told) = s2mia(&["experiment", folder.join(name).to_str().unwrap(), "--list"]);
         assert_eq!(status, Some(0), "{told}");

@@ -11,6 +11,7 @@ use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
+use std::time::Instant;
 
 use actor::LiveServer;
 use foxglove::Decode as _;
@@ -128,10 +129,11 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
     let folder = &trained().1;
     let shown = Shown::watch(folder);
     let mut viewer = Viewer::connect(&shown.url);
+    let begun = Instant::now();
     viewer.subscribe(&["/scene", "/run", "/tf", "/joint_states", "/episode"]);
     let (mut seen, mut times, mut torso) = (Vec::new(), Vec::new(), Vec::new());
     let (mut shapes, mut joints, mut run) = (0, 0, Value::Null);
-    while seen.len() < 5 {
+    while seen.len() < 20 {
         let (topic, nanos, bytes) = viewer.next();
         match topic.as_str() {
             "/episode" => {
@@ -147,6 +149,7 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
             _ => run = serde_json::from_slice(&bytes).unwrap(),
         }
     }
+    let took = begun.elapsed();
     let (mut world, policy, key) = evaluation(folder);
     let mut rewards = Vec::new();
     let keep = |step: &actor::PlayedStep<'_>| rewards.push(step.outcome.reward);
@@ -156,7 +159,10 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
         assert_eq!(told["reward"].as_f64().unwrap() as f32, rewards[step - 1], "{told}");
     }
     assert!(torso.windows(2).any(|two| two[0] != two[1]), "the robot moves: {torso:?}");
-    assert!(times.windows(2).all(|two| two[1] - two[0] == 50_000_000), "{times:?}");
+    let apart = times.windows(2).map(|two| two[1] - two[0]).collect::<Vec<_>>();
+    assert!(apart.iter().all(|nanos| nanos % 50_000_000 == 0), "{apart:?}");
+    // The first two may be one that was shown before, twice.
+    assert!(took.as_millis() >= 18 * 50, "18 steps of 50 ms were shown within {took:?}");
     // Seven links with eight capsules, and the floor.
     assert_eq!((shapes, joints), (9, 6));
     let of_run = ["task", "iteration", "seed"].map(|word| run[word].as_str().unwrap().to_owned());
@@ -173,8 +179,10 @@ fn whoever_comes_late_gets_the_scene_and_all_curves_at_once() {
     first.next_on("/curves");
     // The next episode, and with it the next scene, is a minute away.
     let mut late = Viewer::connect(&shown.url);
+    let begun = Instant::now();
     late.subscribe(&["/scene", "/curves"]);
     late.next_on("/scene");
+    assert!(begun.elapsed().as_secs() < 30, "the scene is that of the next episode");
     let curves = late.json_on("/curves");
     drop(late);
     let evaluations = metrics(folder, "evaluation");
@@ -196,14 +204,20 @@ fn a_run_under_way_shows_its_curves_before_its_first_checkpoint_and_then_its_rob
     let told = shown.lines.next().unwrap().unwrap();
     assert!(told.contains("until the first checkpoint"), "{told}");
     let mut viewer = Viewer::connect(&shown.url);
-    viewer.subscribe(&["/run", "/tf", "/curves"]);
+    viewer.subscribe(&["/run", "/curves"]);
     assert!(viewer.json_on("/run")["waits_for"].is_string());
-    // Of the robot that stands still.
+    // Of the robot that stands still, and was shown before.
+    viewer.subscribe(&["/tf"]);
     viewer.next_on("/tf");
     let points = |curves: Value| curves["agent0"]["sigma"]["value"].as_array().map_or(0, Vec::len);
-    let before = points(viewer.json_on("/curves"));
-    let after = points(viewer.json_on("/curves"));
-    assert!(0 < before && before < after, "{before} points, then {after}");
+    let mut grow_beyond = |before: usize| loop {
+        let found = points(viewer.json_on("/curves"));
+        if found > before {
+            break found;
+        }
+    };
+    let begun = grow_beyond(0);
+    grow_beyond(begun);
     viewer.subscribe(&["/episode"]);
     succeeded(&["checkpoint", folder.to_str().unwrap()]);
     assert_eq!(viewer.json_on("/episode")["step"], 1);
@@ -239,15 +253,15 @@ fn weights(folder: &Path) -> Vec<String> {
 fn a_run_whose_viewer_never_reads_ends_with_the_weights_of_one_without_viewers() {
     let runs = Runs::new();
     let (alone, watched) = (runs.folder("alone"), runs.folder("watched"));
-    let mut shown = Shown::train(&watched, &["run.iterations=40"]);
+    let mut shown = Shown::train(&watched, &["run.iterations=150"]);
     let mut viewer = Viewer::connect(&shown.url);
     viewer.wait_for("/episode");
     let topics = viewer.topics.keys().cloned().collect::<Vec<_>>();
     viewer.subscribe(&topics.iter().map(String::as_str).collect::<Vec<_>>());
     assert!(shown.process.wait().unwrap().success());
-    train(&alone, &["run.iterations=40"]);
+    train(&alone, &["run.iterations=150"]);
     assert_eq!((weights(&watched), inspect(&watched)), (weights(&alone), inspect(&alone)));
-    assert_eq!(weights(&alone).len(), 40);
+    assert_eq!(weights(&alone).len(), 150);
 }
 
 #[test]
@@ -260,12 +274,12 @@ fn whoever_reads_too_slowly_holds_nobody_up_and_misses_what_is_old() {
     assert_eq!(viewer.json_on("/numbers")["number"], 0);
     // More than any socket takes in, and than may wait: no call returns before it is done.
     let filler = "x".repeat(1 << 20);
-    (1..=400).for_each(|number| topic.show(&json!({ "number": number, "filler": filler })));
+    (1..=700).for_each(|number| topic.show(&json!({ "number": number, "filler": filler })));
     let mut seen = vec![0];
-    while seen.last() != Some(&400) {
+    while seen.last() != Some(&700) {
         seen.push(viewer.json_on("/numbers")["number"].as_u64().unwrap());
     }
-    assert!(seen.is_sorted() && seen.len() < 300, "{seen:?}");
+    assert!(seen.is_sorted() && seen.len() < 600, "{seen:?}");
 }
 
 #[test]

@@ -8,7 +8,7 @@ mod shelf;
 mod sink;
 
 use std::collections::BTreeMap;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
 
@@ -26,8 +26,8 @@ use crate::recording::{RecordError, show_episode};
 use shelf::Shelf;
 use sink::{LiveSink, now_nanos};
 
-/// Messages that wait for a slow viewer at most.
-const BACKLOG: usize = 64;
+/// Messages that wait for a slow viewer at most: half a second of the robot with the most topics and the shortest steps.
+const BACKLOG: usize = 512;
 
 /// Why nothing can be shown.
 #[derive(Debug, Error)]
@@ -79,10 +79,15 @@ impl LiveServer {
         Ok(Self { context, shelf, address, _server: server, _network: network })
     }
 
-    /// What is entered under "Open connection" in Foxglove.
+    /// What is entered under "Open connection" in Foxglove; on this machine, where it is served on every address.
     #[must_use]
     pub fn url(&self) -> String {
-        format!("ws://{}", self.address)
+        let here = match self.address.ip() {
+            IpAddr::V4(ip) if ip.is_unspecified() => IpAddr::V4(Ipv4Addr::LOCALHOST),
+            IpAddr::V6(ip) if ip.is_unspecified() => IpAddr::V6(Ipv6Addr::LOCALHOST),
+            ip => ip,
+        };
+        format!("ws://{}", SocketAddr::new(here, self.address.port()))
     }
 
     /// A link that opens Foxglove with this connection.

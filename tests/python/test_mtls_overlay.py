@@ -12,7 +12,7 @@ from conftest import TINY, program, s2mia
 from kustomize import rendered
 
 OVERLAY = Path(__file__).resolve().parents[2] / "deploy" / "k8s" / "overlays" / "mtls"
-PATIENCE_SECS = 60
+PATIENCE_SECS = 600
 
 
 def pod(kind):

@@ -38,6 +38,8 @@ def main() -> None:
     module, _, name = arguments.function.partition(":")
     if not name or not all("=" in setting for setting in arguments.settings):
         parser.error("write PACKAGE.module:FUNCTION NAME=VALUE ...")
+    if arguments.streams < 1:
+        parser.error(f"--streams must be at least 1, is {arguments.streams}")
     settings = {key: value(text) for key, _, text in (setting.partition("=") for setting in arguments.settings)}
     function = getattr(importlib.import_module(module), name)
     server, port = serve(functools.partial(make, function, settings), arguments.listen, arguments.streams)
