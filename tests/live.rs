@@ -3,14 +3,15 @@
 
 #[path = "system/runs.rs"]
 mod runs;
+#[path = "system/trained.rs"]
+mod trained;
 #[path = "system/viewer.rs"]
 mod viewer;
 
 use std::io::{BufRead as _, BufReader};
 use std::net::TcpListener;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::OnceLock;
 use std::time::Instant;
 
 use actor::LiveServer;
@@ -24,14 +25,8 @@ use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 use viewer::Viewer;
 
 /// A finished run of four iterations, shared by all tests.
-fn trained() -> &'static (Runs, PathBuf) {
-    static RUN: OnceLock<(Runs, PathBuf)> = OnceLock::new();
-    RUN.get_or_init(|| {
-        let runs = Runs::new();
-        let folder = runs.folder("trained");
-        train(&folder, &["run.iterations=4"]);
-        (runs, folder)
-    })
+fn trained() -> &'static Path {
+    trained::folder("run.iterations=4")
 }
 
 /// A process that shows a run.
@@ -88,20 +83,13 @@ fn metrics(folder: &Path, kind: &str) -> Vec<Value> {
 fn evaluation(folder: &Path) -> (Environments, PolicySnapshot, Key) {
     let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
     let policy = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
-    let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
-    let settings: toml::Table = settings.parse().unwrap();
-    let task = sim::TaskConfig {
-        task: settings["task"].as_str().unwrap().to_owned(),
-        observation: settings["observation"].clone().try_into().unwrap(),
-        partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
-    };
     let draw = Draw::of(Purpose::EvaluationReset).iteration(loaded.iteration).environment(0);
-    (Environments::new(&task, 1).unwrap(), policy, Key::of(RunSeed(7), draw))
+    (trained::world(folder), policy, Key::of(RunSeed(7), draw))
 }
 
 #[test]
 fn a_finished_run_s_topics_are_those_of_a_recording_with_the_curves_and_what_is_shown() {
-    let shown = Shown::watch(&trained().1);
+    let shown = Shown::watch(trained());
     let mut viewer = Viewer::connect(&shown.url);
     // The last one that is declared.
     viewer.wait_for("/episode");
@@ -126,7 +114,7 @@ fn a_finished_run_s_topics_are_those_of_a_recording_with_the_curves_and_what_is_
 
 #[test]
 fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time() {
-    let folder = &trained().1;
+    let folder = trained();
     let shown = Shown::watch(folder);
     let mut viewer = Viewer::connect(&shown.url);
     let begun = Instant::now();
@@ -171,7 +159,7 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
 
 #[test]
 fn whoever_comes_late_gets_the_scene_and_all_curves_at_once() {
-    let folder = &trained().1;
+    let folder = trained();
     let shown = Shown::watch(folder);
     let mut first = Viewer::connect(&shown.url);
     first.subscribe(&["/scene", "/tf", "/curves"]);
@@ -284,7 +272,7 @@ fn whoever_reads_too_slowly_holds_nobody_up_and_misses_what_is_old() {
 
 #[test]
 fn an_episode_at_which_nobody_looks_breaks_off_after_its_first_step() {
-    let (mut world, policy, key) = evaluation(&trained().1);
+    let (mut world, policy, key) = evaluation(trained());
     let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "alone").unwrap();
     let mut scene = server.scene(&world).unwrap();
     assert!(!scene.is_watched());
@@ -304,7 +292,7 @@ fn a_port_that_is_taken_is_named_before_a_run_begins() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let (listen, watch) = (format!("--listen={address}"), format!("--watch={address}"));
-    let (code, line) = refusal(&["watch", trained().1.to_str().unwrap(), &listen]);
+    let (code, line) = refusal(&["watch", trained().to_str().unwrap(), &listen]);
     assert!(code == Some(2) && line.contains(&format!("--listen {address}: ")), "{line}");
     let runs = Runs::new();
     let folder = runs.folder("never");
@@ -325,7 +313,7 @@ fn a_folder_without_a_checkpoint_is_told_what_it_lacks() {
 
 #[test]
 fn other_machines_see_nothing_unless_they_are_let_in() {
-    let of = trained().1.to_str().unwrap();
+    let of = trained().to_str().unwrap();
     for (arguments, permission) in [
         (&["watch", of, "--listen=0.0.0.0:0"][..], "--insecure-allow-remote "),
         (&["train", "--watch=0.0.0.0:0"], "--insecure-allow-remote-watch "),

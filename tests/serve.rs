@@ -3,11 +3,12 @@
 
 #[path = "system/runs.rs"]
 mod runs;
+#[path = "system/trained.rs"]
+mod trained;
 
 use std::io::{BufRead as _, BufReader, Lines};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
-use std::sync::OnceLock;
 use std::time::Duration;
 
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed, generator};
@@ -22,16 +23,11 @@ use tonic::transport::Channel;
 use tonic::{Code, Request, Status, Streaming};
 
 use runs::{Runs, inspect, s2mia, succeeded, train};
+use trained::world;
 
 /// A finished run of two iterations, shared by all tests.
-fn trained() -> &'static (Runs, PathBuf) {
-    static RUN: OnceLock<(Runs, PathBuf)> = OnceLock::new();
-    RUN.get_or_init(|| {
-        let runs = Runs::new();
-        let folder = runs.folder("trained");
-        train(&folder, &["run.iterations=2"]);
-        (runs, folder)
-    })
+fn trained() -> &'static Path {
+    trained::folder("run.iterations=2")
 }
 
 /// A server of its policies.
@@ -64,18 +60,6 @@ impl Drop for Server {
         let _ended = self.process.kill();
         let _reaped = self.process.wait();
     }
-}
-
-/// The world in which the run's policies were trained.
-fn world(folder: &Path) -> Environments {
-    let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
-    let settings: toml::Table = settings.parse().unwrap();
-    let task = sim::TaskConfig {
-        task: settings["task"].as_str().unwrap().to_owned(),
-        observation: settings["observation"].clone().try_into().unwrap(),
-        partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
-    };
-    Environments::new(&task, 1).unwrap()
 }
 
 /// The first state of the evaluator's episode of this index, after two iterations.
@@ -163,7 +147,7 @@ async fn play(acting: &mut Acting, world: &mut Environments, episode: u32) -> (V
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn whole_episodes_by_the_service_are_the_evaluator_s_bit_for_bit() {
-    let (_, folder) = trained();
+    let folder = trained();
     let server = Server::start(folder, &[]);
     let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
     let snapshot = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
@@ -184,7 +168,7 @@ async fn whole_episodes_by_the_service_are_the_evaluator_s_bit_for_bit() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_service_says_who_acts_and_by_which_weights() {
-    let (_, folder) = trained();
+    let folder = trained();
     let server = Server::start(folder, &[]);
     let described = server.client().await.describe_policy(wire::DescribePolicyRequest {}).await;
     let described = PolicyDescription::from_wire(described.unwrap().into_inner()).unwrap();
@@ -205,7 +189,7 @@ async fn the_service_says_who_acts_and_by_which_weights() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agents_are_asked_together()
  {
-    let (_, folder) = trained();
+    let folder = trained();
     let server = Server::start(folder, &[]);
     let mut world = world(folder);
     reset(&mut world, 0);
@@ -241,7 +225,7 @@ async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agen
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
-    let (_, folder) = trained();
+    let folder = trained();
     let server = Server::start(folder, &[]);
     let seen = observations(&world(folder));
     let (one, mut short, mut wild) = (seen[0].clone(), seen.clone(), seen.clone());
@@ -269,7 +253,7 @@ async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_ends_at_its_deadline_and_when_the_server_is_told_to_stop() {
-    let (_, folder) = trained();
+    let folder = trained();
     let mut server = Server::start(folder, &[]);
     let (sender, queue) = mpsc::channel(1);
     sender.send(ActionChoice::Mean.to_wire()).await.unwrap();
@@ -312,7 +296,7 @@ async fn newer_checkpoints_are_taken_up_between_episodes() {
 
 #[test]
 fn health_is_told_and_other_machines_are_let_in_on_request_only() {
-    let (_, folder) = trained();
+    let folder = trained();
     let server = Server::start(folder, &[]);
     assert!(succeeded(&["health", "--learner", &server.url]).contains("serves"));
     let refused = s2mia(&["serve", folder.to_str().unwrap(), "--listen=0.0.0.0:0"]);

@@ -33,7 +33,6 @@ pub use control::{Orders, SaveError};
 pub use film::FilmedEpisode;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
-use intake::Intake;
 pub use lines::Lines;
 pub use patience::LeaseConfig;
 pub use reports::{Progress, Storage, Wake};
@@ -73,7 +72,6 @@ pub struct Exchange {
     storage: watch::Sender<Storage>,
     orders: Orders,
     lines: watch::Sender<Lines>,
-    intake: Intake,
     traces: Traces,
 }
 
@@ -85,6 +83,8 @@ struct Shared {
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
     chunks_accepted: u64,
+    bytes_taken_in: u64,
+    log_steps_lost: u64,
     film: Option<Arc<FilmedEpisode>>,
     names: Names,
     pace: Pace,
@@ -102,6 +102,8 @@ impl Exchange {
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
             chunks_accepted: 0,
+            bytes_taken_in: 0,
+            log_steps_lost: 0,
             film: None,
             names: Names::default(),
             pace: Pace::default(),
@@ -115,7 +117,6 @@ impl Exchange {
             trainer: Condvar::new(),
             work: Notify::new(),
             storage: watch::Sender::new(Storage::Sound),
-            intake: Intake::default(),
             traces: Traces::begin(),
         })
     }

@@ -69,8 +69,8 @@ impl Exchange {
         Progress {
             steps_collected: counts.chunks * steps,
             chunks_accepted: shared.chunks_accepted,
-            bytes_taken_in: self.intake.bytes(),
-            log_steps_lost: self.intake.log_steps_lost(),
+            bytes_taken_in: shared.bytes_taken_in,
+            log_steps_lost: shared.log_steps_lost,
             weights_bytes: shared.weights.newest_bytes(),
             actors: counts.actors,
             foreign_actors: counts.foreign,

@@ -1,0 +1,32 @@
+//! A finished run that the tests of one file share, and the world in which its policies were trained.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use sim::Environments;
+
+use crate::runs::{Runs, train};
+
+/// The run's folder; whoever asks first trains it, with a setting such as `run.iterations=2`.
+pub(crate) fn folder(iterations: &str) -> &'static Path {
+    static RUN: OnceLock<(Runs, PathBuf)> = OnceLock::new();
+    let (_, folder) = RUN.get_or_init(|| {
+        let runs = Runs::new();
+        let folder = runs.folder("trained");
+        train(&folder, &[iterations]);
+        (runs, folder)
+    });
+    folder
+}
+
+/// The world of a run.
+pub(crate) fn world(folder: &Path) -> Environments {
+    let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
+    let settings: toml::Table = settings.parse().unwrap();
+    let task = sim::TaskConfig {
+        task: settings["task"].as_str().unwrap().to_owned(),
+        observation: settings["observation"].clone().try_into().unwrap(),
+        partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
+    };
+    Environments::new(&task, 1).unwrap()
+}
