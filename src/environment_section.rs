@@ -1,7 +1,7 @@
 //! The section `environment`: who offers it, if not the simulator.
 
 use actor::LogSettings;
-use actor::trajectory_log::Episodes;
+use proto::Episodes;
 use serde::Deserialize;
 use sim::{ObservationConfig, ObservationNorm};
 

@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use actor::LogSettings;
-use actor::trajectory_log::Episodes;
 use anyhow::Context as _;
+use proto::Episodes;
 use tokio::process::{Child, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;

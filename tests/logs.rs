@@ -4,6 +4,7 @@
 #[path = "system/runs.rs"]
 mod runs;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::OnceLock;
@@ -77,7 +78,8 @@ fn joined_logs_hold_whole_episodes() {
     let (status, text) =
         told(&log(&["join".as_ref(), &folder.join("logs"), "--out".as_ref(), &out]));
     assert_eq!(status, Some(0), "{text}");
-    assert!(text.contains("7 episodes, 19 shares, 3,320 steps"), "{text}");
+    let told_of = "7 episodes, 19 shares, 3,320 steps; intrinsic rewards of 16 shares";
+    assert!(text.contains(told_of), "{text}");
     let text = succeeded(&["log", "info", out.to_str().unwrap()]);
     for part in
         ["task                 halfcheetah-6x1", "/tf", "/agents/5", "3,320", "joined_files"]
@@ -86,6 +88,37 @@ fn joined_logs_hold_whole_episodes() {
     }
     let (status, text) = told(&log(&["verify".as_ref(), &out]));
     assert_eq!(status, Some(0), "{text}");
+    assert!(text.contains("intrinsic rewards of 16 shares"), "the log has them now: {text}");
+}
+
+#[test]
+fn intrinsic_rewards_are_the_same_whether_a_run_goes_through_or_is_gone_on_with() {
+    let (runs, folder, _) = logged();
+    let resumed = runs.folder("resumed");
+    // Every second episode of an environment, and every second environment.
+    train(&resumed, &["run.iterations=2", "log.episodes=2"]);
+    let text = resumed.to_str().unwrap();
+    succeeded(&["train", "--resume", text, "run.iterations=4", "log.episodes=all"]);
+    let lines = |folder: &Path, start: u32| {
+        let path = folder.join(format!("logs/rewards-{start:04}.jsonl"));
+        let text = std::fs::read_to_string(path).unwrap();
+        text.lines().map(str::to_owned).collect::<BTreeSet<_>>()
+    };
+    let (whole, first, second) = (lines(folder, 1), lines(&resumed, 1), lines(&resumed, 2));
+    assert_eq!((whole.len(), first.len(), second.len()), (16, 4, 8));
+    assert!(first.is_subset(&whole) && second.is_subset(&whole));
+    let (status, text) = told(&log(&["verify".as_ref(), &resumed.join("logs")]));
+    assert_eq!(status, Some(3), "not every step is logged: {text}");
+    assert!(text.contains("intrinsic rewards of 12 shares"), "{text}");
+}
+
+#[test]
+fn reward_logs_alone_are_refused_in_one_line() {
+    let (_, folder, _) = logged();
+    let alone = folder.join("logs/rewards-0001.jsonl");
+    let (status, text) = told(&log(&["verify".as_ref(), &alone]));
+    assert_eq!(status, Some(2), "{text}");
+    assert!(text.contains("name the trajectory logs") && text.lines().count() == 1, "{text}");
 }
 
 #[test]

@@ -15,6 +15,7 @@ mod join;
 mod records;
 mod recover;
 mod replay;
+mod rewards;
 mod scribe;
 mod shares;
 mod source;
@@ -23,7 +24,7 @@ mod survey;
 pub(crate) mod tests;
 mod witness;
 
-pub use config::{Episodes, LogConfig, LogSettings};
+pub use config::{LogConfig, LogSettings};
 pub use error::LogError;
 pub use index::{EpisodeId, Index};
 pub use join::{Joined, join};

@@ -72,6 +72,7 @@ impl Settings {
             task_settings: serde_json::to_string(&self.task)?,
             seed: RunSeed(1),
             iterations: iterations as u64,
+            logged: proto::Episodes::None,
             run_id: "speed".to_owned(),
             folder: folder.to_path_buf(),
             config_toml: String::new(),

@@ -30,6 +30,21 @@ pub struct Environments {
     faults: u64,
 }
 
+/// What an iteration holds of one episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Share {
+    /// Global index.
+    pub environment: u32,
+    /// Index in the environment.
+    pub episode: u64,
+    /// Steps of the episode before this share.
+    pub first_step: u32,
+    /// Steps of the slot before it.
+    pub slot_step: usize,
+    /// Steps in it.
+    pub steps: usize,
+}
+
 /// Step limit of an environment's first episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Limit {
@@ -76,6 +91,34 @@ impl Environments {
                 .collect(),
         };
         self.starts.chunks(self.layout.per_slot).enumerate().map(slot).collect()
+    }
+
+    /// The shares that an iteration consists of, by environment and episode; to be asked for before it is taken in.
+    #[must_use]
+    pub fn shares(&self, batch: &Batch) -> Vec<Share> {
+        let environments = 0..batch.environments;
+        environments.flat_map(|environment| self.shares_of(environment, batch)).collect()
+    }
+
+    fn shares_of(&self, environment: usize, batch: &Batch) -> Vec<Share> {
+        let mut open = Share {
+            environment: environment as u32,
+            episode: self.finished[environment],
+            first_step: self.episode_length[environment] as u32,
+            slot_step: 0,
+            steps: 0,
+        };
+        let mut shares = Vec::new();
+        for step in 0..batch.steps {
+            open.steps += 1;
+            if batch.done(step * batch.environments + environment) {
+                shares.push(open);
+                let (episode, slot_step) = (open.episode + 1, step + 1);
+                open = Share { episode, first_step: 0, slot_step, steps: 0, ..open };
+            }
+        }
+        shares.extend((open.steps > 0).then_some(open));
+        shares
     }
 
     /// Takes in an iteration: its rewards, and the states at the slots' ends. `rollouts` are those

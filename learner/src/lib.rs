@@ -2,7 +2,7 @@
 //!
 //! [`trainer`] holds the loop that shows the whole data flow. [`service`] faces the network, and
 //! [`exchange`] is where the two meet. Work, its states and its results are in [`slots`]; what a run
-//! leaves on disk is in [`checkpoint`], [`metrics`] and [`provenance`]. The learner never steps a world.
+//! leaves on disk is in [`checkpoint`], [`metrics`], [`provenance`] and [`reward_log`]. The learner never steps a world.
 
 pub mod assemble;
 pub mod canary;
@@ -23,6 +23,7 @@ pub mod metrics;
 pub mod page;
 pub mod provenance;
 pub mod published;
+pub mod reward_log;
 pub mod run;
 pub mod run_folder;
 pub mod schedule;

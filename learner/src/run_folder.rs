@@ -15,6 +15,7 @@ const CONFIG: &str = "config.toml";
 const MANIFEST: &str = "manifest.json";
 const INCARNATION: &str = "incarnation";
 const LOCK: &str = "learner.lock";
+const LOGS: &str = "logs";
 /// Where the learner of the latest start listened.
 const ADDRESS: &str = "address";
 /// Manifest field: whether an actor without a fingerprint ever took part, so that the run is not
@@ -116,6 +117,12 @@ impl RunFolder {
     #[must_use]
     pub fn file(&self, name: &str) -> PathBuf {
         self.path.join(name)
+    }
+
+    /// The folder of trajectory logs.
+    #[must_use]
+    pub fn logs(&self) -> PathBuf {
+        self.file(LOGS)
     }
 
     /// Writes down the settings and the manifest, and counts this start of the run. The count is on

@@ -17,7 +17,7 @@ use rayon::ThreadPool;
 use crate::assemble::{Layout, assemble};
 use crate::checkpoint::{self, Saved};
 use crate::config::Config;
-use crate::environments::Environments;
+use crate::environments::{Environments, Share};
 use crate::error::LearnerError;
 use crate::evaluation::{Evaluated, Evaluations};
 use crate::event::{Event, IterationReport, Stage};
@@ -25,6 +25,7 @@ use crate::exchange::{Exchange, SlotRollout};
 use crate::fault::{self, Fault, Point};
 use crate::metrics::Metrics;
 use crate::provenance::{Origin, Provenance};
+use crate::reward_log::{Paid, RewardLog};
 use crate::run_folder::RunFolder;
 use crate::schedule::Schedule;
 use crate::trainer::collect::{Collected, Patience};
@@ -68,6 +69,8 @@ pub struct Trainer {
     pub(crate) folder: RunFolder,
     pub(crate) metrics: Metrics,
     pub(crate) provenance: Provenance,
+    /// `None`: no episode of training is logged.
+    pub(crate) reward_log: Option<RewardLog>,
     pub(crate) saved: Option<Saved>,
     pub(crate) failed_saves: u32,
     pub(crate) pool: ThreadPool,
@@ -165,6 +168,7 @@ impl Work {
             self.enter(Stage::Update);
             self.trainer.fault_at(Point::AfterCollect);
             let batch = assemble(&self.trainer.layout, &collected.rollouts)?;
+            let shares = self.trainer.environments.shares(&batch);
             self.trainer.environments.advance(&batch, &collected.rollouts);
             self.lease(self.trainer.iteration + 1);
             let learnt = self.trainer.learn(&batch)?;
@@ -173,6 +177,7 @@ impl Work {
             self.lease(self.trainer.iteration);
             self.trainer.fault_at(Point::AfterPublish);
             self.record(&collected, &learnt)?;
+            self.log_rewards(&collected, &shares);
             self.evaluate_if_due()?;
             self.save_if_due();
             self.save_if_asked();
@@ -270,6 +275,20 @@ impl Work {
         trainer.trace(collected.behaviour, &collected.rollouts, &learnt.report)?;
         self.tell(&Event::Iteration(report));
         Ok(())
+    }
+
+    /// What the agents were paid for the steps of the iteration that has just been finished, besides the task's reward.
+    fn log_rewards(&mut self, collected: &Collected, shares: &[Share]) {
+        let Trainer { reward_log, surprise, layout, iteration, .. } = &mut self.trainer;
+        let Some(log) = reward_log else { return };
+        log.take(Paid {
+            iteration: *iteration - 1,
+            weights: collected.behaviour.digest,
+            shares,
+            rewards: &surprise.intrinsic_rewards(),
+            environments: layout.environments(),
+        });
+        self.outside.exchange.count_lost_log_steps(log.newly_lost());
     }
 
     /// Begins an evaluation of the newest policies if it is due; one that is still out comes first.

@@ -107,6 +107,14 @@ impl Surprise {
         self.agents.par_iter().map(agent).collect()
     }
 
+    /// Eq. (9), its second term alone: `alpha log p_theta^i(o_t^i)`, per agent `[T, B]`, which [`Surprise::relabel`]
+    /// adds to the reward of the batch that was refitted on.
+    #[must_use]
+    pub fn intrinsic_rewards(&self) -> Rewards {
+        let reward = |score: &f64| (self.rule.alpha * score) as f32;
+        self.agents.iter().map(|agent| agent.scores().iter().map(reward).collect()).collect()
+    }
+
     /// The densities as arrays, `density/agent_I.NAME`.
     ///
     /// # Errors
@@ -258,6 +266,17 @@ mod tests {
         surprise.refit(&batch, 0).unwrap();
         let rewards = surprise.relabel(&batch);
         assert_eq!(rewards[0], rewards[1]);
+    }
+
+    #[test]
+    fn relabelling_adds_the_intrinsic_reward() {
+        let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
+        let mut surprise = surprise(0.1, 2);
+        surprise.refit(&batch, 0).unwrap();
+        let (relabelled, added) = (surprise.relabel(&batch), surprise.intrinsic_rewards());
+        for (relabelled, added) in relabelled.iter().flatten().zip(added.iter().flatten()) {
+            assert!(*added < 0.0 && (relabelled - (2.0 + added)).abs() < 1e-6);
+        }
     }
 
     #[test]

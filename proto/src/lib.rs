@@ -12,6 +12,7 @@ mod environment;
 mod film;
 mod ids;
 mod line;
+mod logged;
 mod play;
 mod read;
 mod refusal;
@@ -38,6 +39,7 @@ pub use environment::{
 pub use film::{Film, MAX_CAPSULES, MAX_FRAMES};
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
 pub use line::{EvaluationSummary, RunEnd, RunLine};
+pub use logged::{Episodes, ShareRewards, is_reward_log_name, reward_log_name, rollout_episode_id};
 pub use play::{PlayRequest, Steps, View, saved_state};
 pub use refusal::{ERROR_DOMAIN, Reason, Refusal};
 pub use run::RunDescription;

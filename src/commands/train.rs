@@ -6,10 +6,10 @@ mod verify;
 use std::path::Path;
 use std::time::Instant;
 
-use actor::trajectory_log::Episodes;
 use actor::{LiveServer, Transport};
 use anyhow::Context as _;
 use learner::{LearnerError, Summary};
+use proto::Episodes;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 

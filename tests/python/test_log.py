@@ -73,6 +73,32 @@ def test_training_is_logged_step_by_step(shares):
     assert all(head.attempt == 0 and head.seed == 7 for head, _ in rollouts)
 
 
+def test_intrinsic_rewards_have_the_mean_that_the_metrics_tell(logged, shares):
+    lines = [json.loads(line) for line in (logged / "metrics.jsonl").read_text().splitlines()]
+    told = [line for line in lines if line["kind"] == "iteration"]
+    assert len(told) == ITERATIONS
+    for line in told:
+        # An iteration is told when it is finished, and shares belong to the one that is under way.
+        steps = [agents for head, steps, _ in shares if head.kind == 1 and head.iteration + 1 == line["iteration"] for agents, _ in steps]
+        assert len(steps) == STEPS_PER_ITERATION
+        for agent in range(AGENTS):
+            found = sum(agents[agent].intrinsic_reward for agents in steps) / len(steps)
+            assert found != 0
+            assert found == pytest.approx(line[f"agent{agent}/surprise_bonus_mean"], rel=1e-5)
+
+
+def test_evaluations_have_no_intrinsic_reward(shares):
+    steps = [(head.kind, agents) for head, steps, _ in shares for agents, _ in steps]
+    assert all(agent.HasField("intrinsic_reward") == (kind == 1) for kind, agents in steps for agent in agents)
+
+
+def test_a_line_of_the_reward_log_is_as_the_documentation_shows_it(logged):
+    block = (ROOT / "docs" / "LOGS.md").read_text().split("```json\n")[1].split("```")[0]
+    line = json.loads((logged / "logs" / "rewards-0001.jsonl").read_text().splitlines()[0])
+    assert list(json.loads(block)) == list(line)
+    assert len(line["intrinsic_reward"]) == AGENTS
+
+
 def test_shares_of_an_episode_follow_one_another(shares):
     ends = {}
     for head, _, end in shares:

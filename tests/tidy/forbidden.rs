@@ -79,6 +79,7 @@ const PLACES: [(&str, &[&str], &str); 2] = [
             "learner/src/json_lines",
             "learner/src/metrics",
             "learner/src/page/memory",
+            "learner/src/reward_log",
             "learner/src/run_folder",
         ],
         "touch the disk",

@@ -6,11 +6,10 @@ use std::io::BufWriter;
 use std::path::PathBuf;
 
 use prost::Message;
-use proto::RunDescription;
 use proto::trajectory_log::DESCRIPTORS;
+use proto::{Episodes, RunDescription};
 use sim::TaskConfig;
 
-use super::config::Episodes;
 use super::shares::{LoggedShare, LoggedStep, ReadShares};
 use super::{LogError, METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
 use crate::recording::robot::RobotChannels;

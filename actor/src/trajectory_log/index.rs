@@ -5,9 +5,11 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use prost::Message;
-use proto::trajectory_log::{Kind, Share};
+use proto::trajectory_log::{AgentStep, Kind, Share};
+use proto::{is_reward_log_name, rollout_episode_id};
 use sha2::{Digest as _, Sha256};
 
+use super::rewards::{About, RewardLines};
 use super::shares::{LoggedShare, ReadShares, read_shares};
 use super::{LogError, read_bytes};
 
@@ -43,7 +45,9 @@ impl EpisodeId {
 impl fmt::Display for EpisodeId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Rollout { environment, episode } => write!(f, "rollout-{environment}-{episode}"),
+            Self::Rollout { environment, episode } => {
+                f.write_str(&rollout_episode_id(*environment, *episode))
+            }
             Self::Evaluation { iteration, episode } => {
                 write!(f, "evaluation-{iteration}-{episode}")
             }
@@ -57,9 +61,11 @@ pub(super) struct Part {
     pub(super) file: usize,
     /// Times of its first and last message.
     pub(super) nanos: (u64, u64),
-    steps: u32,
-    /// Of everything in it but who computed it.
+    about: About,
+    /// Of everything in it but who computed it and what a learner makes of it.
     digest: [u8; 32],
+    /// It knows its intrinsic rewards.
+    paid: bool,
 }
 
 /// Shares of several logs of one run.
@@ -70,6 +76,7 @@ pub struct Index {
     pub(super) log: ReadShares,
     /// By episode and first step; only shares that differ have more than one part.
     pub(super) parts: BTreeMap<EpisodeId, BTreeMap<u32, Vec<Part>>>,
+    pub(super) rewards: RewardLines,
     copies: u64,
     torn_steps: u64,
     /// Shares and steps.
@@ -77,11 +84,20 @@ pub struct Index {
 }
 
 impl Index {
-    /// Reads a log and takes its shares in; every checksum and schema is checked.
+    /// Reads a log and takes its shares in; every checksum and schema is checked. Of a learner's reward log, which is
+    /// known by its name, it takes the intrinsic rewards.
     ///
     /// # Errors
     /// If the file cannot be read whole, or is of another run than those before.
     pub fn add(&mut self, path: &Path) -> Result<(), LogError> {
+        let name = path.file_name().and_then(|name| name.to_str());
+        match name.is_some_and(is_reward_log_name) {
+            true => self.rewards.add(path),
+            false => self.add_log(path),
+        }
+    }
+
+    fn add_log(&mut self, path: &Path) -> Result<(), LogError> {
         let bytes = read_bytes(path)?;
         let file = self.files.len();
         let log = read_shares(&bytes, |share, nanos| {
@@ -106,14 +122,25 @@ impl Index {
     }
 
     fn take(&mut self, file: usize, share: &LoggedShare, nanos: (u64, u64)) {
-        let part = Part { file, nanos, steps: share.steps.len() as u32, digest: digest(share) };
+        let (about, digest, paid) = (about(share), digest(share), is_paid(share));
+        let part = Part { file, nanos, about, digest, paid };
         let episode = self.parts.entry(EpisodeId::of(&share.head)).or_default();
         let there = episode.entry(share.head.first_step).or_default();
-        if there.iter().any(|other| other.digest == part.digest) {
-            self.copies += 1;
-        } else {
-            there.push(part);
+        match there.iter_mut().find(|other| other.digest == part.digest) {
+            None => there.push(part),
+            Some(other) => {
+                self.copies += 1;
+                if part.paid && !other.paid {
+                    *other = part;
+                }
+            }
         }
+    }
+
+    /// Number of trajectory logs.
+    #[must_use]
+    pub fn logs(&self) -> usize {
+        self.files.len()
     }
 
     /// Number of episodes of which something is there.
@@ -126,7 +153,21 @@ impl Index {
     #[must_use]
     pub fn shares_and_steps(&self) -> (u64, u64) {
         let parts = self.parts.values().flat_map(BTreeMap::values).flatten();
-        parts.fold((0, 0), |(shares, steps), part| (shares + 1, steps + u64::from(part.steps)))
+        parts
+            .fold((0, 0), |(shares, steps), part| (shares + 1, steps + u64::from(part.about.steps)))
+    }
+
+    /// Shares whose intrinsic rewards are known.
+    #[must_use]
+    pub fn paid(&self) -> usize {
+        let episode = |(id, parts): (&EpisodeId, &BTreeMap<u32, Vec<Part>>)| {
+            let id = id.to_string();
+            let paid = |(first, parts): &(&u32, &Vec<Part>)| {
+                parts[0].paid || self.rewards.hold(&id, **first)
+            };
+            parts.iter().filter(paid).count()
+        };
+        self.parts.iter().map(episode).sum()
     }
 
     /// Shares that were computed once more, alike.
@@ -147,7 +188,7 @@ impl Index {
         self.lost
     }
 
-    /// Where two shares say different things about the same steps.
+    /// Where two shares say different things about the same steps, or intrinsic rewards belong to others.
     #[must_use]
     pub fn contradictions(&self) -> Vec<String> {
         let mut found = Vec::new();
@@ -157,8 +198,13 @@ impl Index {
                 let [one, other] = files;
                 found.push(format!("{episode} from step {first} on: {one} and {other} differ"));
             }
+            let id = episode.to_string();
+            let paid = parts.iter().filter_map(|(first, parts)| {
+                self.rewards.contradiction(&id, *first, &parts[0].about)
+            });
+            found.extend(paid);
             for (first, next) in parts.keys().zip(parts.keys().skip(1)) {
-                let end = first + parts[first][0].steps;
+                let end = first + parts[first][0].about.steps;
                 if end > *next {
                     found.push(format!("{episode}: steps {next} to {} are in two shares", end - 1));
                 }
@@ -177,7 +223,7 @@ impl Index {
                 if *first > next {
                     found.push(format!("{episode}: steps {next} to {}", first - 1));
                 }
-                next = first + parts[0].steps;
+                next = first + parts[0].about.steps;
             }
         }
         found
@@ -202,11 +248,27 @@ fn same_run(one: &ReadShares, other: &ReadShares) -> bool {
         .all(|word| one.words.get(*word) == other.words.get(*word))
 }
 
+fn about(share: &LoggedShare) -> About {
+    let weights = share.head.weights_sha256.iter().map(|byte| format!("{byte:02x}"));
+    About {
+        steps: share.steps.len() as u32,
+        iteration: share.head.iteration,
+        weights_sha256: weights.collect(),
+    }
+}
+
+fn is_paid(share: &LoggedShare) -> bool {
+    share.steps.iter().flat_map(|step| &step.agents).any(|agent| agent.intrinsic_reward.is_some())
+}
+
 fn digest(share: &LoggedShare) -> [u8; 32] {
     let mut hash = Sha256::new();
     hash.update(&share.head.environment_state);
     for step in &share.steps {
-        step.agents.iter().for_each(|agent| hash.update(agent.encode_length_delimited_to_vec()));
+        for agent in &step.agents {
+            let unpaid = AgentStep { intrinsic_reward: None, ..agent.clone() };
+            hash.update(unpaid.encode_length_delimited_to_vec());
+        }
         hash.update(step.step.encode_length_delimited_to_vec());
     }
     hash.update(share.end.encode_length_delimited_to_vec());

@@ -36,7 +36,9 @@ pub fn join(index: &Index, out: &Path) -> Result<Joined, LogError> {
     let origin = Origin::of_log(&index.log)?.with("joined_files", sources.len().to_string());
     let mut file = LogFile::begin(target, &origin)?;
     for part in index.parts.values().flat_map(|parts| parts.values()).flatten() {
-        file.write(&sources[part.file].share(part)?)?;
+        let mut share = sources[part.file].share(part)?;
+        index.rewards.fill(&mut share)?;
+        file.write(&share)?;
     }
     file.finish(index.lost())?;
     draft.publish()?;

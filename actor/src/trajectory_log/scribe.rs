@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
-use proto::{EvaluationWork, Lease, RolloutWork, RunDescription};
+use proto::{Episodes, EvaluationWork, Lease, RolloutWork, RunDescription};
 use sim::{Environments, TaskConfig};
 
-use super::config::{Episodes, LogConfig};
+use super::config::LogConfig;
 use super::file::{LogFile, Origin};
 use super::shares::LoggedShare;
 use super::witness::{EvaluationWitness, Rollout, RolloutWitness};

@@ -3,6 +3,7 @@
 mod damage;
 #[path = "../../tests/actor/fixture.rs"]
 pub(crate) mod fixture;
+mod rewards;
 mod several;
 mod whole;
 
@@ -12,13 +13,13 @@ use std::sync::Arc;
 
 use policy::{Draw, Purpose, RunSeed, generator};
 use proto::{
-    Digest, EnvironmentStart, EvaluationWork, Incarnation, Lease, LeaseId, PolicyVersion,
+    Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId, PolicyVersion,
     RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
 };
 
 use super::shares::{LoggedShare, ReadShares, read_shares};
 use super::source::read_bytes;
-use super::{Desk, Episodes, Log, LogConfig, LogSettings};
+use super::{Desk, Log, LogConfig, LogSettings};
 use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::play_on;
 use fixture::{fresh_work, policy, run, task, world};

@@ -1,10 +1,12 @@
 //! What the stepping thread collects for a log while it works a lease off. It only looks, and only at what is logged.
 
 use proto::trajectory_log::{AgentStep, FinalObservation, Kind, Share, ShareEnd, Step};
-use proto::{EvaluationWork, Lease, RolloutWork, RunDescription, TrajectoryChunk};
+use proto::{
+    Episodes, EvaluationWork, Lease, RolloutWork, RunDescription, TrajectoryChunk,
+    rollout_episode_id,
+};
 use sim::{Environments, Pose};
 
-use super::config::Episodes;
 use super::shares::{LoggedShare, LoggedStep};
 use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::PlayedStep;
@@ -87,7 +89,7 @@ impl<'a> RolloutWitness<'a> {
             return None;
         }
         let head = Share {
-            episode_id: format!("rollout-{environment}-{episode}"),
+            episode_id: rollout_episode_id(environment, episode),
             first_step: world.episode_step(position),
             environment,
             episode,
@@ -173,7 +175,7 @@ impl EvaluationWitness {
         let agent = |(observation, size): (Vec<f32>, &usize)| {
             let (action, others) = rest.split_at(*size);
             rest = others;
-            AgentStep { observation, action: action.to_vec(), log_prob: None }
+            AgentStep { observation, action: action.to_vec(), ..AgentStep::default() }
         };
         let agents = observations.into_iter().zip(&self.sizes).map(agent).collect();
         let sim::Outcome { reward, terminated, truncated, .. } = played.outcome;

@@ -69,6 +69,28 @@ fn environments_are_numbered_over_all_slots() {
 }
 
 #[test]
+fn an_iteration_consists_of_what_it_holds_of_each_episode() {
+    let share = |environment, episode, first_step, slot_step, steps| Share {
+        environment,
+        episode,
+        first_step,
+        slot_step,
+        steps,
+    };
+    let mut environments = Environments::fresh(layout(), 10, Phase::Lockstep);
+    // Environment 1 ends an episode with its second step.
+    let first = batch([0.0; 6], &[3]);
+    let expected = [share(0, 0, 0, 0, 3), share(1, 0, 0, 0, 2), share(1, 1, 0, 2, 1)];
+    assert_eq!(environments.shares(&first), expected);
+    environments.advance(&first, &[rollout()]);
+    // Environment 0 ends one with its last step.
+    let second = batch([0.0; 6], &[4]);
+    assert_eq!(environments.shares(&second), [share(0, 0, 3, 0, 3), share(1, 1, 1, 0, 3)]);
+    environments.advance(&second, &[rollout()]);
+    assert_eq!(environments.shares(&second)[0], share(0, 1, 0, 0, 3));
+}
+
+#[test]
 fn an_episode_cut_before_its_limit_is_counted_as_a_fault() {
     // Limits 2 and 4: environment 0 ends by rule after step 1; environment 1's end after step 0 is a fault.
     let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);

@@ -8,7 +8,8 @@ impl Exchange {
         self.lock().bytes_taken_in += bytes as u64;
     }
 
-    /// An actor's trajectory log lost `steps`. An actor may claim any number, which stops at the highest there is.
+    /// A log lost `steps`, an actor's or the learner's own. An actor may claim any number, which stops at the highest
+    /// there is.
     pub fn count_lost_log_steps(&self, steps: u64) {
         let mut shared = self.lock();
         shared.log_steps_lost = shared.log_steps_lost.saturating_add(steps);

@@ -34,7 +34,7 @@ pub struct Progress {
     pub chunks_accepted: u64,
     /// Bytes of results that came in since the learner started.
     pub bytes_taken_in: u64,
-    /// Steps that actors' trajectory logs lost since the learner started.
+    /// Steps that actors' trajectory logs and the learner's reward log lost since the learner started.
     pub log_steps_lost: u64,
     /// Size of the newest weights.
     pub weights_bytes: u64,

@@ -110,7 +110,7 @@ impl Sheet {
         self.counters("chunks", "Chunks of trajectories", chunks);
         let help = "Size of all messages with trajectories and evaluations";
         self.counter("ingest_bytes", help, progress.bytes_taken_in);
-        let help = "Steps of episodes that actors' trajectory logs lost";
+        let help = "Steps of episodes that trajectory and reward logs lost";
         self.counter("log_dropped", help, progress.log_steps_lost);
         let refusals = progress.refusals.into_iter();
         let refusals = refusals.map(|(reason, count)| (vec![("reason", reason)], count));

@@ -4,15 +4,12 @@ use actor::trajectory_log::Index;
 
 use crate::chart::thousands;
 use crate::cli::LogFiles;
-use crate::commands::log::{Incomplete, in_file, paths};
+use crate::commands::log::{Incomplete, index};
 use crate::output;
 
 /// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only something is missing.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
-    let mut index = Index::default();
-    for path in paths(logs)? {
-        in_file(&path, index.add(&path))?;
-    }
+    let index = index(logs)?;
     output::line(told(&index));
     let contradictions = index.contradictions();
     contradictions.iter().for_each(output::line);
@@ -32,9 +29,9 @@ pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
 fn told(index: &Index) -> String {
     let (shares, steps) = index.shares_and_steps();
     let [episodes, shares, steps] = [index.episodes() as u64, shares, steps].map(thousands);
-    let (copies, lost) = (thousands(index.copies()), thousands(index.lost().0));
+    let [paid, copies, lost] = [index.paid() as u64, index.copies(), index.lost().0].map(thousands);
     format!(
-        "checksums and schemas are right: {episodes} episodes, {shares} shares, {steps} steps; {copies} shares \
-         computed again, alike; {lost} shares lost by their actors"
+        "checksums and schemas are right: {episodes} episodes, {shares} shares, {steps} steps; intrinsic rewards of \
+         {paid} shares; {copies} shares computed again, alike; {lost} shares lost by their actors"
     )
 }

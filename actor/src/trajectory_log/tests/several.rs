@@ -2,12 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use proto::EvaluationWork;
+use proto::{Episodes, EvaluationWork};
 
 use super::fixture::fresh_work;
 use super::{WHOLE, evaluate, files, next_work, read, roll, start};
 use crate::trajectory_log::source::read_bytes;
-use crate::trajectory_log::{Episodes, Index, join, replay};
+use crate::trajectory_log::{Index, join, replay};
 
 /// Two slots, one after the other, by two actors; the second actor plays an evaluation, too.
 fn two_actors(folder: &std::path::Path) {

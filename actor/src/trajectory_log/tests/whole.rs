@@ -1,13 +1,13 @@
 //! One log: what goes in, comes out.
 
-use proto::EvaluationWork;
 use proto::trajectory_log::Kind;
+use proto::{Episodes, EvaluationWork};
 
 use super::fixture::{ENVIRONMENTS, fresh_work, run, task};
 use super::{WHOLE, evaluate, files, next_work, read, roll, slot_log, start};
 use crate::trajectory_log::file::{LogFile, Origin};
 use crate::trajectory_log::source::{new_log, read_bytes};
-use crate::trajectory_log::{Episodes, LoggedShare, replay, survey, totals};
+use crate::trajectory_log::{LoggedShare, replay, survey, totals};
 
 #[test]
 fn a_slot_is_cut_where_its_episodes_end() {

@@ -1,0 +1,180 @@
+//! Intrinsic rewards, which a learner logs, find the steps that they were paid for.
+
+use std::path::{Path, PathBuf};
+
+use proto::{ShareRewards, reward_log_name};
+
+use super::{files, read, slot_log};
+use crate::trajectory_log::{Index, LoggedShare, join};
+
+/// What a learner would pay for a share: -1, -2, ... to the first agent, less by a tenth to every next one.
+fn paid(share: &LoggedShare) -> ShareRewards {
+    let reward = |agent: usize, step: usize| -((step + 1) as f32) - 0.1 * agent as f32;
+    let agents = 0..share.steps[0].agents.len();
+    let steps = |agent| (0..share.steps.len()).map(|step| reward(agent, step)).collect();
+    ShareRewards {
+        episode_id: share.head.episode_id.clone(),
+        first_step: share.head.first_step,
+        iteration: share.head.iteration,
+        weights_sha256: proto::Digest(share.head.weights_sha256.clone().try_into().unwrap())
+            .to_string(),
+        intrinsic_reward: agents.map(steps).collect(),
+    }
+}
+
+fn lines(rewards: &[ShareRewards]) -> String {
+    rewards.iter().map(|line| serde_json::to_string(line).unwrap() + "\n").collect()
+}
+
+/// A log of three shares, and what a learner would pay for them, in the order in which they are joined.
+fn logged(folder: &Path) -> Vec<ShareRewards> {
+    let mut rewards: Vec<_> = read(&slot_log(folder).0).1.iter().map(paid).collect();
+    rewards.sort_by_key(|line| line.episode_id.clone());
+    rewards
+}
+
+fn reward_log(folder: &Path, start: u64, text: &str) -> PathBuf {
+    let path = folder.join(reward_log_name(start));
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn index(paths: &[PathBuf]) -> Index {
+    let mut index = Index::default();
+    paths.iter().for_each(|path| index.add(path).unwrap());
+    index
+}
+
+fn joined(folder: &Path, paths: &[PathBuf]) -> Vec<LoggedShare> {
+    let out = folder.join("joined.mcap");
+    join(&index(paths), &out).unwrap();
+    read(&out).1
+}
+
+fn found(shares: &[LoggedShare]) -> Vec<Vec<Vec<Option<f32>>>> {
+    let agents = |share: &LoggedShare| 0..share.steps[0].agents.len();
+    let of = |share: &LoggedShare, agent: usize| {
+        share.steps.iter().map(|step| step.agents[agent].intrinsic_reward).collect()
+    };
+    shares.iter().map(|share| agents(share).map(|agent| of(share, agent)).collect()).collect()
+}
+
+fn expected(rewards: &[ShareRewards]) -> Vec<Vec<Vec<Option<f32>>>> {
+    let some = |steps: &Vec<f32>| steps.iter().copied().map(Some).collect();
+    rewards.iter().map(|line| line.intrinsic_reward.iter().map(some).collect()).collect()
+}
+
+#[test]
+fn joined_steps_have_the_rewards_that_the_learner_logged_for_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let rewards = logged(folder.path());
+    // Whatever the order of the lines, and though a learner that was started again has paid some once more.
+    reward_log(folder.path(), 1, &lines(&[rewards[2].clone(), rewards[0].clone()]));
+    reward_log(folder.path(), 2, &lines(&rewards));
+    let paths = files(folder.path());
+    let all = index(&paths);
+    assert_eq!((all.paid(), all.contradictions()), (3, Vec::new()));
+    let shares = joined(folder.path(), &paths);
+    assert_eq!(found(&shares), expected(&rewards));
+}
+
+#[test]
+fn shares_without_a_line_stay_without_and_half_a_line_counts_as_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let rewards = logged(folder.path());
+    let text = lines(&rewards);
+    let half = text.len() - 20;
+    reward_log(folder.path(), 1, &text[..half]);
+    assert_eq!(index(&files(folder.path())).paid(), 2);
+    let shares = joined(folder.path(), &files(folder.path()));
+    assert_eq!(found(&shares)[..2], expected(&rewards)[..2]);
+    assert!(found(&shares)[2].iter().flatten().all(Option::is_none));
+}
+
+#[test]
+fn a_joined_log_keeps_its_rewards_when_it_is_joined_again_with_what_it_was_made_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let rewards = logged(folder.path());
+    let (raw, out) = (files(folder.path()).remove(0), folder.path().join("joined.mcap"));
+    reward_log(folder.path(), 1, &lines(&rewards));
+    joined(folder.path(), &files(folder.path()));
+    for order in [[raw.clone(), out.clone()], [out, raw]] {
+        let index = index(&order);
+        assert_eq!((index.paid(), index.copies()), (3, 3));
+        let out = folder.path().join("again.mcap");
+        join(&index, &out).unwrap();
+        assert_eq!(found(&read(&out).1), expected(&rewards));
+        std::fs::remove_file(out).unwrap();
+    }
+}
+
+/// The one contradiction of a log and the reward logs beside it, which keeps it from being joined.
+fn contradiction(folder: &Path) -> String {
+    let index = index(&files(folder));
+    let found = index.contradictions();
+    let refused = join(&index, &folder.join("joined.mcap")).unwrap_err().to_string();
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert_eq!(found[0], refused);
+    refused
+}
+
+#[test]
+fn rewards_of_other_steps_or_weights_contradict_the_share() {
+    let changes: [fn(&mut ShareRewards); 3] = [
+        |line| line.weights_sha256 = "0".repeat(64),
+        |line| line.iteration += 1,
+        |line| line.intrinsic_reward.iter_mut().for_each(|steps| steps.push(0.0)),
+    ];
+    for change in changes {
+        let folder = tempfile::tempdir().unwrap();
+        let mut rewards = logged(folder.path());
+        change(&mut rewards[1]);
+        let path = reward_log(folder.path(), 1, &lines(&rewards));
+        let expected = format!("{} is about other steps or weights than the share", path.display());
+        let found = contradiction(folder.path());
+        assert_eq!(found, format!("rollout-6-1 from step 0 on: {expected}"));
+    }
+}
+
+#[test]
+fn rewards_of_one_share_that_differ_are_a_contradiction() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rewards = logged(folder.path());
+    let first = reward_log(folder.path(), 1, &lines(&rewards));
+    rewards[1].intrinsic_reward[0][0] = 7.0;
+    let second = reward_log(folder.path(), 2, &lines(&rewards));
+    let expected = format!("{} and {} differ", first.display(), second.display());
+    let found = contradiction(folder.path());
+    assert_eq!(found, format!("rollout-6-1 from step 0 on: {expected}"));
+}
+
+#[test]
+fn rewards_of_another_number_of_agents_are_refused_and_leave_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rewards = logged(folder.path());
+    rewards[0].intrinsic_reward.pop();
+    reward_log(folder.path(), 1, &lines(&rewards));
+    let paths = files(folder.path());
+    let refused = join(&index(&paths), &folder.path().join("joined.mcap")).unwrap_err().to_string();
+    assert!(refused.contains("rollout-6-0 is paid to 1 agents, not to 2"), "{refused}");
+    assert_eq!(files(folder.path()), paths);
+}
+
+#[test]
+fn a_line_that_is_none_of_a_reward_log_is_named_by_its_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let rewards = logged(folder.path());
+    let mut uneven = rewards[0].clone();
+    uneven.intrinsic_reward[1].pop();
+    for (wrong, part) in [
+        ("{\"iteration\": 4}\n".to_owned(), "missing field"),
+        ("\u{1}\n".to_owned(), "expected value"),
+        (lines(&[uneven]), "not paid for as many steps"),
+        (lines(&rewards[..1]).replace("{\"ep", "{\"newer\":1,\"ep"), "unknown field `newer`"),
+    ] {
+        let path = reward_log(folder.path(), 1, &(lines(&rewards[1..2]) + &wrong));
+        let line = Index::default().add(&path).unwrap_err().to_string();
+        assert!(line.starts_with("line 2 is none of a reward log: "), "{line}");
+        assert!(line.contains(part) && !line.contains('\n'), "{line}");
+    }
+}
