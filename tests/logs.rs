@@ -35,12 +35,16 @@ fn told(output: &Output) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8(text).unwrap())
 }
 
-fn logs(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder.join("logs")).unwrap();
+fn files(folder: &Path, kind: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap();
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
-    paths.retain(|path| path.extension().is_some_and(|extension| extension == "mcap"));
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == kind));
     paths.sort();
     paths
+}
+
+fn logs(folder: &Path) -> Vec<PathBuf> {
+    files(&folder.join("logs"), "mcap")
 }
 
 #[test]
@@ -62,6 +66,7 @@ fn every_step_of_the_run_is_logged_once_and_can_be_repeated() {
     let (_, folder, closing) = logged();
     // 4 x 80 steps of training, 3 evaluations of an episode of 1,000.
     assert!(closing.contains("logged 3,320 steps in 19 shares of episodes"), "{closing}");
+    assert!(closing.contains("with intrinsic rewards of 16; "), "{closing}");
     assert!(closing.contains("0 shares lost, 0 files not finished"), "{closing}");
     let (status, text) = told(&log(&["verify".as_ref(), &folder.join("logs")]));
     assert_eq!(status, Some(0), "{text}");
@@ -78,7 +83,8 @@ fn joined_logs_hold_whole_episodes() {
     let (status, text) =
         told(&log(&["join".as_ref(), &folder.join("logs"), "--out".as_ref(), &out]));
     assert_eq!(status, Some(0), "{text}");
-    let told_of = "7 episodes, 19 shares, 3,320 steps; intrinsic rewards of 16 shares";
+    let told_of =
+        "7 episodes, 19 shares, 3,320 steps; intrinsic rewards of 16 of 16 training shares";
     assert!(text.contains(told_of), "{text}");
     let text = succeeded(&["log", "info", out.to_str().unwrap()]);
     for part in
@@ -88,7 +94,10 @@ fn joined_logs_hold_whole_episodes() {
     }
     let (status, text) = told(&log(&["verify".as_ref(), &out]));
     assert_eq!(status, Some(0), "{text}");
-    assert!(text.contains("intrinsic rewards of 16 shares"), "the log has them now: {text}");
+    assert!(
+        text.contains("intrinsic rewards of 16 of 16 training shares"),
+        "the log has them now: {text}"
+    );
 }
 
 #[test]
@@ -109,7 +118,47 @@ fn intrinsic_rewards_are_the_same_whether_a_run_goes_through_or_is_gone_on_with(
     assert!(first.is_subset(&whole) && second.is_subset(&whole));
     let (status, text) = told(&log(&["verify".as_ref(), &resumed.join("logs")]));
     assert_eq!(status, Some(3), "not every step is logged: {text}");
-    assert!(text.contains("intrinsic rewards of 12 shares"), "{text}");
+    assert!(text.contains("intrinsic rewards of 12 of 12 training shares"), "{text}");
+}
+
+#[test]
+fn a_learner_s_folder_and_an_actor_s_are_joined_though_each_has_one_kind_of_log() {
+    let (runs, folder, _) = logged();
+    let (rewards, trajectories) = (runs.folder("of_learner"), runs.folder("of_actors"));
+    for (to, extension) in [(&rewards, "jsonl"), (&trajectories, "mcap")] {
+        std::fs::create_dir(to).unwrap();
+        for path in files(&folder.join("logs"), extension) {
+            std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+        }
+    }
+    let out = runs.folder("of_both.mcap");
+    let (status, text) =
+        told(&log(&["join".as_ref(), &rewards, &trajectories, "--out".as_ref(), &out]));
+    assert_eq!(status, Some(0), "{text}");
+    assert!(text.contains("intrinsic rewards of 16 of 16 training shares"), "{text}");
+    let (status, text) = told(&log(&["replay".as_ref(), &rewards]));
+    assert_eq!(status, Some(2), "{text}");
+    assert!(text.contains("no trajectories-*.mcap in"), "{text}");
+}
+
+#[test]
+fn a_damaged_line_of_rewards_is_named_and_costs_its_share_alone() {
+    let (runs, folder, _) = logged();
+    let damaged = runs.folder("rewards-0009.jsonl");
+    let text = std::fs::read_to_string(folder.join("logs/rewards-0001.jsonl")).unwrap();
+    let (first, rest) = text.split_once('\n').unwrap();
+    std::fs::write(&damaged, format!("{}\n{rest}", first.replacen("0.0", "0.1", 1))).unwrap();
+    let part = "1 damaged lines, first line 1: its checksum is not that of its content";
+    let all = logs(folder);
+    let paths: Vec<&Path> = all.iter().map(PathBuf::as_path).chain([&*damaged]).collect();
+    let (status, text) = told(&log(&[&["verify".as_ref()], &paths[..]].concat()));
+    assert_eq!(status, Some(1), "{text}");
+    assert!(text.contains(part), "{text}");
+    let out = runs.folder("without_one.mcap");
+    let (status, text) =
+        told(&log(&[&["join".as_ref(), "--out".as_ref(), &*out], &paths[..]].concat()));
+    assert_eq!(status, Some(3), "{text}");
+    assert!(text.contains("rewards of 15 of 16") && text.contains(part), "{text}");
 }
 
 #[test]
@@ -119,6 +168,9 @@ fn reward_logs_alone_are_refused_in_one_line() {
     let (status, text) = told(&log(&["verify".as_ref(), &alone]));
     assert_eq!(status, Some(2), "{text}");
     assert!(text.contains("name the trajectory logs") && text.lines().count() == 1, "{text}");
+    let (status, text) = told(&log(&["info".as_ref(), &alone]));
+    assert_eq!(status, Some(2), "{text}");
+    assert!(text.contains("is a reward log") && text.lines().count() == 1, "{text}");
 }
 
 #[test]

@@ -39,6 +39,8 @@ pub struct Paid<'a> {
     pub iteration: u64,
     /// The snapshot that acted in it.
     pub weights: Digest,
+    /// The run's settings and seed.
+    pub config: Digest,
     /// What it consists of.
     pub shares: &'a [Share],
     /// Intrinsic, for each agent `[T, B]`.
@@ -106,20 +108,25 @@ impl Paid<'_> {
     fn line(&self, share: &Share) -> ShareRewards {
         let rows = share.slot_step..share.slot_step + share.steps;
         let row = |step: usize| step * self.environments + share.environment as usize;
-        let agent = |rewards: &Vec<f32>| rows.clone().map(|step| rewards[row(step)]).collect();
-        ShareRewards {
+        let finite = |reward: f32| reward.is_finite().then_some(reward);
+        let agent =
+            |rewards: &Vec<f32>| rows.clone().map(|step| finite(rewards[row(step)])).collect();
+        let line = ShareRewards {
             episode_id: rollout_episode_id(share.environment, share.episode),
             first_step: share.first_step,
             iteration: self.iteration,
             weights_sha256: self.weights.to_string(),
+            config_sha256: self.config.to_string(),
             intrinsic_reward: self.rewards.iter().map(agent).collect(),
-        }
+            sha256: String::new(),
+        };
+        line.sealed()
     }
 }
 
 /// Steps that some lines are about.
 fn steps(lines: &[ShareRewards]) -> u64 {
-    lines.iter().map(|line| line.intrinsic_reward.first().map_or(0, Vec::len) as u64).sum()
+    lines.iter().map(|line| line.steps() as u64).sum()
 }
 
 /// The thread's side.
@@ -194,11 +201,12 @@ mod tests {
 
     fn paid(rewards: &Rewards) -> Paid<'_> {
         let weights = Digest([0xab; 32]);
-        Paid { iteration: 5, weights, shares: &SHARES, rewards, environments: 2 }
+        let config = Digest([0xcd; 32]);
+        Paid { iteration: 5, weights, config, shares: &SHARES, rewards, environments: 2 }
     }
 
     fn rewards() -> Rewards {
-        vec![vec![0.1, 10.0, 0.2, 20.0, 0.3, 30.0]]
+        vec![vec![0.1, 10.0, 0.2, f32::NAN, 0.3, 30.0]]
     }
 
     fn open(folder: &Path, episodes: Episodes) -> RewardLog {
@@ -222,9 +230,14 @@ mod tests {
         let ids: Vec<_> = found.iter().map(|line| (&*line.episode_id, line.first_step)).collect();
         assert_eq!(ids, [("rollout-0-0", 7), ("rollout-0-1", 0), ("rollout-1-4", 0)]);
         let rewards: Vec<_> = found.iter().map(|line| line.intrinsic_reward[0].clone()).collect();
-        assert_eq!(rewards, [vec![0.1, 0.2], vec![0.3], vec![10.0, 20.0, 30.0]]);
-        assert!(found.iter().all(|line| line.iteration == 5));
-        assert!(found.iter().all(|line| line.weights_sha256 == "ab".repeat(32)));
+        let expected =
+            [vec![Some(0.1), Some(0.2)], vec![Some(0.3)], vec![Some(10.0), None, Some(30.0)]];
+        assert_eq!(rewards, expected);
+        for line in &found {
+            assert_eq!((line.iteration, line.check()), (5, Ok(())));
+            assert_eq!(line.weights_sha256, "ab".repeat(32));
+            assert_eq!(line.config_sha256, "cd".repeat(32));
+        }
     }
 
     #[test]

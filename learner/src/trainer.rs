@@ -279,11 +279,13 @@ impl Work {
 
     /// What the agents were paid for the steps of the iteration that has just been finished, besides the task's reward.
     fn log_rewards(&mut self, collected: &Collected, shares: &[Share]) {
-        let Trainer { reward_log, surprise, layout, iteration, .. } = &mut self.trainer;
+        let Trainer { reward_log, surprise, layout, iteration, config_sha256, .. } =
+            &mut self.trainer;
         let Some(log) = reward_log else { return };
         log.take(Paid {
             iteration: *iteration - 1,
             weights: collected.behaviour.digest,
+            config: *config_sha256,
             shares,
             rewards: &surprise.intrinsic_rewards(),
             environments: layout.environments(),

@@ -111,7 +111,8 @@ impl Surprise {
     /// adds to the reward of the batch that was refitted on.
     #[must_use]
     pub fn intrinsic_rewards(&self) -> Rewards {
-        let reward = |score: &f64| (self.rule.alpha * score) as f32;
+        // The sum is a 0 without a sign where nothing is paid.
+        let reward = |score: &f64| (self.rule.alpha * score + 0.0) as f32;
         self.agents.iter().map(|agent| agent.scores().iter().map(reward).collect()).collect()
     }
 
@@ -285,5 +286,6 @@ mod tests {
         let mut surprise = surprise(0.0, 1);
         surprise.refit(&batch, 0).unwrap();
         assert_eq!(surprise.relabel(&batch)[0], batch.reward);
+        assert!(surprise.intrinsic_rewards()[0].iter().all(|reward| reward.to_bits() == 0));
     }
 }

@@ -23,20 +23,21 @@ pub(crate) struct ActorLogArguments {
 pub(crate) enum LogCommand {
     /// Say what MCAP files hold: one table.
     Info(LogFiles),
-    /// Check checksums, schemas and that every share of every episode is there once; status 3 if some are missing.
+    /// Check checksums, schemas, that every share of every episode is there once, and that the learner's intrinsic
+    /// rewards belong to them; status 3 if shares are missing.
     Verify(LogFiles),
     /// Save what is whole in a damaged or unfinished file; status 3 if something was lost.
     Recover(RecoverArguments),
     /// Step the simulator with the logged actions and compare every observation, state and reward, bit for bit.
     Replay(LogFiles),
-    /// Put the shares of episodes together into one file, ordered by episode and step.
+    /// Put the shares of episodes together into one file, ordered by episode and step, with their intrinsic rewards.
     Join(JoinArguments),
 }
 
 /// Logs.
 #[derive(Args, Debug)]
 pub(crate) struct LogFiles {
-    /// MCAP files, or folders with trajectories-*.mcap.
+    /// MCAP files, or folders with trajectories-*.mcap; to verify and join also rewards-*.jsonl.
     #[arg(required = true, value_name = "FILE | DIR")]
     pub(crate) files: Vec<PathBuf>,
 }

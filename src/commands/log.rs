@@ -13,6 +13,7 @@ use actor::trajectory_log::{Index, is_log_name};
 use anyhow::Context as _;
 use proto::is_reward_log_name;
 
+use crate::chart::thousands;
 use crate::cli::{LogCommand, LogFiles};
 use crate::commands::Usage;
 
@@ -32,29 +33,48 @@ pub(super) fn run(command: &LogCommand) -> anyhow::Result<()> {
     }
 }
 
-/// The logs that are meant, each once, in the order of their names within a folder.
+/// The trajectory logs that are meant, each once, in the order of their names within a folder.
 fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
-    paths_with(logs, |_| false)
+    let paths = paths_of(logs, is_log_name)?;
+    let is_reward_log = |path: &&PathBuf| name_of(path).is_some_and(is_reward_log_name);
+    match paths.iter().find(is_reward_log) {
+        None => Ok(paths),
+        Some(path) => {
+            let shown = path.display();
+            let why = format!("{shown} is a reward log, which `s2mia log verify` and `join` read");
+            Err(Usage::new(why).into())
+        }
+    }
 }
 
-/// All shares of the logs that are meant, and their intrinsic rewards, which lie beside them.
+/// All shares of the logs that are meant, and their intrinsic rewards, which learners log.
 fn index(logs: &LogFiles) -> anyhow::Result<Index> {
     let mut index = Index::default();
-    for path in paths_with(logs, is_reward_log_name)? {
+    for path in paths_of(logs, |name| is_log_name(name) || is_reward_log_name(name))? {
         in_file(&path, index.add(&path))?;
     }
     if index.logs() == 0 {
         let why = "reward logs alone; name the trajectory logs that they belong to, too";
-        return Err(Usage::new(why.to_owned()).into());
+        return Err(Usage::new(why).into());
     }
     Ok(index)
 }
 
-/// Of folders, trajectory logs and files that are `more`.
-fn paths_with(logs: &LogFiles, more: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
+/// For how many shares an agent's intrinsic rewards are known.
+fn paid(index: &Index) -> String {
+    let (paid, all) = index.paid();
+    format!("intrinsic rewards of {} of {} training shares", thousands(paid), thousands(all))
+}
+
+fn name_of(path: &Path) -> Option<&str> {
+    path.file_name().and_then(|name| name.to_str())
+}
+
+/// Of folders, the files whose names `belong`.
+fn paths_of(logs: &LogFiles, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
     let mut paths: Vec<PathBuf> = Vec::new();
     for given in &logs.files {
-        let found = if given.is_dir() { in_folder(given, more)? } else { vec![given.clone()] };
+        let found = if given.is_dir() { in_folder(given, belong)? } else { vec![given.clone()] };
         for path in found {
             if !paths.contains(&path) {
                 paths.push(path);
@@ -64,17 +84,17 @@ fn paths_with(logs: &LogFiles, more: fn(&str) -> bool) -> anyhow::Result<Vec<Pat
     Ok(paths)
 }
 
-fn in_folder(folder: &Path, more: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
+fn in_folder(folder: &Path, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
     let entries = folder.read_dir().with_context(|| format!("cannot read {}", folder.display()))?;
-    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
-    let mut names: Vec<String> = names.filter(|name| is_log_name(name) || more(name)).collect();
-    names.sort();
-    if !names.iter().any(|name| is_log_name(name)) {
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut paths: Vec<PathBuf> = paths.filter(|path| name_of(path).is_some_and(belong)).collect();
+    paths.sort();
+    if paths.is_empty() {
         let why =
             format!("no trajectories-*.mcap in {}; log.episodes makes some", folder.display());
         return Err(Usage::new(why).into());
     }
-    Ok(names.iter().map(|name| folder.join(name)).collect())
+    Ok(paths)
 }
 
 /// The same with the file's name before it.

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import struct
 
 import pytest
 from mcap.reader import make_reader
@@ -97,6 +98,19 @@ def test_a_line_of_the_reward_log_is_as_the_documentation_shows_it(logged):
     line = json.loads((logged / "logs" / "rewards-0001.jsonl").read_text().splitlines()[0])
     assert list(json.loads(block)) == list(line)
     assert len(line["intrinsic_reward"]) == AGENTS
+
+
+def test_a_line_of_the_reward_log_has_the_checksum_of_its_documented_bytes(logged):
+    def blob(data):
+        return struct.pack("<Q", len(data)) + data
+
+    for text in (logged / "logs" / "rewards-0001.jsonl").read_text().splitlines():
+        line = json.loads(text)
+        parts = [b"s2mia.log.ShareRewards", blob(line["episode_id"].encode())]
+        parts.append(struct.pack("<IQ", line["first_step"], line["iteration"]))
+        parts += [blob(line[name].encode()) for name in ("weights_sha256", "config_sha256")]
+        parts += [blob(struct.pack(f"<{len(steps)}f", *steps)) for steps in line["intrinsic_reward"]]
+        assert hashlib.sha256(b"".join(parts)).hexdigest() == line["sha256"]
 
 
 def test_shares_of_an_episode_follow_one_another(shares):

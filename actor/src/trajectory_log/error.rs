@@ -25,14 +25,6 @@ pub enum LogError {
     /// An MCAP file of something else.
     #[error("an MCAP file, but no trajectory log: {0}")]
     Foreign(String),
-    /// A line of a reward log is none.
-    #[error("line {number} is none of a reward log: {detail}")]
-    Line {
-        /// From 1.
-        number: u64,
-        /// What is wrong with it.
-        detail: String,
-    },
     /// The log cannot be continued or repeated here.
     #[error("{0}")]
     Unfit(String),

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use prost::Message;
 use proto::trajectory_log::{AgentStep, Kind, Share};
-use proto::{is_reward_log_name, rollout_episode_id};
+use proto::{Digest, is_reward_log_name, rollout_episode_id};
 use sha2::{Digest as _, Sha256};
 
-use super::rewards::{About, RewardLines};
+use super::rewards::{About, RewardLines, known};
 use super::shares::{LoggedShare, ReadShares, read_shares};
 use super::{LogError, read_bytes};
 
@@ -64,8 +64,19 @@ pub(super) struct Part {
     about: About,
     /// Of everything in it but who computed it and what a learner makes of it.
     digest: [u8; 32],
-    /// It knows its intrinsic rewards.
-    paid: bool,
+    /// Its own intrinsic rewards, if it holds them.
+    known: Option<Digest>,
+}
+
+impl Part {
+    /// Whether both say the same, of what both say.
+    fn agrees(&self, other: &Self) -> bool {
+        let paid_alike = match (self.known, other.known) {
+            (Some(one), Some(other)) => one == other,
+            _ => true,
+        };
+        self.digest == other.digest && paid_alike
+    }
 }
 
 /// Shares of several logs of one run.
@@ -122,15 +133,15 @@ impl Index {
     }
 
     fn take(&mut self, file: usize, share: &LoggedShare, nanos: (u64, u64)) {
-        let (about, digest, paid) = (about(share), digest(share), is_paid(share));
-        let part = Part { file, nanos, about, digest, paid };
+        let (about, digest, known) = (about(share), digest(share), known(share));
+        let part = Part { file, nanos, about, digest, known };
         let episode = self.parts.entry(EpisodeId::of(&share.head)).or_default();
         let there = episode.entry(share.head.first_step).or_default();
-        match there.iter_mut().find(|other| other.digest == part.digest) {
+        match there.iter_mut().find(|other| other.agrees(&part)) {
             None => there.push(part),
             Some(other) => {
                 self.copies += 1;
-                if part.paid && !other.paid {
+                if other.known.is_none() {
                     *other = part;
                 }
             }
@@ -157,17 +168,34 @@ impl Index {
             .fold((0, 0), |(shares, steps), part| (shares + 1, steps + u64::from(part.about.steps)))
     }
 
-    /// Shares whose intrinsic rewards are known.
+    /// Shares of training whose intrinsic rewards are known, and all of them.
     #[must_use]
-    pub fn paid(&self) -> usize {
-        let episode = |(id, parts): (&EpisodeId, &BTreeMap<u32, Vec<Part>>)| {
-            let id = id.to_string();
-            let paid = |(first, parts): &(&u32, &Vec<Part>)| {
-                parts[0].paid || self.rewards.hold(&id, **first)
+    pub fn paid(&self) -> (u64, u64) {
+        let (mut paid, mut all) = (0, 0);
+        for (episode, parts) in &self.parts {
+            if let EpisodeId::Evaluation { .. } = episode {
+                continue;
+            }
+            let id = episode.to_string();
+            let is_paid = |(first, parts): &(&u32, &Vec<Part>)| {
+                parts[0].known.is_some() || self.rewards.hold(&id, **first)
             };
-            parts.iter().filter(paid).count()
-        };
-        self.parts.iter().map(episode).sum()
+            paid += parts.iter().filter(is_paid).count() as u64;
+            all += parts.len() as u64;
+        }
+        (paid, all)
+    }
+
+    /// What was passed over in reward logs although nothing is wrong: half a line where a learner was killed.
+    #[must_use]
+    pub fn remarks(&self) -> &[String] {
+        self.rewards.remarks()
+    }
+
+    /// Reward logs of which something was passed over because it is damaged.
+    #[must_use]
+    pub fn damaged(&self) -> &[String] {
+        self.rewards.damaged()
     }
 
     /// Shares that were computed once more, alike.
@@ -191,7 +219,7 @@ impl Index {
     /// Where two shares say different things about the same steps, or intrinsic rewards belong to others.
     #[must_use]
     pub fn contradictions(&self) -> Vec<String> {
-        let mut found = Vec::new();
+        let mut found = self.rewards.foreign(self.log.words.get("config_sha256"));
         for (episode, parts) in &self.parts {
             for (first, parts) in parts.iter().filter(|(_, parts)| parts.len() > 1) {
                 let files = [&parts[0], &parts[1]].map(|part| self.files[part.file].display());
@@ -200,7 +228,7 @@ impl Index {
             }
             let id = episode.to_string();
             let paid = parts.iter().filter_map(|(first, parts)| {
-                self.rewards.contradiction(&id, *first, &parts[0].about)
+                self.rewards.contradiction((&id, *first), &parts[0].about, parts[0].known)
             });
             found.extend(paid);
             for (first, next) in parts.keys().zip(parts.keys().skip(1)) {
@@ -255,10 +283,6 @@ fn about(share: &LoggedShare) -> About {
         iteration: share.head.iteration,
         weights_sha256: weights.collect(),
     }
-}
-
-fn is_paid(share: &LoggedShare) -> bool {
-    share.steps.iter().flat_map(|step| &step.agents).any(|agent| agent.intrinsic_reward.is_some())
 }
 
 fn digest(share: &LoggedShare) -> [u8; 32] {

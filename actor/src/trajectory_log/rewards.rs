@@ -1,22 +1,25 @@
 //! Intrinsic rewards, which learners log beside the actors, found for the shares that they belong to.
 
-use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
-use proto::ShareRewards;
-use sha2::{Digest as _, Sha256};
+use proto::{Digest, ShareRewards};
 
 use super::LogError;
 use super::shares::LoggedShare;
-use super::source::{open, read_part};
+use super::source::{open_lines, read_part};
 
 /// The lines of a run's reward logs. They stay in their files.
 #[derive(Debug, Default)]
 pub(super) struct RewardLines {
     files: Vec<PathBuf>,
+    /// Hashes of the settings and seeds that the lines name, with the first file that does.
+    configs: BTreeMap<String, usize>,
     /// By episode and first step; only lines that differ have more than one place.
     places: BTreeMap<(String, u32), Vec<Place>>,
+    remarks: Vec<String>,
+    damaged: Vec<String>,
 }
 
 /// Where a line stands, and what it is about.
@@ -25,8 +28,8 @@ struct Place {
     file: usize,
     /// First byte and number of bytes.
     bytes: (u64, u64),
-    digest: [u8; 32],
     about: About,
+    paid: Digest,
 }
 
 /// What a line and its share must have in common.
@@ -41,35 +44,49 @@ pub(super) struct About {
 }
 
 impl RewardLines {
-    /// Takes the lines of a file in. Half a line at its end, which a learner that was killed left, is passed over.
+    /// Takes the lines of a file in. Damaged ones are passed over and told, and so is half a line at the end, which a
+    /// learner that was killed left.
     ///
     /// # Errors
-    /// If the file cannot be read, or a line is none of a reward log.
+    /// If the file cannot be read.
     pub(super) fn add(&mut self, path: &Path) -> Result<(), LogError> {
-        let mut reader = BufReader::new(open(path)?);
-        let (mut begin, mut number) = (0, 1);
-        while let Some(bytes) = next_line(&mut reader)? {
-            let line = parse(&bytes).map_err(|detail| LogError::Line { number, detail })?;
-            self.take(line, (begin, &bytes));
-            (begin, number) = (begin + bytes.len() as u64, number + 1);
+        let mut reader = open_lines(path)?;
+        let (mut begin, mut damaged) = (0, Vec::new());
+        for number in 1_u64.. {
+            let mut bytes = Vec::new();
+            reader.read_until(b'\n', &mut bytes).map_err(LogError::Read)?;
+            match bytes.strip_suffix(b"\n") {
+                Some(text) => match parse(text) {
+                    Ok(line) => self.take(line, (begin, text.len() as u64)),
+                    Err(why) => damaged.push((number, why)),
+                },
+                None if bytes.is_empty() => break,
+                None => self.remarks.push(format!("{} ends in half a line", path.display())),
+            }
+            begin += bytes.len() as u64;
+        }
+        if let Some((number, why)) = damaged.first() {
+            let (shown, count) = (path.display(), damaged.len());
+            self.damaged
+                .push(format!("{shown}: {count} damaged lines, first line {number}: {why}"));
         }
         self.files.push(path.to_path_buf());
         Ok(())
     }
 
-    fn take(&mut self, line: ShareRewards, (begin, bytes): (u64, &[u8])) {
-        let digest = Sha256::digest(bytes).into();
-        let there = self.places.entry((line.episode_id, line.first_step)).or_default();
-        if there.iter().any(|place| place.digest == digest) {
-            return;
-        }
+    fn take(&mut self, line: ShareRewards, bytes: (u64, u64)) {
+        let file = self.files.len();
+        let paid = paid(line.intrinsic_reward.iter().flatten().copied());
         let about = About {
-            steps: line.intrinsic_reward[0].len() as u32,
+            steps: line.steps() as u32,
             iteration: line.iteration,
             weights_sha256: line.weights_sha256,
         };
-        let bytes = (begin, bytes.len() as u64);
-        there.push(Place { file: self.files.len(), bytes, digest, about });
+        self.configs.entry(line.config_sha256).or_insert(file);
+        let there = self.places.entry((line.episode_id, line.first_step)).or_default();
+        if !there.iter().any(|place| place.about == about && place.paid == paid) {
+            there.push(Place { file, bytes, about, paid });
+        }
     }
 
     fn places(&self, episode: &str, first_step: u32) -> &[Place] {
@@ -81,18 +98,44 @@ impl RewardLines {
         !self.places(episode, first_step).is_empty()
     }
 
-    /// What two lines for one share, or a line and its share, say differently.
+    /// What was passed over although nothing is wrong.
+    pub(super) fn remarks(&self) -> &[String] {
+        &self.remarks
+    }
+
+    /// Files of which something was passed over because it is damaged.
+    pub(super) fn damaged(&self) -> &[String] {
+        &self.damaged
+    }
+
+    /// Files of other runs than the one of these settings and this seed.
+    pub(super) fn foreign(&self, config_sha256: Option<&String>) -> Vec<String> {
+        let others = self.configs.iter().filter(|(config, _)| Some(*config) != config_sha256);
+        let files: BTreeSet<usize> = others.map(|(_, file)| *file).collect();
+        let foreign = |file: &usize| {
+            format!(
+                "{} is of a run with other settings or another seed",
+                self.files[*file].display()
+            )
+        };
+        files.iter().map(foreign).collect()
+    }
+
+    /// What two lines for one share, or a line and its share, say differently. `known` are the share's own rewards.
     pub(super) fn contradiction(
         &self,
-        episode: &str,
-        first_step: u32,
+        (episode, first_step): (&str, u32),
         share: &About,
+        known: Option<Digest>,
     ) -> Option<String> {
         let file = |place: &Place| self.files[place.file].display();
         let why = match self.places(episode, first_step) {
             [one, other, ..] => format!("{} and {} differ", file(one), file(other)),
             [place] if place.about != *share => {
                 format!("{} is about other steps or weights than the share", file(place))
+            }
+            [place] if known.is_some_and(|known| known != place.paid) => {
+                format!("{} pays other rewards than the share holds", file(place))
             }
             _ => return None,
         };
@@ -117,26 +160,34 @@ impl RewardLines {
                 return Err(unfit(why));
             }
             for (agent, rewards) in step.agents.iter_mut().zip(&line.intrinsic_reward) {
-                agent.intrinsic_reward = rewards.get(index).copied();
+                agent.intrinsic_reward = Some(rewards[index].unwrap_or(f32::NAN));
             }
         }
         Ok(())
     }
 }
 
-/// The next whole line, with its end.
-fn next_line(reader: &mut impl BufRead) -> Result<Option<Vec<u8>>, LogError> {
-    let mut bytes = Vec::new();
-    reader.read_until(b'\n', &mut bytes).map_err(LogError::Read)?;
-    Ok(bytes.ends_with(b"\n").then_some(bytes))
+/// The intrinsic rewards that a share holds itself; `None` if there are none.
+pub(super) fn known(share: &LoggedShare) -> Option<Digest> {
+    let agents = share.steps.first().map_or(0, |step| step.agents.len());
+    let of =
+        |agent: usize| share.steps.iter().map(move |step| step.agents.get(agent)?.intrinsic_reward);
+    let any = (0..agents).flat_map(of).any(|reward| reward.is_some());
+    let finite = |reward: Option<f32>| reward.filter(|reward| reward.is_finite());
+    any.then(|| paid((0..agents).flat_map(of).map(finite)))
 }
 
-fn parse(bytes: &[u8]) -> Result<ShareRewards, String> {
-    let line: ShareRewards = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
-    let first = line.intrinsic_reward.first().map_or(0, Vec::len);
-    let even = line.intrinsic_reward.iter().all(|rewards| rewards.len() == first);
-    if first == 0 || !even {
-        return Err("its agents are not paid for as many steps each".to_owned());
-    }
-    Ok(line)
+/// Names some rewards, agent after agent.
+fn paid(rewards: impl Iterator<Item = Option<f32>>) -> Digest {
+    let bits = |reward: Option<f32>| reward.unwrap_or(f32::NAN).to_le_bytes();
+    Digest::of(&rewards.flat_map(bits).collect::<Vec<u8>>())
+}
+
+fn parse(text: &[u8]) -> Result<ShareRewards, String> {
+    let line: ShareRewards = serde_json::from_slice(text).map_err(|error| {
+        // Where in the line stands behind it, as if the line were a file.
+        let told = error.to_string();
+        told.split(" at line ").next().unwrap_or_default().to_owned()
+    })?;
+    line.check().map(|()| line)
 }

@@ -1,7 +1,7 @@
 //! Where logs lie: their names, their folder, their bytes, and new files that are there whole or not at all.
 
 use std::fs::{File, OpenOptions};
-use std::io::{ErrorKind, Read as _, Seek as _, SeekFrom};
+use std::io::{BufReader, ErrorKind, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::LogError;
@@ -54,6 +54,11 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, LogError> {
 /// A file to be read in parts.
 pub(super) fn open(path: &Path) -> Result<File, LogError> {
     File::open(path).map_err(LogError::Read)
+}
+
+/// A file to be read line by line.
+pub(super) fn open_lines(path: &Path) -> Result<BufReader<File>, LogError> {
+    Ok(BufReader::new(open(path)?))
 }
 
 /// `length` bytes of a file from `offset` on.

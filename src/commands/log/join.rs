@@ -4,23 +4,25 @@ use actor::trajectory_log::join;
 
 use crate::chart::thousands;
 use crate::cli::JoinArguments;
-use crate::commands::log::{in_file, index};
+use crate::commands::log::{Incomplete, in_file, index, paid};
 use crate::output;
 
-/// Writes the file and says what is in it.
+/// Writes the file and says what is in it. Ends with status 3 if something of a reward log is damaged.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
     let index = index(&arguments.logs)?;
     let joined = in_file(&arguments.out, join(&index, &arguments.out))?;
     let [episodes, shares, steps] =
         [joined.episodes as u64, joined.shares, joined.steps].map(thousands);
     let shown = arguments.out.display();
-    let paid = thousands(index.paid() as u64);
-    output::line(format!(
-        "{shown}: {episodes} episodes, {shares} shares, {steps} steps; intrinsic rewards of {paid} shares"
-    ));
+    let paid = paid(&index);
+    output::line(format!("{shown}: {episodes} episodes, {shares} shares, {steps} steps; {paid}"));
     let gaps = index.gaps().len();
     if gaps > 0 {
         output::line(format!("{gaps} gaps in them; `s2mia log verify` lists them"));
     }
-    Ok(())
+    index.remarks().iter().for_each(output::line);
+    match index.damaged() {
+        [] => Ok(()),
+        damaged => Err(Incomplete(format!("passed over: {}", damaged.join("; "))).into()),
+    }
 }

@@ -4,15 +4,18 @@ use actor::trajectory_log::Index;
 
 use crate::chart::thousands;
 use crate::cli::LogFiles;
-use crate::commands::log::{Incomplete, index};
+use crate::commands::log::{Incomplete, index, paid};
 use crate::output;
 
 /// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only something is missing.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
     let index = index(logs)?;
+    let damaged = index.damaged();
+    damaged.iter().for_each(output::line);
+    anyhow::ensure!(damaged.is_empty(), "{} damaged reward logs", damaged.len());
     output::line(told(&index));
     let contradictions = index.contradictions();
-    contradictions.iter().for_each(output::line);
+    index.remarks().iter().chain(&contradictions).for_each(output::line);
     anyhow::ensure!(contradictions.is_empty(), "{} contradictions", contradictions.len());
     let gaps = index.gaps();
     gaps.iter().for_each(|gap| output::line(format!("missing: {gap}")));
@@ -29,9 +32,10 @@ pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
 fn told(index: &Index) -> String {
     let (shares, steps) = index.shares_and_steps();
     let [episodes, shares, steps] = [index.episodes() as u64, shares, steps].map(thousands);
-    let [paid, copies, lost] = [index.paid() as u64, index.copies(), index.lost().0].map(thousands);
+    let (copies, lost) = (thousands(index.copies()), thousands(index.lost().0));
     format!(
-        "checksums and schemas are right: {episodes} episodes, {shares} shares, {steps} steps; intrinsic rewards of \
-         {paid} shares; {copies} shares computed again, alike; {lost} shares lost by their actors"
+        "checksums and schemas are right: {episodes} episodes, {shares} shares, {steps} steps; {}; {copies} shares \
+         computed again, alike; {lost} shares lost by their actors",
+        paid(index)
     )
 }

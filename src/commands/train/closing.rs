@@ -1,10 +1,13 @@
 //! The last words of `s2mia train`: what was reached, where it is, what can be done with it.
 
+use std::fs::File;
+use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use actor::trajectory_log::{is_log_name, totals};
 use learner::Summary;
+use proto::is_reward_log_name;
 
 use crate::chart;
 use crate::run_path::config_file;
@@ -36,25 +39,35 @@ pub(super) fn text(
     parts.join("\n")
 }
 
-/// What actors logged, in this session and before, by their own account.
+/// What actors logged, in this session and before, by their own account, and what the learner added.
 pub(super) fn logged(logs: &Path) -> String {
-    let entries =
-        logs.read_dir().into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path()));
-    let name = |path: &PathBuf| path.file_name().and_then(|name| name.to_str()).map(is_log_name);
-    let files: Vec<PathBuf> = entries.filter(|path| name(path) == Some(true)).collect();
-    let finished: Vec<_> = files.iter().filter_map(|path| totals(path).ok()).collect();
+    let logged = files(logs, is_log_name);
+    let finished: Vec<_> = logged.iter().filter_map(|path| totals(path).ok()).collect();
     let sum = |figure: &str| {
         let values = finished.iter().filter_map(|of| of.get(figure)?.parse::<u64>().ok());
         chart::thousands(values.sum())
     };
     format!(
-        "logged {} steps in {} shares of episodes to {}; {} shares lost, {} files not finished",
+        "logged {} steps in {} shares of episodes to {}, with intrinsic rewards of {}; {} shares lost, {} files not finished",
         sum("steps"),
         sum("shares"),
         logs.display(),
+        chart::thousands(files(logs, is_reward_log_name).iter().map(|path| lines(path)).sum()),
         sum("lost_shares"),
-        files.len() - finished.len(),
+        logged.len() - finished.len(),
     )
+}
+
+/// The files of a folder whose names `belong`.
+fn files(folder: &Path, belong: fn(&str) -> bool) -> Vec<PathBuf> {
+    let entries = folder.read_dir().into_iter().flatten();
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let name = |path: &PathBuf| path.file_name().and_then(|name| name.to_str()).map(belong);
+    paths.filter(|path| name(path) == Some(true)).collect()
+}
+
+fn lines(path: &Path) -> u64 {
+    File::open(path).map_or(0, |file| BufReader::new(file).split(b'\n').count() as u64)
 }
 
 fn reached(summary: &Summary, elapsed: Duration) -> String {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use proto::{ShareRewards, reward_log_name};
 
+use super::fixture::run;
 use super::{files, read, slot_log};
 use crate::trajectory_log::{Index, LoggedShare, join};
 
@@ -11,15 +12,18 @@ use crate::trajectory_log::{Index, LoggedShare, join};
 fn paid(share: &LoggedShare) -> ShareRewards {
     let reward = |agent: usize, step: usize| -((step + 1) as f32) - 0.1 * agent as f32;
     let agents = 0..share.steps[0].agents.len();
-    let steps = |agent| (0..share.steps.len()).map(|step| reward(agent, step)).collect();
-    ShareRewards {
+    let steps = |agent| (0..share.steps.len()).map(|step| Some(reward(agent, step))).collect();
+    let unsealed = ShareRewards {
         episode_id: share.head.episode_id.clone(),
         first_step: share.head.first_step,
         iteration: share.head.iteration,
         weights_sha256: proto::Digest(share.head.weights_sha256.clone().try_into().unwrap())
             .to_string(),
+        config_sha256: run().config_sha256.to_string(),
         intrinsic_reward: agents.map(steps).collect(),
-    }
+        sha256: String::new(),
+    };
+    unsealed.sealed()
 }
 
 fn lines(rewards: &[ShareRewards]) -> String {
@@ -60,8 +64,7 @@ fn found(shares: &[LoggedShare]) -> Vec<Vec<Vec<Option<f32>>>> {
 }
 
 fn expected(rewards: &[ShareRewards]) -> Vec<Vec<Vec<Option<f32>>>> {
-    let some = |steps: &Vec<f32>| steps.iter().copied().map(Some).collect();
-    rewards.iter().map(|line| line.intrinsic_reward.iter().map(some).collect()).collect()
+    rewards.iter().map(|line| line.intrinsic_reward.clone()).collect()
 }
 
 #[test]
@@ -73,7 +76,7 @@ fn joined_steps_have_the_rewards_that_the_learner_logged_for_them() {
     reward_log(folder.path(), 2, &lines(&rewards));
     let paths = files(folder.path());
     let all = index(&paths);
-    assert_eq!((all.paid(), all.contradictions()), (3, Vec::new()));
+    assert_eq!((all.paid(), all.contradictions()), ((3, 3), Vec::new()));
     let shares = joined(folder.path(), &paths);
     assert_eq!(found(&shares), expected(&rewards));
 }
@@ -85,7 +88,9 @@ fn shares_without_a_line_stay_without_and_half_a_line_counts_as_none() {
     let text = lines(&rewards);
     let half = text.len() - 20;
     reward_log(folder.path(), 1, &text[..half]);
-    assert_eq!(index(&files(folder.path())).paid(), 2);
+    let index = index(&files(folder.path()));
+    assert_eq!((index.paid(), index.damaged().len()), ((2, 3), 0));
+    assert!(index.remarks()[0].ends_with("rewards-0001.jsonl ends in half a line"));
     let shares = joined(folder.path(), &files(folder.path()));
     assert_eq!(found(&shares)[..2], expected(&rewards)[..2]);
     assert!(found(&shares)[2].iter().flatten().all(Option::is_none));
@@ -100,7 +105,7 @@ fn a_joined_log_keeps_its_rewards_when_it_is_joined_again_with_what_it_was_made_
     joined(folder.path(), &files(folder.path()));
     for order in [[raw.clone(), out.clone()], [out, raw]] {
         let index = index(&order);
-        assert_eq!((index.paid(), index.copies()), (3, 3));
+        assert_eq!((index.paid(), index.copies()), ((3, 3), 3));
         let out = folder.path().join("again.mcap");
         join(&index, &out).unwrap();
         assert_eq!(found(&read(&out).1), expected(&rewards));
@@ -123,12 +128,13 @@ fn rewards_of_other_steps_or_weights_contradict_the_share() {
     let changes: [fn(&mut ShareRewards); 3] = [
         |line| line.weights_sha256 = "0".repeat(64),
         |line| line.iteration += 1,
-        |line| line.intrinsic_reward.iter_mut().for_each(|steps| steps.push(0.0)),
+        |line| line.intrinsic_reward.iter_mut().for_each(|steps| steps.push(Some(0.0))),
     ];
     for change in changes {
         let folder = tempfile::tempdir().unwrap();
         let mut rewards = logged(folder.path());
         change(&mut rewards[1]);
+        rewards[1] = rewards[1].clone().sealed();
         let path = reward_log(folder.path(), 1, &lines(&rewards));
         let expected = format!("{} is about other steps or weights than the share", path.display());
         let found = contradiction(folder.path());
@@ -141,7 +147,8 @@ fn rewards_of_one_share_that_differ_are_a_contradiction() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
     let first = reward_log(folder.path(), 1, &lines(&rewards));
-    rewards[1].intrinsic_reward[0][0] = 7.0;
+    rewards[1].intrinsic_reward[0][0] = Some(7.0);
+    rewards[1] = rewards[1].clone().sealed();
     let second = reward_log(folder.path(), 2, &lines(&rewards));
     let expected = format!("{} and {} differ", first.display(), second.display());
     let found = contradiction(folder.path());
@@ -153,6 +160,7 @@ fn rewards_of_another_number_of_agents_are_refused_and_leave_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
     rewards[0].intrinsic_reward.pop();
+    rewards[0] = rewards[0].clone().sealed();
     reward_log(folder.path(), 1, &lines(&rewards));
     let paths = files(folder.path());
     let refused = join(&index(&paths), &folder.path().join("joined.mcap")).unwrap_err().to_string();
@@ -161,20 +169,60 @@ fn rewards_of_another_number_of_agents_are_refused_and_leave_no_file() {
 }
 
 #[test]
-fn a_line_that_is_none_of_a_reward_log_is_named_by_its_number() {
+fn joined_logs_and_lines_that_disagree_about_rewards_are_contradictions() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rewards = logged(folder.path());
+    reward_log(folder.path(), 1, &lines(&rewards));
+    let one = folder.path().join("joined.mcap");
+    joined(folder.path(), &files(folder.path()));
+    rewards[1].intrinsic_reward[0][0] = None;
+    rewards[1] = rewards[1].clone().sealed();
+    let line = reward_log(folder.path(), 1, &lines(&rewards));
+    let raw = folder.path().join("trajectories-a-0000.mcap");
+    let two = folder.path().join("other.mcap");
+    join(&index(&[raw, line.clone()]), &two).unwrap();
+    let first = &read(&two).1[1].steps[0].agents[0];
+    assert!(first.intrinsic_reward.unwrap().is_nan(), "no finite number stays none");
+    let shown = [&one, &two, &line].map(|path| path.display().to_string());
+    let place = "rollout-6-1 from step 0 on: ";
+    let differ = format!("{place}{} and {} differ", shown[0], shown[1]);
+    assert_eq!(index(&[one.clone(), two.clone()]).contradictions(), [differ]);
+    let pays = format!("{place}{} pays other rewards than the share holds", shown[2]);
+    assert_eq!(index(&[one, line.clone()]).contradictions(), [pays]);
+    assert_eq!(index(&[two, line]).contradictions(), [""; 0]);
+}
+
+#[test]
+fn rewards_of_another_run_are_a_contradiction_whatever_they_are_about() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rewards = logged(folder.path());
+    rewards[1].config_sha256 = "f".repeat(64);
+    rewards[1] = rewards[1].clone().sealed();
+    let path = reward_log(folder.path(), 1, &lines(&rewards));
+    let expected = "is of a run with other settings or another seed";
+    assert_eq!(contradiction(folder.path()), format!("{} {expected}", path.display()));
+}
+
+#[test]
+fn lines_that_are_damaged_are_passed_over_and_the_first_of_them_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let rewards = logged(folder.path());
-    let mut uneven = rewards[0].clone();
-    uneven.intrinsic_reward[1].pop();
-    for (wrong, part) in [
-        ("{\"iteration\": 4}\n".to_owned(), "missing field"),
-        ("\u{1}\n".to_owned(), "expected value"),
-        (lines(&[uneven]), "not paid for as many steps"),
-        (lines(&rewards[..1]).replace("{\"ep", "{\"newer\":1,\"ep"), "unknown field `newer`"),
+    let mut changed = rewards[0].clone();
+    changed.intrinsic_reward[0][0] = Some(7.0);
+    for (wrong, why) in [
+        ("{\"iteration\": 4}".to_owned(), "missing field `episode_id`"),
+        ("\u{1}".to_owned(), "expected value"),
+        (lines(&[changed]), "its checksum is not that of its content"),
+        (
+            lines(&rewards[..1]).replace("{\"ep", "{\"newer\":1,\"ep"),
+            "unknown field `newer`, expected one of `episode_id`, `first_step`, `iteration`, \
+             `weights_sha256`, `config_sha256`, `intrinsic_reward`, `sha256`",
+        ),
     ] {
-        let path = reward_log(folder.path(), 1, &(lines(&rewards[1..2]) + &wrong));
-        let line = Index::default().add(&path).unwrap_err().to_string();
-        assert!(line.starts_with("line 2 is none of a reward log: "), "{line}");
-        assert!(line.contains(part) && !line.contains('\n'), "{line}");
+        let text = lines(&rewards[1..2]) + wrong.trim_end() + "\n" + &lines(&rewards[2..]);
+        let path = reward_log(folder.path(), 1, &text);
+        let index = index(&files(folder.path()));
+        let told = format!("{}: 1 damaged lines, first line 2: {why}", path.display());
+        assert_eq!((index.damaged(), index.paid()), (&[told][..], (2, 3)));
     }
 }

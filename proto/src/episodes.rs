@@ -1,13 +1,9 @@
-//! What actors' trajectory logs and the learner's reward log agree on: which episodes they hold, how these are named,
-//! and what a line of a reward log says. Nothing of it travels between actor and learner.
+//! Which episodes the trajectory logs of actors and the reward log of the learner hold, and how they are named.
 
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
-
-const REWARD_LOG_PREFIX: &str = "rewards-";
-const REWARD_LOG_SUFFIX: &str = ".jsonl";
+use serde::Deserialize;
 
 /// Which episodes are logged. What decides is an episode's place in the run, never who plays it or when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -92,34 +88,6 @@ pub fn rollout_episode_id(environment: u32, episode: u64) -> String {
     format!("rollout-{environment}-{episode}")
 }
 
-/// A line of a reward log: what the learner paid the agents for the steps of a share, besides the task's reward.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ShareRewards {
-    /// The share's episode.
-    pub episode_id: String,
-    /// Steps of the episode before the share.
-    pub first_step: u32,
-    /// The iteration that the steps belong to.
-    pub iteration: u64,
-    /// SHA-256 of the snapshot of the weights that acted, hexadecimal.
-    pub weights_sha256: String,
-    /// For each agent and step of the share, `[N][T]`: the second term of Eq. (9).
-    pub intrinsic_reward: Vec<Vec<f32>>,
-}
-
-/// Name of the reward log of the learner's start number `start`.
-#[must_use]
-pub fn reward_log_name(start: u64) -> String {
-    format!("{REWARD_LOG_PREFIX}{start:04}{REWARD_LOG_SUFFIX}")
-}
-
-/// Whether a file of this name is a learner's reward log.
-#[must_use]
-pub fn is_reward_log_name(name: &str) -> bool {
-    name.starts_with(REWARD_LOG_PREFIX) && name.ends_with(REWARD_LOG_SUFFIX)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,12 +126,5 @@ mod tests {
         assert!(!Episodes::None.hold_evaluation(0) && Episodes::All.hold_rollout(5, 1));
         let holding = [Episodes::None, Episodes::Evaluation, Episodes::All, Episodes::Every(9)];
         assert_eq!(holding.map(Episodes::hold_rollouts), [false, false, true, true]);
-    }
-
-    #[test]
-    fn every_start_of_a_learner_has_a_reward_log_of_its_own() {
-        assert_eq!(reward_log_name(12), "rewards-0012.jsonl");
-        assert!(is_reward_log_name(&reward_log_name(12_345)));
-        assert!(!is_reward_log_name("metrics.jsonl") && !is_reward_log_name("rewards-0001.mcap"));
     }
 }
