@@ -192,8 +192,8 @@ impl Config {
             let range = "per_agent with update.rule = maddpg: its action values know the team's reward alone";
             return Err(refuse("critic.mode", self.critic.mode.name(), range));
         }
-        if self.critic.state_norm != StateNorm::None {
-            let range = "none with update.rule = maddpg: its action values scale no states";
+        if self.critic.state_norm == StateNorm::Running {
+            let range = "none or feature_z with update.rule = maddpg: the scale of states in the replay would be stale";
             return Err(refuse("critic.state_norm", self.critic.state_norm.name(), range));
         }
         let pointless = "0 with update.rule = maddpg: a deterministic policy has no density to \

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use crate::advantage::next_values;
 use crate::batch::{Batch, Problem};
 use crate::config::CriticConfig;
-use crate::critic::state_scale::StateScale;
+pub(crate) use crate::critic::state_scale::StateScale;
 use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::layers::{Builder, Dense, Norm, RELU_GAIN, rows};

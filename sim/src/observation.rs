@@ -11,7 +11,7 @@
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
 use crate::description::{Feature, FeatureRole};
 use crate::robot::Robot;
-use crate::world::contact_forces::PER_BODY;
+use crate::world::contact_forces::{PER_BODY, WORLD};
 
 /// Below this deviation a vector counts as constant and is only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;
@@ -37,15 +37,15 @@ enum View {
 
 /// The features of contact forces, as the state carries them; none if they are absent.
 pub(crate) fn contact_features(robot: &Robot, forces: ContactForces) -> Vec<Feature> {
-    let role = match forces {
-        ContactForces::Absent => return Vec::new(),
-        ContactForces::Zeros => FeatureRole::Constant,
-        ContactForces::Real => FeatureRole::Signal,
+    if forces == ContactForces::Absent {
+        return Vec::new();
+    }
+    let of_body = |(index, body): (usize, &String)| {
+        let feels = forces == ContactForces::Real && index != WORLD;
+        let role = if feels { FeatureRole::Signal } else { FeatureRole::Constant };
+        CONTACT_NAMES.map(|part| Feature { name: contact_name(body, part), role })
     };
-    let of_body = |body: &String| {
-        CONTACT_NAMES.map(|part| Feature { name: contact_name(body, part), role }).into_iter()
-    };
-    robot.bodies().iter().flat_map(of_body).collect()
+    robot.bodies().iter().enumerate().flat_map(of_body).collect()
 }
 
 fn contact_name(body: &str, part: &str) -> String {

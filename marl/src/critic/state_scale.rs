@@ -12,14 +12,14 @@ use crate::running::RunningMoments;
 const SMALLEST_DEVIATION: f64 = 1e-8;
 
 /// A [`StateNorm`] with what it knows.
-pub(super) enum StateScale {
+pub(crate) enum StateScale {
     AsShown,
     OwnFeatures,
     Running(RunningMoments),
 }
 
 impl StateScale {
-    pub(super) fn new(norm: StateNorm, features: usize) -> Self {
+    pub(crate) fn new(norm: StateNorm, features: usize) -> Self {
         match norm {
             StateNorm::None => Self::AsShown,
             StateNorm::FeatureZ => Self::OwnFeatures,
@@ -28,7 +28,7 @@ impl StateScale {
     }
 
     /// Scales states `[R, features]`.
-    pub(super) fn apply(&self, states: &mut [f32], features: usize) {
+    pub(crate) fn apply(&self, states: &mut [f32], features: usize) {
         match self {
             Self::AsShown => {}
             Self::OwnFeatures => states.chunks_exact_mut(features).for_each(standardise),
@@ -37,20 +37,20 @@ impl StateScale {
     }
 
     /// Takes in the states `[R, features]` of `D_k`, for the iterations after it.
-    pub(super) fn take_in(&mut self, states: &[f32]) {
+    pub(crate) fn take_in(&mut self, states: &[f32]) {
         if let Self::Running(moments) = self {
             moments.take_in(states);
         }
     }
 
-    pub(super) fn arrays(&self, prefix: &str) -> NamedArrays {
+    pub(crate) fn arrays(&self, prefix: &str) -> NamedArrays {
         match self {
             Self::AsShown | Self::OwnFeatures => NamedArrays::new(),
             Self::Running(moments) => moments.arrays(prefix),
         }
     }
 
-    pub(super) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+    pub(crate) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
         match self {
             Self::AsShown | Self::OwnFeatures => Ok(()),
             Self::Running(moments) => moments.restore(prefix, arrays),

@@ -11,6 +11,7 @@ use policy::{
 
 use crate::batch::Problem;
 use crate::config::Config;
+use crate::critic::StateScale;
 use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::layers::rows;
@@ -27,6 +28,7 @@ pub(super) struct Agent {
     target_actor: ActorNetwork,
     value: ActionValue,
     target_value: ActionValue,
+    states: StateScale,
     actor_adam: Adam,
     value_adam: Adam,
     polyak: f64,
@@ -79,6 +81,7 @@ impl Agent {
             target_actor: actor()?,
             value: q,
             target_value: value()?,
+            states: StateScale::new(critic.state_norm, problem.state),
             polyak: config.maddpg.polyak,
         })
     }
@@ -169,10 +172,11 @@ impl Agent {
         }
     }
 
-    /// States `[R, S]` and all agents' actions side by side, `[R, S + A]`.
+    /// States `[R, S]`, scaled, and all agents' actions side by side, `[R, S + A]`.
     fn beside(&self, state: &[f32], actions: &[Tensor]) -> Result<Tensor, MarlError> {
-        let count = actions[0].dim(0)?;
-        let mut parts = vec![rows(state.to_vec(), state.len() / count, self.precision)?];
+        let (mut state, width) = (state.to_vec(), state.len() / actions[0].dim(0)?);
+        self.states.apply(&mut state, width);
+        let mut parts = vec![rows(state, width, self.precision)?];
         parts.extend(actions.iter().cloned());
         Ok(Tensor::cat(&parts, 1)?)
     }
@@ -238,11 +242,27 @@ fn blend<T: Real>(slow: &[T], fast: &[T], share: f64) -> Vec<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::StateNorm;
+    use crate::probe;
 
     fn parameters(values: [f32; 2]) -> Parameters {
         let mut parameters = Parameters::new();
         parameters.add("x", Tensor::new(&values, &Device::Cpu).unwrap()).unwrap();
         parameters
+    }
+
+    #[test]
+    fn action_values_see_states_by_their_own_features_if_asked_to() {
+        let (problem, mut config) = (probe::problem(), probe::config());
+        let seen = |norm, config: &mut Config| {
+            config.critic.state_norm = norm;
+            let start = (RunSeed(0), Precision::Single);
+            let agent = Agent::new(config, &probe::policy(), &problem, (start, 0)).unwrap();
+            let action = Tensor::new(&[[9.0_f32]], &Device::Cpu).unwrap();
+            agent.beside(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
+        };
+        assert_eq!(seen(StateNorm::None, &mut config), [[1.0, 5.0, 9.0]]);
+        assert_eq!(seen(StateNorm::FeatureZ, &mut config), [[-1.0, 1.0, 9.0]]);
     }
 
     #[test]

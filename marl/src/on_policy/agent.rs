@@ -235,7 +235,8 @@ impl Agent {
     }
 
     /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
-    /// held-out ones, and asks it about every row. One that is trained jointly is only asked.
+    /// held-out ones, and asks it about every row. One that is trained jointly is only asked: it has learnt from no
+    /// row of this `D_k` yet, so all of them measure the estimate.
     fn fit_posterior(
         &mut self,
         experience: &Experience,
@@ -249,15 +250,18 @@ impl Agent {
         let last = self.holdout_every - 1;
         let held_out =
             |row: &usize| layout.environment(row % layout.chunks) % self.holdout_every == last;
-        let (holdout, trained): (Vec<usize>, Vec<usize>) = (0..layout.rows()).partition(held_out);
+        let all = 0..layout.rows();
         let action = &experience.sequences.action;
         let data = experience.conditions();
-        let fitted = match self.q_training {
-            QTraining::Mle => Some(posterior.fit(&data, &trained, (seed, draw))?),
-            QTraining::Joint => None,
+        let (holdout, fitted): (Vec<usize>, _) = match self.q_training {
+            QTraining::Mle => {
+                let (holdout, trained): (_, Vec<usize>) = all.partition(held_out);
+                (holdout, Some(posterior.fit(&data, &trained, (seed, draw))?))
+            }
+            QTraining::Joint => (all.collect(), None),
         };
         let conditional = posterior.conditional(&data)?;
-        let found = || -entropy_bound(&conditional.log_prob(action, &trained));
+        let found = || -entropy_bound(&conditional.log_prob(action, &holdout));
         let log_likelihood = fitted.unwrap_or_else(found);
         let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
         let log_q = conditional.log_prob(action, &holdout);

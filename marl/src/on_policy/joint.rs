@@ -38,6 +38,7 @@ mod tests {
     use super::super::agent::{fit_posteriors, gather};
     use super::super::ascent::maximise;
     use super::*;
+    use crate::influence::mutual_information;
     use crate::probe;
     use crate::sequence::Layout;
 
@@ -83,6 +84,18 @@ mod tests {
         };
         let rows = mean.chunks_exact(sigma.len()).zip(q_mean.chunks_exact(sigma.len()));
         rows.map(|(p, q)| agent.coefficients.term.row((q, &q_sigma), (p, &sigma)).0).sum()
+    }
+
+    #[test]
+    fn all_rows_measure_the_estimate_before_a_joint_posterior_learns_from_them() {
+        let (agents, experience, influence) = prepared(QTraining::Joint);
+        let posterior = agents[0].posterior.as_ref().unwrap();
+        let conditional = posterior.conditional(&experience[0].conditions()).unwrap();
+        let rows: Vec<usize> = (0..experience[0].sequences.layout.rows()).collect();
+        let log_q = conditional.log_prob(&experience[0].sequences.action, &rows);
+        let expected = mutual_information(&log_q, &experience[0].log_prob);
+        assert!(expected.is_some());
+        assert_eq!(influence[0].mi_estimate, expected);
     }
 
     #[test]

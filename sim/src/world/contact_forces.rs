@@ -6,12 +6,15 @@ use super::World;
 
 /// Numbers for each body: torque, then force.
 pub(crate) const PER_BODY: usize = 6;
+/// Index of the body that stands still.
+pub(crate) const WORLD: usize = 0;
 /// Torques (N m) and forces (N) are clipped to this on either side.
 pub(crate) const LARGEST: f32 = 1.0;
 
 impl World {
     /// For each of the model's bodies, the world first, torque about the robot's mass centre and force of the
-    /// contacts in the last physics step, in the world's axes and clipped: `[bodies, 6]`, N m and N.
+    /// contacts in the last physics step, in the world's axes and clipped: `[bodies, 6]`, N m and N. The world, which the
+    /// floor belongs to, feels nothing, as in MuJoCo.
     ///
     /// # Panics
     /// If `out` has another length.
@@ -38,11 +41,14 @@ impl World {
 
     /// Index of the model's body that a collider belongs to; the floor belongs to the world.
     fn body_of(&self, collider: rapier3d::prelude::ColliderHandle) -> usize {
-        self.physics.colliders.get(collider).map_or(0, |collider| collider.user_data as usize)
+        self.physics.colliders.get(collider).map_or(WORLD, |collider| collider.user_data as usize)
     }
 }
 
 fn add(out: &mut [f32], body: usize, arm: Vector, force: Vector) {
+    if body == WORLD {
+        return;
+    }
     let (torque, force) = (arm.cross(force).to_array(), force.to_array());
     for (sum, number) in
         out[PER_BODY * body..][..PER_BODY].iter_mut().zip(torque.into_iter().chain(force))
