@@ -35,7 +35,7 @@ pub(crate) struct Arguments {
     /// Form of the log lines on stderr.
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
     pub(crate) log_format: LogFormat,
-    /// What is logged, as in RUST_LOG: a level, or target=level pairs [default: warn for train, else info].
+    /// What is logged, as in RUST_LOG: a level, or target=level pairs [default: info for learner and actor, else warn].
     #[arg(long, global = true, value_name = "FILTER")]
     pub(crate) log: Option<String>,
     /// What to do.

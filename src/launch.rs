@@ -5,6 +5,7 @@ use std::time::SystemTime;
 
 use actor::Transport;
 use learner::Launch;
+use learner::run_folder::RunFolder;
 use policy::RunSeed;
 use proto::Digest;
 use serde_json::json;
@@ -43,6 +44,8 @@ pub(crate) fn prepare(
         }
         None => new_folder(&config, &offered.spec.task)?,
     };
+    // Claiming it comes later, when actors are there already.
+    RunFolder::demand_free(&folder)?;
     config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let fingerprints = Fingerprints::measure();

@@ -119,6 +119,23 @@ fn watched(folder: &Path) -> Child {
 }
 
 #[test]
+fn whoever_waits_for_a_learner_is_told_once_what_it_waits_for() {
+    let runs = Runs::new();
+    let folder = runs.folder("stopped");
+    let mut learner = begun(&folder, &[]);
+    let of = folder.to_str().unwrap();
+    succeeded(&["stop", of]);
+    assert!(learner.wait().unwrap().success());
+    let output = s2mia(&["watch", of, "--lines", "--max-outage-secs", "1.5"]);
+    let told = String::from_utf8(output.stderr).unwrap();
+    let lines: Vec<&str> = told.lines().collect();
+    assert_eq!((output.status.code(), lines.len()), (Some(1), 2), "{told}");
+    let why = format!("no learner works on {of}; `s2mia train --resume {of}` starts one");
+    assert!(lines[0].ends_with(&format!("{why}; waiting up to 1.5 s (--max-outage-secs)")));
+    assert_eq!(lines[1], format!("error: {why}"));
+}
+
+#[test]
 fn whoever_watches_sees_each_iteration_once_over_a_restart_and_then_the_end() {
     let runs = Runs::new();
     let folder = runs.folder("watched");
@@ -147,8 +164,6 @@ fn whoever_watches_sees_each_iteration_once_over_a_restart_and_then_the_end() {
         (&ends[1]["iteration"], &ends[1]["evaluation"]["iteration"]),
         (&json!(30), &json!(30))
     );
-    assert!(
-        succeeded(&["watch", of, "--lines"]).is_empty(),
-        "there is nothing to wait for any more"
-    );
+    let at_rest = succeeded(&["watch", of, "--lines"]);
+    assert!(at_rest.starts_with("finished after iteration 30, "), "{at_rest}");
 }

@@ -97,6 +97,11 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
     refused(&learner.url, &own.of_client(&own, "viewer"), "needs the role actor");
     refused(&learner.url.replace("https", "http"), &[], "asks for TLS; use https://");
     refused(&plain.url.replace("http", "https"), &actors, "use an http:// URL");
+    let unguarded = learner.url.replace("https", "http");
+    for question in [&["status", unguarded.as_str()][..], &["health", "--learner", &unguarded]] {
+        let (_, told) = s2mia(question);
+        assert!(told.contains("asks for TLS") && told.contains("give --tls-ca"), "{told}");
+    }
 
     let told = learner.finish(&own.of_client(&own, "admin"));
     for words in [

@@ -272,12 +272,15 @@ fn within<M>(deadline: Duration, message: M) -> Request<M> {
     request
 }
 
-/// An error with what caused it, in one line.
+/// An error with what caused it, in one line; what is told twice in a row stands there once.
 fn causes(error: &dyn std::error::Error) -> String {
     let mut line = error.to_string();
     let mut source = error.source();
     while let Some(cause) = source {
-        line = format!("{line}: {cause}");
+        let text = cause.to_string();
+        if !line.ends_with(&text) {
+            line = format!("{line}: {text}");
+        }
         source = cause.source();
     }
     line

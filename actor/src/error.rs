@@ -4,7 +4,7 @@ use proto::{LeaseId, Refusal};
 use security::SecurityError;
 use sim::SimError;
 use thiserror::Error;
-use tonic::Status;
+use tonic::{Code, Status};
 
 /// Why an actor gave up.
 #[derive(Debug, Error)]
@@ -126,6 +126,9 @@ impl EnvironmentError {
 pub(crate) fn describe(status: &Status) -> String {
     match Refusal::from_status(status) {
         Some(refusal) => refusal.to_string(),
+        None if status.code() == Code::Unimplemented && status.message().is_empty() => {
+            "another program listens there, which offers no such service".to_owned()
+        }
         None => format!("{:?}: {}", status.code(), status.message()),
     }
 }

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use security::{ClientFiles, SecurityError};
+use tonic::Code;
 use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
@@ -62,7 +63,8 @@ pub async fn demand_serving(
     let answer = tokio::time::timeout(patience, ask(endpoint)).await;
     let status = answer
         .map_err(|_| silent(format!("nothing came for {} s", patience.as_secs_f64())))?
-        .map_err(silent)?;
+        .map_err(silent)?
+        .map_err(|status| why_not(url, &status))?;
     match status {
         ServingStatus::Serving => Ok(()),
         other => Err(HealthError::NotServing { url: url.to_owned(), status: other.as_str_name() }),
@@ -88,12 +90,13 @@ pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint,
     endpoint.tls_config(config).map_err(wrong)
 }
 
-async fn ask(endpoint: Endpoint) -> Result<ServingStatus, String> {
+/// What is answered, or why nobody can be asked.
+async fn ask(endpoint: Endpoint) -> Result<Result<ServingStatus, tonic::Status>, String> {
     let channel = endpoint.connect().await.map_err(|error| reason(&error))?;
     // The empty name asks for the server as a whole.
     let request = HealthCheckRequest { service: String::new() };
     let answer = HealthClient::new(channel).check(request).await;
-    answer.map(|found| found.into_inner().status()).map_err(|status| denial(&status))
+    Ok(answer.map(|found| found.into_inner().status()))
 }
 
 /// Why no connection came about.
@@ -101,10 +104,33 @@ pub(crate) fn reason(error: &(dyn std::error::Error + 'static)) -> String {
     security::explain(error).unwrap_or_else(|| innermost(error))
 }
 
+/// Whether the learner at `url` itself said no to a call, or was lost on the way.
+pub(crate) fn why_not(url: &str, status: &tonic::Status) -> HealthError {
+    let (url, detail) = (url.to_owned(), denial(status));
+    match status.code() {
+        Code::InvalidArgument
+        | Code::FailedPrecondition
+        | Code::PermissionDenied
+        | Code::Unimplemented => HealthError::Refused { url, detail },
+        _ => HealthError::Silent { url, detail },
+    }
+}
+
 /// Why a call failed: the learner's own words, or what is behind a connection that broke.
-pub(crate) fn denial(status: &tonic::Status) -> String {
-    security::explain(status)
-        .unwrap_or_else(|| format!("{:?}: {}", status.code(), status.message()))
+fn denial(status: &tonic::Status) -> String {
+    const TLS: &str = "give --tls-ca, --tls-certificate and --tls-key, and https:// in a URL";
+    let broken = status.message().starts_with("h2 protocol error");
+    let told = || match status.code() {
+        // How HTTP/2 names a goodbye for inadequate security; it may be lost on the way.
+        Code::PermissionDenied if broken => format!("it asks for TLS: {TLS}"),
+        Code::Cancelled => format!("it ended the connection at once; if it asks for TLS, {TLS}"),
+        Code::Unimplemented if status.message().is_empty() => {
+            "another program listens there, which offers no such service".to_owned()
+        }
+        _ if broken => "what listens there speaks no gRPC".to_owned(),
+        code => format!("{code:?}: {}", status.message()),
+    };
+    security::explain(status).unwrap_or_else(told)
 }
 
 /// The last cause says what happened; those before it only that something did.

@@ -79,6 +79,13 @@ pub enum RunFolderError {
     },
 }
 
+impl RunFolderError {
+    fn in_use(path: &Path) -> Self {
+        let process = std::fs::read_to_string(path.join(LOCK)).unwrap_or_default();
+        Self::Locked { path: path.to_path_buf(), process: process.trim().to_owned() }
+    }
+}
+
 impl RunFolder {
     /// Claims a folder for a new run.
     ///
@@ -174,19 +181,34 @@ impl RunFolder {
     /// # Errors
     /// Names a file that cannot be read.
     pub fn listening(path: &Path) -> Result<Option<String>, RunFolderError> {
+        if !Self::is_locked(path)? {
+            return Ok(None);
+        }
+        let place = path.join(ADDRESS);
+        let address = std::fs::read_to_string(&place).map_err(FileError::of("read", &place))?;
+        Ok(Some(address.trim().to_owned()))
+    }
+
+    /// Refuses a folder in which a learner is at work. Nothing is claimed: this only says early what claiming it would.
+    ///
+    /// # Errors
+    /// Names the folder and the learner's process, or a file that cannot be read.
+    pub fn demand_free(path: &Path) -> Result<(), RunFolderError> {
+        match Self::is_locked(path)? {
+            true => Err(RunFolderError::in_use(path)),
+            false => Ok(()),
+        }
+    }
+
+    fn is_locked(path: &Path) -> Result<bool, RunFolderError> {
         let lock = path.join(LOCK);
         if !lock.is_file() {
-            return Ok(None);
+            return Ok(false);
         }
         let open = File::open(&lock).map_err(FileError::of("open", &lock))?;
         match open.try_lock_shared() {
-            Ok(()) => Ok(None),
-            Err(TryLockError::WouldBlock) => {
-                let place = path.join(ADDRESS);
-                let address = std::fs::read_to_string(&place);
-                let address = address.map_err(FileError::of("read", &place))?;
-                Ok(Some(address.trim().to_owned()))
-            }
+            Ok(()) => Ok(false),
+            Err(TryLockError::WouldBlock) => Ok(true),
             Err(TryLockError::Error(error)) => Err(FileError::of("lock", &lock)(error).into()),
         }
     }
@@ -197,11 +219,7 @@ impl RunFolder {
         let mut lock = open.map_err(FileError::of("open", &place))?;
         match lock.try_lock() {
             Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                let process = std::fs::read_to_string(&place).unwrap_or_default();
-                let process = process.trim().to_owned();
-                return Err(RunFolderError::Locked { path: path.to_path_buf(), process });
-            }
+            Err(TryLockError::WouldBlock) => return Err(RunFolderError::in_use(path)),
             Err(TryLockError::Error(error)) => {
                 return Err(FileError::of("lock", &place)(error).into());
             }
@@ -284,10 +302,13 @@ mod tests {
         let first = RunFolder::claim_new(folder.path()).unwrap();
         first.begin("", &manifest()).unwrap();
         let message = RunFolder::claim_existing(folder.path(), "aa").unwrap_err().to_string();
+        let early = RunFolder::demand_free(folder.path()).unwrap_err().to_string();
+        assert_eq!(early, message);
         let process = std::process::id();
         let path = folder.path().display();
         assert_eq!(message, format!("{path} is in use by another learner (process {process})"));
         drop(first);
+        RunFolder::demand_free(folder.path()).unwrap();
         RunFolder::claim_existing(folder.path(), "aa").unwrap();
     }
 

@@ -16,6 +16,7 @@ use proto::is_reward_log_name;
 use crate::chart::thousands;
 use crate::cli::{LogCommand, LogFiles};
 use crate::commands::Usage;
+use crate::run_path;
 
 /// What is left is sound, but something is missing; the program ends with status 3.
 #[derive(Debug, thiserror::Error)]
@@ -84,7 +85,11 @@ fn paths_of(logs: &LogFiles, belong: fn(&str) -> bool) -> anyhow::Result<Vec<Pat
     Ok(paths)
 }
 
+/// Of a run folder, those of its logs.
 fn in_folder(folder: &Path, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
+    let logs = run_path::logs(folder);
+    let is_run = run_path::config_file(folder).is_file() && logs.is_dir();
+    let folder = if is_run { &logs } else { folder };
     let entries = folder.read_dir().with_context(|| format!("cannot read {}", folder.display()))?;
     let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
     let mut paths: Vec<PathBuf> = paths.filter(|path| name_of(path).is_some_and(belong)).collect();

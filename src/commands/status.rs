@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use proto::{LeaseStatus, LeasedWork, Status};
+use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
 use serde_json::json;
 
 use crate::chart::thousands;
 use crate::cli::StatusArguments;
 use crate::commands::control::{operator, url};
 use crate::commands::{checkpointed, patience, runtime};
-use crate::output;
 use crate::run_config::RunConfig;
+use crate::{output, run_path};
 
 /// Prints one line and a table of leases, or one JSON object.
 pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
@@ -29,6 +29,7 @@ pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
 
 /// A run on which no learner works: finished, stopped or dead.
 pub(super) struct AtRest {
+    run_id: String,
     iteration: u64,
     iterations: u64,
     env_steps: u64,
@@ -40,7 +41,21 @@ impl AtRest {
         let checkpoint = checkpointed::load(run)?.checkpoint;
         let iterations = RunConfig::of_run(run)?.iterations();
         let (iteration, env_steps) = (checkpoint.iteration, checkpoint.env_steps);
-        Ok(Self { iteration, iterations, env_steps })
+        let run_id = run_path::name(run);
+        Ok(Self { run_id, iteration, iterations, env_steps })
+    }
+
+    /// How a run that is finished is told to whoever watches it.
+    pub(super) fn last_line(&self) -> RunLine {
+        RunLine {
+            run_id: self.run_id.clone(),
+            iteration: self.iteration,
+            env_steps: self.env_steps,
+            env_steps_per_sec: 0.0,
+            episode_return: None,
+            evaluation: None,
+            end: Some(RunEnd::Finished),
+        }
     }
 
     /// Whether the run has had its last iteration.
@@ -52,7 +67,7 @@ impl AtRest {
 fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let run = Path::new(&arguments.learner.of);
     let rest = AtRest::of(run)?;
-    let AtRest { iteration, iterations, env_steps } = rest;
+    let AtRest { iteration, iterations, env_steps, .. } = rest;
     let state = if rest.is_finished() { "finished" } else { "stopped" };
     if arguments.json {
         let told = json!({

@@ -107,17 +107,23 @@ impl<'a> Watch<'a> {
 
     /// One learner after the other; gives up when none has been reached for as long as `outage`.
     async fn until_the_end(mut self, outage: Duration) -> anyhow::Result<()> {
+        let mut told = false;
         loop {
+            let before = self.reached;
             let missing = match self.session().await {
                 Ok(RunEnd::Finished) => return Ok(()),
                 Ok(RunEnd::Stopped) => anyhow::anyhow!("the learner has ended"),
                 Err(error) if is_final(&error) => return Err(error),
                 Err(error) => error,
             };
+            told &= self.reached == before;
             if self.reached.elapsed() >= outage {
                 return Err(missing);
             }
-            tracing::info!("{missing:#}; trying again");
+            if !std::mem::replace(&mut told, true) {
+                let secs = outage.as_secs_f64();
+                tracing::warn!("{missing:#}; waiting up to {secs} s (--max-outage-secs)");
+            }
             tokio::time::sleep(PAUSE).await;
         }
     }
@@ -126,10 +132,14 @@ impl<'a> Watch<'a> {
     async fn session(&mut self) -> anyhow::Result<RunEnd> {
         let learner = &self.arguments.learner;
         let Some(url) = url(learner)? else {
-            return match AtRest::of(Path::new(&learner.of))?.is_finished() {
-                true => Ok(RunEnd::Finished),
-                false => Err(anyhow::anyhow!("no learner works on {}", learner.of)),
-            };
+            let rest = AtRest::of(Path::new(&learner.of))?;
+            if !rest.is_finished() {
+                let of = &learner.of;
+                let next = format!("`s2mia train --resume {of}` starts one");
+                return Err(anyhow::anyhow!("no learner works on {of}; {next}"));
+            }
+            self.show(&rest.last_line());
+            return Ok(RunEnd::Finished);
         };
         let mut operator = operator(&url, learner, ANSWER).await?;
         self.meet(operator.status().await?.run_id);

@@ -15,7 +15,8 @@ use super::onnx::{Element, Graph, Model, float, integer};
 /// The model of one agent; `about` goes into its metadata.
 pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Model {
     let mut graph = Graph::new("policy".to_owned());
-    for (name, array) in agent.arrays() {
+    // No node takes the deviations of actions: `sigma` tells them.
+    for (name, array) in agent.arrays().iter().filter(|(name, _)| *name != "head.log_std") {
         let Array::F32 { shape, data } = array else { unreachable!("{name}: policies are f32") };
         graph.constant(name, shape, data);
     }

@@ -6,9 +6,9 @@ use proto::wire::control_service_client::ControlServiceClient;
 use proto::{RunLine, Status, wire};
 use security::ClientFiles;
 use tonic::transport::Channel;
-use tonic::{Code, Response, Streaming};
+use tonic::{Response, Streaming};
 
-use crate::health::{self, HealthError, denial, reason};
+use crate::health::{self, HealthError, reason, why_not};
 
 /// A learner of which nothing came is asked for a sign of life after this long, so that nobody watches one that is
 /// out of reach for ever.
@@ -137,18 +137,6 @@ async fn answered<T>(
     let answer = tokio::time::timeout(patience, answer).await;
     let answer = answer.map_err(|_| silent(url, patience))?;
     answer.map(Response::into_inner).map_err(|status| why_not(url, &status))
-}
-
-/// Whether the learner itself said no, or was lost on the way.
-fn why_not(url: &str, status: &tonic::Status) -> HealthError {
-    let (url, detail) = (url.to_owned(), denial(status));
-    match status.code() {
-        Code::InvalidArgument
-        | Code::FailedPrecondition
-        | Code::PermissionDenied
-        | Code::Unimplemented => HealthError::Refused { url, detail },
-        _ => HealthError::Silent { url, detail },
-    }
 }
 
 fn silent(url: &str, patience: Duration) -> HealthError {
