@@ -41,31 +41,6 @@ fn every_file_also_loads_as_a_layer_of_its_own() {
     }
 }
 
-/// The value of a key in printed settings, which are TOML with an origin behind every value.
-fn number(text: &str, section: &str, key: &str) -> f64 {
-    let inside = text.split(&format!("[{section}]")).nth(1).unwrap();
-    let line = inside.lines().find(|line| line.starts_with(&format!("{key} = "))).unwrap();
-    let value = line.split('=').nth(1).unwrap().split('#').next().unwrap();
-    value.trim().parse().unwrap()
-}
-
-#[test]
-fn a_variant_of_happo_is_three_weights() {
-    for (algorithm, alpha, lambda, entropy) in [
-        ("happo", 0.0, 0.0, 0.01),
-        ("happo-sm", 0.01, 0.0, 0.0),
-        ("happo-smh", 0.01, 0.0, 0.01),
-        ("happo-s2mia", 0.01, 0.01, 0.0),
-        ("happo-mi", 0.0, 0.01, 0.0),
-        ("happo-0", 0.0, 0.0, 0.0),
-    ] {
-        let text = resolved(&[&format!("algorithm={algorithm}")]);
-        let weights = (number(&text, "surprise", "alpha"), number(&text, "influence", "lambda"));
-        assert_eq!(weights, (alpha, lambda), "{algorithm}");
-        assert_eq!(number(&text, "update", "entropy"), entropy, "{algorithm}");
-    }
-}
-
 #[test]
 fn maddpg_leases_ten_slots_of_one_environment_and_fifty_steps() {
     let text = resolved(&["algorithm=maddpg"]);

@@ -17,7 +17,7 @@ use std::time::Instant;
 use actor::LiveServer;
 use foxglove::Decode as _;
 use foxglove::messages::{FrameTransforms, JointStates, SceneUpdate};
-use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
+use policy::{Key, PolicySnapshot, RunSeed};
 use serde_json::{Value, json};
 use sim::Environments;
 
@@ -83,8 +83,8 @@ fn metrics(folder: &Path, kind: &str) -> Vec<Value> {
 fn evaluation(folder: &Path) -> (Environments, PolicySnapshot, Key) {
     let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
     let policy = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
-    let draw = Draw::of(Purpose::EvaluationReset).iteration(loaded.iteration).environment(0);
-    (trained::world(folder), policy, Key::of(RunSeed(7), draw))
+    let key = Key::of_evaluation(RunSeed(7), loaded.iteration, 0);
+    (trained::world(folder), policy, key)
 }
 
 #[test]

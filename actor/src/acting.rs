@@ -89,7 +89,7 @@ impl Agents {
     }
 
     /// Actions drawn as the networks say, and their log-probabilities. Each agent's draw in each
-    /// environment and step has its own key; `first` is the first environment's global index.
+    /// environment and step has its own key; `indices` are the environments' global indices, in the order of rows.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], noise: Noise) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let Sizes { action: width, output, .. } = self.sizes[agent];

@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
+use policy::{Key, PolicySnapshot, RunSeed};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork, RunDescription, Work,
@@ -157,9 +157,7 @@ impl Worlds {
         job: &Job,
         work: EvaluationWork,
     ) -> Result<(EvaluationResult, Option<Film>), EnvironmentError> {
-        let draw =
-            Draw::of(Purpose::EvaluationReset).iteration(work.iteration).environment(work.episode);
-        let key = Key::of(RunSeed(self.run.seed), draw);
+        let key = Key::of_evaluation(RunSeed(self.run.seed), work.iteration, work.episode);
         let world = self.evaluation.as_mut();
         world.reset(0, 0, world.description().episode_steps, key)?;
         let desk = self.desk.as_ref();

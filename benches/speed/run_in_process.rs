@@ -47,7 +47,7 @@ pub(crate) fn by_calls(
         let policy = updates.snapshot()?;
         let slots = environments.work(iteration);
         let (rollouts, rolled) = once(|| roll_out_all(&run, &slots, &policy, &mut worlds));
-        let batch = assemble(&layout, &rollouts)?;
+        let batch = assemble(&layout, &rollouts);
         let updated = updates.run(&batch)?.whole.wall;
         environments.advance(&batch, &rollouts);
         let whole = begin.elapsed().as_secs_f64();

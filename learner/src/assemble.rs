@@ -34,47 +34,6 @@ pub struct AgentLayout {
     pub hidden: usize,
 }
 
-/// Rollouts that do not make up an iteration.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum AssembleError {
-    /// Another slot than the one that comes next.
-    #[error("slots {found:?} were handed over, the iteration has 0 to {last}")]
-    Slots {
-        /// Slots in the order found.
-        found: Vec<u32>,
-        /// Last slot of the iteration.
-        last: usize,
-    },
-    /// A chunk does not begin where the one before it ended, or the slot is too short or too long.
-    #[error("slot {slot}: a chunk begins or ends at step {found}, expected {expected}")]
-    Steps {
-        /// The slot.
-        slot: u32,
-        /// Step found.
-        found: usize,
-        /// Step expected.
-        expected: usize,
-    },
-    /// An array has another length than its shape asks for.
-    #[error("slot {slot}: {field} has {found} elements, its shape asks for {expected}")]
-    Length {
-        /// The slot.
-        slot: u32,
-        /// The array.
-        field: &'static str,
-        /// Elements found.
-        found: usize,
-        /// Elements that the shape asks for.
-        expected: usize,
-    },
-    /// The last chunk lacks the states from which the next iteration goes on.
-    #[error("slot {slot}: the last chunk has no end states")]
-    NoEnd {
-        /// The slot.
-        slot: u32,
-    },
-}
-
 impl Layout {
     /// The sizes that `run` tells its actors, for `slots` slots.
     #[must_use]
@@ -132,85 +91,25 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
 
 /// `D_k` from all slots, ordered by slot: environment `slot * per_slot + position`, time-major.
 ///
-/// # Errors
-/// Refuses rollouts that are not exactly the iteration's slots with all their steps.
-pub fn assemble(layout: &Layout, rollouts: &[SlotRollout]) -> Result<Batch, AssembleError> {
-    check_slots(layout, rollouts)?;
+/// # Panics
+/// If these are not exactly the iteration's slots with all their steps. What actors sent was checked when it came in, so
+/// nobody outside can bring that about.
+#[must_use]
+pub fn assemble(layout: &Layout, rollouts: &[SlotRollout]) -> Batch {
+    let slots = rollouts.iter().map(|rollout| rollout.slot as usize);
+    assert!(slots.eq(0..layout.slots), "an iteration is all of its slots, in their order");
     let mut batch = empty(layout);
-    for rollout in rollouts {
-        check_rollout(layout, rollout)?;
-        for chunk in &rollout.chunks {
-            place(layout, rollout.slot as usize, chunk, &mut batch);
+    for SlotRollout { slot, chunks, .. } in rollouts {
+        let mut steps = 0;
+        for chunk in chunks {
+            assert_eq!(chunk.first_step as usize, steps, "slot {slot}: first step of a chunk");
+            place(layout, *slot as usize, chunk, &mut batch);
+            steps += chunk.steps as usize;
         }
+        assert_eq!(steps, layout.steps, "slot {slot}: steps");
     }
     batch.finals.sort_by_key(|last| (last.step, last.environment));
-    Ok(batch)
-}
-
-fn check_slots(layout: &Layout, rollouts: &[SlotRollout]) -> Result<(), AssembleError> {
-    let found: Vec<u32> = rollouts.iter().map(|rollout| rollout.slot).collect();
-    if found.iter().map(|slot| *slot as usize).eq(0..layout.slots) {
-        return Ok(());
-    }
-    Err(AssembleError::Slots { found, last: layout.slots.saturating_sub(1) })
-}
-
-fn check_rollout(layout: &Layout, rollout: &SlotRollout) -> Result<(), AssembleError> {
-    let slot = rollout.slot;
-    let mut expected = 0;
-    for chunk in &rollout.chunks {
-        let found = chunk.first_step as usize;
-        if found != expected || !chunk.steps.is_multiple_of(layout.hidden_every as u32) {
-            return Err(AssembleError::Steps { slot, found, expected });
-        }
-        check_chunk(layout, slot, chunk)?;
-        expected += chunk.steps as usize;
-    }
-    if expected != layout.steps {
-        return Err(AssembleError::Steps { slot, found: expected, expected: layout.steps });
-    }
-    check_end(layout, rollout)
-}
-
-fn check_chunk(layout: &Layout, slot: u32, chunk: &TrajectoryChunk) -> Result<(), AssembleError> {
-    let rows = chunk.steps as usize * layout.per_slot;
-    let length = |field, found, expected| length(slot, field, found, expected);
-    length("state", chunk.state.len(), rows * layout.state)?;
-    length("reward", chunk.reward.len(), rows)?;
-    length("terminated", chunk.terminated.len(), rows)?;
-    length("truncated", chunk.truncated.len(), rows)?;
-    length("agents", chunk.agents.len(), layout.agents.len())?;
-    for (agent, shape) in chunk.agents.iter().zip(&layout.agents) {
-        length("observation", agent.observation.len(), rows * shape.observation)?;
-        length("action", agent.action.len(), rows * shape.action)?;
-        length("log_prob", agent.log_prob.len(), rows)?;
-        length("hidden", agent.hidden.len(), rows / layout.hidden_every * shape.hidden)?;
-    }
-    Ok(())
-}
-
-fn check_end(layout: &Layout, rollout: &SlotRollout) -> Result<(), AssembleError> {
-    let slot = rollout.slot;
-    let end = rollout.chunks.last().and_then(|chunk| chunk.end.as_ref());
-    let end = end.ok_or(AssembleError::NoEnd { slot })?;
-    length(slot, "end.environments", end.environments.len(), layout.per_slot)?;
-    length(slot, "end.recurrent", end.recurrent.len(), layout.agents.len())?;
-    for (recurrent, shape) in end.recurrent.iter().zip(&layout.agents) {
-        length(slot, "end.recurrent", recurrent.len(), layout.per_slot * shape.hidden)?;
-    }
-    Ok(())
-}
-
-fn length(
-    slot: u32,
-    field: &'static str,
-    found: usize,
-    expected: usize,
-) -> Result<(), AssembleError> {
-    if found == expected {
-        return Ok(());
-    }
-    Err(AssembleError::Length { slot, field, found, expected })
+    batch
 }
 
 fn empty(layout: &Layout) -> Batch {
@@ -234,10 +133,11 @@ fn empty(layout: &Layout) -> Batch {
     }
 }
 
-/// Copies one checked chunk to its place.
+/// Copies one chunk to its place.
 fn place(layout: &Layout, slot: usize, chunk: &TrajectoryChunk, batch: &mut Batch) {
     let window = Window {
         first: chunk.first_step as usize,
+        steps: chunk.steps as usize,
         first_environment: slot * layout.per_slot,
         per_slot: layout.per_slot,
         environments: layout.environments(),
@@ -246,7 +146,8 @@ fn place(layout: &Layout, slot: usize, chunk: &TrajectoryChunk, batch: &mut Batc
     window.copy(&chunk.reward, &mut batch.reward, 1);
     window.copy(&chunk.terminated, &mut batch.terminated, 1);
     window.copy(&chunk.truncated, &mut batch.truncated, 1);
-    let stored = Window { first: window.first / layout.hidden_every, ..window };
+    let every = layout.hidden_every;
+    let stored = Window { first: window.first / every, steps: window.steps / every, ..window };
     for ((from, to), shape) in chunk.agents.iter().zip(&mut batch.agents).zip(&layout.agents) {
         window.copy(&from.observation, &mut to.observation, shape.observation);
         window.copy(&from.action, &mut to.action, shape.action);
@@ -261,6 +162,8 @@ fn place(layout: &Layout, slot: usize, chunk: &TrajectoryChunk, batch: &mut Batc
 struct Window {
     /// First row of time.
     first: usize,
+    /// Rows of time.
+    steps: usize,
     /// First environment.
     first_environment: usize,
     /// Environments of the chunk.
@@ -273,6 +176,7 @@ impl Window {
     /// `source` is `[t, per_slot, width]`, `target` is `[T, environments, width]`.
     fn copy<T: Copy>(&self, source: &[T], target: &mut [T], width: usize) {
         let run = self.per_slot * width;
+        assert_eq!(source.len(), self.steps * run, "a chunk's array");
         if run == 0 {
             return;
         }

@@ -55,7 +55,7 @@ pub struct Checkpoint {
     /// Environment steps of all finished iterations.
     pub env_steps: u64,
     /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `normalizer`,
-    /// `replay`, `environments`, `counters`, `evaluation`, and where older policies act than the newest, `behaviour`
+    /// `observation`, `replay`, `environments`, `counters`, `evaluation`, and where older policies act than the newest, `behaviour`
     /// and `rollout`.
     pub arrays: NamedArrays,
     /// The policies as actors get them: a `policy::PolicySnapshot`.

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::assemble::AssembleError;
 use crate::checkpoint::CheckpointError;
 use crate::config::ConfigError;
 use crate::durable::FileError;
@@ -37,9 +36,6 @@ pub enum LearnerError {
         /// Iterations asked for.
         iterations: u64,
     },
-    /// The rollouts handed over do not make up an iteration.
-    #[error(transparent)]
-    Assemble(#[from] AssembleError),
     /// Actors' results contradict each other, or weights could not be published.
     #[error(transparent)]
     Exchange(#[from] ExchangeError),

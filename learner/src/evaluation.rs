@@ -8,7 +8,6 @@ use policy::arrays::{Array, NamedArrays};
 
 use crate::checkpoint::{CheckpointError, fields};
 use crate::config::EvaluationConfig;
-use crate::exchange::EvaluationOutcome;
 
 const ITERATION: &str = "evaluation/iteration";
 const POLICY: &str = "evaluation/policy";
@@ -125,18 +124,18 @@ impl Evaluations {
 }
 
 impl Spread {
-    /// Of an evaluation's episodes, at least one.
+    /// Of the extrinsic returns of at least one episode.
     #[must_use]
-    pub fn of(outcome: &EvaluationOutcome) -> Self {
-        let returns = || outcome.episodes.iter().map(|episode| episode.extrinsic_return);
-        let count = outcome.episodes.len() as f64;
-        let mean = returns().sum::<f64>() / count;
-        let variance = returns().map(|value| (value - mean) * (value - mean)).sum::<f64>() / count;
+    pub fn of(returns: impl ExactSizeIterator<Item = f64> + Clone) -> Self {
+        let count = returns.len() as f64;
+        let mean = returns.clone().sum::<f64>() / count;
+        let square = |value: f64| (value - mean) * (value - mean);
+        let variance = returns.clone().map(square).sum::<f64>() / count;
         Self {
             mean,
             standard_deviation: variance.sqrt(),
-            minimum: returns().fold(f64::INFINITY, f64::min),
-            maximum: returns().fold(f64::NEG_INFINITY, f64::max),
+            minimum: returns.clone().fold(f64::INFINITY, f64::min),
+            maximum: returns.fold(f64::NEG_INFINITY, f64::max),
         }
     }
 }
@@ -144,7 +143,6 @@ impl Spread {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proto::EvaluationResult;
 
     fn evaluations(every_steps: u64) -> Evaluations {
         let config = EvaluationConfig { every_steps, episodes: 2 };
@@ -180,11 +178,7 @@ mod tests {
 
     #[test]
     fn the_spread_of_two_episodes_is_that_worked_out_by_hand() {
-        let episode =
-            |episode, extrinsic_return| EvaluationResult { episode, extrinsic_return, steps: 5 };
-        let outcome =
-            EvaluationOutcome { iteration: 0, episodes: vec![episode(0, 1.0), episode(1, 5.0)] };
         let spread = Spread { mean: 3.0, standard_deviation: 2.0, minimum: 1.0, maximum: 5.0 };
-        assert_eq!(Spread::of(&outcome), spread);
+        assert_eq!(Spread::of([1.0, 5.0].into_iter()), spread);
     }
 }

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::evaluation::Spread;
+
 /// Something happened that a watcher may show.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
@@ -22,14 +24,8 @@ pub enum Event {
         iteration: u64,
         /// Environment steps of those iterations.
         env_steps: u64,
-        /// Mean extrinsic return.
-        mean: f64,
-        /// Its standard deviation over the episodes.
-        standard_deviation: f64,
-        /// Smallest return.
-        minimum: f64,
-        /// Largest return.
-        maximum: f64,
+        /// Of the extrinsic returns.
+        spread: Spread,
         /// Episodes.
         episodes: usize,
     },

@@ -14,6 +14,7 @@ use proto::{
 use tokio::sync::{Notify, watch};
 
 use crate::canary;
+use crate::config::LeaseConfig;
 use crate::published::Published;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
@@ -24,7 +25,6 @@ mod film;
 mod incidents;
 mod intake;
 mod lines;
-mod patience;
 mod reports;
 mod status;
 mod weights;
@@ -34,7 +34,6 @@ pub use film::FilmedEpisode;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
 pub use lines::Lines;
-pub use patience::LeaseConfig;
 pub use reports::{Progress, Storage, Wake};
 use status::Pace;
 pub use status::status_json;

@@ -34,13 +34,13 @@ mod traces;
 pub mod trainer;
 
 pub use config::{
-    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, MetricsConfig, Phase,
-    ThreadsConfig,
+    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, LeaseConfig, MetricsConfig,
+    Phase, ThreadsConfig,
 };
 pub use door::Door;
 pub use error::LearnerError;
 pub use event::{Event, IterationReport, Stage};
-pub use exchange::{Exchange, LeaseConfig};
+pub use exchange::Exchange;
 pub use fault::Fault;
 pub use launch::Launch;
 pub use page::{Hosts, Page};

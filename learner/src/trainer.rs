@@ -167,7 +167,7 @@ impl Work {
             let Some(collected) = collected else { break };
             self.enter(Stage::Update);
             self.trainer.fault_at(Point::AfterCollect);
-            let batch = assemble(&self.trainer.layout, &collected.rollouts)?;
+            let batch = assemble(&self.trainer.layout, &collected.rollouts);
             let shares = self.trainer.environments.shares(&batch);
             self.trainer.environments.advance(&batch, &collected.rollouts);
             self.lease(self.trainer.iteration + 1);

@@ -116,6 +116,13 @@ impl Key {
         Self(key)
     }
 
+    /// Where evaluation episode `episode` of the policies after `iteration` begins.
+    #[must_use]
+    pub fn of_evaluation(seed: RunSeed, iteration: u64, episode: u32) -> Self {
+        let draw = Draw::of(Purpose::EvaluationReset).iteration(iteration).environment(episode);
+        Self::of(seed, draw)
+    }
+
     /// The generator with this key, from its beginning.
     #[must_use]
     pub fn generator(self) -> ChaCha8Rng {

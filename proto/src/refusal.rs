@@ -152,7 +152,9 @@ impl From<Refusal> for Status {
     }
 }
 
-fn cut(mut text: String) -> String {
+/// One line, and not too long a one: what a peer sent may stand in it.
+fn cut(text: String) -> String {
+    let mut text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     if text.len() > MAX_TEXT_BYTES {
         let end = (0..=MAX_TEXT_BYTES).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
         text.truncate(end);

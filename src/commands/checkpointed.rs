@@ -1,11 +1,11 @@
-//! A run's newest good checkpoint, as `eval`, `record` and `inspect` read it.
+//! A run's newest good checkpoint, as commands read it.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
 use learner::checkpoint::Loaded;
-use policy::PolicySnapshot;
+use policy::{Key, PolicySnapshot, RunSeed};
 
 use crate::commands::Usage;
 use crate::run_config::RunConfig;
@@ -20,6 +20,13 @@ pub(super) struct Trained {
     pub(super) env_steps: u64,
     /// All agents.
     pub(super) policy: PolicySnapshot,
+}
+
+impl Trained {
+    /// Where the run's own evaluation of this policy begins its episode `episode`.
+    pub(super) fn start(&self, episode: u32) -> Key {
+        Key::of_evaluation(RunSeed(self.config.run.seed), self.iteration, episode)
+    }
 }
 
 /// The newest checkpoint whose hashes are right; tells of every newer one that it had to pass over.

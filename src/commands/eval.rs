@@ -4,7 +4,7 @@ use std::path::Path;
 
 use actor::EnvironmentBatch;
 use anyhow::Context as _;
-use policy::{Draw, Key, Purpose, RunSeed};
+use learner::evaluation::Spread;
 use serde_json::json;
 
 use crate::chart;
@@ -20,7 +20,7 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let returns = play(stage.environment.as_mut(), &trained, arguments.episodes)?;
     let task = &stage.environment.description().task;
     let world = if stage.environment.simulated().is_some() { "rapier/" } else { "" };
-    let spread = Spread::of(&returns);
+    let spread = Spread::of(returns.iter().map(|episode| episode.0));
     if arguments.json {
         output::line(as_json(task, &trained, &returns, &spread));
     } else {
@@ -38,40 +38,14 @@ fn play(
     trained: &Trained,
     episodes: u32,
 ) -> anyhow::Result<Vec<(f64, u32)>> {
-    let seed = RunSeed(trained.config.run.seed);
     let mut returns = Vec::new();
     for episode in 0..episodes {
-        let draw =
-            Draw::of(Purpose::EvaluationReset).iteration(trained.iteration).environment(episode);
-        let key = Key::of(seed, draw);
-        let played = actor::play_episode(world, &trained.policy, key, |_| {})
+        let start = trained.start(episode);
+        let played = actor::play_episode(world, &trained.policy, start, |_| {})
             .context("the episode broke off")?;
         returns.push((played.extrinsic_return, played.steps));
     }
     Ok(returns)
-}
-
-/// Mean, standard deviation over the episodes, and extremes.
-struct Spread {
-    mean: f64,
-    standard_deviation: f64,
-    minimum: f64,
-    maximum: f64,
-}
-
-impl Spread {
-    fn of(returns: &[(f64, u32)]) -> Self {
-        let count = returns.len() as f64;
-        let values = || returns.iter().map(|episode| episode.0);
-        let mean = values().sum::<f64>() / count;
-        let variance = values().map(|value| (value - mean) * (value - mean)).sum::<f64>() / count;
-        Self {
-            mean,
-            standard_deviation: variance.sqrt(),
-            minimum: values().fold(f64::INFINITY, f64::min),
-            maximum: values().fold(f64::NEG_INFINITY, f64::max),
-        }
-    }
 }
 
 fn as_json(
@@ -110,16 +84,4 @@ fn as_table(
     }
     let Spread { mean, standard_deviation, minimum, maximum } = spread;
     text + &format!("\nreturn {mean:.2} ± {standard_deviation:.2} ({minimum:.2} to {maximum:.2})\n")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_spread_of_two_episodes() {
-        let spread = Spread::of(&[(1.0, 10), (3.0, 10)]);
-        assert_eq!((spread.mean, spread.standard_deviation), (2.0, 1.0));
-        assert_eq!((spread.minimum, spread.maximum), (1.0, 3.0));
-    }
 }

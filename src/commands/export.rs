@@ -1,7 +1,5 @@
 //! `s2mia export`: a trained policy for other programs.
 
-use policy::{Draw, Key, Purpose, RunSeed};
-
 use crate::cli::ExportArguments;
 use crate::commands::checkpointed;
 use crate::offered::Stage;
@@ -10,13 +8,10 @@ use crate::{export, output};
 /// Writes the files and says what is in each.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
-    let seed = RunSeed(trained.config.run.seed);
     let mut stage = Stage::of(&trained.config)?;
     let about = checkpointed::metadata(&trained, &stage.environment.description().task);
-    // The first episode that `s2mia eval` plays.
-    let start = Key::of(seed, Draw::of(Purpose::EvaluationReset).iteration(trained.iteration));
     let world = stage.environment.as_mut();
-    let files = export::export(&arguments.onnx, &trained.policy, world, start, &about)?;
+    let files = export::export(&arguments.onnx, &trained.policy, world, trained.start(0), &about)?;
     for (name, holds) in files {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }

@@ -6,7 +6,6 @@ mod times;
 use std::path::Path;
 
 use anyhow::Context as _;
-use policy::{Draw, Key, Purpose, RunSeed};
 use sim::{Environments, Outcome};
 
 use crate::cli::FilmArguments;
@@ -90,8 +89,7 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     }
     let cast = Cast::new(world.description(), shapes, &world.pose(0));
     let dt_secs = world.description().dt_secs;
-    let draw = Draw::of(Purpose::EvaluationReset).iteration(trained.iteration).environment(episode);
-    let key = Key::of(RunSeed(trained.config.run.seed), draw);
+    let key = trained.start(episode);
     // The same draw as the episode's own, to see where it starts.
     world.reset(0, 0, world.description().episode_steps, &mut key.generator());
     let mut moments = vec![Moment::of(&world)];

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use actor::{LiveError, LiveScene, LiveServer};
 use anyhow::Context as _;
-use policy::{Draw, Key, Purpose, RunSeed};
+use policy::{Key, RunSeed};
 
 use crate::commands::Usage;
 use crate::commands::checkpointed::{self, Trained};
@@ -124,8 +124,7 @@ impl Robot {
         let mut stage = Stage::of(&show.config)?;
         let world = stage.environment.as_mut();
         let mut scene = server.scene(world).context("cannot show the environment")?;
-        let seed = RunSeed(show.config.run.seed);
-        let key = Key::of(seed, Draw::of(Purpose::EvaluationReset));
+        let key = Key::of_evaluation(RunSeed(show.config.run.seed), 0, 0);
         world.reset(0, 0, world.description().episode_steps, key)?;
         scene.stand(world)?;
         scene.describe(&BTreeMap::from([(
@@ -177,9 +176,7 @@ impl Robot {
     /// Episodes begin as those of the run's own evaluation of this policy do, one after the other.
     fn episode(&mut self, curves: &mut Curves) -> anyhow::Result<()> {
         let Some(trained) = &self.trained else { return Ok(()) };
-        let draw = Draw::of(Purpose::EvaluationReset).iteration(trained.iteration);
-        let seed = RunSeed(trained.config.run.seed);
-        let key = Key::of(seed, draw.environment(self.episodes));
+        let key = trained.start(self.episodes);
         let after_step = || curves.follow();
         self.scene
             .play(

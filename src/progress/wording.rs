@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
+use learner::evaluation::Spread;
 use learner::{Event, IterationReport};
 
 use crate::chart;
@@ -124,19 +125,14 @@ impl Standing {
 /// The line of an event that is told at once.
 pub(super) fn notice(event: &Event) -> Option<String> {
     match event {
-        Event::Evaluation {
-            env_steps,
-            mean,
-            standard_deviation,
-            minimum,
-            maximum,
-            episodes,
-            ..
-        } => Some(format!(
-            "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} \
+        Event::Evaluation { env_steps, spread, episodes, .. } => {
+            let Spread { mean, standard_deviation, minimum, maximum } = spread;
+            Some(format!(
+                "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} \
                  ({minimum:.1} to {maximum:.1}, {episodes} episodes)",
-            chart::thousands(*env_steps)
-        )),
+                chart::thousands(*env_steps)
+            ))
+        }
         Event::Waiting { seconds, reason } => {
             Some(format!("waited {} so far: {reason}", chart::duration(*seconds)))
         }
@@ -200,15 +196,9 @@ mod tests {
 
     #[test]
     fn an_evaluation_is_told_with_its_spread() {
-        let event = Event::Evaluation {
-            iteration: 25,
-            env_steps: 100_000,
-            mean: 812.44,
-            standard_deviation: 33.1,
-            minimum: 760.0,
-            maximum: 866.0,
-            episodes: 10,
-        };
+        let spread =
+            Spread { mean: 812.44, standard_deviation: 33.1, minimum: 760.0, maximum: 866.0 };
+        let event = Event::Evaluation { iteration: 25, env_steps: 100_000, spread, episodes: 10 };
         assert_eq!(
             notice(&event).as_deref(),
             Some("evaluation at 100,000 steps: return 812.4 ± 33.1 (760.0 to 866.0, 10 episodes)")

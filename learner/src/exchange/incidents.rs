@@ -124,9 +124,7 @@ impl Exchange {
             }
             _ => "no lease is touched".to_owned(),
         };
-        // A detail may quote the peer, who must not begin a line of its own.
-        let detail = why.detail.split_whitespace().collect::<Vec<_>>().join(" ");
-        tracing::warn!(reason, %field, "{caller} is refused: {detail}; {next}");
+        tracing::warn!(reason, %field, "{caller} is refused: {}; {next}", why.detail);
     }
 }
 

@@ -31,11 +31,11 @@ impl Lines {
     fn take_in(&mut self, event: &Event) {
         match event {
             Event::Iteration(report) => self.push(self.of_iteration(report)),
-            Event::Evaluation { iteration, mean, standard_deviation, episodes, .. } => {
+            Event::Evaluation { iteration, spread, episodes, .. } => {
                 self.evaluation = Some(EvaluationSummary {
                     iteration: *iteration,
-                    mean: *mean,
-                    standard_deviation: *standard_deviation,
+                    mean: spread.mean,
+                    standard_deviation: spread.standard_deviation,
                     episodes: *episodes as u32,
                 });
             }
@@ -113,6 +113,7 @@ impl Exchange {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluation::Spread;
 
     fn iteration(iteration: u64) -> Event {
         Event::Iteration(IterationReport {
@@ -132,15 +133,8 @@ mod tests {
     }
 
     fn evaluation(iteration: u64) -> Event {
-        Event::Evaluation {
-            iteration,
-            env_steps: iteration * 4000,
-            mean: 10.0,
-            standard_deviation: 1.0,
-            minimum: 9.0,
-            maximum: 11.0,
-            episodes: 2,
-        }
+        let spread = Spread { mean: 10.0, standard_deviation: 1.0, minimum: 9.0, maximum: 11.0 };
+        Event::Evaluation { iteration, env_steps: iteration * 4000, spread, episodes: 2 }
     }
 
     fn iterations(lines: &[RunLine]) -> Vec<u64> {

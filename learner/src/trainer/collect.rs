@@ -71,19 +71,11 @@ impl Work {
     fn take_evaluation(&mut self, outcome: &EvaluationOutcome) -> Result<(), LearnerError> {
         let (iteration, episodes) = (outcome.iteration, outcome.episodes.len());
         let env_steps = self.trainer.steps_after(iteration);
-        let spread = Spread::of(outcome);
+        let returns = outcome.episodes.iter().map(|episode| episode.extrinsic_return);
+        let spread = Spread::of(returns);
         self.trainer.metrics.evaluation(iteration, env_steps, &spread, episodes)?;
         self.trainer.evaluations.end(iteration);
-        let Spread { mean, standard_deviation, minimum, maximum } = spread;
-        self.tell(&Event::Evaluation {
-            iteration,
-            env_steps,
-            mean,
-            standard_deviation,
-            minimum,
-            maximum,
-            episodes,
-        });
+        self.tell(&Event::Evaluation { iteration, env_steps, spread, episodes });
         Ok(())
     }
 
