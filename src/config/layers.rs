@@ -31,6 +31,8 @@ pub(crate) struct Request {
     pub(crate) environment: Vec<(String, String)>,
     /// Arguments `key.path=value`; a first one without `=` is the task.
     pub(crate) settings: Vec<String>,
+    /// Where `settings` are written, if not on the command line.
+    pub(crate) settings_place: Option<String>,
 }
 
 impl Request {
@@ -41,7 +43,7 @@ impl Request {
             .filter(|(name, _)| name.starts_with(ENVIRONMENT_PREFIX))
             .map(|(name, value)| (name, value.to_string_lossy().into_owned()))
             .collect();
-        Self { resumed: None, files, environment, settings }
+        Self { files, environment, settings, ..Self::default() }
     }
 }
 
@@ -121,13 +123,14 @@ fn asked_layers(request: &Request, schema: &Schema) -> Result<Vec<Layer>, Config
         let key = name[ENVIRONMENT_PREFIX.len()..].to_lowercase().replace("__", ".");
         layers.push(setting_layer(&format!("environment variable {name}"), &key, value, schema)?);
     }
+    let place = request.settings_place.as_deref().unwrap_or(COMMAND_LINE);
     for (position, argument) in request.settings.iter().enumerate() {
         let (key, value) = match argument.split_once('=') {
             Some((key, value)) => (key.trim(), value.trim()),
             None if position == 0 => ("task", argument.as_str()),
             None => return Err(ConfigError::NoSetting(argument.clone())),
         };
-        layers.push(setting_layer(COMMAND_LINE, key, value, schema)?);
+        layers.push(setting_layer(place, key, value, schema)?);
     }
     Ok(layers)
 }
