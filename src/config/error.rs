@@ -67,12 +67,12 @@ pub(crate) enum ConfigError {
         place: String,
         /// Dotted path.
         key: String,
-        /// Value of the run.
+        /// Value of the run, or its length.
         old: String,
-        /// Value asked for.
+        /// Value asked for, or the length that comes of it.
         new: String,
         /// What a resume may change.
-        allowed: &'static str,
+        allowed: String,
     },
 }
 

@@ -1,9 +1,12 @@
 //! What is known of keys: which take part in the result of a run, and which are spelled alike.
 
+/// Where a run is kept.
+const FOLDER: &str = "run.dir";
+
 /// Keys and sections that decide who computes and when, never what.
 const OPERATIONAL: &[&str] = &[
     "run.actors",
-    "run.dir",
+    FOLDER,
     "environment.url",
     "lease.",
     "evaluation.",
@@ -21,6 +24,16 @@ pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 
 /// The setting, and its value, with which how far a run goes changes every step on the way.
 pub(crate) const DEPENDS_ON_LENGTH: (&str, &str) = ("update.learning_rate_decay", "linear");
+
+/// The operational keys and sections that a resume may change, as messages name them: a run stays in its folder.
+pub(crate) fn free_on_resume() -> String {
+    let named = OPERATIONAL.iter().filter(|key| **key != FOLDER);
+    let named = named.map(|key| match key.strip_suffix('.') {
+        Some(section) => format!("{section}.*"),
+        None => (*key).to_owned(),
+    });
+    named.collect::<Vec<_>>().join(", ")
+}
 
 /// Whether a key's value changes what a run computes.
 pub(crate) fn is_semantic(key: &str) -> bool {
@@ -86,6 +99,14 @@ mod tests {
         assert_eq!(nearest("update.lerning_rate", keys), Some("update.learning_rate"));
         assert_eq!(nearest("seed", keys), Some("run.seed"));
         assert_eq!(nearest("zebra.stripes", keys), None);
+    }
+
+    #[test]
+    fn the_readme_names_what_a_resume_may_change() {
+        let readme = include_str!("../../README.md");
+        for named in free_on_resume().split(", ") {
+            assert!(readme.contains(&format!("`{named}`")), "{named}");
+        }
     }
 
     #[test]
