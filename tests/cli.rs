@@ -24,6 +24,13 @@ fn wrong_settings_are_one_line_and_status_two() {
         (&["train", "update.gamma=much"], "must be a finite number"),
         (&["train", "halfcheeta-2x3"], "did you mean `halfcheetah-2x3`?"),
         (&["train", "algorithm=happ"], "did you mean `happo`?"),
+        (
+            &["train", "run.seed=-1"],
+            "`run.seed`: invalid value: integer `-1`, expected a whole number from 0",
+        ),
+        (&["train", "evaluation.episodes=5e9"], "expected a whole number from 0 to 4294967295"),
+        (&["train", "--seed", "3"], "a setting is written run.seed=VALUE"),
+        (&["train", "run.seed=7", "walker2d-2x3"], "the task comes first"),
         (&["train", "halfcheetah-2x3", "happo"], "is no setting"),
         (&["train", "--config", "no/such/file.toml"], "no/such/file.toml"),
         (&["train", "--resume", "no/such/run"], "no/such/run"),
@@ -66,6 +73,9 @@ fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
     let bad = run("S2MIA__UPDATE__CLAP", "0.125");
     assert_eq!(bad.status.code(), Some(2));
     assert!(String::from_utf8(bad.stderr).unwrap().contains("S2MIA__UPDATE__CLAP: unknown key"));
+    let alike = String::from_utf8(run("S2MIA_RUN_SEED", "3").stderr).unwrap();
+    let line = "error: environment variable S2MIA_RUN_SEED is no setting; write S2MIA__RUN__SEED\n";
+    assert_eq!(alike, line);
 }
 
 #[test]

@@ -46,6 +46,14 @@ pub(crate) fn is_length(key: &str) -> bool {
     LENGTH.contains(&key)
 }
 
+/// The keys that `word` spells with other marks between its words, with or without their section.
+pub(crate) fn spelled<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
+    let plain = |text: &str| text.replace(['.', '-'], "_").replace("__", "_");
+    let word = plain(word);
+    let last = |key: &'a str| key.rsplit('.').next().unwrap_or(key);
+    known.into_iter().filter(|key| plain(key) == word || last(key) == word).collect()
+}
+
 /// The candidate spelled most like `word`, if one is near enough to be meant.
 pub(crate) fn nearest<'a>(
     word: &str,
@@ -99,6 +107,18 @@ mod tests {
         assert_eq!(nearest("update.lerning_rate", keys), Some("update.learning_rate"));
         assert_eq!(nearest("seed", keys), Some("run.seed"));
         assert_eq!(nearest("zebra.stripes", keys), None);
+    }
+
+    #[test]
+    fn a_key_is_known_by_its_words_whatever_stands_between_them() {
+        let keys = ["update.learning_rate", "critic.learning_rate", "run.seed"];
+        assert_eq!(spelled("run_seed", keys), ["run.seed"]);
+        assert_eq!(spelled("run__seed", keys), ["run.seed"]);
+        assert_eq!(
+            spelled("learning-rate", keys),
+            ["update.learning_rate", "critic.learning_rate"]
+        );
+        assert!(spelled("run", keys).is_empty());
     }
 
     #[test]
