@@ -13,7 +13,8 @@ use crate::experiment::progress::Progress;
 use crate::experiment::report;
 use crate::{output, signals};
 
-/// Runs what is missing and reports; a stop leaves checkpoints and status 0, a run that failed or could not begin status 1.
+/// Runs what is missing and reports; a stop leaves checkpoints and status 0, a run that failed or could not begin
+/// status 1.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let file = ExperimentFile::read(&arguments.file)?;
     let runs = plan(&file)?;

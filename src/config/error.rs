@@ -96,9 +96,14 @@ const NUMBERS: [(&str, &str); 3] = [
 
 /// Owners name the key themselves where they refuse a range; serde does not where it refuses a choice or a type.
 fn named(key: &str, detail: &str) -> String {
-    let told = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
-    let detail = NUMBERS.into_iter().fold(detail.to_owned(), told);
+    let detail = in_words(detail);
     if detail.contains(key) { detail } else { format!("`{key}`: {detail}") }
+}
+
+/// What serde says, without Rust's names of types.
+pub(crate) fn in_words(detail: &str) -> String {
+    let told = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
+    NUMBERS.into_iter().fold(detail.to_owned(), told)
 }
 
 fn suggestion(nearest: Option<&str>) -> String {

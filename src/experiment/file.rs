@@ -8,6 +8,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use crate::commands::Usage;
+use crate::config::error::in_words;
 
 /// Settings that an experiment decides by keys of its own.
 const DECIDED: [&str; 8] = [
@@ -197,7 +198,7 @@ fn not_an_experiment(text: &str, error: &toml::de::Error) -> String {
     let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
     let line = before.matches('\n').count() + 1;
     let detail = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-    format!("line {line}: {detail}")
+    format!("line {line}: {}", in_words(&detail))
 }
 
 #[cfg(test)]
@@ -264,6 +265,9 @@ pub(crate) mod tests {
         for field in [fields("x = 1"), fields("[[variants]]\nx = 1")].concat() {
             assert!(document.contains(&field), "{field}");
         }
+        for key in DECIDED {
+            assert!(document.contains(&format!("`{key}`")), "{key}");
+        }
     }
 
     #[test]
@@ -294,6 +298,7 @@ pub(crate) mod tests {
                 "baseline = \"mappo\" must be the name",
             ),
             ("seeds = [0, 1]", "seeds = []", "seeds must not be empty"),
+            ("seeds = [0, 1]", "seeds = [-1]", "integer `-1`, expected a whole number from 0"),
             ("seeds = [0, 1]", "seeds = [1, 1]", "seeds must differ"),
             ("name = \"near\"", "name = \"happo\"", "variants must differ"),
             ("name = \"near\"", "name = \"a/b\"", "name = \"a/b\" must be letters"),
