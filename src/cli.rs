@@ -1,19 +1,18 @@
-//! The arguments of every command, and how a wrong one is reported.
+//! The arguments of every command.
 
 mod control;
 mod export;
 mod figures;
 mod log;
 mod page;
+mod refusal;
 mod serve;
 mod settings;
 mod tls;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::process::ExitCode;
 
-use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub(crate) use control::{
@@ -24,6 +23,7 @@ pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use page::{PageAddress, PageArguments};
+pub(crate) use refusal::report;
 pub(crate) use serve::ServeArguments;
 pub(crate) use settings::SettingsArguments;
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
@@ -324,36 +324,10 @@ pub(crate) struct CertsArguments {
     pub(crate) days: u32,
 }
 
-/// Prints help and version as clap does, and everything else as one line.
-pub(crate) fn report(error: &clap::Error) -> ExitCode {
-    let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
-    if asked || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        let printed = error.print();
-        return if asked && printed.is_ok() { ExitCode::SUCCESS } else { ExitCode::from(2) };
-    }
-    eprintln!("{}", one_line(&error.render().to_string()));
-    ExitCode::from(2)
-}
-
-/// The message and the tip of a report of clap, without its usage text.
-fn one_line(report: &str) -> String {
-    let paragraphs = report.split("\n\n").filter(|text| {
-        let text = text.trim_start();
-        text.starts_with("error:") || text.starts_with("tip:")
-    });
-    let words = paragraphs.map(|text| text.split_whitespace().collect::<Vec<_>>().join(" "));
-    words.collect::<Vec<_>>().join("; ") + "; see --help"
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use clap::CommandFactory as _;
-
-    fn refusal(arguments: &[&str]) -> String {
-        let arguments = [&["s2mia"], arguments].concat();
-        one_line(&Arguments::try_parse_from(arguments).unwrap_err().render().to_string())
-    }
 
     #[test]
     fn the_command_line_is_consistent_in_itself() {
@@ -370,31 +344,5 @@ mod tests {
         assert_eq!(train.settings.settings[0], "halfcheetah-6x1");
         let parsed = Arguments::try_parse_from(["s2mia", "inspect", "DIR", "--json"]).unwrap();
         assert!(matches!(parsed.command, Command::Inspect(InspectArguments { json: true, .. })));
-    }
-
-    #[test]
-    fn a_wrong_flag_is_one_line_with_the_flag_that_was_meant() {
-        let line = refusal(&["train", "--resum", "x"]);
-        assert!(line.starts_with("error: unexpected argument '--resum' found"), "{line}");
-        assert!(line.contains("--resume"), "{line}");
-        assert!(!line.contains('\n'), "{line}");
-    }
-
-    #[test]
-    fn a_missing_run_folder_is_one_line() {
-        let line = refusal(&["plot"]);
-        assert!(line.contains("<RUN>"), "{line}");
-        assert!(!line.contains('\n'), "{line}");
-    }
-
-    #[test]
-    fn episodes_start_at_one() {
-        assert!(refusal(&["eval", "runs/x", "--episodes", "0"]).contains("--episodes"));
-    }
-
-    #[test]
-    fn a_strip_without_frames_is_refused() {
-        let line = refusal(&["film", "runs/x", "--frames", "0"]);
-        assert!(line.contains("--frames") && !line.contains('\n'), "{line}");
     }
 }

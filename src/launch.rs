@@ -96,12 +96,7 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     let Some(folder) = resumed else {
         return Ok(RunConfig::build(layers::resolve(&request)?)?);
     };
-    let file = run_path::config_file(folder);
-    if !file.is_file() {
-        let why = format!("{} is no run folder: it has no config.toml", folder.display());
-        return Err(Usage::new(why).into());
-    }
-    request.resumed = Some(file);
+    request.resumed = Some(run_path::config_file_of_run(folder)?);
     let old = RunConfig::of_run(folder)?;
     let new = RunConfig::build(layers::resolve(&request)?)?;
     resume::check(&old, &new)?;

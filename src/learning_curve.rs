@@ -83,11 +83,7 @@ pub(crate) struct Panel {
 
 /// Reads the curves of a run folder.
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
-    let file = run_path::config_file(folder);
-    if !file.is_file() {
-        let why = format!("{} is no run folder: it has no config.toml", folder.display());
-        return Err(Usage::new(why).into());
-    }
+    let file = run_path::config_file_of_run(folder)?;
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
     let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
     let settings = semantic.map(|(key, value)| (key.to_owned(), value.to_string())).collect();

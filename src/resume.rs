@@ -3,8 +3,6 @@
 use crate::config::{ConfigError, Resolved, keys};
 use crate::run_config::RunConfig;
 
-const MAY_CHANGE: &str =
-    "a resume may change operational keys and raise run.iterations or run.env_steps";
 const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";
 const MAY_RISE: &str = "it may only be raised";
@@ -17,24 +15,47 @@ pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError>
             continue;
         }
         if new.resolved.entries[key].value != *value {
-            let allowed = if keys::is_length(key) { DECAYS } else { MAY_CHANGE };
-            return Err(fixed(&old.resolved, &new.resolved, key, allowed));
+            let allowed = if keys::is_length(key) { DECAYS.to_owned() } else { may_change() };
+            let values = (old.resolved.shown(key), new.resolved.shown(key));
+            return Err(fixed(&new.resolved, key, values, allowed));
         }
     }
     if new.iterations() < old.iterations() {
         let lowered = |key: &&&str| new.resolved.shown(key) != old.resolved.shown(key);
         let key = keys::LENGTH.iter().find(lowered).unwrap_or(&keys::LENGTH[0]);
-        return Err(fixed(&old.resolved, &new.resolved, key, MAY_RISE));
+        return Err(fixed(&new.resolved, key, (length(old), length(new)), MAY_RISE.to_owned()));
     }
     Ok(())
 }
 
-fn fixed(old: &Resolved, new: &Resolved, key: &str, allowed: &'static str) -> ConfigError {
+/// How far a run goes, and what says so if that is not in iterations itself.
+fn length(config: &RunConfig) -> String {
+    let iterations = match config.iterations() {
+        1 => "1 iteration".to_owned(),
+        iterations => format!("{iterations} iterations"),
+    };
+    match config.run.iterations {
+        0 => format!("{iterations} (run.env_steps = {})", config.run.env_steps),
+        _ => iterations,
+    }
+}
+
+fn may_change() -> String {
+    let free = keys::free_on_resume();
+    format!("a resume may change {free}, and raise run.iterations or run.env_steps")
+}
+
+fn fixed(
+    new: &Resolved,
+    key: &str,
+    (old, found): (String, String),
+    allowed: String,
+) -> ConfigError {
     ConfigError::FixedOnResume {
         place: new.origin(key).to_owned(),
         key: key.to_owned(),
-        old: old.shown(key),
-        new: new.shown(key),
+        old,
+        new: found,
         allowed,
     }
 }
@@ -82,7 +103,8 @@ mod tests {
         assert_eq!(
             error.to_string(),
             "command line: `update.clip` cannot change on resume: the run has 0.1, found 0.3; \
-             a resume may change operational keys and raise run.iterations or run.env_steps"
+             a resume may change run.actors, environment.url, lease.*, evaluation.*, checkpoint.*, \
+             metrics.*, learner.*, log.*, and raise run.iterations or run.env_steps"
         );
         let error = check(&old, &config(&["run.iterations=5", "run.seed=2"])).unwrap_err();
         assert!(error.to_string().contains("`run.seed`"), "{error}");
@@ -100,15 +122,28 @@ mod tests {
     }
 
     #[test]
-    fn a_run_cannot_be_made_shorter() {
-        let error =
-            check(&config(&["run.iterations=5"]), &config(&["run.iterations=4"])).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "command line: `run.iterations` cannot change on resume: the run has 5, found 4; \
-             it may only be raised"
-        );
-        let error = check(&config(&[]), &config(&["run.env_steps=8000"])).unwrap_err();
-        assert!(error.to_string().contains("`run.env_steps`"), "{error}");
+    fn a_run_cannot_be_made_shorter_in_whatever_its_length_is_told() {
+        for (old, new, words) in [
+            (
+                "run.iterations=5",
+                "run.iterations=4",
+                "`run.iterations` cannot change on resume: the run has 5 iterations, found 4 iterations",
+            ),
+            (
+                "run.env_steps=8001",
+                "run.iterations=1",
+                "`run.iterations` cannot change on resume: the run has 3 iterations \
+                 (run.env_steps = 8001), found 1 iteration",
+            ),
+            (
+                "run.env_steps=8001",
+                "run.env_steps=8000",
+                "`run.env_steps` cannot change on resume: the run has 3 iterations \
+                 (run.env_steps = 8001), found 2 iterations (run.env_steps = 8000)",
+            ),
+        ] {
+            let error = check(&config(&[old]), &config(&[new])).unwrap_err().to_string();
+            assert_eq!(error, format!("command line: {words}; it may only be raised"));
+        }
     }
 }

@@ -24,6 +24,13 @@ fn wrong_settings_are_one_line_and_status_two() {
         (&["train", "update.gamma=much"], "must be a finite number"),
         (&["train", "halfcheeta-2x3"], "did you mean `halfcheetah-2x3`?"),
         (&["train", "algorithm=happ"], "did you mean `happo`?"),
+        (
+            &["train", "run.seed=-1"],
+            "`run.seed`: invalid value: integer `-1`, expected a whole number from 0",
+        ),
+        (&["train", "evaluation.episodes=5e9"], "expected a whole number from 0 to 4294967295"),
+        (&["train", "--seed", "3"], "a setting is written run.seed=VALUE"),
+        (&["train", "run.seed=7", "walker2d-2x3"], "the task comes first"),
         (&["train", "halfcheetah-2x3", "happo"], "is no setting"),
         (&["train", "--config", "no/such/file.toml"], "no/such/file.toml"),
         (&["train", "--resume", "no/such/run"], "no/such/run"),
@@ -66,6 +73,43 @@ fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
     let bad = run("S2MIA__UPDATE__CLAP", "0.125");
     assert_eq!(bad.status.code(), Some(2));
     assert!(String::from_utf8(bad.stderr).unwrap().contains("S2MIA__UPDATE__CLAP: unknown key"));
+    let alike = String::from_utf8(run("S2MIA_RUN_SEED", "3").stderr).unwrap();
+    let line = "error: environment variable S2MIA_RUN_SEED is no setting; write S2MIA__RUN__SEED\n";
+    assert_eq!(alike, line);
+}
+
+#[test]
+fn a_folder_that_holds_no_run_is_told_so_by_all_that_read_runs() {
+    let empty = tempfile::tempdir().unwrap();
+    let path = empty.path().to_str().unwrap();
+    for command in ["eval", "record", "film", "plot", "inspect", "status", "serve", "watch"]
+        .map(|name| vec![name, path])
+    {
+        let line = refusal(&command);
+        assert!(line.contains("is no run folder: it has no config.toml"), "{command:?}: {line}");
+    }
+    let line = refusal(&["train", "--resume", path]);
+    assert!(line.contains("is no run folder: it has no config.toml"), "{line}");
+}
+
+#[test]
+fn a_run_that_stopped_before_its_first_checkpoint_is_told_with_how_to_begin_it_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = s2mia(&["config", "cue-2x1", "run.iterations=3"]).stdout;
+    std::fs::write(folder.path().join("config.toml"), settings).unwrap();
+    let path = folder.path().to_str().unwrap();
+    let again = format!("`s2mia train --resume {path}` begins it again");
+    let status = String::from_utf8(s2mia(&["status", path]).stdout).unwrap();
+    assert_eq!(status, format!("{path} stopped before its first checkpoint; {again}\n"));
+    let told: serde_json::Value =
+        serde_json::from_slice(&s2mia(&["status", path, "--json"]).stdout).unwrap();
+    let expected =
+        serde_json::json!({"state": "stopped", "iteration": 0, "iterations": 3, "env_steps": 0});
+    assert_eq!(told, expected);
+    let output = s2mia(&["eval", path]);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{line}");
+    assert!(line.contains("has no checkpoint yet") && line.contains(&again), "{line}");
 }
 
 #[test]

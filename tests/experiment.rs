@@ -49,7 +49,7 @@ fn an_experiment_that_was_stopped_or_killed_ends_in_the_same_weights() {
 }
 
 #[test]
-fn a_run_that_fails_is_told_and_the_others_go_on() {
+fn a_run_whose_folder_holds_another_is_told_with_what_to_do_and_the_others_go_on() {
     let experiment = Experiment::new();
     let wrong = experiment.folder().join("cue-2x1-short-seed0");
     std::fs::create_dir_all(&wrong).unwrap();
@@ -57,11 +57,13 @@ fn a_run_that_fails_is_told_and_the_others_go_on() {
     let (status, told) = s2mia(&["experiment", experiment.file()]);
     assert_eq!(status, Some(1), "{told}");
     assert!(
-        told.contains("cue-2x1-short-seed0 failed: ") && told.contains("`no_such_key`"),
+        told.contains("cue-2x1-short-seed0 cannot begin: ") && told.contains("`no_such_key`"),
         "{told}"
     );
     assert!(told.contains("2 of 3 runs are finished"), "{told}");
-    assert!(told.contains("error: 1 of 3 runs failed"), "{told}");
+    let what_to_do = "the folders of 1 of 3 runs hold other runs; remove those, or give the \
+                      experiment another `folder`";
+    assert!(told.contains(what_to_do) && !told.contains("tries them again"), "{told}");
 }
 
 #[test]

@@ -303,12 +303,15 @@ fn a_port_that_is_taken_is_named_before_a_run_begins() {
 }
 
 #[test]
-fn a_folder_without_a_checkpoint_is_told_what_it_lacks() {
+fn a_folder_without_a_run_or_a_checkpoint_is_told_what_it_lacks() {
     let runs = Runs::new();
     let empty = runs.folder("empty");
     std::fs::create_dir(&empty).unwrap();
     let (code, line) = refusal(&["watch", empty.to_str().unwrap(), "--listen=127.0.0.1:0"]);
-    assert!(code == Some(1) && line.contains("holds no checkpoint"), "{line}");
+    assert!(code == Some(2) && line.contains("it has no config.toml"), "{line}");
+    std::fs::copy(trained().join("config.toml"), empty.join("config.toml")).unwrap();
+    let (code, line) = refusal(&["watch", empty.to_str().unwrap(), "--listen=127.0.0.1:0"]);
+    assert!(code == Some(1) && line.contains("has no checkpoint yet"), "{line}");
 }
 
 #[test]

@@ -179,7 +179,7 @@ fn a_strip_that_cannot_be_drawn_is_refused_in_one_line() {
         (vec![run, "--every-secs", "0.01"], 2, "the shortest interval is one step, 0.05 s"),
         (vec![run, "--from-secs", "49.9"], 2, "the episode from 0 s to 50.00 s"),
         (vec!["no/such/run"], 2, "no/such/run is no run folder"),
-        (vec![empty], 1, "has no good checkpoint"),
+        (vec![empty], 2, "is no run folder: it has no config.toml"),
     ] {
         let output = s2mia(&[&["film"], arguments.as_slice()].concat());
         let told = String::from_utf8(output.stderr).unwrap();

@@ -4,11 +4,14 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+/// How help calls the settings of a command that takes some.
+pub(super) const VALUE_NAME: &str = "TASK | KEY=VALUE";
+
 /// What decides the configuration.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct SettingsArguments {
     /// Task, then settings as key.path=value.
-    #[arg(value_name = "TASK | KEY=VALUE")]
+    #[arg(value_name = VALUE_NAME)]
     pub(crate) settings: Vec<String>,
     /// TOML file with settings; may be given several times, later ones win.
     #[arg(long = "config", value_name = "FILE")]

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
-use learner::checkpoint::Loaded;
+use learner::checkpoint::{CheckpointError, Loaded};
 use policy::{Key, PolicySnapshot, RunSeed};
 
-use crate::commands::Usage;
 use crate::run_config::RunConfig;
+use crate::run_path;
 
 /// A trained policy with the settings of its run.
 pub(super) struct Trained {
@@ -31,11 +31,14 @@ impl Trained {
 
 /// The newest checkpoint whose hashes are right; tells of every newer one that it had to pass over.
 pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
-    if !run.is_dir() {
-        return Err(Usage::new(format!("{} is no run folder", run.display())).into());
-    }
-    let loaded = learner::checkpoint::load_newest(run)
-        .with_context(|| format!("{} has no good checkpoint", run.display()))?;
+    run_path::config_file_of_run(run)?;
+    let shown = run.display();
+    let loaded = match learner::checkpoint::load_newest(run) {
+        Err(CheckpointError::None { .. }) => anyhow::bail!(
+            "{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {shown}` begins it again"
+        ),
+        loaded => loaded.with_context(|| format!("{shown} has no good checkpoint"))?,
+    };
     for (path, why) in &loaded.skipped {
         tracing::warn!("{} is damaged and passed over: {why}", path.display());
     }

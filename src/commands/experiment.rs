@@ -13,7 +13,8 @@ use crate::experiment::progress::Progress;
 use crate::experiment::report;
 use crate::{output, signals};
 
-/// Runs what is missing and reports; a stop leaves checkpoints and status 0, a failed run status 1.
+/// Runs what is missing and reports; a stop leaves checkpoints and status 0, a run that failed or could not begin
+/// status 1.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let file = ExperimentFile::read(&arguments.file)?;
     let runs = plan(&file)?;
@@ -56,17 +57,22 @@ fn finish(
     planned: usize,
     stopped: Option<&ExperimentArguments>,
 ) -> anyhow::Result<()> {
-    let Tally { finished, failed } = tally;
+    let Tally { finished, failed, misplaced } = tally;
     if let Some(arguments) = stopped {
         let file = arguments.file.display();
         output::line(format!(
             "stopped with {finished} of {planned} runs finished; go on by `s2mia experiment {file}`"
         ));
     }
-    match failed {
-        0 => Ok(()),
-        failed => {
-            anyhow::bail!("{failed} of {planned} runs failed; the same command tries them again")
-        }
+    let refused = format!(
+        "the folders of {misplaced} of {planned} runs hold other runs; \
+         remove those, or give the experiment another `folder`"
+    );
+    let tried = format!("{failed} of {planned} runs failed; the same command tries them again");
+    match (failed, misplaced) {
+        (0, 0) => Ok(()),
+        (_, 0) => anyhow::bail!(tried),
+        (0, _) => anyhow::bail!(refused),
+        (_, _) => anyhow::bail!("{tried}; {refused}"),
     }
 }

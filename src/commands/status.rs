@@ -30,27 +30,33 @@ pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
 /// A run on which no learner works: finished, stopped or dead.
 pub(super) struct AtRest {
     run_id: String,
-    iteration: u64,
+    /// Iteration and environment steps of the newest checkpoint, if there is one.
+    newest: Option<(u64, u64)>,
     iterations: u64,
-    env_steps: u64,
 }
 
 impl AtRest {
     /// What the newest checkpoint and the settings of the run in this folder say.
     pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
-        let checkpoint = checkpointed::load(run)?.checkpoint;
-        let iterations = RunConfig::of_run(run)?.iterations();
-        let (iteration, env_steps) = (checkpoint.iteration, checkpoint.env_steps);
-        let run_id = run_path::name(run);
-        Ok(Self { run_id, iteration, iterations, env_steps })
+        run_path::config_file_of_run(run)?;
+        let newest = match learner::checkpoint::newest_iteration(run)? {
+            None => None,
+            Some(_) => {
+                let checkpoint = checkpointed::load(run)?.checkpoint;
+                Some((checkpoint.iteration, checkpoint.env_steps))
+            }
+        };
+        let (run_id, iterations) = (run_path::name(run), RunConfig::of_run(run)?.iterations());
+        Ok(Self { run_id, newest, iterations })
     }
 
     /// How a run that is finished is told to whoever watches it.
     pub(super) fn last_line(&self) -> RunLine {
+        let (iteration, env_steps) = self.newest.unwrap_or_default();
         RunLine {
             run_id: self.run_id.clone(),
-            iteration: self.iteration,
-            env_steps: self.env_steps,
+            iteration,
+            env_steps,
             env_steps_per_sec: 0.0,
             episode_return: None,
             evaluation: None,
@@ -60,14 +66,14 @@ impl AtRest {
 
     /// Whether the run has had its last iteration.
     pub(super) fn is_finished(&self) -> bool {
-        self.iteration >= self.iterations
+        self.newest.is_some_and(|(iteration, _)| iteration >= self.iterations)
     }
 }
 
 fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let run = Path::new(&arguments.learner.of);
     let rest = AtRest::of(run)?;
-    let AtRest { iteration, iterations, env_steps, .. } = rest;
+    let (iterations, (iteration, env_steps)) = (rest.iterations, rest.newest.unwrap_or_default());
     let state = if rest.is_finished() { "finished" } else { "stopped" };
     if arguments.json {
         let told = json!({
@@ -79,13 +85,17 @@ fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
         output::line(told);
         return Ok(());
     }
-    let steps = thousands(env_steps);
-    let next = match state {
-        "finished" => String::new(),
-        _ => format!("; `s2mia train --resume {}` goes on", run.display()),
-    };
+    let (run, steps) = (run.display(), thousands(env_steps));
     let at = format!("iteration {iteration} of {iterations}, {steps} env steps");
-    output::line(format!("{} is {state}: {at}{next}", run.display()));
+    output::line(match (rest.newest, rest.is_finished()) {
+        (None, _) => format!(
+            "{run} stopped before its first checkpoint; `s2mia train --resume {run}` begins it again"
+        ),
+        (Some(_), true) => format!("{run} is finished: {at}"),
+        (Some(_), false) => {
+            format!("{run} is stopped: {at}; `s2mia train --resume {run}` goes on")
+        }
+    });
     Ok(())
 }
 

@@ -60,6 +60,17 @@ pub(crate) enum ConfigError {
     /// An argument that is no `key.path=value`.
     #[error("`{0}` is no setting; write key.path=value, for example run.seed=7")]
     NoSetting(String),
+    /// A task that follows a setting.
+    #[error("`{0}` is a task, and the task comes first, before all settings")]
+    TaskNotFirst(String),
+    /// An environment variable that is meant as a setting and is none.
+    #[error("environment variable {name} is no setting; write {meant}")]
+    NoVariable {
+        /// The variable.
+        name: String,
+        /// Variables that are settings.
+        meant: String,
+    },
     /// A setting that a resumed run may not change.
     #[error("{place}: `{key}` cannot change on resume: the run has {old}, found {new}; {allowed}")]
     FixedOnResume {
@@ -67,18 +78,32 @@ pub(crate) enum ConfigError {
         place: String,
         /// Dotted path.
         key: String,
-        /// Value of the run.
+        /// Value of the run, or its length.
         old: String,
-        /// Value asked for.
+        /// Value asked for, or the length that comes of it.
         new: String,
         /// What a resume may change.
-        allowed: &'static str,
+        allowed: String,
     },
 }
 
-/// Owners name the key themselves where they refuse a range; serde does not where it refuses a choice.
+/// How serde calls numbers that are refused, and how people do.
+const NUMBERS: [(&str, &str); 3] = [
+    ("expected u32", "expected a whole number from 0 to 4294967295"),
+    ("expected u64", "expected a whole number from 0"),
+    ("expected usize", "expected a whole number from 0"),
+];
+
+/// Owners name the key themselves where they refuse a range; serde does not where it refuses a choice or a type.
 fn named(key: &str, detail: &str) -> String {
-    if detail.contains(key) { detail.to_owned() } else { format!("`{key}`: {detail}") }
+    let detail = in_words(detail);
+    if detail.contains(key) { detail } else { format!("`{key}`: {detail}") }
+}
+
+/// What serde says, without Rust's names of types.
+pub(crate) fn in_words(detail: &str) -> String {
+    let told = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
+    NUMBERS.into_iter().fold(detail.to_owned(), told)
 }
 
 fn suggestion(nearest: Option<&str>) -> String {

@@ -1,9 +1,12 @@
 //! What is known of keys: which take part in the result of a run, and which are spelled alike.
 
+/// Where a run is kept.
+const FOLDER: &str = "run.dir";
+
 /// Keys and sections that decide who computes and when, never what.
 const OPERATIONAL: &[&str] = &[
     "run.actors",
-    "run.dir",
+    FOLDER,
     "environment.url",
     "lease.",
     "evaluation.",
@@ -22,6 +25,16 @@ pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 /// The setting, and its value, with which how far a run goes changes every step on the way.
 pub(crate) const DEPENDS_ON_LENGTH: (&str, &str) = ("update.learning_rate_decay", "linear");
 
+/// The operational keys and sections that a resume may change, as messages name them: a run stays in its folder.
+pub(crate) fn free_on_resume() -> String {
+    let named = OPERATIONAL.iter().filter(|key| **key != FOLDER);
+    let named = named.map(|key| match key.strip_suffix('.') {
+        Some(section) => format!("{section}.*"),
+        None => (*key).to_owned(),
+    });
+    named.collect::<Vec<_>>().join(", ")
+}
+
 /// Whether a key's value changes what a run computes.
 pub(crate) fn is_semantic(key: &str) -> bool {
     !is_length(key)
@@ -31,6 +44,14 @@ pub(crate) fn is_semantic(key: &str) -> bool {
 /// Whether a key only says how far the run goes.
 pub(crate) fn is_length(key: &str) -> bool {
     LENGTH.contains(&key)
+}
+
+/// The keys that `word` spells with other marks between its words, with or without their section.
+pub(crate) fn spelled<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
+    let plain = |text: &str| text.replace(['.', '-'], "_").replace("__", "_");
+    let word = plain(word);
+    let last = |key: &'a str| key.rsplit('.').next().unwrap_or(key);
+    known.into_iter().filter(|key| plain(key) == word || last(key) == word).collect()
 }
 
 /// The candidate spelled most like `word`, if one is near enough to be meant.
@@ -86,6 +107,26 @@ mod tests {
         assert_eq!(nearest("update.lerning_rate", keys), Some("update.learning_rate"));
         assert_eq!(nearest("seed", keys), Some("run.seed"));
         assert_eq!(nearest("zebra.stripes", keys), None);
+    }
+
+    #[test]
+    fn a_key_is_known_by_its_words_whatever_stands_between_them() {
+        let keys = ["update.learning_rate", "critic.learning_rate", "run.seed"];
+        assert_eq!(spelled("run_seed", keys), ["run.seed"]);
+        assert_eq!(spelled("run__seed", keys), ["run.seed"]);
+        assert_eq!(
+            spelled("learning-rate", keys),
+            ["update.learning_rate", "critic.learning_rate"]
+        );
+        assert!(spelled("run", keys).is_empty());
+    }
+
+    #[test]
+    fn the_readme_names_what_a_resume_may_change() {
+        let readme = include_str!("../../README.md");
+        for named in free_on_resume().split(", ") {
+            assert!(readme.contains(&format!("`{named}`")), "{named}");
+        }
     }
 
     #[test]

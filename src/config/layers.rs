@@ -11,7 +11,10 @@ use super::resolved::{Entry, Resolved};
 use super::scalar::Scalar;
 
 /// Prefix of the environment variables that are settings: `S2MIA__UPDATE__GAMMA` is `update.gamma`.
-pub(crate) const ENVIRONMENT_PREFIX: &str = "S2MIA__";
+const ENVIRONMENT_PREFIX: &str = "S2MIA__";
+
+/// Prefix of the variables among which one may be meant as a setting; others of them are other programs'.
+const ALIKE_PREFIX: &str = "S2MIA_";
 
 /// How the command line is called in messages.
 const COMMAND_LINE: &str = "command line";
@@ -27,10 +30,12 @@ pub(crate) struct Request {
     pub(crate) resumed: Option<PathBuf>,
     /// Files given with `--config`, later ones win.
     pub(crate) files: Vec<PathBuf>,
-    /// Environment variables with the prefix.
+    /// Environment variables that begin with the program's name.
     pub(crate) environment: Vec<(String, String)>,
     /// Arguments `key.path=value`; a first one without `=` is the task.
     pub(crate) settings: Vec<String>,
+    /// Where `settings` are written, if not on the command line.
+    pub(crate) settings_place: Option<String>,
 }
 
 impl Request {
@@ -38,10 +43,10 @@ impl Request {
     pub(crate) fn from_process(files: Vec<PathBuf>, settings: Vec<String>) -> Self {
         let environment = std::env::vars_os()
             .filter_map(|(name, value)| Some((name.into_string().ok()?, value)))
-            .filter(|(name, _)| name.starts_with(ENVIRONMENT_PREFIX))
+            .filter(|(name, _)| name.starts_with(ALIKE_PREFIX))
             .map(|(name, value)| (name, value.to_string_lossy().into_owned()))
             .collect();
-        Self { resumed: None, files, environment, settings }
+        Self { files, environment, settings, ..Self::default() }
     }
 }
 
@@ -118,18 +123,44 @@ fn asked_layers(request: &Request, schema: &Schema) -> Result<Vec<Layer>, Config
         layers.push(file_layer(file, schema)?);
     }
     for (name, value) in &request.environment {
-        let key = name[ENVIRONMENT_PREFIX.len()..].to_lowercase().replace("__", ".");
+        let Some(key) = name.strip_prefix(ENVIRONMENT_PREFIX) else {
+            refuse_if_meant(name, schema)?;
+            continue;
+        };
+        let key = key.to_lowercase().replace("__", ".");
         layers.push(setting_layer(&format!("environment variable {name}"), &key, value, schema)?);
     }
+    let place = request.settings_place.as_deref().unwrap_or(COMMAND_LINE);
     for (position, argument) in request.settings.iter().enumerate() {
         let (key, value) = match argument.split_once('=') {
             Some((key, value)) => (key.trim(), value.trim()),
             None if position == 0 => ("task", argument.as_str()),
-            None => return Err(ConfigError::NoSetting(argument.clone())),
+            None => return Err(misplaced(argument)),
         };
-        layers.push(setting_layer(COMMAND_LINE, key, value, schema)?);
+        layers.push(setting_layer(place, key, value, schema)?);
     }
     Ok(layers)
+}
+
+/// Refuses a variable that spells a setting without being one, which would change nothing unnoticed.
+fn refuse_if_meant(name: &str, schema: &Schema) -> Result<(), ConfigError> {
+    let word = name[ALIKE_PREFIX.len()..].to_lowercase();
+    let meant = keys::spelled(&word, schema.keys().map(String::as_str));
+    if meant.is_empty() {
+        return Ok(());
+    }
+    let variable =
+        |key: &&str| format!("{ENVIRONMENT_PREFIX}{}", key.to_uppercase().replace('.', "__"));
+    let meant = meant.iter().map(variable).collect::<Vec<_>>().join(" or ");
+    Err(ConfigError::NoVariable { name: name.to_owned(), meant })
+}
+
+/// What an argument without a value is, that is not the first.
+fn misplaced(argument: &str) -> ConfigError {
+    match presets::find(presets::TASKS, argument) {
+        Some(_) => ConfigError::TaskNotFirst(argument.to_owned()),
+        None => ConfigError::NoSetting(argument.to_owned()),
+    }
 }
 
 /// The files of the task, the preset and the algorithm that the other layers choose, and of an environment from outside

@@ -28,6 +28,8 @@ pub(crate) enum Ending {
     Stopped,
     /// It failed, for this reason.
     Failed(String),
+    /// Its folder holds another run, as this says.
+    Misplaced(String),
 }
 
 /// How many runs ended how.
@@ -37,6 +39,8 @@ pub(crate) struct Tally {
     pub(crate) finished: usize,
     /// Failed ones.
     pub(crate) failed: usize,
+    /// Those whose folders hold other runs.
+    pub(crate) misplaced: usize,
 }
 
 /// Brings all runs to their end, at most `at_once` at a time, or stops them in good order.
@@ -64,6 +68,7 @@ pub(crate) async fn run_all(
                 let (run, ending) = ended.context("the watch over a run failed")?;
                 tally.finished += usize::from(ending == Ending::Finished);
                 tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
+                tally.misplaced += usize::from(matches!(ending, Ending::Misplaced(_)));
                 progress.ended(&run, &ending);
             }
             () = tokio::time::sleep(LOOK) => progress.show(runs, going.len()),
@@ -89,7 +94,7 @@ async fn train(
 ) -> anyhow::Result<Ending> {
     let Some(log) = claimed_log(&run.log(), stop).await? else { return Ok(Ending::Stopped) };
     if let Some(why) = mismatch(run) {
-        return Ok(Ending::Failed(why));
+        return Ok(Ending::Misplaced(why));
     }
     let mut child = start(program, run, log)?;
     let stdin = child.stdin.take();

@@ -8,6 +8,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use crate::commands::Usage;
+use crate::config::error::in_words;
 
 /// Settings that an experiment decides by keys of its own.
 const DECIDED: [&str; 8] = [
@@ -24,11 +25,18 @@ const DECIDED: [&str; 8] = [
 /// An experiment file larger than this is a mistake.
 const LIMIT_BYTES: usize = 1 << 20;
 
+/// The algorithm that is compared with, if a variant runs it and the file names none.
+const BASELINE: &str = "happo";
+
 /// The whole file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ExperimentFile {
-    /// Where run folders, tables and figures go.
+    /// Where it was read.
+    #[serde(skip)]
+    pub(crate) path: PathBuf,
+    /// Where run folders, tables and figures go; empty: `runs/` and the file's name.
+    #[serde(default)]
     pub(crate) folder: PathBuf,
     /// Environment steps of each run.
     pub(crate) env_steps: u64,
@@ -37,12 +45,16 @@ pub(crate) struct ExperimentFile {
     /// Tasks.
     pub(crate) tasks: Vec<String>,
     /// Actor processes of each run.
+    #[serde(default = "one")]
     pub(crate) actors: usize,
     /// Learner threads of each run.
+    #[serde(default = "one")]
     pub(crate) threads: usize,
-    /// The variant with which the others are compared.
+    /// The variant with which the others are compared; empty: the first that runs HAPPO, or the first.
+    #[serde(default)]
     pub(crate) baseline: String,
     /// Share of the best variant's final return that counts as learnt.
+    #[serde(default = "four_fifths")]
     pub(crate) threshold: f64,
     /// Settings of all runs.
     pub(crate) settings: Option<Table>,
@@ -54,7 +66,8 @@ pub(crate) struct ExperimentFile {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Variant {
-    /// How tables, figures and run folders call it.
+    /// How tables, figures and run folders call it; empty: as its algorithm.
+    #[serde(default)]
     pub(crate) name: String,
     /// Algorithm.
     pub(crate) algorithm: String,
@@ -76,19 +89,37 @@ impl ExperimentFile {
         if text.len() > LIMIT_BYTES {
             return Err(refused(format!("{} bytes, the limit is {LIMIT_BYTES}", text.len())));
         }
-        Self::parse(&text).map_err(refused)
+        Self::parse(path, &text).map_err(refused)
     }
 
-    fn parse(text: &str) -> Result<Self, String> {
-        let file: Self = toml::from_str(text).map_err(|error| not_an_experiment(text, &error))?;
+    fn parse(path: &Path, text: &str) -> Result<Self, String> {
+        let written: Self =
+            toml::from_str(text).map_err(|error| not_an_experiment(text, &error))?;
+        let file = Self { path: path.to_path_buf(), ..written }.completed();
         file.validate()?;
         Ok(file)
+    }
+
+    /// With names for what the file leaves without one.
+    fn completed(mut self) -> Self {
+        for variant in self.variants.iter_mut().filter(|variant| variant.name.is_empty()) {
+            variant.name.clone_from(&variant.algorithm);
+        }
+        if self.folder.as_os_str().is_empty() {
+            self.folder = Path::new("runs").join(self.path.file_stem().unwrap_or_default());
+        }
+        if self.baseline.is_empty() {
+            let usual = self.variants.iter().find(|variant| variant.algorithm == BASELINE);
+            let baseline = usual.or(self.variants.first()).map(|variant| variant.name.clone());
+            self.baseline = baseline.unwrap_or_default();
+        }
+        self
     }
 
     fn validate(&self) -> Result<(), String> {
         distinct("seeds", &self.seeds)?;
         distinct("tasks", &self.tasks)?;
-        distinct("variants", &self.variants.iter().map(|v| &v.name).collect::<Vec<_>>())?;
+        distinct("names of variants", &self.variants.iter().map(|v| &v.name).collect::<Vec<_>>())?;
         self.variants.iter().try_for_each(Variant::validate)?;
         undecided("settings", self.settings.as_ref())?;
         if !self.variants.iter().any(|variant| variant.name == self.baseline) {
@@ -121,6 +152,14 @@ impl Variant {
         self.seeds.as_ref().map_or(Ok(()), |seeds| distinct("seeds", seeds))?;
         undecided(&format!("settings of {}", self.name), self.settings.as_ref())
     }
+}
+
+fn one() -> usize {
+    1
+}
+
+fn four_fifths() -> f64 {
+    0.8
 }
 
 /// Refuses a list that is empty or holds something twice.
@@ -159,7 +198,7 @@ fn not_an_experiment(text: &str, error: &toml::de::Error) -> String {
     let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
     let line = before.matches('\n').count() + 1;
     let detail = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-    format!("line {line}: {detail}")
+    format!("line {line}: {}", in_words(&detail))
 }
 
 #[cfg(test)]
@@ -190,9 +229,50 @@ pub(crate) mod tests {
         settings.observation.mode = "k_nearest"
     "#;
 
+    fn parse(text: &str) -> Result<ExperimentFile, String> {
+        ExperimentFile::parse(Path::new("files/sample.toml"), text)
+    }
+
+    #[test]
+    fn tasks_variants_seeds_and_a_length_are_enough() {
+        let file = |variants: &str| {
+            let text = format!("env_steps = 1\nseeds = [0]\ntasks = [\"cue-2x1\"]\n{variants}");
+            parse(&text).unwrap()
+        };
+        let (mappo, happo) =
+            ("[[variants]]\nalgorithm = \"mappo\"\n", "[[variants]]\nalgorithm = \"happo\"\n");
+        let least = file(&format!("{mappo}{happo}"));
+        assert_eq!(least.folder, Path::new("runs/sample"));
+        assert_eq!((least.actors, least.threads, least.threshold), (1, 1, 0.8));
+        assert_eq!([&*least.variants[0].name, &*least.variants[1].name], ["mappo", "happo"]);
+        assert_eq!(least.baseline, "happo");
+        assert_eq!(file(mappo).baseline, "mappo");
+        assert_eq!(file(&format!("{mappo}{happo}name = \"plain\"\n")).baseline, "plain");
+    }
+
+    /// Of the table that `text` is parsed as: what it may hold, as the parser tells of an unknown field.
+    fn fields(text: &str) -> Vec<String> {
+        let message = parse(text).unwrap_err();
+        let (_, expected) = message.split_once("expected one of ").unwrap();
+        expected.split(", ").map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn the_document_shows_a_whole_file_and_names_every_field() {
+        let document = include_str!("../../docs/EXPERIMENTS.md");
+        let shown = document.split("```").nth(1).and_then(|block| block.strip_prefix("toml"));
+        assert_eq!(parse(shown.unwrap()).unwrap().baseline, "happo");
+        for field in [fields("x = 1"), fields("[[variants]]\nx = 1")].concat() {
+            assert!(document.contains(&field), "{field}");
+        }
+        for key in DECIDED {
+            assert!(document.contains(&format!("`{key}`")), "{key}");
+        }
+    }
+
     #[test]
     fn a_table_of_settings_becomes_arguments() {
-        let file = ExperimentFile::parse(SAMPLE).unwrap();
+        let file = parse(SAMPLE).unwrap();
         assert_eq!(assignments(file.settings.as_ref().unwrap()), ["evaluation.every_steps=4000"]);
         let near = file.variants[1].settings.as_ref().unwrap();
         assert_eq!(assignments(near), ["observation.mode=k_nearest"]);
@@ -200,7 +280,7 @@ pub(crate) mod tests {
 
     #[test]
     fn runs_share_the_cores_by_what_they_use_at_a_time() {
-        let file = ExperimentFile::parse(SAMPLE).unwrap();
+        let file = parse(SAMPLE).unwrap();
         assert_eq!([1, 2, 8].map(|cores| file.runs_at_once(cores)), [1, 1, 4]);
     }
 
@@ -218,6 +298,7 @@ pub(crate) mod tests {
                 "baseline = \"mappo\" must be the name",
             ),
             ("seeds = [0, 1]", "seeds = []", "seeds must not be empty"),
+            ("seeds = [0, 1]", "seeds = [-1]", "integer `-1`, expected a whole number from 0"),
             ("seeds = [0, 1]", "seeds = [1, 1]", "seeds must differ"),
             ("name = \"near\"", "name = \"happo\"", "variants must differ"),
             ("name = \"near\"", "name = \"a/b\"", "name = \"a/b\" must be letters"),
@@ -225,7 +306,7 @@ pub(crate) mod tests {
             ("actors = 1", "actors = 0", "actors and threads must lie in 1..=1024, are 0 and 2"),
             ("threads = 2", "treads = 2", "line 7: unknown field `treads`"),
         ] {
-            let message = ExperimentFile::parse(&SAMPLE.replacen(from, to, 1)).unwrap_err();
+            let message = parse(&SAMPLE.replacen(from, to, 1)).unwrap_err();
             assert!(message.contains(words) && !message.contains('\n'), "{message}");
         }
     }

@@ -2,8 +2,6 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
-
 use super::file::{ExperimentFile, Variant, assignments};
 use crate::commands::Usage;
 use crate::config::{Request, layers};
@@ -70,15 +68,16 @@ fn planned(
         format!("run.actors={}", file.actors),
         format!("learner.threads={}", file.threads),
     ]);
-    let name = format!("{task}-{}-seed{seed}", variant.name);
-    let resolved = layers::resolve(&Request::from_process(Vec::new(), settings.clone()));
-    let config = resolved.and_then(RunConfig::build).with_context(|| format!("run {name}"))?;
+    let place = format!("{}, variant {} on {task}", file.path.display(), variant.name);
+    let mut request = Request::from_process(Vec::new(), settings.clone());
+    request.settings_place = Some(place.clone());
+    let config = RunConfig::build(layers::resolve(&request)?)?;
     if config.learner.evaluation.every_steps == 0 {
         let why =
-            format!("run {name}: evaluation.every_steps must be above 0: evaluations are compared");
+            format!("{place}: evaluation.every_steps must be above 0: evaluations are compared");
         return Err(Usage::new(why).into());
     }
-    let folder = file.folder.join(name);
+    let folder = file.folder.join(format!("{task}-{}-seed{seed}", variant.name));
     Ok(PlannedRun {
         task: task.to_owned(),
         variant: variant.name.clone(),
@@ -111,16 +110,29 @@ mod tests {
     }
 
     #[test]
-    fn a_setting_that_no_run_can_have_names_the_run_and_the_key() {
+    fn a_setting_that_no_run_can_have_is_refused_with_its_place_in_the_file() {
         for (from, to, words) in [
-            ("observation.mode", "observation.modus", "unknown key `observation.modus`"),
-            ("every_steps = 4_000", "every_steps = 0", "evaluation.every_steps must be above 0"),
-            ("\"ant-4x2\"", "\"ant-9x9\"", "ant-9x9"),
+            (
+                "observation.mode",
+                "observation.modus",
+                "variant near on halfcheetah-2x3: unknown key `observation.modus`",
+            ),
+            (
+                "every_steps = 4_000",
+                "every_steps = 0",
+                "variant happo on halfcheetah-2x3: evaluation.every_steps must be above 0",
+            ),
+            ("\"ant-4x2\"", "\"ant-9x9\"", "variant happo on ant-9x9: unknown task `ant-9x9`"),
+            (
+                "algorithm = \"happo\"",
+                "algorithm = \"hapo\"",
+                "variant happo on halfcheetah-2x3: unknown algorithm `hapo`",
+            ),
         ] {
-            let text = SAMPLE.replacen(from, to, 1);
-            let error = plan(&toml::from_str(&text).unwrap()).unwrap_err();
+            let file: ExperimentFile = toml::from_str(&SAMPLE.replacen(from, to, 1)).unwrap();
+            let error = plan(&ExperimentFile { path: "a.toml".into(), ..file }).unwrap_err();
             let message = format!("{error:#}");
-            assert!(message.contains(words) && message.contains("run "), "{message}");
+            assert!(message.starts_with(&format!("a.toml, {words}")), "{message}");
             assert!(error.is::<ConfigError>() || error.is::<Usage>(), "{message}");
         }
     }

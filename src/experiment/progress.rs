@@ -93,6 +93,7 @@ impl Progress {
             Ending::Finished => format!("{} is finished", run.name()),
             Ending::Stopped => format!("{} stopped and can be gone on with", run.name()),
             Ending::Failed(why) => format!("{} failed: {why}", run.name()),
+            Ending::Misplaced(why) => format!("{} cannot begin: {why}", run.name()),
         };
         match &self.screen {
             Screen::Bar(bar) => bar.println(line),

@@ -83,7 +83,7 @@ def test_the_documented_examples_run(exported, monkeypatch, capsys):
         assert numpy.abs(action - expected).max() < 1e-4
 
 
-def test_a_run_without_a_checkpoint_is_refused_in_one_line(tmp_path):
+def test_a_folder_without_a_run_is_refused_in_one_line(tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(AssertionError, match="no good checkpoint"):
+    with pytest.raises(AssertionError, match="is no run folder: it has no config.toml"):
         s2mia("export", tmp_path / "empty", "--onnx", tmp_path / "out")
