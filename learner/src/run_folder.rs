@@ -59,7 +59,7 @@ pub enum RunFolderError {
     /// The run was started with other semantic settings.
     #[error(
         "{path} belongs to a run with config {found}, this one has {expected}: a resume may change \
-         operational keys only, and raise run.iterations"
+         nothing that touches results, and raise run.iterations"
     )]
     OtherConfig {
         /// What belongs to the other run.

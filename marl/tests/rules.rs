@@ -1,17 +1,14 @@
 //! What every learning rule has to show on one small game, with actors that have no memory.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use marl::config::{
-    Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Scored, Sharing, Space, StateNorm,
-};
-use marl::{
-    ActionKind, AgentBatch, AgentShape, Algorithm, Batch, BehaviourConfig, Config, CriticConfig,
-    Final, InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
-};
+#[path = "fixture/settings.rs"]
+mod settings;
+
+use marl::config::{CriticMode, Rule, Sharing};
+use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem};
 use policy::{
-    CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RefreshHidden, RunSeed, Scratch,
-    generator, standard_normal,
+    CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch, generator,
+    standard_normal,
 };
 
 const ENVIRONMENTS: usize = 40;
@@ -24,51 +21,15 @@ const RULES: [(Rule, Sharing); 4] = [
 ];
 
 fn policy() -> PolicyConfig {
-    PolicyConfig {
-        core: CoreKind::Mlp,
-        encoder: 8,
-        hidden: 8,
-        width: 16,
-        layers: 1,
-        chunk_steps: 2,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_log_std: 1.0,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 0.01,
-    }
+    PolicyConfig { width: 16, ..settings::policy(CoreKind::Mlp) }
 }
 
 fn config(rule: Rule, parameters: Sharing) -> Config {
-    Config {
-        update: update_config(rule, parameters),
-        critic: CriticConfig {
-            mode: CriticMode::PerAgent,
-            layers: 1,
-            width: 32,
-            learning_rate: 3e-3,
-            epochs: 5,
-            minibatches: 2,
-            clip: 0.2,
-            huber_delta: 10.0,
-            normalizer_beta: 0.99,
-            state_norm: StateNorm::None,
-            max_gradient_norm: 10.0,
-        },
-        surprise: surprise(),
-        influence: influence_config(0.0),
-        maddpg: MaddpgConfig {
-            replay: 2000,
-            batch: 64,
-            n_step: 2,
-            warm_up: 320,
-            updates_per_step: 0.1,
-            noise: 0.1,
-            polyak: 0.05,
-        },
-        behaviour: BehaviourConfig { policy_lag: 0, factor_max: 2.0 },
-    }
+    let mut config = settings::config(rule);
+    config.update.parameters = parameters;
+    config.update.minibatches = 2;
+    config.critic.width = 32;
+    config
 }
 
 #[test]
@@ -80,69 +41,6 @@ fn a_sample_is_used_in_every_epoch_or_as_often_as_the_replay_is_asked_for_it() {
             (found - reuse).abs() < 1e-12,
             "{rule:?}: {found}, a tenth of a batch of 64 is 6.4"
         );
-    }
-}
-
-fn update_config(rule: Rule, parameters: Sharing) -> UpdateConfig {
-    UpdateConfig {
-        rule,
-        parameters,
-        gamma: 0.9,
-        gae_lambda: 0.95,
-        learning_rate: 3e-3,
-        learning_rate_decay: marl::LearningRateDecay::None,
-        adam_epsilon: 1e-5,
-        clip: 0.2,
-        epochs: 5,
-        minibatches: 2,
-        entropy: 0.0,
-        max_gradient_norm: 10.0,
-        shards: 2,
-    }
-}
-
-fn influence_config(lambda: f64) -> InfluenceConfig {
-    InfluenceConfig {
-        lambda,
-        estimator: Estimator::VariationalKl,
-        divergence: Divergence::KlQp,
-        q_training: QTraining::Mle,
-        kappa: 1.0,
-        encoder: 8,
-        hidden: 8,
-        epochs: 2,
-        learning_rate: 3e-3,
-        minibatches: 2,
-        sigma_floor: 0.05,
-        holdout_every: 5,
-        lag: 0,
-        counted_state: CountedState::Observation,
-    }
-}
-
-fn surprise() -> SurpriseConfig {
-    SurpriseConfig {
-        alpha: 0.0,
-        density: DensityKind::DiagonalGaussian,
-        fit: Fit::Current,
-        ema_memory: 0.9,
-        space: Space::PolicyObs,
-        obs: Scored::Current,
-        reduce: Reduce::Sum,
-        constant: Constant::Paper,
-        clip: 0.0,
-        sigma_floor: 0.01,
-        mask_below: 1e-4,
-        components: 3,
-        em_steps: 20,
-        vae_hidden: 16,
-        vae_latent: 2,
-        vae_epochs: 5,
-        vae_minibatches: 4,
-        vae_learning_rate: 1e-2,
-        embedding: 4,
-        neighbours: 3,
-        references: 256,
     }
 }
 
@@ -256,7 +154,7 @@ fn every_rule_learns_a_sum_that_no_agent_commands_alone() {
 fn mappo_takes_both_terms_by_configuration_alone() {
     for sharing in [Sharing::Separate, Sharing::Shared] {
         let mut config = config(Rule::Mappo, sharing);
-        config.influence = influence_config(0.01);
+        config.influence.lambda = 0.01;
         let mut algorithm = marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
         let batch = play(&algorithm.snapshot().unwrap(), 0);
         // What the learner would add for surprise differs from agent to agent.

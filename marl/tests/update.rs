@@ -1,128 +1,27 @@
 //! Whole updates: a small game is learnt, and what must not matter does not.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use marl::config::{
-    Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Scored, Sharing, Space, StateNorm,
-};
-use marl::{
-    ActionKind, AgentBatch, AgentShape, Algorithm, Batch, BehaviourConfig, Config, CriticConfig,
-    Final, InfluenceConfig, MaddpgConfig, Problem, Report, SurpriseConfig, UpdateConfig,
-};
+#[path = "fixture/settings.rs"]
+mod settings;
+
+use marl::config::{CriticMode, Rule};
+use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem, Report};
 use policy::{
-    CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RefreshHidden, RunSeed,
-    Scratch, generator, standard_normal,
+    CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
+    generator, standard_normal,
 };
 
 const ENVIRONMENTS: usize = 40;
 const STEPS: usize = 4;
 
 fn policy() -> PolicyConfig {
-    PolicyConfig {
-        core: CoreKind::Gru,
-        encoder: 8,
-        hidden: 8,
-        width: 8,
-        layers: 1,
-        chunk_steps: 2,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_log_std: 1.0,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 0.01,
-    }
+    settings::policy(CoreKind::Gru)
 }
 
 fn config(lambda: f64) -> Config {
-    Config {
-        update: UpdateConfig {
-            rule: Rule::Happo,
-            parameters: Sharing::Separate,
-            gamma: 0.9,
-            gae_lambda: 0.95,
-            learning_rate: 3e-3,
-            learning_rate_decay: marl::LearningRateDecay::None,
-            adam_epsilon: 1e-5,
-            clip: 0.2,
-            epochs: 5,
-            minibatches: 1,
-            entropy: 0.0,
-            max_gradient_norm: 10.0,
-            shards: 2,
-        },
-        critic: CriticConfig {
-            mode: CriticMode::PerAgent,
-            layers: 1,
-            width: 8,
-            learning_rate: 3e-3,
-            epochs: 5,
-            minibatches: 2,
-            clip: 0.2,
-            huber_delta: 10.0,
-            normalizer_beta: 0.99,
-            state_norm: StateNorm::None,
-            max_gradient_norm: 10.0,
-        },
-        surprise: surprise(),
-        influence: InfluenceConfig {
-            lambda,
-            estimator: Estimator::VariationalKl,
-            divergence: Divergence::KlQp,
-            q_training: QTraining::Mle,
-            kappa: 1.0,
-            encoder: 8,
-            hidden: 8,
-            epochs: 2,
-            learning_rate: 3e-3,
-            minibatches: 2,
-            sigma_floor: 0.05,
-            holdout_every: 5,
-            lag: 0,
-            counted_state: CountedState::Observation,
-        },
-        maddpg: unread(),
-        behaviour: BehaviourConfig { policy_lag: 0, factor_max: 2.0 },
-    }
-}
-
-/// HAPPO reads none of it.
-fn unread() -> MaddpgConfig {
-    MaddpgConfig {
-        replay: 1000,
-        batch: 10,
-        n_step: 1,
-        warm_up: 0,
-        updates_per_step: 0.1,
-        noise: 0.1,
-        polyak: 0.005,
-    }
-}
-
-fn surprise() -> SurpriseConfig {
-    SurpriseConfig {
-        alpha: 0.0,
-        density: DensityKind::DiagonalGaussian,
-        fit: Fit::Current,
-        ema_memory: 0.9,
-        space: Space::PolicyObs,
-        obs: Scored::Current,
-        reduce: Reduce::Sum,
-        constant: Constant::Paper,
-        clip: 0.0,
-        sigma_floor: 0.01,
-        mask_below: 1e-4,
-        components: 3,
-        em_steps: 20,
-        vae_hidden: 16,
-        vae_latent: 2,
-        vae_epochs: 5,
-        vae_minibatches: 4,
-        vae_learning_rate: 1e-2,
-        embedding: 4,
-        neighbours: 3,
-        references: 256,
-    }
+    let mut config = settings::config(Rule::Happo);
+    config.influence.lambda = lambda;
+    config
 }
 
 fn problem() -> Problem {

@@ -1,4 +1,4 @@
-//! A learner under siege, with real processes: crowds, connections that stop in the middle of whatever they say, and
+//! A learner under siege, with real processes: rubbish, crowds, connections that stop in the middle of whatever they say, and
 //! actors that are lost. It keeps its memory and its descriptors, says what happened, and ends with the weights of a
 //! learner that was left in peace.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
@@ -10,5 +10,6 @@ mod frames;
 mod incidents;
 #[path = "../system/learners.rs"]
 mod learners;
+mod rubbish;
 mod silence;
 mod usage;

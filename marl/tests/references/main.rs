@@ -3,6 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod file;
+#[path = "../fixture/settings.rs"]
+mod fixture;
 mod losses;
 mod settings;
 mod updates;

@@ -1,16 +1,14 @@
 //! What the reference updates are told: the file's settings, and sizes that its arrays have.
 
-use marl::config::{
-    Constant, CountedState, CriticMode, DensityKind, Divergence, Estimator, Fit, QTraining, Reduce,
-    Rule, Scored, Sharing, Space, StateNorm,
-};
+use marl::config::{Rule, Sharing};
 use marl::{
-    ActionKind, AgentBatch, AgentShape, Batch, BehaviourConfig, Config, CriticConfig, Final,
-    InfluenceConfig, MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
+    ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
+    MaddpgConfig, Problem, UpdateConfig,
 };
-use policy::{CoreKind, PolicyConfig, RefreshHidden};
+use policy::{CoreKind, PolicyConfig};
 
 use crate::file::Reference;
+use crate::fixture;
 
 pub(crate) const AGENTS: usize = 2;
 
@@ -33,62 +31,55 @@ pub(crate) fn problem(reference: &Reference) -> Problem {
 
 pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
     PolicyConfig {
-        core,
         encoder: 5,
         hidden: 6,
         width: 7,
         layers: 2,
         chunk_steps: 5,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_log_std: 1.0,
-        sigma_scale: 0.5,
         sigma_floor: reference.setting("policy.sigma_floor") as f32,
-        head_gain: 0.01,
+        ..fixture::policy(core)
     }
 }
 
+/// An update takes rewards as they come, so nothing is said of surprise.
 pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> Config {
-    let count = |key: &str| reference.setting(key) as usize;
-    let update = UpdateConfig {
-        rule,
-        parameters,
-        gamma: reference.setting("update.gamma"),
-        gae_lambda: reference.setting("update.gae_lambda"),
-        learning_rate: reference.setting("update.learning_rate"),
-        learning_rate_decay: marl::LearningRateDecay::None,
-        adam_epsilon: reference.setting("update.adam_epsilon"),
-        clip: reference.setting("update.clip"),
-        epochs: count("update.epochs"),
-        minibatches: 1,
-        entropy: reference.setting("update.entropy"),
-        max_gradient_norm: reference.setting("update.max_gradient_norm"),
-        shards: 3,
-    };
-    let critic = CriticConfig {
-        mode: CriticMode::PerAgent,
-        layers: 2,
-        width: 7,
-        learning_rate: reference.setting("critic.learning_rate"),
-        epochs: count("critic.epochs"),
-        minibatches: 1,
-        clip: reference.setting("critic.clip"),
-        huber_delta: reference.setting("critic.huber_delta"),
-        normalizer_beta: reference.setting("critic.normalizer_beta"),
-        state_norm: StateNorm::None,
-        max_gradient_norm: reference.setting("critic.max_gradient_norm"),
-    };
-    let influence = influence(reference);
-    let behaviour = BehaviourConfig { policy_lag: 0, factor_max: 2.0 };
-    Config { update, critic, surprise: unread(), influence, maddpg: maddpg(reference), behaviour }
+    let number = |key: &str| reference.setting(key);
+    let usual = fixture::config(rule);
+    Config {
+        update: UpdateConfig {
+            parameters,
+            gamma: number("update.gamma"),
+            gae_lambda: number("update.gae_lambda"),
+            learning_rate: number("update.learning_rate"),
+            adam_epsilon: number("update.adam_epsilon"),
+            clip: number("update.clip"),
+            epochs: number("update.epochs") as usize,
+            entropy: number("update.entropy"),
+            max_gradient_norm: number("update.max_gradient_norm"),
+            shards: 3,
+            ..usual.update
+        },
+        critic: CriticConfig {
+            layers: 2,
+            width: 7,
+            learning_rate: number("critic.learning_rate"),
+            epochs: number("critic.epochs") as usize,
+            minibatches: 1,
+            clip: number("critic.clip"),
+            huber_delta: number("critic.huber_delta"),
+            normalizer_beta: number("critic.normalizer_beta"),
+            max_gradient_norm: number("critic.max_gradient_norm"),
+            ..usual.critic
+        },
+        influence: influence(reference, usual.influence),
+        maddpg: maddpg(reference, usual.maddpg),
+        ..usual
+    }
 }
 
-fn influence(reference: &Reference) -> InfluenceConfig {
+fn influence(reference: &Reference, usual: InfluenceConfig) -> InfluenceConfig {
     InfluenceConfig {
         lambda: reference.setting("influence.lambda"),
-        estimator: Estimator::VariationalKl,
-        divergence: Divergence::KlQp,
-        q_training: QTraining::Mle,
         kappa: reference.setting("influence.kappa"),
         encoder: 5,
         hidden: 6,
@@ -97,48 +88,20 @@ fn influence(reference: &Reference) -> InfluenceConfig {
         minibatches: 1,
         sigma_floor: reference.setting("policy.sigma_floor"),
         holdout_every: reference.setting("influence.holdout_every") as usize,
-        lag: 0,
-        counted_state: CountedState::Observation,
+        ..usual
     }
 }
 
 /// One optimiser step from an iteration of 50 transitions.
-fn maddpg(reference: &Reference) -> MaddpgConfig {
+fn maddpg(reference: &Reference, usual: MaddpgConfig) -> MaddpgConfig {
     MaddpgConfig {
         replay: 50,
         batch: 16,
         n_step: reference.setting("maddpg.n_step") as usize,
         warm_up: 0,
         updates_per_step: 0.02,
-        noise: 0.1,
         polyak: reference.setting("maddpg.polyak"),
-    }
-}
-
-/// An update takes rewards as they come.
-fn unread() -> SurpriseConfig {
-    SurpriseConfig {
-        alpha: 0.0,
-        density: DensityKind::DiagonalGaussian,
-        fit: Fit::Current,
-        ema_memory: 0.9,
-        space: Space::PolicyObs,
-        obs: Scored::Current,
-        reduce: Reduce::Sum,
-        constant: Constant::Paper,
-        clip: 0.0,
-        sigma_floor: 0.01,
-        mask_below: 1e-4,
-        components: 3,
-        em_steps: 20,
-        vae_hidden: 16,
-        vae_latent: 2,
-        vae_epochs: 5,
-        vae_minibatches: 4,
-        vae_learning_rate: 1e-2,
-        embedding: 4,
-        neighbours: 3,
-        references: 256,
+        ..usual
     }
 }
 

@@ -1,79 +1,13 @@
 //! A client that sends rubbish to a learner at work: each message is refused with a status that names
 //! the field, all are counted, and the run ends with the weights of a run that was left in peace.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/attackers.rs"]
-mod attackers;
+use std::io::Write as _;
 
-use std::io::{BufRead as _, BufReader, Lines, Write as _};
-use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
-
-use attackers::{Attacker, invented, message, registration};
 use proto::{Digest, Reason, Refusal, Registration, TrajectoryChunk, Work, wire};
 use tonic::Status;
 
-const RUN: &[&str] = &[
-    "halfcheetah-2x3",
-    "run.seed=7",
-    "run.iterations=2",
-    "environments.count=4",
-    "environments.steps=20",
-    "environments.per_slot=2",
-    "environments.chunk_steps=10",
-    "policy.encoder=8",
-    "policy.hidden=8",
-    "critic.width=16",
-    "influence.encoder=8",
-    "influence.hidden=8",
-    "evaluation.every_steps=0",
-];
-
-fn s2mia(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(arguments);
-    command
-}
-
-/// A learner without actors, and where it listens.
-struct Learner {
-    process: Child,
-    lines: Lines<BufReader<ChildStdout>>,
-    url: String,
-}
-
-impl Learner {
-    fn start(folder: &Path) -> Self {
-        let dir = format!("run.dir={}", folder.display());
-        let arguments = [&["learner", "--listen", "127.0.0.1:0"], RUN, &[dir.as_str()]].concat();
-        let mut process =
-            s2mia(&arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-        let first = lines.next().unwrap().unwrap();
-        let url = first.split_whitespace().last().unwrap().to_owned();
-        Self { process, lines, url }
-    }
-
-    /// Lets an honest actor do all the work.
-    fn finish(&mut self) {
-        assert!(s2mia(&["actor", "--learner", &self.url]).output().unwrap().status.success());
-        let rest: Vec<String> = self.lines.by_ref().map(Result::unwrap).collect();
-        assert!(self.process.wait().unwrap().success(), "{rest:?}");
-        assert!(rest.iter().any(|line| line.starts_with("finished after iteration 2")), "{rest:?}");
-    }
-}
-
-impl Drop for Learner {
-    fn drop(&mut self) {
-        // Only a failed test leaves a learner that still runs.
-        let _ended = self.process.kill();
-    }
-}
-
-fn weights(folder: &Path) -> serde_json::Value {
-    let output = s2mia(&["inspect", folder.to_str().unwrap(), "--json"]).output().unwrap();
-    serde_json::from_slice(&output.stdout).unwrap()
-}
+use crate::attackers::{Attacker, invented, message, registration};
+use crate::learners::{Learner, inspect};
 
 /// What is spoilt, the reason given, and the field named.
 type Attack =
@@ -155,18 +89,18 @@ fn no_protocol_at_all(url: &str) {
 async fn rubbish_is_refused_by_name_and_counted_and_the_run_goes_on_as_if_nothing_had_been() {
     let folder = tempfile::tempdir().unwrap();
     let (attacked, in_peace) = (folder.path().join("attacked"), folder.path().join("in-peace"));
-    let mut learner = Learner::start(&attacked);
+    let mut learner = Learner::start(&attacked, &[]);
     no_protocol_at_all(&learner.url);
     for each in ATTACKS {
         attack(&learner.url, each).await;
     }
     let more = ask_for_the_impossible(&learner.url).await;
-    tokio::task::spawn_blocking(move || learner.finish()).await.unwrap();
+    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
     let metrics = std::fs::read_to_string(attacked.join("metrics.jsonl")).unwrap();
     let last: serde_json::Value = serde_json::from_str(metrics.lines().last().unwrap()).unwrap();
     assert_eq!(last["messages_refused"], ATTACKS.len() + more);
 
-    let mut quiet = Learner::start(&in_peace);
-    tokio::task::spawn_blocking(move || quiet.finish()).await.unwrap();
-    assert_eq!(weights(&attacked), weights(&in_peace));
+    let mut quiet = Learner::start(&in_peace, &[]);
+    tokio::task::spawn_blocking(move || quiet.finish(&[])).await.unwrap();
+    assert_eq!(inspect(&attacked), inspect(&in_peace));
 }
