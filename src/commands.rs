@@ -23,6 +23,7 @@ mod tasks;
 mod train;
 mod watch;
 
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -32,6 +33,7 @@ use security::ClientFiles;
 
 use crate::cli::{ClientTlsArguments, Command};
 pub(crate) use crate::commands::log::Incomplete;
+use crate::run_path;
 
 /// Arguments that cannot be followed; the program ends with status 2.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +45,13 @@ impl Usage {
     pub(crate) fn new(message: impl Into<String>) -> Self {
         Self(message.into())
     }
+}
+
+/// The settings of the run in `folder`; refuses a folder that holds none.
+pub(crate) fn config_file_of_run(folder: &Path) -> Result<PathBuf, Usage> {
+    let file = run_path::config_file(folder);
+    let lacking = || format!("{} is no run folder: it has no config.toml", folder.display());
+    if file.is_file() { Ok(file) } else { Err(Usage::new(lacking())) }
 }
 
 /// Runs one command to its end.

@@ -11,7 +11,7 @@ use proto::Digest;
 use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
-use crate::commands::Usage;
+use crate::commands::{Usage, config_file_of_run};
 use crate::config::{ConfigError, Request, keys, layers};
 use crate::fingerprints::{Fingerprints, Kinship, ONE_KIND};
 use crate::offered::Offered;
@@ -96,7 +96,7 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     let Some(folder) = resumed else {
         return Ok(RunConfig::build(layers::resolve(&request)?)?);
     };
-    request.resumed = Some(run_path::config_file_of_run(folder)?);
+    request.resumed = Some(config_file_of_run(folder)?);
     let old = RunConfig::of_run(folder)?;
     let new = RunConfig::build(layers::resolve(&request)?)?;
     resume::check(&old, &new)?;

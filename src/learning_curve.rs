@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
-use crate::commands::Usage;
+use crate::commands::{Usage, config_file_of_run};
 use crate::config::{Request, layers};
 use crate::run_path;
 use crate::statistics::{
@@ -83,7 +83,7 @@ pub(crate) struct Panel {
 
 /// Reads the curves of a run folder.
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
-    let file = run_path::config_file_of_run(folder)?;
+    let file = config_file_of_run(folder)?;
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
     let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
     let settings = semantic.map(|(key, value)| (key.to_owned(), value.to_string())).collect();

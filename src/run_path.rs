@@ -3,18 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::commands::Usage;
-
 /// The resolved configuration.
 pub(crate) fn config_file(folder: &Path) -> PathBuf {
     folder.join("config.toml")
-}
-
-/// The same of a run that must be there; refuses a folder that holds none.
-pub(crate) fn config_file_of_run(folder: &Path) -> Result<PathBuf, Usage> {
-    let file = config_file(folder);
-    let lacking = || format!("{} is no run folder: it has no config.toml", folder.display());
-    if file.is_file() { Ok(file) } else { Err(Usage::new(lacking())) }
 }
 
 /// One JSON object per iteration or evaluation.

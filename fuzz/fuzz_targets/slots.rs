@@ -82,7 +82,6 @@ enum Call {
     Pass(u8),
     OpenIteration,
     OpenEvaluation(u8),
-    Drain,
 }
 
 /// What is wrong with a message.
@@ -161,7 +160,6 @@ impl Siege {
                 self.evaluations += 1;
             }
             Call::OpenEvaluation(_) => {}
-            Call::Drain => self.table.drain(),
         }
     }
 
@@ -224,7 +222,7 @@ impl Siege {
 
     /// The siege is over: old leases have ended, and one actor on a connection of its own is left.
     fn an_honest_actor_gets_its_work_done(&mut self) {
-        if self.failed || self.table.state() != proto::RunState::Running {
+        if self.failed {
             return;
         }
         self.now += 100 * TTL;

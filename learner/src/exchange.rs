@@ -9,7 +9,7 @@ use bytes::Bytes;
 use proto::{
     Ack, AckState, ActorId, Beat, EvaluationResult, HeartbeatAnswer, Incarnation, LeaseAnswer,
     LeaseId, PolicyVersion, PushHeader, Refusal, Registered, Registration, RolloutWork,
-    RunDescription, RunState, TrajectoryChunk, WeightsName,
+    RunDescription, TrajectoryChunk, WeightsName,
 };
 use tokio::sync::{Notify, watch};
 
@@ -193,11 +193,6 @@ impl Exchange {
         shared.wakes.pop_front().unwrap_or(Wake::Patience)
     }
 
-    /// The learner is about to stop: no new leases; open ones may be finished.
-    pub fn drain(&self) {
-        self.change(|shared| shared.table.drain());
-    }
-
     /// The run is over: every later request for a lease is answered so.
     pub fn finish(&self) {
         self.change(|shared| shared.table.finish());
@@ -273,12 +268,6 @@ impl Exchange {
         let (lease_valid, run_state) =
             self.change(|shared| (shared.table.heartbeat(beat), shared.table.state()));
         Ok(HeartbeatAnswer { lease_valid: lease_valid?, run_state })
-    }
-
-    /// What the run is doing.
-    #[must_use]
-    pub fn state(&self) -> RunState {
-        self.lock().table.state()
     }
 
     /// The bytes of a snapshot.

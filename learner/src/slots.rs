@@ -38,7 +38,7 @@ pub struct SlotTable {
     ttl: Duration,
     chunks_per_slot: u32,
     now: Duration,
-    state: RunState,
+    over: bool,
     paused: bool,
     actors: Actors,
     last_lease: u64,
@@ -60,7 +60,7 @@ impl SlotTable {
             ttl,
             chunks_per_slot,
             now: Duration::ZERO,
-            state: RunState::Running,
+            over: false,
             paused: false,
             actors: Actors::new(ttl),
             last_lease: 0,
@@ -126,25 +126,16 @@ impl SlotTable {
         self.board.iter().map(|board| board.weights).chain(self.evaluations.weights())
     }
 
-    /// No more leases; those that are open may be finished.
-    pub fn drain(&mut self) {
-        self.change_state(RunState::Draining);
-    }
-
     /// The run is over: every later request for work is answered so.
     pub fn finish(&mut self) {
-        self.change_state(RunState::Done);
-    }
-
-    fn change_state(&mut self, state: RunState) {
-        self.state = state;
+        self.over = true;
         self.effects.push(Effect::WorkFreed);
     }
 
     /// What the run is doing.
     #[must_use]
     pub fn state(&self) -> RunState {
-        self.state
+        if self.over { RunState::Done } else { RunState::Running }
     }
 
     /// How far the table is.
@@ -213,14 +204,11 @@ impl SlotTable {
         self.same_incarnation(incarnation)?;
         let held = self.open.values().filter(|lease| lease.actor == actor).count();
         let admission = self.actors.admit(actor, held, self.now)?;
-        match (self.state, admission) {
-            (RunState::Done, _) => return Ok(Offer::Done),
-            (RunState::Draining, _) => return Ok(Offer::Nothing),
-            (RunState::Running, _) if self.paused => return Ok(Offer::Nothing),
-            (RunState::Running, Admission::Quarantined(wait)) => {
-                return Ok(Offer::Quarantined(wait));
-            }
-            (RunState::Running, Admission::Welcome) => {}
+        match admission {
+            _ if self.over => return Ok(Offer::Done),
+            _ if self.paused => return Ok(Offer::Nothing),
+            Admission::Quarantined(wait) => return Ok(Offer::Quarantined(wait)),
+            Admission::Welcome => {}
         }
         let owner = (actor, self.actors.trust(actor)?);
         let id = LeaseId(self.last_lease + 1);

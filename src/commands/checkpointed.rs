@@ -7,8 +7,8 @@ use anyhow::Context as _;
 use learner::checkpoint::{CheckpointError, Loaded};
 use policy::{Key, PolicySnapshot, RunSeed};
 
+use crate::commands::config_file_of_run;
 use crate::run_config::RunConfig;
-use crate::run_path;
 
 /// A trained policy with the settings of its run.
 pub(super) struct Trained {
@@ -31,7 +31,7 @@ impl Trained {
 
 /// The newest checkpoint whose hashes are right; tells of every newer one that it had to pass over.
 pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
-    run_path::config_file_of_run(run)?;
+    config_file_of_run(run)?;
     let shown = run.display();
     let loaded = match learner::checkpoint::load_newest(run) {
         Err(CheckpointError::None { .. }) => anyhow::bail!(

@@ -8,7 +8,7 @@ use serde_json::json;
 use crate::chart::thousands;
 use crate::cli::StatusArguments;
 use crate::commands::control::{operator, url};
-use crate::commands::{checkpointed, patience, runtime};
+use crate::commands::{checkpointed, config_file_of_run, patience, runtime};
 use crate::run_config::RunConfig;
 use crate::{output, run_path};
 
@@ -38,7 +38,7 @@ pub(super) struct AtRest {
 impl AtRest {
     /// What the newest checkpoint and the settings of the run in this folder say.
     pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
-        run_path::config_file_of_run(run)?;
+        config_file_of_run(run)?;
         let newest = match learner::checkpoint::newest_iteration(run)? {
             None => None,
             Some(_) => {

@@ -11,7 +11,7 @@ use super::resolved::{Entry, Resolved};
 use super::scalar::Scalar;
 
 /// Prefix of the environment variables that are settings: `S2MIA__UPDATE__GAMMA` is `update.gamma`.
-const ENVIRONMENT_PREFIX: &str = "S2MIA__";
+pub(crate) const ENVIRONMENT_PREFIX: &str = "S2MIA__";
 
 /// Prefix of the variables among which one may be meant as a setting; others of them are other programs'.
 const ALIKE_PREFIX: &str = "S2MIA_";
