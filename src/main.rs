@@ -82,7 +82,7 @@ fn single_threaded_candle() {
 /// One line on stderr; 2 for what the user wrote wrong, 3 for a log of which something is missing, 1 for what failed.
 fn failure(error: &anyhow::Error) -> ExitCode {
     let wrong_usage = error.is::<ConfigError>() || error.is::<Usage>();
-    eprintln!("error: {}", output::chain(error.chain()));
+    eprintln!("error: {}", actor::causes(error.as_ref()));
     let incomplete = error.is::<Incomplete>();
     ExitCode::from(if wrong_usage {
         2

@@ -1,5 +1,6 @@
 //! Where things stand in a run folder, and how a new one is named.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -21,6 +22,19 @@ pub(crate) fn manifest_file(folder: &Path) -> PathBuf {
 /// Actors' logs and recordings.
 pub(crate) fn logs(folder: &Path) -> PathBuf {
     folder.join("logs")
+}
+
+/// The files of a folder whose names `belong`, in the order of their names.
+pub(crate) fn files(folder: &Path, belong: fn(&str) -> bool) -> io::Result<Vec<PathBuf>> {
+    let paths = folder.read_dir()?.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut paths: Vec<_> = paths.filter(|path| file_name(path).is_some_and(belong)).collect();
+    paths.sort();
+    Ok(paths)
+}
+
+/// The name of a file, if it is text.
+pub(crate) fn file_name(path: &Path) -> Option<&str> {
+    path.file_name().and_then(|name| name.to_str())
 }
 
 /// Last part of the path.

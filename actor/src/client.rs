@@ -18,7 +18,7 @@ use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity
 use tonic::{Code, Request, Status, Streaming};
 
 use crate::config::{Config, Transport};
-use crate::error::{ActorError, EnvironmentError};
+use crate::error::{ActorError, EnvironmentError, causes};
 
 mod environment;
 mod verdict;
@@ -270,18 +270,4 @@ fn within<M>(deadline: Duration, message: M) -> Request<M> {
     let mut request = Request::new(message);
     request.set_timeout(deadline);
     request
-}
-
-/// An error with what caused it, in one line; what is told twice in a row stands there once.
-fn causes(error: &dyn std::error::Error) -> String {
-    let mut line = error.to_string();
-    let mut source = error.source();
-    while let Some(cause) = source {
-        let text = cause.to_string();
-        if !line.ends_with(&text) {
-            line = format!("{line}: {text}");
-        }
-        source = cause.source();
-    }
-    line
 }

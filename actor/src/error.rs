@@ -1,10 +1,10 @@
 //! What ends an actor before its run is done.
 
-use proto::{LeaseId, Refusal};
+use proto::{LeaseId, Refusal, in_words};
 use security::SecurityError;
 use sim::SimError;
 use thiserror::Error;
-use tonic::{Code, Status};
+use tonic::Status;
 
 /// Why an actor gave up.
 #[derive(Debug, Error)]
@@ -126,9 +126,48 @@ impl EnvironmentError {
 pub(crate) fn describe(status: &Status) -> String {
     match Refusal::from_status(status) {
         Some(refusal) => refusal.to_string(),
-        None if status.code() == Code::Unimplemented && status.message().is_empty() => {
-            "another program listens there, which offers no such service".to_owned()
+        None => in_words(status),
+    }
+}
+
+/// An error with what caused it, in one line; a cause that the text before it ends with is not told again.
+#[must_use]
+pub fn causes(error: &(dyn std::error::Error + 'static)) -> String {
+    let folded = |error: &dyn std::error::Error| {
+        error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let mut line = folded(error);
+    let mut source = error.source();
+    while let Some(cause) = source {
+        let text = folded(cause);
+        if !line.ends_with(&text) {
+            line = format!("{line}: {text}");
         }
-        None => format!("{:?}: {}", status.code(), status.message()),
+        source = cause.source();
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Error)]
+    #[error("cannot read a.toml: {source}")]
+    struct Told {
+        source: std::io::Error,
+    }
+
+    #[derive(Debug, Error)]
+    #[error("{0}")]
+    struct In(&'static str, #[source] Box<dyn std::error::Error>);
+
+    #[test]
+    fn a_cause_that_is_told_already_is_told_once() {
+        let denied = || std::io::Error::other("permission\n denied");
+        let told = In("the run", Box::new(Told { source: denied() }));
+        assert_eq!(causes(&told), "the run: cannot read a.toml: permission denied");
+        let untold = In("cannot write b", Box::new(denied()));
+        assert_eq!(causes(&untold), "cannot write b: permission denied");
     }
 }

@@ -29,7 +29,7 @@ pub mod trajectory_log;
 
 pub use config::{Config, Transport};
 pub use environment_batch::EnvironmentBatch;
-pub use error::{ActorError, EnvironmentError};
+pub use error::{ActorError, EnvironmentError, causes};
 pub use evaluation::{Episode, PlayedStep, play_episode};
 pub use identity::{environment_spec, rollout_fingerprint};
 pub use live::{LiveError, LiveScene, LiveServer, LiveTopic};

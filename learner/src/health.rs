@@ -58,13 +58,9 @@ pub async fn demand_serving(
     tls: Option<&ClientFiles>,
     patience: Duration,
 ) -> Result<(), HealthError> {
-    let endpoint = endpoint(url, tls)?;
-    let silent = |detail: String| HealthError::Silent { url: url.to_owned(), detail };
-    let answer = tokio::time::timeout(patience, ask(endpoint)).await;
-    let status = answer
-        .map_err(|_| silent(format!("nothing came for {} s", patience.as_secs_f64())))?
-        .map_err(silent)?
-        .map_err(|status| why_not(url, &status))?;
+    let asked = ask(url, endpoint(url, tls)?);
+    let status =
+        tokio::time::timeout(patience, asked).await.map_err(|_| silent(url, patience))??;
     match status {
         ServingStatus::Serving => Ok(()),
         other => Err(HealthError::NotServing { url: url.to_owned(), status: other.as_str_name() }),
@@ -90,18 +86,24 @@ pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint,
     endpoint.tls_config(config).map_err(wrong)
 }
 
-/// What is answered, or why nobody can be asked.
-async fn ask(endpoint: Endpoint) -> Result<Result<ServingStatus, tonic::Status>, String> {
-    let channel = endpoint.connect().await.map_err(|error| reason(&error))?;
+async fn ask(url: &str, endpoint: Endpoint) -> Result<ServingStatus, HealthError> {
+    let channel = endpoint.connect().await.map_err(|error| no_connection(url, &error))?;
     // The empty name asks for the server as a whole.
     let request = HealthCheckRequest { service: String::new() };
     let answer = HealthClient::new(channel).check(request).await;
-    Ok(answer.map(|found| found.into_inner().status()))
+    Ok(answer.map_err(|status| why_not(url, &status))?.into_inner().status())
+}
+
+/// Nothing came in time.
+pub(crate) fn silent(url: &str, patience: Duration) -> HealthError {
+    let detail = format!("nothing came for {} s", patience.as_secs_f64());
+    HealthError::Silent { url: url.to_owned(), detail }
 }
 
 /// Why no connection came about.
-pub(crate) fn reason(error: &(dyn std::error::Error + 'static)) -> String {
-    security::explain(error).unwrap_or_else(|| innermost(error))
+pub(crate) fn no_connection(url: &str, error: &(dyn std::error::Error + 'static)) -> HealthError {
+    let detail = security::explain(error).unwrap_or_else(|| innermost(error));
+    HealthError::Silent { url: url.to_owned(), detail }
 }
 
 /// Whether the learner at `url` itself said no to a call, or was lost on the way.
@@ -124,11 +126,8 @@ fn denial(status: &tonic::Status) -> String {
         // How HTTP/2 names a goodbye for inadequate security; it may be lost on the way.
         Code::PermissionDenied if broken => format!("it asks for TLS: {TLS}"),
         Code::Cancelled => format!("it ended the connection at once; if it asks for TLS, {TLS}"),
-        Code::Unimplemented if status.message().is_empty() => {
-            "another program listens there, which offers no such service".to_owned()
-        }
         _ if broken => "what listens there speaks no gRPC".to_owned(),
-        code => format!("{code:?}: {}", status.message()),
+        _ => proto::in_words(status),
     };
     security::explain(status).unwrap_or_else(told)
 }

@@ -42,7 +42,7 @@ pub use film::{Film, MAX_CAPSULES, MAX_FRAMES};
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
 pub use line::{EvaluationSummary, RunEnd, RunLine};
 pub use play::{PlayRequest, Steps, View, saved_state};
-pub use refusal::{ERROR_DOMAIN, Reason, Refusal};
+pub use refusal::{ERROR_DOMAIN, Reason, Refusal, in_words};
 pub use run::RunDescription;
 pub use share_rewards::{ShareRewards, is_reward_log_name, reward_log_name};
 pub use status::{LeaseStatus, LeasedWork, Status};

@@ -45,6 +45,13 @@ pub enum RunEnd {
 }
 
 impl RunLine {
+    /// A run that stands after `iteration`, of which nothing else is known.
+    #[must_use]
+    pub fn without_figures(run_id: String, iteration: u64, env_steps: u64) -> Self {
+        let (env_steps_per_sec, episode_return, evaluation, end) = (0.0, None, None, None);
+        Self { run_id, iteration, env_steps, env_steps_per_sec, episode_return, evaluation, end }
+    }
+
     /// The message for it.
     #[must_use]
     pub fn to_wire(&self) -> wire::WatchRunResponse {

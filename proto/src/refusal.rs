@@ -142,6 +142,17 @@ impl Refusal {
     }
 }
 
+/// A status that carries no refusal of ours, as one line.
+#[must_use]
+pub fn in_words(status: &Status) -> String {
+    match (status.code(), status.message()) {
+        (Code::Unimplemented, "") => {
+            "another program listens there, which offers no such service".to_owned()
+        }
+        (code, message) => format!("{code:?}: {message}"),
+    }
+}
+
 impl From<Refusal> for Status {
     /// `ErrorInfo` carries reason and domain, `BadRequest` the field and the detail.
     fn from(refusal: Refusal) -> Self {

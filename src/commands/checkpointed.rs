@@ -29,20 +29,25 @@ impl Trained {
     }
 }
 
-/// The newest checkpoint whose hashes are right; tells of every newer one that it had to pass over.
+/// The newest checkpoint whose hashes are right; refuses a run that has none yet.
 pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
-    config_file_of_run(run)?;
     let shown = run.display();
+    load_if_any(run)?.with_context(|| {
+        format!("{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {shown}` begins it again")
+    })
+}
+
+/// The same, or `None` before the first; tells of every newer one that it had to pass over.
+pub(super) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
+    config_file_of_run(run)?;
     let loaded = match learner::checkpoint::load_newest(run) {
-        Err(CheckpointError::None { .. }) => anyhow::bail!(
-            "{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {shown}` begins it again"
-        ),
-        loaded => loaded.with_context(|| format!("{shown} has no good checkpoint"))?,
+        Err(CheckpointError::None { .. }) => return Ok(None),
+        loaded => loaded.with_context(|| format!("{} has no good checkpoint", run.display()))?,
     };
     for (path, why) in &loaded.skipped {
         tracing::warn!("{} is damaged and passed over: {why}", path.display());
     }
-    Ok(loaded)
+    Ok(Some(loaded))
 }
 
 /// The newest policy of a run.

@@ -37,7 +37,7 @@ pub(super) fn run(command: &LogCommand) -> anyhow::Result<()> {
 /// The trajectory logs that are meant, each once, in the order of their names within a folder.
 fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
     let paths = paths_of(logs, is_log_name)?;
-    let is_reward_log = |path: &&PathBuf| name_of(path).is_some_and(is_reward_log_name);
+    let is_reward_log = |path: &&PathBuf| run_path::file_name(path).is_some_and(is_reward_log_name);
     match paths.iter().find(is_reward_log) {
         None => Ok(paths),
         Some(path) => {
@@ -67,10 +67,6 @@ fn paid(index: &Index) -> String {
     format!("intrinsic rewards of {} of {} training shares", thousands(paid), thousands(all))
 }
 
-fn name_of(path: &Path) -> Option<&str> {
-    path.file_name().and_then(|name| name.to_str())
-}
-
 /// Of folders, the files whose names `belong`.
 fn paths_of(logs: &LogFiles, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
     let mut paths: Vec<PathBuf> = Vec::new();
@@ -90,10 +86,8 @@ fn in_folder(folder: &Path, belong: fn(&str) -> bool) -> anyhow::Result<Vec<Path
     let logs = run_path::logs(folder);
     let is_run = run_path::config_file(folder).is_file() && logs.is_dir();
     let folder = if is_run { &logs } else { folder };
-    let entries = folder.read_dir().with_context(|| format!("cannot read {}", folder.display()))?;
-    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    let mut paths: Vec<PathBuf> = paths.filter(|path| name_of(path).is_some_and(belong)).collect();
-    paths.sort();
+    let paths = run_path::files(folder, belong);
+    let paths = paths.with_context(|| format!("cannot read {}", folder.display()))?;
     if paths.is_empty() {
         let why =
             format!("no trajectories-*.mcap in {}; log.episodes makes some", folder.display());

@@ -8,7 +8,7 @@ use serde_json::json;
 use crate::chart::thousands;
 use crate::cli::StatusArguments;
 use crate::commands::control::{operator, url};
-use crate::commands::{checkpointed, config_file_of_run, patience, runtime};
+use crate::commands::{checkpointed, patience, runtime};
 use crate::run_config::RunConfig;
 use crate::{output, run_path};
 
@@ -38,14 +38,9 @@ pub(super) struct AtRest {
 impl AtRest {
     /// What the newest checkpoint and the settings of the run in this folder say.
     pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
-        config_file_of_run(run)?;
-        let newest = match learner::checkpoint::newest_iteration(run)? {
-            None => None,
-            Some(_) => {
-                let checkpoint = checkpointed::load(run)?.checkpoint;
-                Some((checkpoint.iteration, checkpoint.env_steps))
-            }
-        };
+        let loaded = checkpointed::load_if_any(run)?;
+        let newest =
+            loaded.map(|loaded| (loaded.checkpoint.iteration, loaded.checkpoint.env_steps));
         let (run_id, iterations) = (run_path::name(run), RunConfig::of_run(run)?.iterations());
         Ok(Self { run_id, newest, iterations })
     }
@@ -53,15 +48,8 @@ impl AtRest {
     /// How a run that is finished is told to whoever watches it.
     pub(super) fn last_line(&self) -> RunLine {
         let (iteration, env_steps) = self.newest.unwrap_or_default();
-        RunLine {
-            run_id: self.run_id.clone(),
-            iteration,
-            env_steps,
-            env_steps_per_sec: 0.0,
-            episode_return: None,
-            evaluation: None,
-            end: Some(RunEnd::Finished),
-        }
+        let line = RunLine::without_figures(self.run_id.clone(), iteration, env_steps);
+        RunLine { end: Some(RunEnd::Finished), ..line }
     }
 
     /// Whether the run has had its last iteration.

@@ -107,20 +107,19 @@ impl<'a> Watch<'a> {
 
     /// One learner after the other; gives up when none has been reached for as long as `outage`.
     async fn until_the_end(mut self, outage: Duration) -> anyhow::Result<()> {
-        let mut told = false;
+        // Once for each learner that has gone.
+        let mut told = None;
         loop {
-            let before = self.reached;
             let missing = match self.session().await {
                 Ok(RunEnd::Finished) => return Ok(()),
                 Ok(RunEnd::Stopped) => anyhow::anyhow!("the learner has ended"),
                 Err(error) if is_final(&error) => return Err(error),
                 Err(error) => error,
             };
-            told &= self.reached == before;
             if self.reached.elapsed() >= outage {
                 return Err(missing);
             }
-            if !std::mem::replace(&mut told, true) {
+            if told.replace(self.reached) != Some(self.reached) {
                 let secs = outage.as_secs_f64();
                 tracing::warn!("{missing:#}; waiting up to {secs} s (--max-outage-secs)");
             }

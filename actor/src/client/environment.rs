@@ -11,8 +11,8 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Status, Streaming};
 
-use super::{CALL_DEADLINE, causes, within};
-use crate::error::{ActorError, EnvironmentError};
+use super::{CALL_DEADLINE, within};
+use crate::error::{ActorError, EnvironmentError, causes};
 
 /// Longest wait for an answer while playing.
 const ANSWER_DEADLINE: Duration = Duration::from_secs(60);

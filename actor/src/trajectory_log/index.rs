@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use policy::arrays::hex;
 use prost::Message;
 use proto::trajectory_log::{AgentStep, Kind, Share};
 use proto::{Digest, is_reward_log_name, rollout_episode_id};
@@ -277,11 +278,10 @@ fn same_run(one: &ReadShares, other: &ReadShares) -> bool {
 }
 
 fn about(share: &LoggedShare) -> About {
-    let weights = share.head.weights_sha256.iter().map(|byte| format!("{byte:02x}"));
     About {
         steps: share.steps.len() as u32,
         iteration: share.head.iteration,
-        weights_sha256: weights.collect(),
+        weights_sha256: hex(&share.head.weights_sha256),
     }
 }
 

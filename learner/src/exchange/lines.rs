@@ -46,7 +46,8 @@ impl Lines {
     /// The last line: that of the newest iteration again, with the evaluation that came in since. Where there is none,
     /// `(iteration, env_steps)` is where the learner began.
     fn end(&mut self, end: RunEnd, begin: (u64, u64)) {
-        let newest = self.kept.back().cloned().unwrap_or_else(|| self.without_figures(begin));
+        let first = || RunLine::without_figures(self.run_id.clone(), begin.0, begin.1);
+        let newest = self.kept.back().cloned().unwrap_or_else(first);
         self.push(RunLine { evaluation: self.evaluation, end: Some(end), ..newest });
     }
 
@@ -72,18 +73,6 @@ impl Lines {
             env_steps_per_sec: report.env_steps_per_sec(),
             episode_return: report.episode_return,
             evaluation: self.evaluation,
-            end: None,
-        }
-    }
-
-    fn without_figures(&self, (iteration, env_steps): (u64, u64)) -> RunLine {
-        RunLine {
-            run_id: self.run_id.clone(),
-            iteration,
-            env_steps,
-            env_steps_per_sec: 0.0,
-            episode_return: None,
-            evaluation: None,
             end: None,
         }
     }

@@ -8,7 +8,7 @@ use security::ClientFiles;
 use tonic::transport::Channel;
 use tonic::{Response, Streaming};
 
-use crate::health::{self, HealthError, reason, why_not};
+use crate::health::{self, HealthError, no_connection, silent, why_not};
 
 /// A learner of which nothing came is asked for a sign of life after this long, so that nobody watches one that is
 /// out of reach for ever.
@@ -55,7 +55,7 @@ impl Operator {
         let connected = tokio::time::timeout(patience, endpoint.connect()).await;
         let channel = connected
             .map_err(|_| silent(url, patience))?
-            .map_err(|error| HealthError::Silent { url: url.to_owned(), detail: reason(&error) })?;
+            .map_err(|error| no_connection(url, &error))?;
         Ok(Self { url: url.to_owned(), patience, service: ControlServiceClient::new(channel) })
     }
 
@@ -137,9 +137,4 @@ async fn answered<T>(
     let answer = tokio::time::timeout(patience, answer).await;
     let answer = answer.map_err(|_| silent(url, patience))?;
     answer.map(Response::into_inner).map_err(|status| why_not(url, &status))
-}
-
-fn silent(url: &str, patience: Duration) -> HealthError {
-    let detail = format!("nothing came for {} s", patience.as_secs_f64());
-    HealthError::Silent { url: url.to_owned(), detail }
 }

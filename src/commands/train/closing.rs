@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use actor::trajectory_log::{is_log_name, totals};
@@ -10,7 +10,7 @@ use learner::Summary;
 use proto::is_reward_log_name;
 
 use crate::chart;
-use crate::run_path::config_file;
+use crate::run_path::{self, config_file};
 
 /// Size of the curve in characters.
 const WIDTH: usize = 60;
@@ -41,7 +41,8 @@ pub(super) fn text(
 
 /// What actors logged, in this session and before, by their own account, and what the learner added.
 pub(super) fn logged(logs: &Path) -> String {
-    let logged = files(logs, is_log_name);
+    let files = |belong| run_path::files(logs, belong).unwrap_or_default();
+    let logged = files(is_log_name);
     let finished: Vec<_> = logged.iter().filter_map(|path| totals(path).ok()).collect();
     let sum = |figure: &str| {
         let values = finished.iter().filter_map(|of| of.get(figure)?.parse::<u64>().ok());
@@ -52,18 +53,10 @@ pub(super) fn logged(logs: &Path) -> String {
         sum("steps"),
         sum("shares"),
         logs.display(),
-        chart::thousands(files(logs, is_reward_log_name).iter().map(|path| lines(path)).sum()),
+        chart::thousands(files(is_reward_log_name).iter().map(|path| lines(path)).sum()),
         sum("lost_shares"),
         logged.len() - finished.len(),
     )
-}
-
-/// The files of a folder whose names `belong`.
-fn files(folder: &Path, belong: fn(&str) -> bool) -> Vec<PathBuf> {
-    let entries = folder.read_dir().into_iter().flatten();
-    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    let name = |path: &PathBuf| path.file_name().and_then(|name| name.to_str()).map(belong);
-    paths.filter(|path| name(path) == Some(true)).collect()
 }
 
 fn lines(path: &Path) -> u64 {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use policy::arrays::hex;
 use proto::{ShareRewards, reward_log_name};
 
 use super::fixture::run;
@@ -17,13 +18,18 @@ fn paid(share: &LoggedShare) -> ShareRewards {
         episode_id: share.head.episode_id.clone(),
         first_step: share.head.first_step,
         iteration: share.head.iteration,
-        weights_sha256: proto::Digest(share.head.weights_sha256.clone().try_into().unwrap())
-            .to_string(),
+        weights_sha256: hex(&share.head.weights_sha256),
         config_sha256: run().config_sha256.to_string(),
         intrinsic_reward: agents.map(steps).collect(),
         sha256: String::new(),
     };
     unsealed.sealed()
+}
+
+/// A line that says something else, with the checksum of that.
+fn alter(line: &mut ShareRewards, change: impl FnOnce(&mut ShareRewards)) {
+    change(line);
+    *line = line.clone().sealed();
 }
 
 fn lines(rewards: &[ShareRewards]) -> String {
@@ -133,8 +139,7 @@ fn rewards_of_other_steps_or_weights_contradict_the_share() {
     for change in changes {
         let folder = tempfile::tempdir().unwrap();
         let mut rewards = logged(folder.path());
-        change(&mut rewards[1]);
-        rewards[1] = rewards[1].clone().sealed();
+        alter(&mut rewards[1], change);
         let path = reward_log(folder.path(), 1, &lines(&rewards));
         let expected = format!("{} is about other steps or weights than the share", path.display());
         let found = contradiction(folder.path());
@@ -147,8 +152,7 @@ fn rewards_of_one_share_that_differ_are_a_contradiction() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
     let first = reward_log(folder.path(), 1, &lines(&rewards));
-    rewards[1].intrinsic_reward[0][0] = Some(7.0);
-    rewards[1] = rewards[1].clone().sealed();
+    alter(&mut rewards[1], |line| line.intrinsic_reward[0][0] = Some(7.0));
     let second = reward_log(folder.path(), 2, &lines(&rewards));
     let expected = format!("{} and {} differ", first.display(), second.display());
     let found = contradiction(folder.path());
@@ -159,8 +163,7 @@ fn rewards_of_one_share_that_differ_are_a_contradiction() {
 fn rewards_of_another_number_of_agents_are_refused_and_leave_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
-    rewards[0].intrinsic_reward.pop();
-    rewards[0] = rewards[0].clone().sealed();
+    alter(&mut rewards[0], |line| drop(line.intrinsic_reward.pop()));
     reward_log(folder.path(), 1, &lines(&rewards));
     let paths = files(folder.path());
     let refused = join(&index(&paths), &folder.path().join("joined.mcap")).unwrap_err().to_string();
@@ -175,8 +178,7 @@ fn joined_logs_and_lines_that_disagree_about_rewards_are_contradictions() {
     reward_log(folder.path(), 1, &lines(&rewards));
     let one = folder.path().join("joined.mcap");
     joined(folder.path(), &files(folder.path()));
-    rewards[1].intrinsic_reward[0][0] = None;
-    rewards[1] = rewards[1].clone().sealed();
+    alter(&mut rewards[1], |line| line.intrinsic_reward[0][0] = None);
     let line = reward_log(folder.path(), 1, &lines(&rewards));
     let raw = folder.path().join("trajectories-a-0000.mcap");
     let two = folder.path().join("other.mcap");
@@ -196,8 +198,7 @@ fn joined_logs_and_lines_that_disagree_about_rewards_are_contradictions() {
 fn rewards_of_another_run_are_a_contradiction_whatever_they_are_about() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
-    rewards[1].config_sha256 = "f".repeat(64);
-    rewards[1] = rewards[1].clone().sealed();
+    alter(&mut rewards[1], |line| line.config_sha256 = "f".repeat(64));
     let path = reward_log(folder.path(), 1, &lines(&rewards));
     let expected = "is of a run with other settings or another seed";
     assert_eq!(contradiction(folder.path()), format!("{} {expected}", path.display()));
