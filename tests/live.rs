@@ -253,6 +253,25 @@ fn a_run_whose_viewer_never_reads_ends_with_the_weights_of_one_without_viewers()
 }
 
 #[test]
+fn whoever_asks_for_a_topic_as_soon_as_it_is_offered_gets_it() {
+    let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "quick").unwrap();
+    let mut viewer = Viewer::connect(&server.url());
+    let topics: Vec<String> = (0..300).map(|number| format!("/number/{number}")).collect();
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            for topic in &topics {
+                viewer.subscribe(&[topic]);
+                assert_eq!(viewer.json_on(topic)["topic"], **topic);
+            }
+        });
+        for topic in &topics {
+            let shown = server.topic(topic, &json!({ "title": "Topic", "type": "object" }));
+            shown.unwrap().show(&json!({ "topic": topic }));
+        }
+    });
+}
+
+#[test]
 fn whoever_reads_too_slowly_holds_nobody_up_and_misses_what_is_old() {
     let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "slow").unwrap();
     let topic = server.topic("/numbers", &json!({ "title": "Number", "type": "object" })).unwrap();

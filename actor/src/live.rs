@@ -49,7 +49,7 @@ pub struct LiveServer {
     shelf: Arc<Shelf>,
     address: SocketAddr,
     _server: WebSocketServerHandle,
-    _network: Runtime,
+    network: Runtime,
 }
 
 impl LiveServer {
@@ -76,7 +76,7 @@ impl LiveServer {
             other => LiveError::Server(other),
         })?;
         let address = SocketAddr::new(address.ip(), server.port());
-        Ok(Self { context, shelf, address, _server: server, _network: network })
+        Ok(Self { context, shelf, address, _server: server, network })
     }
 
     /// What is entered under "Open connection" in Foxglove; on this machine, where it is served on every address.
@@ -99,7 +99,7 @@ impl LiveServer {
     /// A topic of JSON objects; `schema` is a JSON schema with a title.
     ///
     /// # Errors
-    /// If the topic is refused.
+    /// If the topic is refused. Panics inside a runtime.
     pub fn topic(&self, topic: &str, schema: &Value) -> Result<LiveTopic, RecordError> {
         let channel = self.sink().json_channel(topic, schema)?;
         Ok(LiveTopic { shelf: Arc::clone(&self.shelf), place: channel.id().into() })
@@ -108,7 +108,7 @@ impl LiveServer {
     /// A stage for episodes in worlds like `world`.
     ///
     /// # Errors
-    /// If a topic is refused.
+    /// If a topic is refused. Panics inside a runtime.
     pub fn scene(&self, world: &dyn EnvironmentBatch) -> Result<LiveScene, RecordError> {
         let first = self.shelf.len();
         let mut sink = self.sink();
@@ -119,7 +119,8 @@ impl LiveServer {
     }
 
     fn sink(&self) -> LiveSink {
-        LiveSink::new(Arc::clone(&self.context), Arc::clone(&self.shelf))
+        let network = self.network.handle().clone();
+        LiveSink::new(Arc::clone(&self.context), network, Arc::clone(&self.shelf))
     }
 }
 

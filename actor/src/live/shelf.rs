@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use foxglove::websocket::{ChannelView, Client, ServerListener};
 use foxglove::{Context, FoxgloveError, PartialMetadata, RawChannel};
+use tokio::runtime::Handle;
 
 use crate::recording::sink::Schema;
 
@@ -20,18 +21,23 @@ struct Topic {
 }
 
 impl Shelf {
-    /// Declares a topic; gives its place.
+    /// Declares a topic; gives its place. The server tells viewers of a topic shortly before it takes subscriptions to
+    /// it. On `network`, whose one thread hears them, no viewer can be faster.
     pub(super) fn add(
-        &self,
-        context: &Arc<Context>,
+        self: &Arc<Self>,
+        (context, network): (&Arc<Context>, &Handle),
         topic: &str,
         schema: &Schema<'_>,
     ) -> Result<usize, FoxgloveError> {
         let own = foxglove::Schema::new(schema.name, schema.encoding, schema.data.to_vec());
         let channel = context.channel_builder(topic).message_encoding(schema.messages).schema(own);
-        let mut topics = self.topics();
-        topics.push(Topic { channel: channel.build_raw()?, newest: None });
-        Ok(topics.len() - 1)
+        let shelf = Arc::clone(self);
+        let added = network.spawn(async move {
+            let mut topics = shelf.topics();
+            topics.push(Topic { channel: channel.build_raw()?, newest: None });
+            Ok(topics.len() - 1)
+        });
+        network.block_on(added).expect("the thread lives as long as the server")
     }
 
     /// Topics so far.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use foxglove::Context;
+use tokio::runtime::Handle;
 
 use super::shelf::Shelf;
 use crate::recording::RecordError;
@@ -12,6 +13,7 @@ use crate::recording::sink::{Channel, Schema, Sink};
 /// Shows at the pace of real time.
 pub(super) struct LiveSink {
     context: Arc<Context>,
+    network: Handle,
     shelf: Arc<Shelf>,
     /// Since 1970.
     nanos: u64,
@@ -21,8 +23,8 @@ pub(super) struct LiveSink {
 
 impl LiveSink {
     /// At the time that it is.
-    pub(super) fn new(context: Arc<Context>, shelf: Arc<Shelf>) -> Self {
-        Self { context, shelf, nanos: now_nanos(), due: Instant::now() }
+    pub(super) fn new(context: Arc<Context>, network: Handle, shelf: Arc<Shelf>) -> Self {
+        Self { context, network, shelf, nanos: now_nanos(), due: Instant::now() }
     }
 
     /// Sets the clock, which stood still while nothing was shown; never back.
@@ -34,9 +36,10 @@ impl LiveSink {
 
 impl Sink for LiveSink {
     fn channel(&mut self, topic: &str, schema: &Schema<'_>) -> Result<Channel, RecordError> {
-        let place = self.shelf.add(&self.context, topic, schema).map_err(|error| {
-            RecordError::Message { topic: topic.to_owned(), why: error.to_string() }
-        })?;
+        let place =
+            self.shelf.add((&self.context, &self.network), topic, schema).map_err(|error| {
+                RecordError::Message { topic: topic.to_owned(), why: error.to_string() }
+            })?;
         Ok(Channel::new(u16::try_from(place).expect("a handful of topics"), topic))
     }
 
