@@ -36,17 +36,16 @@ use clap::Parser as _;
 use crate::commands::{Incomplete, Usage};
 use crate::config::ConfigError;
 
-// The system's allocator holds the learner back; with this one its wide matrix kernels pay off.
+// The system's allocator holds the learner back.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    single_threaded_candle();
     let arguments = match cli::Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => return cli::report(&error),
     };
-    match run(arguments) {
+    match choose_registers().and_then(|()| run(arguments)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failure(&error),
     }
@@ -71,12 +70,17 @@ fn run(arguments: cli::Arguments) -> anyhow::Result<()> {
     commands::run(arguments.command)
 }
 
-/// candle and gemm take their thread count from this variable at every product. The learner has a pool
-/// of its own over agents and shards, so inside a shard they must stay on one thread.
-#[expect(unsafe_code, reason = "no other thread exists yet that could read the environment")]
-fn single_threaded_candle() {
-    // SAFETY: this is the first statement of `main`; the process has one thread.
-    unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
+/// Computes with the registers that `S2MIA_SIMD` names; without it with the widest of this processor.
+fn choose_registers() -> anyhow::Result<()> {
+    let Some(name) = std::env::var_os("S2MIA_SIMD") else { return Ok(()) };
+    let chosen = kernels::Width::ALL.into_iter().find(|width| name == width.name());
+    if chosen.is_some_and(kernels::select) {
+        return Ok(());
+    }
+    let available = kernels::Width::ALL.into_iter().filter(|width| width.is_available());
+    let names: Vec<&str> = available.map(kernels::Width::name).collect();
+    let (name, names) = (name.to_string_lossy(), names.join(", "));
+    Err(Usage::new(format!("S2MIA_SIMD is {name}; this processor has {names}")).into())
 }
 
 /// One line on stderr; 2 for what the user wrote wrong, 3 for a log of which something is missing, 1 for what failed.

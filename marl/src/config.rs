@@ -68,9 +68,6 @@ pub struct UpdateConfig {
     pub entropy: f64,
     /// Global norm to which gradients are clipped.
     pub max_gradient_norm: f64,
-    /// Parts of a minibatch computed side by side and summed in order. It changes the last bits of
-    /// a result, so it is never taken from the machine.
-    pub shards: usize,
 }
 
 /// The learning rules.
@@ -291,8 +288,7 @@ impl UpdateConfig {
         count("update.epochs", self.epochs)?;
         count("update.minibatches", self.minibatches)?;
         not_negative("update.entropy", self.entropy)?;
-        positive("update.max_gradient_norm", self.max_gradient_norm)?;
-        count("update.shards", self.shards)
+        positive("update.max_gradient_norm", self.max_gradient_norm)
     }
 }
 

@@ -3,10 +3,13 @@
 mod mode;
 mod state_scale;
 
+use std::ops::Range;
+
 use candle_core::Tensor;
 use policy::Precision;
 use policy::arrays::{Array, NamedArrays};
-use policy::ops::Activation;
+use policy::layers::LayerSpec;
+use policy::ops::{LayerStack, Weights};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use rayon::prelude::*;
@@ -17,9 +20,10 @@ use crate::config::CriticConfig;
 pub(crate) use crate::critic::state_scale::StateScale;
 use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::layers::{Builder, Dense, Norm, RELU_GAIN, rows};
+use crate::layers::{rectified_layers, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
+use crate::shards::{self, shards};
 use crate::surrogate::mean_and_deviation;
 use crate::value_normalizer::ValueNormalizer;
 
@@ -35,9 +39,7 @@ pub struct Critic {
     states: usize,
     scale: StateScale,
     parameters: Parameters,
-    input: Norm,
-    layers: Vec<(Dense, Norm)>,
-    heads: Dense,
+    layers: LayerStack,
     adam: Adam,
     normalizers: Vec<ValueNormalizer>,
 }
@@ -101,20 +103,11 @@ impl Critic {
         (seed, precision): (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation));
-        let mut builder = Builder { parameters: Parameters::new(), precision, rng: &mut rng };
-        let input = builder.norm("norm", problem.state)?;
-        let mut layers = Vec::with_capacity(config.layers);
-        let mut from = problem.state;
-        for layer in 0..config.layers {
-            let (name, shape) = (format!("layers.{layer}"), (from, config.width));
-            let dense =
-                builder.dense(&format!("{name}.linear"), shape, RELU_GAIN, Activation::Relu)?;
-            layers.push((dense, builder.norm(&format!("{name}.norm"), config.width)?));
-            from = config.width;
-        }
         let count = config.mode.values(problem.agents.len());
-        let heads = builder.dense("value", (from, count), 1.0, Activation::Identity)?;
-        let parameters = builder.parameters;
+        let mut specs = vec![LayerSpec::norm("norm", problem.state)];
+        specs.extend(rectified_layers((problem.state, config.width, config.layers), true, count));
+        let mut parameters = Parameters::new();
+        let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), &mut rng)?;
         let adam = AdamConfig {
             learning_rate: config.learning_rate,
             epsilon: adam_epsilon,
@@ -129,9 +122,7 @@ impl Critic {
             scale: StateScale::new(config.state_norm, problem.state),
             adam: Adam::new(adam, &parameters),
             parameters,
-            input,
             layers,
-            heads,
             normalizers: vec![ValueNormalizer::new(config.normalizer_beta); count],
         })
     }
@@ -142,13 +133,19 @@ impl Critic {
     }
 
     /// Normalised values `[R, V]` of states `[R, S]`.
-    fn forward(&self, mut states: Vec<f32>) -> Result<Tensor, MarlError> {
+    fn forward(&self, weights: &Weights, mut states: Vec<f32>) -> Result<Tensor, MarlError> {
         self.scale.apply(&mut states, self.states);
-        let mut x = self.input.apply(&rows(states, self.states, self.precision)?)?;
-        for (dense, norm) in &self.layers {
-            x = norm.apply(&dense.apply(&x)?)?;
-        }
-        self.heads.apply(&x)
+        Ok(weights.apply(&rows(states, self.states, self.precision)?, None)?)
+    }
+
+    /// As [`Critic::forward`], as numbers.
+    fn forward_all(&self, states: &[f32]) -> Result<Vec<f64>, MarlError> {
+        let weights = self.layers.constant_weights()?;
+        let one = |range: Range<usize>| {
+            let part = &states[range.start * self.states..range.end * self.states];
+            numbers(&self.forward(&weights, part.to_vec())?)
+        };
+        Ok(shards::of_each(&shards(states.len() / self.states, 1), one)?.concat())
     }
 
     /// Values of every state of `batch` and of every row's true next state.
@@ -156,9 +153,9 @@ impl Critic {
     /// # Errors
     /// Passes on a tensor error.
     pub fn values(&self, batch: &Batch) -> Result<Values, MarlError> {
-        let normalized = numbers(&self.forward(batch.state.clone())?)?;
-        let last = batch.finals.iter().flat_map(|last| last.state.iter().copied()).collect();
-        let finals = numbers(&self.forward(last)?)?;
+        let normalized = self.forward_all(&batch.state)?;
+        let last = batch.finals.iter().flat_map(|last| last.state.iter().copied());
+        let finals = self.forward_all(&last.collect::<Vec<f32>>())?;
         let (mut now, mut next) = (Vec::new(), Vec::new());
         for head in 0..self.count {
             let own = self.of_head(&normalized, head);
@@ -223,11 +220,26 @@ impl Critic {
         target: &[f64],
         part: &[usize],
     ) -> Result<(f64, f64), MarlError> {
+        let weights = self.layers.weights()?;
+        let known = (batch, old, target);
+        let total = part.len();
+        let one = |range: Range<usize>| self.gradient(&weights, known, (&part[range], total));
+        let (loss, gradients) = shards::sum(&shards(total, 1), &one)?;
+        Ok((loss, self.adam.step(&self.parameters, &gradients)?))
+    }
+
+    /// Loss of some rows as their share of `total`, and its gradient.
+    fn gradient(
+        &self,
+        weights: &Weights,
+        (batch, old, target): (&Batch, &[f64], &[f64]),
+        (part, total): (&[usize], usize),
+    ) -> Result<(f64, Gradients), MarlError> {
         let width = self.states;
         let states = part.iter().flat_map(|&row| &batch.state[row * width..(row + 1) * width]);
-        let output = self.forward(states.copied().collect())?;
+        let output = self.forward(weights, states.copied().collect())?;
         let found = numbers(&output)?;
-        let share = 1.0 / found.len() as f64;
+        let share = 1.0 / (total * self.count) as f64;
         let bounds = (self.config.clip, self.config.huber_delta);
         let places = part.iter().flat_map(|&row| row * self.count..(row + 1) * self.count);
         let (mut loss, mut gradient) = (0.0, Vec::with_capacity(found.len()));
@@ -237,8 +249,7 @@ impl Critic {
             gradient.push(share * slope);
         }
         let root = root(&[OutputGradient { output: &output, gradient: &gradient }])?;
-        let gradients = Gradients::of(&self.parameters, &root)?;
-        Ok((loss, self.adam.step(&self.parameters, &gradients)?))
+        Ok((loss, Gradients::of(&self.parameters, &root)?))
     }
 
     /// `weights/critic.*`, `optimizer/critic.*`, `normalizer/value_I`, `normalizer/state.*`.

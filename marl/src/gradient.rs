@@ -1,13 +1,13 @@
 //! From a loss written by hand to gradients of parameters: the seam between our formulas and the
 //! networks' automatic differentiation.
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Device, Tensor, Var};
 use policy::parameters::Parameters;
 
 use crate::error::MarlError;
 use crate::reals::Reals;
 
-/// Gradients in the order of a network's parameters, in their precision.
+/// Gradients in the order of a network's variables, in their precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gradients(pub Vec<Reals>);
 
@@ -46,41 +46,36 @@ impl Gradients {
     /// otherwise leave it untrained.
     pub fn of(parameters: &Parameters, root: &Tensor) -> Result<Self, MarlError> {
         let store = root.backward()?;
-        let flat = |(name, var): (&str, &candle_core::Var)| {
-            let gradient =
-                store.get(var.as_tensor()).ok_or_else(|| MarlError::NoGradient(name.to_owned()))?;
-            Reals::of(gradient)
+        let flat = |(index, var): (usize, &Var)| {
+            let hole = || MarlError::NoGradient(parameters.name_of(index).to_owned());
+            Reals::of(store.get(var.as_tensor()).ok_or_else(hole)?)
         };
-        Ok(Self(parameters.iter().map(flat).collect::<Result<_, MarlError>>()?))
+        let vars = parameters.vars().iter().enumerate();
+        Ok(Self(vars.map(flat).collect::<Result<_, MarlError>>()?))
     }
 
-    /// The sum of several shards' gradients, added in their order.
-    #[must_use]
-    pub fn sum(shards: Vec<Self>) -> Self {
-        let mut shards = shards.into_iter();
-        let mut total = shards.next().unwrap_or(Self(Vec::new()));
-        for shard in shards {
-            for (total, part) in total.0.iter_mut().zip(&shard.0) {
-                total.add(part);
-            }
+    /// Adds `other`, number by number.
+    pub fn add(&mut self, other: &Self) {
+        for (own, other) in self.0.iter_mut().zip(&other.0) {
+            own.add(other);
         }
-        total
     }
 
     /// The mean of several agents' gradients of the same parameters, added in their order.
     #[must_use]
     pub fn mean(agents: Vec<Self>) -> Self {
         let count = agents.len();
-        let mut mean = Self::sum(agents);
+        let mut agents = agents.into_iter();
+        let mut mean = agents.next().unwrap_or(Self(Vec::new()));
+        agents.for_each(|agent| mean.add(&agent));
         mean.0.iter_mut().for_each(|gradient| gradient.share(count));
         mean
     }
 
-    /// Euclidean norm over all parameters, summed in their order in f64.
+    /// Euclidean norm over all parameters, their squares summed in their order in f64.
     #[must_use]
     pub fn norm(&self) -> f64 {
-        let squares = self.0.iter().flat_map(Reals::numbers).map(|g| g * g);
-        libm::sqrt(squares.sum())
+        libm::sqrt(self.0.iter().map(Reals::sum_of_squares).sum())
     }
 }
 

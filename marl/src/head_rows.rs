@@ -1,6 +1,8 @@
 //! What a head says of every row, as numbers in f64: the one place that tells kinds of action distribution apart
 //! between the networks' tensors and the formulas.
 
+use std::ops::Range;
+
 use candle_core::Tensor;
 use policy::Distribution;
 
@@ -169,6 +171,34 @@ impl HeadRows {
             Self::Categorical { logits, choices } => {
                 let logits = layout.columns(logits, *choices, columns);
                 Self::Categorical { logits, choices: *choices }
+            }
+        }
+    }
+
+    /// Of parts that hold some chunks `[L, chunks]` each, all rows `[L, C]`.
+    ///
+    /// # Panics
+    /// If the kinds differ, or without a part.
+    #[must_use]
+    pub fn gathered(parts: &[Self], layout: Layout, chunks: &[Range<usize>]) -> Self {
+        let together = |width: usize, numbers: &dyn Fn(&Self) -> Vec<f64>| {
+            let mut all = vec![0.0; layout.rows() * width];
+            for (part, chunks) in parts.iter().zip(chunks) {
+                let columns: Vec<usize> = chunks.clone().collect();
+                layout.scatter(&numbers(part), &mut all, width, &columns);
+            }
+            all
+        };
+        let numbers = |part: &Self| match part {
+            Self::Gaussian { mean, .. } => mean.clone(),
+            Self::Categorical { logits, .. } => logits.clone(),
+        };
+        match &parts[0] {
+            Self::Gaussian { sigma, .. } => {
+                Self::Gaussian { mean: together(sigma.len(), &numbers), sigma: sigma.clone() }
+            }
+            Self::Categorical { choices, .. } => {
+                Self::Categorical { logits: together(*choices, &numbers), choices: *choices }
             }
         }
     }

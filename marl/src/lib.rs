@@ -32,6 +32,7 @@ pub mod probe;
 pub mod reals;
 pub mod running;
 pub mod sequence;
+mod shards;
 pub mod surprise;
 pub mod surrogate;
 pub mod value_normalizer;

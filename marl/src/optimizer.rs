@@ -4,7 +4,7 @@
 use libm::{pow, sqrt};
 use policy::arrays::{Array, NamedArrays};
 use policy::math::Real;
-use policy::parameters::Parameters;
+use policy::parameters::{Parameters, Slot};
 
 use crate::error::MarlError;
 use crate::gradient::Gradients;
@@ -30,8 +30,7 @@ pub struct Adam {
     config: AdamConfig,
     /// Share of the configured step size that the next steps take.
     share: f64,
-    names: Vec<String>,
-    shapes: Vec<Vec<usize>>,
+    slots: Vec<Slot>,
     first: Vec<Reals>,
     second: Vec<Reals>,
     steps: i64,
@@ -42,12 +41,11 @@ impl Adam {
     /// An optimiser for `parameters`, in their precision, that has seen no step.
     #[must_use]
     pub fn new(config: AdamConfig, parameters: &Parameters) -> Self {
-        let zeros: Vec<Reals> = parameters.iter().map(|(_, var)| Reals::zeros(var)).collect();
+        let zeros: Vec<Reals> = parameters.vars().iter().map(|var| Reals::zeros(var)).collect();
         Self {
             config,
             share: 1.0,
-            names: parameters.iter().map(|(name, _)| name.to_owned()).collect(),
-            shapes: parameters.iter().map(|(_, var)| var.dims().to_vec()).collect(),
+            slots: parameters.slots().to_vec(),
             first: zeros.clone(),
             second: zeros,
             steps: 0,
@@ -85,8 +83,8 @@ impl Adam {
             epsilon: self.config.epsilon,
         };
         let moments = self.first.iter_mut().zip(&mut self.second);
-        for (((_, var), gradient), (first, second)) in
-            parameters.iter().zip(&gradients.0).zip(moments)
+        for ((var, gradient), (first, second)) in
+            parameters.vars().iter().zip(&gradients.0).zip(moments)
         {
             var.set(
                 &stride.moved(Reals::of(var)?, gradient, (first, second)).tensor(var.shape())?,
@@ -105,10 +103,10 @@ impl Adam {
     #[must_use]
     pub fn arrays(&self, prefix: &str) -> NamedArrays {
         let mut arrays = NamedArrays::new();
-        for (index, name) in self.names.iter().enumerate() {
+        for slot in &self.slots {
             for (kind, moment) in [("m", &self.first), ("v", &self.second)] {
-                let array = moment[index].array(self.shapes[index].clone());
-                arrays.insert(format!("{prefix}{kind}.{name}"), array);
+                let array = moment[slot.var].array(slot);
+                arrays.insert(format!("{prefix}{kind}.{}", slot.name), array);
             }
         }
         for (name, count) in [("steps", self.steps), ("skipped", self.skipped)] {
@@ -123,10 +121,9 @@ impl Adam {
     /// # Errors
     /// Names the array that is missing or has another shape or type.
     pub fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        for index in 0..self.names.len() {
-            let (name, shape) = (&self.names[index], &self.shapes[index]);
-            take_over(&mut self.first[index], arrays, &format!("{prefix}m.{name}"), shape)?;
-            take_over(&mut self.second[index], arrays, &format!("{prefix}v.{name}"), shape)?;
+        for slot in &self.slots {
+            take_over(&mut self.first[slot.var], arrays, &format!("{prefix}m."), slot)?;
+            take_over(&mut self.second[slot.var], arrays, &format!("{prefix}v."), slot)?;
         }
         self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
         self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
@@ -188,18 +185,21 @@ impl Stride {
     }
 }
 
-/// Takes over a moment of shape `expected`.
+/// Takes over the moment of a parameter.
 fn take_over(
     moment: &mut Reals,
     arrays: &NamedArrays,
-    name: &str,
-    expected: &[usize],
+    prefix: &str,
+    slot: &Slot,
 ) -> Result<(), MarlError> {
-    let array = arrays.get(name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
-    match moment.take_over(array, expected) {
+    let name = format!("{prefix}{}", slot.name);
+    let array =
+        arrays.get(&name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
+    match moment.take_over(array, slot) {
         true => Ok(()),
         false => Err(MarlError::Restore(format!(
-            "{name} is not an array of {expected:?} in the run's precision"
+            "{name} is not an array of {:?} in the run's precision",
+            slot.shape
         ))),
     }
 }
@@ -233,14 +233,14 @@ mod tests {
 
     /// A gradient of two parameters of one number each.
     fn gradients(parameters: &Parameters, numbers: [f64; 2]) -> Gradients {
-        let of = |((_, var), x): ((&str, &candle_core::Var), f64)| {
+        let of = |(var, x): (&candle_core::Var, f64)| {
             Reals::of(&Tensor::new(&[x], &Device::Cpu).unwrap().to_dtype(var.dtype()).unwrap())
         };
-        Gradients(parameters.iter().zip(numbers).map(of).collect::<Result<_, _>>().unwrap())
+        Gradients(parameters.vars().iter().zip(numbers).map(of).collect::<Result<_, _>>().unwrap())
     }
 
     fn values(parameters: &Parameters) -> Vec<f64> {
-        parameters.iter().flat_map(|(_, var)| Reals::of(var).unwrap().numbers()).collect()
+        parameters.vars().iter().flat_map(|var| Reals::of(var).unwrap().numbers()).collect()
     }
 
     fn close(found: &[f64], expected: [f64; 2]) {

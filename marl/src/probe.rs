@@ -124,7 +124,6 @@ fn update() -> UpdateConfig {
         minibatches: 2,
         entropy: 0.01,
         max_gradient_norm: 10.0,
-        shards: 2,
     }
 }
 

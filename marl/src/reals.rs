@@ -2,6 +2,7 @@
 
 use candle_core::{DType, Device, Shape, Tensor};
 use policy::arrays::Array;
+use policy::parameters::Slot;
 
 use crate::error::MarlError;
 
@@ -80,28 +81,49 @@ impl Reals {
         }
     }
 
-    /// As an array of the given shape.
+    /// Sum of all squares in f64: eight sums of every eighth number, which are then added in their order.
     #[must_use]
-    pub fn array(&self, shape: Vec<usize>) -> Array {
+    pub fn sum_of_squares(&self) -> f64 {
         match self {
-            Self::Single(data) => Array::F32 { shape, data: data.clone() },
-            Self::Double(data) => Array::F64 { shape, data: data.clone() },
+            Self::Single(own) => sum_of_squares(own, f64::from),
+            Self::Double(own) => sum_of_squares(own, |x| x),
         }
     }
 
-    /// Takes over an array of this precision and of shape `expected`; whether it was one.
+    /// The numbers of a parameter as an array.
     #[must_use]
-    pub fn take_over(&mut self, array: &Array, expected: &[usize]) -> bool {
+    pub fn array(&self, slot: &Slot) -> Array {
+        let (shape, range) = (slot.shape.clone(), slot.range.clone());
+        match self {
+            Self::Single(data) => Array::F32 { shape, data: data[range].to_vec() },
+            Self::Double(data) => Array::F64 { shape, data: data[range].to_vec() },
+        }
+    }
+
+    /// Takes over the numbers of a parameter from an array of this precision and of its shape; whether it was one.
+    #[must_use]
+    pub fn take_over(&mut self, array: &Array, slot: &Slot) -> bool {
         match (self, array) {
-            (Self::Single(own), Array::F32 { shape, data }) if shape == expected => {
-                own.clone_from(data);
+            (Self::Single(own), Array::F32 { shape, data }) if *shape == slot.shape => {
+                own[slot.range.clone()].copy_from_slice(data);
                 true
             }
-            (Self::Double(own), Array::F64 { shape, data }) if shape == expected => {
-                own.clone_from(data);
+            (Self::Double(own), Array::F64 { shape, data }) if *shape == slot.shape => {
+                own[slot.range.clone()].copy_from_slice(data);
                 true
             }
             _ => false,
         }
     }
+}
+
+fn sum_of_squares<T: Copy>(numbers: &[T], to_double: impl Fn(T) -> f64) -> f64 {
+    let mut sums = [0.0; 8];
+    for part in numbers.chunks(sums.len()) {
+        for (sum, &x) in sums.iter_mut().zip(part) {
+            let x = to_double(x);
+            *sum += x * x;
+        }
+    }
+    sums.iter().sum()
 }

@@ -3,6 +3,8 @@
 //! Chunk `c = k * B + b` holds steps `k * L .. (k + 1) * L` of environment `b`. Chunked rows are
 //! time-major again: row `l * C + c`. Everything inside an update is in this order.
 
+use std::ops::Range;
+
 use candle_core::{DType, Device, Tensor};
 use policy::network::SequenceInput;
 
@@ -77,6 +79,22 @@ impl Layout {
             }
         }
         out
+    }
+
+    /// For every row of chunked data, its place where parts of the chunks `[L, chunks]` follow each other.
+    #[must_use]
+    pub fn order(&self, parts: &[Range<usize>]) -> Vec<u32> {
+        let mut order = vec![0; self.rows()];
+        for chunks in parts {
+            for step in 0..self.steps {
+                for chunk in chunks.clone() {
+                    let within = step * chunks.len() + chunk - chunks.start;
+                    let place = chunks.start * self.steps + within;
+                    order[step * self.chunks + chunk] = place as u32;
+                }
+            }
+        }
+        order
     }
 
     /// Puts `[L, columns, width]` data back to its place in chunked data `[L, C, width]`.

@@ -1,23 +1,26 @@
 //! The policy as an actor holds it: plain numbers, no graph.
 //!
-//! A row's result has the same bits whatever batch it stands in and on every machine: each row is
-//! computed by itself, in one fixed order, with multiplications and additions that are never fused. Wider
-//! registers take more of its numbers at once and change none.
+//! A row's result has the same bits whatever batch it is in, on every machine, and in training: the same kernels compute
+//! it.
 
-mod layers;
 mod reader;
 
+use kernels::{Activation, Input, Memory, Packed, Workspace};
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
-use crate::acting::layers::{Dense, Network, Trunk};
 use crate::acting::reader::Reader;
 use crate::arrays::NamedArrays;
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
-use crate::math::sigmoid;
+use crate::layers::{LayerSpec, network_of};
 use crate::standardisation::Standardisation;
+
+/// Gain of an orthogonal start before a hyperbolic tangent.
+const TANH_GAIN: f64 = 5.0 / 3.0;
+/// Gain of an orthogonal start before a rectifier, `sqrt(2)`.
+const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
 
 /// No policy of ours is wider or deeper.
 const MOST_UNITS: usize = 1 << 20;
@@ -78,6 +81,34 @@ impl ActorSpec {
         self.head().check(self.action)
     }
 
+    /// The network's layers; the head's weights start with the gain `head_gain`.
+    pub(crate) fn layer_specs(&self, head_gain: f64) -> Vec<LayerSpec> {
+        let mut layers = vec![LayerSpec::norm("encoder.norm", self.observation)];
+        match self.core {
+            CoreKind::Gru => {
+                let encoder = (self.observation, self.encoder);
+                let (tanh, gain) = (Activation::Tanh, TANH_GAIN);
+                layers.push(LayerSpec::linear("encoder.linear", encoder, tanh, gain));
+                layers.push(LayerSpec::gru("gru", (self.encoder, self.hidden)));
+                layers.push(LayerSpec::norm("output.norm", self.hidden));
+            }
+            CoreKind::Mlp => {
+                let mut from = self.observation;
+                for layer in 0..self.layers {
+                    let (name, shape) = (format!("layers.{layer}.linear"), (from, self.width));
+                    layers.push(LayerSpec::linear(&name, shape, Activation::Relu, RELU_GAIN));
+                    layers.push(LayerSpec::norm(&format!("layers.{layer}.norm"), self.width));
+                    from = self.width;
+                }
+            }
+        }
+        let squashed = self.head().scale().is_some();
+        let activation = if squashed { Activation::Tanh } else { Activation::Identity };
+        let head = (self.feature_size(), self.outputs());
+        layers.push(LayerSpec::linear("head", head, activation, head_gain));
+        layers
+    }
+
     /// Whether the policy remembers.
     #[must_use]
     pub fn core(&self) -> CoreKind {
@@ -126,8 +157,7 @@ pub struct ActorPolicy {
     arrays: NamedArrays,
     /// Applied to observations before the trunk sees them.
     standardisation: Option<Standardisation>,
-    trunk: Trunk,
-    head: Dense,
+    network: Packed,
     sigma: Vec<f32>,
 }
 
@@ -135,7 +165,11 @@ pub struct ActorPolicy {
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     observation: Vec<f32>,
-    layers: layers::Buffers,
+    /// Ones: no state is reset inside a step.
+    mask: Vec<f32>,
+    output: Vec<f32>,
+    states: Vec<f32>,
+    workspace: Workspace,
 }
 
 impl ActorPolicy {
@@ -144,21 +178,21 @@ impl ActorPolicy {
         spec.check()?;
         let mut reader = Reader { arrays: &arrays, used: 0 };
         let standardisation = reader.standardisation(spec.observation)?;
-        let trunk = reader.trunk(&spec)?;
-        let head = reader.dense("head", spec.feature_size(), spec.outputs())?;
+        let layers = spec.layer_specs(1.0);
+        let network = Packed::new(&network_of(&layers), &reader.layers(&layers)?);
         let sigma = match (spec.head(), spec.head().fixed_sigma()) {
             (_, Some(sigma)) => vec![sigma; spec.action],
             (Head::Categorical { .. }, None) => Vec::new(),
             (_, None) => {
                 let log_std = reader.vector("head.log_std", spec.action)?;
-                log_std.iter().map(|&x| sigmoid(x) * spec.sigma_scale).collect()
+                log_std.iter().map(|&x| kernels::sigmoid(x) * spec.sigma_scale).collect()
             }
         };
         if reader.used != arrays.len() {
             let (found, used) = (arrays.len(), reader.used);
             return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
         }
-        Ok(Self { spec, arrays, standardisation, trunk, head, sigma })
+        Ok(Self { spec, arrays, standardisation, network, sigma })
     }
 
     /// Sizes of the policy and how it acts.
@@ -274,16 +308,22 @@ impl ActorPolicy {
         if let Some(standardisation) = &self.standardisation {
             standardisation.apply(&mut scratch.observation);
         }
-        let output = &mut output[..rows * self.spec.outputs()];
         let hidden = &mut hidden[..rows * self.hidden_size()];
-        pulp::Arch::new().dispatch(Network {
-            trunk: &self.trunk,
-            head: &self.head,
-            observation: &scratch.observation,
-            hidden,
-            output,
-            buffers: &mut scratch.layers,
-        });
-        self.head().squash(output);
+        let Scratch { observation, mask, output: found, states, workspace } = scratch;
+        mask.resize(rows, 1.0);
+        let memory = Memory { start: hidden, mask: &mask[..rows], sequences: rows };
+        let gru = self.network.network().gru();
+        let input = Input { rows: observation, memory: gru.map(|_| memory) };
+        self.network.forward(input, workspace);
+        if let Some((layer, _)) = gru {
+            states.clear();
+            workspace.append_last_states(layer, rows, states);
+            hidden.copy_from_slice(states);
+        }
+        found.clear();
+        workspace.append_output(found);
+        let output = &mut output[..found.len()];
+        output.copy_from_slice(found);
+        self.head().spread(output);
     }
 }

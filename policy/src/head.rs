@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use crate::categorical::{self, Categorical};
 use crate::error::PolicyError;
 use crate::gaussian::{self, Gaussian};
-use crate::math::tanh;
 use crate::randomness::{standard_normal, uniform};
 
 /// What an action is drawn from; travels with the weights.
@@ -42,7 +41,7 @@ pub enum Head {
 }
 
 impl Head {
-    /// Half the width and the middle of the range into which the network's output is squashed; none
+    /// Half the width and the middle of the range over which the network's output, a tangent, is spread; none
     /// where it is the action's mean as it stands.
     #[must_use]
     pub(crate) fn scale(self) -> Option<(f32, f32)> {
@@ -93,9 +92,9 @@ impl Head {
     }
 
     /// The network's output `[act]` becomes the mean action.
-    pub(crate) fn squash(self, output: &mut [f32]) {
+    pub(crate) fn spread(self, output: &mut [f32]) {
         if let Some((half, middle)) = self.scale() {
-            output.iter_mut().for_each(|x| *x = tanh(*x) * half + middle);
+            output.iter_mut().for_each(|x| *x = *x * half + middle);
         }
     }
 
@@ -168,15 +167,15 @@ mod tests {
     }
 
     #[test]
-    fn outputs_are_squashed_into_the_range_and_a_gaussians_are_left_alone() {
+    fn tangents_are_spread_over_the_range_and_a_gaussians_means_are_left_alone() {
         for head in [EXPLORING, WARMING_UP] {
-            let mut outputs = [0.0, 50.0, -50.0];
-            head.squash(&mut outputs);
+            let mut outputs = [0.0, 1.0, -1.0];
+            head.spread(&mut outputs);
             let close = |found: f32, expected: f32| (found - expected).abs() < 1e-5;
             assert!(close(outputs[0], 1.0) && close(outputs[1], 4.0) && close(outputs[2], -2.0));
         }
         let mut output = [7.0];
-        Head::Gaussian.squash(&mut output);
+        Head::Gaussian.spread(&mut output);
         assert_eq!(output, [7.0]);
     }
 

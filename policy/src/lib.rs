@@ -1,7 +1,7 @@
 //! What actors and the learner must agree on: actor networks, distributions, parameters, weight bytes.
 //!
-//! The learner trains an [`ActorNetwork`] (candle tensors, automatic differentiation, a few fused
-//! operations) and broadcasts a [`PolicySnapshot`] of it; an actor acts with the snapshot's
+//! The learner trains an [`ActorNetwork`] (candle tensors, automatic differentiation, a network being one
+//! operation) and broadcasts a [`PolicySnapshot`] of it; an actor acts with the snapshot's
 //! [`ActorPolicy`]s, which are plain numbers. Every random draw of the system comes from
 //! [`randomness`]. Nothing here reads a file, a clock or a socket.
 
@@ -13,6 +13,7 @@ pub mod error;
 pub mod gaussian;
 pub mod head;
 pub mod initialise;
+pub mod layers;
 pub mod math;
 pub mod network;
 pub mod ops;

@@ -4,13 +4,13 @@ use candle_core::{DType, Device, Tensor, Var};
 use rand::RngCore;
 
 use crate::acting::{ActorPolicy, ActorSpec};
+use crate::arrays::Array;
 use crate::categorical::Categorical;
-use crate::config::{CoreKind, PolicyConfig};
+use crate::config::PolicyConfig;
 use crate::error::PolicyError;
 use crate::gaussian::Gaussian;
 use crate::head::{Distribution, Head};
-use crate::initialise::orthogonal;
-use crate::ops::{Activation, gru_sequence, layer_norm, linear, sigmoid};
+use crate::ops::{LayerStack, RecurrentInput, Weights, sigmoid};
 use crate::parameters::Parameters;
 
 /// `T` steps of `B` sequences, rows `t * B + b`.
@@ -24,123 +24,21 @@ pub struct SequenceInput {
     pub mask: Tensor,
 }
 
+impl SequenceInput {
+    fn recurrent(&self) -> Option<RecurrentInput<'_>> {
+        Some(RecurrentInput { start: &self.hidden, mask: &self.mask })
+    }
+}
+
 /// One agent's actor: the trunk (everything up to the features) and the head of the policy `p`.
 #[derive(Debug)]
 pub struct ActorNetwork {
     spec: ActorSpec,
     sigma_floor: f64,
     parameters: Parameters,
-    trunk: Trunk,
-    head: Dense,
+    layers: LayerStack,
     /// Only where deviations are learnt.
     log_std: Option<Var>,
-}
-
-#[derive(Debug)]
-enum Trunk {
-    Gru { norm: Norm, encoder: Dense, input: Dense, recurrent: Dense, output: Norm },
-    Mlp { norm: Norm, layers: Vec<(Dense, Norm)> },
-}
-
-#[derive(Debug)]
-struct Dense {
-    weight: Var,
-    bias: Var,
-}
-
-#[derive(Debug)]
-struct Norm {
-    weight: Var,
-    bias: Var,
-}
-
-impl Dense {
-    fn apply(&self, x: &Tensor, activation: Activation) -> candle_core::Result<Tensor> {
-        linear(x, self.weight.as_tensor(), self.bias.as_tensor(), activation)
-    }
-}
-
-impl Norm {
-    fn apply(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        layer_norm(x, self.weight.as_tensor(), self.bias.as_tensor())
-    }
-}
-
-/// Gain of an orthogonal start before a hyperbolic tangent.
-const TANH_GAIN: f64 = 5.0 / 3.0;
-/// Gain of an orthogonal start before a rectifier, `sqrt(2)`.
-const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
-
-/// Declares layers, drawing their starts in order.
-struct Builder<'a, R> {
-    parameters: Parameters,
-    dtype: DType,
-    rng: &'a mut R,
-}
-
-impl<R: RngCore> Builder<'_, R> {
-    fn parameter(
-        &mut self,
-        name: &str,
-        data: Vec<f32>,
-        shape: &[usize],
-    ) -> Result<Var, PolicyError> {
-        let value = Tensor::from_vec(data, shape, &Device::Cpu)?.to_dtype(self.dtype)?;
-        self.parameters.add(name, value)
-    }
-
-    fn norm(&mut self, name: &str, width: usize) -> Result<Norm, PolicyError> {
-        let weight = self.parameter(&format!("{name}.weight"), vec![1.0; width], &[width])?;
-        let bias = self.parameter(&format!("{name}.bias"), vec![0.0; width], &[width])?;
-        Ok(Norm { weight, bias })
-    }
-
-    fn dense(
-        &mut self,
-        name: &str,
-        from: usize,
-        to: usize,
-        gain: f64,
-    ) -> Result<Dense, PolicyError> {
-        let start = orthogonal(self.rng, to, from, gain);
-        let weight = self.parameter(&format!("{name}.weight"), start, &[to, from])?;
-        let bias = self.parameter(&format!("{name}.bias"), vec![0.0; to], &[to])?;
-        Ok(Dense { weight, bias })
-    }
-
-    /// One of the GRU's two linear maps, `suffix` `ih` or `hh`: a block per gate, each orthogonal.
-    fn gates(&mut self, suffix: &str, from: usize, hidden: usize) -> Result<Dense, PolicyError> {
-        let start = (0..3).flat_map(|_| orthogonal(self.rng, hidden, from, 1.0)).collect();
-        let weight = self.parameter(&format!("gru.weight_{suffix}"), start, &[3 * hidden, from])?;
-        let bias =
-            self.parameter(&format!("gru.bias_{suffix}"), vec![0.0; 3 * hidden], &[3 * hidden])?;
-        Ok(Dense { weight, bias })
-    }
-
-    fn trunk(&mut self, config: &PolicyConfig, observation: usize) -> Result<Trunk, PolicyError> {
-        let norm = self.norm("encoder.norm", observation)?;
-        match config.core {
-            CoreKind::Gru => Ok(Trunk::Gru {
-                norm,
-                encoder: self.dense("encoder.linear", observation, config.encoder, TANH_GAIN)?,
-                input: self.gates("ih", config.encoder, config.hidden)?,
-                recurrent: self.gates("hh", config.hidden, config.hidden)?,
-                output: self.norm("output.norm", config.hidden)?,
-            }),
-            CoreKind::Mlp => {
-                let mut layers = Vec::with_capacity(config.layers);
-                let mut from = observation;
-                for layer in 0..config.layers {
-                    let name = format!("layers.{layer}");
-                    let dense =
-                        self.dense(&format!("{name}.linear"), from, config.width, RELU_GAIN)?;
-                    layers.push((dense, self.norm(&format!("{name}.norm"), config.width)?));
-                    from = config.width;
-                }
-                Ok(Trunk::Mlp { norm, layers })
-            }
-        }
-    }
 }
 
 impl ActorNetwork {
@@ -170,20 +68,19 @@ impl ActorNetwork {
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
-        let mut builder = Builder { parameters: Parameters::new(), dtype, rng };
-        let trunk = builder.trunk(config, observation)?;
         let spec = ActorSpec::new(config, observation, (action, kind))?;
-        let gain = f64::from(config.head_gain);
-        let dense = builder.dense("head", spec.feature_size(), spec.outputs(), gain)?;
+        let mut parameters = Parameters::new();
+        let declared = spec.layer_specs(f64::from(config.head_gain));
+        let layers = LayerStack::declare(&mut parameters, &declared, dtype, rng)?;
         let log_std = match kind {
             Head::Gaussian => {
-                let start = vec![config.initial_log_std; action];
-                Some(builder.parameter("head.log_std", start, &[action])?)
+                let start = Tensor::full(config.initial_log_std, action, &Device::Cpu)?;
+                Some(parameters.add("head.log_std", start.to_dtype(dtype)?)?)
             }
             Head::Categorical { .. } | Head::Deterministic { .. } | Head::Uniform { .. } => None,
         };
         let sigma_floor = f64::from(config.sigma_floor);
-        Ok(Self { spec, sigma_floor, parameters: builder.parameters, trunk, head: dense, log_std })
+        Ok(Self { spec, sigma_floor, parameters, layers, log_std })
     }
 
     /// All parameters, named as in PyTorch.
@@ -204,24 +101,38 @@ impl ActorNetwork {
         self.spec.hidden_size()
     }
 
-    /// What the heads see, `[T*B, F]`.
+    /// The layers' weights as they are now; to be taken once per optimiser step.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn weights(&self) -> Result<Weights, PolicyError> {
+        Ok(self.layers.weights()?)
+    }
+
+    /// The policy `p(a | o, h)` of every row under `weights`, which are this network's.
     ///
     /// # Errors
     /// If shapes or element types do not fit.
-    pub fn features(&self, input: &SequenceInput) -> Result<Tensor, PolicyError> {
-        match &self.trunk {
-            Trunk::Gru { norm, encoder, input: projection, recurrent, output } => {
-                let states = states(norm, encoder, (projection, recurrent), input)?;
-                Ok(output.apply(&states)?)
-            }
-            Trunk::Mlp { norm, layers } => {
-                let mut x = norm.apply(&input.observation)?;
-                for (dense, norm) in layers {
-                    x = norm.apply(&dense.apply(&x, Activation::Relu)?)?;
-                }
-                Ok(x)
-            }
-        }
+    pub fn distribution(
+        &self,
+        weights: &Weights,
+        input: &SequenceInput,
+    ) -> Result<Distribution, PolicyError> {
+        self.head(weights.apply(&input.observation, input.recurrent())?)
+    }
+
+    /// As [`ActorNetwork::distribution`], a constant but for sigma, with what the head sees, `[T*B, F]`.
+    ///
+    /// # Errors
+    /// If shapes or element types do not fit.
+    pub fn distribution_and_features(
+        &self,
+        weights: &Weights,
+        input: &SequenceInput,
+    ) -> Result<(Distribution, Tensor), PolicyError> {
+        let (features, output) =
+            weights.features_and_output(&input.observation, input.recurrent())?;
+        Ok((self.head(output)?, features))
     }
 
     /// The recurrent state after the last step, `[B, H]`, of which no gradient is known; the one before the first
@@ -229,30 +140,23 @@ impl ActorNetwork {
     ///
     /// # Errors
     /// If shapes or element types do not fit.
-    pub fn last_state(&self, input: &SequenceInput) -> Result<Tensor, PolicyError> {
-        match &self.trunk {
-            Trunk::Gru { norm, encoder, input: projection, recurrent, .. } => {
-                let (steps, sequences) = input.mask.dims2()?;
-                let states = states(norm, encoder, (projection, recurrent), input)?.detach();
-                Ok(states.narrow(0, (steps - 1) * sequences, sequences)?)
-            }
-            Trunk::Mlp { .. } => Ok(input.hidden.clone()),
-        }
+    pub fn last_state(
+        &self,
+        weights: &Weights,
+        input: &SequenceInput,
+    ) -> Result<Tensor, PolicyError> {
+        let recurrent = RecurrentInput { start: &input.hidden, mask: &input.mask };
+        let found = weights.last_states(&input.observation, recurrent)?;
+        Ok(found.unwrap_or_else(|| input.hidden.clone()))
     }
 
-    /// The policy `p(a | o, h)` from the features `[R, F]`: logits; or the mean with `sigma = sigmoid(log_std) *
-    /// sigma_scale` where it is learnt, and the squashed mean with the deviation of its exploration where not.
-    ///
-    /// # Errors
-    /// If shapes or element types do not fit.
-    pub fn head(&self, features: &Tensor) -> Result<Distribution, PolicyError> {
+    /// From the layers' output `[R, out]`: logits; or the mean with `sigma = sigmoid(log_std) * sigma_scale` where it
+    /// is learnt, and the squashed mean with the deviation of its exploration where not.
+    fn head(&self, output: Tensor) -> Result<Distribution, PolicyError> {
         let head = self.spec.head();
         let output = match head.scale() {
-            None => self.head.apply(features, Activation::Identity)?,
-            Some((half, middle)) => self
-                .head
-                .apply(features, Activation::Tanh)?
-                .affine(f64::from(half), f64::from(middle))?,
+            None => output,
+            Some((half, middle)) => output.affine(f64::from(half), f64::from(middle))?,
         };
         let sigma = match (&self.log_std, head.fixed_sigma()) {
             (Some(log_std), _) => (sigmoid(log_std.as_tensor())? * self.spec.sigma_scale())?,
@@ -292,23 +196,13 @@ impl ActorNetwork {
     /// # Errors
     /// Passes on a tensor error.
     pub fn policy(&self) -> Result<ActorPolicy, PolicyError> {
-        let mut single = Parameters::new();
-        for (name, var) in self.parameters.iter() {
-            single.add(name, var.as_tensor().to_dtype(DType::F32)?)?;
+        let mut arrays = self.parameters.to_arrays("")?;
+        for array in arrays.values_mut() {
+            if let Array::F64 { shape, data } = array {
+                let data = data.iter().map(|&x| x as f32).collect();
+                *array = Array::F32 { shape: shape.clone(), data };
+            }
         }
-        ActorPolicy::new(self.spec.clone(), single.to_arrays("")?)
+        ActorPolicy::new(self.spec.clone(), arrays)
     }
-}
-
-/// Recurrent states after every step, `[T*B, H]`.
-fn states(
-    norm: &Norm,
-    encoder: &Dense,
-    (projection, recurrent): (&Dense, &Dense),
-    input: &SequenceInput,
-) -> candle_core::Result<Tensor> {
-    let encoded = encoder.apply(&norm.apply(&input.observation)?, Activation::Tanh)?;
-    let projected = projection.apply(&encoded, Activation::Identity)?;
-    let (weight, bias) = (recurrent.weight.as_tensor(), recurrent.bias.as_tensor());
-    gru_sequence(&projected, weight, bias, &input.hidden, &input.mask)
 }

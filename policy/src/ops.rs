@@ -1,33 +1,17 @@
-//! Fused operations with backward passes written by hand, and their plain twins.
+//! Networks as operations on tensors.
 //!
-//! A network of plain candle operations spends most of its time between matrix products. These
-//! operations do a layer each: one pass forward, one backward, no intermediate tensors. They run on
-//! the CPU in single and double precision; [`plain`] holds the same functions out of candle's own
-//! operations, as oracle of the tests and for other devices.
+//! In single precision a whole network is one node of the graph, which the crate `kernels` computes forwards and
+//! backwards. In double precision, and for the tests of the other, [`plain`] holds the same layers out of candle's own
+//! operations.
 
-mod gru;
-mod layer_norm;
-mod linear;
+mod network;
 pub mod plain;
-mod product;
 mod sigmoid;
 mod values;
 
-pub use gru::gru_sequence;
-pub use layer_norm::layer_norm;
-pub use linear::linear;
+pub use kernels::{Activation, Layer, Network};
+pub use network::{LayerStack, RecurrentInput, Weights};
 pub use sigmoid::sigmoid;
 
-/// Added to a variance before its root, in [`layer_norm`].
+/// Added to a variance before its root, in a layer norm.
 pub const LAYER_NORM_EPSILON: f64 = 1e-5;
-
-/// What follows a linear map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Activation {
-    /// Nothing.
-    Identity,
-    /// Hyperbolic tangent.
-    Tanh,
-    /// `max(x, 0)`.
-    Relu,
-}

@@ -1,5 +1,7 @@
 //! A network's parameters: named, in the order in which they were declared.
 
+use core::ops::Range;
+
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::arrays::{Array, NamedArrays};
@@ -8,7 +10,21 @@ use crate::error::PolicyError;
 /// Named parameters. Their order is that of declaration and never that of a hash.
 #[derive(Debug, Default)]
 pub struct Parameters {
-    entries: Vec<(String, Var)>,
+    slots: Vec<Slot>,
+    vars: Vec<Var>,
+}
+
+/// Where a parameter's numbers are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Slot {
+    /// The parameter's name.
+    pub name: String,
+    /// Its shape; numbers are row-major.
+    pub shape: Vec<usize>,
+    /// Index of the variable that holds it.
+    pub var: usize,
+    /// Its numbers among those of the variable.
+    pub range: Range<usize>,
 }
 
 impl Parameters {
@@ -18,40 +34,79 @@ impl Parameters {
         Self::default()
     }
 
-    /// Declares a parameter that starts as `value`.
+    /// Declares a parameter that starts as `value`, with a variable of its own.
     ///
     /// # Errors
     /// Passes on a tensor error; refuses a name that is taken.
     pub fn add(&mut self, name: &str, value: Tensor) -> Result<Var, PolicyError> {
-        if self.entries.iter().any(|(taken, _)| taken == name) {
-            return Err(PolicyError::Restore(format!("parameter {name} is declared twice")));
+        let shape = value.dims().to_vec();
+        self.declare(vec![(name.to_owned(), shape)], Var::from_tensor(&value)?)
+    }
+
+    /// Declares parameters that share one flat variable, their starts one after another.
+    ///
+    /// # Errors
+    /// Passes on a tensor error; refuses a name that is taken.
+    pub fn add_all(
+        &mut self,
+        named: Vec<(String, Vec<usize>)>,
+        start: Vec<f32>,
+        dtype: DType,
+    ) -> Result<Var, PolicyError> {
+        let count = start.len();
+        let flat = Tensor::from_vec(start, count, &Device::Cpu)?.to_dtype(dtype)?;
+        self.declare(named, Var::from_tensor(&flat)?)
+    }
+
+    fn declare(&mut self, named: Vec<(String, Vec<usize>)>, var: Var) -> Result<Var, PolicyError> {
+        let mut end = 0;
+        for (name, shape) in named {
+            if self.slots.iter().any(|slot| slot.name == name) {
+                return Err(PolicyError::Restore(format!("parameter {name} is declared twice")));
+            }
+            let range = end..end + shape.iter().product::<usize>();
+            end = range.end;
+            self.slots.push(Slot { name, shape, var: self.vars.len(), range });
         }
-        let var = Var::from_tensor(&value)?;
-        self.entries.push((name.to_owned(), var.clone()));
+        self.vars.push(var.clone());
         Ok(var)
     }
 
     /// All parameters in their order.
-    pub fn iter(&self) -> impl Iterator<Item = (&str, &Var)> {
-        self.entries.iter().map(|(name, var)| (name.as_str(), var))
+    #[must_use]
+    pub fn slots(&self) -> &[Slot] {
+        &self.slots
     }
 
-    /// Number of parameters (tensors).
+    /// The variables that hold them, in their order.
+    #[must_use]
+    pub fn vars(&self) -> &[Var] {
+        &self.vars
+    }
+
+    /// Name of the first parameter that the variable `index` holds.
+    #[must_use]
+    pub fn name_of(&self, index: usize) -> &str {
+        let slot = self.slots.iter().find(|slot| slot.var == index);
+        slot.map_or("", |slot| &slot.name)
+    }
+
+    /// Number of parameters.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.entries.len()
+        self.slots.len()
     }
 
     /// Whether there is none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+        self.slots.is_empty()
     }
 
     /// Number of scalars in all of them.
     #[must_use]
     pub fn scalars(&self) -> usize {
-        self.entries.iter().map(|(_, var)| var.elem_count()).sum()
+        self.vars.iter().map(|var| var.elem_count()).sum()
     }
 
     /// The parameters as arrays named `PREFIX` + name.
@@ -59,8 +114,15 @@ impl Parameters {
     /// # Errors
     /// Passes on a tensor error.
     pub fn to_arrays(&self, prefix: &str) -> Result<NamedArrays, PolicyError> {
-        let array = |(name, var): (&str, &Var)| Ok((format!("{prefix}{name}"), array_of(var)?));
-        self.iter().map(array).collect()
+        let mut arrays = NamedArrays::new();
+        for (index, var) in self.vars.iter().enumerate() {
+            let flat = flat_array(var)?;
+            for slot in self.slots.iter().filter(|slot| slot.var == index) {
+                let part = flat.part(slot.range.clone(), slot.shape.clone());
+                arrays.insert(format!("{prefix}{}", slot.name), part);
+            }
+        }
+        Ok(arrays)
     }
 
     /// Takes over the arrays named `PREFIX` + name.
@@ -69,50 +131,67 @@ impl Parameters {
     /// Names an array that is missing, unknown under the prefix, or of another shape or type; then
     /// no parameter has changed.
     pub fn load(&self, prefix: &str, arrays: &NamedArrays) -> Result<(), PolicyError> {
-        let known = |name: &str| self.iter().any(|(own, _)| own == name);
+        let known = |name: &str| self.slots.iter().any(|slot| slot.name == name);
         let extra = arrays.keys().filter_map(|name| name.strip_prefix(prefix)).find(|n| !known(n));
         if let Some(name) = extra {
             return Err(PolicyError::Restore(format!("{prefix}{name} belongs to no parameter")));
         }
-        let values = self
+        let parts = self
+            .slots
             .iter()
-            .map(|(name, var)| stored(arrays, &format!("{prefix}{name}"), var))
+            .map(|slot| stored(arrays, prefix, slot, self.vars[slot.var].dtype()))
             .collect::<Result<Vec<_>, _>>()?;
-        for ((_, var), value) in self.iter().zip(values) {
-            var.set(&value)?;
+        for (index, var) in self.vars.iter().enumerate() {
+            let own = self.slots.iter().zip(&parts).filter(|(slot, _)| slot.var == index);
+            let flat: Vec<&Array> = own.map(|(_, part)| *part).collect();
+            var.set(&joined(&flat, var)?)?;
         }
         Ok(())
     }
 }
 
-fn array_of(var: &Var) -> Result<Array, PolicyError> {
-    let (shape, flat) = (var.dims().to_vec(), var.as_tensor().flatten_all()?);
+fn flat_array(var: &Var) -> Result<Array, PolicyError> {
+    let (shape, flat) = (vec![var.elem_count()], var.as_tensor().flatten_all()?);
     Ok(match var.dtype() {
         DType::F64 => Array::F64 { shape, data: flat.to_vec1()? },
         _ => Array::F32 { shape, data: flat.to_vec1()? },
     })
 }
 
-fn stored(arrays: &NamedArrays, name: &str, var: &Var) -> Result<Tensor, PolicyError> {
+/// Arrays one after another as a tensor of `var`'s shape.
+fn joined(parts: &[&Array], var: &Var) -> Result<Tensor, PolicyError> {
+    let (mut single, mut double) = (Vec::new(), Vec::new());
+    for part in parts {
+        match part {
+            Array::F32 { data, .. } => single.extend_from_slice(data),
+            Array::F64 { data, .. } => double.extend_from_slice(data),
+            Array::I64 { .. } | Array::U8 { .. } => {}
+        }
+    }
+    Ok(match var.dtype() {
+        DType::F64 => Tensor::from_vec(double, var.dims(), &Device::Cpu)?,
+        _ => Tensor::from_vec(single, var.dims(), &Device::Cpu)?,
+    })
+}
+
+fn stored<'a>(
+    arrays: &'a NamedArrays,
+    prefix: &str,
+    slot: &Slot,
+    dtype: DType,
+) -> Result<&'a Array, PolicyError> {
+    let name = format!("{prefix}{}", slot.name);
     let array =
-        arrays.get(name).ok_or_else(|| PolicyError::Restore(format!("{name} is missing")))?;
-    let wrong = || {
-        let (expected, kind) = (var.dims(), var.dtype());
-        let found = array.shape();
-        PolicyError::Restore(format!("{name} has shape {found:?}, expected {expected:?} {kind:?}"))
-    };
-    if array.shape() != var.dims() {
-        return Err(wrong());
+        arrays.get(&name).ok_or_else(|| PolicyError::Restore(format!("{name} is missing")))?;
+    let fits =
+        matches!((array, dtype), (Array::F32 { .. }, DType::F32) | (Array::F64 { .. }, DType::F64));
+    if !fits || array.shape() != slot.shape {
+        let (found, expected) = (array.shape(), &slot.shape);
+        return Err(PolicyError::Restore(format!(
+            "{name} has shape {found:?}, expected {expected:?} {dtype:?}"
+        )));
     }
-    match (array, var.dtype()) {
-        (Array::F32 { data, .. }, DType::F32) => {
-            Ok(Tensor::from_slice(data, var.dims(), &Device::Cpu)?)
-        }
-        (Array::F64 { data, .. }, DType::F64) => {
-            Ok(Tensor::from_slice(data, var.dims(), &Device::Cpu)?)
-        }
-        _ => Err(wrong()),
-    }
+    Ok(array)
 }
 
 #[cfg(test)]
@@ -130,7 +209,8 @@ mod tests {
 
     #[test]
     fn parameters_keep_the_order_of_their_declaration() {
-        let names: Vec<String> = parameters().iter().map(|(name, _)| name.to_owned()).collect();
+        let names: Vec<String> =
+            parameters().slots().iter().map(|slot| slot.name.clone()).collect();
         assert_eq!(names, ["z", "a"]);
         assert_eq!((parameters().len(), parameters().scalars()), (2, 4));
     }

@@ -1,9 +1,15 @@
-//! The fused operations against their plain twins and against finite differences, in f64.
+//! Fused networks against their plain twins in double precision, and these against finite differences.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use candle_core::{DType, Device, Result, Tensor, Var};
-use policy::ops::{self, Activation, plain};
+use candle_core::{DType, Device, Result, Tensor};
+use policy::Parameters;
+use policy::layers::LayerSpec;
+use policy::ops::{self, Activation, LayerStack, RecurrentInput};
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+
+const STEPS: usize = 5;
+const SEQUENCES: usize = 7;
+const ROWS: usize = STEPS * SEQUENCES;
 
 fn normal(seed: u64, shape: &[usize]) -> Tensor {
     let mut rng = generator(RunSeed(seed), Draw::of(Purpose::Probe));
@@ -12,167 +18,152 @@ fn normal(seed: u64, shape: &[usize]) -> Tensor {
     Tensor::from_vec(data, shape, &Device::Cpu).unwrap()
 }
 
-fn var(seed: u64, shape: &[usize]) -> Var {
-    Var::from_tensor(&normal(seed, shape)).unwrap()
+/// A network of these layers whose parameters are all drawn, biases too.
+fn stack(specs: &[LayerSpec], dtype: DType) -> (Parameters, LayerStack) {
+    let mut parameters = Parameters::new();
+    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
+    let stack = LayerStack::declare(&mut parameters, specs, dtype, &mut rng).unwrap();
+    let var = &parameters.vars()[0];
+    let moved = (normal(8, var.dims()) * 0.3).unwrap().to_dtype(dtype).unwrap();
+    var.set(&(var.as_tensor() + moved).unwrap()).unwrap();
+    (parameters, stack)
 }
 
-/// A scalar that weighs every element of `y` differently.
-fn scalar(y: &Tensor) -> Result<Tensor> {
-    (y * normal(99, y.dims()))?.sum_all()
-}
-
-fn difference(a: &Tensor, b: &Tensor) -> f64 {
-    let scale = b.abs().unwrap().max_all().unwrap().to_scalar::<f64>().unwrap().max(1e-9);
-    (a - b).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f64>().unwrap() / scale
-}
-
-/// Values and gradients of `fused` and `twin` agree to 1e-12, and gradients meet finite differences.
-fn assert_twins(
-    vars: &[Var],
-    fused: impl Fn(&[Tensor]) -> Result<Tensor>,
-    twin: impl Fn(&[Tensor]) -> Result<Tensor>,
-) {
-    let inputs: Vec<Tensor> = vars.iter().map(|var| var.as_tensor().clone()).collect();
-    let (y, expected) = (fused(&inputs).unwrap(), twin(&inputs).unwrap());
-    assert!(difference(&y, &expected) < 1e-12, "values differ");
-    let (own, other) =
-        (scalar(&y).unwrap().backward().unwrap(), scalar(&expected).unwrap().backward().unwrap());
-    for (index, var) in vars.iter().enumerate() {
-        let gradient = own.get(var).unwrap_or_else(|| panic!("no gradient by input {index}"));
-        let off = difference(gradient, other.get(var).unwrap());
-        assert!(off < 1e-12, "gradient by input {index} is off by {off}");
-        assert_finite_difference(&inputs, index, gradient, &fused);
-    }
-}
-
-fn assert_finite_difference(
-    inputs: &[Tensor],
-    index: usize,
-    gradient: &Tensor,
-    f: &impl Fn(&[Tensor]) -> Result<Tensor>,
-) {
-    let direction = normal(7 + index as u64, inputs[index].dims());
-    let at = |step: f64| {
-        let mut moved = inputs.to_vec();
-        moved[index] = (&inputs[index] + (&direction * step).unwrap()).unwrap();
-        scalar(&f(&moved).unwrap()).unwrap().to_scalar::<f64>().unwrap()
+/// Networks of every kind of layer, with and without a norm at the input, whose sizes fill no register.
+fn networks() -> Vec<(Vec<LayerSpec>, usize)> {
+    let linear = |name: &str, shape, activation| LayerSpec::linear(name, shape, activation, 1.0);
+    let mlp = |first: Vec<LayerSpec>, inputs: usize| {
+        let rest = [
+            linear("a", (inputs, 33), Activation::Relu),
+            LayerSpec::norm("b", 33),
+            linear("c", (33, 16), Activation::Tanh),
+            linear("d", (16, 3), Activation::Identity),
+        ];
+        [first, rest.to_vec()].concat()
     };
-    let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
-    let expected = (gradient * &direction).unwrap().sum_all().unwrap().to_scalar::<f64>().unwrap();
-    assert!(
-        (slope - expected).abs() < 1e-6 * expected.abs().max(1.0),
-        "input {index}: {slope} {expected}"
-    );
-}
-
-#[test]
-fn a_linear_layer_with_constant_weights_gives_the_same_gradient_by_its_input_and_no_other() {
-    let (x, w, b) = (var(1, &[7, 5]), var(2, &[3, 5]), var(3, &[3]));
-    let gradients = |w: &Tensor, b: &Tensor| {
-        let y = ops::linear(&x, w, b, Activation::Relu).unwrap();
-        scalar(&y).unwrap().backward().unwrap()
-    };
-    let constants = (w.detach(), b.detach());
-    let (all, own) = (gradients(&w, &b), gradients(&constants.0, &constants.1));
-    let numbers = |tensor: Option<&Tensor>| tensor.unwrap().to_vec2::<f64>().unwrap();
-    assert_eq!(numbers(own.get(&x)), numbers(all.get(&x)));
-    assert!(all.get(&w).is_some() && all.get(&b).is_some());
-    assert!(own.get(&constants.0).is_none() && own.get(&constants.1).is_none());
-}
-
-#[test]
-fn a_linear_layer_equals_its_twin_with_every_activation() {
-    let vars = [var(1, &[7, 5]), var(2, &[3, 5]), var(3, &[3])];
-    for activation in [Activation::Identity, Activation::Tanh, Activation::Relu] {
-        assert_twins(
-            &vars,
-            |x| ops::linear(&x[0], &x[1], &x[2], activation),
-            |x| plain::linear(&x[0], &x[1], &x[2], activation),
-        );
-    }
-}
-
-#[test]
-fn a_constant_input_costs_no_gradient_and_changes_no_other() {
-    let (x, w, b) = (normal(1, &[6, 4]), var(2, &[3, 4]), var(3, &[3]));
-    let y = ops::linear(&x, &w, &b, Activation::Tanh).unwrap();
-    let gradients = scalar(&y).unwrap().backward().unwrap();
-    let twin = scalar(&plain::linear(&x, &w, &b, Activation::Tanh).unwrap()).unwrap();
-    let expected = twin.backward().unwrap();
-    for var in [&w, &b] {
-        assert!(difference(gradients.get(var).unwrap(), expected.get(var).unwrap()) < 1e-12);
-    }
-    assert!(gradients.get(&x).is_none());
-}
-
-#[test]
-fn layer_normalisation_equals_its_twin() {
-    // More rows than are summed side by side, and some that are left over.
-    let vars = [var(1, &[19, 9]), var(2, &[9]), var(3, &[9])];
-    assert_twins(
-        &vars,
-        |x| ops::layer_norm(&x[0], &x[1], &x[2]),
-        |x| plain::layer_norm(&x[0], &x[1], &x[2]),
-    );
-}
-
-#[test]
-fn a_recurrent_sequence_with_resets_in_its_middle_equals_its_twin() {
-    let (steps, sequences, hidden) = (5, 4, 3);
-    let vars = [
-        var(1, &[steps * sequences, 3 * hidden]),
-        var(2, &[3 * hidden, hidden]),
-        var(3, &[3 * hidden]),
+    let gru = vec![
+        LayerSpec::norm("n", 9),
+        linear("e", (9, 20), Activation::Tanh),
+        LayerSpec::gru("gru", (20, 18)),
+        LayerSpec::norm("o", 18),
+        linear("h", (18, 2), Activation::Identity),
     ];
-    let h0 = normal(4, &[sequences, hidden]);
-    let mut mask = vec![1.0_f64; steps * sequences];
-    for reset in [0, 6, 13, 14] {
+    vec![(mlp(vec![LayerSpec::norm("n", 5)], 5), 5), (mlp(vec![], 17), 17), (gru, 9)]
+}
+
+/// Resets in the middle of sequences.
+fn mask() -> Tensor {
+    let mut mask = vec![1.0_f64; ROWS];
+    for reset in [0, 6, 13, 14, 22] {
         mask[reset] = 0.0;
     }
-    let mask = Tensor::from_vec(mask, (steps, sequences), &Device::Cpu).unwrap();
-    assert_twins(
-        &vars,
-        |x| ops::gru_sequence(&x[0], &x[1], &x[2], &h0, &mask),
-        |x| plain::gru_sequence(&x[0], &x[1], &x[2], &h0, &mask),
-    );
+    Tensor::from_vec(mask, (STEPS, SEQUENCES), &Device::Cpu).unwrap()
+}
+
+/// Output, gradient by the parameters and gradient by the input in double precision, from a pass in `dtype`; the scalar
+/// at its root weighs every output differently.
+fn pass(specs: &[LayerSpec], inputs: usize, dtype: DType) -> Result<[Tensor; 3]> {
+    let (parameters, stack) = stack(specs, dtype);
+    let x = candle_core::Var::from_tensor(&normal(2, &[ROWS, inputs]).to_dtype(dtype)?)?;
+    let start = normal(3, &[SEQUENCES, 18]).to_dtype(dtype)?;
+    let mask = mask().to_dtype(dtype)?;
+    let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
+    let y = stack.weights()?.apply(&x, recurrent)?;
+    let gradients = (&y * normal(99, y.dims()).to_dtype(dtype)?)?.sum_all()?.backward()?;
+    let found = [&y, gradients.get(&parameters.vars()[0]).unwrap(), gradients.get(&x).unwrap()];
+    let [y, by_parameters, by_x] = found.map(|tensor| tensor.to_dtype(DType::F64).unwrap());
+    Ok([y, by_parameters, by_x])
+}
+
+fn largest(tensor: &Tensor) -> f64 {
+    tensor.abs().unwrap().max_all().unwrap().to_scalar::<f64>().unwrap()
+}
+
+#[test]
+fn fused_networks_are_within_a_few_millionths_of_their_twins_in_double_precision() {
+    for (specs, inputs) in networks() {
+        let fused = pass(&specs, inputs, DType::F32).unwrap();
+        let twin = pass(&specs, inputs, DType::F64).unwrap();
+        for (found, expected) in fused.iter().zip(&twin) {
+            let off = largest(&(found - expected).unwrap()) / largest(expected);
+            assert!(off < 5e-6, "{specs:?}: off by {off}");
+        }
+    }
+}
+
+#[test]
+fn gradients_of_the_twins_meet_finite_differences() {
+    for (specs, inputs) in networks() {
+        let (parameters, stack) = stack(&specs, DType::F64);
+        let (x, start, mask) = (normal(2, &[ROWS, inputs]), normal(3, &[SEQUENCES, 18]), mask());
+        let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
+        let [_, found, _] = pass(&specs, inputs, DType::F64).unwrap();
+        let var = &parameters.vars()[0];
+        let (at, direction) = (var.as_tensor().copy().unwrap(), normal(7, var.dims()));
+        let value = |step: f64| {
+            var.set(&(&at + (&direction * step).unwrap()).unwrap()).unwrap();
+            let y = stack.weights().unwrap().apply(&x, recurrent).unwrap();
+            let scalar = (&y * normal(99, y.dims())).unwrap().sum_all().unwrap();
+            scalar.to_scalar::<f64>().unwrap()
+        };
+        let slope = (value(1e-6) - value(-1e-6)) / 2e-6;
+        let expected = (found * &direction).unwrap().sum_all().unwrap().to_scalar::<f64>().unwrap();
+        assert!((slope - expected).abs() < 1e-5 * expected.abs().max(1.0), "{slope} {expected}");
+    }
+}
+
+#[test]
+fn constant_weights_give_the_same_gradient_by_the_input_and_none_by_the_parameters() {
+    let (specs, inputs) = networks().remove(0);
+    let (parameters, stack) = stack(&specs, DType::F32);
+    let x = normal(2, &[ROWS, inputs]).to_dtype(DType::F32).unwrap();
+    let x = candle_core::Var::from_tensor(&x).unwrap();
+    let gradients = |weights: ops::Weights| {
+        weights.apply(&x, None).unwrap().sum_all().unwrap().backward().unwrap()
+    };
+    let all = gradients(stack.weights().unwrap());
+    let own = gradients(stack.constant_weights().unwrap());
+    let numbers = |tensor: Option<&Tensor>| tensor.unwrap().to_vec2::<f32>().unwrap();
+    assert_eq!(numbers(own.get(&x)), numbers(all.get(&x)));
+    assert!(all.get(&parameters.vars()[0]).is_some());
+    assert!(own.get(&parameters.vars()[0]).is_none());
+}
+
+#[test]
+fn features_and_output_are_those_of_the_differentiable_pass() {
+    for dtype in [DType::F32, DType::F64] {
+        let (specs, inputs) = networks().remove(1);
+        let (_, stack) = stack(&specs, dtype);
+        let x = normal(2, &[ROWS, inputs]).to_dtype(dtype).unwrap();
+        let weights = stack.weights().unwrap();
+        let (features, output) = weights.features_and_output(&x, None).unwrap();
+        let difference = (&output - weights.apply(&x, None).unwrap()).unwrap();
+        assert_eq!(largest(&difference.to_dtype(DType::F64).unwrap()), 0.0);
+        assert_eq!((features.dims(), output.dims()), (&[ROWS, 16][..], &[ROWS, 3][..]));
+    }
 }
 
 #[test]
 fn the_sigmoid_equals_candles() {
-    assert_twins(&[var(1, &[11])], |x| ops::sigmoid(&x[0]), |x| candle_nn::ops::sigmoid(&x[0]));
+    let x = normal(1, &[11]);
+    let difference = (ops::sigmoid(&x).unwrap() - candle_nn::ops::sigmoid(&x).unwrap()).unwrap();
+    assert!(largest(&difference) < 1e-15);
 }
 
 #[test]
-fn single_precision_stays_within_a_millionth_of_double_precision() {
-    let (steps, sequences, hidden) = (10, 8, 16);
-    let inputs = [
-        normal(1, &[steps * sequences, 3 * hidden]),
-        normal(2, &[3 * hidden, hidden]),
-        normal(3, &[3 * hidden]),
-        normal(4, &[sequences, hidden]),
-        Tensor::ones((steps, sequences), DType::F64, &Device::Cpu).unwrap(),
-    ];
-    let run = |dtype: DType| {
-        let x: Vec<Tensor> = inputs.iter().map(|x| x.to_dtype(dtype).unwrap()).collect();
-        let y = ops::gru_sequence(&x[0], &x[1], &x[2], &x[3], &x[4]).unwrap();
-        y.to_dtype(DType::F64).unwrap()
-    };
-    assert!(difference(&run(DType::F32), &run(DType::F64)) < 5e-6);
-}
-
-#[test]
-fn shapes_that_do_not_fit_are_refused() {
-    assert!(
-        ops::linear(&normal(1, &[2, 3]), &normal(2, &[4, 5]), &normal(3, &[4]), Activation::Tanh)
-            .is_err()
-    );
-    assert!(ops::layer_norm(&normal(1, &[2, 3]), &normal(2, &[4]), &normal(3, &[4])).is_err());
-    let gru = ops::gru_sequence(
-        &normal(1, &[6, 6]),
-        &normal(2, &[6, 2]),
-        &normal(3, &[6]),
-        &normal(4, &[2, 2]),
-        &normal(5, &[2, 2]),
-    );
-    assert!(gru.is_err());
+fn rows_states_and_masks_that_do_not_fit_are_refused() {
+    let (specs, _) = networks().remove(2);
+    let (_, stack) = stack(&specs, DType::F32);
+    let weights = stack.weights().unwrap();
+    let single = |tensor: Tensor| tensor.to_dtype(DType::F32).unwrap();
+    let (start, mask) = (single(normal(3, &[SEQUENCES, 18])), single(mask()));
+    let fits = Some(RecurrentInput { start: &start, mask: &mask });
+    assert!(weights.apply(&single(normal(1, &[ROWS, 9])), fits).is_ok());
+    assert!(weights.apply(&single(normal(1, &[ROWS, 8])), fits).is_err());
+    assert!(weights.apply(&single(normal(1, &[ROWS - 1, 9])), fits).is_err());
+    assert!(weights.apply(&normal(1, &[ROWS, 9]), fits).is_err());
+    assert!(weights.apply(&single(normal(1, &[ROWS, 9])), None).is_err());
+    let narrow = single(normal(3, &[SEQUENCES, 17]));
+    let wrong = Some(RecurrentInput { start: &narrow, mask: &mask });
+    assert!(weights.apply(&single(normal(1, &[ROWS, 9])), wrong).is_err());
 }

@@ -6,7 +6,8 @@ use candle_core::{Device, Tensor, Var};
 use libm::{exp, log};
 use policy::Precision;
 use policy::arrays::NamedArrays;
-use policy::ops::Activation;
+use policy::layers::LayerSpec;
+use policy::ops::{Activation, LayerStack};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
@@ -16,7 +17,7 @@ use crate::density::{Density, Observations, Occasion};
 use crate::error::MarlError;
 use crate::gaussian::LOG_TWO_PI;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::layers::{Builder, Dense, TANH_GAIN, rows};
+use crate::layers::{TANH_GAIN, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
 use crate::reals::Reals;
@@ -41,8 +42,8 @@ pub struct Vae {
     latent: usize,
     moments: Moments,
     parameters: Parameters,
-    encoder: [Dense; 2],
-    decoder: [Dense; 2],
+    encoder: LayerStack,
+    decoder: LayerStack,
     log_sigma: Var,
     adam: Adam,
 }
@@ -83,20 +84,19 @@ impl Vae {
         (seed, agent): (RunSeed, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::DensityInitialisation).agent(agent));
-        let mut builder =
-            Builder { parameters: Parameters::new(), precision: Precision::Single, rng: &mut rng };
+        let (mut parameters, single) = (Parameters::new(), Precision::Single.dtype());
         let (features, hidden, latent) = (moments.signals(), config.vae_hidden, config.vae_latent);
         let (tanh, identity) = (Activation::Tanh, Activation::Identity);
         let mut pair = |name: &str, from: usize, to: usize, gain: f64| {
             let (first, second) = (format!("{name}.hidden"), format!("{name}.output"));
-            let first = builder.dense(&first, (from, hidden), TANH_GAIN, tanh)?;
-            Ok::<_, MarlError>([first, builder.dense(&second, (hidden, to), gain, identity)?])
+            let first = LayerSpec::linear(&first, (from, hidden), tanh, TANH_GAIN);
+            let second = LayerSpec::linear(&second, (hidden, to), identity, gain);
+            LayerStack::declare(&mut parameters, &[first, second], single, &mut rng)
         };
         let encoder = pair("encoder", features, 2 * latent, ENCODER_GAIN)?;
         let decoder = pair("decoder", latent, features, DECODER_GAIN)?;
-        let start = vec![START_LOG_SIGMA; features];
-        let log_sigma = builder.parameter("log_sigma", start, &[features])?;
-        let parameters = builder.parameters;
+        let start = Tensor::full(START_LOG_SIGMA, features, &Device::Cpu)?;
+        let log_sigma = parameters.add("log_sigma", start)?;
         let adam = AdamConfig {
             learning_rate: config.vae_learning_rate,
             epsilon: EPSILON,
@@ -128,12 +128,8 @@ impl Vae {
     }
 
     fn latent(&self, inputs: &[f32]) -> Result<Latent, MarlError> {
-        let hidden = self.encoder[0].apply(&rows(
-            inputs.to_vec(),
-            self.moments.signals(),
-            Precision::Single,
-        )?)?;
-        let encoded = self.encoder[1].apply(&hidden)?;
+        let inputs = rows(inputs.to_vec(), self.moments.signals(), Precision::Single)?;
+        let encoded = self.encoder.weights()?.apply(&inputs, None)?;
         let all = numbers(&encoded)?;
         let half = |from: usize| -> Vec<f64> {
             let rows = all.chunks_exact(2 * self.latent);
@@ -143,7 +139,7 @@ impl Vae {
     }
 
     fn decoded(&self, z: &Tensor) -> Result<Tensor, MarlError> {
-        self.decoder[1].apply(&self.decoder[0].apply(z)?)
+        Ok(self.decoder.weights()?.apply(z, None)?)
     }
 
     /// `log p(x | z)` of every row, nats, over the features that count.
@@ -191,11 +187,13 @@ impl Vae {
         let d_encoded = latent_gradient(&latent, noise, &d_z, self.latent);
         let inner = root(&[OutputGradient { output: &latent.encoded, gradient: &d_encoded }])?;
         let inner = inner.backward()?;
-        let gradient = |(name, var): (&str, &Var)| {
+        let gradient = |(index, var): (usize, &Var)| {
+            let name = self.parameters.name_of(index);
             let store = if name.starts_with("encoder") { &inner } else { &outer };
             Reals::of(of(store, var, name)?)
         };
-        let all = self.parameters.iter().map(gradient).collect::<Result<_, MarlError>>()?;
+        let vars = self.parameters.vars().iter().enumerate();
+        let all = vars.map(gradient).collect::<Result<_, MarlError>>()?;
         Ok(Gradients(all))
     }
 
@@ -344,7 +342,7 @@ mod tests {
             (latent.divergence(0..latent.mean.len()) - likelihood) / 3.0
         };
         let found = vae.gradients(&inputs, &noise).unwrap();
-        for ((_, var), gradient) in vae.parameters.iter().zip(&found.0) {
+        for (var, gradient) in vae.parameters.vars().iter().zip(&found.0) {
             let values = var.as_tensor().flatten_all().unwrap().to_vec1::<f32>().unwrap();
             let moved = |at: usize, by: f32| {
                 let mut values = values.clone();

@@ -1,8 +1,11 @@
 //! The variational posterior `q_xi(a^i | a^-i, o^i, h^i)`: the second head of the paper's network.
 
+use std::ops::Range;
+
 use candle_core::{Device, Tensor, Var};
 use policy::arrays::NamedArrays;
-use policy::ops::{Activation, sigmoid};
+use policy::layers::LayerSpec;
+use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{Categorical, Distribution, Gaussian, PolicyConfig, Precision};
@@ -13,9 +16,10 @@ use crate::error::MarlError;
 use crate::gradient::{Gradients, numbers};
 use crate::head_rows::HeadRows;
 use crate::influence::Term;
-use crate::layers::{Builder, Dense, TANH_GAIN, rows};
+use crate::layers::{TANH_GAIN, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
+use crate::shards::{self, shards};
 
 /// Sizes around one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,9 +43,10 @@ pub struct Posterior {
     precision: Precision,
     shape: PosteriorShape,
     parameters: Parameters,
-    encoder: Dense,
-    joined: Dense,
-    head: Dense,
+    /// Of the other agents' actions.
+    encoder: LayerStack,
+    /// Of features and encoded actions.
+    joined: LayerStack,
     /// Of a Gaussian alone.
     log_std: Option<Var>,
     adam: Adam,
@@ -70,21 +75,24 @@ impl Posterior {
         (seed, precision, agent): (RunSeed, Precision, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
-        let mut builder = Builder { parameters: Parameters::new(), precision, rng: &mut rng };
+        let (mut parameters, dtype) = (Parameters::new(), precision.dtype());
         let (others, joined) = (config.encoder, shape.features + config.encoder);
         let (tanh, gain) = (Activation::Tanh, f64::from(policy.head_gain));
         let outputs = shape.kind.head().outputs(shape.action);
-        let encoder = builder.dense("encoder", (shape.others, others), TANH_GAIN, tanh)?;
-        let joined = builder.dense("joined", (joined, config.hidden), TANH_GAIN, tanh)?;
-        let head = builder.dense("head", (config.hidden, outputs), gain, Activation::Identity)?;
+        let encoder = [LayerSpec::linear("encoder", (shape.others, others), tanh, TANH_GAIN)];
+        let joined = [
+            LayerSpec::linear("joined", (joined, config.hidden), tanh, TANH_GAIN),
+            LayerSpec::linear("head", (config.hidden, outputs), Activation::Identity, gain),
+        ];
+        let encoder = LayerStack::declare(&mut parameters, &encoder, dtype, &mut rng)?;
+        let joined = LayerStack::declare(&mut parameters, &joined, dtype, &mut rng)?;
         let log_std = match shape.kind {
             ActionKind::Continuous => {
-                let start = vec![policy.initial_log_std; shape.action];
-                Some(builder.parameter("log_std", start, &[shape.action])?)
+                let start = Tensor::full(policy.initial_log_std, shape.action, &Device::Cpu)?;
+                Some(parameters.add("log_std", start.to_dtype(dtype)?)?)
             }
             ActionKind::Discrete { .. } => None,
         };
-        let parameters = builder.parameters;
         let (config, adam) = (config.clone(), Adam::new(adam_config, &parameters));
         let sigma_scale = f64::from(policy.sigma_scale);
         Ok(Self {
@@ -95,16 +103,23 @@ impl Posterior {
             parameters,
             encoder,
             joined,
-            head,
             log_std,
             adam,
         })
     }
 
-    fn forward(&self, features: &Tensor, others: Vec<f32>) -> Result<Distribution, MarlError> {
-        let encoded = self.encoder.apply(&rows(others, self.shape.others, self.precision)?)?;
-        let joined = Tensor::cat(&[features, &encoded], 1)?;
-        let output = self.head.apply(&self.joined.apply(&joined)?)?;
+    fn weights(&self) -> Result<[Weights; 2], MarlError> {
+        Ok([self.encoder.weights()?, self.joined.weights()?])
+    }
+
+    fn forward(
+        &self,
+        [encoder, joined]: &[Weights; 2],
+        features: &Tensor,
+        others: Vec<f32>,
+    ) -> Result<Distribution, MarlError> {
+        let encoded = encoder.apply(&rows(others, self.shape.others, self.precision)?, None)?;
+        let output = joined.apply(&Tensor::cat(&[features, &encoded], 1)?, None)?;
         let Some(log_std) = &self.log_std else {
             return Ok(Distribution::Categorical(Categorical { logits: output }));
         };
@@ -140,6 +155,7 @@ impl Posterior {
     /// the trunk through the posterior.
     fn forward_rows(
         &self,
+        weights: &[Weights; 2],
         data: &Conditions<'_>,
         part: &[usize],
     ) -> Result<Distribution, MarlError> {
@@ -148,21 +164,26 @@ impl Posterior {
         let index = Tensor::from_vec(index, part.len(), &Device::Cpu)?;
         let features = data.features.index_select(&index, 0)?.detach();
         let actions = part.iter().flat_map(|&row| &data.others[row * others..(row + 1) * others]);
-        self.forward(&features, actions.copied().collect())
+        self.forward(weights, &features, actions.copied().collect())
     }
 
     fn step(&mut self, data: &Conditions<'_>, part: &[usize]) -> Result<f64, MarlError> {
-        let width = self.shape.action;
-        let head = self.forward_rows(data, part)?;
-        let q = HeadRows::of(&head)?;
-        let mut gradient = q.zeros();
-        let (mut likelihood, share) = (0.0, 1.0 / part.len() as f64);
-        for (place, &row) in part.iter().enumerate() {
-            let action = &data.action[row * width..(row + 1) * width];
-            likelihood += share * q.log_prob_of(place, action);
-            gradient.add_log_prob_gradient(-share, place, action, &q);
-        }
-        self.descend(&head, &gradient)?;
+        let (weights, width) = (self.weights()?, self.shape.action);
+        let share = 1.0 / part.len() as f64;
+        let one = |range: Range<usize>| {
+            let rows = &part[range];
+            let head = self.forward_rows(&weights, data, rows)?;
+            let q = HeadRows::of(&head)?;
+            let (mut likelihood, mut gradient) = (0.0, q.zeros());
+            for (place, &row) in rows.iter().enumerate() {
+                let action = &data.action[row * width..(row + 1) * width];
+                likelihood += share * q.log_prob_of(place, action);
+                gradient.add_log_prob_gradient(-share, place, action, &q);
+            }
+            Ok((likelihood, Gradients::of(&self.parameters, &gradient.root(&head)?)?))
+        };
+        let (likelihood, gradients) = shards::sum(&shards(part.len(), 1), &one)?;
+        self.descend(&gradients)?;
         Ok(likelihood)
     }
 
@@ -178,16 +199,16 @@ impl Posterior {
         p: &HeadRows,
         (lambda, term): (f64, Term),
     ) -> Result<(), MarlError> {
-        let head = self.forward_rows(data, part)?;
+        let head = self.forward_rows(&self.weights()?, data, part)?;
         let q = HeadRows::of(&head)?;
         let weight = -lambda / part.len() as f64;
-        self.descend(&head, &q.influence_gradient(weight, p, term))
+        let root = q.influence_gradient(weight, p, term).root(&head)?;
+        self.descend(&Gradients::of(&self.parameters, &root)?)
     }
 
-    /// One optimiser step down the gradient of the head's numbers.
-    fn descend(&mut self, head: &Distribution, gradient: &HeadRows) -> Result<(), MarlError> {
-        let root = gradient.root(head)?;
-        self.adam.step(&self.parameters, &Gradients::of(&self.parameters, &root)?)?;
+    /// One optimiser step.
+    fn descend(&mut self, gradients: &Gradients) -> Result<(), MarlError> {
+        self.adam.step(&self.parameters, gradients)?;
         self.project()
     }
 
@@ -211,7 +232,9 @@ impl Posterior {
     /// # Errors
     /// Passes on a tensor error.
     pub fn conditional(&self, data: &Conditions<'_>) -> Result<HeadRows, MarlError> {
-        HeadRows::of(&self.forward(&data.features.detach(), data.others.to_vec())?)
+        let (features, others) = (data.features.detach(), data.others.to_vec());
+        let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
+        HeadRows::of(&self.forward(&weights, &features, others)?)
     }
 
     /// Optimiser steps skipped so far because their gradient was not finite.

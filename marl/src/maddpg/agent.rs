@@ -166,7 +166,7 @@ impl Agent {
             hidden: unread.clone(),
             mask: unread,
         };
-        match actor.head(&actor.features(&input)?)? {
+        match actor.distribution(&actor.weights()?, &input)? {
             Distribution::Gaussian(gaussian) => Ok(gaussian.mean),
             Distribution::Categorical(_) => unreachable!("MADDPG's own heads are deterministic"),
         }
@@ -222,7 +222,7 @@ impl Agent {
 
 /// Polyak averaging: `target' = (1 - share) target + share source`, parameter by parameter.
 fn follow(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
-    for ((_, target), (_, source)) in target.iter().zip(source.iter()) {
+    for (target, source) in target.vars().iter().zip(source.vars()) {
         let moved = match (Reals::of(target)?, Reals::of(source)?) {
             (Reals::Single(slow), Reals::Single(fast)) => Reals::Single(blend(&slow, &fast, share)),
             (Reals::Double(slow), Reals::Double(fast)) => Reals::Double(blend(&slow, &fast, share)),
@@ -269,8 +269,7 @@ mod tests {
     fn a_slow_copy_goes_its_share_of_the_way() {
         let (slow, fast) = (parameters([1.0, -2.0]), parameters([5.0, 2.0]));
         follow(&slow, &fast, 0.25).unwrap();
-        let (_, moved) = slow.iter().next().unwrap();
-        assert_eq!(moved.as_tensor().to_vec1::<f32>().unwrap(), [2.0, -1.0]);
+        assert_eq!(slow.vars()[0].as_tensor().to_vec1::<f32>().unwrap(), [2.0, -1.0]);
         follow(&slow, &fast, 1.0).unwrap();
         assert_eq!(slow.to_arrays("").unwrap(), fast.to_arrays("").unwrap());
     }

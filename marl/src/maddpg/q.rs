@@ -2,19 +2,18 @@
 
 use candle_core::Tensor;
 use policy::Precision;
-use policy::ops::Activation;
+use policy::ops::LayerStack;
 use policy::parameters::Parameters;
 use rand::RngCore;
 
 use crate::config::CriticConfig;
 use crate::error::MarlError;
-use crate::layers::{Builder, Dense, RELU_GAIN};
+use crate::layers::rectified_layers;
 
 /// Layers of Linear, ReLU, then one value.
 pub(super) struct ActionValue {
     pub(super) parameters: Parameters,
-    layers: Vec<Dense>,
-    value: Dense,
+    layers: LayerStack,
 }
 
 impl ActionValue {
@@ -25,36 +24,19 @@ impl ActionValue {
         precision: Precision,
         rng: &mut impl RngCore,
     ) -> Result<Self, MarlError> {
-        let mut builder = Builder { parameters: Parameters::new(), precision, rng };
-        let (mut layers, mut from) = (Vec::with_capacity(config.layers), inputs);
-        for layer in 0..config.layers {
-            let (name, shape) = (format!("layers.{layer}.linear"), (from, config.width));
-            layers.push(builder.dense(&name, shape, RELU_GAIN, Activation::Relu)?);
-            from = config.width;
-        }
-        let value = builder.dense("value", (from, 1), 1.0, Activation::Identity)?;
-        Ok(Self { parameters: builder.parameters, layers, value })
+        let specs = rectified_layers((inputs, config.width, config.layers), false, 1);
+        let mut parameters = Parameters::new();
+        let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), rng)?;
+        Ok(Self { parameters, layers })
     }
 
     /// Values `[R, 1]` of states and joint actions side by side, `[R, S + A]`.
     pub(super) fn forward(&self, input: &Tensor) -> Result<Tensor, MarlError> {
-        self.pass(input, Dense::apply)
+        Ok(self.layers.weights()?.apply(input, None)?)
     }
 
     /// As [`ActionValue::forward`], for gradients by the input alone.
     pub(super) fn forward_as_constant(&self, input: &Tensor) -> Result<Tensor, MarlError> {
-        self.pass(input, Dense::apply_as_constant)
-    }
-
-    fn pass(
-        &self,
-        input: &Tensor,
-        apply: impl Fn(&Dense, &Tensor) -> Result<Tensor, MarlError>,
-    ) -> Result<Tensor, MarlError> {
-        let mut x = input.clone();
-        for layer in &self.layers {
-            x = apply(layer, &x)?;
-        }
-        apply(&self.value, &x)
+        Ok(self.layers.constant_weights()?.apply(input, None)?)
     }
 }

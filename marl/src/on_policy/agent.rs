@@ -1,8 +1,9 @@
 //! One agent: its network, its optimiser, its posterior, and what it has experienced.
 
+use std::ops::Range;
 use std::sync::Arc;
 
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
 use rayon::prelude::*;
@@ -20,6 +21,7 @@ use crate::on_policy::counted;
 use crate::on_policy::memory::Memory;
 use crate::optimizer::{Adam, AdamConfig};
 use crate::sequence::{Layout, Sequences};
+use crate::shards::{self, shards};
 use crate::surprise::entropy_bound;
 
 /// A network in training. Its posterior is there if the influence term has a weight and there are
@@ -208,30 +210,28 @@ impl Agent {
         sigma.iter().filter(|&&sigma| sigma <= lowest).count() as f64 / sigma.len() as f64
     }
 
-    /// The policy, log-densities of the actions `[R]` and the features of some chunks, under today's
-    /// weights.
-    pub(crate) fn log_prob(
-        &self,
-        sequences: &Sequences,
-        columns: &[usize],
-    ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
-        self.log_prob_under(&self.network, sequences, columns)
-    }
-
-    /// As [`Agent::log_prob`], under the weights of `network`.
-    fn log_prob_under(
+    /// What `network` says of all rows, shard by shard: the policy and the log-densities of the actions, `[L, C]`, and
+    /// the features, `[L * C, F]`.
+    pub(super) fn asked(
         &self,
         network: &ActorNetwork,
         sequences: &Sequences,
-        columns: &[usize],
     ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
-        let features = network.features(&self.input_under(network, sequences, columns)?)?;
-        let rows = HeadRows::of(&network.head(&features)?)?;
+        let (layout, weights) = (sequences.layout, network.weights()?);
+        let parts = shards(layout.chunks, layout.steps);
+        let one = |range: Range<usize>| {
+            let columns: Vec<usize> = range.collect();
+            let input = self.input_under(network, sequences, &columns)?;
+            let (head, features) = network.distribution_and_features(&weights, &input)?;
+            Ok((HeadRows::of(&head)?, features))
+        };
+        let (heads, features): (Vec<_>, Vec<_>) = shards::of_each(&parts, one)?.into_iter().unzip();
+        let rows = HeadRows::gathered(&heads, layout, &parts);
         let width = rows.action_size();
-        let action = sequences.layout.columns(&sequences.action, width, columns);
-        let actions = action.chunks_exact(width).enumerate();
+        let actions = sequences.action.chunks_exact(width).enumerate();
         let log_prob = actions.map(|(row, action)| rows.log_prob_of(row, action)).collect();
-        Ok((rows, log_prob, features.detach()))
+        let order = Tensor::from_vec(layout.order(&parts), layout.rows(), &Device::Cpu)?;
+        Ok((rows, log_prob, Tensor::cat(&features, 0)?.index_select(&order, 0)?))
     }
 
     /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
@@ -280,12 +280,10 @@ pub(crate) fn gather(
     layout: Layout,
     advantages: &[Vec<f64>],
 ) -> Result<Vec<Experience>, MarlError> {
-    let columns: Vec<usize> = (0..layout.chunks).collect();
     let one = |index: usize| {
         let agent = &agents[index];
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-        let (behaviour, log_prob, features) =
-            agent.log_prob_under(&agent.behaviour, &sequences, &columns)?;
+        let (behaviour, log_prob, features) = agent.asked(&agent.behaviour, &sequences)?;
         let others = other_actions(agents, batch, index, layout);
         let samples =
             agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));

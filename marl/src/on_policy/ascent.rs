@@ -1,6 +1,9 @@
 //! Up the objective of Eq. (10): epochs of minibatches of whole chunks, for one agent or for agents
 //! that share their parameters.
 
+use std::ops::Range;
+
+use policy::ops::Weights;
 use policy::randomness::{Draw, RunSeed};
 use rayon::prelude::*;
 
@@ -9,7 +12,8 @@ use crate::actor_loss::{Figures, Rows};
 use crate::error::MarlError;
 use crate::gradient::Gradients;
 use crate::head_rows::HeadRows;
-use crate::minibatch::{minibatches, split};
+use crate::minibatch::minibatches;
+use crate::shards::{self, Share, shards};
 
 /// What is held constant while one agent climbs, all in chunked order.
 pub(crate) type PerAgent<'a> = (&'a Experience, &'a Influence);
@@ -93,36 +97,29 @@ pub(crate) fn maximise_together(
     Ok(trained)
 }
 
-/// The gradient of a minibatch: a fixed number of shards, each a graph of its own, added in their
-/// order, so that the sum does not depend on how many threads computed it.
+/// The gradient of a minibatch: shards, each a graph of its own, added in a fixed tree, so that the sum does not depend
+/// on how many threads computed it.
 pub(super) fn gradient(
     agent: &Agent,
     known: PerAgent<'_>,
     factor: &[f64],
     columns: &[usize],
 ) -> Result<(Figures, Gradients), MarlError> {
-    let ranges = split(columns.len(), agent.update.shards);
-    let shards = ranges
-        .into_par_iter()
-        .map(|range| shard(agent, known, factor, (&columns[range], columns.len())))
-        .collect::<Result<Vec<_>, MarlError>>()?;
-    let (mut figures, mut gradients) = (Figures::default(), Vec::with_capacity(shards.len()));
-    for (own, gradient) in shards {
-        figures.add(1.0, &own);
-        gradients.push(gradient);
-    }
-    Ok((figures, Gradients::sum(gradients)))
+    let (weights, total) = (agent.network.weights()?, columns.len());
+    let shards = shards(total, known.0.sequences.layout.steps);
+    let one =
+        |range: Range<usize>| shard((agent, &weights), known, factor, (&columns[range], total));
+    shards::sum(&shards, &one)
 }
 
 fn shard(
-    agent: &Agent,
+    (agent, weights): (&Agent, &Weights),
     (experience, influence): PerAgent<'_>,
     factor: &[f64],
     (columns, total): (&[usize], usize),
 ) -> Result<(Figures, Gradients), MarlError> {
     let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
-    let features = agent.network.features(&agent.input(sequences, columns)?)?;
-    let head = agent.network.head(&features)?;
+    let head = agent.network.distribution(weights, &agent.input(sequences, columns)?)?;
     let p = HeadRows::of(&head)?;
     let posterior = influence.conditional.as_ref().map(|q| q.posterior(layout, columns));
     let rows = Rows {
@@ -136,6 +133,12 @@ fn shard(
     Ok((figures, Gradients::of(agent.network.parameters(), &gradient.root(&head)?)?))
 }
 
+impl Share for Figures {
+    fn add_share(&mut self, next: &Self) {
+        self.add(1.0, next);
+    }
+}
+
 /// What became of a policy since its data were collected.
 pub(crate) struct Moved {
     /// Log-densities of all actions under today's weights, `[L, C]`, nats.
@@ -144,23 +147,9 @@ pub(crate) struct Moved {
     pub(crate) kl: f64,
 }
 
-/// Today's weights asked about all rows, computed shard by shard.
+/// Today's weights asked about all rows.
 pub(crate) fn moved(agent: &Agent, experience: &Experience) -> Result<Moved, MarlError> {
-    let layout = experience.sequences.layout;
-    let parts = split(layout.chunks, agent.update.shards);
-    let shards = parts
-        .into_par_iter()
-        .map(|range| {
-            let columns: Vec<usize> = range.collect();
-            let (new, log_prob, _) = agent.log_prob(&experience.sequences, &columns)?;
-            let old = experience.behaviour.columns(layout, &columns);
-            Ok((log_prob, old.kl_divergences(&new).iter().sum::<f64>(), columns))
-        })
-        .collect::<Result<Vec<_>, MarlError>>()?;
-    let (mut all, mut kl) = (vec![0.0; layout.rows()], 0.0);
-    for (log_prob, part, columns) in shards {
-        layout.scatter(&log_prob, &mut all, 1, &columns);
-        kl += part;
-    }
-    Ok(Moved { log_prob: all, kl: kl / layout.rows() as f64 })
+    let (now, log_prob, _) = agent.asked(&agent.network, &experience.sequences)?;
+    let kl = experience.behaviour.kl_divergences(&now).iter().sum::<f64>();
+    Ok(Moved { log_prob, kl: kl / experience.sequences.layout.rows() as f64 })
 }

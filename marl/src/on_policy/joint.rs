@@ -21,7 +21,7 @@ impl Agent {
         let input = self.input(&experience.sequences, columns)?;
         let Some(posterior) = &mut self.posterior else { return Ok(()) };
         let layout = experience.sequences.layout;
-        let p = HeadRows::of(&self.network.head(&self.network.features(&input)?)?)?;
+        let p = HeadRows::of(&self.network.distribution(&self.network.weights()?, &input)?)?;
         let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
         let part: Vec<usize> = (0..layout.steps).flat_map(row).collect();
         let weight = (self.coefficients.lambda, self.coefficients.term);
@@ -72,7 +72,8 @@ mod tests {
     fn term(agent: &Agent, experience: &Experience, influence: &Influence) -> f64 {
         let columns: Vec<usize> = (0..experience.sequences.layout.chunks).collect();
         let input = experience.sequences.input(&columns, agent.precision.dtype()).unwrap();
-        let head = agent.network.head(&agent.network.features(&input).unwrap()).unwrap();
+        let weights = agent.network.weights().unwrap();
+        let head = agent.network.distribution(&weights, &input).unwrap();
         let p = HeadRows::of(&head).unwrap();
         let q = influence.conditional.clone().unwrap();
         let (

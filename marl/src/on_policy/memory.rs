@@ -116,7 +116,7 @@ impl Agent {
         start: Vec<f32>,
     ) -> Result<Vec<f32>, MarlError> {
         let input = sequences.input_from(columns, start, self.precision.dtype())?;
-        let last = network.last_state(&input)?.to_dtype(DType::F32)?;
+        let last = network.last_state(&network.weights()?, &input)?.to_dtype(DType::F32)?;
         let mut states = last.flatten_all()?.to_vec1::<f32>()?;
         for (state, &column) in states.chunks_exact_mut(self.hidden_size()).zip(columns) {
             if sequences.ends[column] {

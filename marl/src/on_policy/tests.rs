@@ -111,8 +111,7 @@ fn experience(agents: &[Agent], batch: &Batch) -> Vec<Experience> {
 fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64> {
     let layout = Layout::of(batch, steps);
     let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-    let columns: Vec<usize> = (0..layout.chunks).collect();
-    let (_, found, _) = agent.log_prob(&sequences, &columns).unwrap();
+    let (_, found, _) = agent.asked(&agent.network, &sequences).unwrap();
     let mut in_time = vec![0.0; batch.rows()];
     for step in 0..layout.steps {
         for chunk in 0..layout.chunks {

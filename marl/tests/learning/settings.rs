@@ -83,7 +83,7 @@ fn policy(core: CoreKind) -> PolicyConfig {
 fn config(rule: Rule) -> Config {
     let usual = fixture::config(rule);
     Config {
-        update: UpdateConfig { learning_rate: 5e-3, shards: 1, ..usual.update },
+        update: UpdateConfig { learning_rate: 5e-3, ..usual.update },
         critic: CriticConfig {
             width: 32,
             learning_rate: 5e-3,

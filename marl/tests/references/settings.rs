@@ -56,7 +56,6 @@ pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> 
             epochs: number("update.epochs") as usize,
             entropy: number("update.entropy"),
             max_gradient_norm: number("update.max_gradient_norm"),
-            shards: 3,
             ..usual.update
         },
         critic: CriticConfig {

@@ -1,10 +1,8 @@
 //! Reading a policy's layers from its arrays, with refusals that name the array.
 
-use super::ActorSpec;
-use super::layers::{Dense, Norm, Trunk};
 use crate::arrays::{Array, NamedArrays};
-use crate::config::CoreKind;
 use crate::error::PolicyError;
+use crate::layers::LayerSpec;
 use crate::standardisation::{INVERSE, MEAN, Standardisation};
 
 /// Takes arrays out of their map, checking names and shapes.
@@ -36,25 +34,6 @@ impl Reader<'_> {
         Ok(self.array(name, &[length])?.to_vec())
     }
 
-    pub(super) fn dense(
-        &mut self,
-        name: &str,
-        from: usize,
-        to: usize,
-    ) -> Result<Dense, PolicyError> {
-        self.linear_map([&format!("{name}.weight"), &format!("{name}.bias")], from, to)
-    }
-
-    fn linear_map(
-        &mut self,
-        names: [&str; 2],
-        from: usize,
-        to: usize,
-    ) -> Result<Dense, PolicyError> {
-        let weight = self.array(names[0], &[to, from])?.to_vec();
-        Ok(Dense::new(&weight, self.array(names[1], &[to])?))
-    }
-
     /// How observations are standardised, where they are.
     pub(super) fn standardisation(
         &mut self,
@@ -67,35 +46,12 @@ impl Reader<'_> {
         Ok(Some(Standardisation { mean, inverse }))
     }
 
-    fn norm(&mut self, name: &str, width: usize) -> Result<Norm, PolicyError> {
-        let weight = self.vector(&format!("{name}.weight"), width)?;
-        Ok(Norm { weight, bias: self.vector(&format!("{name}.bias"), width)? })
-    }
-
-    pub(super) fn trunk(&mut self, spec: &ActorSpec) -> Result<Trunk, PolicyError> {
-        let norm = self.norm("encoder.norm", spec.observation)?;
-        match spec.core {
-            CoreKind::Gru => {
-                let gates = 3 * spec.hidden;
-                let (ih, hh) = (["gru.weight_ih", "gru.bias_ih"], ["gru.weight_hh", "gru.bias_hh"]);
-                Ok(Trunk::Gru {
-                    norm,
-                    encoder: self.dense("encoder.linear", spec.observation, spec.encoder)?,
-                    input: self.linear_map(ih, spec.encoder, gates)?,
-                    recurrent: self.linear_map(hh, spec.hidden, gates)?,
-                    output: self.norm("output.norm", spec.hidden)?,
-                })
-            }
-            CoreKind::Mlp => {
-                let mut layers = Vec::new();
-                let mut from = spec.observation;
-                for layer in 0..spec.layers {
-                    let dense = self.dense(&format!("layers.{layer}.linear"), from, spec.width)?;
-                    layers.push((dense, self.norm(&format!("layers.{layer}.norm"), spec.width)?));
-                    from = spec.width;
-                }
-                Ok(Trunk::Mlp { norm, layers })
-            }
+    /// All parameters of these layers, one after another.
+    pub(super) fn layers(&mut self, layers: &[LayerSpec]) -> Result<Vec<f32>, PolicyError> {
+        let mut all = Vec::new();
+        for (name, shape) in layers.iter().flat_map(LayerSpec::parameters) {
+            all.extend_from_slice(self.array(&name, &shape)?);
         }
+        Ok(all)
     }
 }

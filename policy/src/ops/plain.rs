@@ -1,10 +1,51 @@
-//! The fused operations out of candle's own: slower, differentiable by candle, on any device.
+//! Layers out of candle's own operations: slower, differentiable by candle, in any precision.
 
 use candle_core::{Result, Tensor};
+use kernels::{Activation, Layer, Network};
 
-use super::{Activation, LAYER_NORM_EPSILON};
+use super::{LAYER_NORM_EPSILON, RecurrentInput};
 
-/// [`super::linear`] out of candle's operations.
+/// The input `x` `[R, in]` and every layer's result, of a network whose parameters are `flat`.
+///
+/// # Errors
+/// If shapes or element types do not fit.
+pub fn network(
+    network: &Network,
+    x: &Tensor,
+    flat: &Tensor,
+    recurrent: Option<RecurrentInput<'_>>,
+) -> Result<Vec<Tensor>> {
+    let mut taken = 0;
+    let mut next = |shape: &[usize]| {
+        let count = shape.iter().product();
+        taken += count;
+        flat.narrow(0, taken - count, count)?.reshape(shape)
+    };
+    let mut results = vec![x.clone()];
+    for layer in network.layers() {
+        let x = &results[results.len() - 1];
+        let y = match *layer {
+            Layer::Norm { width } => layer_norm(x, &next(&[width])?, &next(&[width])?)?,
+            Layer::Linear { inputs, outputs, activation } => {
+                linear(x, &next(&[outputs, inputs])?, &next(&[outputs])?, activation)?
+            }
+            Layer::Gru { inputs, hidden } => {
+                let identity = Activation::Identity;
+                let gates = 3 * hidden;
+                let projected = linear(x, &next(&[gates, inputs])?, &next(&[gates])?, identity)?;
+                let Some(RecurrentInput { start, mask }) = recurrent else {
+                    candle_core::bail!("a recurrent network without states")
+                };
+                let (w_hh, b_hh) = (next(&[gates, hidden])?, next(&[gates])?);
+                gru_sequence(&projected, &w_hh, &b_hh, start, mask)?
+            }
+        };
+        results.push(y);
+    }
+    Ok(results)
+}
+
+/// `activation(x W^T + b)`: `x` is `[R, in]`, `w` `[out, in]`, `b` `[out]`.
 ///
 /// # Errors
 /// If shapes or element types do not fit.
@@ -17,7 +58,8 @@ pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, activation: Activation) -> Res
     }
 }
 
-/// [`super::layer_norm`] out of candle's operations.
+/// `(x - mean) / sqrt(var + 1e-5) * weight + bias` over the last axis, with the biased variance: `x` is `[R, F]`,
+/// `weight` and `bias` are `[F]`.
 ///
 /// # Errors
 /// If shapes or element types do not fit.
@@ -28,7 +70,8 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> 
     normal.broadcast_mul(weight)?.broadcast_add(bias)
 }
 
-/// [`super::gru_sequence`] out of candle's operations.
+/// The recurrent part of [`Layer::Gru`]: `projected` is `x W_i^T + b_i`, `[T*B, 3H]`; the result is every `h_t`,
+/// `[T*B, H]`.
 ///
 /// # Errors
 /// If shapes or element types do not fit.

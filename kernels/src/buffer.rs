@@ -1,0 +1,87 @@
+//! Rows of numbers in whole cache lines.
+
+use crate::simd::{LANES, Line};
+
+/// Lines as numbers.
+pub(crate) fn numbers(lines: &[Line]) -> &[f32] {
+    // SAFETY: a line is sixteen floats without padding, and aligned more strictly than they are.
+    unsafe { core::slice::from_raw_parts(lines.as_ptr().cast(), lines.len() * LANES) }
+}
+
+/// Lines that hold `width` numbers.
+pub(crate) fn groups(width: usize) -> usize {
+    width.div_ceil(LANES)
+}
+
+/// Lines between rows of `width` numbers: an odd number, so that the rows of a block fall into different sets of a cache.
+pub(crate) fn stride(width: usize) -> usize {
+    groups(width) | 1
+}
+
+/// Rows of `width` numbers, each in its own lines; what pads them is 0.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rows {
+    lines: Vec<Line>,
+    width: usize,
+}
+
+impl Rows {
+    /// Makes room for `rows` rows of `width` numbers, whose contents are then those of earlier rows.
+    pub(crate) fn resize(&mut self, rows: usize, width: usize) {
+        self.width = width;
+        self.lines.resize(rows * stride(width), Line::default());
+    }
+
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    pub(crate) fn stride(&self) -> usize {
+        stride(self.width)
+    }
+
+    /// The lines of the rows `from..to`.
+    pub(crate) fn range(&self, from: usize, to: usize) -> &[Line] {
+        &self.lines[from * self.stride()..to * self.stride()]
+    }
+
+    /// The lines of the rows `from..to`.
+    pub(crate) fn range_mut(&mut self, from: usize, to: usize) -> &mut [Line] {
+        let stride = self.stride();
+        &mut self.lines[from * stride..to * stride]
+    }
+
+    /// Takes over dense rows `[rows, width]` from row `first` on.
+    pub(crate) fn fill(&mut self, first: usize, dense: &[f32]) {
+        let (width, stride) = (self.width, self.stride());
+        let lines = self.lines[first * stride..].chunks_exact_mut(stride);
+        for (lines, row) in lines.zip(dense.chunks_exact(width)) {
+            for (line, part) in lines.iter_mut().zip(row.chunks(LANES)) {
+                line.0[..part.len()].copy_from_slice(part);
+                line.0[part.len()..].fill(0.0);
+            }
+        }
+    }
+
+    /// Appends the rows `from..to` to `dense`.
+    pub(crate) fn append_to(&self, from: usize, to: usize, dense: &mut Vec<f32>) {
+        let lines = self.range(from, to).chunks_exact(self.stride());
+        lines.for_each(|row| dense.extend_from_slice(&numbers(row)[..self.width]));
+    }
+}
+
+/// `values` in lines, padded with 0.
+pub(crate) fn padded(values: &[f32]) -> Vec<Line> {
+    let mut lines = vec![Line::default(); groups(values.len())];
+    for (line, part) in lines.iter_mut().zip(values.chunks(LANES)) {
+        line.0[..part.len()].copy_from_slice(part);
+    }
+    lines
+}
+
+/// Copies the numbers that `lines` hold back to `values`.
+pub(crate) fn unpadded(lines: &[Line], values: &mut [f32]) {
+    for (line, part) in lines.iter().zip(values.chunks_mut(LANES)) {
+        part.copy_from_slice(&line.0[..part.len()]);
+    }
+}

@@ -1,0 +1,242 @@
+//! A gated recurrent unit over the steps of some sequences.
+
+use crate::buffer::{Rows, padded, stride};
+use crate::linear::{Weights, add_rows, slope_of_tanh};
+use crate::math::{sigmoid_of, tanh_of};
+use crate::product::Start;
+use crate::simd::{Line, Simd};
+
+/// Gates r, z, n.
+const GATES: usize = 3;
+
+/// Weights of both linear maps, each gate by itself.
+#[derive(Clone, Debug)]
+pub(crate) struct Gru {
+    inputs: usize,
+    hidden: usize,
+    input: [Weights; GATES],
+    recurrent: [Weights; GATES],
+    /// Of r and z both biases added, of n that of the input.
+    input_bias: [Vec<Line>; GATES],
+    /// Of n's recurrent part.
+    candidate_bias: Vec<Line>,
+}
+
+/// What a forward pass leaves to the backward pass, rows `t * B + b`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Trace {
+    /// r, z, n, and `W_hn h' + b_hn`; the backward pass puts the gradients by their pre-activations in their place.
+    gates: [Rows; GATES + 1],
+    /// `h'` of every step.
+    before: Rows,
+    /// The state at first, `[B, H]`; later its gradient.
+    state: Rows,
+}
+
+/// Steps, sequences and resets.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Steps<'a> {
+    pub(crate) steps: usize,
+    pub(crate) sequences: usize,
+    /// `[T, B]`
+    pub(crate) mask: &'a [f32],
+}
+
+impl Gru {
+    /// From `W_i`, `b_i`, `W_h`, `b_h`, one after another.
+    pub(crate) fn new(parameters: &[f32], (inputs, hidden): (usize, usize)) -> Self {
+        let (input, rest) = parameters.split_at(GATES * hidden * inputs);
+        let (input_bias, rest) = rest.split_at(GATES * hidden);
+        let (recurrent, recurrent_bias) = rest.split_at(GATES * hidden * hidden);
+        let gate = |of: &[f32], width: usize, gate: usize| {
+            Weights::new(&of[gate * hidden * width..][..hidden * width], (width, hidden))
+        };
+        let bias = |gate: usize| {
+            let own = &input_bias[gate * hidden..][..hidden];
+            let other = &recurrent_bias[gate * hidden..][..hidden];
+            let sum = |(own, other): (&f32, &f32)| own + other;
+            match gate {
+                2 => padded(own),
+                _ => padded(&own.iter().zip(other).map(sum).collect::<Vec<f32>>()),
+            }
+        };
+        Self {
+            inputs,
+            hidden,
+            input: core::array::from_fn(|index| gate(input, inputs, index)),
+            recurrent: core::array::from_fn(|index| gate(recurrent, hidden, index)),
+            input_bias: core::array::from_fn(bias),
+            candidate_bias: padded(&recurrent_bias[2 * hidden..]),
+        }
+    }
+
+    /// States after every step, from `start` `[B, H]`.
+    #[inline(always)]
+    pub(crate) fn forward<S: Simd>(
+        &self,
+        simd: S,
+        (x, states): (&Rows, &mut Rows),
+        (steps, start): (Steps<'_>, &[f32]),
+        trace: &mut Trace,
+    ) {
+        let (rows, count) = (steps.steps * steps.sequences, steps.sequences);
+        trace.before.resize(rows, self.hidden);
+        trace.state.resize(count, self.hidden);
+        trace.state.fill(0, start);
+        trace.gates.iter_mut().for_each(|gate| gate.resize(rows, self.hidden));
+        for (gate, weights) in self.input.iter().enumerate() {
+            let start = Start::Bias(&self.input_bias[gate]);
+            let into = trace.gates[gate].range_mut(0, rows);
+            simd.product(&weights.forward(x.range(0, rows), into, rows, start));
+        }
+        for step in 0..steps.steps {
+            let (from, to) = (step * count, (step + 1) * count);
+            let earlier = match step {
+                0 => trace.state.range(0, count),
+                _ => states.range(from - count, from),
+            };
+            let before = trace.before.range_mut(from, to);
+            masked(simd, earlier, before, &steps.mask[from..to], stride(self.hidden));
+            let before = trace.before.range(from, to);
+            for (gate, weights) in self.recurrent.iter().enumerate() {
+                let (place, start) = match gate {
+                    2 => (3, Start::Bias(&self.candidate_bias)),
+                    _ => (gate, Start::Result),
+                };
+                let into = trace.gates[place].range_mut(from, to);
+                simd.product(&weights.forward(before, into, count, start));
+            }
+            let [r, z, n, candidate] = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
+            cells(simd, (r, z, n, candidate), before, states.range_mut(from, to));
+        }
+    }
+
+    /// Backpropagation through time, last step first, from the gradient `g` by the states. Adds to the gradient of the
+    /// parameters and writes that of `x`.
+    #[inline(always)]
+    pub(crate) fn backward<S: Simd>(
+        &self,
+        simd: S,
+        (x, g): (&Rows, &Rows),
+        steps: Steps<'_>,
+        trace: &mut Trace,
+        (parameters, dx): (Option<&mut [f32]>, &mut Rows),
+    ) {
+        let (rows, count) = (steps.steps * steps.sequences, steps.sequences);
+        trace.state.range_mut(0, count).fill(Line::default());
+        for step in (0..steps.steps).rev() {
+            let (from, to) = (step * count, (step + 1) * count);
+            let [r, z, n, candidate] = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
+            let known = (g.range(from, to), trace.before.range(from, to));
+            let later = trace.state.range_mut(0, count);
+            cells_backward(simd, (r, z, n, candidate), known, later);
+            for (gate, weights) in self.recurrent.iter().enumerate() {
+                let place = if gate == 2 { 3 } else { gate };
+                let d = trace.gates[place].range(from, to);
+                let later = trace.state.range_mut(0, count);
+                simd.product(&weights.backward(d, later, count, Start::Result));
+            }
+            let later = trace.state.range_mut(0, count);
+            reset(simd, later, &steps.mask[from..to], stride(self.hidden));
+        }
+        if let Some(parameters) = parameters {
+            self.add_gradient(simd, x, rows, trace, parameters);
+        }
+        dx.resize(rows, self.inputs);
+        for (gate, weights) in self.input.iter().enumerate() {
+            let start = if gate == 0 { Start::Zero } else { Start::Result };
+            let d = trace.gates[gate].range(0, rows);
+            simd.product(&weights.backward(d, dx.range_mut(0, rows), rows, start));
+        }
+    }
+
+    #[inline(always)]
+    fn add_gradient<S: Simd>(
+        &self,
+        simd: S,
+        x: &Rows,
+        rows: usize,
+        trace: &Trace,
+        parameters: &mut [f32],
+    ) {
+        let (inputs, hidden) = (self.inputs, self.hidden);
+        let (input, rest) = parameters.split_at_mut(GATES * hidden * inputs);
+        let (input_bias, rest) = rest.split_at_mut(GATES * hidden);
+        let (recurrent, recurrent_bias) = rest.split_at_mut(GATES * hidden * hidden);
+        for gate in 0..GATES {
+            let d = trace.gates[gate].range(0, rows);
+            let into = &mut input[gate * hidden * inputs..][..hidden * inputs];
+            simd.product(&self.input[gate].gradient(d, x.range(0, rows), rows, into));
+            add_rows(simd, d, &mut input_bias[gate * hidden..][..hidden]);
+            let d = trace.gates[if gate == 2 { 3 } else { gate }].range(0, rows);
+            let into = &mut recurrent[gate * hidden * hidden..][..hidden * hidden];
+            let before = trace.before.range(0, rows);
+            simd.product(&self.recurrent[gate].gradient(d, before, rows, into));
+            add_rows(simd, d, &mut recurrent_bias[gate * hidden..][..hidden]);
+        }
+    }
+}
+
+/// `to = from * mask`, a number of the mask for every row.
+#[inline(always)]
+fn masked<S: Simd>(simd: S, from: &[Line], to: &mut [Line], mask: &[f32], stride: usize) {
+    let rows = from.chunks_exact(stride).zip(to.chunks_exact_mut(stride));
+    for ((from, to), &mask) in rows.zip(mask) {
+        for (from, to) in from.iter().zip(to) {
+            simd.store(simd.mul(simd.load(from), simd.splat(mask)), to);
+        }
+    }
+}
+
+#[inline(always)]
+fn reset<S: Simd>(simd: S, rows: &mut [Line], mask: &[f32], stride: usize) {
+    for (row, &mask) in rows.chunks_exact_mut(stride).zip(mask) {
+        for line in row {
+            simd.store(simd.mul(simd.load(line), simd.splat(mask)), line);
+        }
+    }
+}
+
+type Gates<'a> = (&'a mut [Line], &'a mut [Line], &'a mut [Line], &'a mut [Line]);
+
+/// Turns pre-activations into gates and writes the states.
+#[inline(always)]
+fn cells<S: Simd>(simd: S, (r, z, n, candidate): Gates<'_>, before: &[Line], states: &mut [Line]) {
+    let gates = r.iter_mut().zip(z).zip(n.iter_mut().zip(candidate));
+    for (((r, z), (n, candidate)), (before, state)) in gates.zip(before.iter().zip(states)) {
+        let reset = sigmoid_of(simd, simd.load(r));
+        let keep = sigmoid_of(simd, simd.load(z));
+        let new = tanh_of(simd, simd.fma(reset, simd.load(candidate), simd.load(n)));
+        simd.store(reset, r);
+        simd.store(keep, z);
+        simd.store(new, n);
+        simd.store(simd.fma(keep, simd.sub(simd.load(before), new), new), state);
+    }
+}
+
+/// Puts the gradients by the pre-activations in the gates' place. `known` is the gradient by the states from above, and
+/// `h'`; `later` comes in as that from the next step and leaves as the direct part of the gradient by `h'`.
+#[inline(always)]
+fn cells_backward<S: Simd>(
+    simd: S,
+    (r, z, n, candidate): Gates<'_>,
+    (g, before): (&[Line], &[Line]),
+    later: &mut [Line],
+) {
+    let one = simd.splat(1.0);
+    let gates = r.iter_mut().zip(z).zip(n.iter_mut().zip(candidate));
+    let known = g.iter().zip(before).zip(later);
+    for (((r, z), (n, candidate)), ((g, before), later)) in gates.zip(known) {
+        let (reset, keep, new) = (simd.load(r), simd.load(z), simd.load(n));
+        let d = simd.add(simd.load(g), simd.load(later));
+        let rest = simd.sub(one, keep);
+        let through_keep = simd.mul(simd.mul(d, simd.sub(simd.load(before), new)), keep);
+        let d_new = simd.mul(simd.mul(d, rest), slope_of_tanh(simd, new));
+        let through_reset = simd.mul(simd.mul(d_new, simd.load(candidate)), reset);
+        simd.store(simd.mul(through_reset, simd.sub(one, reset)), r);
+        simd.store(simd.mul(through_keep, rest), z);
+        simd.store(d_new, n);
+        simd.store(simd.mul(d_new, reset), candidate);
+        simd.store(simd.mul(d, keep), later);
+    }
+}

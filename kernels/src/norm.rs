@@ -1,0 +1,157 @@
+//! Layer normalisation of a block of rows.
+
+use crate::LAYER_NORM_EPSILON;
+use crate::buffer::{groups, padded, stride, unpadded};
+use crate::simd::{LANES, Line, Simd};
+
+/// A row's mean and the inverse of its deviation.
+pub(crate) type Moments = (f32, f32);
+
+/// Weight and bias, padded.
+#[derive(Clone, Debug)]
+pub(crate) struct Norm {
+    width: usize,
+    weight: Vec<Line>,
+    bias: Vec<Line>,
+    /// 1 in the lanes of the last group that hold numbers, else 0.
+    mask: Line,
+}
+
+impl Norm {
+    /// From `weight` and `bias`, `[width]` each, one after the other.
+    pub(crate) fn new(parameters: &[f32]) -> Self {
+        let width = parameters.len() / 2;
+        let (weight, bias) = parameters.split_at(width);
+        let mut mask = Line([1.0; LANES]);
+        if width % LANES != 0 {
+            mask.0[width % LANES..].fill(0.0);
+        }
+        Self { width, weight: padded(weight), bias: padded(bias), mask }
+    }
+
+    /// `x`'s lane differences from the mean; 0 in the padding.
+    #[inline(always)]
+    fn centred<S: Simd>(&self, simd: S, x: &Line, group: usize, mean: S::Vector) -> S::Vector {
+        let centred = simd.sub(simd.load(x), mean);
+        match group + 1 == self.weight.len() {
+            true => simd.mul(centred, simd.load(&self.mask)),
+            false => centred,
+        }
+    }
+
+    /// Mean and inverse deviation of a row.
+    #[inline(always)]
+    fn moments<S: Simd>(&self, simd: S, x: &[Line]) -> Moments {
+        let count = self.width as f32;
+        let mut sums = simd.splat(0.0);
+        for line in x {
+            sums = simd.add(sums, simd.load(line));
+        }
+        let mean = simd.sum(sums) / count;
+        let (mut squares, middle) = (simd.splat(0.0), simd.splat(mean));
+        for (group, line) in x.iter().enumerate() {
+            let centred = self.centred(simd, line, group, middle);
+            squares = simd.fma(centred, centred, squares);
+        }
+        let variance = simd.sum(squares) / count;
+        (mean, 1.0 / (variance + LAYER_NORM_EPSILON).sqrt())
+    }
+
+    #[inline(always)]
+    pub(crate) fn forward<S: Simd>(
+        &self,
+        simd: S,
+        x: &[Line],
+        y: &mut [Line],
+        moments: &mut [Moments],
+    ) {
+        let (stride, groups) = (stride(self.width), groups(self.width));
+        let rows = x.chunks_exact(stride).zip(y.chunks_exact_mut(stride));
+        for ((x, y), moments) in rows.zip(moments) {
+            let (x, y) = (&x[..groups], &mut y[..groups]);
+            *moments = self.moments(simd, x);
+            let (mean, inverse) = (simd.splat(moments.0), simd.splat(moments.1));
+            for (group, (x, y)) in x.iter().zip(y).enumerate() {
+                let normal = simd.mul(simd.sub(simd.load(x), mean), inverse);
+                let (weight, bias) = (&self.weight[group], &self.bias[group]);
+                simd.store(simd.fma(normal, simd.load(weight), simd.load(bias)), y);
+            }
+        }
+    }
+
+    /// Adds to the gradient of weight and bias, and writes that of `x`.
+    #[inline(always)]
+    pub(crate) fn backward<S: Simd>(
+        &self,
+        simd: S,
+        (x, g, moments): (&[Line], &[Line], &[Moments]),
+        parameters: Option<&mut [f32]>,
+        dx: Option<&mut [Line]>,
+    ) {
+        if let Some(parameters) = parameters {
+            self.add_gradient(simd, (x, g, moments), parameters);
+        }
+        let Some(dx) = dx else { return };
+        let (stride, groups) = (stride(self.width), groups(self.width));
+        let rows = x.chunks_exact(stride).zip(g.chunks_exact(stride)).zip(moments);
+        for (((x, g), &moments), dx) in rows.zip(dx.chunks_exact_mut(stride)) {
+            self.backward_row(simd, (&x[..groups], &g[..groups], moments), &mut dx[..groups]);
+        }
+    }
+
+    /// `dx = (d - (sum d + normal sum d normal) / n) / deviation` with `d = g weight`.
+    #[inline(always)]
+    fn backward_row<S: Simd>(
+        &self,
+        simd: S,
+        (x, g, moments): (&[Line], &[Line], Moments),
+        dx: &mut [Line],
+    ) {
+        let (mean, inverse) = (simd.splat(moments.0), simd.splat(moments.1));
+        let (mut plain, mut normals) = (simd.splat(0.0), simd.splat(0.0));
+        for (group, (x, g)) in x.iter().zip(g).enumerate() {
+            let d = simd.mul(simd.load(g), simd.load(&self.weight[group]));
+            let normal = simd.mul(simd.sub(simd.load(x), mean), inverse);
+            plain = simd.add(plain, d);
+            normals = simd.fma(d, normal, normals);
+        }
+        let share = 1.0 / self.width as f32;
+        let plain = simd.splat(simd.sum(plain) * share);
+        let normals = simd.splat(simd.sum(normals) * share);
+        for (group, ((x, g), dx)) in x.iter().zip(g).zip(dx).enumerate() {
+            let d = simd.mul(simd.load(g), simd.load(&self.weight[group]));
+            let normal = simd.mul(simd.sub(simd.load(x), mean), inverse);
+            let rest = simd.sub(d, simd.fma(normal, normals, plain));
+            let mut found = simd.mul(rest, inverse);
+            if group + 1 == self.weight.len() {
+                found = simd.mul(found, simd.load(&self.mask));
+            }
+            simd.store(found, dx);
+        }
+    }
+
+    #[inline(always)]
+    fn add_gradient<S: Simd>(
+        &self,
+        simd: S,
+        (x, g, moments): (&[Line], &[Line], &[Moments]),
+        parameters: &mut [f32],
+    ) {
+        let stride = stride(self.width);
+        let (weight, bias) = parameters.split_at_mut(self.width);
+        let (mut by_weight, mut by_bias) = (padded(weight), padded(bias));
+        let rows = x.chunks_exact(stride).zip(g.chunks_exact(stride)).zip(moments);
+        for ((x, g), moments) in rows {
+            let (mean, inverse) = (simd.splat(moments.0), simd.splat(moments.1));
+            let sums = by_weight.iter_mut().zip(&mut by_bias);
+            for ((by_weight, by_bias), (x, g)) in sums.zip(x.iter().zip(g)) {
+                let normal = simd.mul(simd.sub(simd.load(x), mean), inverse);
+                let g = simd.load(g);
+                simd.store(simd.fma(g, normal, simd.load(by_weight)), by_weight);
+                simd.store(simd.add(simd.load(by_bias), g), by_bias);
+            }
+        }
+        unpadded(&by_weight, weight);
+        unpadded(&by_bias, bias);
+    }
+}

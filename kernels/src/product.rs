@@ -1,0 +1,268 @@
+//! Matrix products. One kernel serves all three of a linear layer: forwards, by its weights and by its rows.
+//!
+//! Every element of a result is one chain of fused multiply-adds in the order of `k`. So it does not depend on how rows
+//! and columns are dealt out to tiles.
+
+use core::marker::PhantomData;
+
+use crate::simd::{LANES, Line, Simd};
+
+/// A strided matrix that is read: element `(i, k)` is `data[i * outer + k * inner]`.
+#[derive(Clone, Copy)]
+pub(crate) struct Left<'a> {
+    data: *const f32,
+    outer: usize,
+    inner: usize,
+    rows: usize,
+    depth: usize,
+    borrowed: PhantomData<&'a [f32]>,
+}
+
+impl<'a> Left<'a> {
+    /// `rows` rows of `depth` numbers, `stride` apart.
+    pub(crate) fn rows(data: &'a [f32], stride: usize, (rows, depth): (usize, usize)) -> Self {
+        assert!(rows > 0 && depth > 0 && depth <= stride, "{rows} rows of {depth} in {stride}");
+        assert!((rows - 1) * stride + depth <= data.len(), "rows beyond the data");
+        Self { data: data.as_ptr(), outer: stride, inner: 1, rows, depth, borrowed: PhantomData }
+    }
+
+    /// The transpose: `width` rows of `rows` numbers.
+    pub(crate) fn columns(data: &'a [f32], stride: usize, (rows, width): (usize, usize)) -> Self {
+        let Self { data, outer, rows, depth, borrowed, .. } =
+            Self::rows(data, stride, (rows, width));
+        Self { data, outer: 1, inner: outer, rows: depth, depth: rows, borrowed }
+    }
+}
+
+/// Lines that are read: the one of columns `16 g..16 (g + 1)` in row `k` is `lines[g * group + k * row]`.
+#[derive(Clone, Copy)]
+pub(crate) struct Right<'a> {
+    lines: &'a [Line],
+    group: usize,
+    row: usize,
+}
+
+impl<'a> Right<'a> {
+    /// Packed weights: all rows of a group of columns one after another.
+    pub(crate) fn packed(lines: &'a [Line], depth: usize) -> Self {
+        Self { lines, group: depth, row: 1 }
+    }
+
+    /// Rows of `stride` lines each.
+    pub(crate) fn rows(lines: &'a [Line], stride: usize) -> Self {
+        Self { lines, group: 1, row: stride }
+    }
+}
+
+/// What the chains of multiply-adds begin with.
+#[derive(Clone, Copy)]
+pub(crate) enum Start<'a> {
+    Zero,
+    /// One line for every group of columns.
+    Bias(&'a [Line]),
+    /// What the result holds already.
+    Result,
+}
+
+/// `C = start + A B` with `C` of `columns` columns, `stride` numbers between its rows.
+pub(crate) struct Product<'a> {
+    left: Left<'a>,
+    right: Right<'a>,
+    start: Start<'a>,
+    relu: bool,
+    columns: usize,
+    result: *mut f32,
+    stride: usize,
+    /// Whether the last group's padding is written too.
+    padded: bool,
+    borrowed: PhantomData<&'a mut [f32]>,
+}
+
+impl<'a> Product<'a> {
+    /// Into lines, whose padding beyond the columns is written as the right side's lanes have it.
+    pub(crate) fn lines(
+        left: Left<'a>,
+        right: Right<'a>,
+        (result, stride): (&'a mut [Line], usize),
+        columns: usize,
+        start: Start<'a>,
+    ) -> Self {
+        assert!(columns.div_ceil(LANES) <= stride, "{columns} columns in {stride} lines");
+        assert!(left.rows * stride <= result.len(), "a result of {} rows", left.rows);
+        let result = result.as_mut_ptr().cast::<f32>();
+        Self::new((left, right), (result, stride * LANES), columns, start, true)
+    }
+
+    /// Into a dense matrix `[rows, columns]`.
+    pub(crate) fn dense(
+        left: Left<'a>,
+        right: Right<'a>,
+        result: &'a mut [f32],
+        columns: usize,
+        start: Start<'a>,
+    ) -> Self {
+        assert_eq!(result.len(), left.rows * columns, "a result of {} rows", left.rows);
+        Self::new((left, right), (result.as_mut_ptr(), columns), columns, start, false)
+    }
+
+    fn new(
+        (left, right): (Left<'a>, Right<'a>),
+        (result, stride): (*mut f32, usize),
+        columns: usize,
+        start: Start<'a>,
+        padded: bool,
+    ) -> Self {
+        let groups = columns.div_ceil(LANES);
+        let last = (groups.max(1) - 1) * right.group + (left.depth - 1) * right.row;
+        assert!(columns > 0 && last < right.lines.len(), "columns or rows beyond the right side");
+        if let Start::Bias(bias) = start {
+            assert!(groups <= bias.len(), "a bias of {} lines for {groups} groups", bias.len());
+        }
+        let borrowed = PhantomData;
+        Self { left, right, start, relu: false, columns, result, stride, padded, borrowed }
+    }
+
+    /// The same with `max(x, 0)` of every element.
+    pub(crate) fn rectified(self) -> Self {
+        Self { relu: true, ..self }
+    }
+}
+
+/// Computes `product`, inlined where the registers' width is known.
+#[inline(always)]
+pub(crate) fn run<S: Simd>(simd: S, product: &Product<'_>) {
+    let tiles = product.left.rows.div_ceil(S::TILE_ROWS);
+    let (height, taller) = (product.left.rows / tiles, product.left.rows % tiles);
+    let groups = product.columns.div_ceil(LANES);
+    let whole = if product.padded { groups } else { product.columns / LANES };
+    let side_by_side = groups_of_tile::<S>(height + usize::from(taller > 0));
+    let mut group = 0;
+    while group < groups {
+        let count = if group + side_by_side <= whole { side_by_side } else { 1 };
+        let mut row = 0;
+        for tile in 0..tiles {
+            let rows = height + usize::from(tile < taller);
+            // SAFETY: `row + rows` never exceeds the rows, nor `group + count` the groups, which are whole where there
+            // are several; `Product::new` and its callers have checked what they span.
+            unsafe { tile_of(simd, product, (group, count), (row, rows)) };
+            row += rows;
+        }
+        group += count;
+    }
+}
+
+/// Groups of columns whose sums grow side by side in a tile of `rows` rows: few sums would wait for each other.
+#[inline(always)]
+fn groups_of_tile<S: Simd>(rows: usize) -> usize {
+    match rows {
+        _ if 4 * rows <= S::TILE_ROWS => 4,
+        _ if 2 * rows <= S::TILE_ROWS => 2,
+        _ => 1,
+    }
+}
+
+/// # Safety
+/// Rows and groups are in the product, and several groups are whole.
+#[inline(always)]
+unsafe fn tile_of<S: Simd>(
+    simd: S,
+    product: &Product<'_>,
+    (group, count): (usize, usize),
+    (row, rows): (usize, usize),
+) {
+    macro_rules! by_shape {
+        ($($height:literal x $groups:literal,)*) => {
+            match (rows, count) {
+                $(($height, $groups) if $height <= S::TILE_ROWS => {
+                    // SAFETY: the caller's.
+                    unsafe { tile::<S, $height, $groups>(simd, product, group, row) }
+                })*
+                _ => unreachable!("a tile of {rows} rows and {count} groups"),
+            }
+        };
+    }
+    by_shape!(
+        1 x 1, 2 x 1, 3 x 1, 4 x 1, 5 x 1, 6 x 1, 7 x 1, 8 x 1, 9 x 1, 10 x 1, 11 x 1, 12 x 1,
+        1 x 2, 2 x 2, 3 x 2, 4 x 2, 5 x 2, 6 x 2, 1 x 4, 2 x 4, 3 x 4,
+    );
+}
+
+/// `M` rows of `N` groups of sixteen columns.
+///
+/// # Safety
+/// Rows and groups are in the product, and several groups are whole.
+#[inline(always)]
+unsafe fn tile<S: Simd, const M: usize, const N: usize>(
+    simd: S,
+    product: &Product<'_>,
+    group: usize,
+    row: usize,
+) {
+    let Product { left, right, stride, .. } = product;
+    let whole = product.padded || (group + N) * LANES <= product.columns;
+    let width = if whole { LANES } else { product.columns - group * LANES };
+    let mut sums = [[simd.splat(0.0); N]; M];
+    // SAFETY: rows and groups are in range by the caller's word; `Product::new` has checked what they span.
+    unsafe {
+        let result = product.result.add(row * stride + group * LANES);
+        for (m, sums) in sums.iter_mut().enumerate() {
+            for (n, sum) in sums.iter_mut().enumerate() {
+                *sum = match product.start {
+                    Start::Zero => *sum,
+                    Start::Bias(bias) => simd.load(bias.get_unchecked(group + n)),
+                    Start::Result if whole => simd.load_pointer(result.add(m * stride + n * LANES)),
+                    Start::Result => load_part(simd, result.add(m * stride), width),
+                };
+            }
+        }
+        let mut a = left.data.add(row * left.outer);
+        let mut b = right.lines.as_ptr().add(group * right.group).cast::<f32>();
+        for _ in 0..left.depth {
+            let mut lines = [simd.splat(0.0); N];
+            for (n, line) in lines.iter_mut().enumerate() {
+                *line = simd.load_pointer(b.add(n * right.group * LANES));
+            }
+            for (m, sums) in sums.iter_mut().enumerate() {
+                let a = simd.splat(*a.add(m * left.outer));
+                for (sum, line) in sums.iter_mut().zip(lines) {
+                    *sum = simd.fma(a, line, *sum);
+                }
+            }
+            a = a.wrapping_add(left.inner);
+            b = b.wrapping_add(right.row * LANES);
+        }
+        for (m, sums) in sums.into_iter().enumerate() {
+            for (n, mut sum) in sums.into_iter().enumerate() {
+                if product.relu {
+                    sum = simd.at_least(simd.splat(0.0), sum);
+                }
+                match whole {
+                    true => simd.store_pointer(sum, result.add(m * stride + n * LANES)),
+                    false => store_part(simd, sum, result.add(m * stride), width),
+                }
+            }
+        }
+    }
+}
+
+/// The first `width` lanes, the others 0.
+///
+/// # Safety
+/// That many numbers can be read.
+#[inline(always)]
+unsafe fn load_part<S: Simd>(simd: S, from: *const f32, width: usize) -> S::Vector {
+    let mut line = Line::default();
+    // SAFETY: the caller's; a line holds sixteen.
+    unsafe { core::ptr::copy_nonoverlapping(from, line.0.as_mut_ptr(), width) };
+    simd.load(&line)
+}
+
+/// # Safety
+/// `width` numbers can be written.
+#[inline(always)]
+unsafe fn store_part<S: Simd>(simd: S, x: S::Vector, to: *mut f32, width: usize) {
+    let mut line = Line::default();
+    simd.store(x, &mut line);
+    // SAFETY: the caller's; a line holds sixteen.
+    unsafe { core::ptr::copy_nonoverlapping(line.0.as_ptr(), to, width) };
+}

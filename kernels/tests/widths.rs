@@ -1,0 +1,166 @@
+//! The same bits at every width, in every batch.
+
+use kernels::{Activation, Input, Layer, Memory, Network, Packed, Width, Workspace, select};
+
+/// Numbers in `(-1, 1)` without a pattern that a kernel could follow.
+fn numbers(count: usize, seed: u64) -> Vec<f32> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 40) as f32 / 8_388_608.0 - 1.0
+    };
+    (0..count).map(|_| next()).collect()
+}
+
+fn mlp(inputs: usize, width: usize, outputs: usize, norm: bool) -> Network {
+    let mut layers = Vec::new();
+    if norm {
+        layers.push(Layer::Norm { width: inputs });
+    }
+    let mut from = inputs;
+    for _ in 0..2 {
+        layers.push(Layer::Linear { inputs: from, outputs: width, activation: Activation::Relu });
+        layers.push(Layer::Norm { width });
+        from = width;
+    }
+    layers.push(Layer::Linear { inputs: from, outputs, activation: Activation::Identity });
+    Network::new(layers)
+}
+
+fn gru(inputs: usize, hidden: usize, outputs: usize) -> Network {
+    Network::new(vec![
+        Layer::Norm { width: inputs },
+        Layer::Linear { inputs, outputs: hidden, activation: Activation::Tanh },
+        Layer::Gru { inputs: hidden, hidden },
+        Layer::Norm { width: hidden },
+        Layer::Linear { inputs: hidden, outputs, activation: Activation::Identity },
+    ])
+}
+
+/// Output, gradient of the parameters and gradient of the input of one pass, as bits.
+fn pass(network: &Network, rows: usize, sequences: usize) -> Vec<u32> {
+    let packed = Packed::new(network, &numbers(network.parameters(), 1));
+    let input = numbers(rows * network.inputs(), 2);
+    let start = numbers(sequences * network.gru().map_or(0, |(_, hidden)| hidden), 3);
+    let mask: Vec<f32> = (0..rows).map(|row| f32::from(u8::from(row % 7 != 3))).collect();
+    let memory = network.gru().map(|_| Memory { start: &start, mask: &mask, sequences });
+    let mut workspace = Workspace::default();
+    packed.forward(Input { rows: &input, memory }, &mut workspace);
+    let mut all = Vec::new();
+    workspace.append_output(&mut all);
+    workspace.append_features(&mut all);
+    let mut gradient = numbers(network.parameters(), 5);
+    let output = numbers(rows * network.outputs(), 4);
+    let mut by_input = Vec::new();
+    packed.backward(&output, memory, &mut workspace, Some(&mut gradient), Some(&mut by_input));
+    assert_eq!(by_input.len(), input.len());
+    all.extend(gradient);
+    all.extend(by_input);
+    all.into_iter().map(f32::to_bits).collect()
+}
+
+fn cases() -> Vec<(Network, usize, usize)> {
+    let mut cases = vec![
+        (mlp(1, 1, 1, true), 1, 0),
+        (mlp(17, 33, 2, true), 7, 0),
+        (mlp(23, 64, 3, false), 37, 0),
+        (gru(1, 1, 1), 3, 3),
+        (gru(17, 17, 3), 15, 3),
+    ];
+    if !cfg!(miri) {
+        cases.extend([
+            (mlp(111, 100, 5, true), 250, 0),
+            (mlp(23, 128, 3, true), 513, 0),
+            (gru(111, 64, 2), 250, 25),
+            (gru(19, 33, 6), 300, 1),
+        ]);
+    }
+    cases
+}
+
+#[test]
+fn every_width_of_this_processor_gives_the_bits_of_the_scalar_code() {
+    for (network, rows, sequences) in cases() {
+        assert!(select(Width::Scalar));
+        let expected = pass(&network, rows, sequences);
+        for width in Width::ALL.into_iter().filter(|&width| select(width)) {
+            let same = pass(&network, rows, sequences) == expected;
+            assert!(same, "{} differs, {rows} rows of {network:?}", width.name());
+        }
+    }
+}
+
+#[test]
+fn a_row_has_the_same_result_in_every_batch() {
+    let network = mlp(19, 48, 3, true);
+    let packed = Packed::new(&network, &numbers(network.parameters(), 1));
+    let rows = if cfg!(miri) { 9 } else { 300 };
+    let input = numbers(rows * 19, 2);
+    let mut workspace = Workspace::default();
+    let mut together = Vec::new();
+    packed.forward(Input { rows: &input, memory: None }, &mut workspace);
+    workspace.append_output(&mut together);
+    for size in [1, 2, 5, 13] {
+        let mut alone = Vec::new();
+        for part in input.chunks(size * 19) {
+            packed.forward(Input { rows: part, memory: None }, &mut workspace);
+            workspace.append_output(&mut alone);
+        }
+        assert_eq!(alone, together, "batches of {size}");
+    }
+}
+
+#[test]
+fn gradients_are_one_chain_over_rows_whatever_the_batch() {
+    let network = mlp(19, 48, 3, true);
+    let packed = Packed::new(&network, &numbers(network.parameters(), 1));
+    let rows = if cfg!(miri) { 9 } else { 300 };
+    let (input, output) = (numbers(rows * 19, 2), numbers(rows * 3, 3));
+    let found = |size: usize| {
+        let (mut workspace, mut gradient) = (Workspace::default(), vec![0.0; network.parameters()]);
+        for (input, output) in input.chunks(size * 19).zip(output.chunks(size * 3)) {
+            packed.forward(Input { rows: input, memory: None }, &mut workspace);
+            packed.backward(output, None, &mut workspace, Some(&mut gradient), None);
+        }
+        gradient
+    };
+    let whole = found(rows);
+    for size in [1, 7, 128] {
+        assert_eq!(found(size), whole, "batches of {size}");
+    }
+}
+
+#[test]
+fn a_gradient_of_the_input_is_there_without_one_of_the_parameters() {
+    let network = mlp(5, 16, 1, false);
+    let packed = Packed::new(&network, &numbers(network.parameters(), 1));
+    let input = numbers(20, 2);
+    let mut workspace = Workspace::default();
+    let mut found = Vec::new();
+    packed.forward(Input { rows: &input, memory: None }, &mut workspace);
+    packed.backward(&[1.0; 4], None, &mut workspace, None, Some(&mut found));
+    let mut outputs = Vec::new();
+    for by in [1e-2_f32, -1e-2] {
+        let moved: Vec<f32> =
+            input.iter().enumerate().map(|(i, x)| if i == 7 { x + by } else { *x }).collect();
+        packed.forward(Input { rows: &moved, memory: None }, &mut workspace);
+        workspace.append_output(&mut outputs);
+    }
+    let slope = (outputs[1] - outputs[5]) / 2e-2;
+    assert!((slope - found[7]).abs() < 1e-2 * (1.0 + slope.abs()), "{slope} {}", found[7]);
+}
+
+#[test]
+fn nan_in_a_row_stays_in_that_row() {
+    let network = mlp(5, 16, 2, true);
+    let packed = Packed::new(&network, &numbers(network.parameters(), 1));
+    let mut input = numbers(20, 2);
+    input[7] = f32::NAN;
+    let (mut workspace, mut output) = (Workspace::default(), Vec::new());
+    packed.forward(Input { rows: &input, memory: None }, &mut workspace);
+    workspace.append_output(&mut output);
+    let nan: Vec<bool> = output.iter().map(|x| x.is_nan()).collect();
+    assert_eq!(nan, [false, false, true, true, false, false, false, false]);
+}

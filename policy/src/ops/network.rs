@@ -1,0 +1,285 @@
+//! A whole network as one node of the graph.
+
+use std::cell::RefCell;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::backend::BackendStorage as _;
+use candle_core::{CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, Var};
+use kernels::{Input, Memory, Network, Packed, Workspace};
+use rand::RngCore;
+
+use super::plain;
+use super::values::{operand, values};
+use crate::error::PolicyError;
+use crate::layers::{LayerSpec, network_of};
+use crate::parameters::Parameters;
+
+/// Layers with trainable parameters, which are one flat variable.
+#[derive(Clone, Debug)]
+pub struct LayerStack {
+    network: Arc<Network>,
+    flat: Var,
+}
+
+/// The weights of a [`LayerStack`] as they are now, ready to compute with; to be taken once per optimiser step.
+#[derive(Clone, Debug)]
+pub struct Weights {
+    network: Arc<Network>,
+    flat: Tensor,
+    /// In single precision.
+    packed: Option<Arc<Packed>>,
+}
+
+/// How the rows of a recurrent network follow each other: rows `t * B + b`.
+#[derive(Clone, Copy, Debug)]
+pub struct RecurrentInput<'a> {
+    /// Recurrent state before the first step, `[B, H]`; a constant.
+    pub start: &'a Tensor,
+    /// 0 where the state is reset before the step, else 1, `[T, B]`.
+    pub mask: &'a Tensor,
+}
+
+impl LayerStack {
+    /// Declares the layers' parameters, their starts drawn in order.
+    ///
+    /// # Errors
+    /// Passes on a tensor error; refuses a name that is taken.
+    pub fn declare(
+        parameters: &mut Parameters,
+        specs: &[LayerSpec],
+        dtype: DType,
+        rng: &mut impl RngCore,
+    ) -> core::result::Result<Self, PolicyError> {
+        let start: Vec<f32> = specs.iter().flat_map(|spec| spec.start(rng)).collect();
+        let named = specs.iter().flat_map(LayerSpec::parameters).collect();
+        let flat = parameters.add_all(named, start, dtype)?;
+        Ok(Self { network: Arc::new(network_of(specs)), flat })
+    }
+
+    /// The weights as they are now, by which gradients are known.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn weights(&self) -> Result<Weights> {
+        self.weights_of(self.flat.as_tensor().clone())
+    }
+
+    /// As [`LayerStack::weights`], constants.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn constant_weights(&self) -> Result<Weights> {
+        self.weights_of(self.flat.as_tensor().detach())
+    }
+
+    fn weights_of(&self, flat: Tensor) -> Result<Weights> {
+        let packed = match flat.dtype() {
+            DType::F32 => Some(Arc::new(Packed::new(&self.network, &values::<f32>(&flat)?))),
+            _ => None,
+        };
+        Ok(Weights { network: Arc::clone(&self.network), flat, packed })
+    }
+}
+
+impl Weights {
+    /// The network's output `[R, out]` for rows `x` `[R, in]`.
+    ///
+    /// # Errors
+    /// If shapes or element types do not fit.
+    pub fn apply(&self, x: &Tensor, recurrent: Option<RecurrentInput<'_>>) -> Result<Tensor> {
+        let x = &x.contiguous()?;
+        match &self.packed {
+            Some(packed) => x.apply_op2(&self.flat, Fused::new(packed, x, recurrent)?),
+            None => plain::network(&self.network, x, &self.flat, recurrent).map(|layers| {
+                let last = layers.len() - 1;
+                layers[last].clone()
+            }),
+        }
+    }
+
+    /// What the last layer is given, `[R, F]`, and the output, `[R, out]`; both constants.
+    ///
+    /// # Errors
+    /// If shapes or element types do not fit.
+    pub fn features_and_output(
+        &self,
+        x: &Tensor,
+        recurrent: Option<RecurrentInput<'_>>,
+    ) -> Result<(Tensor, Tensor)> {
+        let (x, rows) = (&x.contiguous()?, x.dim(0)?);
+        let Some(packed) = &self.packed else {
+            let layers = plain::network(&self.network, x, &self.flat.detach(), recurrent)?;
+            let last = layers.len() - 1;
+            return Ok((layers[last - 1].detach(), layers[last].detach()));
+        };
+        let op = Fused::new(packed, x, recurrent)?;
+        let (mut features, mut output) = (Vec::new(), Vec::new());
+        let layers = self.network.layers();
+        let width = layers[layers.len() - 1].inputs();
+        with_workspace(|workspace| {
+            op.forward(&values::<f32>(x)?, workspace);
+            workspace.append_features(&mut features);
+            workspace.append_output(&mut output);
+            Ok(())
+        })?;
+        Ok((
+            Tensor::from_vec(features, (rows, width), x.device())?,
+            Tensor::from_vec(output, (rows, self.network.outputs()), x.device())?,
+        ))
+    }
+
+    /// The recurrent state after the last step, `[B, H]`, a constant; nothing without a GRU.
+    ///
+    /// # Errors
+    /// If shapes or element types do not fit.
+    pub fn last_states(&self, x: &Tensor, recurrent: RecurrentInput<'_>) -> Result<Option<Tensor>> {
+        let Some((gru, hidden)) = self.network.gru() else { return Ok(None) };
+        let (steps, sequences) = recurrent.mask.dims2()?;
+        let Some(packed) = &self.packed else {
+            let layers = plain::network(&self.network, x, &self.flat.detach(), Some(recurrent))?;
+            let last = layers[gru + 1].narrow(0, (steps - 1) * sequences, sequences)?;
+            return Ok(Some(last.detach()));
+        };
+        let x = &x.contiguous()?;
+        let op = Fused::new(packed, x, Some(recurrent))?;
+        let mut states = Vec::new();
+        with_workspace(|workspace| {
+            op.forward(&values::<f32>(x)?, workspace);
+            workspace.append_last_states(gru, sequences, &mut states);
+            Ok(())
+        })?;
+        Ok(Some(Tensor::from_vec(states, (sequences, hidden), x.device())?))
+    }
+}
+
+thread_local! {
+    /// Buffers that wait for the next pass on this thread.
+    static IDLE: RefCell<Vec<Workspace>> = const { RefCell::new(Vec::new()) };
+}
+
+fn take_workspace() -> Workspace {
+    IDLE.with_borrow_mut(Vec::pop).unwrap_or_default()
+}
+
+fn give_back(workspace: Workspace) {
+    IDLE.with_borrow_mut(|idle| idle.push(workspace));
+}
+
+fn with_workspace<T>(work: impl FnOnce(&mut Workspace) -> Result<T>) -> Result<T> {
+    let mut workspace = take_workspace();
+    let found = work(&mut workspace);
+    give_back(workspace);
+    found
+}
+
+/// A network's forward pass, and the backward pass that goes with it.
+struct Fused {
+    packed: Arc<Packed>,
+    recurrent: Option<Recurrent>,
+    /// From the forward to the backward pass.
+    workspace: Mutex<Option<Workspace>>,
+}
+
+struct Recurrent {
+    start: Vec<f32>,
+    mask: Vec<f32>,
+    sequences: usize,
+}
+
+impl Drop for Fused {
+    fn drop(&mut self) {
+        let kept = self.workspace.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        kept.into_iter().for_each(give_back);
+    }
+}
+
+impl Fused {
+    fn new(
+        packed: &Arc<Packed>,
+        x: &Tensor,
+        recurrent: Option<RecurrentInput<'_>>,
+    ) -> Result<Self> {
+        let (rows, width) = x.dims2()?;
+        let network = packed.network();
+        if width != network.inputs() || x.dtype() != DType::F32 {
+            let expected = network.inputs();
+            candle_core::bail!("a network for {expected} f32 numbers: x {:?}", x.layout())
+        }
+        let recurrent = match (network.gru(), recurrent) {
+            (Some((_, hidden)), Some(given)) => {
+                let ((steps, sequences), state) = (given.mask.dims2()?, given.start.dims2()?);
+                if state != (sequences, hidden) || steps * sequences != rows {
+                    let mask = (steps, sequences);
+                    candle_core::bail!("{rows} rows with states {state:?} and a mask {mask:?}")
+                }
+                let flat = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
+                let (start, mask) = (flat(given.start)?, flat(given.mask)?);
+                Some(Recurrent { start, mask, sequences })
+            }
+            (Some(_), None) => candle_core::bail!("a recurrent network without states"),
+            (None, _) => None,
+        };
+        Ok(Self { packed: Arc::clone(packed), recurrent, workspace: Mutex::default() })
+    }
+
+    fn memory(&self) -> Option<Memory<'_>> {
+        self.recurrent.as_ref().map(|Recurrent { start, mask, sequences }| Memory {
+            start,
+            mask,
+            sequences: *sequences,
+        })
+    }
+
+    fn forward(&self, rows: &[f32], workspace: &mut Workspace) {
+        self.packed.forward(Input { rows, memory: self.memory() }, workspace);
+    }
+}
+
+impl CustomOp2 for Fused {
+    fn name(&self) -> &'static str {
+        "network"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        flat: &CpuStorage,
+        _flat_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        if x.dtype() != flat.dtype() {
+            candle_core::bail!("network: element types differ")
+        }
+        let (rows, _) = x_layout.shape().dims2()?;
+        let mut workspace = take_workspace();
+        self.forward(operand(x, x_layout)?, &mut workspace);
+        let mut output = Vec::with_capacity(rows * self.packed.network().outputs());
+        workspace.append_output(&mut output);
+        *self.workspace.lock().unwrap_or_else(PoisonError::into_inner) = Some(workspace);
+        let shape = Shape::from((rows, self.packed.network().outputs()));
+        Ok((candle_core::WithDType::to_cpu_storage_owned(output), shape))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        flat: &Tensor,
+        _y: &Tensor,
+        g: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let kept = self.workspace.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(mut workspace) = kept else {
+            candle_core::bail!("a second backward pass over one forward pass")
+        };
+        let g = g.contiguous()?;
+        let mut by_flat = flat.track_op().then(|| vec![0.0; flat.elem_count()]);
+        let mut by_x = x.track_op().then(Vec::new);
+        let output = values::<f32>(&g)?;
+        let (parameters, input) = (by_flat.as_deref_mut(), by_x.as_mut());
+        self.packed.backward(&output, self.memory(), &mut workspace, parameters, input);
+        give_back(workspace);
+        let by_x = by_x.map(|data| Tensor::from_vec(data, x.shape(), x.device())).transpose()?;
+        let by_flat = by_flat.map(|data| Tensor::from_vec(data, flat.shape(), x.device()));
+        Ok((by_x, by_flat.transpose()?))
+    }
+}
