@@ -2,6 +2,7 @@
 //! networks' automatic differentiation.
 
 use candle_core::{DType, Device, Tensor, Var};
+use policy::ops::Backward;
 use policy::parameters::Parameters;
 
 use crate::error::MarlError;
@@ -45,13 +46,10 @@ impl Gradients {
     /// Names a parameter that the root does not reach: a silent hole in a backward pass would
     /// otherwise leave it untrained.
     pub fn of(parameters: &Parameters, root: &Tensor) -> Result<Self, MarlError> {
-        let store = root.backward()?;
-        let flat = |(index, var): (usize, &Var)| {
-            let hole = || MarlError::NoGradient(parameters.name_of(index).to_owned());
-            Reals::of(store.get(var.as_tensor()).ok_or_else(hole)?)
-        };
+        let mut backward = Backward::from(root)?;
         let vars = parameters.vars().iter().enumerate();
-        Ok(Self(vars.map(flat).collect::<Result<_, MarlError>>()?))
+        let one = |(index, var)| by(&mut backward, var, parameters.name_of(index));
+        Ok(Self(vars.map(one).collect::<Result<_, MarlError>>()?))
     }
 
     /// Adds `other`, number by number.
@@ -77,6 +75,18 @@ impl Gradients {
     pub fn norm(&self) -> f64 {
         libm::sqrt(self.0.iter().map(Reals::sum_of_squares).sum())
     }
+}
+
+/// The gradient by a variable whose first parameter is `name`.
+///
+/// # Errors
+/// If the backward pass has not reached it.
+pub fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Reals, MarlError> {
+    if let Some(fused) = backward.take_fused(var) {
+        return Ok(Reals::Single(fused));
+    }
+    let found = backward.by(var)?;
+    Reals::of(&found.ok_or_else(|| MarlError::NoGradient(name.to_owned()))?)
 }
 
 /// The numbers of a tensor in f64, row-major.

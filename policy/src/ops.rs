@@ -10,7 +10,7 @@ mod sigmoid;
 mod values;
 
 pub use kernels::{Activation, Layer, Network};
-pub use network::{LayerStack, RecurrentInput, Weights};
+pub use network::{Backward, LayerStack, RecurrentInput, Weights};
 pub use sigmoid::sigmoid;
 
 /// Added to a variance before its root, in a layer norm.

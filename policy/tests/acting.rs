@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use candle_core::{DType, Device, Tensor};
+use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
     ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, PolicyConfig, RefreshHidden,
@@ -142,10 +143,10 @@ fn every_parameter_has_a_gradient() {
         let loss = (head.mean.sqr().unwrap().sum_all().unwrap()
             + head.sigma.log().unwrap().sum_all().unwrap())
         .unwrap();
-        let gradients = loss.backward().unwrap();
+        let gradients = Backward::from(&loss).unwrap();
         for (index, var) in network.parameters().vars().iter().enumerate() {
             let name = network.parameters().name_of(index);
-            assert!(gradients.get(var).is_some(), "{name} has no gradient");
+            assert!(gradients.by(var).unwrap().is_some(), "{name} has no gradient");
         }
     }
 }

@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use candle_core::{DType, Device, Tensor};
+use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
     ActorNetwork, CoreKind, Distribution, Head, PolicyConfig, PolicySnapshot, RefreshHidden,
@@ -104,9 +105,9 @@ fn every_parameter_has_a_gradient_and_none_is_a_deviation() {
     for core in [CoreKind::Gru, CoreKind::Mlp] {
         let network = network(core);
         let loss = logits(&network, &normals(5, 6 * OBSERVATION), 6).sqr().unwrap();
-        let gradients = loss.sum_all().unwrap().backward().unwrap();
+        let gradients = Backward::from(&loss.sum_all().unwrap()).unwrap();
         for var in network.parameters().vars() {
-            assert!(gradients.get(var).is_some());
+            assert!(gradients.by(var).unwrap().is_some());
         }
         let named = |slot: &policy::parameters::Slot| slot.name == "head.log_std";
         assert!(!network.parameters().slots().iter().any(named));

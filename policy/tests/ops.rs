@@ -4,7 +4,7 @@
 use candle_core::{DType, Device, Result, Tensor};
 use policy::Parameters;
 use policy::layers::LayerSpec;
-use policy::ops::{self, Activation, LayerStack, RecurrentInput};
+use policy::ops::{self, Activation, Backward, LayerStack, RecurrentInput};
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
 const STEPS: usize = 5;
@@ -69,8 +69,9 @@ fn pass(specs: &[LayerSpec], inputs: usize, dtype: DType) -> Result<[Tensor; 3]>
     let mask = mask().to_dtype(dtype)?;
     let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
     let y = stack.weights()?.apply(&x, recurrent)?;
-    let gradients = (&y * normal(99, y.dims()).to_dtype(dtype)?)?.sum_all()?.backward()?;
-    let found = [&y, gradients.get(&parameters.vars()[0]).unwrap(), gradients.get(&x).unwrap()];
+    let gradients = Backward::from(&(&y * normal(99, y.dims()).to_dtype(dtype)?)?.sum_all()?)?;
+    let by = |var: &candle_core::Var| gradients.by(var).unwrap().unwrap();
+    let found = [y, by(&parameters.vars()[0]), by(&x)];
     let [y, by_parameters, by_x] = found.map(|tensor| tensor.to_dtype(DType::F64).unwrap());
     Ok([y, by_parameters, by_x])
 }
@@ -119,14 +120,33 @@ fn constant_weights_give_the_same_gradient_by_the_input_and_none_by_the_paramete
     let x = normal(2, &[ROWS, inputs]).to_dtype(DType::F32).unwrap();
     let x = candle_core::Var::from_tensor(&x).unwrap();
     let gradients = |weights: ops::Weights| {
-        weights.apply(&x, None).unwrap().sum_all().unwrap().backward().unwrap()
+        Backward::from(&weights.apply(&x, None).unwrap().sum_all().unwrap()).unwrap()
     };
     let all = gradients(stack.weights().unwrap());
     let own = gradients(stack.constant_weights().unwrap());
-    let numbers = |tensor: Option<&Tensor>| tensor.unwrap().to_vec2::<f32>().unwrap();
-    assert_eq!(numbers(own.get(&x)), numbers(all.get(&x)));
-    assert!(all.get(&parameters.vars()[0]).is_some());
-    assert!(own.get(&parameters.vars()[0]).is_none());
+    let by = |gradients: &Backward, var: &candle_core::Var| gradients.by(var).unwrap();
+    let numbers = |found: Option<Tensor>| found.unwrap().to_vec2::<f32>().unwrap();
+    assert_eq!(numbers(by(&own, &x)), numbers(by(&all, &x)));
+    assert!(by(&all, &parameters.vars()[0]).is_some());
+    assert!(by(&own, &parameters.vars()[0]).is_none());
+}
+
+#[test]
+fn a_network_that_is_used_twice_has_the_sum_of_both_gradients() {
+    let (specs, inputs) = networks().remove(0);
+    let (parameters, stack) = stack(&specs, DType::F32);
+    let weights = stack.weights().unwrap();
+    let sum_of = |seed| {
+        let x = normal(seed, &[ROWS, inputs]).to_dtype(DType::F32).unwrap();
+        weights.apply(&x, None).unwrap().sum_all().unwrap()
+    };
+    let by = |root: Tensor| {
+        let gradient = Backward::from(&root).unwrap().by(&parameters.vars()[0]).unwrap().unwrap();
+        gradient.to_dtype(DType::F64).unwrap()
+    };
+    let apart = (by(sum_of(1)) + by(sum_of(2))).unwrap();
+    let together = by((sum_of(1) + sum_of(2)).unwrap());
+    assert!(largest(&(&together - &apart).unwrap()) < 1e-5 * largest(&apart));
 }
 
 #[test]

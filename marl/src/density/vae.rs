@@ -1,13 +1,12 @@
 //! A variational autoencoder over the standardised features, whose evidence lower bound stands for the
 //! log-density. It is trained on from iteration to iteration.
 
-use candle_core::backprop::GradStore;
 use candle_core::{Device, Tensor, Var};
 use libm::{exp, log};
 use policy::Precision;
 use policy::arrays::NamedArrays;
 use policy::layers::LayerSpec;
-use policy::ops::{Activation, LayerStack};
+use policy::ops::{Activation, Backward, LayerStack};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
@@ -16,11 +15,10 @@ use crate::config::SurpriseConfig;
 use crate::density::{Density, Observations, Occasion};
 use crate::error::MarlError;
 use crate::gaussian::LOG_TWO_PI;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::gradient::{Gradients, OutputGradient, by, numbers, root};
 use crate::layers::{TANH_GAIN, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
-use crate::reals::Reals;
 
 /// Gain of the decoder's output: its means differ from the start, so that the latent has a use.
 const DECODER_GAIN: f64 = 1.0;
@@ -178,19 +176,18 @@ impl Vae {
         let z = Var::from_tensor(&rows(latent.sample(noise), self.latent, Precision::Single)?)?;
         let decoded = self.decoded(z.as_tensor())?;
         let (d_decoded, d_log_sigma) = self.reconstruction_gradient(inputs, &numbers(&decoded)?)?;
-        let outer = root(&[
+        let mut outer = Backward::from(&root(&[
             OutputGradient { output: &decoded, gradient: &d_decoded },
             OutputGradient { output: self.log_sigma.as_tensor(), gradient: &d_log_sigma },
-        ])?
-        .backward()?;
-        let d_z = numbers(of(&outer, &z, "latent")?)?;
+        ])?)?;
+        let d_z = by(&mut outer, &z, "latent")?.numbers();
         let d_encoded = latent_gradient(&latent, noise, &d_z, self.latent);
         let inner = root(&[OutputGradient { output: &latent.encoded, gradient: &d_encoded }])?;
-        let inner = inner.backward()?;
+        let mut inner = Backward::from(&inner)?;
         let gradient = |(index, var): (usize, &Var)| {
             let name = self.parameters.name_of(index);
-            let store = if name.starts_with("encoder") { &inner } else { &outer };
-            Reals::of(of(store, var, name)?)
+            let backward = if name.starts_with("encoder") { &mut inner } else { &mut outer };
+            by(backward, var, name)
         };
         let vars = self.parameters.vars().iter().enumerate();
         let all = vars.map(gradient).collect::<Result<_, MarlError>>()?;
@@ -249,10 +246,6 @@ fn latent_gradient(latent: &Latent, noise: &[f64], d_z: &[f64], width: usize) ->
         here.clone().map(by_mean).chain(here.map(by_log_variance)).collect::<Vec<_>>()
     };
     (0..d_z.len()).step_by(width).flat_map(row).collect()
-}
-
-fn of<'a>(store: &'a GradStore, var: &Var, name: &str) -> Result<&'a Tensor, MarlError> {
-    store.get(var.as_tensor()).ok_or_else(|| MarlError::NoGradient(name.to_owned()))
 }
 
 impl Density for Vae {

@@ -4,7 +4,8 @@ use std::cell::RefCell;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::backend::BackendStorage as _;
-use candle_core::{CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, Var};
+use candle_core::backprop::GradStore;
+use candle_core::{CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, TensorId, Var};
 use kernels::{Input, Memory, Network, Packed, Workspace};
 use rand::RngCore;
 
@@ -155,6 +156,54 @@ impl Weights {
 thread_local! {
     /// Buffers that wait for the next pass on this thread.
     static IDLE: RefCell<Vec<Workspace>> = const { RefCell::new(Vec::new()) };
+    /// Gradients by flat variables that the backward pass of this thread has found so far.
+    static FOUND: RefCell<Vec<(TensorId, Vec<f32>)>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Gradients of a scalar by all variables that it was computed from.
+///
+/// Those by a fused network's parameters bypass candle's store, which would copy them three times.
+pub struct Backward {
+    store: GradStore,
+    fused: Vec<(TensorId, Vec<f32>)>,
+}
+
+impl Backward {
+    /// The backward pass from `root`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn from(root: &Tensor) -> Result<Self> {
+        FOUND.take();
+        let store = root.backward()?;
+        Ok(Self { store, fused: FOUND.take() })
+    }
+
+    /// The gradient by `variable`, if the root depends on it.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn by(&self, variable: &Tensor) -> Result<Option<Tensor>> {
+        let fused = self.fused.iter().find(|(id, _)| *id == variable.id());
+        let fused =
+            fused.map(|(_, data)| Tensor::from_slice(data, variable.shape(), variable.device()));
+        Ok(fused.transpose()?.or_else(|| self.store.get(variable).cloned()))
+    }
+
+    /// The numbers of the gradient by `variable` where it is the parameters of a fused network; once.
+    pub fn take_fused(&mut self, variable: &Tensor) -> Option<Vec<f32>> {
+        let place = self.fused.iter().position(|(id, _)| *id == variable.id())?;
+        Some(self.fused.swap_remove(place).1)
+    }
+}
+
+/// The gradient by `variable` that this thread has found so far, or zeros.
+fn take_found(variable: &Tensor) -> Vec<f32> {
+    let found = FOUND.with_borrow_mut(|found| {
+        let place = found.iter().position(|(id, _)| *id == variable.id())?;
+        Some(found.swap_remove(place).1)
+    });
+    found.unwrap_or_else(|| vec![0.0; variable.elem_count()])
 }
 
 fn take_workspace() -> Workspace {
@@ -272,14 +321,16 @@ impl CustomOp2 for Fused {
             candle_core::bail!("a second backward pass over one forward pass")
         };
         let g = g.contiguous()?;
-        let mut by_flat = flat.track_op().then(|| vec![0.0; flat.elem_count()]);
+        let mut by_flat = flat.track_op().then(|| take_found(flat));
         let mut by_x = x.track_op().then(Vec::new);
         let output = values::<f32>(&g)?;
         let (parameters, input) = (by_flat.as_deref_mut(), by_x.as_mut());
         self.packed.backward(&output, self.memory(), &mut workspace, parameters, input);
         give_back(workspace);
         let by_x = by_x.map(|data| Tensor::from_vec(data, x.shape(), x.device())).transpose()?;
-        let by_flat = by_flat.map(|data| Tensor::from_vec(data, flat.shape(), x.device()));
-        Ok((by_x, by_flat.transpose()?))
+        if let Some(data) = by_flat {
+            FOUND.with_borrow_mut(|found| found.push((flat.id(), data)));
+        }
+        Ok((by_x, None))
     }
 }
