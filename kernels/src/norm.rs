@@ -23,9 +23,8 @@ impl Norm {
         let width = parameters.len() / 2;
         let (weight, bias) = parameters.split_at(width);
         let mut mask = Line([1.0; LANES]);
-        if width % LANES != 0 {
-            mask.0[width % LANES..].fill(0.0);
-        }
+        let used = width - (groups(width) - 1) * LANES;
+        mask.0[used..].fill(0.0);
         Self { width, weight: padded(weight), bias: padded(bias), mask }
     }
 

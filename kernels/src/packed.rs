@@ -26,7 +26,7 @@ pub struct Packed {
 enum Part {
     Norm(Norm),
     Linear(Linear),
-    Gru(Gru),
+    Gru(Box<Gru>),
 }
 
 /// Rows that a network is given.
@@ -72,7 +72,9 @@ impl Packed {
                 Layer::Linear { inputs, outputs, activation } => {
                     Part::Linear(Linear::new(own, (inputs, outputs), activation))
                 }
-                Layer::Gru { inputs, hidden } => Part::Gru(Gru::new(own, (inputs, hidden))),
+                Layer::Gru { inputs, hidden } => {
+                    Part::Gru(Box::new(Gru::new(own, (inputs, hidden))))
+                }
             }
         };
         let layers = network.layers().iter().zip(&ranges).map(part).collect();
@@ -157,11 +159,8 @@ impl Packed {
     /// Layers between GRUs, which go through blocks of rows, and GRUs, which go through all.
     fn segments(&self) -> Vec<Range<usize>> {
         let end = self.layers.len();
-        let split = self
-            .network
-            .gru()
-            .map_or(vec![0..end], |(gru, _)| vec![0..gru, gru..gru + 1, gru + 1..end]);
-        split.into_iter().filter(|range| !range.is_empty()).collect()
+        let (gru, after) = self.network.gru().map_or((end, end), |(gru, _)| (gru, gru + 1));
+        [0..gru, gru..after, after..end].into_iter().filter(|range| !range.is_empty()).collect()
     }
 }
 

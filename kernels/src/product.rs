@@ -90,7 +90,7 @@ impl<'a> Product<'a> {
         assert!(columns.div_ceil(LANES) <= stride, "{columns} columns in {stride} lines");
         assert!(left.rows * stride <= result.len(), "a result of {} rows", left.rows);
         let result = result.as_mut_ptr().cast::<f32>();
-        Self::new((left, right), (result, stride * LANES), columns, start, true)
+        Self { padded: true, ..Self::new((left, right), (result, stride * LANES), columns, start) }
     }
 
     /// Into a dense matrix `[rows, columns]`.
@@ -102,7 +102,7 @@ impl<'a> Product<'a> {
         start: Start<'a>,
     ) -> Self {
         assert_eq!(result.len(), left.rows * columns, "a result of {} rows", left.rows);
-        Self::new((left, right), (result.as_mut_ptr(), columns), columns, start, false)
+        Self::new((left, right), (result.as_mut_ptr(), columns), columns, start)
     }
 
     fn new(
@@ -110,7 +110,6 @@ impl<'a> Product<'a> {
         (result, stride): (*mut f32, usize),
         columns: usize,
         start: Start<'a>,
-        padded: bool,
     ) -> Self {
         let groups = columns.div_ceil(LANES);
         let last = (groups.max(1) - 1) * right.group + (left.depth - 1) * right.row;
@@ -118,8 +117,8 @@ impl<'a> Product<'a> {
         if let Start::Bias(bias) = start {
             assert!(groups <= bias.len(), "a bias of {} lines for {groups} groups", bias.len());
         }
-        let borrowed = PhantomData;
-        Self { left, right, start, relu: false, columns, result, stride, padded, borrowed }
+        let (relu, padded, borrowed) = (false, false, PhantomData);
+        Self { left, right, start, relu, columns, result, stride, padded, borrowed }
     }
 
     /// The same with `max(x, 0)` of every element.
