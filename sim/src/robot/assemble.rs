@@ -3,8 +3,9 @@
 use rapier3d::prelude::*;
 
 use super::RobotRow;
-use super::blueprint::{Blueprint, Floor, Hinge, JointPlan, LinkPlan};
+use super::blueprint::{Blueprint, Floor, Hinge, JointPlan, LinkPlan, ShapePlan};
 use super::layout::Layout;
+use crate::scene::Shape;
 
 /// Everything of a world that its history is in; cloning it is a reset.
 #[derive(Clone)]
@@ -116,14 +117,31 @@ fn insert_link(
         .additional_mass_properties(link.mass);
     let handle = world.bodies.insert(body);
     for plan in &link.shapes {
-        let collider = ColliderBuilder::new(plan.shape.collider()).position(plan.pose).density(0.0);
-        let collider = touching(collider, plan.friction, ROBOT, FLOOR)
+        let collider = touching(collider(plan), plan.friction, ROBOT, FLOOR)
             .user_data(plan.body as u128)
             .contact_skin(margin)
             .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
         world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
     }
     handle
+}
+
+/// A shape without mass. The engine adds mass properties up unless they are exactly zero in the link's frame, and sums are
+/// diagonalised by the platform's mathematics: so a capsule lies in that frame by its ends, and a ball's mass centre
+/// of no mass is moved back to the link's origin.
+fn collider(plan: &ShapePlan) -> ColliderBuilder {
+    let at = plan.pose.translation;
+    match plan.shape {
+        Shape::Capsule { half_length, radius } => {
+            let half = plan.pose.rotation * Vector::new(0.0, 0.0, half_length);
+            let shape = SharedShape::capsule(at - half, at + half, radius);
+            ColliderBuilder::new(shape).mass_properties(MassProperties::default())
+        }
+        Shape::Sphere { radius } => {
+            let nothing = MassProperties { local_com: -at, ..MassProperties::default() };
+            ColliderBuilder::new(SharedShape::ball(radius)).translation(at).mass_properties(nothing)
+        }
+    }
 }
 
 fn touching(collider: ColliderBuilder, friction: f32, own: Group, other: Group) -> ColliderBuilder {

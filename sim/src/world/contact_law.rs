@@ -125,7 +125,11 @@ impl PhysicsHooks for ContactLaw {
             true => (context.rigid_body1, context.collider1),
             false => (context.rigid_body2, context.collider2),
         };
-        let along = context.colliders[collider].rotation() * Vector::Z;
+        let collider = &context.colliders[collider];
+        let capsule = collider.shape().as_capsule();
+        let along = capsule.map_or(Vector::ZERO, |capsule| {
+            collider.rotation() * (capsule.segment.b - capsule.segment.a)
+        });
         let Some(motion) = self.motions.iter().find(|motion| Some(motion.body) == body) else {
             return;
         };
