@@ -83,6 +83,8 @@ impl Template {
 /// `1 / (dt w)^2`. One pass solves contacts and friction: a second one without bias would take the springs' rebound away.
 pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> PhysicsWorld {
     let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
+    // A dozen shapes need no balanced tree, and balancing calls the platform's logarithm.
+    world.broad_phase = BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None);
     let parameters = &mut world.integration_parameters;
     parameters.dt = blueprint.timestep_secs as f32 / parts as f32;
     parameters.num_solver_iterations = 1;
