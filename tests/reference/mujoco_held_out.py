@@ -1,4 +1,4 @@
-"""Writes sim/tests/data/mujoco-held-out.json: MuJoCo's motion under controls that no setting is tuned on.
+"""Writes sim/tests/data/mujoco-held-out.json: MuJoCo's motion under a second set of controls and starts.
 
     python -m venv venv && venv/bin/pip install mujoco==4.0.0 gymnasium==1.4.0
     venv/bin/python tests/reference/mujoco_held_out.py

@@ -1,4 +1,4 @@
-//! How far a robot's motion is from MuJoCo's under controls that no setting is tuned on.
+//! How far a robot's motion is from MuJoCo's under a second set of controls and starts.
 
 use std::sync::Arc;
 

@@ -61,7 +61,7 @@ fn ground(traces: &Traces) {
 /// One cell for each robot and drive: ours / MuJoCo's own from itself at a quarter of its step.
 fn judged(held_out: &HeldOut) {
     println!(
-        "Controls that no setting is tuned on, mean difference (x in m; hinge in rad), ours / MuJoCo's own:\n"
+        "Other controls and starts, mean difference (x in m; hinge in rad), ours / MuJoCo's own:\n"
     );
     println!("| | {} |", ROBOTS.map(|(name, _)| name).join(" | "));
     println!("| --- |{}", " --- |".repeat(ROBOTS.len()));

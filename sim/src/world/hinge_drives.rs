@@ -68,8 +68,7 @@ impl HingeDrives {
     /// Puts the torques of the coming physics step into the robot. The engine's spring pulls with `-k (q - rest)`; a weak
     /// one that rests `torque / k` away adds a torque without a constraint.
     pub(crate) fn apply(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
-        for index in 0..hinges.len() {
-            let hinge = &hinges[index];
+        for (index, hinge) in hinges.iter().enumerate() {
             let at = robot.link(hinge.link).expect("the layout is this robot's").joint().coords();
             let at = at[hinge.axis];
             let angle = hinge.sign * at;
