@@ -11,6 +11,9 @@ use random::Statistics;
 /// Ways to drive robots on the ground.
 const GROUND: [&str; 3] = ["passive", "tenth", "full"];
 
+/// A row's name and the number of it that is shown.
+type Row<T> = (&'static str, fn(&T) -> f64);
+
 fn main() {
     let traces = Traces::read();
     println!("Reference: {}.\n", traces.source());
@@ -76,7 +79,7 @@ fn judged(held_out: &HeldOut) {
         });
         println!("| {words} | {} |", cells.collect::<Vec<_>>().join(" | "));
     }
-    let parts: [(&str, fn(&Errors) -> f64); 4] = [
+    let parts: [Row<Errors>; 4] = [
         ("all: x, m", |e| e.place),
         ("all: z, m", |e| e.height),
         ("all: pitch, rad", |e| e.pitch),
@@ -98,7 +101,7 @@ fn at_random(held_out: &HeldOut) {
     println!("Uniform random actions from the same starts, MuJoCo -> ours:\n");
     println!("| | {} |", ROBOTS.map(|(name, _)| name).join(" | "));
     println!("| --- |{}", " --- |".repeat(ROBOTS.len()));
-    let rows: [(&str, fn(&Statistics) -> f64); 5] = [
+    let rows: [Row<Statistics>; 5] = [
         ("height, m", |s| s.height),
         ("contact fraction", |s| s.contact),
         ("limit overshoot p99.9, rad", |s| s.overshoot),

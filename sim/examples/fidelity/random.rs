@@ -58,7 +58,7 @@ struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, world: &World, at: &[f32], motion: &[f32], height: f32, settled: bool) {
+    fn add(&mut self, world: &World, motion: &[f32], height: f32) {
         let robot = world.robot();
         let hinges = robot.hinges().count();
         let speeds = motion[motion.len() - hinges..].iter().map(|speed| f64::from(speed.abs()));
@@ -66,12 +66,13 @@ impl Sums {
         self.height += f64::from(height);
         self.contact += f64::from(u8::from(world.contact_impulse() > 0.0));
         self.speed += speeds.sum::<f64>() / hinges as f64;
-        if settled {
-            let angles = &at[at.len() - hinges..];
-            for ((_, range), angle) in robot.hinges().zip(angles) {
-                let [low, high] = range.expect("all hinges are limited");
-                self.overshoots.push(f64::from((low - angle).max(angle - high).max(0.0)));
-            }
+    }
+
+    fn add_overshoots(&mut self, robot: &Robot, at: &[f32]) {
+        let angles = &at[at.len() - robot.hinges().count()..];
+        for ((_, range), angle) in robot.hinges().zip(angles) {
+            let [low, high] = range.expect("all hinges are limited");
+            self.overshoots.push(f64::from((low - angle).max(angle - high).max(0.0)));
         }
     }
 
@@ -122,7 +123,11 @@ fn episode_length(
         world.coordinates(&mut at);
         world.velocities(&mut motion);
         let height = at[place] + reference[place];
-        sums.add(world, &at, &motion, height, step > 20 || name != "ant");
+        sums.add(world, &motion, height);
+        // Ant's start has its ankles outside their limits.
+        if step > 20 || name != "ant" {
+            sums.add_overshoots(world.robot(), &at);
+        }
         let fallen = match name {
             "walker2d" => !(0.8 < height && height < 2.0 && at[2].abs() < 1.0),
             "ant" => !(0.2..=1.0).contains(&height),
