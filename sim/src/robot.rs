@@ -2,9 +2,11 @@
 
 mod assemble;
 mod blueprint;
+mod inertia;
 mod layout;
 mod model;
 mod neighbourhood;
+mod softness;
 
 use crate::error::SimError;
 use crate::state::StateBounds;
@@ -12,8 +14,11 @@ use crate::task;
 
 pub(crate) use assemble::{Template, empty_world};
 pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan};
-pub(crate) use layout::{JointMap, Layout, MapKind, MotorMap};
+pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind};
 pub(crate) use neighbourhood::Neighbourhood;
+#[cfg(test)]
+pub(crate) use softness::DEFAULT as DEFAULT_SOFTNESS;
+pub(crate) use softness::{Integration, Softness, Spring};
 
 /// One robot: its model and the settings that MJCF cannot say.
 #[derive(Debug)]
@@ -26,10 +31,17 @@ pub(crate) struct RobotRow {
     pub(crate) frame_skip: u32,
     /// Who is next to whom, for agents that see only what is near.
     pub(crate) neighbourhood: &'static Neighbourhood,
-    /// Natural frequency (Hz) and damping ratio of the joint limits; `None` is rigid.
-    pub(crate) limit_softness: Option<[f32; 2]>,
-    /// The same of contacts; `None` is the engine's own.
-    pub(crate) contact_softness: Option<[f32; 2]>,
+    /// How MuJoCo integrates it.
+    pub(crate) integration: Integration,
+    /// MuJoCo's softness of the joint limits.
+    pub(crate) limits: Softness,
+    /// MuJoCo's softness of the contacts.
+    pub(crate) contacts: Softness,
+    /// Distance from which contacts push, m.
+    pub(crate) margin: f32,
+    /// The part of the contacts' compliance that the engine's own solver takes, in units of their inverse mass. The rest
+    /// is [`ContactLaw`](crate::world::ContactLaw)'s, from the last step's impulses.
+    pub(crate) contact_compliance: f32,
 }
 
 pub(crate) const HALFCHEETAH: RobotRow = RobotRow {
@@ -37,8 +49,11 @@ pub(crate) const HALFCHEETAH: RobotRow = RobotRow {
     mjcf: include_str!("../assets/halfcheetah.xml"),
     frame_skip: 5,
     neighbourhood: &neighbourhood::HALFCHEETAH,
-    limit_softness: None,
-    contact_softness: None,
+    integration: Integration::Euler,
+    limits: Softness { impedance: [0.0, 0.8], width: 0.03, ..softness::DEFAULT },
+    contacts: Softness { impedance: [0.0, 0.8], width: 0.01, ..softness::DEFAULT },
+    margin: 0.0,
+    contact_compliance: 0.6,
 };
 
 pub(crate) const WALKER2D: RobotRow = RobotRow {
@@ -46,8 +61,11 @@ pub(crate) const WALKER2D: RobotRow = RobotRow {
     mjcf: include_str!("../assets/walker2d.xml"),
     frame_skip: 4,
     neighbourhood: &neighbourhood::WALKER2D,
-    limit_softness: Some([30.0, 1.0]),
-    contact_softness: None,
+    integration: Integration::RungeKutta,
+    limits: softness::DEFAULT,
+    contacts: softness::DEFAULT,
+    margin: 0.0,
+    contact_compliance: 0.1,
 };
 
 pub(crate) const ANT: RobotRow = RobotRow {
@@ -55,8 +73,11 @@ pub(crate) const ANT: RobotRow = RobotRow {
     mjcf: include_str!("../assets/ant.xml"),
     frame_skip: 5,
     neighbourhood: &neighbourhood::ANT,
-    limit_softness: Some([30.0, 1.0]),
-    contact_softness: Some([15.0, 1.0]),
+    integration: Integration::RungeKutta,
+    limits: softness::DEFAULT,
+    contacts: softness::DEFAULT,
+    margin: 0.01,
+    contact_compliance: 0.05,
 };
 
 /// A robot, ready to be put into worlds. Immutable and shared.

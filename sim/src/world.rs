@@ -1,7 +1,9 @@
 //! One robot in one rapier world: rebuild, step, read.
 
 pub(crate) mod contact_forces;
+mod contact_law;
 mod diagnostics;
+mod hinge_drives;
 #[cfg(test)]
 mod other_roots;
 
@@ -11,16 +13,15 @@ use rapier3d::dynamics::Multibody;
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::PhysicsWorld;
 
-use crate::robot::{JointMap, MapKind, MotorMap, Robot, empty_world};
+pub(crate) use contact_law::ContactLaw;
+pub(crate) use hinge_drives::HingeDrives;
+
+use crate::robot::{JointMap, MapKind, Robot, empty_world};
 use crate::scene::{JointPose, LinkPose, parts};
 
-/// Stiffness through which a torque enters a hinge that has no spring of its own, N m / rad: what the torque loses when
-/// the hinge turns by a radian.
-const WEAK_SPRING: f32 = 0.01;
-
-/// Steps that a rebuild tries and takes back, so that the contacts' impulses are near those of a world that was
-/// never interrupted. Without them a settled HalfCheetah sinks by 0.5 mm; after three it moves less than 0.1 mm.
-const TRIAL_STEPS: u32 = 3;
+/// Physics steps that a rebuild tries and takes back, so that the contacts' impulses are near those of a world that was
+/// never interrupted: the contact law reads them.
+const TRIAL_STEPS: u32 = 1;
 
 /// One robot in one world.
 ///
@@ -29,6 +30,8 @@ const TRIAL_STEPS: u32 = 3;
 pub struct World {
     robot: Arc<Robot>,
     physics: PhysicsWorld,
+    drives: HingeDrives,
+    contacts: ContactLaw,
     /// Physics steps in an environment step.
     substeps: u32,
 }
@@ -41,10 +44,15 @@ impl World {
 
     /// The same with every physics step split into `parts` shorter ones: slower and nearer to the exact motion.
     pub fn refined(robot: Arc<Robot>, parts: u32) -> Self {
-        let mut physics = empty_world(robot.blueprint(), robot.row());
-        physics.integration_parameters.dt /= parts as f32;
-        let substeps = robot.frame_skip() * parts;
-        let mut world = Self { robot: Arc::clone(&robot), physics, substeps };
+        let physics = empty_world(robot.blueprint(), robot.row(), parts);
+        let step_secs = physics.integration_parameters.dt;
+        let mut world = Self {
+            drives: HingeDrives::new(robot.row(), robot.layout(), step_secs),
+            contacts: ContactLaw::new(&robot, step_secs),
+            physics,
+            substeps: robot.frame_skip() * parts,
+            robot: Arc::clone(&robot),
+        };
         world.rebuild(robot.rest(), &vec![0.0; robot.velocity_names().len()]);
         world
     }
@@ -82,14 +90,22 @@ impl World {
     pub fn command(&mut self, controls: &[f32]) {
         for (index, control) in controls.iter().enumerate() {
             let motor = self.robot.layout().motors[index];
-            self.drive(&motor, motor.gear * control.clamp(motor.range[0], motor.range[1]));
+            let torque = motor.gear * control.clamp(motor.range[0], motor.range[1]);
+            self.drives.command(motor.hinge, torque);
         }
     }
 
     /// One physics step under the last command. Returns whether the world is still whole: rapier disables bodies
     /// whose numbers are no longer finite, and says so only here.
     pub fn substep(&mut self) -> bool {
-        self.physics.step();
+        let layout = self.robot.layout();
+        let set = &mut self.physics.multibody_joints;
+        let robot = set.get_multibody_mut(layout.multibody).expect("the template holds the robot");
+        self.drives.apply(robot, &layout.hinges);
+        self.contacts.observe(&self.robot, robot);
+        self.physics.step_with_events(&self.contacts, &());
+        let robot = self.physics.multibody_joints.get_multibody(layout.multibody);
+        self.drives.note(robot.expect("the template holds the robot"), &layout.hinges);
         self.physics.quarantine().is_empty()
     }
 
@@ -147,6 +163,7 @@ impl World {
 
     fn start(&mut self, coordinates: &[f32], velocities: &[f32]) {
         self.robot.template().copy_into(&mut self.physics);
+        self.drives.clear();
         self.write(coordinates, velocities);
     }
 
@@ -216,24 +233,6 @@ impl World {
             if let (Some(body), Some(inside)) = (parent, collider.position_wrt_parent().copied()) {
                 collider.set_position(*body.position() * inside);
             }
-        }
-    }
-
-    /// The hinge's implicit spring pulls with `-k (q - rest)`; shifting `rest` by `torque / k` adds the torque
-    /// without a constraint. A hinge without a spring gets a weak one that rests where it stands.
-    fn drive(&mut self, motor: &MotorMap, torque: f32) {
-        let joint = self.robot.layout().joints[motor.joint];
-        let index = self.robot.layout().multibody;
-        let multibody = self.physics.multibody_joints.get_multibody_mut(index);
-        let link = multibody.and_then(|multibody| multibody.link_mut(joint.link));
-        let link = link.expect("the template holds the robot");
-        let axis = 3 + motor.free;
-        if motor.stiffness > 0.0 {
-            let rest = motor.spring_rest + torque / motor.stiffness;
-            link.joint.set_spring(axis, motor.stiffness, motor.sign * rest);
-        } else {
-            let rest = link.joint.coords()[axis] + motor.sign * torque / WEAK_SPRING;
-            link.joint.set_spring(axis, WEAK_SPRING, rest);
         }
     }
 }

@@ -133,7 +133,8 @@ fn mean(sequences: &[Vec<Difference>]) -> Vec<Difference> {
     (0..sequences[0].len()).map(at).collect()
 }
 
-fn numbers(value: &Value) -> Vec<f64> {
+/// A list of numbers.
+pub(crate) fn numbers(value: &Value) -> Vec<f64> {
     let list = value.as_array().expect("a list of numbers");
     list.iter().map(|number| number.as_f64().expect("a number")).collect()
 }

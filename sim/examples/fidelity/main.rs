@@ -1,17 +1,28 @@
 //! Prints docs/FIDELITY.md's tables: `cargo run --release -p sim --example fidelity`.
 
 mod compare;
+mod held_out;
+mod random;
 
 use compare::{Difference, ROBOTS, Traces};
+use held_out::{DRIVES, Errors, HeldOut};
+use random::Statistics;
 
 /// Ways to drive robots on the ground.
 const GROUND: [&str; 3] = ["passive", "tenth", "full"];
+
+/// A row's name and the number of it that is shown.
+type Row<T> = (&'static str, fn(&T) -> f64);
 
 fn main() {
     let traces = Traces::read();
     println!("Reference: {}.\n", traces.source());
     flight(&traces);
     ground(&traces);
+    let held_out = HeldOut::read();
+    println!("\nReference of what follows: {}.\n", held_out.source());
+    judged(&held_out);
+    at_random(&held_out);
 }
 
 fn flight(traces: &Traces) {
@@ -47,6 +58,64 @@ fn ground(traces: &Traces) {
                 println!("| {} | {drive} | {who} | {places} | {angles} |", robot.0);
             }
         }
+    }
+}
+
+/// One cell for each robot and drive: ours / MuJoCo's own from itself at a quarter of its step.
+fn judged(held_out: &HeldOut) {
+    println!(
+        "Other controls and starts, mean difference (x in m; hinge in rad), ours / MuJoCo's own:\n"
+    );
+    println!("| | {} |", ROBOTS.map(|(name, _)| name).join(" | "));
+    println!("| --- |{}", " --- |".repeat(ROBOTS.len()));
+    let mut all: Vec<[Vec<Errors>; 2]> = vec![Default::default(); ROBOTS.len()];
+    for (drive, words) in DRIVES {
+        let cells = ROBOTS.iter().zip(&mut all).map(|(robot, all)| {
+            let [ours, own] = held_out.errors(*robot, drive);
+            all[0].push(ours);
+            all[1].push(own);
+            let [x, angle] = [|e: &Errors| e.place, |e: &Errors| e.angle];
+            format!("{}; {}", pair([&ours, &own], x), pair([&ours, &own], angle))
+        });
+        println!("| {words} | {} |", cells.collect::<Vec<_>>().join(" | "));
+    }
+    let parts: [Row<Errors>; 4] = [
+        ("all: x, m", |e| e.place),
+        ("all: z, m", |e| e.height),
+        ("all: pitch, rad", |e| e.pitch),
+        ("all: hinge, rad", |e| e.angle),
+    ];
+    for (words, part) in parts {
+        let cells =
+            all.iter().map(|[ours, own]| pair([&held_out::mean(ours), &held_out::mean(own)], part));
+        println!("| {words} | {} |", cells.collect::<Vec<_>>().join(" | "));
+    }
+    println!();
+}
+
+fn pair([ours, own]: [&Errors; 2], part: fn(&Errors) -> f64) -> String {
+    format!("{:.4} / {:.4}", part(ours), part(own))
+}
+
+fn at_random(held_out: &HeldOut) {
+    println!("Uniform random actions from the same starts, MuJoCo -> ours:\n");
+    println!("| | {} |", ROBOTS.map(|(name, _)| name).join(" | "));
+    println!("| --- |{}", " --- |".repeat(ROBOTS.len()));
+    let rows: [Row<Statistics>; 5] = [
+        ("height, m", |s| s.height),
+        ("contact fraction", |s| s.contact),
+        ("limit overshoot p99.9, rad", |s| s.overshoot),
+        ("mean joint speed, rad/s", |s| s.joint_speed),
+        ("episode length", |s| s.length),
+    ];
+    let both = ROBOTS.map(|robot| {
+        let record = held_out.random(robot.0);
+        [Statistics::recorded(record), random::play(robot, record)]
+    });
+    for (words, part) in rows {
+        let cells =
+            both.iter().map(|[theirs, ours]| format!("{:.3} -> {:.3}", part(theirs), part(ours)));
+        println!("| {words} | {} |", cells.collect::<Vec<_>>().join(" | "));
     }
 }
 

@@ -3,8 +3,9 @@
 use rapier3d::prelude::*;
 
 use super::RobotRow;
-use super::blueprint::{Blueprint, Floor, Hinge, JointPlan, LinkPlan};
+use super::blueprint::{Blueprint, Floor, Hinge, JointPlan, LinkPlan, ShapePlan};
 use super::layout::Layout;
+use crate::scene::Shape;
 
 /// Everything of a world that its history is in; cloning it is a reset.
 #[derive(Clone)]
@@ -26,7 +27,7 @@ pub(super) fn assemble(
     blueprint: &Blueprint,
     row: &RobotRow,
 ) -> Result<(Template, Layout), String> {
-    let mut world = empty_world(blueprint, row);
+    let mut world = empty_world(blueprint, row, 1);
     insert_floor(&mut world, &blueprint.floor);
     let ground = world.bodies.insert(RigidBodyBuilder::fixed());
     let mut handles: Vec<RigidBodyHandle> = Vec::new();
@@ -34,18 +35,19 @@ pub(super) fn assemble(
     for link in &blueprint.links {
         let parent_frame = link.parent.map_or(Pose::IDENTITY, |parent| frames[parent]);
         frames.push(parent_frame * link.rest);
-        let body = insert_link(&mut world, link, parent_frame * link.rest);
+        let body = insert_link(&mut world, link, parent_frame * link.rest, row.margin);
         let parent = link.parent.map_or(ground, |parent| handles[parent]);
-        if let Some(joint) = joint(link, row) {
+        if let Some(joint) = joint(link) {
             let inserted = world.multibody_joints.insert(parent, body, joint, true);
             inserted.ok_or_else(|| format!("{}: rapier refuses the joint", link.name))?;
         }
         handles.push(body);
     }
     settle_root(&mut world, handles[0]);
-    let layout = Layout::new(blueprint, &world, &handles)?;
+    let mut layout = Layout::new(blueprint, &world, &handles)?;
     set_passive_terms(&mut world, blueprint, &layout);
     fill_broad_phase(&mut world);
+    weigh(&world, &mut layout);
     Ok((Template::of(world), layout))
 }
 
@@ -74,21 +76,27 @@ impl Template {
     }
 }
 
-/// A world with the robot's step and gravity, and nothing in it.
-pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow) -> PhysicsWorld {
+/// A world with the robot's gravity and its physics step split into `parts`, and nothing in it.
+///
+/// The contacts' springs are in [`ContactLaw`](crate::world::ContactLaw); what the engine does itself is to hold their
+/// target speeds, with a compliance of `row.contact_compliance`: without damping `erp = 1`, and the compliance is
+/// `1 / (dt w)^2`. One pass solves contacts and friction: a second one without bias would take the springs' rebound away.
+pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> PhysicsWorld {
     let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
+    // A dozen shapes need no balanced tree, and balancing calls the platform's logarithm.
+    world.broad_phase = BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None);
     let parameters = &mut world.integration_parameters;
-    parameters.dt = blueprint.timestep_secs as f32;
+    parameters.dt = blueprint.timestep_secs as f32 / parts as f32;
     parameters.num_solver_iterations = 1;
-    parameters.num_internal_pgs_iterations = 1;
-    parameters.num_internal_stabilization_iterations = 1;
+    parameters.num_internal_pgs_iterations = 2;
+    parameters.num_internal_stabilization_iterations = 0;
     parameters.max_ccd_substeps = 0;
     parameters.contact_recycling = false;
-    // Feet move up to 10 cm in a step: contacts must be known before they happen.
-    parameters.normalized_prediction_distance = 0.1;
-    if let Some([frequency, ratio]) = row.contact_softness {
-        parameters.static_contact_softness = SpringCoefficients::new(frequency, ratio);
-    }
+    // As in MuJoCo, nothing touches before it is within the margin.
+    parameters.normalized_prediction_distance = 1e-4;
+    parameters.normalized_max_corrective_velocity = f32::MAX;
+    let turn = parameters.dt * row.contact_compliance.sqrt() * std::f32::consts::TAU;
+    parameters.static_contact_softness = SpringCoefficients::new(1.0 / turn, 0.0);
     world
 }
 
@@ -99,18 +107,43 @@ fn insert_floor(world: &mut PhysicsWorld, floor: &Floor) {
     world.colliders.insert(touching(collider, floor.friction, FLOOR, ROBOT));
 }
 
-fn insert_link(world: &mut PhysicsWorld, link: &LinkPlan, frame: Pose) -> RigidBodyHandle {
+fn insert_link(
+    world: &mut PhysicsWorld,
+    link: &LinkPlan,
+    frame: Pose,
+    margin: f32,
+) -> RigidBodyHandle {
     let body = RigidBodyBuilder::dynamic()
         .pose(frame)
         .can_sleep(false)
         .additional_mass_properties(link.mass);
     let handle = world.bodies.insert(body);
     for plan in &link.shapes {
-        let collider = ColliderBuilder::new(plan.shape.collider()).position(plan.pose).density(0.0);
-        let collider = touching(collider, plan.friction, ROBOT, FLOOR).user_data(plan.body as u128);
+        let collider = touching(collider(plan), plan.friction, ROBOT, FLOOR)
+            .user_data(plan.body as u128)
+            .contact_skin(margin)
+            .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
         world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
     }
     handle
+}
+
+/// A shape without mass. The engine adds mass properties up unless they are exactly zero in the link's frame, and sums are
+/// diagonalised by the platform's mathematics: so a capsule lies in that frame by its ends, and a ball's mass centre
+/// of no mass is moved back to the link's origin.
+fn collider(plan: &ShapePlan) -> ColliderBuilder {
+    let at = plan.pose.translation;
+    match plan.shape {
+        Shape::Capsule { half_length, radius } => {
+            let half = plan.pose.rotation * Vector::new(0.0, 0.0, half_length);
+            let shape = SharedShape::capsule(at - half, at + half, radius);
+            ColliderBuilder::new(shape).mass_properties(MassProperties::default())
+        }
+        Shape::Sphere { radius } => {
+            let nothing = MassProperties { local_com: -at, ..MassProperties::default() };
+            ColliderBuilder::new(SharedShape::ball(radius)).translation(at).mass_properties(nothing)
+        }
+    }
 }
 
 fn touching(collider: ColliderBuilder, friction: f32, own: Group, other: Group) -> ColliderBuilder {
@@ -121,7 +154,7 @@ fn touching(collider: ColliderBuilder, friction: f32, own: Group, other: Group) 
 }
 
 /// A free root is the multibody's own root and needs no joint.
-fn joint(link: &LinkPlan, row: &RobotRow) -> Option<GenericJoint> {
+fn joint(link: &LinkPlan) -> Option<GenericJoint> {
     match &link.joint {
         JointPlan::Free(_) => None,
         JointPlan::Planar(_) => {
@@ -129,27 +162,19 @@ fn joint(link: &LinkPlan, row: &RobotRow) -> Option<GenericJoint> {
             let builder = GenericJointBuilder::new(locked).local_frame1(link.rest);
             Some(builder.local_frame2(Pose::IDENTITY).contacts_enabled(false).build())
         }
-        JointPlan::Hinge(hinge) => Some(hinge_joint(link, hinge, row)),
+        JointPlan::Hinge(hinge) => Some(hinge_joint(link, hinge)),
     }
 }
 
-fn hinge_joint(link: &LinkPlan, hinge: &Hinge, row: &RobotRow) -> GenericJoint {
-    let axes = [JointAxis::AngX, JointAxis::AngY, JointAxis::AngZ];
+/// Without limits: those are springs of [`HingeDrives`](crate::world::HingeDrives).
+fn hinge_joint(link: &LinkPlan, hinge: &Hinge) -> GenericJoint {
     let masks = [JointAxesMask::ANG_X, JointAxesMask::ANG_Y, JointAxesMask::ANG_Z];
-    let free = hinge.axis.free;
     let inside = Pose::from_parts(hinge.anchor, hinge.axis.frame);
-    let mut builder = GenericJointBuilder::new(JointAxesMask::all() & !masks[free])
+    GenericJointBuilder::new(JointAxesMask::all() & !masks[hinge.axis.free])
         .local_frame1(link.rest * inside)
         .local_frame2(inside)
-        .contacts_enabled(false);
-    if let Some([low, high]) = hinge.range {
-        let limits = if hinge.axis.sign < 0.0 { [-high, -low] } else { [low, high] };
-        builder = builder.limits(axes[free], limits);
-    }
-    if let Some([frequency, ratio]) = row.limit_softness {
-        builder = builder.softness(SpringCoefficients::new(frequency, ratio));
-    }
-    builder.build()
+        .contacts_enabled(false)
+        .build()
 }
 
 /// Until its first kinematics a multibody counts a fixed root's six freedoms too, and every row is off by six.
@@ -160,8 +185,8 @@ fn settle_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
     }
 }
 
-/// Damping, armature and springs, after all inserts: inserting moves the multibody's rows. Everything else is set
-/// to zero, because rapier gives every angular freedom a damping of 0.1 that no model asked for.
+/// Damping and armature, after all inserts: inserting moves the multibody's rows. Everything else is set to zero, because
+/// rapier gives every angular freedom a damping of 0.1 that no model asked for.
 fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &Layout) {
     let Some(robot) = world.multibody_joints.get_multibody_mut(layout.multibody) else { return };
     robot.set_self_contacts_enabled(false);
@@ -171,11 +196,14 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
         let JointPlan::Hinge(hinge) = &link.joint else { continue };
         robot.damping_mut()[map.dof] = hinge.damping;
         robot.armature_mut()[map.dof] = hinge.armature;
-        if let Some(link) = robot.link_mut(map.link) {
-            let rest = hinge.axis.sign * hinge.spring_rest;
-            link.joint.set_spring(3 + hinge.axis.free, hinge.stiffness, rest);
-        }
     }
+}
+
+/// The bodies know their masses only after a step. A copy is weighed, so that the template stays as that step left it.
+fn weigh(world: &PhysicsWorld, layout: &mut Layout) {
+    let robot = world.multibody_joints.get_multibody(layout.multibody);
+    let mut robot = robot.expect("the layout was read from this world").clone();
+    layout.weigh(&mut robot, &world.bodies);
 }
 
 /// A step of no time fills the islands and the broad phase, so that clones start from the same history.

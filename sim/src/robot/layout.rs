@@ -1,8 +1,9 @@
 //! Where in a robot's multibody its coordinates, velocities and motors are.
 
+use rapier3d::dynamics::Multibody;
 use rapier3d::prelude::*;
 
-use super::blueprint::{Blueprint, JointPlan, LinkPlan};
+use super::blueprint::{Blueprint, Hinge, JointPlan, LinkPlan, MotorPlan};
 
 /// Largest speed in a state, m/s or rad/s: an order beyond anything the robots reach.
 pub(super) const FASTEST: f32 = 1e3;
@@ -16,7 +17,12 @@ pub(crate) struct Layout {
     pub(crate) multibody: MultibodyIndex,
     /// One per link of the plan.
     pub(crate) joints: Vec<JointMap>,
+    /// In the order of their links.
+    pub(crate) hinges: Vec<HingeMap>,
     pub(crate) motors: Vec<MotorMap>,
+    /// For each link the mean of its mass centre's inverse mass over three directions, in the rest pose, 1/kg: what
+    /// MuJoCo calls `body_invweight0`.
+    pub(crate) inverse_masses: Vec<f32>,
     pub(crate) coordinate_names: Vec<String>,
     pub(crate) velocity_names: Vec<String>,
     pub(crate) coordinate_bounds: Vec<[f32; 2]>,
@@ -52,21 +58,58 @@ pub(crate) enum MapKind {
     Hinge { free: usize, sign: f32 },
 }
 
+/// One hinge.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct HingeMap {
+    /// The link's index in the multibody.
+    pub(crate) link: usize,
+    /// Row of its velocity in the multibody.
+    pub(crate) dof: usize,
+    /// Axis among the joint's six coordinates.
+    pub(crate) axis: usize,
+    pub(crate) sign: f32,
+    /// rad.
+    pub(crate) range: Option<[f32; 2]>,
+    /// N m / rad.
+    pub(crate) stiffness: f32,
+    /// rad.
+    pub(crate) spring_rest: f32,
+    /// kg m^2.
+    pub(crate) armature: f32,
+    /// Inverse inertia with all other freedoms loose, in the rest pose, 1/(kg m^2): what MuJoCo calls `dof_invweight0`.
+    pub(crate) inverse_inertia: f32,
+}
+
 /// One motor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MotorMap {
-    /// Index into [`Layout::joints`].
-    pub(crate) joint: usize,
-    pub(crate) free: usize,
-    pub(crate) sign: f32,
+    /// Index into [`Layout::hinges`].
+    pub(crate) hinge: usize,
+    /// N m per unit of control.
     pub(crate) gear: f32,
     pub(crate) range: [f32; 2],
-    /// The hinge's own spring.
-    pub(crate) stiffness: f32,
-    pub(crate) spring_rest: f32,
 }
 
 impl Layout {
+    /// Inverse masses and inertias in the pose where `robot` stands.
+    pub(super) fn weigh(&mut self, robot: &mut Multibody, bodies: &RigidBodySet) {
+        let inverse_inertias = robot.dof_inverse_inertia(bodies);
+        for hinge in &mut self.hinges {
+            hinge.inverse_inertia = inverse_inertias[hinge.dof];
+        }
+        let inverse_mass = |joint: &JointMap| {
+            let jacobian = robot.body_jacobian(joint.link);
+            let along = |row: usize| {
+                let force = jacobian.row(row).transpose();
+                let mut acceleration = force.clone();
+                robot.inv_augmented_mass().solve_mut(&mut acceleration);
+                force.dot(&acceleration)
+            };
+            (0..3).map(along).sum::<f32>() / 3.0
+        };
+        self.inverse_masses = self.joints.iter().map(inverse_mass).collect();
+    }
+
     pub(super) fn new(
         blueprint: &Blueprint,
         world: &PhysicsWorld,
@@ -92,7 +135,9 @@ impl Layout {
         Self {
             multibody,
             joints: Vec::new(),
+            hinges: Vec::new(),
             motors: Vec::new(),
+            inverse_masses: Vec::new(),
             coordinate_names: Vec::new(),
             velocity_names: Vec::new(),
             coordinate_bounds: Vec::new(),
@@ -124,6 +169,7 @@ impl Layout {
                 let bounds = [low - LIMIT_SLACK, high + LIMIT_SLACK];
                 self.add_number(hinge.name.clone(), bounds, 0.0, 0.0);
                 self.velocity_names.push(hinge.name.clone());
+                self.hinges.push(hinge_map(hinge, link, dof));
                 MapKind::Hinge { free: hinge.axis.free, sign: hinge.axis.sign }
             }
         };
@@ -161,25 +207,27 @@ impl Layout {
     }
 }
 
-fn motor_map(
-    blueprint: &Blueprint,
-    motor: &super::blueprint::MotorPlan,
-) -> Result<MotorMap, String> {
-    let hinges = blueprint.links.iter().enumerate().filter_map(|(joint, link)| match &link.joint {
-        JointPlan::Hinge(hinge) => Some((joint, hinge)),
-        JointPlan::Planar(_) | JointPlan::Free(_) => None,
-    });
-    let (joint, hinge) = hinges
-        .into_iter()
-        .find(|(_, hinge)| hinge.name == motor.joint)
-        .ok_or_else(|| format!("{}: a motor drives no hinge of this name", motor.joint))?;
-    Ok(MotorMap {
-        joint,
-        free: hinge.axis.free,
+fn hinge_map(hinge: &Hinge, link: usize, dof: usize) -> HingeMap {
+    HingeMap {
+        link,
+        dof,
+        axis: 3 + hinge.axis.free,
         sign: hinge.axis.sign,
-        gear: motor.gear,
-        range: motor.range,
+        range: hinge.range,
         stiffness: hinge.stiffness,
         spring_rest: hinge.spring_rest,
-    })
+        armature: hinge.armature,
+        inverse_inertia: 0.0,
+    }
+}
+
+fn motor_map(blueprint: &Blueprint, motor: &MotorPlan) -> Result<MotorMap, String> {
+    let mut hinges = blueprint.links.iter().filter_map(|link| match &link.joint {
+        JointPlan::Hinge(hinge) => Some(hinge),
+        JointPlan::Planar(_) | JointPlan::Free(_) => None,
+    });
+    let hinge = hinges
+        .position(|hinge| hinge.name == motor.joint)
+        .ok_or_else(|| format!("{}: a motor drives no hinge of this name", motor.joint))?;
+    Ok(MotorMap { hinge, gear: motor.gear, range: motor.range })
 }

@@ -9,13 +9,13 @@ use rapier3d::prelude::MassProperties;
 use super::blueprint::{
     Blueprint, Floor, Hinge, HingeAxis, JointPlan, LinkPlan, MotorPlan, Planar, ShapePlan,
 };
+use super::inertia::MassSum;
 use crate::scene::Shape;
 
 /// Parses and converts; the error names the element.
 pub(super) fn read(mjcf: &str) -> Result<Blueprint, String> {
     let model = Model::from_str(mjcf, ".").map_err(|error| error.to_string())?;
-    let mut links = read_links(&model)?;
-    scale_masses(&mut links, model.compiler.set_total_mass);
+    let links = read_links(&model)?;
     Ok(Blueprint {
         timestep_secs: model.option.timestep,
         gravity: vector(model.option.gravity),
@@ -30,6 +30,7 @@ pub(super) fn read(mjcf: &str) -> Result<Blueprint, String> {
 
 fn read_links(model: &Model) -> Result<Vec<LinkPlan>, String> {
     let mut links: Vec<LinkPlan> = Vec::new();
+    let mut masses: Vec<MassSum> = Vec::new();
     // For each body: the link it belongs to, and its frame in that link.
     let mut homes: Vec<Option<(usize, Pose)>> = vec![None; model.bodies.len()];
     for (id, entry) in model.bodies_iter() {
@@ -40,12 +41,14 @@ fn read_links(model: &Model) -> Result<Vec<LinkPlan>, String> {
             (Some((link, _)), true) => (link, inside),
             (_, false) => {
                 links.push(read_link(model, &entry.body, parent.map(|(link, _)| link), inside)?);
+                masses.push(MassSum::default());
                 (links.len() - 1, Pose::IDENTITY)
             }
         };
-        add_shapes(model, (&entry.body, id), &mut links[home.0], &home.1)?;
+        add_shapes(model, (&entry.body, id), (&mut links[home.0], &mut masses[home.0]), &home.1)?;
         homes[id] = Some(home);
     }
+    set_masses(&mut links, &masses, model.compiler.set_total_mass);
     match links.iter().filter(|link| link.parent.is_none()).count() {
         1 => Ok(links),
         roots => Err(format!("one robot has one root, found {roots}")),
@@ -110,7 +113,7 @@ fn read_hinge(model: &Model, joint: &Joint) -> Result<Hinge, String> {
 fn add_shapes(
     model: &Model,
     (body, index): (&Body, usize),
-    link: &mut LinkPlan,
+    (link, mass): (&mut LinkPlan, &mut MassSum),
     frame: &Pose,
 ) -> Result<(), String> {
     for geom in &body.geoms {
@@ -120,7 +123,7 @@ fn add_shapes(
         let (shape, inside) = read_shape(geom).ok_or_else(|| unsupported(body, geom))?;
         let pose = *frame * inside;
         let density = geom.density.unwrap_or(model.compiler.inertia_density) as f32;
-        link.mass += shape.collider().mass_properties(density).transform_by(&pose);
+        mass.add(&shape.collider(), density, &pose);
         let friction = geom.friction[0] as f32;
         link.shapes.push(ShapePlan { shape, pose, friction, body: index });
     }
@@ -166,15 +169,12 @@ fn read_motor(actuator: &Actuator) -> Result<MotorPlan, String> {
     }
 }
 
-/// `settotalmass`: all masses and inertias by one factor; MJCF's -1 leaves them.
-fn scale_masses(links: &mut [LinkPlan], target: f64) {
-    if target <= 0.0 {
-        return;
-    }
-    let total: f32 = links.iter().map(|link| link.mass.mass()).sum();
-    for link in links {
-        let mass = link.mass.mass() * (target as f32 / total);
-        link.mass.set_mass(mass, true);
+/// The links' mass properties. `settotalmass` brings all masses and inertias to one total; MJCF's -1 leaves them.
+fn set_masses(links: &mut [LinkPlan], masses: &[MassSum], target: f64) {
+    let total: f64 = masses.iter().map(MassSum::mass).sum();
+    let factor = if target > 0.0 { target / total } else { 1.0 };
+    for (link, mass) in links.iter_mut().zip(masses) {
+        link.mass = mass.properties(factor);
     }
 }
 

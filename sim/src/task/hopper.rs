@@ -5,7 +5,7 @@ use rand::RngCore;
 use super::{Motion, Rules, Task, motion_features};
 use crate::description::Feature;
 use crate::noise;
-use crate::robot::{Neighbourhood, Robot, RobotRow};
+use crate::robot::{DEFAULT_SOFTNESS, Integration, Neighbourhood, Robot, RobotRow};
 
 const HOPPER: RobotRow = RobotRow {
     name: "hopper",
@@ -16,8 +16,11 @@ const HOPPER: RobotRow = RobotRow {
         touching: &[],
         globals: &["rootz.position", "rooty.position"],
     },
-    limit_softness: Some([30.0, 1.0]),
-    contact_softness: None,
+    integration: Integration::Euler,
+    limits: DEFAULT_SOFTNESS,
+    contacts: DEFAULT_SOFTNESS,
+    margin: 0.0,
+    contact_compliance: 0.1,
 };
 
 /// One agent in the hip, one in the knee.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::World;
 use crate::error::SimError;
-use crate::robot::{Neighbourhood, Robot, RobotRow};
+use crate::robot::{DEFAULT_SOFTNESS, Integration, Neighbourhood, Robot, RobotRow};
 
 /// A ball with two opposite arms fixed to it, one leg about a skew axis and one about -y.
 const STRIDER: RobotRow = RobotRow {
@@ -35,8 +35,11 @@ const STRIDER: RobotRow = RobotRow {
     </mujoco>"#,
     frame_skip: 5,
     neighbourhood: &Neighbourhood { edges: &[], touching: &[], globals: &[] },
-    limit_softness: Some([30.0, 1.0]),
-    contact_softness: None,
+    integration: Integration::Euler,
+    limits: DEFAULT_SOFTNESS,
+    contacts: DEFAULT_SOFTNESS,
+    margin: 0.0,
+    contact_compliance: 0.1,
 };
 
 fn strider() -> World {

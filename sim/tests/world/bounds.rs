@@ -48,23 +48,26 @@ fn play(episodes: u64, steps: u32, control: impl Fn(&mut ChaCha8Rng, u32) -> f32
 #[test]
 fn random_control_stays_within_limits_and_above_the_floor() {
     let extremes = play(20, 1000, |rng, _| uniform(rng));
+    // MuJoCo 4.0.0 under such actions: 0.15 rad, 0.061 m.
     assert!(extremes.beyond_limit < 0.2, "{extremes:?}");
-    assert!(extremes.depth < 0.03, "{extremes:?}");
+    assert!(extremes.depth < 0.09, "{extremes:?}");
     assert!(extremes.fastest < 60.0, "{extremes:?}");
 }
 
 #[test]
 fn bang_bang_control_stays_within_limits_and_above_the_floor() {
     let extremes = play(20, 1000, |rng, _| if uniform(rng) < 0.0 { -1.0 } else { 1.0 });
+    // MuJoCo 4.0.0 under such actions: 0.25 rad, 0.110 m.
     assert!(extremes.beyond_limit < 0.3, "{extremes:?}");
-    assert!(extremes.depth < 0.05, "{extremes:?}");
+    assert!(extremes.depth < 0.13, "{extremes:?}");
 }
 
 #[test]
 fn slow_full_torque_swings_stay_within_limits_and_above_the_floor() {
     let extremes = play(10, 1000, |_, index| if (index / 9) % 2 == 0 { 1.0 } else { -1.0 });
-    assert!(extremes.beyond_limit < 0.3, "{extremes:?}");
-    assert!(extremes.depth < 0.05, "{extremes:?}");
+    // MuJoCo 4.0.0 under such actions: 0.16 rad, 0.086 m.
+    assert!(extremes.beyond_limit < 0.2, "{extremes:?}");
+    assert!(extremes.depth < 0.11, "{extremes:?}");
 }
 
 #[test]

@@ -1,0 +1,195 @@
+//! A link's mass properties from its shapes, with principal inertias that no C library computes.
+//!
+//! rapier finds principal axes by the platform's `acos` and `cos`, whose last bits differ between C libraries. Here
+//! Jacobi's rotations find them by arithmetic and square roots alone, which are exact everywhere.
+
+use rapier3d::math::{Pose, Rotation, Vector};
+use rapier3d::prelude::{MassProperties, SharedShape};
+
+type Matrix = [[f64; 3]; 3];
+
+const IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+/// Sweeps of Jacobi's method; it converges quadratically, and five reach the last bit of a 3 x 3 matrix.
+const SWEEPS: usize = 8;
+
+/// Mass, first moments and inertia about the link's origin, summed over shapes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct MassSum {
+    /// kg.
+    mass: f64,
+    /// kg m.
+    moments: [f64; 3],
+    /// kg m^2.
+    inertia: Matrix,
+}
+
+impl MassSum {
+    /// Adds a shape at `pose` in the link's frame.
+    pub(super) fn add(&mut self, shape: &SharedShape, density: f32, pose: &Pose) {
+        let part = shape.mass_properties(density);
+        let mass = f64::from(part.mass());
+        let centre = (*pose * part.local_com).to_array().map(f64::from);
+        let frame = pose.rotation * part.principal_inertia_local_frame;
+        let turn = matrix(frame);
+        let principal = part.principal_inertia().to_array().map(f64::from);
+        let square: f64 = centre.iter().map(|x| x * x).sum();
+        for row in 0..3 {
+            self.moments[row] += mass * centre[row];
+            for column in 0..3 {
+                let about_centre: f64 =
+                    (0..3).map(|k| turn[row][k] * principal[k] * turn[column][k]).sum();
+                let shift = IDENTITY[row][column] * square - centre[row] * centre[column];
+                self.inertia[row][column] += about_centre + mass * shift;
+            }
+        }
+        self.mass += mass;
+    }
+
+    /// Mass, kg.
+    pub(super) fn mass(&self) -> f64 {
+        self.mass
+    }
+
+    /// Mass properties with the mass and inertia times `factor`.
+    pub(super) fn properties(&self, factor: f64) -> MassProperties {
+        let centre = self.moments.map(|moment| moment / self.mass);
+        let square: f64 = centre.iter().map(|x| x * x).sum();
+        let mut inertia = self.inertia;
+        for row in 0..3 {
+            for column in 0..3 {
+                let shift = IDENTITY[row][column] * square - centre[row] * centre[column];
+                inertia[row][column] -= self.mass * shift;
+            }
+        }
+        let (principal, frame) = principal_axes(inertia);
+        MassProperties::with_principal_inertia_frame(
+            vector(centre),
+            (factor * self.mass) as f32,
+            vector(principal.map(|moment| factor * moment)),
+            frame,
+        )
+    }
+}
+
+fn vector(numbers: [f64; 3]) -> Vector {
+    Vector::from_array(numbers.map(|number| number as f32))
+}
+
+/// The rotation matrix of a unit quaternion.
+fn matrix(rotation: Rotation) -> Matrix {
+    let [x, y, z, w] = rotation.to_array().map(f64::from);
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+/// Eigenvalues of a symmetric matrix and the rotation from its eigenvectors' frame, by Jacobi's method. The rotation is
+/// kept as a quaternion, so that a diagonal matrix gives exactly none.
+fn principal_axes(mut inertia: Matrix) -> ([f64; 3], Rotation) {
+    let mut frame = [0.0, 0.0, 0.0, 1.0];
+    for _ in 0..SWEEPS {
+        for axis in 0..3 {
+            let (p, q) = ((axis + 1) % 3, (axis + 2) % 3);
+            if let Some([cos, sin]) = jacobi_rotation(&inertia, p, q) {
+                rotate(&mut inertia, [p, q], [cos, sin]);
+                frame = turned(frame, axis, [cos, sin]);
+            }
+        }
+    }
+    let length = frame.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let [x, y, z, w] = frame.map(|x| (x / length) as f32);
+    ([inertia[0][0], inertia[1][1], inertia[2][2]], Rotation::from_xyzw(x, y, z, w))
+}
+
+/// Cosine and sine of the turn from `p` to `q` that takes `inertia[p][q]` to zero; `None` if it is zero already.
+fn jacobi_rotation(inertia: &Matrix, p: usize, q: usize) -> Option<[f64; 2]> {
+    let off = inertia[p][q];
+    let size = inertia[p][p].abs() + inertia[q][q].abs();
+    // What f32 quaternions of the shapes leave where an exact one would leave zero.
+    if off.abs() <= 1e-9 * size {
+        return None;
+    }
+    let ratio = (inertia[q][q] - inertia[p][p]) / (2.0 * off);
+    let tangent = ratio.signum() / (ratio.abs() + (ratio * ratio + 1.0).sqrt());
+    let cos = 1.0 / (tangent * tangent + 1.0).sqrt();
+    // The eigenvectors' frame turns against the matrix's own turn.
+    Some([cos, -tangent * cos])
+}
+
+/// `J^T inertia J` with `J` the turn from `p` to `q`.
+fn rotate(inertia: &mut Matrix, [p, q]: [usize; 2], [cos, sin]: [f64; 2]) {
+    for row in inertia.iter_mut() {
+        (row[p], row[q]) = (cos * row[p] + sin * row[q], cos * row[q] - sin * row[p]);
+    }
+    let (first, second) = (inertia[p], inertia[q]);
+    for k in 0..3 {
+        inertia[p][k] = cos * first[k] + sin * second[k];
+        inertia[q][k] = cos * second[k] - sin * first[k];
+    }
+}
+
+/// The quaternion (x y z w) followed by a turn about its own `axis`.
+fn turned([x, y, z, w]: [f64; 4], axis: usize, [cos, sin]: [f64; 2]) -> [f64; 4] {
+    let half_cos = ((1.0 + cos) / 2.0).sqrt();
+    let half_sin = sin / (2.0 * half_cos);
+    let mut turn = [0.0; 3];
+    turn[axis] = half_sin;
+    let [a, b, c] = turn;
+    [
+        w * a + x * half_cos + y * c - z * b,
+        w * b - x * c + y * half_cos + z * a,
+        w * c + x * b - y * a + z * half_cos,
+        w * half_cos - x * a - y * b - z * c,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn principal_axes_rebuild_the_matrix() {
+        let inertia = [[2.0, 0.3, -0.4], [0.3, 1.5, 0.2], [-0.4, 0.2, 0.7]];
+        let (principal, frame) = principal_axes(inertia);
+        let turn = matrix(frame);
+        for row in 0..3 {
+            for column in 0..3 {
+                let sum: f64 = (0..3).map(|k| turn[row][k] * principal[k] * turn[column][k]).sum();
+                assert!((sum - inertia[row][column]).abs() < 1e-6, "{row} {column}: {sum}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_diagonal_matrix_is_not_turned() {
+        let (principal, frame) =
+            principal_axes([[3.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]]);
+        assert_eq!((principal, frame), ([3.0, 1.0, 2.0], Rotation::IDENTITY));
+    }
+
+    #[test]
+    fn two_balls_make_a_dumbbell() {
+        let ball = SharedShape::ball(0.1);
+        let mut sum = MassSum::default();
+        for side in [-1.0, 1.0] {
+            sum.add(
+                &ball,
+                1000.0,
+                &Pose::from_parts(Vector::new(side, side, 0.0), Rotation::IDENTITY),
+            );
+        }
+        let mass = 1000.0 * 4.0 / 3.0 * std::f32::consts::PI * 1e-3;
+        let own = 0.4 * mass * 0.01;
+        let properties = sum.properties(1.0);
+        let mut moments = properties.principal_inertia().to_array();
+        moments.sort_by(f32::total_cmp);
+        for (got, want) in
+            moments.into_iter().zip([2.0 * own, 2.0 * own + 4.0 * mass, 2.0 * own + 4.0 * mass])
+        {
+            assert!((got - want).abs() < 1e-4 * want, "{got} kg m^2 against {want}");
+        }
+        assert!((properties.mass() - 2.0 * mass).abs() < 1e-4 * mass);
+    }
+}

@@ -1,0 +1,102 @@
+//! MuJoCo's soft constraints, which hold its contacts and joint limits: how hard they push at which violation.
+
+/// How MuJoCo integrates a robot's motion over a physics step. A soft constraint's spring is integrated in the same way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Integration {
+    /// Semi-implicit Euler: the spring's acceleration at the start of the step.
+    Euler,
+    /// Fourth order, here the exact motion of the spring.
+    RungeKutta,
+}
+
+/// MuJoCo's `solref` with a damping ratio of 1, and its `solimp` with midpoint 0.5 and power 2.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Softness {
+    /// First number of `solref`, s.
+    pub(crate) time_constant_secs: f32,
+    /// Impedance without violation and from `width` on, each in `[0, 1)`.
+    pub(crate) impedance: [f32; 2],
+    /// Violation at which the impedance is largest, m or rad.
+    pub(crate) width: f32,
+}
+
+/// MuJoCo's default.
+pub(crate) const DEFAULT: Softness =
+    Softness { time_constant_secs: 0.02, impedance: [0.9, 0.95], width: 0.001 };
+
+/// Impedance of a constraint that is hardly violated: MuJoCo's own bound.
+const SMALLEST_IMPEDANCE: f32 = 1e-4;
+
+impl Softness {
+    /// `R / A = (1 - d) / d`: the compliance of a constraint in units of its inverse mass.
+    pub(crate) fn compliance(&self, violation: f32) -> f32 {
+        let impedance = self.impedance_at(violation);
+        (1.0 - impedance) / impedance
+    }
+
+    /// `d`, from the one impedance to the other over `width` by two parabolas.
+    fn impedance_at(&self, violation: f32) -> f32 {
+        let [first, last] = self.impedance;
+        let x = (violation / self.width).clamp(0.0, 1.0);
+        let y = if x < 0.5 { 2.0 * x * x } else { 1.0 - 2.0 * (1.0 - x) * (1.0 - x) };
+        (first + (last - first) * y).max(SMALLEST_IMPEDANCE)
+    }
+
+    /// The constraint's spring over a step of `step_secs`.
+    pub(crate) fn spring(&self, integration: Integration, step_secs: f32) -> Spring {
+        let rate = 1.0 / (self.impedance[1] * self.time_constant_secs);
+        Spring { integration, rate, decay: libm::expf(-rate * step_secs), step_secs }
+    }
+}
+
+/// A critically damped spring, `dv/dt = -2 w v - w^2 r` with `w = 1 / (d_max time_constant)`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Spring {
+    integration: Integration,
+    /// `w`, 1/s.
+    rate: f32,
+    /// `exp(-w dt)`.
+    decay: f32,
+    step_secs: f32,
+}
+
+impl Spring {
+    /// The speed at the end of a step that starts at `speed` and `position`; a violation's position is negative.
+    pub(crate) fn next_speed(&self, speed: f32, position: f32) -> f32 {
+        let turn = self.rate * self.step_secs;
+        match self.integration {
+            Integration::Euler => speed - turn * (2.0 * speed + self.rate * position),
+            Integration::RungeKutta => self.decay * (speed - turn * (speed + self.rate * position)),
+        }
+    }
+
+    /// Mean speed that the damping takes from a sliding contact in a step, per m/s.
+    pub(crate) fn damping(&self) -> f32 {
+        2.0 * self.rate * self.step_secs
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_impedance_grows_from_the_first_to_the_last() {
+        let softness = Softness { impedance: [0.0, 0.8], width: 0.01, ..DEFAULT };
+        assert_eq!(softness.impedance_at(0.0), SMALLEST_IMPEDANCE);
+        assert!((softness.impedance_at(0.005) - 0.4).abs() < 1e-6);
+        assert_eq!(softness.impedance_at(0.02), 0.8);
+        assert!((softness.compliance(0.02) - 0.25).abs() < 1e-6);
+    }
+
+    #[test]
+    fn both_integrations_agree_over_short_steps_and_return_to_rest() {
+        let [euler, exact] = [Integration::Euler, Integration::RungeKutta]
+            .map(|integration| DEFAULT.spring(integration, 1e-5));
+        let (speed, position) = (-1.0, -0.01);
+        assert!(
+            (euler.next_speed(speed, position) - exact.next_speed(speed, position)).abs() < 1e-5
+        );
+        assert_eq!(exact.next_speed(0.0, 0.0), 0.0);
+    }
+}

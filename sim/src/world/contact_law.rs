@@ -1,0 +1,168 @@
+//! MuJoCo's contact law on rapier's solver: where a contact is to move in the next step, and how much it may rub.
+//!
+//! MuJoCo's friction pyramid is four soft constraints `n + mu t` along the axes of the contact's frame, each with the
+//! spring of [`Softness`] and the compliance `2 mu^2 R`. Three things follow that a rigid contact does not do:
+//! - It gives way: along the normal by `mu^2 R / 2`, along the floor by `R`. A loaded foot creeps.
+//! - Friction is `mu` along the frame's axes and `mu / sqrt 2` between them; one axis follows the capsule.
+//! - Sliding lifts. The edge against the slide holds `v_n - mu v_t`, so the faster a foot slides, the faster it rises.
+//!
+//! rapier solves one target speed along the normal and one friction coefficient for each contact; both are set here from
+//! the contact's motion and its impulse in the last step.
+
+use rapier3d::dynamics::Multibody;
+use rapier3d::math::Vector;
+use rapier3d::prelude::{ContactModificationContext, PhysicsHooks, RigidBodyHandle, SolverContact};
+
+use crate::robot::{Layout, Robot, Softness, Spring};
+
+/// Largest compliance along the normal that is taken from the last impulse, in units of the inverse mass: one of 1 would
+/// never settle.
+const LARGEST_LAGGING: f32 = 0.5;
+/// Slower than this a contact slides in no direction, m/s.
+const SLOWEST_SLIDE: f32 = 1e-4;
+/// Keeps a quotient finite, m/s.
+const TINY: f32 = 1e-9;
+
+/// The law for physics steps of one length, and the links' motion at the start of the step.
+pub(crate) struct ContactLaw {
+    softness: Softness,
+    spring: Spring,
+    step_secs: f32,
+    /// Compliance that the engine's solver takes, in units of the inverse mass.
+    solved_compliance: f32,
+    motions: Vec<LinkMotion>,
+}
+
+/// A link's motion in the world.
+#[derive(Clone, Copy, Debug)]
+struct LinkMotion {
+    body: RigidBodyHandle,
+    /// m.
+    mass_centre: Vector,
+    /// Of the mass centre, m/s.
+    linear: Vector,
+    /// rad/s.
+    angular: Vector,
+    /// 1/kg.
+    inverse_mass: f32,
+}
+
+/// A touching point's motion against the floor.
+struct Touch {
+    /// Upwards, m/s.
+    rise: f32,
+    /// Along the floor, m/s.
+    slide: f32,
+    /// Friction's share of `mu` in the direction of the slide: 1 along an axis of the frame, `1 / sqrt 2` between.
+    share: f32,
+}
+
+impl ContactLaw {
+    /// The law of a robot for physics steps of `step_secs`.
+    pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
+        let row = robot.row();
+        Self {
+            softness: row.contacts,
+            spring: row.contacts.spring(row.integration, step_secs),
+            step_secs,
+            solved_compliance: row.contact_compliance,
+            motions: Vec::with_capacity(robot.layout().joints.len()),
+        }
+    }
+
+    /// Takes up the links' motion. The rigid bodies' own velocities are a step old.
+    pub(crate) fn observe(&mut self, robot: &Robot, multibody: &Multibody) {
+        let Layout { joints, inverse_masses, .. } = robot.layout();
+        let speeds = multibody.generalized_velocity();
+        self.motions.clear();
+        for ((plan, joint), inverse_mass) in
+            robot.blueprint().links.iter().zip(joints).zip(inverse_masses)
+        {
+            let twist = multibody.body_jacobian(joint.link) * speeds;
+            let link = multibody.link(joint.link).expect("the layout is this robot's");
+            self.motions.push(LinkMotion {
+                body: joint.body,
+                mass_centre: *link.local_to_world() * plan.mass.local_com,
+                linear: Vector::new(twist[0], twist[1], twist[2]),
+                angular: Vector::new(twist[3], twist[4], twist[5]),
+                inverse_mass: *inverse_mass,
+            });
+        }
+    }
+
+    /// Sets the distance from which the engine makes the contact's next rise: it moves by `-distance / dt` where
+    /// nothing pushes harder. Returns the friction coefficient.
+    fn judge(&self, contact: &mut SolverContact, touch: &Touch, mass: f32, held: Held) -> f32 {
+        let Held { mu, impulse } = held;
+        let compliance = self.softness.compliance(-contact.dist) * (1.0 + mu * mu);
+        let give =
+            (0.5 * mu * mu * compliance - self.solved_compliance).clamp(0.0, LARGEST_LAGGING);
+        let pressed = self.spring.next_speed(touch.rise, contact.dist) - give * mass * impulse;
+        // The edges against the slide alone: one along an axis, two between.
+        let edges = 1.0 / (touch.share * touch.share);
+        let edge = touch.rise - mu * touch.share * touch.slide;
+        let shift = self.spring.next_speed(edge, contact.dist) - edge;
+        let lifted = touch.rise + shift * edges / (edges + mu * mu * (1.0 + 2.0 * compliance));
+        contact.dist = -pressed.max(lifted) * self.step_secs;
+        let creep = self.spring.damping() * touch.slide / (compliance * mass * impulse + TINY);
+        creep.min(mu * touch.share)
+    }
+}
+
+/// What a contact brings from before the step.
+#[derive(Clone, Copy)]
+struct Held {
+    /// Friction coefficient.
+    mu: f32,
+    /// Along the normal in the last step, N s.
+    impulse: f32,
+}
+
+impl PhysicsHooks for ContactLaw {
+    fn modify_solver_contacts(&self, context: &mut ContactModificationContext) {
+        let robot_first = context.rigid_body1.is_some();
+        let (body, collider) = match robot_first {
+            true => (context.rigid_body1, context.collider1),
+            false => (context.rigid_body2, context.collider2),
+        };
+        let collider = &context.colliders[collider];
+        let capsule = collider.shape().as_capsule();
+        let along = capsule.map_or(Vector::ZERO, |capsule| {
+            collider.rotation() * (capsule.segment.b - capsule.segment.a)
+        });
+        let Some(motion) = self.motions.iter().find(|motion| Some(motion.body) == body) else {
+            return;
+        };
+        let Some(pair) = context.rigid_mut() else { return };
+        let up = if robot_first { -*pair.normal } else { *pair.normal };
+        let mut friction = *pair.friction;
+        for contact in pair.solver_contacts.iter_mut().filter(|contact| contact.dist < 0.0) {
+            let touch = motion.touch(contact.anchor1, up, along);
+            let point = (contact.contact_id[0] & !rapier3d::geometry::NEW_CONTACT_BIT) as usize;
+            let impulse = pair.manifold.points[point].data.impulse;
+            let held = Held { mu: *pair.friction, impulse };
+            friction = friction.min(self.judge(contact, &touch, motion.inverse_mass, held));
+        }
+        *pair.friction = friction;
+    }
+}
+
+impl LinkMotion {
+    /// The motion of a point of the link on a floor whose normal is `up`; `along` is the capsule's axis.
+    fn touch(&self, point_in_world: Vector, up: Vector, along: Vector) -> Touch {
+        let velocity = self.linear + self.angular.cross(point_in_world - self.mass_centre);
+        let rise = velocity.dot(up);
+        let sliding = velocity - up * rise;
+        let slide = sliding.length();
+        let axis = along - up * along.dot(up);
+        let length = axis.length();
+        let share = if slide < SLOWEST_SLIDE || length < SLOWEST_SLIDE {
+            1.0
+        } else {
+            let cos = sliding.dot(axis).abs() / (slide * length);
+            let sin = (1.0 - cos * cos).max(0.0).sqrt();
+            1.0 / (cos + sin)
+        };
+        Touch { rise, slide, share }
+    }
+}
