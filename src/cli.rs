@@ -130,9 +130,6 @@ pub(crate) struct ResumeArguments {
     /// Go on with this run folder from its newest good checkpoint.
     #[arg(long, value_name = "RUN")]
     pub(crate) resume: Option<PathBuf>,
-    /// Resume although this machine computes other last bits than the one before.
-    #[arg(long)]
-    pub(crate) allow_other_machine: bool,
     /// Die without a farewell at POINT@ITERATION, such as after-publish@3: for tests of what comes after.
     #[arg(long, value_name = "POINT@ITERATION", hide = true)]
     pub(crate) die_at: Option<learner::Fault>,

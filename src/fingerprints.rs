@@ -1,4 +1,4 @@
-//! What tells whether two machines compute the same bits: hashes of fixed small computations.
+//! Hashes of small fixed computations: equal on every machine, and different for a program that computes other bits.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 use crate::commands::Usage;
 use crate::run_path;
 
-/// Both hashes of this program on this machine.
+/// Both hashes of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Fingerprints {
     /// Contact steps and inference; every actor must have the same one.
@@ -28,45 +28,26 @@ impl Fingerprints {
         Self { rollout, learner: Digest(hasher.finalize().into()) }
     }
 
-    /// What a resume on this machine makes of the run in `folder`.
-    pub(crate) fn compare(&self, folder: &Path) -> anyhow::Result<Kinship> {
+    /// Refuses to resume the run in `folder` with a program that computes other bits.
+    pub(crate) fn demand_those_of(&self, folder: &Path) -> anyhow::Result<()> {
         let manifest = manifest(folder)?;
-        let told = |key: &str| manifest[key].as_str().unwrap_or_default().to_owned();
-        let same = told("rollout_fingerprint") == self.rollout.to_string()
-            && told("learner_fingerprint") == self.learner.to_string();
-        Ok(match (same, manifest[ONE_KIND].as_bool()) {
-            (true, Some(true)) => Kinship::Exact,
-            (true, _) => Kinship::Mixed,
-            (false, _) => Kinship::Foreign,
-        })
-    }
-}
-
-/// The manifest's field that says whether all of a run was computed with the same bits.
-pub(crate) const ONE_KIND: &str = "one_machine_kind";
-
-/// How a run's past relates to this machine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kinship {
-    /// All of it has the same bits as here.
-    Exact,
-    /// The last part has, an earlier one has not.
-    Mixed,
-    /// The last part has other bits.
-    Foreign,
-}
-
-impl Kinship {
-    /// Refuses a run of another machine, unless that is allowed.
-    pub(crate) fn demand(self, folder: &Path) -> Result<(), Usage> {
-        match self {
-            Self::Exact | Self::Mixed => Ok(()),
-            Self::Foreign => Err(Usage::new(format!(
-                "{} was computed with other last bits (another processor or program), so going on \
-                 here is not exact; pass --allow-other-machine to go on all the same",
-                folder.display()
-            ))),
+        let told = |key: &str| manifest[key].as_str().unwrap_or("unknown").to_owned();
+        for (key, own) in
+            [("rollout_fingerprint", self.rollout), ("learner_fingerprint", self.learner)]
+        {
+            let (of_run, own) = (told(key), own.to_string());
+            if of_run != own {
+                return Err(Usage::new(format!(
+                    "{} was trained by a program that computes other numbers: its {key} is {of_run}, this \
+                     program's is {own}; resume it with version {}, commit {}",
+                    folder.display(),
+                    told("version"),
+                    told("git_commit"),
+                ))
+                .into());
+            }
         }
+        Ok(())
     }
 }
 
@@ -83,28 +64,23 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_run_once_continued_elsewhere_is_never_exact_again() {
+    fn only_a_run_with_both_fingerprints_of_this_program_is_resumed() {
         let folder = tempfile::tempdir().unwrap();
         let here = Fingerprints { rollout: Digest([1; 32]), learner: Digest([2; 32]) };
-        let compare = |learner: Digest, one_kind: bool| {
+        let resume = |rollout: u8, learner: u8| {
             let manifest = json!({
-                "rollout_fingerprint": here.rollout.to_string(),
-                "learner_fingerprint": learner.to_string(),
-                ONE_KIND: one_kind,
+                "rollout_fingerprint": Digest([rollout; 32]).to_string(),
+                "learner_fingerprint": Digest([learner; 32]).to_string(),
+                "version": "0.1.0",
+                "git_commit": "abc",
             });
             std::fs::write(run_path::manifest_file(folder.path()), manifest.to_string()).unwrap();
-            here.compare(folder.path()).unwrap()
+            here.demand_those_of(folder.path()).map_err(|error| error.to_string())
         };
-        assert_eq!(compare(here.learner, true), Kinship::Exact);
-        assert_eq!(compare(here.learner, false), Kinship::Mixed);
-        assert_eq!(compare(Digest([3; 32]), true), Kinship::Foreign);
-    }
-
-    #[test]
-    fn only_a_foreign_run_is_refused() {
-        let folder = Path::new("runs/a");
-        assert!(Kinship::Exact.demand(folder).is_ok() && Kinship::Mixed.demand(folder).is_ok());
-        let message = Kinship::Foreign.demand(folder).unwrap_err().to_string();
-        assert!(message.contains("--allow-other-machine"), "{message}");
+        assert_eq!(resume(1, 2), Ok(()));
+        let [other_rollout, other_learner] = [resume(3, 2), resume(1, 3)].map(Result::unwrap_err);
+        assert!(other_rollout.contains("its rollout_fingerprint is 0303"), "{other_rollout}");
+        assert!(other_learner.contains("its learner_fingerprint is 0303"), "{other_learner}");
+        assert!(other_learner.ends_with("resume it with version 0.1.0, commit abc"));
     }
 }

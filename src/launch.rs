@@ -13,7 +13,7 @@ use serde_json::json;
 use crate::cli::{ResumeArguments, SettingsArguments};
 use crate::commands::{Usage, config_file_of_run};
 use crate::config::{ConfigError, Request, keys, layers};
-use crate::fingerprints::{Fingerprints, Kinship, ONE_KIND};
+use crate::fingerprints::Fingerprints;
 use crate::offered::Offered;
 use crate::run_config::RunConfig;
 use crate::{resume, run_path};
@@ -49,11 +49,12 @@ pub(crate) fn prepare(
     config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let fingerprints = Fingerprints::measure();
-    let kinship = kinship(&fingerprints, resumed)?;
+    if let Some(folder) = &resumed.resume {
+        fingerprints.demand_those_of(folder)?;
+    }
     let mut launch = launch(&config, offered, &folder, &fingerprints);
     launch.resume = resumed.resume.is_some();
     launch.fault = resumed.die_at;
-    launch.manifest[ONE_KIND] = json!(kinship == Kinship::Exact);
     Ok(Prepared { config, folder, launch })
 }
 
@@ -76,18 +77,6 @@ fn run_in_place(config: &RunConfig) -> Option<PathBuf> {
     let folder = Path::new(&config.run.dir);
     let there = !config.run.dir.is_empty() && run_path::config_file(folder).is_file();
     there.then(|| folder.to_path_buf())
-}
-
-/// Whether this machine computes as those did that worked on the run before.
-fn kinship(fingerprints: &Fingerprints, resumed: &ResumeArguments) -> anyhow::Result<Kinship> {
-    let Some(folder) = &resumed.resume else {
-        return Ok(Kinship::Exact);
-    };
-    let kinship = fingerprints.compare(folder)?;
-    if !resumed.allow_other_machine {
-        kinship.demand(folder)?;
-    }
-    Ok(kinship)
 }
 
 /// The settings of a new run, or those of `resumed` with what may change.

@@ -18,7 +18,7 @@ pub fn environment_spec(description: &sim::Description) -> EnvironmentSpec {
     }
 }
 
-/// SHA-256 over the simulator's and the policy's probes: machines that agree on it roll out alike.
+/// SHA-256 over the simulator's and the policy's probes: programs that agree on it roll out alike.
 #[must_use]
 pub fn rollout_fingerprint() -> Digest {
     let mut hash = Sha256::new();

@@ -11,7 +11,7 @@ use anyhow::bail;
 use crate::Effort;
 use crate::clock::median;
 use crate::processes::{children, peak_megabytes, processor_secs};
-use crate::settings::{Settings, program};
+use crate::settings::{self, Settings, program};
 use crate::table::Row;
 use crate::update::TASKS;
 
@@ -21,18 +21,24 @@ pub(crate) const COLD: usize = 2;
 const GLANCE: Duration = Duration::from_millis(5);
 const PATIENCE: Duration = Duration::from_secs(120);
 
+const WIDE: [&str; 2] = ["policy.encoder=128", "policy.hidden=128"];
+
+/// Names of the runs of each task, and their settings beside the preset's.
+pub(crate) fn runs() -> [(&'static str, Vec<&'static str>); 3] {
+    let gru = settings::core("gru");
+    [
+        ("happo, mlp", [&["algorithm=happo"], settings::core("mlp")].concat()),
+        ("happo-s2mia, gru 64", gru.to_vec()),
+        ("happo, gru 128", [&["algorithm=happo"], gru, &WIDE].concat()),
+    ]
+}
+
 pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
-    let wide = ["policy.core=gru", "policy.encoder=128", "policy.hidden=128"];
     let mut rows = Vec::new();
     for task in TASKS {
-        rows.push(row(task, "happo, mlp", &["algorithm=happo"], effort)?);
-        rows.push(row(task, "happo-s2mia, gru 64", &["policy.core=gru"], effort)?);
-        rows.push(row(
-            task,
-            "happo, gru 128",
-            &[&["algorithm=happo"], &wide[..]].concat(),
-            effort,
-        )?);
+        for (name, more) in runs() {
+            rows.push(row(task, name, &more, effort)?);
+        }
     }
     Ok(rows)
 }

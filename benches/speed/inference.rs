@@ -5,7 +5,7 @@ use policy::{PolicySnapshot, Scratch};
 
 use crate::Effort;
 use crate::clock::typical;
-use crate::settings::Settings;
+use crate::settings::{self, Settings};
 use crate::table::Row;
 use crate::update::{CORES, TASKS};
 
@@ -23,7 +23,7 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
 }
 
 fn row(task: &str, core: &str, environments: usize, effort: Effort) -> anyhow::Result<Row> {
-    let settings = Settings::of(&[task, "preset=harl", &format!("policy.core={core}")])?;
+    let settings = Settings::harl(task, &[settings::core(core)])?;
     let problem = settings.problem()?;
     let algorithm = marl::build(&settings.training, &settings.policy, &problem, RunSeed(0))?;
     let mut slot = Slot::of(algorithm.snapshot()?, environments);

@@ -1,17 +1,20 @@
 //! How fast s2mia is on this machine: `cargo bench -p s2mia [-- SECTION ...] [--quick] [--json]` measures the named
-//! sections, or all of them, and prints one Markdown table each, or JSON. docs/PERFORMANCE.md explains the figures.
+//! sections, or all of them but `instructions`, and prints one Markdown table each, or JSON. docs/PERFORMANCE.md explains the figures.
 
 mod clock;
 mod end_to_end;
 mod inference;
+mod instructions;
 mod iteration;
 mod load;
+mod peak;
 mod physics;
 mod processes;
 mod products;
 mod run_in_process;
 mod scaling;
 mod settings;
+mod shapes;
 mod sizing;
 mod synthetic;
 mod table;
@@ -43,12 +46,18 @@ const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 /// A section's name, what its rows are, and who measures them.
 type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<Row>>);
 
-const SECTIONS: [Measurement; 11] = [
+const SECTIONS: [Measurement; 13] = [
     ("products", "matrix products of single floats on one core", products::rows),
     ("physics", "environment steps on one core under random actions", physics::rows),
     ("inference", "one step of a slot: all its agents in all its environments", inference::rows),
-    ("shapes", "the updates below: preset `harl`, 20 environments x 200 steps", update::shapes),
+    ("shapes", "the updates below: preset `harl`, 20 environments x 200 steps", shapes::rows),
     ("update", "one update; its parts on one thread", update::rows),
+    ("peak", "matrix products of an update on one thread, and of a core at its best", peak::rows),
+    (
+        "instructions",
+        "an update of one epoch, 5 environments x 200 steps, on one thread with AVX2",
+        instructions::rows,
+    ),
     ("end-to-end", "`s2mia train` with 2 actors, preset `harl`", end_to_end::rows),
     ("wire", "one iteration of `halfcheetah-6x1` with 2 actors, medians", wire::rows),
     ("traffic", "bytes that a slot sends and an actor fetches", wire::traffic),
@@ -61,10 +70,16 @@ const SECTIONS: [Measurement; 11] = [
     ("scaling", "one update of a synthetic task, on two threads", scaling::rows),
 ];
 
+/// The section that is measured only if it is named: it takes minutes, and needs valgrind.
+const ON_REQUEST: &str = "instructions";
+
 fn main() -> anyhow::Result<()> {
     single_threaded_candle();
     let (options, wanted): (Vec<String>, Vec<String>) =
         std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
+    if let Some(case) = options.iter().find_map(|o| o.strip_prefix(instructions::ONE_UPDATE)) {
+        return instructions::one_update(case);
+    }
     // `cargo bench` adds --bench. `cargo test` does not: then only settings and shapes are looked at.
     let strange = options.iter().find(|o| !["--bench", "--quick", "--json"].contains(&o.as_str()));
     if let Some(strange) = strange {
@@ -79,7 +94,8 @@ fn main() -> anyhow::Result<()> {
     let effort = if given("--quick") { QUICK } else { FULL };
     let mut sections = Vec::new();
     for (name, caption, measure) in SECTIONS {
-        if !wanted.is_empty() && !wanted.iter().any(|wanted| wanted == name) {
+        let asked = wanted.iter().any(|wanted| wanted == name);
+        if !asked && (!wanted.is_empty() || name == ON_REQUEST) {
             continue;
         }
         let section = Section { name, caption, rows: measure(effort)? };

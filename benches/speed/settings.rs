@@ -27,7 +27,20 @@ pub(crate) fn program(arguments: &[&str]) -> Command {
     command
 }
 
+/// Settings of a core beside `preset=harl`, whose single rows are meant for `mlp`; HARL trains memories in chunks of 10.
+pub(crate) fn core(name: &str) -> &'static [&'static str] {
+    match name {
+        "gru" => &["policy.core=gru", "policy.chunk_steps=10"],
+        _ => &["policy.core=mlp"],
+    }
+}
+
 impl Settings {
+    /// Those of HARL's preset for a task, with changes.
+    pub(crate) fn harl(task: &str, changes: &[&[&str]]) -> anyhow::Result<Self> {
+        Self::of(&[&[task, "preset=harl"], changes.concat().as_slice()].concat())
+    }
+
     /// As `s2mia config` resolves them.
     pub(crate) fn of(arguments: &[&str]) -> anyhow::Result<Self> {
         let output = program(&[&["config"], arguments].concat()).output()?;

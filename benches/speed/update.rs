@@ -7,9 +7,9 @@ use policy::RunSeed;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::clock::{Took, median, once, thread_secs};
-use crate::settings::Settings;
+use crate::settings::{self, Settings};
 use crate::table::Row;
-use crate::{Effort, products, synthetic};
+use crate::{Effort, synthetic};
 
 /// Tasks whose updates differ most.
 pub(crate) const TASKS: [&str; 3] = ["halfcheetah-6x1", "walker2d-2x3", "ant-4x2"];
@@ -25,14 +25,14 @@ const PHASES: [Phase; 6] = [
 ];
 
 /// One task with one core.
-struct Case {
-    name: String,
-    settings: Settings,
-    problem: Problem,
+pub(crate) struct Case {
+    pub(crate) name: String,
+    pub(crate) settings: Settings,
+    pub(crate) problem: Problem,
 }
 
 /// Every task with every core, and one recurrent core through whole slots instead of chunks of 10.
-fn cases() -> anyhow::Result<Vec<Case>> {
+pub(crate) fn cases() -> anyhow::Result<Vec<Case>> {
     let mut cases = Vec::new();
     for task in TASKS {
         for core in CORES {
@@ -45,58 +45,29 @@ fn cases() -> anyhow::Result<Vec<Case>> {
 }
 
 impl Case {
-    fn of(task: &str, core: &str, name: &str, changes: &[&str]) -> anyhow::Result<Self> {
-        let core = format!("policy.core={core}");
-        let settings = Settings::of(&[&[task, "preset=harl", &core], changes].concat())?;
+    pub(crate) fn of(task: &str, core: &str, name: &str, changes: &[&str]) -> anyhow::Result<Self> {
+        let settings = Settings::harl(task, &[settings::core(core), changes])?;
         let problem = settings.problem()?;
         Ok(Self { name: format!("{task} {name}"), settings, problem })
     }
 
-    fn rows(&self) -> usize {
+    pub(crate) fn rows(&self) -> usize {
         let environments = &self.settings.learner.environments;
         environments.count * environments.steps
     }
 
-    fn batch(&self) -> Batch {
+    pub(crate) fn batch(&self) -> Batch {
         let environments = &self.settings.learner.environments;
         let sizes = (environments.steps, environments.count);
         synthetic::batch(&self.problem, &self.settings.policy, sizes)
     }
 }
 
-/// What whoever times another program's update has to know.
-pub(crate) fn shapes(_effort: Effort) -> anyhow::Result<Vec<Row>> {
-    let row = |case: Case| {
-        let (agent, training) = (&case.problem.agents[0], &case.settings.training);
-        let (policy, update) = (&case.settings.policy, &training.update);
-        let whole = |number: usize| number as f64;
-        let figures = vec![
-            ("agents", whole(case.problem.agents.len())),
-            ("observation", whole(agent.observation)),
-            ("action", whole(agent.action)),
-            ("state", whole(case.problem.state)),
-            ("hidden", whole(policy.hidden_size())),
-            ("encoder", whole(policy.encoder)),
-            ("width", whole(policy.width)),
-            ("layers", whole(policy.layers)),
-            ("chunk", whole(policy.chunk_steps)),
-            ("epochs", whole(update.epochs)),
-            ("minibatches", whole(update.minibatches)),
-            ("critic epochs", whole(training.critic.epochs)),
-            ("critic minibatches", whole(training.critic.minibatches)),
-            ("posterior epochs", whole(training.influence.epochs)),
-        ];
-        Row { case: case.name, figures }
-    };
-    Ok(cases()?.into_iter().map(row).collect())
-}
-
 pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
-    let peak = products::peak(effort);
-    cases()?.iter().map(|case| row(case, peak, effort)).collect()
+    cases()?.iter().map(|case| row(case, effort)).collect()
 }
 
-fn row(case: &Case, peak: f64, effort: Effort) -> anyhow::Result<Row> {
+fn row(case: &Case, effort: Effort) -> anyhow::Result<Row> {
     let batch = case.batch();
     let mut one = Updates::new(&case.settings, &case.problem, 1)?;
     let mut two = Updates::new(&case.settings, &case.problem, 2)?;
@@ -108,7 +79,6 @@ fn row(case: &Case, peak: f64, effort: Effort) -> anyhow::Result<Row> {
     let (single, double) = (&single[1..], &double[1..]);
     let of = |part: fn(&Parts) -> f64, runs: &[Parts]| median(runs.iter().map(part));
     let whole = of(|parts| parts.whole.thread, single);
-    let gigaflops = products::flops(&case.settings, &case.problem, case.rows()) / whole / 1e9;
     let mut figures = vec![
         ("1 thread, processor s", whole),
         ("2 threads, s", of(|parts| parts.whole.wall, double)),
@@ -121,15 +91,14 @@ fn row(case: &Case, peak: f64, effort: Effort) -> anyhow::Result<Row> {
     for (phase, name) in names.into_iter().enumerate() {
         figures.push((name, median(single.iter().map(|parts| parts.phases[phase]))));
     }
-    figures.extend([("GFLOP/s, 1 thread", gigaflops), ("share of peak", gigaflops / peak)]);
     Ok(Row { case: case.name.clone(), figures })
 }
 
 /// A learning rule and its densities on a pool of threads.
 pub(crate) struct Updates {
-    surprise: Surprise,
-    algorithm: Box<dyn Algorithm>,
-    pool: ThreadPool,
+    pub(crate) surprise: Surprise,
+    pub(crate) algorithm: Box<dyn Algorithm>,
+    pub(crate) pool: ThreadPool,
     stopwatch: Arc<Stopwatch>,
     iteration: u64,
 }

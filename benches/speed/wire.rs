@@ -14,7 +14,7 @@ use crate::Effort;
 use crate::end_to_end::COLD;
 use crate::iteration::{Iteration, Log, typical};
 use crate::run_in_process::{ACTORS, by_calls, roll_out, through_the_exchange};
-use crate::settings::{Settings, program};
+use crate::settings::{self, Settings, program};
 use crate::table::Row;
 use crate::update::{CORES, TASKS, Updates};
 
@@ -84,7 +84,7 @@ pub(crate) fn traffic(_effort: Effort) -> anyhow::Result<Vec<Row>> {
 }
 
 fn traffic_row(task: &str, core: &str) -> anyhow::Result<Row> {
-    let settings = Settings::of(&[task, "preset=harl", &format!("policy.core={core}")])?;
+    let settings = Settings::harl(task, &[settings::core(core)])?;
     let (slot, snapshot) = recorded(&settings)?;
     let environments = &settings.learner.environments;
     let steps = (environments.per_slot * environments.steps) as f64;

@@ -71,8 +71,8 @@ impl Registration {
             Some(found) if found != run.rollout_fingerprint => {
                 let expected = run.rollout_fingerprint;
                 let detail = format!(
-                    "the actor's probes give {found}, the learner's {expected}: another program or CPU \
-                     family would change the run's numbers"
+                    "the actor's is {found}, the learner's {expected}: an actor of another version would \
+                     change the run's numbers"
                 );
                 refuse(Reason::OtherFingerprint, "rollout_fingerprint", detail)
             }

@@ -40,8 +40,8 @@ pub struct Replayed {
     pub steps: u64,
     /// The first that did not; nothing behind it was played.
     pub difference: Option<Difference>,
-    /// The log was written where floating-point numbers have other last bits.
-    pub other_machine: Option<String>,
+    /// The fingerprint of the program that wrote the log, if it is not this program's.
+    pub other_program: Option<String>,
 }
 
 /// Plays every whole share of a log.
@@ -66,7 +66,7 @@ pub fn replay(bytes: &[u8]) -> Result<Replayed, LogError> {
         Ok(())
     })?;
     let own = crate::rollout_fingerprint().to_string();
-    replayed.other_machine =
+    replayed.other_program =
         told.words.get("rollout_fingerprint").filter(|logged| **logged != own).cloned();
     Ok(replayed)
 }

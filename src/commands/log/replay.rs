@@ -15,9 +15,9 @@ pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
         let steps = thousands(replayed.steps);
         output::line(format!("{shown}: {steps} steps in {shares} shares, equal bit for bit"));
         let Some(difference) = replayed.difference else { continue };
-        match replayed.other_machine {
+        match replayed.other_program {
             Some(_) => anyhow::bail!(
-                "{shown}: {difference}; it was logged on a machine or by a program with other last bits"
+                "{shown}: {difference}; it was logged by a program that computes other numbers"
             ),
             None => anyhow::bail!("{shown}: {difference}"),
         }

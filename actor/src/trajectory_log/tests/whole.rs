@@ -110,7 +110,7 @@ fn the_simulator_repeats_a_log_bit_for_bit() {
     log.close();
     let replayed = replay(&read_bytes(&files(folder.path())[0]).unwrap()).unwrap();
     assert_eq!((replayed.shares, replayed.steps, replayed.difference), (6, 185, None));
-    assert_eq!(replayed.other_machine, None);
+    assert_eq!(replayed.other_program, None);
 }
 
 /// What a replay says of the slot's log after `change`.

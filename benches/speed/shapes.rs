@@ -1,0 +1,73 @@
+//! Shapes of the measured updates, held to what docs/PERFORMANCE.md says of its tables. `cargo test` looks, too.
+
+use anyhow::ensure;
+
+use crate::Effort;
+use crate::end_to_end;
+use crate::settings::Settings;
+use crate::table::Row;
+use crate::update::{Case, TASKS, cases};
+
+/// What whoever times another program's update has to know.
+pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
+    runs_are_as_their_tables_say()?;
+    let row = |case: Case| {
+        let (agent, training) = (&case.problem.agents[0], &case.settings.training);
+        let (policy, update) = (&case.settings.policy, &training.update);
+        let whole = |number: usize| number as f64;
+        let figures = vec![
+            ("agents", whole(case.problem.agents.len())),
+            ("observation", whole(agent.observation)),
+            ("action", whole(agent.action)),
+            ("state", whole(case.problem.state)),
+            ("hidden", whole(policy.hidden_size())),
+            ("encoder", whole(policy.encoder)),
+            ("width", whole(policy.width)),
+            ("layers", whole(policy.layers)),
+            ("chunk", whole(policy.chunk_steps)),
+            ("epochs", whole(update.epochs)),
+            ("minibatches", whole(update.minibatches)),
+            ("critic epochs", whole(training.critic.epochs)),
+            ("critic minibatches", whole(training.critic.minibatches)),
+            ("posterior epochs", whole(training.influence.epochs)),
+        ];
+        Row { case: case.name, figures }
+    };
+    Ok(cases()?.into_iter().map(row).collect())
+}
+
+/// Fails with the case whose settings differ from the words of its table.
+fn runs_are_as_their_tables_say() -> anyhow::Result<()> {
+    for Case { name, settings, .. } in cases()? {
+        is_as_told(&name, &settings)?;
+    }
+    for task in TASKS {
+        for (name, changes) in end_to_end::runs() {
+            is_as_told(&format!("{task} {name}"), &Settings::harl(task, &[&changes])?)?;
+        }
+    }
+    Ok(())
+}
+
+fn is_as_told(case: &str, settings: &Settings) -> anyhow::Result<()> {
+    let (policy, update) = (&settings.policy, &settings.training.update);
+    let epochs = if case.starts_with("halfcheetah") { 15 } else { 5 };
+    let minibatches = if case.starts_with("walker2d") { 2 } else { 1 };
+    let (found, told) = match case.contains("gru") {
+        true => {
+            let units = if case.ends_with("gru 128") { 128 } else { 64 };
+            let chunk = if case.ends_with("sequences of 200") { 200 } else { 10 };
+            ([policy.encoder, policy.hidden_size(), policy.chunk_steps], [units, units, chunk])
+        }
+        false => ([policy.width, policy.layers, policy.chunk_steps], [128, 3, 1]),
+    };
+    ensure!(
+        found == told && (update.epochs, update.minibatches) == (epochs, minibatches),
+        "{case}: expected {told:?}, {epochs} epochs, {minibatches} minibatches; found {found:?}, {} and {}",
+        update.epochs,
+        update.minibatches,
+    );
+    let environments = &settings.learner.environments;
+    ensure!((environments.count, environments.steps) == (20, 200), "{case}: not 20 x 200 steps");
+    Ok(())
+}

@@ -1,0 +1,159 @@
+//! The bits themselves: short runs end with the weights and the state whose SHA-256 stand in `tests/data/golden.json`,
+//! on every machine and with every SIMD width of its processor. Where cargo runs tests of another architecture through
+//! a runner, the learner and the actor are started through the same one.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::collections::BTreeMap;
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value;
+
+/// Task, algorithm and core of each run.
+const CASES: [[&str; 3]; 9] = [
+    ["halfcheetah-2x3", "happo-s2mia", "gru"],
+    ["halfcheetah-2x3", "happo-s2mia", "mlp"],
+    ["walker2d-2x3", "happo-s2mia", "gru"],
+    ["walker2d-2x3", "happo-s2mia", "mlp"],
+    ["ant-4x2", "happo-s2mia", "gru"],
+    ["ant-4x2", "happo-s2mia", "mlp"],
+    ["halfcheetah-2x3", "happo", "mlp"],
+    ["halfcheetah-2x3", "mappo", "gru"],
+    ["halfcheetah-2x3", "maddpg", "mlp"],
+];
+
+/// Cases that are repeated with each SIMD width: both cores, and the replay.
+const REPEATED: [[&str; 3]; 3] = [CASES[0], CASES[5], CASES[8]];
+
+/// Three iterations of 4 environments x 40 steps, of which MADDPG learns in two. Widths are no multiples of 16 lanes,
+/// so that kernels also meet rests.
+const SETTINGS: [&str; 20] = [
+    "run.seed=7",
+    "run.iterations=3",
+    "environments.count=4",
+    "environments.steps=40",
+    "environments.per_slot=2",
+    "environments.chunk_steps=20",
+    "policy.encoder=21",
+    "policy.hidden=37",
+    "policy.width=37",
+    "policy.layers=2",
+    "critic.width=37",
+    "critic.layers=2",
+    "influence.encoder=21",
+    "influence.hidden=21",
+    "update.learning_rate=5e-3",
+    "maddpg.replay=400",
+    "maddpg.batch=33",
+    "maddpg.n_step=3",
+    "maddpg.warm_up=160",
+    "evaluation.every_steps=0",
+];
+
+const RENEWAL: &str = "S2MIA_RENEW_GOLDEN=1 cargo test --test golden golden_file";
+
+/// SHA-256 by what it is of: `weights` and `state`.
+type Hashes = BTreeMap<String, String>;
+
+/// The program with a SIMD width, or with the one it chooses; by the runner that cargo uses for its architecture.
+fn s2mia(width: Option<&str>) -> Command {
+    let architecture = std::env::consts::ARCH.to_uppercase();
+    let runner =
+        std::env::var(format!("CARGO_TARGET_{architecture}_UNKNOWN_LINUX_GNU_RUNNER")).ok();
+    let mut words = runner.iter().flat_map(|line| line.split_whitespace());
+    let mut words = words.by_ref().chain([env!("CARGO_BIN_EXE_s2mia")]);
+    let mut command = Command::new(words.next().unwrap());
+    command.args(words).envs(width.map(|width| ("S2MIA_SIMD", width)));
+    command
+}
+
+/// A learner and one actor train a case; the hashes of its last checkpoint.
+fn train([task, algorithm, core]: [&str; 3], width: Option<&str>) -> Hashes {
+    let folder = tempfile::tempdir().unwrap();
+    let chosen = [
+        format!("task={task}"),
+        format!("algorithm={algorithm}"),
+        format!("policy.core={core}"),
+        format!("run.dir={}", folder.path().display()),
+    ];
+    let mut learner = s2mia(width)
+        .args(["learner", "--listen=127.0.0.1:0"])
+        .args(chosen.iter().map(String::as_str).chain(SETTINGS))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut first = String::new();
+    BufReader::new(learner.stdout.take().unwrap()).read_line(&mut first).unwrap();
+    let url = first.split_whitespace().last().unwrap_or_default();
+    let actor = s2mia(width).args(["actor", "--learner", url]).output().unwrap();
+    if !actor.status.success() {
+        // Otherwise it would wait for another one. It may have ended already.
+        let _ended = learner.kill();
+    }
+    let learner = learner.wait_with_output().unwrap();
+    assert!(learner.status.success() && actor.status.success(), "{}{}", log(&learner), log(&actor));
+    hashes(folder.path())
+}
+
+fn hashes(folder: &Path) -> Hashes {
+    let output = s2mia(None).args(["inspect", "--json"]).arg(folder).output().unwrap();
+    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(told["env_steps"], 3 * 4 * 40);
+    let hash =
+        |of: &str| (of.to_owned(), told[format!("{of}_sha256")].as_str().unwrap().to_owned());
+    ["weights", "state"].map(hash).into()
+}
+
+fn log(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// SIMD widths by name, and whether this processor has them.
+fn widths() -> [(&'static str, bool); 4] {
+    #[cfg(target_arch = "x86_64")]
+    let (avx2, avx512) = (
+        std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma"),
+        std::arch::is_x86_feature_detected!("avx512f"),
+    );
+    #[cfg(not(target_arch = "x86_64"))]
+    let (avx2, avx512) = (false, false);
+    let neon = cfg!(target_arch = "aarch64");
+    [("scalar", true), ("avx2", avx2), ("avx512", avx512), ("neon", neon)]
+}
+
+#[test]
+fn every_case_ends_with_the_hashes_of_the_golden_file() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/golden.json");
+    let found: BTreeMap<_, _> = CASES.map(|case| (case.join(" "), train(case, None))).into();
+    if std::env::var_os("S2MIA_RENEW_GOLDEN").is_some() {
+        std::fs::write(file, serde_json::to_string_pretty(&found).unwrap() + "\n").unwrap();
+        return;
+    }
+    let golden = std::fs::read_to_string(file).unwrap();
+    let golden: BTreeMap<String, Hashes> = serde_json::from_str(&golden).unwrap();
+    let mut differences = String::new();
+    for (case, hashes) in &found {
+        for (of, hash) in hashes {
+            let expected = golden.get(case).and_then(|hashes| hashes.get(of));
+            if expected != Some(hash) {
+                differences += &format!("{case}, {of}: expected {expected:?}, found {hash}\n");
+            }
+        }
+    }
+    assert!(
+        differences.is_empty(),
+        "{differences}tests/data/golden.json is renewed only by a change that means to change bits: `{RENEWAL}`"
+    );
+}
+
+#[test]
+fn every_simd_width_of_this_processor_trains_the_same_bits() {
+    for case in REPEATED {
+        let chosen = train(case, None);
+        for (width, _) in widths().into_iter().filter(|(_, here)| *here) {
+            assert_eq!(train(case, Some(width)), chosen, "{case:?} with S2MIA_SIMD={width}");
+        }
+    }
+}
