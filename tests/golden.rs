@@ -157,3 +157,15 @@ fn every_simd_width_of_this_processor_trains_the_same_bits() {
         }
     }
 }
+
+#[test]
+fn a_simd_width_that_this_processor_lacks_and_an_unknown_one_are_refused_in_one_line() {
+    let absent = widths().into_iter().filter(|(_, here)| !here).map(|(width, _)| width);
+    for width in absent.chain(["abacus"]) {
+        let output = s2mia(Some(width)).arg("tasks").output().unwrap();
+        let line = log(&output);
+        assert_eq!(output.status.code(), Some(2), "S2MIA_SIMD={width}: {line}");
+        assert!(line.contains("S2MIA_SIMD") && line.contains(width), "{line}");
+        assert_eq!(line.lines().count(), 1, "{line}");
+    }
+}
