@@ -22,77 +22,110 @@ pub fn check(
     let environments = run.environments_per_slot as usize;
     let done =
         chunk.terminated.iter().zip(&chunk.truncated).map(|(a, b)| *a || *b).collect::<Vec<_>>();
+    let mut scratch = Scratch::default();
     for (i, (policy, rows)) in policy.agents.iter().zip(&chunk.agents).enumerate() {
         let end = chunk.end.as_ref().map(|end| end.recurrent[i].as_slice());
-        let replay = Replay { policy, rows, environments, done: &done, end };
-        replay.run(run.hidden_every as usize).map_err(|(field, detail)| {
+        // A policy without memory starts anew at each step.
+        let every = if policy.hidden_size() == 0 { 1 } else { run.hidden_every as usize };
+        let replay = Replay { policy, rows, environments, every, done: &done, end };
+        replay.run(&mut scratch).map_err(|(field, detail)| {
             Refusal::new(Reason::CanaryMismatch, format!("chunk.agents[{i}].{field}"), detail)
         })?;
     }
     Ok(())
 }
 
-/// One agent's rows of a chunk, and the policy that should have made them.
+/// One agent's rows of a chunk, and the policy that should have made them. A block is the `every` steps between two
+/// stored recurrent states.
 struct Replay<'a> {
     policy: &'a ActorPolicy,
     rows: &'a AgentChunk,
     environments: usize,
+    every: usize,
     /// `[t, E]`: the episode ended with this step.
     done: &'a [bool],
     /// `[E, H]` after the slot's last step, in its last chunk.
     end: Option<&'a [f32]>,
 }
 
+/// What the policy makes of a chunk's observations.
+struct Replayed {
+    /// `[every, blocks, E, out]`
+    output: Vec<f32>,
+    /// `[blocks, E, H]` after each block.
+    hidden: Vec<f32>,
+}
+
 /// The field that differs, and how.
 type Mismatch = (&'static str, String);
 
 impl Replay<'_> {
-    fn run(&self, every: usize) -> Result<(), Mismatch> {
-        let steps = self.done.len() / self.environments;
+    fn run(&self, scratch: &mut Scratch) -> Result<(), Mismatch> {
+        let replayed = self.replay(scratch);
         let width = self.environments * self.policy.hidden_size();
-        let mut output = vec![0.0; self.environments * self.policy.output_size()];
-        let mut scratch = Scratch::default();
-        for (block, first) in (0..steps).step_by(every).enumerate() {
-            let mut hidden = self.rows.hidden[block * width..(block + 1) * width].to_vec();
-            for step in first..first + every {
-                self.step(step, &mut hidden, &mut output, &mut scratch)?;
+        for block in 0..self.blocks() {
+            for step in 0..self.every {
+                self.same_log_probs(block, step, &replayed.output)?;
             }
-            let next = match first + every == steps {
+            let own = block * width..(block + 1) * width;
+            let next = match block + 1 == self.blocks() {
                 true => self.end,
-                false => Some(&self.rows.hidden[(block + 1) * width..(block + 2) * width]),
+                false => Some(&self.rows.hidden[own.end..own.end + width]),
             };
-            next.map_or(Ok(()), |next| self.same_state(first + every, &hidden, next))?;
+            let after = (block + 1) * self.every;
+            next.map_or(Ok(()), |next| self.same_state(after, &replayed.hidden[own], next))?;
         }
         Ok(())
     }
 
-    /// Compares a step's log-probabilities; `hidden` `[E, H]` moves on by it, and is zero after an end.
-    fn step(
-        &self,
-        step: usize,
-        hidden: &mut [f32],
-        output: &mut [f32],
-        scratch: &mut Scratch,
-    ) -> Result<(), Mismatch> {
+    fn blocks(&self) -> usize {
+        self.done.len() / self.environments / self.every
+    }
+
+    /// Runs the policy over all blocks side by side: each starts from its own stored state, so one forward pass takes
+    /// a step of every block.
+    fn replay(&self, scratch: &mut Scratch) -> Replayed {
+        let (count, blocks) = (self.environments, self.blocks());
+        let (obs, units) = (self.policy.observation_size(), self.policy.hidden_size());
+        let size = blocks * count * self.policy.output_size();
+        let mut hidden = self.rows.hidden[..blocks * count * units].to_vec();
+        let mut output = vec![0.0; self.every * size];
+        let mut observation = Vec::with_capacity(blocks * count * obs);
+        for (step, output) in output.chunks_exact_mut(size).enumerate() {
+            observation.clear();
+            for block in self.rows.observation.chunks_exact(self.every * count * obs) {
+                observation.extend_from_slice(&block[step * count * obs..][..count * obs]);
+            }
+            self.policy.forward(blocks * count, &observation, &mut hidden, output, scratch);
+            for row in (0..blocks * count).filter(|row| self.is_done(*row, step)) {
+                hidden[row * units..(row + 1) * units].fill(0.0);
+            }
+        }
+        Replayed { output, hidden }
+    }
+
+    /// Whether an episode ended with this step of its block; `row` is `block * E + e`.
+    fn is_done(&self, row: usize, step: usize) -> bool {
+        let (block, e) = (row / self.environments, row % self.environments);
+        self.done[(block * self.every + step) * self.environments + e]
+    }
+
+    /// Compares the log-probabilities of one step.
+    fn same_log_probs(&self, block: usize, step: usize, output: &[f32]) -> Result<(), Mismatch> {
         let (count, act) = (self.environments, self.policy.action_size());
         let out = self.policy.output_size();
-        let row = count * self.policy.observation_size();
-        let observation = &self.rows.observation[step * row..(step + 1) * row];
-        self.policy.forward(count, observation, hidden, output, scratch);
+        let first = (step * self.blocks() + block) * count;
+        let time = block * self.every + step;
         for e in 0..count {
-            let at = step * count + e;
+            let at = time * count + e;
             let action = &self.rows.action[at * act..][..act];
-            let expected = self.policy.log_prob(&output[e * out..][..out], action);
+            let expected = self.policy.log_prob(&output[(first + e) * out..][..out], action);
             let found = self.rows.log_prob[at];
             if differs(found, expected) {
                 let detail = format!(
-                    "{found} at step {step} of environment {e}, the learner gets {expected}"
+                    "{found} at step {time} of environment {e}, the learner gets {expected}"
                 );
                 return Err(("log_prob", detail));
-            }
-            if self.done[at] {
-                let width = self.policy.hidden_size();
-                hidden[e * width..(e + 1) * width].fill(0.0);
             }
         }
         Ok(())
