@@ -29,6 +29,8 @@ pub(crate) use environment::{EnvironmentClient, Play};
 const CALL_DEADLINE: Duration = Duration::from_secs(10);
 /// How long the learner may keep a request for work open.
 const LEASE_WAIT_MILLIS: u32 = 10_000;
+/// Largest HTTP/2 frame, bytes: weights arrive in a few instead of in pieces of 16 KiB.
+const MOST_FRAME_BYTES: u32 = 256 << 10;
 /// Snapshots that are kept.
 const KEPT_WEIGHTS: usize = 3;
 /// A snapshot larger than this is none of ours.
@@ -169,7 +171,8 @@ fn endpoint(config: &Config) -> Result<Endpoint, ActorError> {
         .http2_keep_alive_interval(Duration::from_secs(30))
         .keep_alive_timeout(Duration::from_secs(10))
         .keep_alive_while_idle(true)
-        .tcp_nodelay(true);
+        .tcp_nodelay(true)
+        .max_frame_size(MOST_FRAME_BYTES);
     match &config.transport {
         Transport::PlainText | Transport::PlainTextOnLoopback => Ok(endpoint),
         Transport::Tls(files) => endpoint.tls_config(tls(files)?).map_err(wrong),

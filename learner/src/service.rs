@@ -51,6 +51,8 @@ const MOST_STREAMS: u32 = 16;
 const STREAM_WINDOW: u32 = 1 << 20;
 /// What one connection may have in flight, bytes.
 const CONNECTION_WINDOW: u32 = 4 << 20;
+/// Largest HTTP/2 frame, bytes: most chunks arrive in one instead of in pieces of 16 KiB.
+const MOST_FRAME_BYTES: u32 = 256 << 10;
 /// Size of all headers of one request, bytes.
 const MOST_HEADER_BYTES: u32 = 16 << 10;
 
@@ -101,6 +103,7 @@ fn server() -> Server {
         .max_concurrent_streams(MOST_STREAMS)
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
+        .max_frame_size(MOST_FRAME_BYTES)
         .http2_max_header_list_size(MOST_HEADER_BYTES)
 }
 
