@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod actor;
+mod canary;
 mod film;
 mod overlap;
 mod settings;

@@ -1,0 +1,73 @@
+//! Log-probabilities and recurrent states that actors sent, computed again.
+
+use learner::assemble::problem;
+use learner::{canary, launch};
+use policy::{CoreKind, PolicySnapshot};
+use proto::{EnvironmentStart, Reason, RolloutWork, RunDescription, Start, TrajectoryChunk};
+
+use crate::settings::launch_in;
+use crate::toy;
+
+/// A slot whose first environment's episode ends with step 2, in the middle of a block of two steps.
+fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<TrajectoryChunk>) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut launch = launch_in(folder.path(), 1);
+    launch.policy.core = core;
+    let problem = problem(&launch.environment);
+    let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
+    let policy = algorithm.snapshot().unwrap();
+    let run = launch::prepare(launch).unwrap().1;
+    let start = |environment, limit| EnvironmentStart {
+        environment,
+        start: Start::Fresh { episode: 0, limit },
+    };
+    let work = RolloutWork { iteration: 0, slot: 0, environments: vec![start(0, 3), start(1, 10)] };
+    let chunks = toy::roll_out(&run, &policy, &work);
+    (run, policy, chunks)
+}
+
+#[test]
+fn chunks_of_the_named_policy_pass_with_and_without_memory() {
+    for core in [CoreKind::Gru, CoreKind::Mlp] {
+        let (run, policy, chunks) = rolled_out(core);
+        assert!(chunks.iter().any(|chunk| chunk.truncated.contains(&true)));
+        for chunk in &chunks {
+            assert_eq!(canary::check(&policy, &run, chunk), Ok(()));
+        }
+    }
+}
+
+#[test]
+fn a_changed_number_is_refused_by_agent_step_and_environment() {
+    type Spoil = fn(&mut TrajectoryChunk);
+    let spoiled: [(Spoil, &str, &str); 4] = [
+        (|c| c.agents[1].log_prob[5] += 0.01, "agents[1].log_prob", "step 2 of environment 1"),
+        (|c| c.agents[0].hidden[2 * 8 + 3] += 0.01, "agents[0].hidden", "step 2 of environment 0"),
+        (|c| c.agents[0].action[6] += 0.5, "agents[0].log_prob", "step 3 of environment 0"),
+        (
+            |c| c.end.as_mut().unwrap().recurrent[1][15] += 0.01,
+            "agents[1].hidden",
+            "step 4 of environment 1, unit 7",
+        ),
+    ];
+    let (run, policy, chunks) = rolled_out(CoreKind::Gru);
+    for (spoil, field, place) in spoiled {
+        let mut chunk = chunks.last().unwrap().clone();
+        spoil(&mut chunk);
+        let refusal = canary::check(&policy, &run, &chunk).unwrap_err();
+        assert_eq!(
+            (refusal.reason, refusal.field),
+            (Reason::CanaryMismatch, format!("chunk.{field}"))
+        );
+        assert!(refusal.detail.contains(place), "{}", refusal.detail);
+    }
+}
+
+#[test]
+fn of_several_differences_the_first_step_is_told() {
+    let (run, policy, mut chunks) = rolled_out(CoreKind::Gru);
+    chunks[0].agents[0].log_prob[6] += 1.0;
+    chunks[0].agents[0].log_prob[2] += 1.0;
+    let refusal = canary::check(&policy, &run, &chunks[0]).unwrap_err();
+    assert!(refusal.detail.contains("step 1 of environment 0"), "{}", refusal.detail);
+}
