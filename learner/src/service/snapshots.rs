@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use proto::wire::get_weights_response::Part;
-use proto::{MAX_WEIGHTS_PIECE_BYTES, WeightsName, wire};
+use proto::{WeightsName, wire};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio_stream::wrappers::ReceiverStream;
@@ -14,6 +14,9 @@ use crate::exchange::Caller;
 
 /// A piece that is not taken away for this long ends the stream.
 const PIECE_DEADLINE: Duration = Duration::from_secs(30);
+/// Bytes of a piece, fewer than a message may hold. Each is encoded into a buffer of its own, and small buffers are used again where large ones go back
+/// to the system, which clears their pages anew.
+const PIECE_BYTES: usize = 64 << 10;
 /// Pieces that wait to be taken away.
 const PIECES_AHEAD: usize = 2;
 
@@ -51,9 +54,9 @@ fn broken_off<T>(error: &SendTimeoutError<T>) -> String {
 fn parts(name: WeightsName, bytes: &Bytes) -> impl Iterator<Item = Part> {
     let header =
         wire::WeightsHeader { weights: Some(name.to_wire()), total_bytes: bytes.len() as u64 };
-    let starts = (0..bytes.len()).step_by(MAX_WEIGHTS_PIECE_BYTES);
+    let starts = (0..bytes.len()).step_by(PIECE_BYTES);
     let pieces = starts.map(|start| {
-        let end = bytes.len().min(start + MAX_WEIGHTS_PIECE_BYTES);
+        let end = bytes.len().min(start + PIECE_BYTES);
         Part::Data(bytes.slice(start..end))
     });
     std::iter::once(Part::Header(header)).chain(pieces)
@@ -61,20 +64,20 @@ fn parts(name: WeightsName, bytes: &Bytes) -> impl Iterator<Item = Part> {
 
 #[cfg(test)]
 mod tests {
-    use proto::{Digest, PolicyVersion};
+    use proto::{Digest, MAX_WEIGHTS_PIECE_BYTES, PolicyVersion};
 
     use super::*;
 
     #[test]
-    fn a_snapshot_comes_in_pieces_of_a_mebibyte_at_most() {
-        let bytes = Bytes::from(vec![7; 2 * MAX_WEIGHTS_PIECE_BYTES + 5]);
+    fn a_snapshot_comes_in_equal_pieces_and_a_rest() {
+        let bytes = Bytes::from(vec![7; 2 * PIECE_BYTES + 5]);
+        const { assert!(PIECE_BYTES <= MAX_WEIGHTS_PIECE_BYTES) };
         let name = WeightsName { version: PolicyVersion(3), digest: Digest::of(&bytes) };
         let parts = parts(name, &bytes).collect::<Vec<_>>();
         let sizes = parts.iter().map(|part| match part {
             Part::Header(header) => header.total_bytes as usize,
             Part::Data(data) => data.len(),
         });
-        let full = MAX_WEIGHTS_PIECE_BYTES;
-        assert_eq!(sizes.collect::<Vec<_>>(), [bytes.len(), full, full, 5]);
+        assert_eq!(sizes.collect::<Vec<_>>(), [bytes.len(), PIECE_BYTES, PIECE_BYTES, 5]);
     }
 }
