@@ -11,7 +11,7 @@
 //!
 //! This is the one crate with `unsafe` code of ours: vector instructions, and the pointers of the innermost loop.
 
-#![allow(unsafe_code, reason = "vector instructions, and the pointers of the innermost loop")]
+#![expect(unsafe_code, reason = "vector instructions, and the pointers of the innermost loop")]
 #![deny(unsafe_op_in_unsafe_fn)]
 
 mod buffer;
