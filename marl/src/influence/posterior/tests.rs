@@ -1,0 +1,144 @@
+//! Posteriors of actions whose information is known in closed form.
+
+use candle_core::DType;
+use policy::randomness::standard_normal;
+use policy::{CoreKind, RefreshHidden};
+
+use super::*;
+use crate::config::{CountedState, Divergence, Estimator, QTraining};
+use crate::gaussian;
+use crate::influence::mutual_information;
+
+const ROWS: usize = 20_000;
+const SIGMA: f64 = 0.3;
+
+fn config() -> InfluenceConfig {
+    InfluenceConfig {
+        lambda: 0.01,
+        estimator: Estimator::VariationalKl,
+        divergence: Divergence::KlQp,
+        q_training: QTraining::Mle,
+        kappa: 1.0,
+        encoder: 16,
+        hidden: 16,
+        epochs: 10,
+        learning_rate: 2e-2,
+        minibatches: 20,
+        sigma_floor: 0.05,
+        holdout_every: 5,
+        lag: 0,
+        counted_state: CountedState::Observation,
+    }
+}
+
+fn policy() -> PolicyConfig {
+    PolicyConfig {
+        core: CoreKind::Gru,
+        encoder: 8,
+        hidden: 8,
+        width: 8,
+        layers: 1,
+        chunk_steps: 10,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
+        initial_log_std: 1.0,
+        sigma_scale: 0.5,
+        sigma_floor: 0.05,
+        head_gain: 0.01,
+    }
+}
+
+fn posterior() -> Posterior {
+    let kind = ActionKind::Continuous;
+    of_shape(PosteriorShape { others: 1, features: 2, action: 1, kind })
+}
+
+fn of_shape(shape: PosteriorShape) -> Posterior {
+    let adam = AdamConfig { learning_rate: 2e-2, epsilon: 1e-5, max_gradient_norm: 10.0 };
+    Posterior::new(&config(), &policy(), adam, shape, (RunSeed(3), Precision::Single, 0)).unwrap()
+}
+
+/// Own and other actions, both normal with deviation `SIGMA` and correlation `rho`.
+fn actions(rho: f64) -> (Vec<f64>, Vec<f32>) {
+    let mut rng = generator(RunSeed(5), Draw::of(Purpose::Probe));
+    let mut normal = || f64::from(standard_normal(&mut rng));
+    let pair = |_| {
+        let (x, y) = (normal(), normal());
+        (SIGMA * (rho * x + libm::sqrt(1.0 - rho * rho) * y), (SIGMA * x) as f32)
+    };
+    (0..ROWS).map(pair).unzip()
+}
+
+/// Trains on four rows of five; the mean gain in log-density over the marginal on the fifth.
+fn estimate(rho: f64) -> f64 {
+    let (action, others) = actions(rho);
+    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let data = Conditions { features: &features, others: &others, action: &action };
+    let (held_out, trained): (Vec<usize>, Vec<usize>) = (0..ROWS).partition(|row| row % 5 == 4);
+    let mut posterior = posterior();
+    let draw = Draw::of(Purpose::PosteriorMinibatch);
+    posterior.fit(&data, &trained, (RunSeed(3), draw)).unwrap();
+    let log_q = posterior.conditional(&data).unwrap().log_prob(&action, &held_out);
+    let marginal = |&row: &usize| gaussian::log_prob(&[action[row]], &[0.0], &[SIGMA]);
+    let log_p: Vec<f64> = held_out.iter().map(marginal).collect();
+    mutual_information(&log_q, &log_p).unwrap()
+}
+
+#[test]
+fn independent_actions_have_no_information_about_each_other() {
+    assert!(estimate(0.0).abs() < 0.02, "{}", estimate(0.0));
+}
+
+#[test]
+fn the_information_of_correlated_actions_is_found_to_a_twentieth_of_a_nat() {
+    // I = -1/2 log(1 - rho^2).
+    for (rho, truth) in [(0.5, 0.143_841), (0.8, 0.510_826)] {
+        let found = estimate(rho);
+        assert!((found - truth).abs() < 0.05, "rho {rho}: {found}, truth {truth}");
+    }
+}
+
+#[test]
+fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat() {
+    // The other's choice is even; the own one is the same with probability 0.8, else either of the rest.
+    let mut rng = generator(RunSeed(6), Draw::of(Purpose::Probe));
+    let kind = ActionKind::Discrete { choices: 3 };
+    let (mut action, mut others) = (Vec::new(), Vec::new());
+    for row in 0..ROWS {
+        let chance = policy::categorical::draw(
+            &[libm::logf(0.8), libm::logf(0.1), libm::logf(0.1)],
+            &mut rng,
+        );
+        action.push(((row + chance) % 3) as f64);
+        kind.see(&[(row % 3) as f32], &mut others);
+    }
+    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let data = Conditions { features: &features, others: &others, action: &action };
+    let (held_out, trained): (Vec<usize>, Vec<usize>) = (0..ROWS).partition(|row| row % 5 == 4);
+    let mut posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
+    let draw = Draw::of(Purpose::PosteriorMinibatch);
+    posterior.fit(&data, &trained, (RunSeed(3), draw)).unwrap();
+    let log_q = posterior.conditional(&data).unwrap().log_prob(&action, &held_out);
+    let log_p = vec![-libm::log(3.0); held_out.len()];
+    let found = mutual_information(&log_q, &log_p).unwrap();
+    let truth = libm::log(3.0) + 0.8 * libm::log(0.8) + 0.2 * libm::log(0.1);
+    assert!((found - truth).abs() < 0.02, "{found}, truth {truth}");
+}
+
+#[test]
+fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
+    let (action, others) = actions(0.8);
+    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let data = Conditions { features: &features, others: &others, action: &action };
+    let all: Vec<usize> = (0..ROWS).collect();
+    let fit = |posterior: &mut Posterior, iteration| {
+        let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration);
+        posterior.fit(&data, &all, (RunSeed(3), draw)).unwrap();
+    };
+    let (mut kept, mut other) = (posterior(), posterior());
+    fit(&mut kept, 0);
+    other.restore(0, &kept.arrays(0).unwrap()).unwrap();
+    fit(&mut kept, 1);
+    fit(&mut other, 1);
+    assert_eq!(kept.arrays(0).unwrap(), other.arrays(0).unwrap());
+}
