@@ -20,7 +20,7 @@ use crate::config::CriticConfig;
 pub(crate) use crate::critic::state_scale::StateScale;
 use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::layers::{rectified_layers, rows};
+use crate::layers::{Normalisation, rectified_layers, rows};
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
 use crate::shards::{self, shards};
@@ -105,7 +105,8 @@ impl Critic {
         let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation));
         let count = config.mode.values(problem.agents.len());
         let mut specs = vec![LayerSpec::norm("norm", problem.state)];
-        specs.extend(rectified_layers((problem.state, config.width, config.layers), true, count));
+        let shape = (problem.state, config.width, config.layers);
+        specs.extend(rectified_layers(shape, Normalisation::LayerNorm, count));
         let mut parameters = Parameters::new();
         let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), &mut rng)?;
         let adam = AdamConfig {

@@ -12,10 +12,17 @@ pub(crate) const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
 /// Gain of an orthogonal start before a hyperbolic tangent.
 pub(crate) const TANH_GAIN: f64 = 5.0 / 3.0;
 
-/// `layers` layers of Linear, ReLU and, if `norms`, LayerNorm, of `width` units each, then `outputs` numbers.
+/// What follows a rectified layer.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Normalisation {
+    None,
+    LayerNorm,
+}
+
+/// `layers` layers of Linear, ReLU and `normalisation`, of `width` units each, then `outputs` numbers.
 pub(crate) fn rectified_layers(
     (inputs, width, layers): (usize, usize, usize),
-    norms: bool,
+    normalisation: Normalisation,
     outputs: usize,
 ) -> Vec<LayerSpec> {
     let (mut specs, mut from) = (Vec::new(), inputs);
@@ -23,7 +30,7 @@ pub(crate) fn rectified_layers(
         let name = format!("layers.{layer}");
         let (linear, relu) = (format!("{name}.linear"), Activation::Relu);
         specs.push(LayerSpec::linear(&linear, (from, width), relu, RELU_GAIN));
-        if norms {
+        if normalisation == Normalisation::LayerNorm {
             specs.push(LayerSpec::norm(&format!("{name}.norm"), width));
         }
         from = width;

@@ -8,7 +8,7 @@ use rand::RngCore;
 
 use crate::config::CriticConfig;
 use crate::error::MarlError;
-use crate::layers::rectified_layers;
+use crate::layers::{Normalisation, rectified_layers};
 
 /// Layers of Linear, ReLU, then one value.
 pub(super) struct ActionValue {
@@ -24,7 +24,8 @@ impl ActionValue {
         precision: Precision,
         rng: &mut impl RngCore,
     ) -> Result<Self, MarlError> {
-        let specs = rectified_layers((inputs, config.width, config.layers), false, 1);
+        let shape = (inputs, config.width, config.layers);
+        let specs = rectified_layers(shape, Normalisation::None, 1);
         let mut parameters = Parameters::new();
         let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), rng)?;
         Ok(Self { parameters, layers })
