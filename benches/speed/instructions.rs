@@ -44,7 +44,6 @@ fn counted(case: &str) -> anyhow::Result<f64> {
         .arg("--toggle-collect=*counted_update*")
         .arg(std::env::current_exe()?)
         .arg(format!("{ONE_UPDATE}{case}"))
-        .env("S2MIA_SIMD", "avx2")
         .output()
         .context("`instructions` needs valgrind, which cannot be started")?;
     let told = String::from_utf8_lossy(&output.stderr);

@@ -21,7 +21,7 @@ mod table;
 mod update;
 mod wire;
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 
 use crate::table::{Row, Section};
 
@@ -74,7 +74,7 @@ const SECTIONS: [Measurement; 13] = [
 const ON_REQUEST: &str = "instructions";
 
 fn main() -> anyhow::Result<()> {
-    single_threaded_candle();
+    choose_registers()?;
     let (options, wanted): (Vec<String>, Vec<String>) =
         std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
     if let Some(case) = options.iter().find_map(|o| o.strip_prefix(instructions::ONE_UPDATE)) {
@@ -110,9 +110,10 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// As the program does: candle and gemm stay on one thread, the pool's threads are the only ones.
-#[expect(unsafe_code, reason = "no other thread exists yet that could read the environment")]
-fn single_threaded_candle() {
-    // SAFETY: this is the first statement of `main`; the process has one thread.
-    unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
+/// `S2MIA_SIMD` chooses the registers of what is measured in this process, as it does in the program.
+fn choose_registers() -> anyhow::Result<()> {
+    let Ok(name) = std::env::var("S2MIA_SIMD") else { return Ok(()) };
+    let width = kernels::Width::ALL.into_iter().find(|width| width.name() == name);
+    ensure!(width.is_some_and(kernels::select), "S2MIA_SIMD is {name}, which is not available");
+    Ok(())
 }

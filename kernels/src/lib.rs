@@ -5,7 +5,7 @@
 //! through all layers while they are in cache, [`Packed::backward`] the same blocks back.
 //!
 //! **Fixed arithmetic.** Every sum has one order: products are chains of fused multiply-adds over `k`, gradients of
-//! weights one chain over rows, sums across a row sixteen lanes that are folded as [`simd`] says. The elementary
+//! weights one chain over rows, sums across a row sixteen lanes that are folded by halves. The elementary
 //! functions are ours. So the result is the same at every [`Width`], and a row's result does not depend on the rows
 //! around it.
 //!

@@ -172,7 +172,7 @@ impl ActorNetwork {
     }
 
     /// Brings the parameters back to where sigma is at least its floor; to be called after every
-    /// optimiser step. A hard floor inside [`ActorNetwork::head`] would have no gradient below it, so
+    /// optimiser step. A hard floor inside the network would have no gradient below it, so
     /// that a sigma once there could never grow again.
     ///
     /// # Errors
