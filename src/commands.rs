@@ -106,16 +106,6 @@ fn credentials(url: &str, tls: &ClientTlsArguments) -> Result<Option<ClientFiles
     }
 }
 
-/// Sockets and signals on the calling thread, for a program with one connection: handing its messages from thread to
-/// thread would cost more than reading them.
-fn small_runtime() -> anyhow::Result<Runtime> {
-    tokio::runtime::Builder::new_current_thread()
-        .thread_name("network")
-        .enable_all()
-        .build()
-        .context("cannot start the network")
-}
-
 /// Threads for sockets, signals and child processes; stepping and training have their own.
 pub(crate) fn runtime() -> anyhow::Result<Runtime> {
     tokio::runtime::Builder::new_multi_thread()

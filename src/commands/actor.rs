@@ -5,7 +5,7 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::{ActorArguments, ActorLogArguments};
-use crate::commands::{Usage, small_runtime};
+use crate::commands::{Usage, runtime};
 use crate::config::{ConfigError, Request, layers};
 use crate::run_config::RunConfig;
 use crate::signals;
@@ -18,7 +18,7 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
     if with_stdin {
         signals::stop_with_stdin(stop_sender.clone())?;
     }
-    small_runtime()?.block_on(async {
+    runtime()?.block_on(async {
         signals::stop_on_signal(stop_sender, || tracing::info!("stopping"))?;
         actor::run(config, stop).await.context("the actor failed")
     })
