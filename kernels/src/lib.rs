@@ -9,7 +9,7 @@
 //! functions are ours. So the result is the same at every [`Width`], and a row's result does not depend on the rows
 //! around it.
 //!
-//! This is the one crate with `unsafe` code of ours: vector instructions, and the pointers of the innermost loop.
+//! This is the one shipped crate with `unsafe` code of ours: vector instructions, and the pointers of the innermost loop.
 
 #![expect(unsafe_code, reason = "vector instructions, and the pointers of the innermost loop")]
 #![deny(unsafe_op_in_unsafe_fn)]

@@ -81,14 +81,14 @@ impl Weights {
 /// Adds rows to `sums`, row after row.
 #[inline(always)]
 pub(crate) fn add_rows<S: Simd>(simd: S, rows: &[Line], sums: &mut [f32]) {
-    let (width, stride) = (sums.len(), stride(sums.len()));
+    let stride = stride(sums.len());
     let mut lines = padded(sums);
     for row in rows.chunks_exact(stride) {
         for (sum, line) in lines.iter_mut().zip(row) {
             simd.store(simd.add(simd.load(sum), simd.load(line)), sum);
         }
     }
-    unpadded(&lines, &mut sums[..width]);
+    unpadded(&lines, sums);
 }
 
 /// A linear map with bias and activation.

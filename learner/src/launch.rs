@@ -231,7 +231,7 @@ fn build(
 }
 
 /// `threads` of them; 0 stands for one per core. rayon's own reading of 0 is not that: it obeys
-/// `RAYON_NUM_THREADS`, by which the binary keeps each matrix product on one thread.
+/// `RAYON_NUM_THREADS`.
 fn thread_count(threads: usize) -> usize {
     match threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),

@@ -244,6 +244,18 @@ mod tests {
     }
 
     #[test]
+    fn rows_of_uneven_parts_are_found_in_their_order() {
+        let layout = Layout { steps: 3, chunks: 6, environments: 2 };
+        let data: Vec<usize> = (0..18).collect();
+        let parts = [0..1, 1..4, 4..6];
+        let part =
+            |part: &Range<usize>| layout.columns(&data, 1, &part.clone().collect::<Vec<usize>>());
+        let following: Vec<usize> = parts.iter().flat_map(part).collect();
+        let found = layout.order(&parts).into_iter().map(|place| following[place as usize]);
+        assert_eq!(found.collect::<Vec<usize>>(), data);
+    }
+
+    #[test]
     fn scattered_columns_return_to_their_place() {
         let batch = numbered();
         let layout = Layout::of(&batch, 2);

@@ -8,15 +8,15 @@ use crate::error::MarlError;
 use crate::gradient::Gradients;
 use crate::minibatch::split;
 
-/// The most shards of a minibatch. With the least rows of one it decides the order of sums, and so the bits of every run.
+/// The most shards of a minibatch. With [`ROWS`] it decides the order of sums, and so the bits of every run.
 const MOST: usize = 16;
 
-/// The least rows of a shard: fewer would leave the kernels waiting.
-const LEAST_ROWS: usize = 64;
+/// Rows of a shard on average, if there is more than one: fewer would leave the kernels waiting.
+const ROWS: usize = 64;
 
 /// `0..count` in shards, for `count` sequences of `steps` rows each.
 pub(crate) fn shards(count: usize, steps: usize) -> Vec<Range<usize>> {
-    split(count, (count * steps / LEAST_ROWS).clamp(1, MOST))
+    split(count, (count * steps / ROWS).clamp(1, MOST))
 }
 
 /// Figures that shares of a minibatch add up to.
@@ -50,6 +50,7 @@ pub(crate) fn sum<F: Share>(
     shards: &[Range<usize>],
     one: &(impl Fn(Range<usize>) -> Result<(F, Gradients), MarlError> + Sync),
 ) -> Result<(F, Gradients), MarlError> {
+    assert!(!shards.is_empty(), "a sum of no shards");
     if let [only] = shards {
         return one(only.clone());
     }
@@ -67,7 +68,7 @@ mod tests {
     use crate::reals::Reals;
 
     #[test]
-    fn shards_have_at_least_sixty_four_rows_and_are_at_most_sixteen() {
+    fn shards_have_sixty_four_rows_on_average_and_are_at_most_sixteen() {
         assert_eq!(shards(400, 10).len(), 16);
         assert_eq!(shards(10, 10).len(), 1);
         assert_eq!(shards(300, 1).len(), 4);

@@ -178,6 +178,10 @@ impl ActorPolicy {
         spec.check()?;
         let mut reader = Reader { arrays: &arrays, used: 0 };
         let standardisation = reader.standardisation(spec.observation)?;
+        if spec.core == CoreKind::Mlp && spec.layers > reader.arrays.len() {
+            let (layers, found) = (spec.layers, reader.arrays.len());
+            return Err(PolicyError::Snapshot(format!("{found} arrays for {layers} layers")));
+        }
         let layers = spec.layer_specs(1.0);
         let network = Packed::new(&network_of(&layers), &reader.layers(&layers)?);
         let sigma = match (spec.head(), spec.head().fixed_sigma()) {

@@ -94,7 +94,7 @@ pub(crate) fn resolve(request: &Request) -> Result<Resolved, ConfigError> {
     let asked = asked_layers(request, &schema)?;
     let mut layers = vec![base];
     match &request.resumed {
-        Some(file) => layers.push(file_layer(file, &schema)?),
+        Some(file) => layers.push(run_layer(file, &schema)?),
         None => layers.extend(named_layers(&layers[0], &asked, &schema)?),
     }
     layers.extend(asked);
@@ -226,6 +226,19 @@ fn file_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
     }
     let text = std::fs::read_to_string(path).map_err(|e| unreadable(e.to_string()))?;
     table_layer(&place, &text, schema)
+}
+
+/// Settings that runs of earlier versions hold and that nothing reads any more.
+const RETIRED: [(&str, &str); 1] = [("update", "shards")];
+
+/// The settings of a run folder, which an earlier version may have written.
+fn run_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
+    let mut known = schema.clone();
+    let retired = RETIRED.map(|(section, key)| format!("{section}.{key}"));
+    known.extend(retired.iter().map(|key| (key.clone(), Scalar::Integer(0))));
+    let mut layer = file_layer(path, &known)?;
+    retired.iter().for_each(|key| drop(layer.values.remove(key)));
+    Ok(layer)
 }
 
 fn table_layer(place: &str, text: &str, schema: &Schema) -> Result<Layer, ConfigError> {

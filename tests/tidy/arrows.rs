@@ -22,7 +22,7 @@ const ARROWS: [(&str, &[&str]); 8] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 34] = [
+const HEAVY: [(&str, &[&str]); 36] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
@@ -37,6 +37,8 @@ const HEAVY: [(&str, &[&str]); 34] = [
     ("tracing-subscriber", &[ROOT]),
     ("candle-core", &["policy", "marl"]),
     ("candle-nn", &["policy", "marl"]),
+    ("gemm", &[]),
+    ("pulp", &[]),
     ("rand_chacha", &["policy"]),
     ("rayon", &["marl", "learner"]),
     ("mjcf-rs", &["sim"]),

@@ -8,6 +8,7 @@ use super::agent::{Agent, Experience, Influence, gather};
 use super::ascent::{gradient, maximise, moved};
 use crate::batch::{AgentBatch, Batch, Problem};
 use crate::config::Config;
+use crate::head_rows::HeadRows;
 use crate::minibatch::minibatches;
 use crate::probe;
 use crate::sequence::{Layout, Sequences};
@@ -136,6 +137,24 @@ fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
                 assert!(apart < 1e-4, "{core:?} row {row}: {acted} {whole} {chunks}");
             }
         }
+    }
+}
+
+#[test]
+fn what_shards_say_of_all_rows_is_what_one_pass_says() {
+    for policy in policies() {
+        let agents = agents(&policy);
+        let batch = played(&agents, &probe::problem());
+        let (agent, layout) = (&agents[0], Layout::of(&batch, CHUNK));
+        assert!(layout.rows() >= 128, "{} rows are one shard", layout.rows());
+        let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
+        let (rows, _, features) = agent.asked(&agent.network, &sequences).unwrap();
+        let columns: Vec<usize> = (0..layout.chunks).collect();
+        let (input, weights) =
+            (agent.input(&sequences, &columns).unwrap(), agent.network.weights().unwrap());
+        let (head, whole) = agent.network.distribution_and_features(&weights, &input).unwrap();
+        assert_eq!(rows, HeadRows::of(&head).unwrap());
+        assert_eq!(features.to_vec2::<f32>().unwrap(), whole.to_vec2::<f32>().unwrap());
     }
 }
 

@@ -174,9 +174,11 @@ impl Backward {
     /// # Errors
     /// Passes on a tensor error.
     pub fn from(root: &Tensor) -> Result<Self> {
-        FOUND.take();
-        let store = root.backward()?;
-        Ok(Self { store, fused: FOUND.take() })
+        // A thread that waits inside one pass may take up another: each keeps to its own gradients.
+        let outer = FOUND.take();
+        let store = root.backward();
+        let fused = FOUND.replace(outer);
+        Ok(Self { store: store?, fused })
     }
 
     /// The gradient by `variable`, if the root depends on it.
