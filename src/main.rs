@@ -73,7 +73,7 @@ fn run(arguments: cli::Arguments) -> anyhow::Result<()> {
 /// Computes with the registers that `S2MIA_SIMD` names; without it with the widest of this processor.
 fn choose_registers() -> anyhow::Result<()> {
     let Some(name) = std::env::var_os("S2MIA_SIMD") else { return Ok(()) };
-    let chosen = kernels::Width::ALL.into_iter().find(|width| name == width.name());
+    let chosen = name.to_str().and_then(kernels::Width::named);
     if chosen.is_some_and(kernels::select) {
         return Ok(());
     }

@@ -113,7 +113,9 @@ fn main() -> anyhow::Result<()> {
 /// `S2MIA_SIMD` chooses the registers of what is measured in this process, as it does in the program.
 fn choose_registers() -> anyhow::Result<()> {
     let Ok(name) = std::env::var("S2MIA_SIMD") else { return Ok(()) };
-    let width = kernels::Width::ALL.into_iter().find(|width| width.name() == name);
-    ensure!(width.is_some_and(kernels::select), "S2MIA_SIMD is {name}, which is not available");
+    ensure!(
+        kernels::Width::named(&name).is_some_and(kernels::select),
+        "S2MIA_SIMD is {name}, which is not available"
+    );
     Ok(())
 }

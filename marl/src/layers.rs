@@ -2,15 +2,10 @@
 
 use candle_core::{Device, Tensor};
 use policy::Precision;
-use policy::layers::LayerSpec;
+use policy::layers::{LayerSpec, RELU_GAIN};
 use policy::ops::Activation;
 
 use crate::error::MarlError;
-
-/// Gain of an orthogonal start before a rectifier.
-pub(crate) const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
-/// Gain of an orthogonal start before a hyperbolic tangent.
-pub(crate) const TANH_GAIN: f64 = 5.0 / 3.0;
 
 /// What follows a rectified layer.
 #[derive(Clone, Copy, PartialEq, Eq)]

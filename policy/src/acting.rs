@@ -14,13 +14,8 @@ use crate::arrays::NamedArrays;
 use crate::config::{CoreKind, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
-use crate::layers::{LayerSpec, network_of};
+use crate::layers::{LayerSpec, RELU_GAIN, TANH_GAIN, network_of};
 use crate::standardisation::Standardisation;
-
-/// Gain of an orthogonal start before a hyperbolic tangent.
-const TANH_GAIN: f64 = 5.0 / 3.0;
-/// Gain of an orthogonal start before a rectifier, `sqrt(2)`.
-const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
 
 /// No policy of ours is wider or deeper.
 const MOST_UNITS: usize = 1 << 20;

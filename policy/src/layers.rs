@@ -5,6 +5,11 @@ use rand::RngCore;
 
 use crate::initialise::orthogonal;
 
+/// Gain of an orthogonal start before a hyperbolic tangent.
+pub const TANH_GAIN: f64 = 5.0 / 3.0;
+/// Gain of an orthogonal start before a rectifier, `sqrt(2)`.
+pub const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
+
 /// One layer of a network that is declared.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerSpec {

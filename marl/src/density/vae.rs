@@ -5,7 +5,7 @@ use candle_core::{Device, Tensor, Var};
 use libm::{exp, log};
 use policy::Precision;
 use policy::arrays::NamedArrays;
-use policy::layers::LayerSpec;
+use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, Backward, LayerStack};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
@@ -16,7 +16,7 @@ use crate::density::{Density, Observations, Occasion};
 use crate::error::MarlError;
 use crate::gaussian::LOG_TWO_PI;
 use crate::gradient::{Gradients, OutputGradient, by, numbers, root};
-use crate::layers::{TANH_GAIN, rows};
+use crate::layers::rows;
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
 

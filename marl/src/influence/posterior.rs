@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use candle_core::{Device, Tensor, Var};
 use policy::arrays::NamedArrays;
-use policy::layers::LayerSpec;
+use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
@@ -16,7 +16,7 @@ use crate::error::MarlError;
 use crate::gradient::{Gradients, numbers};
 use crate::head_rows::HeadRows;
 use crate::influence::Term;
-use crate::layers::{TANH_GAIN, rows};
+use crate::layers::rows;
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
 use crate::shards::{self, shards};
