@@ -6,7 +6,7 @@ mod influence;
 mod maddpg;
 mod surprise;
 
-use policy::{CoreKind, PolicyConfig};
+use policy::{CoreKind, InputNorm, PolicyConfig};
 use serde::{Deserialize, Serialize};
 
 pub use self::behaviour::BehaviourConfig;
@@ -60,10 +60,13 @@ pub struct UpdateConfig {
     pub adam_epsilon: f64,
     /// Half width of the ratio's trust region.
     pub clip: f64,
-    /// Passes over `D_k` per agent.
+    /// Most passes over `D_k` per agent.
     pub epochs: usize,
     /// Parts of one pass, each an optimiser step.
     pub minibatches: usize,
+    /// Joint `KL[old || new]` of all agents' policies, nats; an agent makes no further pass once it has used its
+    /// share. 0: no limit.
+    pub target_kl: f64,
     /// Weight of the entropy bonus.
     pub entropy: f64,
     /// Global norm to which gradients are clipped.
@@ -98,6 +101,8 @@ pub enum Sharing {
 pub struct CriticConfig {
     /// Whose returns are valued.
     pub mode: CriticMode,
+    /// What stands before the first layer; MADDPG's action values have nothing there.
+    pub input_norm: InputNorm,
     /// Hidden layers.
     pub layers: usize,
     /// Units per layer.
@@ -108,13 +113,13 @@ pub struct CriticConfig {
     pub epochs: usize,
     /// Parts of one pass, each an optimiser step.
     pub minibatches: usize,
-    /// Farthest a value may move from its old one before the loss ignores it, normalised units.
+    /// Farthest a value may move from its old one before the loss ignores it, normalised units; 0: as far as it goes.
     pub clip: f64,
     /// Error at which the loss turns from quadratic to linear, normalised units.
     pub huber_delta: f64,
     /// Memory of the returns' running mean and deviation, per iteration, in `[0, 1)`.
     pub normalizer_beta: f64,
-    /// How the global state is scaled before the network, whose first layer normalises each row by itself.
+    /// How the global state is scaled before the network.
     pub state_norm: StateNorm,
     /// Global norm to which gradients are clipped.
     pub max_gradient_norm: f64,
@@ -198,6 +203,13 @@ impl Config {
         within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
     }
 
+    /// Whose returns the critic values: one value where surprise adds nothing, because all agents' rewards are equal
+    /// then.
+    #[must_use]
+    pub fn critic_mode(&self) -> CriticMode {
+        if self.surprise.alpha == 0.0 { CriticMode::TeamMean } else { self.critic.mode }
+    }
+
     /// Times that an environment step goes into an optimiser step of an agent, on average: passes over `D_k`, or
     /// transitions drawn from the replay for each that goes into it once the warm-up is over.
     #[must_use]
@@ -276,8 +288,8 @@ impl Config {
 
 impl UpdateConfig {
     fn validate(&self) -> Result<(), MarlError> {
-        if self.rule != Rule::Mappo && self.parameters == Sharing::Shared {
-            let range = "separate; only update.rule = mappo can share them";
+        if self.rule == Rule::Maddpg && self.parameters == Sharing::Shared {
+            let range = "separate with update.rule = maddpg";
             return Err(refuse("update.parameters", "shared", range));
         }
         within("update.gamma", self.gamma, 0.0..1.0, "0 <= gamma < 1")?;
@@ -287,6 +299,7 @@ impl UpdateConfig {
         within("update.clip", self.clip, f64::MIN_POSITIVE..1.0, "0 < clip < 1")?;
         count("update.epochs", self.epochs)?;
         count("update.minibatches", self.minibatches)?;
+        not_negative("update.target_kl", self.target_kl)?;
         not_negative("update.entropy", self.entropy)?;
         positive("update.max_gradient_norm", self.max_gradient_norm)
     }
@@ -299,7 +312,7 @@ impl CriticConfig {
         positive("critic.learning_rate", self.learning_rate)?;
         count("critic.epochs", self.epochs)?;
         count("critic.minibatches", self.minibatches)?;
-        positive("critic.clip", self.clip)?;
+        not_negative("critic.clip", self.clip)?;
         positive("critic.huber_delta", self.huber_delta)?;
         within("critic.normalizer_beta", self.normalizer_beta, 0.0..1.0, "0 <= beta < 1")?;
         positive("critic.max_gradient_norm", self.max_gradient_norm)

@@ -6,7 +6,7 @@ mod state_scale;
 use std::ops::Range;
 
 use candle_core::Tensor;
-use policy::Precision;
+use policy::{InputNorm, Precision};
 use policy::arrays::{Array, NamedArrays};
 use policy::layers::LayerSpec;
 use policy::ops::{LayerStack, Weights};
@@ -27,7 +27,7 @@ use crate::shards::{self, shards};
 use crate::surrogate::mean_and_deviation;
 use crate::value_normalizer::ValueNormalizer;
 
-/// LayerNorm, then layers of Linear, ReLU, LayerNorm, then `V` values, each in units of its own
+/// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then `V` values, each in units of its own
 /// normalised return. [`CriticMode`](crate::config::CriticMode) says of what: one per agent, or of
 /// rewards that agents share.
 pub struct Critic {
@@ -79,11 +79,14 @@ pub fn huber(error: f64, delta: f64) -> (f64, f64) {
 }
 
 /// The clipped value loss of one element, `max(huber(v - R), huber(v_clip - R))` with `v_clip = v_old
-/// + clamp(v - v_old, +-clip)`, and its slope by `v`; all in normalised units.
+/// + clamp(v - v_old, +-clip)`, and its slope by `v`; all in normalised units. A clip of 0 means none: `huber(v - R)`.
 #[must_use]
 pub fn value_loss(value: f64, old: f64, target: f64, (clip, delta): (f64, f64)) -> (f64, f64) {
     let moved = value - old;
     let free = huber(value - target, delta);
+    if clip == 0.0 {
+        return free;
+    }
     let held = huber(old + moved.clamp(-clip, clip) - target, delta);
     match held.0 > free.0 {
         true => (held.0, if moved.abs() <= clip { held.1 } else { 0.0 }),
@@ -104,7 +107,10 @@ impl Critic {
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation));
         let count = config.mode.values(problem.agents.len());
-        let mut specs = vec![LayerSpec::norm("norm", problem.state)];
+        let mut specs = Vec::new();
+        if config.input_norm == InputNorm::LayerNorm {
+            specs.push(LayerSpec::norm("norm", problem.state));
+        }
         let shape = (problem.state, config.width, config.layers);
         specs.extend(rectified_layers(shape, Normalisation::LayerNorm, count));
         let mut parameters = Parameters::new();
@@ -326,6 +332,8 @@ mod tests {
         assert!((loss - 0.5 * 1.8 * 1.8).abs() < 1e-12 && slope == 0.0);
         // Moved past the clip away from the target: the free loss is larger and pulls back.
         assert_eq!(value_loss(0.0, 1.0, 3.0, bounds), (4.5, -3.0));
+        // Without a clip the distance from the old value does not matter.
+        assert_eq!(value_loss(2.0, 1.0, 3.0, (0.0, 10.0)), (0.5, -1.0));
     }
 
     #[test]

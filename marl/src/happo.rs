@@ -8,11 +8,12 @@ use rayon::prelude::*;
 
 use crate::algorithm::{Algorithm, Report};
 use crate::batch::{Batch, Problem, Rewards};
-use crate::config::Config;
+use crate::config::{Config, Sharing};
 use crate::error::MarlError;
 use crate::minibatch::permutation;
 use crate::on_policy::agent::Agent;
 use crate::on_policy::ascent::{maximise, moved};
+use crate::on_policy::kl_budget::KlBudget;
 use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
 use crate::phase::{Phase, PhaseObserver, during};
 use crate::surrogate::{factor_limits, lagged_factor, sequential_factor};
@@ -72,7 +73,7 @@ impl Algorithm for Happo {
         );
         let mut report = critic_report(&fitted?);
         report.extend(swept?);
-        report.extend(prepared.report(self.team.config.critic.mode, self.team.precision));
+        report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
         Ok(report)
     }
 
@@ -105,20 +106,32 @@ fn sweep(
         let today = since[other].as_deref()?;
         Some((today, prepared.experience[other].log_prob.as_slice()))
     };
+    let mut budget = KlBudget::new(agents[0].update.target_kl, agents.len());
     let mut updated = vec![1.0; prepared.experience[0].log_prob.len()];
     let mut reports = vec![Report::new(); agents.len()];
     for (position, &index) in order.iter().enumerate() {
+        pass_optimiser(agents, index);
         let (agent, known) = (&mut agents[index], prepared.of(index));
         let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
         let waiting = order[position + 1..].iter().filter_map(ratio_since);
         let factor = lagged_factor(&updated, waiting, most);
-        let trained = maximise(agent, known, &factor, (seed, draw))?;
+        let trained = maximise(agent, known, (&factor, budget.share()), (seed, draw))?;
         let moved = moved(agent, known.0)?;
+        budget.spend(moved.kl);
         reports[index] = agent_report(agent, index, known.0, &trained, &moved)?;
         reports[index].extend(place_in_the_sweep(index, position, (&factor, most)));
         updated = sequential_factor(&updated, &moved.log_prob, &known.0.log_prob);
+        pass_optimiser(agents, index);
     }
     Ok(reports.concat())
+}
+
+/// Hands the optimiser of a network that all agents share, which is the first one's, to the agent `index`, or back.
+fn pass_optimiser(agents: &mut [Agent], index: usize) {
+    if agents[0].update.parameters == Sharing::Shared && index > 0 {
+        let (first, others) = agents.split_at_mut(1);
+        std::mem::swap(&mut first[0].adam, &mut others[index - 1].adam);
+    }
 }
 
 /// When the agent was updated, and with what factor.

@@ -13,6 +13,7 @@ use crate::config::{Config, Sharing};
 use crate::error::MarlError;
 use crate::on_policy::agent::Agent;
 use crate::on_policy::ascent::{PerAgent, Trained, maximise, maximise_together, moved};
+use crate::on_policy::kl_budget::KlBudget;
 use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
 use crate::phase::{Phase, PhaseObserver, during};
 
@@ -69,7 +70,7 @@ impl Algorithm for Mappo {
             let moved = moved(agent, experience)?;
             report.extend(agent_report(agent, index, experience, trained, &moved)?);
         }
-        report.extend(prepared.report(self.team.config.critic.mode, self.team.precision));
+        report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
         Ok(report)
     }
 
@@ -94,16 +95,19 @@ fn climb(
     (seed, iteration): (RunSeed, u64),
 ) -> Result<Vec<Trained>, MarlError> {
     let factor = vec![1.0; prepared.experience[0].log_prob.len()];
+    let target_kl = agents[0].update.target_kl;
     let draw = |agent: usize| Draw::of(Purpose::Minibatch).iteration(iteration).agent(agent as u32);
     match sharing {
         Sharing::Shared => {
             let known: Vec<PerAgent<'_>> = (0..agents.len()).map(|i| prepared.of(i)).collect();
             let draws: Vec<Draw> = (0..agents.len()).map(draw).collect();
-            maximise_together(agents, &known, &factor, (seed, &draws))
+            let together = KlBudget::new(target_kl, 1).share();
+            maximise_together(agents, &known, (&factor, together), (seed, &draws))
         }
         Sharing::Separate => {
+            let share = KlBudget::new(target_kl, agents.len()).share();
             let one = |(index, agent): (usize, &mut Agent)| {
-                maximise(agent, prepared.of(index), &factor, (seed, draw(index)))
+                maximise(agent, prepared.of(index), (&factor, share), (seed, draw(index)))
             };
             agents.par_iter_mut().enumerate().map(one).collect()
         }

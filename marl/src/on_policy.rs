@@ -6,6 +6,7 @@ pub(crate) mod ascent;
 mod behaviour;
 mod counted;
 mod joint;
+pub(crate) mod kl_budget;
 mod memory;
 
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use crate::actor_loss::Figures;
 use crate::advantage::{Horizon, advantage};
 use crate::algorithm::{Report, refuse_strange};
 use crate::batch::{Batch, Problem, Rewards};
-use crate::config::{Config, CriticMode, Sharing};
+use crate::config::{Config, CriticConfig, CriticMode, Sharing};
 use crate::critic::{Critic, CriticFigures, Values, explained_variance};
 use crate::error::MarlError;
 use crate::gaussian;
@@ -90,7 +91,8 @@ impl Team {
                 (agent.network, agent.behaviour) = (Arc::clone(&network), Arc::clone(&behaviour));
             }
         }
-        let critic = Critic::new(&config.critic, config.update.adam_epsilon, problem, start)?;
+        let valued = CriticConfig { mode: config.critic_mode(), ..config.critic.clone() };
+        let critic = Critic::new(&valued, config.update.adam_epsilon, problem, start)?;
         let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
         let chunk_steps = policy.chunk_steps;
         let observer = Arc::new(Nobody);
@@ -152,7 +154,7 @@ impl Team {
     ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         let update = &self.config.update;
         let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
-        let mode = self.config.critic.mode;
+        let mode = self.config.critic_mode();
         let valued = mode.rewards(&batch.reward, rewards);
         let rounded = |numbers| self.precision.rounded(numbers);
         let one = |head: usize| {
@@ -239,6 +241,7 @@ pub(crate) fn agent_report(
         ("clip_fraction", figures.clip_fraction),
         ("ratio_held", figures.held_fraction),
         ("gradient_norm", trained.gradient_norm),
+        ("epochs", trained.epochs as f64),
         ("skipped_steps", trained.skipped as f64),
         ("influence_kl", figures.influence),
         ("influence_capped", figures.capped_fraction),

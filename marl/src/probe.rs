@@ -1,7 +1,7 @@
 //! A fixed update whose bits tell whether two machines learn alike.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
-use policy::{CoreKind, PolicyConfig, RefreshHidden, arrays};
+use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, arrays};
 
 use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
@@ -85,6 +85,7 @@ pub(crate) fn batch() -> Batch {
 pub(crate) fn policy() -> PolicyConfig {
     PolicyConfig {
         core: CoreKind::Gru,
+        input_norm: InputNorm::LayerNorm,
         encoder: 64,
         hidden: 64,
         width: 64,
@@ -122,6 +123,7 @@ fn update() -> UpdateConfig {
         clip: 0.2,
         epochs: 2,
         minibatches: 2,
+        target_kl: 0.0,
         entropy: 0.01,
         max_gradient_norm: 10.0,
     }
@@ -130,6 +132,7 @@ fn update() -> UpdateConfig {
 fn critic() -> CriticConfig {
     CriticConfig {
         mode: CriticMode::PerAgent,
+        input_norm: InputNorm::LayerNorm,
         layers: 2,
         width: 64,
         learning_rate: 5e-4,

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::acting::reader::Reader;
 use crate::arrays::NamedArrays;
-use crate::config::{CoreKind, PolicyConfig};
+use crate::config::{CoreKind, InputNorm, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
 use crate::layers::{LayerSpec, RELU_GAIN, TANH_GAIN, network_of};
@@ -25,6 +25,9 @@ const MOST_UNITS: usize = 1 << 20;
 #[serde(deny_unknown_fields)]
 pub struct ActorSpec {
     core: CoreKind,
+    /// Left out where it is a LayerNorm, which every policy had at first.
+    #[serde(default, skip_serializing_if = "is_layer_norm")]
+    input_norm: InputNorm,
     observation: usize,
     action: usize,
     encoder: usize,
@@ -38,6 +41,10 @@ pub struct ActorSpec {
     head: Option<Head>,
 }
 
+fn is_layer_norm(norm: &InputNorm) -> bool {
+    *norm == InputNorm::LayerNorm
+}
+
 impl ActorSpec {
     pub(crate) fn new(
         config: &PolicyConfig,
@@ -46,6 +53,7 @@ impl ActorSpec {
     ) -> Result<Self, PolicyError> {
         let spec = Self {
             core: config.core,
+            input_norm: config.input_norm,
             observation,
             action,
             encoder: config.encoder,
@@ -78,7 +86,10 @@ impl ActorSpec {
 
     /// The network's layers; the head's weights start with the gain `head_gain`.
     pub(crate) fn layer_specs(&self, head_gain: f64) -> Vec<LayerSpec> {
-        let mut layers = vec![LayerSpec::norm("encoder.norm", self.observation)];
+        let mut layers = Vec::new();
+        if self.input_norm == InputNorm::LayerNorm {
+            layers.push(LayerSpec::norm("encoder.norm", self.observation));
+        }
         match self.core {
             CoreKind::Gru => {
                 let encoder = (self.observation, self.encoder);
@@ -102,6 +113,12 @@ impl ActorSpec {
         let head = (self.feature_size(), self.outputs());
         layers.push(LayerSpec::linear("head", head, activation, head_gain));
         layers
+    }
+
+    /// What stands before the first layer.
+    #[must_use]
+    pub fn input_norm(&self) -> InputNorm {
+        self.input_norm
     }
 
     /// Whether the policy remembers.

@@ -7,10 +7,21 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CoreKind {
-    /// LayerNorm, Linear, tanh, GRU, LayerNorm: the paper's actor.
+    /// Linear, tanh, GRU, LayerNorm: the paper's actor.
     Gru,
-    /// LayerNorm, then layers of Linear, ReLU, LayerNorm; no memory.
+    /// Layers of Linear, ReLU, LayerNorm; no memory.
     Mlp,
+}
+
+/// What stands between a network's input and its first layer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputNorm {
+    /// Nothing: for inputs that are scaled already.
+    None,
+    /// A LayerNorm, as in HARL. It removes what all features of a row have in common, and with it the scale of the row.
+    #[default]
+    LayerNorm,
 }
 
 /// When the learner computes stored recurrent states again with today's weights.
@@ -29,6 +40,8 @@ pub enum RefreshHidden {
 pub struct PolicyConfig {
     /// Which core.
     pub core: CoreKind,
+    /// What stands before the core.
+    pub input_norm: InputNorm,
     /// Units of the GRU core's encoder.
     pub encoder: usize,
     /// Recurrent units of the GRU core.
@@ -135,6 +148,7 @@ mod tests {
     pub(crate) fn valid() -> PolicyConfig {
         PolicyConfig {
             core: CoreKind::Gru,
+            input_norm: InputNorm::LayerNorm,
             encoder: 64,
             hidden: 64,
             width: 128,

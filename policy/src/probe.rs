@@ -4,7 +4,7 @@ use candle_core::DType;
 use sha2::{Digest, Sha256};
 
 use crate::acting::{ActorPolicy, Scratch};
-use crate::config::{CoreKind, PolicyConfig, RefreshHidden};
+use crate::config::{CoreKind, InputNorm, PolicyConfig, RefreshHidden};
 use crate::error::PolicyError;
 use crate::network::ActorNetwork;
 use crate::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
@@ -38,6 +38,7 @@ pub fn probe() -> [u8; 32] {
 fn fixed_policy() -> Result<ActorPolicy, PolicyError> {
     let config = PolicyConfig {
         core: CoreKind::Gru,
+        input_norm: InputNorm::LayerNorm,
         encoder: 64,
         hidden: 64,
         width: 64,

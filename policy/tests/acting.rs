@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Tensor};
 use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, PolicyConfig, RefreshHidden,
+    ActorNetwork, ActorPolicy, CoreKind, InputNorm, Distribution, Gaussian, PolicyConfig, RefreshHidden,
     Scratch, SequenceInput, gaussian,
 };
 
@@ -15,6 +15,7 @@ const ACTION: usize = 2;
 fn config(core: CoreKind) -> PolicyConfig {
     PolicyConfig {
         core,
+        input_norm: InputNorm::LayerNorm,
         encoder: 32,
         hidden: 24,
         width: 40,

@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Tensor};
 use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, CoreKind, Distribution, Head, PolicyConfig, PolicySnapshot, RefreshHidden,
+    ActorNetwork, CoreKind, InputNorm, Distribution, Head, PolicyConfig, PolicySnapshot, RefreshHidden,
     Scratch, SequenceInput, categorical,
 };
 
@@ -15,6 +15,7 @@ const CHOICES: usize = 5;
 fn network(core: CoreKind) -> ActorNetwork {
     let config = PolicyConfig {
         core,
+        input_norm: InputNorm::LayerNorm,
         encoder: 16,
         hidden: 12,
         width: 16,
@@ -134,6 +135,7 @@ fn a_gaussian_snapshot_says_nothing_of_heads_and_a_head_that_does_not_fit_is_ref
         let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
         let config = PolicyConfig {
             core: CoreKind::Mlp,
+            input_norm: InputNorm::LayerNorm,
             encoder: 4,
             hidden: 4,
             width: 4,

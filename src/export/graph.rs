@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use policy::arrays::Array;
 use policy::ops::LAYER_NORM_EPSILON;
 use policy::standardisation::LIMIT;
-use policy::{ActorPolicy, CoreKind, Head};
+use policy::{ActorPolicy, CoreKind, Head, InputNorm};
 
 use super::onnx::{Element, Graph, Model, float, integer};
 
@@ -51,8 +51,8 @@ fn standardised(graph: &mut Graph, agent: &ActorPolicy) -> &'static str {
 /// Gates r, z, n: `h' = (1 - z) n + z h` with `n = tanh(W x + r (U h))`.
 fn recurrent(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
     graph.input("hidden", agent.hidden_size());
-    norm(graph, "encoder.norm", seen, "encoder.normal");
-    dense(graph, "encoder.linear", "encoder.normal", "encoder.sum");
+    let below = input_norm(graph, agent, seen);
+    dense(graph, "encoder.linear", &below, "encoder.sum");
     graph.node("Tanh", &["encoder.sum"], &["encoded"], []);
     product(graph, ["encoded", "gru.weight_ih", "gru.bias_ih"], "gru.input");
     product(graph, ["hidden", "gru.weight_hh", "gru.bias_hh"], "gru.recurrent");
@@ -81,8 +81,7 @@ fn recurrent(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
 }
 
 fn feed_forward(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
-    let mut below = "encoder.normal".to_owned();
-    norm(graph, "encoder.norm", seen, &below);
+    let mut below = input_norm(graph, agent, seen);
     for layer in 0..agent.spec().layers() {
         let [sum, positive, normal] =
             ["sum", "positive", "normal"].map(|part| format!("layers.{layer}.{part}"));
@@ -92,6 +91,17 @@ fn feed_forward(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
         below = normal;
     }
     below
+}
+
+/// What the first layer sees.
+fn input_norm(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
+    match agent.spec().input_norm() {
+        InputNorm::None => seen.to_owned(),
+        InputNorm::LayerNorm => {
+            norm(graph, "encoder.norm", seen, "encoder.normal");
+            "encoder.normal".to_owned()
+        }
+    }
 }
 
 /// What evaluation takes of the network's output.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch};
+use policy::{ActorNetwork, CoreKind, InputNorm, Head, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch};
 use proto::{EnvironmentStart, RolloutWork, RunDescription, Start, TrajectoryChunk};
 use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
 
@@ -26,6 +26,7 @@ fn world() -> Environments {
 fn policy() -> PolicySnapshot {
     let config = PolicyConfig {
         core: CoreKind::Gru,
+        input_norm: InputNorm::LayerNorm,
         encoder: 8,
         hidden: fixture::HIDDEN,
         width: 8,

@@ -1,7 +1,7 @@
 //! A small run on a real task: description, policy, leases.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, PolicyConfig, PolicySnapshot, RefreshHidden};
+use policy::{ActorNetwork, CoreKind, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden};
 use proto::{
     Digest, EnvironmentStart, Incarnation, PROTOCOL_VERSION, RolloutWork, RunDescription, Start,
 };
@@ -37,6 +37,7 @@ pub(crate) fn world() -> Environments {
 pub(crate) fn policy() -> PolicySnapshot {
     let config = PolicyConfig {
         core: CoreKind::Gru,
+        input_norm: InputNorm::LayerNorm,
         encoder: 8,
         hidden: HIDDEN,
         width: 8,

@@ -62,7 +62,8 @@ class Agent:
         x = observation.astype(np.float32)
         if "input.mean" in self.arrays:
             x = np.clip((x - self.arrays["input.mean"]) * self.arrays["input.inverse_deviation"], -LIMIT, LIMIT)
-        x = self._norm("encoder.norm", x)
+        if "encoder.norm.weight" in self.arrays:
+            x = self._norm("encoder.norm", x)
         if self.spec["core"] == "gru":
             hidden = self._gru(x, hidden)
             x = self._norm("output.norm", hidden)

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use candle_core::DType;
 use fuzz::{TASKS, world};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, PolicyConfig, PolicySnapshot, RefreshHidden};
+use policy::{ActorNetwork, CoreKind, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden};
 use prost::Message;
 use proto::wire::push_trajectory_request::Content;
 use proto::{
@@ -107,6 +107,7 @@ fn policies() -> Vec<Seed> {
     let policy = |core| {
         let config = PolicyConfig {
             core,
+            input_norm: InputNorm::LayerNorm,
             encoder: 4,
             hidden: 3,
             width: 4,

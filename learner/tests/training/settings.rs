@@ -6,7 +6,7 @@ use learner::{
     CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Launch, LeaseConfig,
     MetricsConfig, Phase, ThreadsConfig,
 };
-use policy::{CoreKind, PolicyConfig, RefreshHidden, RunSeed};
+use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, RunSeed};
 use proto::{Digest, Episodes};
 use serde_json::json;
 
@@ -61,6 +61,7 @@ fn config() -> Config {
 fn policy() -> PolicyConfig {
     PolicyConfig {
         core: CoreKind::Gru,
+        input_norm: InputNorm::LayerNorm,
         encoder: 8,
         hidden: 8,
         width: 8,
@@ -82,11 +83,11 @@ fn training() -> marl::Config {
         "update": {
             "rule": "happo", "parameters": "separate", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
             "learning_rate_decay": "none",
-            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "entropy": 0.0,
+            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "target_kl": 0.0, "entropy": 0.0,
             "max_gradient_norm": 10.0,
         },
         "critic": {
-            "mode": "per_agent", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
+            "mode": "per_agent", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
             "minibatches": 1, "clip": 0.2, "huber_delta": 10.0, "normalizer_beta": 0.999,
             "state_norm": "none", "max_gradient_norm": 10.0,
         },

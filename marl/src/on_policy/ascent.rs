@@ -23,22 +23,53 @@ pub(crate) type PerAgent<'a> = (&'a Experience, &'a Influence);
 pub(crate) struct Trained {
     pub(crate) figures: Figures,
     pub(crate) gradient_norm: f64,
+    /// Optimiser steps made; all figures are sums over them until [`Trained::mean`].
+    steps: usize,
+    /// Epochs gone through.
+    pub(crate) epochs: usize,
     /// Steps skipped so far because their gradient was not finite.
     pub(crate) skipped: i64,
 }
 
-/// One agent by itself, its advantages weighed with `factor`, `[L, C]`.
+impl Trained {
+    /// Counts one optimiser step.
+    fn add(&mut self, figures: &Figures, gradient_norm: f64) {
+        self.figures.add(1.0, figures);
+        self.gradient_norm += gradient_norm;
+        self.steps += 1;
+    }
+
+    /// Counts the steps of an epoch; their mean estimate of `KL[old || new]`, nats.
+    fn add_epoch(&mut self, epoch: &Self) -> f64 {
+        self.figures.add(1.0, &epoch.figures);
+        self.gradient_norm += epoch.gradient_norm;
+        self.steps += epoch.steps;
+        self.epochs += 1;
+        epoch.figures.approx_kl / epoch.steps as f64
+    }
+
+    /// Means over all optimiser steps.
+    fn mean(self) -> Self {
+        let share = 1.0 / self.steps as f64;
+        let mut figures = Figures::default();
+        figures.add(share, &self.figures);
+        Self { figures, gradient_norm: share * self.gradient_norm, ..self }
+    }
+}
+
+/// One agent by itself, its advantages weighed with `factor`, `[L, C]`. It stops after the first epoch in which it moved
+/// farther than `kl_limit`, nats.
 pub(crate) fn maximise(
     agent: &mut Agent,
     known: PerAgent<'_>,
-    factor: &[f64],
+    (factor, kl_limit): (&[f64], f64),
     (seed, draw): (RunSeed, Draw),
 ) -> Result<Trained, MarlError> {
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
-    let weight = 1.0 / (epochs * parts) as f64;
     let mut trained = Trained::default();
     let mut influence = known.1.clone();
     for epoch in 0..epochs {
+        let mut done = Trained::default();
         agent.refresh_states(&known.0.sequences, epoch)?;
         let draw = draw.step(epoch as u32);
         for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
@@ -46,27 +77,30 @@ pub(crate) fn maximise(
             let (figures, gradients) = gradient(agent, (known.0, &influence), factor, &columns)?;
             let norm = agent.adam.step(agent.network.parameters(), &gradients)?;
             agent.network.project()?;
-            trained.figures.add(weight, &figures);
-            trained.gradient_norm += weight * norm;
+            done.add(&figures, norm);
+        }
+        if trained.add_epoch(&done) > kl_limit {
+            break;
         }
     }
     trained.skipped = agent.adam.skipped();
-    Ok(trained)
+    Ok(trained.mean())
 }
 
 /// Agents that share one network, whose optimiser is the first one's: each step follows the mean of
-/// their gradients, as if a minibatch held the rows of all of them. `draws` are the agents' own.
+/// their gradients, as if a minibatch held the rows of all of them. `draws` are the agents' own. They stop after the
+/// first epoch in which they together moved farther than `kl_limit`, nats.
 pub(crate) fn maximise_together(
     agents: &mut [Agent],
     known: &[PerAgent<'_>],
-    factor: &[f64],
+    (factor, kl_limit): (&[f64], f64),
     (seed, draws): (RunSeed, &[Draw]),
 ) -> Result<Vec<Trained>, MarlError> {
     let (epochs, parts) = (agents[0].update.epochs, agents[0].update.minibatches);
-    let weight = 1.0 / (epochs * parts) as f64;
     let mut trained = vec![Trained::default(); agents.len()];
     let mut influence: Vec<Influence> = known.iter().map(|known| known.1.clone()).collect();
     for epoch in 0..epochs {
+        let mut done = vec![Trained::default(); agents.len()];
         for (agent, known) in agents.iter_mut().zip(known) {
             agent.refresh_states(&known.0.sequences, epoch)?;
         }
@@ -87,14 +121,17 @@ pub(crate) fn maximise_together(
             let mean = Gradients::mean(gradients);
             let norm = agents[0].adam.step(agents[0].network.parameters(), &mean)?;
             agents[0].network.project()?;
-            for (trained, figures) in trained.iter_mut().zip(&figures) {
-                trained.figures.add(weight, figures);
-                trained.gradient_norm += weight * norm;
-                trained.skipped = agents[0].adam.skipped();
+            for (done, figures) in done.iter_mut().zip(&figures) {
+                done.add(figures, norm);
             }
         }
+        let moved = trained.iter_mut().zip(&done).map(|(all, done)| all.add_epoch(done));
+        if moved.sum::<f64>() > kl_limit {
+            break;
+        }
     }
-    Ok(trained)
+    let skipped = agents[0].adam.skipped();
+    Ok(trained.into_iter().map(|all| Trained { skipped, ..all.mean() }).collect())
 }
 
 /// The gradient of a minibatch: shards, each a graph of its own, added in a fixed tree, so that the sum does not depend

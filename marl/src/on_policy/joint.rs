@@ -121,7 +121,7 @@ mod tests {
             let factor = vec![1.0; experience[0].log_prob.len()];
             let draw = Draw::of(Purpose::Minibatch);
             let known = (&experience[0], &influence[0]);
-            maximise(&mut agents[0], known, &factor, (RunSeed(0), draw)).unwrap();
+            maximise(&mut agents[0], known, (&factor, f64::INFINITY), (RunSeed(0), draw)).unwrap();
             assert_eq!(posterior(&agents[0]) != before, touched);
         }
     }

@@ -2,7 +2,7 @@
 
 use candle_core::DType;
 use policy::randomness::standard_normal;
-use policy::{CoreKind, RefreshHidden};
+use policy::{CoreKind, InputNorm, RefreshHidden};
 
 use super::*;
 use crate::config::{CountedState, Divergence, Estimator, QTraining};
@@ -34,6 +34,7 @@ fn config() -> InfluenceConfig {
 fn policy() -> PolicyConfig {
     PolicyConfig {
         core: CoreKind::Gru,
+        input_norm: InputNorm::LayerNorm,
         encoder: 8,
         hidden: 8,
         width: 8,

@@ -1,0 +1,49 @@
+//! How far all agents' policies together may move in one update.
+
+/// What is left of the joint `KL[old || new]`, which is the sum of the agents' own, and among how many agents. What one
+/// agent does not use is there for those after it.
+pub(crate) struct KlBudget {
+    /// Nats; infinite without a limit.
+    left: f64,
+    agents: usize,
+}
+
+impl KlBudget {
+    /// `target_kl` nats for `agents` agents; 0: no limit.
+    pub(crate) fn new(target_kl: f64, agents: usize) -> Self {
+        Self { left: if target_kl > 0.0 { target_kl } else { f64::INFINITY }, agents }
+    }
+
+    /// What the next agent may use, nats: an equal part of what is left.
+    pub(crate) fn share(&self) -> f64 {
+        self.left / self.agents as f64
+    }
+
+    /// The next agent has used `kl` nats.
+    pub(crate) fn spend(&mut self, kl: f64) {
+        self.left = (self.left - kl).max(0.0);
+        self.agents -= 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_an_agent_leaves_over_is_there_for_those_after_it() {
+        let mut budget = KlBudget::new(0.06, 3);
+        assert!((budget.share() - 0.02).abs() < 1e-15);
+        budget.spend(0.01);
+        assert!((budget.share() - 0.025).abs() < 1e-15);
+        budget.spend(0.07);
+        assert_eq!(budget.share(), 0.0);
+    }
+
+    #[test]
+    fn without_a_target_there_is_no_limit() {
+        let mut budget = KlBudget::new(0.0, 2);
+        budget.spend(1e9);
+        assert_eq!(budget.share(), f64::INFINITY);
+    }
+}
