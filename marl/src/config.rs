@@ -184,6 +184,10 @@ impl Config {
         self.influence.validate()?;
         self.maddpg.validate()?;
         self.behaviour.validate()?;
+        if (self.update.parameters, self.influence.q_training) == (Sharing::Shared, QTraining::Shared) {
+            let range = "mle with update.parameters = shared: a trunk has one second head";
+            return Err(refuse("influence.q_training", "shared", range));
+        }
         if self.update.rule != Rule::Maddpg {
             return Ok(());
         }

@@ -160,6 +160,69 @@ impl HeadRows {
         }
     }
 
+    /// The given rows.
+    #[must_use]
+    pub fn of_rows(&self, rows: &[usize]) -> Self {
+        let pick = |numbers: &[f64], width: usize| {
+            rows.iter().flat_map(|row| &numbers[row * width..][..width]).copied().collect()
+        };
+        match self {
+            Self::Gaussian { mean, sigma } => {
+                Self::Gaussian { mean: pick(mean, sigma.len()), sigma: sigma.clone() }
+            }
+            Self::Categorical { logits, choices } => {
+                Self::Categorical { logits: pick(logits, *choices), choices: *choices }
+            }
+        }
+    }
+
+    /// This policy with `shift` `[R, out]` added to its means or logits and its sigma times `factor`, `[act]`.
+    #[must_use]
+    pub fn corrected(&self, shift: &[f64], factor: &[f64]) -> Self {
+        let add = |numbers: &[f64]| numbers.iter().zip(shift).map(|(x, by)| x + by).collect();
+        match self {
+            Self::Gaussian { mean, sigma } => Self::Gaussian {
+                mean: add(mean),
+                sigma: sigma.iter().zip(factor).map(|(x, by)| x * by).collect(),
+            },
+            Self::Categorical { logits, choices } => {
+                Self::Categorical { logits: add(logits), choices: *choices }
+            }
+        }
+    }
+
+    /// From a gradient by the numbers that [`HeadRows::corrected`] gives: that by its `shift` and by its `factor`.
+    #[must_use]
+    pub fn correction_gradient(&self, gradient: &Self) -> (Vec<f64>, Vec<f64>) {
+        let sigma = match self {
+            Self::Gaussian { sigma, .. } => sigma.as_slice(),
+            Self::Categorical { .. } => &[],
+        };
+        match gradient {
+            Self::Gaussian { mean, sigma: by_sigma } => {
+                let by_factor = by_sigma.iter().zip(sigma).map(|(slope, sigma)| slope * sigma);
+                (mean.clone(), by_factor.collect())
+            }
+            Self::Categorical { logits, .. } => (logits.clone(), Vec::new()),
+        }
+    }
+
+    /// The rows of `parts`, of this kind each, one after another; no rows without parts.
+    #[must_use]
+    pub fn joined(&self, parts: &[Self]) -> Self {
+        let numbers = |part: &Self| match part {
+            Self::Gaussian { mean, .. } => mean.clone(),
+            Self::Categorical { logits, .. } => logits.clone(),
+        };
+        let all: Vec<f64> = parts.iter().flat_map(numbers).collect();
+        match (parts.first().unwrap_or(self), all) {
+            (Self::Gaussian { sigma, .. }, mean) => Self::Gaussian { mean, sigma: sigma.clone() },
+            (Self::Categorical { choices, .. }, logits) => {
+                Self::Categorical { logits, choices: *choices }
+            }
+        }
+    }
+
     /// Chunked rows `[L, C]` of some chunks, `[L, columns]`.
     #[must_use]
     pub fn columns(&self, layout: Layout, columns: &[usize]) -> Self {
@@ -203,16 +266,12 @@ impl HeadRows {
         }
     }
 
-    /// Chunked rows `[L, C]` of some chunks, in the form in which [`Rows`] hold a posterior.
+    /// The form in which [`Rows`] hold a posterior: means and sigma, or logits and nothing.
     #[must_use]
-    pub fn posterior(&self, layout: Layout, columns: &[usize]) -> (Vec<f64>, Vec<f64>) {
+    pub fn into_numbers(self) -> (Vec<f64>, Vec<f64>) {
         match self {
-            Self::Gaussian { mean, sigma } => {
-                (layout.columns(mean, sigma.len(), columns), sigma.clone())
-            }
-            Self::Categorical { logits, choices } => {
-                (layout.columns(logits, *choices, columns), Vec::new())
-            }
+            Self::Gaussian { mean, sigma } => (mean, sigma),
+            Self::Categorical { logits, .. } => (logits, Vec::new()),
         }
     }
 

@@ -9,6 +9,7 @@
 pub mod count;
 pub mod divergence;
 pub mod posterior;
+pub mod second_head;
 
 use crate::config::{Divergence, Estimator, InfluenceConfig};
 use divergence::divergence;

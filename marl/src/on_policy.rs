@@ -5,7 +5,7 @@ pub(crate) mod agent;
 pub(crate) mod ascent;
 mod behaviour;
 mod counted;
-mod joint;
+mod heads;
 pub(crate) mod kl_budget;
 mod memory;
 
@@ -87,7 +87,9 @@ impl Team {
         if config.update.parameters == Sharing::Shared {
             let network = Arc::clone(&agents[0].network);
             let behaviour = Arc::clone(&agents[0].behaviour);
+            let trained = Arc::clone(&agents[0].trained);
             for agent in &mut agents {
+                agent.trained = Arc::clone(&trained);
                 (agent.network, agent.behaviour) = (Arc::clone(&network), Arc::clone(&behaviour));
             }
         }

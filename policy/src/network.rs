@@ -109,6 +109,28 @@ impl ActorNetwork {
         Ok(self.layers.weights()?)
     }
 
+    /// As [`ActorNetwork::weights`], those of the trunk and those of the head.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn split_weights(&self) -> Result<[Weights; 2], PolicyError> {
+        Ok(self.layers.split_weights()?)
+    }
+
+    /// As [`ActorNetwork::distribution`] from [`ActorNetwork::split_weights`], with the trunk's features `[T*B, F]`, by
+    /// which gradients are known.
+    ///
+    /// # Errors
+    /// If shapes or element types do not fit.
+    pub fn distribution_on_trunk(
+        &self,
+        [trunk, head]: &[Weights; 2],
+        input: &SequenceInput,
+    ) -> Result<(Distribution, Tensor), PolicyError> {
+        let features = trunk.apply(&input.observation, input.recurrent())?;
+        Ok((self.head(head.apply(&features, None)?)?, features))
+    }
+
     /// The policy `p(a | o, h)` of every row under `weights`, which are this network's.
     ///
     /// # Errors

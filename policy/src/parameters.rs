@@ -72,6 +72,21 @@ impl Parameters {
         Ok(var)
     }
 
+    /// The parameters of `self` and then those of `other`, their names after `prefix`; the variables are the same.
+    #[must_use]
+    pub fn with(&self, prefix: &str, other: &Self) -> Self {
+        let first = self.vars.len();
+        let renamed = other.slots.iter().map(|slot| Slot {
+            name: format!("{prefix}{}", slot.name),
+            var: first + slot.var,
+            ..slot.clone()
+        });
+        Self {
+            slots: self.slots.iter().cloned().chain(renamed).collect(),
+            vars: self.vars.iter().chain(&other.vars).cloned().collect(),
+        }
+    }
+
     /// All parameters in their order.
     #[must_use]
     pub fn slots(&self) -> &[Slot] {

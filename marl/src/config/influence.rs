@@ -79,8 +79,8 @@ pub enum Divergence {
 pub enum QTraining {
     /// By maximum likelihood of the actions taken, before the policies move.
     Mle,
-    /// By Eq. 10 itself, inside the policy's epochs: posterior and policy climb the term together.
-    Joint,
+    /// By Eq. 10 itself: a second head on the policy's trunk (Fig. 1), and one optimiser for all three.
+    Shared,
 }
 
 impl InfluenceConfig {
@@ -107,10 +107,10 @@ impl InfluenceConfig {
     /// Refuses what is not defined for choices.
     pub(crate) fn check_for_choices(&self) -> Result<(), MarlError> {
         match self.q_training {
-            QTraining::Joint if self.lambda > 0.0 => {
-                Err(refuse("influence.q_training", "joint", "mle for a task of choices"))
+            QTraining::Shared if self.lambda > 0.0 => {
+                Err(refuse("influence.q_training", "shared", "mle for a task of choices"))
             }
-            QTraining::Mle | QTraining::Joint => Ok(()),
+            QTraining::Mle | QTraining::Shared => Ok(()),
         }
     }
 
@@ -126,8 +126,8 @@ impl InfluenceConfig {
     fn validate_estimator(&self) -> Result<(), MarlError> {
         let bound = "kl_pq with estimator = barber_agakov, whose bound is -KL[p || q]";
         let counted = "mle with estimator = count: a table of counts has no parameters to train";
-        if (self.estimator, self.q_training) == (Estimator::Count, QTraining::Joint) {
-            return Err(refuse("influence.q_training", "joint", counted));
+        if (self.estimator, self.q_training) == (Estimator::Count, QTraining::Shared) {
+            return Err(refuse("influence.q_training", "shared", counted));
         }
         match (self.estimator, self.divergence) {
             (Estimator::BarberAgakov, Divergence::KlQp) => {
@@ -162,9 +162,9 @@ mod tests {
     fn what_is_not_defined_for_a_kind_of_action_is_refused_in_one_line() {
         let choices = ActionKind::Discrete { choices: 3 };
         let count = |config: &mut InfluenceConfig| config.estimator = Estimator::Count;
-        let joint = |config: &mut InfluenceConfig| config.q_training = QTraining::Joint;
+        let shared = |config: &mut InfluenceConfig| config.q_training = QTraining::Shared;
         assert_eq!(refusal(choices, count), None);
-        assert_eq!(refusal(ActionKind::Continuous, joint), None);
+        assert_eq!(refusal(ActionKind::Continuous, shared), None);
         for (kind, message) in [
             (
                 refusal(ActionKind::Continuous, count),
@@ -172,15 +172,15 @@ mod tests {
                  continuous actions: counts need choices",
             ),
             (
-                refusal(choices, joint),
-                "influence.q_training = joint is out of range: mle for a task of choices",
+                refusal(choices, shared),
+                "influence.q_training = shared is out of range: mle for a task of choices",
             ),
             (
                 refusal(choices, |config| {
                     count(config);
-                    joint(config);
+                    shared(config);
                 }),
-                "influence.q_training = joint is out of range: mle with estimator = count: a table of \
+                "influence.q_training = shared is out of range: mle with estimator = count: a table of \
                  counts has no parameters to train",
             ),
             (

@@ -1,4 +1,4 @@
-//! The variational posterior `q_xi(a^i | a^-i, o^i, h^i)`: the second head of the paper's network.
+//! The variational posterior `q_xi(a^i | a^-i, o^i, h^i)`: the policy with a correction that knows the others' actions.
 
 use std::ops::Range;
 
@@ -8,14 +8,13 @@ use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{Categorical, Distribution, Gaussian, PolicyConfig, Precision};
+use policy::Precision;
 
 use crate::batch::ActionKind;
 use crate::config::InfluenceConfig;
 use crate::error::MarlError;
-use crate::gradient::{Gradients, numbers};
+use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::head_rows::HeadRows;
-use crate::influence::Term;
 use crate::layers::rows;
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
@@ -34,12 +33,12 @@ pub struct PosteriorShape {
     pub kind: ActionKind,
 }
 
-/// A distribution over the own action of the policy's kind: `a^-i` encoded (Linear, tanh) and joined with the
-/// trunk's features, then Linear, tanh, and the logits or the mean; sigma as in the policy's head, a parameter of
-/// its own.
+/// A distribution over the own action of the policy's kind, the behaviour policy plus a correction: `a^-i` encoded
+/// (Linear, tanh) and joined with the trunk's features, then Linear, tanh, and Linear, which starts at 0, for what is
+/// added to the logits or the mean. A Gaussian's sigma is the policy's times `2 sigmoid(c)` with a parameter `c` that
+/// starts at 0. So an untrained posterior is the policy, and every estimate of it is exactly 0.
 pub struct Posterior {
     config: InfluenceConfig,
-    sigma_scale: f64,
     precision: Precision,
     shape: PosteriorShape,
     parameters: Parameters,
@@ -47,8 +46,8 @@ pub struct Posterior {
     encoder: LayerStack,
     /// Of features and encoded actions.
     joined: LayerStack,
-    /// Of a Gaussian alone.
-    log_std: Option<Var>,
+    /// `c`, `[act]`; of a Gaussian alone.
+    sigma_correction: Option<Var>,
     adam: Adam,
 }
 
@@ -60,6 +59,38 @@ pub struct Conditions<'a> {
     pub others: &'a [f32],
     /// The own actions taken, `[R, act]`.
     pub action: &'a [f64],
+    /// The behaviour policy of every row.
+    pub policy: &'a HeadRows,
+}
+
+/// What a posterior makes of the policy in some rows.
+struct Corrected {
+    /// Added to the policy's means or logits, `[R, out]`.
+    shift: Tensor,
+    /// By which the policy's sigma is multiplied, `[act]`; of a Gaussian alone.
+    factor: Option<Tensor>,
+    /// The policy of these rows.
+    policy: HeadRows,
+    /// The posterior of these rows.
+    posterior: HeadRows,
+}
+
+impl Corrected {
+    fn of(shift: Tensor, factor: Option<Tensor>, policy: HeadRows) -> Result<Self, MarlError> {
+        let by = factor.as_ref().map(numbers).transpose()?.unwrap_or_default();
+        let posterior = policy.corrected(&numbers(&shift)?, &by);
+        Ok(Self { shift, factor, policy, posterior })
+    }
+
+    /// A scalar with the given gradient by the posterior's numbers.
+    fn root(&self, gradient: &HeadRows) -> Result<Tensor, MarlError> {
+        let (by_shift, by_factor) = self.policy.correction_gradient(gradient);
+        let mut outputs = vec![OutputGradient { output: &self.shift, gradient: &by_shift }];
+        outputs.extend(
+            self.factor.iter().map(|output| OutputGradient { output, gradient: &by_factor }),
+        );
+        root(&outputs)
+    }
 }
 
 impl Posterior {
@@ -69,7 +100,6 @@ impl Posterior {
     /// Passes on a tensor error.
     pub fn new(
         config: &InfluenceConfig,
-        policy: &PolicyConfig,
         adam_config: AdamConfig,
         shape: PosteriorShape,
         (seed, precision, agent): (RunSeed, Precision, u32),
@@ -77,94 +107,87 @@ impl Posterior {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
         let (mut parameters, dtype) = (Parameters::new(), precision.dtype());
         let (others, joined) = (config.encoder, shape.features + config.encoder);
-        let (tanh, gain) = (Activation::Tanh, f64::from(policy.head_gain));
+        let tanh = Activation::Tanh;
         let outputs = shape.kind.head().outputs(shape.action);
         let encoder = [LayerSpec::linear("encoder", (shape.others, others), tanh, TANH_GAIN)];
         let joined = [
             LayerSpec::linear("joined", (joined, config.hidden), tanh, TANH_GAIN),
-            LayerSpec::linear("head", (config.hidden, outputs), Activation::Identity, gain),
+            LayerSpec::linear("head", (config.hidden, outputs), Activation::Identity, 0.0),
         ];
         let encoder = LayerStack::declare(&mut parameters, &encoder, dtype, &mut rng)?;
         let joined = LayerStack::declare(&mut parameters, &joined, dtype, &mut rng)?;
-        let log_std = match shape.kind {
+        let sigma_correction = match shape.kind {
             ActionKind::Continuous => {
-                let start = Tensor::full(policy.initial_log_std, shape.action, &Device::Cpu)?;
-                Some(parameters.add("log_std", start.to_dtype(dtype)?)?)
+                let start = Tensor::zeros(shape.action, dtype, &Device::Cpu)?;
+                Some(parameters.add("sigma_correction", start)?)
             }
             ActionKind::Discrete { .. } => None,
         };
         let (config, adam) = (config.clone(), Adam::new(adam_config, &parameters));
-        let sigma_scale = f64::from(policy.sigma_scale);
-        Ok(Self {
-            config,
-            sigma_scale,
-            precision,
-            shape,
-            parameters,
-            encoder,
-            joined,
-            log_std,
-            adam,
-        })
+        Ok(Self { config, precision, shape, parameters, encoder, joined, sigma_correction, adam })
     }
 
     fn weights(&self) -> Result<[Weights; 2], MarlError> {
         Ok([self.encoder.weights()?, self.joined.weights()?])
     }
 
-    fn forward(
+    /// The posterior of some rows. The features are constants here, so that nothing reaches the trunk through it.
+    fn corrected(
         &self,
         [encoder, joined]: &[Weights; 2],
-        features: &Tensor,
-        others: Vec<f32>,
-    ) -> Result<Distribution, MarlError> {
-        let encoded = encoder.apply(&rows(others, self.shape.others, self.precision)?, None)?;
-        let output = joined.apply(&Tensor::cat(&[features, &encoded], 1)?, None)?;
-        let Some(log_std) = &self.log_std else {
-            return Ok(Distribution::Categorical(Categorical { logits: output }));
-        };
-        let sigma = (sigmoid(log_std.as_tensor())? * self.sigma_scale)?;
-        Ok(Distribution::Gaussian(Gaussian { mean: output, sigma }))
+        data: &Conditions<'_>,
+        part: &[usize],
+    ) -> Result<Corrected, MarlError> {
+        let width = self.shape.others;
+        let index: Vec<u32> = part.iter().map(|&row| row as u32).collect();
+        let index = Tensor::from_vec(index, part.len(), &Device::Cpu)?;
+        let features = data.features.index_select(&index, 0)?.detach();
+        let others = part.iter().flat_map(|&row| &data.others[row * width..(row + 1) * width]);
+        let others = rows(others.copied().collect(), width, self.precision)?;
+        let shift =
+            joined.apply(&Tensor::cat(&[features, encoder.apply(&others, None)?], 1)?, None)?;
+        let factor = self.sigma_correction.as_ref().map(|c| sigmoid(c.as_tensor())? * 2.0);
+        Corrected::of(shift, factor.transpose()?, data.policy.of_rows(part))
     }
 
-    /// Maximum likelihood on the rows `trained` of `data`: `max_xi mean log q_xi(a^i | a^-i, o^i, h^i)`.
-    /// Gives the mean log-likelihood of the last epoch, nats. The features are constants, so nothing
-    /// of it reaches the trunk.
+    /// Maximum likelihood on the rows `trained` of `data`: `max_xi mean log q_xi(a^i | a^-i, o^i, h^i)`, until an epoch
+    /// no longer raises the likelihood of the rows `held_out`, or for all epochs if there are none. That last epoch is
+    /// undone. Gives the mean log-likelihood of the last epoch that counts, nats, or of the policy without one.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn fit(
         &mut self,
         data: &Conditions<'_>,
-        trained: &[usize],
+        (trained, held_out): (&[usize], &[usize]),
         (seed, draw): (RunSeed, Draw),
     ) -> Result<f64, MarlError> {
-        let mut likelihood = 0.0;
+        let mut reached = (self.log_likelihood(data, trained)?, self.log_likelihood(data, held_out)?);
         for epoch in 0..self.config.epochs {
-            likelihood = 0.0;
-            let draw = draw.step(epoch as u32);
+            let before = self.parameters.to_arrays("")?;
+            let (mut likelihood, draw) = (0.0, draw.step(epoch as u32));
             for part in minibatches(trained.len(), self.config.minibatches, seed, draw) {
                 let part: Vec<usize> = part.into_iter().map(|place| trained[place]).collect();
                 likelihood += self.step(data, &part)? * part.len() as f64 / trained.len() as f64;
             }
+            let found = self.log_likelihood(data, held_out)?;
+            if !held_out.is_empty() && found <= reached.1 {
+                self.parameters.load("", &before)?;
+                break;
+            }
+            reached = (likelihood, found);
         }
-        Ok(likelihood)
+        Ok(reached.0)
     }
 
-    /// What the head says of some rows. The features are constants here, so that nothing reaches
-    /// the trunk through the posterior.
-    fn forward_rows(
-        &self,
-        weights: &[Weights; 2],
-        data: &Conditions<'_>,
-        part: &[usize],
-    ) -> Result<Distribution, MarlError> {
-        let others = self.shape.others;
-        let index: Vec<u32> = part.iter().map(|&row| row as u32).collect();
-        let index = Tensor::from_vec(index, part.len(), &Device::Cpu)?;
-        let features = data.features.index_select(&index, 0)?.detach();
-        let actions = part.iter().flat_map(|&row| &data.others[row * others..(row + 1) * others]);
-        self.forward(weights, &features, actions.copied().collect())
+    /// Mean `log q` of the actions in the rows `of`, nats; 0 of none.
+    fn log_likelihood(&self, data: &Conditions<'_>, of: &[usize]) -> Result<f64, MarlError> {
+        let width = self.shape.action;
+        let action = of.iter().flat_map(|&row| &data.action[row * width..(row + 1) * width]);
+        let action: Vec<f64> = action.copied().collect();
+        let all: Vec<usize> = (0..of.len()).collect();
+        let log_q = self.conditional(data, of)?.log_prob(&action, &all);
+        Ok(log_q.iter().sum::<f64>() / of.len().max(1) as f64)
     }
 
     fn step(&mut self, data: &Conditions<'_>, part: &[usize]) -> Result<f64, MarlError> {
@@ -172,69 +195,48 @@ impl Posterior {
         let share = 1.0 / part.len() as f64;
         let one = |range: Range<usize>| {
             let rows = &part[range];
-            let head = self.forward_rows(&weights, data, rows)?;
-            let q = HeadRows::of(&head)?;
+            let corrected = self.corrected(&weights, data, rows)?;
+            let q = &corrected.posterior;
             let (mut likelihood, mut gradient) = (0.0, q.zeros());
             for (place, &row) in rows.iter().enumerate() {
                 let action = &data.action[row * width..(row + 1) * width];
                 likelihood += share * q.log_prob_of(place, action);
-                gradient.add_log_prob_gradient(-share, place, action, &q);
+                gradient.add_log_prob_gradient(-share, place, action, q);
             }
-            Ok((likelihood, Gradients::of(&self.parameters, &gradient.root(&head)?)?))
+            Ok((likelihood, Gradients::of(&self.parameters, &corrected.root(&gradient)?)?))
         };
         let (likelihood, gradients) = shards::sum(&shards(part.len(), 1), &one)?;
-        self.descend(&gradients)?;
+        self.descend(&gradients, data.policy)?;
         Ok(likelihood)
     }
 
-    /// One optimiser step up `lambda` times the influence term of the rows `part`, the posterior's
-    /// share of Eq. 10. The policy `p` of these rows is a constant.
-    ///
-    /// # Errors
-    /// Passes on a tensor error.
-    pub fn climb(
-        &mut self,
-        data: &Conditions<'_>,
-        part: &[usize],
-        p: &HeadRows,
-        (lambda, term): (f64, Term),
-    ) -> Result<(), MarlError> {
-        let head = self.forward_rows(&self.weights()?, data, part)?;
-        let q = HeadRows::of(&head)?;
-        let weight = -lambda / part.len() as f64;
-        let root = q.influence_gradient(weight, p, term).root(&head)?;
-        self.descend(&Gradients::of(&self.parameters, &root)?)
-    }
-
-    /// One optimiser step.
-    fn descend(&mut self, gradients: &Gradients) -> Result<(), MarlError> {
+    /// One optimiser step, after which sigma is at its floor or above: `influence.sigma_floor`, or the policy's sigma
+    /// where that is lower.
+    fn descend(&mut self, gradients: &Gradients, policy: &HeadRows) -> Result<(), MarlError> {
         self.adam.step(&self.parameters, gradients)?;
-        self.project()
+        let (Some(correction), HeadRows::Gaussian { sigma, .. }) = (&self.sigma_correction, policy)
+        else {
+            return Ok(());
+        };
+        let lowest = |sigma: &f64| {
+            let half = (0.5 * self.config.sigma_floor / sigma).min(0.5);
+            self.precision.round(libm::log(half / (1.0 - half)))
+        };
+        let held = numbers(correction.as_tensor())?.into_iter().zip(sigma);
+        let held: Vec<f64> = held.map(|(c, sigma)| c.max(lowest(sigma))).collect();
+        let held = Tensor::from_vec(held, sigma.len(), &Device::Cpu)?;
+        Ok(correction.set(&held.to_dtype(self.precision.dtype())?)?)
     }
 
-    /// Holds sigma at its floor, as the actors' networks do.
-    fn project(&self) -> Result<(), MarlError> {
-        let Some(log_std) = &self.log_std else { return Ok(()) };
-        let share = self.config.sigma_floor / self.sigma_scale;
-        let lowest = self.precision.round(libm::log(share / (1.0 - share)));
-        let values = numbers(log_std.as_tensor())?;
-        if values.iter().any(|&value| value < lowest) {
-            let held: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
-            let width = held.len();
-            let held = Tensor::from_vec(held, width, &Device::Cpu)?;
-            log_std.set(&held.to_dtype(self.precision.dtype())?)?;
-        }
-        Ok(())
-    }
-
-    /// The posterior of every row of `data`.
+    /// The posterior of the rows `of` of `data`.
     ///
     /// # Errors
     /// Passes on a tensor error.
-    pub fn conditional(&self, data: &Conditions<'_>) -> Result<HeadRows, MarlError> {
-        let (features, others) = (data.features.detach(), data.others.to_vec());
+    pub fn conditional(&self, data: &Conditions<'_>, of: &[usize]) -> Result<HeadRows, MarlError> {
         let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
-        HeadRows::of(&self.forward(&weights, &features, others)?)
+        let one = |range: Range<usize>| Ok(self.corrected(&weights, data, &of[range])?.posterior);
+        let parts = shards::of_each(&shards(of.len(), 1), one)?;
+        Ok(data.policy.joined(&parts))
     }
 
     /// Optimiser steps skipped so far because their gradient was not finite.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::parameters::Parameters;
 use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
 use rayon::prelude::*;
 
@@ -16,6 +17,7 @@ use crate::error::MarlError;
 use crate::head_rows::HeadRows;
 use crate::influence::count::JointSample;
 use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
+use crate::influence::second_head::SecondHead;
 use crate::influence::{Term, mutual_information};
 use crate::on_policy::counted;
 use crate::on_policy::memory::Memory;
@@ -24,7 +26,7 @@ use crate::sequence::{Layout, Sequences};
 use crate::shards::{self, shards};
 use crate::surprise::entropy_bound;
 
-/// A network in training. Its posterior is there if the influence term has a weight and there are
+/// A network in training. Its posterior or its second head is there if the influence term has a weight and there are
 /// other agents.
 pub(crate) struct Agent {
     /// Agents that share their parameters hold the same network.
@@ -32,13 +34,15 @@ pub(crate) struct Agent {
     /// The network that acts; with a policy lag of 1 one that is an update behind.
     pub(crate) behaviour: Arc<ActorNetwork>,
     pub(crate) adam: Adam,
+    /// What `adam` moves: the network's parameters and the second head's.
+    pub(super) trained: Arc<Parameters>,
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
     pub(super) kind: ActionKind,
     pub(super) precision: Precision,
     pub(super) memory: Memory,
     pub(super) posterior: Option<Posterior>,
-    pub(super) q_training: QTraining,
+    pub(super) second_head: Option<SecondHead>,
     holdout_every: usize,
     /// What is counted in the posterior's place.
     pub(super) counted: Option<CountedState>,
@@ -59,7 +63,7 @@ pub(crate) struct Experience {
     /// The trunk's features under the behaviour weights, `[L * C, F]`; a constant.
     features: Tensor,
     /// Every other agent's action, in agent order, `[L, C, others]`.
-    others: Vec<f32>,
+    pub(super) others: Vec<f32>,
     /// The same with the own action as names to count, `[L, C]`; nothing unless they are counted.
     pub(super) samples: Option<Vec<JointSample>>,
 }
@@ -68,7 +72,7 @@ impl Experience {
     /// What a posterior is asked about, every row.
     pub(super) fn conditions(&self) -> Conditions<'_> {
         let (features, others) = (&self.features, self.others.as_slice());
-        Conditions { features, others, action: &self.sequences.action }
+        Conditions { features, others, action: &self.sequences.action, policy: &self.behaviour }
     }
 }
 
@@ -142,11 +146,20 @@ impl Agent {
         let wanted = influence.lambda > 0.0 && own.others > 0;
         let counts = influence.estimator == Estimator::Count;
         let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
-        let posterior = (wanted && !counts)
-            .then(|| Posterior::new(influence, policy, q_adam, own, (seed, precision, number)))
+        let (shared, start_of_q) =
+            (influence.q_training == QTraining::Shared, (seed, precision, number));
+        let posterior = (wanted && !counts && !shared)
+            .then(|| Posterior::new(influence, q_adam, own, start_of_q))
             .transpose()?;
+        let second_head = (wanted && shared)
+            .then(|| SecondHead::new(influence, policy, own, start_of_q))
+            .transpose()?;
+        let none = Parameters::new();
+        let second = second_head.as_ref().map_or(&none, SecondHead::parameters);
+        let trained = Arc::new(start.parameters().with("second_head.", second));
         Ok(Self {
-            adam: Adam::new(adam, start.parameters()),
+            adam: Adam::new(adam, &trained),
+            trained,
             network: start,
             behaviour,
             coefficients: Coefficients {
@@ -160,7 +173,7 @@ impl Agent {
             precision,
             memory: Memory::new(policy),
             posterior,
-            q_training: influence.q_training,
+            second_head,
             holdout_every: influence.holdout_every,
             counted: (wanted && counts).then_some(influence.counted_state),
             lag: influence.lag,
@@ -184,7 +197,11 @@ impl Agent {
     }
 
     pub(crate) fn posterior_arrays(&self, index: usize) -> Result<NamedArrays, MarlError> {
-        self.posterior.as_ref().map_or_else(|| Ok(NamedArrays::new()), |own| own.arrays(index))
+        match (&self.posterior, &self.second_head) {
+            (Some(own), _) => own.arrays(index),
+            (None, Some(own)) => Ok(own.parameters().to_arrays(&second_head(index))?),
+            (None, None) => Ok(NamedArrays::new()),
+        }
     }
 
     pub(crate) fn restore_network(
@@ -201,6 +218,9 @@ impl Agent {
         index: usize,
         arrays: &NamedArrays,
     ) -> Result<(), MarlError> {
+        if let Some(own) = &self.second_head {
+            own.parameters().load(&second_head(index), arrays)?;
+        }
         self.posterior.as_mut().map_or(Ok(()), |own| own.restore(index, arrays))
     }
 
@@ -235,8 +255,8 @@ impl Agent {
     }
 
     /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
-    /// held-out ones, and asks it about every row. One that is trained jointly is only asked: it has learnt from no
-    /// row of this `D_k` yet, so all of them measure the estimate.
+    /// held-out ones, and asks it about every row. A second head is only asked: it has learnt from no row of this `D_k`
+    /// yet, so all of them measure the estimate.
     fn fit_posterior(
         &mut self,
         experience: &Experience,
@@ -245,22 +265,24 @@ impl Agent {
         if let Some(samples) = &experience.samples {
             return Ok(counted::influence(samples, self.kind, experience));
         }
-        let Some(posterior) = &mut self.posterior else { return Ok(Influence::default()) };
         let layout = experience.sequences.layout;
         let last = self.holdout_every - 1;
         let held_out =
             |row: &usize| layout.environment(row % layout.chunks) % self.holdout_every == last;
-        let all = 0..layout.rows();
+        let all: Vec<usize> = (0..layout.rows()).collect();
         let action = &experience.sequences.action;
         let data = experience.conditions();
-        let (holdout, fitted): (Vec<usize>, _) = match self.q_training {
-            QTraining::Mle => {
-                let (holdout, trained): (_, Vec<usize>) = all.partition(held_out);
-                (holdout, Some(posterior.fit(&data, &trained, (seed, draw))?))
+        let (conditional, holdout, fitted, skipped) = match (&mut self.posterior, &self.second_head)
+        {
+            (Some(posterior), _) => {
+                let (holdout, trained): (Vec<usize>, Vec<usize>) =
+                    all.iter().copied().partition(held_out);
+                let likelihood = posterior.fit(&data, (&trained, &holdout), (seed, draw))?;
+                (posterior.conditional(&data, &all)?, holdout, Some(likelihood), posterior.skipped())
             }
-            QTraining::Joint => (all.collect(), None),
+            (None, Some(second)) => (second.conditional(&data)?, all, None, 0),
+            (None, None) => return Ok(Influence::default()),
         };
-        let conditional = posterior.conditional(&data)?;
         let found = || -entropy_bound(&conditional.log_prob(action, &holdout));
         let log_likelihood = fitted.unwrap_or_else(found);
         let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
@@ -268,7 +290,7 @@ impl Agent {
         let mi_estimate = mutual_information(&log_q, &log_p);
         let held_out = mi_estimate.map(|_| (entropy_bound(&log_q), entropy_bound(&log_p)));
         let divergence = mean(&conditional.kl_divergences(&experience.behaviour));
-        let (conditional, skipped) = (Some(conditional), posterior.skipped());
+        let conditional = Some(conditional);
         Ok(Influence { conditional, log_likelihood, mi_estimate, held_out, divergence, skipped })
     }
 }
@@ -298,6 +320,11 @@ pub(crate) fn gather(
         })
     };
     (0..agents.len()).into_par_iter().map(one).collect()
+}
+
+/// Where the parameters of the second head of agent `index` are kept.
+fn second_head(index: usize) -> String {
+    format!("weights/second_head_{index}.")
 }
 
 /// Mean of `[R]` numbers, summed in order; of at least one.

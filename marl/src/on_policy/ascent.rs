@@ -3,12 +3,12 @@
 
 use std::ops::Range;
 
-use policy::ops::Weights;
 use policy::randomness::{Draw, RunSeed};
 use rayon::prelude::*;
 
 use super::agent::{Agent, Experience, Influence};
-use crate::actor_loss::{Figures, Rows};
+use super::heads::StepWeights;
+use crate::actor_loss::{Coefficients, Figures, Rows};
 use crate::error::MarlError;
 use crate::gradient::Gradients;
 use crate::head_rows::HeadRows;
@@ -67,16 +67,14 @@ pub(crate) fn maximise(
 ) -> Result<Trained, MarlError> {
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
     let mut trained = Trained::default();
-    let mut influence = known.1.clone();
     for epoch in 0..epochs {
         let mut done = Trained::default();
         agent.refresh_states(&known.0.sequences, epoch)?;
         let draw = draw.step(epoch as u32);
         for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
-            agent.climb_posterior(known.0, &mut influence, &columns)?;
-            let (figures, gradients) = gradient(agent, (known.0, &influence), factor, &columns)?;
-            let norm = agent.adam.step(agent.network.parameters(), &gradients)?;
-            agent.network.project()?;
+            let (figures, gradients) = gradient(agent, known, factor, &columns)?;
+            let norm = agent.adam.step(&agent.trained, &gradients)?;
+            agent.project()?;
             done.add(&figures, norm);
         }
         if trained.add_epoch(&done) > kl_limit {
@@ -98,7 +96,6 @@ pub(crate) fn maximise_together(
 ) -> Result<Vec<Trained>, MarlError> {
     let (epochs, parts) = (agents[0].update.epochs, agents[0].update.minibatches);
     let mut trained = vec![Trained::default(); agents.len()];
-    let mut influence: Vec<Influence> = known.iter().map(|known| known.1.clone()).collect();
     for epoch in 0..epochs {
         let mut done = vec![Trained::default(); agents.len()];
         for (agent, known) in agents.iter_mut().zip(known) {
@@ -110,17 +107,14 @@ pub(crate) fn maximise_together(
         let dealt: Vec<_> = draws.iter().zip(known).map(deal).collect();
         for part in 0..dealt[0].len() {
             let columns: Vec<&[usize]> = dealt.iter().map(|own| own[part].as_slice()).collect();
-            for (index, agent) in agents.iter_mut().enumerate() {
-                agent.climb_posterior(known[index].0, &mut influence[index], columns[index])?;
-            }
-            let now = |index: usize| (known[index].0, &influence[index]);
-            let one = |index: usize| gradient(&agents[index], now(index), factor, columns[index]);
+            let one = |index: usize| gradient(&agents[index], known[index], factor, columns[index]);
             let found = (0..agents.len()).into_par_iter().map(one);
             let (figures, gradients): (Vec<_>, Vec<_>) =
                 found.collect::<Result<Vec<_>, MarlError>>()?.into_iter().unzip();
             let mean = Gradients::mean(gradients);
-            let norm = agents[0].adam.step(agents[0].network.parameters(), &mean)?;
-            agents[0].network.project()?;
+            let first = &mut agents[0];
+            let norm = first.adam.step(&first.trained, &mean)?;
+            first.project()?;
             for (done, figures) in done.iter_mut().zip(&figures) {
                 done.add(figures, norm);
             }
@@ -142,7 +136,7 @@ pub(super) fn gradient(
     factor: &[f64],
     columns: &[usize],
 ) -> Result<(Figures, Gradients), MarlError> {
-    let (weights, total) = (agent.network.weights()?, columns.len());
+    let (weights, total) = (agent.step_weights()?, columns.len());
     let shards = shards(total, known.0.sequences.layout.steps);
     let one =
         |range: Range<usize>| shard((agent, &weights), known, factor, (&columns[range], total));
@@ -150,15 +144,17 @@ pub(super) fn gradient(
 }
 
 fn shard(
-    (agent, weights): (&Agent, &Weights),
+    (agent, weights): (&Agent, &StepWeights<'_>),
     (experience, influence): PerAgent<'_>,
     factor: &[f64],
     (columns, total): (&[usize], usize),
 ) -> Result<(Figures, Gradients), MarlError> {
     let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
-    let head = agent.network.distribution(weights, &agent.input(sequences, columns)?)?;
+    let (head, second) = agent.heads(weights, experience, columns)?;
     let p = HeadRows::of(&head)?;
-    let posterior = influence.conditional.as_ref().map(|q| q.posterior(layout, columns));
+    let q = second.as_ref().map(HeadRows::of).transpose()?;
+    let known = || influence.conditional.as_ref().map(|q| q.columns(layout, columns));
+    let posterior = q.clone().or_else(known).map(HeadRows::into_numbers);
     let rows = Rows {
         action: layout.columns(&sequences.action, p.action_size(), columns),
         log_prob_old: layout.columns(&experience.log_prob, 1, columns),
@@ -166,8 +162,15 @@ fn shard(
         factor: layout.columns(factor, 1, columns),
         posterior: posterior.unwrap_or_default(),
     };
-    let (figures, gradient) = p.loss(&rows, layout.steps * total, &agent.coefficients);
-    Ok((figures, Gradients::of(agent.network.parameters(), &gradient.root(&head)?)?))
+    let total = layout.steps * total;
+    let (figures, gradient) = p.loss(&rows, total, &agent.coefficients);
+    let mut root = gradient.root(&head)?;
+    if let (Some(second), Some(q)) = (&second, &q) {
+        let Coefficients { lambda, term, .. } = agent.coefficients;
+        let gradient = q.influence_gradient(-lambda / total as f64, &p, term);
+        root = (root + gradient.root(second)?)?;
+    }
+    Ok((figures, Gradients::of(&agent.trained, &root)?))
 }
 
 impl Share for Figures {

@@ -73,13 +73,31 @@ impl LayerStack {
         self.weights_of(self.flat.as_tensor().detach())
     }
 
-    fn weights_of(&self, flat: Tensor) -> Result<Weights> {
-        let packed = match flat.dtype() {
-            DType::F32 => Some(Arc::new(Packed::new(&self.network, &values::<f32>(&flat)?))),
-            _ => None,
-        };
-        Ok(Weights { network: Arc::clone(&self.network), flat, packed })
+    /// As [`LayerStack::weights`], those of all layers but the last and those of the last, for networks that share the
+    /// former. There are two layers or more.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn split_weights(&self) -> Result<[Weights; 2]> {
+        let layers = self.network.layers();
+        let (trunk, last) = layers.split_at(layers.len() - 1);
+        let [trunk, last] = [trunk, last].map(|part| Arc::new(Network::new(part.to_vec())));
+        let (first, rest) = (trunk.parameters(), last.parameters());
+        let of_last = self.flat.narrow(0, first, rest)?;
+        Ok([weights_of(trunk, self.flat.narrow(0, 0, first)?)?, weights_of(last, of_last)?])
     }
+
+    fn weights_of(&self, flat: Tensor) -> Result<Weights> {
+        weights_of(Arc::clone(&self.network), flat)
+    }
+}
+
+fn weights_of(network: Arc<Network>, flat: Tensor) -> Result<Weights> {
+    let packed = match flat.dtype() {
+        DType::F32 => Some(Arc::new(Packed::new(&network, &values::<f32>(&flat)?))),
+        _ => None,
+    };
+    Ok(Weights { network, flat, packed })
 }
 
 impl Weights {
@@ -330,9 +348,11 @@ impl CustomOp2 for Fused {
         self.packed.backward(&output, self.memory(), &mut workspace, parameters, input);
         give_back(workspace);
         let by_x = by_x.map(|data| Tensor::from_vec(data, x.shape(), x.device())).transpose()?;
-        if let Some(data) = by_flat {
+        let Some(data) = by_flat else { return Ok((by_x, None)) };
+        if flat.is_variable() {
             FOUND.with_borrow_mut(|found| found.push((flat.id(), data)));
+            return Ok((by_x, None));
         }
-        Ok((by_x, None))
+        Ok((by_x, Some(Tensor::from_vec(data, flat.shape(), flat.device())?)))
     }
 }

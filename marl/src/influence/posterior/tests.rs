@@ -2,11 +2,9 @@
 
 use candle_core::DType;
 use policy::randomness::standard_normal;
-use policy::{CoreKind, InputNorm, RefreshHidden};
 
 use super::*;
 use crate::config::{CountedState, Divergence, Estimator, QTraining};
-use crate::gaussian;
 use crate::influence::mutual_information;
 
 const ROWS: usize = 20_000;
@@ -31,24 +29,6 @@ fn config() -> InfluenceConfig {
     }
 }
 
-fn policy() -> PolicyConfig {
-    PolicyConfig {
-        core: CoreKind::Gru,
-        input_norm: InputNorm::LayerNorm,
-        encoder: 8,
-        hidden: 8,
-        width: 8,
-        layers: 1,
-        chunk_steps: 10,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_log_std: 1.0,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 0.01,
-    }
-}
-
 fn posterior() -> Posterior {
     let kind = ActionKind::Continuous;
     of_shape(PosteriorShape { others: 1, features: 2, action: 1, kind })
@@ -56,7 +36,7 @@ fn posterior() -> Posterior {
 
 fn of_shape(shape: PosteriorShape) -> Posterior {
     let adam = AdamConfig { learning_rate: 2e-2, epsilon: 1e-5, max_gradient_norm: 10.0 };
-    Posterior::new(&config(), &policy(), adam, shape, (RunSeed(3), Precision::Single, 0)).unwrap()
+    Posterior::new(&config(), adam, shape, (RunSeed(3), Precision::Single, 0)).unwrap()
 }
 
 /// Own and other actions, both normal with deviation `SIGMA` and correlation `rho`.
@@ -70,19 +50,36 @@ fn actions(rho: f64) -> (Vec<f64>, Vec<f32>) {
     (0..ROWS).map(pair).unzip()
 }
 
+/// The policy whose actions these are, if nobody looks at the others'.
+fn marginal() -> HeadRows {
+    HeadRows::Gaussian { mean: vec![0.0; ROWS], sigma: vec![SIGMA] }
+}
+
+/// Rows that are held out, one of five, and the others.
+fn parts() -> (Vec<usize>, Vec<usize>) {
+    (0..ROWS).partition(|row| row % 5 == 4)
+}
+
+fn fitted(posterior: &mut Posterior, data: &Conditions<'_>) {
+    let ((held_out, trained), draw) = (parts(), Draw::of(Purpose::PosteriorMinibatch));
+    posterior.fit(data, (&trained, &held_out), (RunSeed(3), draw)).unwrap();
+}
+
+/// The mean gain in log-density over the policy in the rows that are held out.
+fn information(posterior: &Posterior, data: &Conditions<'_>) -> f64 {
+    let (held_out, all) = (parts().0, (0..ROWS).collect::<Vec<usize>>());
+    let log_q = posterior.conditional(data, &all).unwrap().log_prob(data.action, &held_out);
+    mutual_information(&log_q, &data.policy.log_prob(data.action, &held_out)).unwrap()
+}
+
 /// Trains on four rows of five; the mean gain in log-density over the marginal on the fifth.
 fn estimate(rho: f64) -> f64 {
     let (action, others) = actions(rho);
     let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
-    let data = Conditions { features: &features, others: &others, action: &action };
-    let (held_out, trained): (Vec<usize>, Vec<usize>) = (0..ROWS).partition(|row| row % 5 == 4);
+    let data = Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
     let mut posterior = posterior();
-    let draw = Draw::of(Purpose::PosteriorMinibatch);
-    posterior.fit(&data, &trained, (RunSeed(3), draw)).unwrap();
-    let log_q = posterior.conditional(&data).unwrap().log_prob(&action, &held_out);
-    let marginal = |&row: &usize| gaussian::log_prob(&[action[row]], &[0.0], &[SIGMA]);
-    let log_p: Vec<f64> = held_out.iter().map(marginal).collect();
-    mutual_information(&log_q, &log_p).unwrap()
+    fitted(&mut posterior, &data);
+    information(&posterior, &data)
 }
 
 #[test]
@@ -114,14 +111,11 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
         kind.see(&[(row % 3) as f32], &mut others);
     }
     let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
-    let data = Conditions { features: &features, others: &others, action: &action };
-    let (held_out, trained): (Vec<usize>, Vec<usize>) = (0..ROWS).partition(|row| row % 5 == 4);
+    let even = HeadRows::Categorical { logits: vec![0.0; 3 * ROWS], choices: 3 };
+    let data = Conditions { features: &features, others: &others, action: &action, policy: &even };
     let mut posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
-    let draw = Draw::of(Purpose::PosteriorMinibatch);
-    posterior.fit(&data, &trained, (RunSeed(3), draw)).unwrap();
-    let log_q = posterior.conditional(&data).unwrap().log_prob(&action, &held_out);
-    let log_p = vec![-libm::log(3.0); held_out.len()];
-    let found = mutual_information(&log_q, &log_p).unwrap();
+    fitted(&mut posterior, &data);
+    let found = information(&posterior, &data);
     let truth = libm::log(3.0) + 0.8 * libm::log(0.8) + 0.2 * libm::log(0.1);
     assert!((found - truth).abs() < 0.02, "{found}, truth {truth}");
 }
@@ -130,11 +124,11 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
 fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
     let (action, others) = actions(0.8);
     let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
-    let data = Conditions { features: &features, others: &others, action: &action };
+    let data = Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
     let all: Vec<usize> = (0..ROWS).collect();
     let fit = |posterior: &mut Posterior, iteration| {
         let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration);
-        posterior.fit(&data, &all, (RunSeed(3), draw)).unwrap();
+        posterior.fit(&data, (&all, &[]), (RunSeed(3), draw)).unwrap();
     };
     let (mut kept, mut other) = (posterior(), posterior());
     fit(&mut kept, 0);
@@ -142,4 +136,31 @@ fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
     fit(&mut kept, 1);
     fit(&mut other, 1);
     assert_eq!(kept.arrays(0).unwrap(), other.arrays(0).unwrap());
+}
+
+#[test]
+fn an_untrained_posterior_is_the_policy_and_knows_exactly_nothing() {
+    let (action, others) = actions(0.8);
+    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let policy = marginal();
+    let data = Conditions { features: &features, others: &others, action: &action, policy: &policy };
+    let all: Vec<usize> = (0..ROWS).collect();
+    assert_eq!(posterior().conditional(&data, &all).unwrap(), policy);
+    assert_eq!(information(&posterior(), &data), 0.0);
+}
+
+#[test]
+fn training_never_lowers_the_likelihood_of_the_rows_that_are_held_out() {
+    let (action, others) = actions(0.0);
+    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let policy = marginal();
+    let data = Conditions { features: &features, others: &others, action: &action, policy: &policy };
+    let mut posterior = posterior();
+    let draw = Draw::of(Purpose::PosteriorMinibatch);
+    // Forty rows teach ten epochs nothing that holds elsewhere.
+    let (trained, held_out): (Vec<usize>, Vec<usize>) = ((0..40).collect(), (40..2000).collect());
+    posterior.fit(&data, (&trained, &held_out), (RunSeed(3), draw)).unwrap();
+    let log_q = posterior.log_likelihood(&data, &held_out).unwrap();
+    let log_p = policy.log_prob(&action, &held_out).iter().sum::<f64>() / held_out.len() as f64;
+    assert!(log_q >= log_p, "{log_q} {log_p}");
 }

@@ -1,0 +1,123 @@
+//! The paper's second head (Fig. 1): `q_xi(a^i | a^-i, o^i, h^i)` on the trunk that it shares with the policy's head. Eq. (10)
+//! trains both heads and the trunk at once, by one optimiser.
+
+use candle_core::{Device, Tensor, Var};
+use policy::layers::{LayerSpec, TANH_GAIN};
+use policy::ops::{Activation, LayerStack, Weights, sigmoid};
+use policy::parameters::Parameters;
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{Distribution, Gaussian, PolicyConfig, Precision};
+
+use crate::config::InfluenceConfig;
+use crate::error::MarlError;
+use crate::gradient::numbers;
+use crate::head_rows::HeadRows;
+use crate::influence::posterior::{Conditions, PosteriorShape};
+use crate::layers::rows;
+
+/// A Gaussian over the own action: `a^-i` encoded (Linear, tanh) and joined with the trunk's features, then Linear,
+/// tanh, and the mean; sigma as in the policy's head, a parameter of its own.
+pub struct SecondHead {
+    others: usize,
+    sigma_scale: f64,
+    sigma_floor: f64,
+    precision: Precision,
+    parameters: Parameters,
+    /// Of the other agents' actions.
+    encoder: LayerStack,
+    /// Of features and encoded actions.
+    joined: LayerStack,
+    log_std: Var,
+}
+
+impl SecondHead {
+    /// A head of this shape for agent `agent`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn new(
+        config: &InfluenceConfig,
+        policy: &PolicyConfig,
+        shape: PosteriorShape,
+        (seed, precision, agent): (RunSeed, Precision, u32),
+    ) -> Result<Self, MarlError> {
+        let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
+        let (mut parameters, dtype) = (Parameters::new(), precision.dtype());
+        let (tanh, gain) = (Activation::Tanh, f64::from(policy.head_gain));
+        let encoder = (shape.others, config.encoder);
+        let joined = (shape.features + config.encoder, config.hidden);
+        let head = (config.hidden, shape.action);
+        let encoder = [LayerSpec::linear("encoder", encoder, tanh, TANH_GAIN)];
+        let joined = [
+            LayerSpec::linear("joined", joined, tanh, TANH_GAIN),
+            LayerSpec::linear("head", head, Activation::Identity, gain),
+        ];
+        let encoder = LayerStack::declare(&mut parameters, &encoder, dtype, &mut rng)?;
+        let joined = LayerStack::declare(&mut parameters, &joined, dtype, &mut rng)?;
+        let start = Tensor::full(policy.initial_log_std, shape.action, &Device::Cpu)?;
+        let log_std = parameters.add("log_std", start.to_dtype(dtype)?)?;
+        Ok(Self {
+            others: shape.others,
+            sigma_scale: f64::from(policy.sigma_scale),
+            sigma_floor: config.sigma_floor,
+            precision,
+            parameters,
+            encoder,
+            joined,
+            log_std,
+        })
+    }
+
+    /// All parameters.
+    #[must_use]
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// The weights as they are now; to be taken once per optimiser step.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn weights(&self) -> Result<[Weights; 2], MarlError> {
+        Ok([self.encoder.weights()?, self.joined.weights()?])
+    }
+
+    /// `q_xi` of every row, from the trunk's features `[R, F]` and the others' actions `[R, others]`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn distribution(
+        &self,
+        [encoder, joined]: &[Weights; 2],
+        features: &Tensor,
+        others: Vec<f32>,
+    ) -> Result<Distribution, MarlError> {
+        let encoded = encoder.apply(&rows(others, self.others, self.precision)?, None)?;
+        let mean = joined.apply(&Tensor::cat(&[features, &encoded], 1)?, None)?;
+        let sigma = (sigmoid(self.log_std.as_tensor())? * self.sigma_scale)?;
+        Ok(Distribution::Gaussian(Gaussian { mean, sigma }))
+    }
+
+    /// `q_xi` of every row of `data`, a constant.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn conditional(&self, data: &Conditions<'_>) -> Result<HeadRows, MarlError> {
+        let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
+        HeadRows::of(&self.distribution(&weights, data.features, data.others.to_vec())?)
+    }
+
+    /// Holds sigma at its floor, as the policy's head does.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn project(&self) -> Result<(), MarlError> {
+        let share = self.sigma_floor / self.sigma_scale;
+        let lowest = self.precision.round(libm::log(share / (1.0 - share)));
+        let held = numbers(self.log_std.as_tensor())?.into_iter().map(|value| value.max(lowest));
+        let held: Vec<f64> = held.collect();
+        let width = held.len();
+        let held = Tensor::from_vec(held, width, &Device::Cpu)?;
+        Ok(self.log_std.set(&held.to_dtype(self.precision.dtype())?)?)
+    }
+}
