@@ -241,6 +241,9 @@ pub(crate) struct EvalArguments {
     /// Whole episodes to play.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
+    /// Draw actions as in training, episode I with the seed SEED + I, instead of taking the means or likeliest choices.
+    #[arg(long, value_name = "SEED", num_args = 0..=1, default_missing_value = "0")]
+    pub(crate) sampled: Option<u64>,
     /// Print one JSON object instead of a table.
     #[arg(long)]
     pub(crate) json: bool,

@@ -18,6 +18,7 @@ use actor::LiveServer;
 use foxglove::Decode as _;
 use foxglove::messages::{FrameTransforms, JointStates, SceneUpdate};
 use policy::{Key, PolicySnapshot, RunSeed};
+use proto::ActionChoice;
 use serde_json::{Value, json};
 use sim::Environments;
 
@@ -141,7 +142,7 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
     let (mut world, policy, key) = evaluation(folder);
     let mut rewards = Vec::new();
     let keep = |step: &actor::PlayedStep<'_>| rewards.push(step.outcome.reward);
-    actor::play_episode(&mut world, &policy, key, keep).unwrap();
+    actor::play_episode(&mut world, &policy, (key, ActionChoice::Mean), keep).unwrap();
     for told in &seen {
         let step = told["step"].as_u64().unwrap() as usize;
         assert_eq!(told["reward"].as_f64().unwrap() as f32, rewards[step - 1], "{told}");

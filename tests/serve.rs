@@ -160,7 +160,13 @@ async fn whole_episodes_by_the_service_are_the_evaluator_s_bit_for_bit() {
         let draw = Draw::of(Purpose::EvaluationReset).iteration(2).environment(episode);
         let mut expected = Vec::new();
         let keep = |step: &actor::PlayedStep<'_>| expected.push(step.action.to_vec());
-        actor::play_episode(&mut there, &snapshot, Key::of(RunSeed(7), draw), keep).unwrap();
+        actor::play_episode(
+            &mut there,
+            &snapshot,
+            (Key::of(RunSeed(7), draw), ActionChoice::Mean),
+            keep,
+        )
+        .unwrap();
         assert_eq!(joint, expected);
         assert_eq!(told["episodes"][episode as usize]["return"].as_f64(), Some(total));
     }

@@ -1,6 +1,7 @@
 //! All agents of a few environments acting together: observations in, joint actions out.
 
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
+use proto::ActionChoice;
 
 use crate::environment_batch::EnvironmentBatch;
 
@@ -108,8 +109,19 @@ impl Agents {
         }
     }
 
+    /// Actions of step `step` as `choice` has them; drawn ones as a served team of the same seed draws them in its first
+    /// episode.
+    pub(crate) fn choose(&mut self, policy: &PolicySnapshot, choice: ActionChoice, step: u32) {
+        let ActionChoice::Sampled { seed } = choice else { return self.settle(policy) };
+        for (agent, policy) in policy.agents.iter().enumerate() {
+            let key = Draw::of(Purpose::ServedAction).step(step).agent(agent as u32);
+            let mut rng = generator(RunSeed(seed), key);
+            policy.draw(&self.output[agent], &mut rng, &mut self.action[agent]);
+        }
+    }
+
     /// Takes the means, or the likeliest choices, as actions.
-    pub(crate) fn settle(&mut self, policy: &PolicySnapshot) {
+    fn settle(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let Sizes { action: width, output, .. } = self.sizes[agent];
             let outputs = self.output[agent].chunks_exact(output);

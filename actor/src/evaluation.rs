@@ -1,8 +1,10 @@
-//! One whole episode with mean actions, or the likeliest choices: what evaluation, `eval` and recordings play.
+//! One whole episode with mean actions or the likeliest choices, or with drawn ones: what evaluation, `eval` and recordings
+//! play.
 
 use std::ops::ControlFlow;
 
 use policy::{Key, PolicySnapshot};
+use proto::ActionChoice;
 use sim::Outcome;
 
 use crate::acting::Agents;
@@ -36,37 +38,40 @@ pub struct PlayedStep<'a> {
     pub step: u32,
 }
 
-/// Plays environment 0 from a start drawn with `key` to the end of its episode, every agent taking
-/// its mean action, and shows each step to `on_step`. `world` has one environment.
+/// Plays environment 0 from a start drawn with `key` to the end of its episode, every agent acting as `choice` says, and
+/// shows each step to `on_step`. `world` has one environment.
 ///
 /// # Errors
 /// If a policy's action is not finite, or whoever steps the environment fails.
 pub fn play_episode(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
-    key: Key,
+    (key, choice): (Key, ActionChoice),
     mut on_step: impl FnMut(&PlayedStep<'_>),
 ) -> Result<Episode, EnvironmentError> {
     world.reset(0, 0, world.description().episode_steps, key)?;
-    play_on(world, policy, &mut on_step)
-}
-
-/// As [`play_episode`], from where environment 0 stands.
-pub(crate) fn play_on(
-    world: &mut dyn EnvironmentBatch,
-    policy: &PolicySnapshot,
-    on_step: &mut impl FnMut(&PlayedStep<'_>),
-) -> Result<Episode, EnvironmentError> {
-    play_while(world, policy, &mut |step| {
+    play_while(world, (policy, choice), &mut |step| {
         on_step(step);
         ControlFlow::Continue(())
     })
 }
 
-/// As [`play_on`], but `on_step` may break the episode off.
-pub(crate) fn play_while(
+/// As [`play_episode`] with mean actions, from where environment 0 stands.
+pub(crate) fn play_on(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
+    on_step: &mut impl FnMut(&PlayedStep<'_>),
+) -> Result<Episode, EnvironmentError> {
+    play_while(world, (policy, ActionChoice::Mean), &mut |step| {
+        on_step(step);
+        ControlFlow::Continue(())
+    })
+}
+
+/// As [`play_episode`], from where environment 0 stands, but `on_step` may break the episode off.
+pub(crate) fn play_while(
+    world: &mut dyn EnvironmentBatch,
+    (policy, choice): (&PolicySnapshot, ActionChoice),
     on_step: &mut impl FnMut(&PlayedStep<'_>) -> ControlFlow<()>,
 ) -> Result<Episode, EnvironmentError> {
     let mut agents = Agents::new(world, policy);
@@ -75,7 +80,7 @@ pub(crate) fn play_while(
     loop {
         agents.observe(world);
         agents.think(policy);
-        agents.settle(policy);
+        agents.choose(policy, choice, episode.steps);
         world.step(agents.join(), &mut outcomes)?;
         let outcome = outcomes[0];
         episode.extrinsic_return += f64::from(outcome.reward);

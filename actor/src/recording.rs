@@ -18,6 +18,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
+use proto::ActionChoice;
 use sim::{SimError, TaskConfig};
 use thiserror::Error;
 
@@ -115,7 +116,7 @@ pub(crate) fn show_episode<S: Sink>(
     channels.begin(world)?;
     let mut shown = Ok(());
     let mut total = 0.0;
-    let episode = play_while(world, policy, &mut |step: &PlayedStep<'_>| {
+    let episode = play_while(world, (policy, ActionChoice::Mean), &mut |step: &PlayedStep<'_>| {
         total += f64::from(step.outcome.reward);
         shown = channels.step(step, index, total);
         if shown.is_err() { ControlFlow::Break(()) } else { go_on() }

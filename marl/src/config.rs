@@ -101,6 +101,8 @@ pub enum Sharing {
 pub struct CriticConfig {
     /// Whose returns are valued.
     pub mode: CriticMode,
+    /// What is valued.
+    pub input: CriticInput,
     /// What stands before the first layer; MADDPG's action values have nothing there.
     pub input_norm: InputNorm,
     /// Hidden layers.
@@ -119,13 +121,23 @@ pub struct CriticConfig {
     pub huber_delta: f64,
     /// Memory of the returns' running mean and deviation, per iteration, in `[0, 1)`.
     pub normalizer_beta: f64,
-    /// How the global state is scaled before the network.
+    /// How the input is scaled before the network.
     pub state_norm: StateNorm,
     /// Global norm to which gradients are clipped.
     pub max_gradient_norm: f64,
 }
 
-/// How the global state is scaled.
+/// What critics see.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CriticInput {
+    /// The global state: one critic for all agents.
+    State,
+    /// What an agent observes: one critic for each agent, as in independent PPO.
+    Observation,
+}
+
+/// How the critic's input is scaled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StateNorm {
@@ -184,12 +196,24 @@ impl Config {
         self.influence.validate()?;
         self.maddpg.validate()?;
         self.behaviour.validate()?;
-        if (self.update.parameters, self.influence.q_training) == (Sharing::Shared, QTraining::Shared) {
+        if (self.update.parameters, self.influence.q_training)
+            == (Sharing::Shared, QTraining::Shared)
+        {
             let range = "mle with update.parameters = shared: a trunk has one second head";
             return Err(refuse("influence.q_training", "shared", range));
         }
+        let (input, mode) = (self.critic.input, self.critic.mode);
+        if input == CriticInput::Observation && mode != CriticMode::PerAgent {
+            let range =
+                "per_agent with critic.input = observation: every agent has a critic of its own";
+            return Err(refuse("critic.mode", self.critic.mode.name(), range));
+        }
         if self.update.rule != Rule::Maddpg {
             return Ok(());
+        }
+        if self.critic.input == CriticInput::Observation {
+            let range = "state with update.rule = maddpg: its action values are central";
+            return Err(refuse("critic.input", "observation", range));
         }
         let stale = "0 with update.rule = maddpg: rewards of a density that is fitted again in \
                      every iteration would be stale in the replay";
@@ -211,7 +235,10 @@ impl Config {
     /// then.
     #[must_use]
     pub fn critic_mode(&self) -> CriticMode {
-        if self.surprise.alpha == 0.0 { CriticMode::TeamMean } else { self.critic.mode }
+        match self.critic.input {
+            CriticInput::State if self.surprise.alpha == 0.0 => CriticMode::TeamMean,
+            CriticInput::State | CriticInput::Observation => self.critic.mode,
+        }
     }
 
     /// Times that an environment step goes into an optimiser step of an agent, on average: passes over `D_k`, or

@@ -1,23 +1,25 @@
-//! The centralised critic: the values of the global state.
+//! The critic: what states, or an agent's observations, are worth.
 
 mod mode;
 mod state_scale;
+mod team;
 
 use std::ops::Range;
 
 use candle_core::Tensor;
-use policy::{InputNorm, Precision};
 use policy::arrays::{Array, NamedArrays};
 use policy::layers::LayerSpec;
 use policy::ops::{LayerStack, Weights};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{InputNorm, Precision};
 use rayon::prelude::*;
 
 use crate::advantage::next_values;
-use crate::batch::{Batch, Problem};
+use crate::batch::Batch;
 use crate::config::CriticConfig;
 pub(crate) use crate::critic::state_scale::StateScale;
+pub(crate) use crate::critic::team::Critics;
 use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::layers::{Normalisation, rectified_layers, rows};
@@ -34,14 +36,26 @@ pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
     precision: Precision,
+    name: String,
+    /// Its number among the critics, which is also that of its first value.
+    index: u32,
     /// `V`.
     count: usize,
-    states: usize,
+    inputs: usize,
     scale: StateScale,
     parameters: Parameters,
     layers: LayerStack,
     adam: Adam,
     normalizers: Vec<ValueNormalizer>,
+}
+
+/// What a critic is shown of a batch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Seen<'a> {
+    /// Before every step, `[T * B, S]`.
+    pub rows: &'a [f32],
+    /// After the steps of the batch's finals, `[F, S]`.
+    pub finals: Vec<f32>,
 }
 
 /// The critic's opinion of a batch before it learns from it.
@@ -95,23 +109,25 @@ pub fn value_loss(value: f64, old: f64, target: f64, (clip, delta): (f64, f64)) 
 }
 
 impl Critic {
-    /// A critic for `problem`; `adam_epsilon` as in the actors' optimiser.
+    /// A critic called `name` that gives `count` values for `inputs` numbers; `index` tells critics of a team apart,
+    /// `adam_epsilon` is as in the actors' optimiser.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn new(
         config: &CriticConfig,
         adam_epsilon: f64,
-        problem: &Problem,
+        (name, index): (&str, u32),
+        (inputs, count): (usize, usize),
         (seed, precision): (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
-        let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation));
-        let count = config.mode.values(problem.agents.len());
+        let draw = Draw::of(Purpose::CriticInitialisation).agent(index);
+        let mut rng = generator(seed, draw);
         let mut specs = Vec::new();
         if config.input_norm == InputNorm::LayerNorm {
-            specs.push(LayerSpec::norm("norm", problem.state));
+            specs.push(LayerSpec::norm("norm", inputs));
         }
-        let shape = (problem.state, config.width, config.layers);
+        let shape = (inputs, config.width, config.layers);
         specs.extend(rectified_layers(shape, Normalisation::LayerNorm, count));
         let mut parameters = Parameters::new();
         let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), &mut rng)?;
@@ -124,9 +140,11 @@ impl Critic {
             config: config.clone(),
             seed,
             precision,
+            name: name.to_owned(),
+            index,
             count,
-            states: problem.state,
-            scale: StateScale::new(config.state_norm, problem.state),
+            inputs,
+            scale: StateScale::new(config.state_norm, inputs),
             adam: Adam::new(adam, &parameters),
             parameters,
             layers,
@@ -141,28 +159,26 @@ impl Critic {
 
     /// Normalised values `[R, V]` of states `[R, S]`.
     fn forward(&self, weights: &Weights, mut states: Vec<f32>) -> Result<Tensor, MarlError> {
-        self.scale.apply(&mut states, self.states);
-        Ok(weights.apply(&rows(states, self.states, self.precision)?, None)?)
+        self.scale.apply(&mut states, self.inputs);
+        Ok(weights.apply(&rows(states, self.inputs, self.precision)?, None)?)
     }
 
     /// As [`Critic::forward`], as numbers.
     fn forward_all(&self, states: &[f32]) -> Result<Vec<f64>, MarlError> {
         let weights = self.layers.constant_weights()?;
         let one = |range: Range<usize>| {
-            let part = &states[range.start * self.states..range.end * self.states];
+            let part = &states[range.start * self.inputs..range.end * self.inputs];
             numbers(&self.forward(&weights, part.to_vec())?)
         };
-        Ok(shards::of_each(&shards(states.len() / self.states, 1), one)?.concat())
+        Ok(shards::of_each(&shards(states.len() / self.inputs, 1), one)?.concat())
     }
 
-    /// Values of every state of `batch` and of every row's true next state.
+    /// Values of what is `seen` before every step of `batch` and truly after it.
     ///
     /// # Errors
     /// Passes on a tensor error.
-    pub fn values(&self, batch: &Batch) -> Result<Values, MarlError> {
-        let normalized = self.forward_all(&batch.state)?;
-        let last = batch.finals.iter().flat_map(|last| last.state.iter().copied());
-        let finals = self.forward_all(&last.collect::<Vec<f32>>())?;
+    pub fn values(&self, batch: &Batch, seen: &Seen<'_>) -> Result<Values, MarlError> {
+        let (normalized, finals) = (self.forward_all(seen.rows)?, self.forward_all(&seen.finals)?);
         let (mut now, mut next) = (Vec::new(), Vec::new());
         for head in 0..self.count {
             let own = self.of_head(&normalized, head);
@@ -185,11 +201,12 @@ impl Critic {
     /// Passes on a tensor error.
     pub fn fit(
         &mut self,
-        batch: &Batch,
+        seen: &Seen<'_>,
         values: &Values,
         returns: &[Vec<f64>],
         iteration: u64,
     ) -> Result<CriticFigures, MarlError> {
+        let count = returns[0].len();
         for (normalizer, returns) in self.normalizers.iter_mut().zip(returns) {
             normalizer.update(returns);
         }
@@ -197,9 +214,10 @@ impl Critic {
         let mut figures = CriticFigures::default();
         let weight = 1.0 / (self.config.epochs * self.config.minibatches) as f64;
         for epoch in 0..self.config.epochs {
-            let draw = Draw::of(Purpose::CriticMinibatch).iteration(iteration).step(epoch as u32);
-            for part in minibatches(batch.rows(), self.config.minibatches, self.seed, draw) {
-                let (loss, norm) = self.step(batch, &values.normalized, &target, &part)?;
+            let draw = Draw::of(Purpose::CriticMinibatch).iteration(iteration);
+            let draw = draw.step(epoch as u32).agent(self.index);
+            for part in minibatches(count, self.config.minibatches, self.seed, draw) {
+                let (loss, norm) = self.step(seen.rows, &values.normalized, &target, &part)?;
                 figures.loss += weight * loss;
                 figures.gradient_norm += weight * norm;
             }
@@ -207,7 +225,7 @@ impl Critic {
         figures.explained_variance = mean_explained(self.precision, &values.now, returns);
         figures.skipped = self.adam.skipped();
         // Last, so that old and new values are of states scaled alike.
-        self.scale.take_in(&batch.state);
+        self.scale.take_in(seen.rows);
         Ok(figures)
     }
 
@@ -222,13 +240,13 @@ impl Critic {
 
     fn step(
         &mut self,
-        batch: &Batch,
+        rows: &[f32],
         old: &[f64],
         target: &[f64],
         part: &[usize],
     ) -> Result<(f64, f64), MarlError> {
         let weights = self.layers.weights()?;
-        let known = (batch, old, target);
+        let known = (rows, old, target);
         let total = part.len();
         let one = |range: Range<usize>| self.gradient(&weights, known, (&part[range], total));
         let (loss, gradients) = shards::sum(&shards(total, 1), &one)?;
@@ -239,11 +257,11 @@ impl Critic {
     fn gradient(
         &self,
         weights: &Weights,
-        (batch, old, target): (&Batch, &[f64], &[f64]),
+        (rows, old, target): (&[f32], &[f64], &[f64]),
         (part, total): (&[usize], usize),
     ) -> Result<(f64, Gradients), MarlError> {
-        let width = self.states;
-        let states = part.iter().flat_map(|&row| &batch.state[row * width..(row + 1) * width]);
+        let width = self.inputs;
+        let states = part.iter().flat_map(|&row| &rows[row * width..(row + 1) * width]);
         let output = self.forward(weights, states.copied().collect())?;
         let found = numbers(&output)?;
         let share = 1.0 / (total * self.count) as f64;
@@ -259,15 +277,20 @@ impl Critic {
         Ok((loss, Gradients::of(&self.parameters, &root)?))
     }
 
-    /// `weights/critic.*`, `optimizer/critic.*`, `normalizer/value_I`, `normalizer/state.*`.
+    /// Where the state of the scale of its inputs is kept; of a critic of global states it is `normalizer/state.*`.
+    fn scale_prefix(&self) -> String {
+        format!("normalizer/{}", self.name.replacen("critic", "state", 1) + ".")
+    }
+
+    /// `weights/NAME.*`, `optimizer/NAME.*`, `normalizer/value_I`, `normalizer/state*.*`.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.parameters.to_arrays("weights/critic.")?;
-        arrays.append(&mut self.adam.arrays("optimizer/critic."));
-        arrays.append(&mut self.scale.arrays("normalizer/state."));
-        for (agent, normalizer) in self.normalizers.iter().enumerate() {
+        let mut arrays = self.parameters.to_arrays(&format!("weights/{}.", self.name))?;
+        arrays.append(&mut self.adam.arrays(&format!("optimizer/{}.", self.name)));
+        arrays.append(&mut self.scale.arrays(&self.scale_prefix()));
+        for (agent, normalizer) in (self.index..).zip(&self.normalizers) {
             let array = Array::F64 { shape: vec![3], data: normalizer.state().to_vec() };
             arrays.insert(format!("normalizer/value_{agent}"), array);
         }
@@ -279,10 +302,10 @@ impl Critic {
     /// # Errors
     /// Names an array that is missing or does not fit.
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.parameters.load("weights/critic.", arrays)?;
-        self.adam.restore("optimizer/critic.", arrays)?;
-        self.scale.restore("normalizer/state.", arrays)?;
-        for (agent, normalizer) in self.normalizers.iter_mut().enumerate() {
+        self.parameters.load(&format!("weights/{}.", self.name), arrays)?;
+        self.adam.restore(&format!("optimizer/{}.", self.name), arrays)?;
+        self.scale.restore(&self.scale_prefix(), arrays)?;
+        for (agent, normalizer) in (self.index..).zip(&mut self.normalizers) {
             let name = format!("normalizer/value_{agent}");
             match arrays.get(&name) {
                 Some(Array::F64 { data, .. }) if data.len() == 3 => {

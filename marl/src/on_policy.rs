@@ -18,8 +18,8 @@ use crate::actor_loss::Figures;
 use crate::advantage::{Horizon, advantage};
 use crate::algorithm::{Report, refuse_strange};
 use crate::batch::{Batch, Problem, Rewards};
-use crate::config::{Config, CriticConfig, CriticMode, Sharing};
-use crate::critic::{Critic, CriticFigures, Values, explained_variance};
+use crate::config::{Config, CriticMode, Sharing};
+use crate::critic::{CriticFigures, Critics, Values, explained_variance};
 use crate::error::MarlError;
 use crate::gaussian;
 use crate::on_policy::agent::{Agent, Experience, Influence};
@@ -28,7 +28,7 @@ use crate::phase::{Nobody, Phase, PhaseObserver, during};
 use crate::sequence::Layout;
 use crate::surrogate::normalized_advantage;
 
-/// All agents and their critic.
+/// All agents and their critics.
 pub(crate) struct Team {
     pub(crate) config: Config,
     problem: Problem,
@@ -36,7 +36,7 @@ pub(crate) struct Team {
     pub(crate) precision: Precision,
     pub(crate) seed: RunSeed,
     pub(crate) agents: Vec<Agent>,
-    pub(crate) critic: Critic,
+    pub(crate) critic: Critics,
     pub(crate) observer: Arc<dyn PhaseObserver>,
 }
 
@@ -44,7 +44,7 @@ pub(crate) struct Team {
 pub(crate) struct Prepared {
     pub(crate) experience: Vec<Experience>,
     pub(crate) influence: Vec<Influence>,
-    pub(crate) values: Values,
+    pub(crate) values: Vec<Values>,
     /// What the critic learns, `[V][T, B]`.
     pub(crate) returns: Vec<Vec<f64>>,
 }
@@ -60,7 +60,8 @@ impl Prepared {
         let mut report = Report::new();
         for (index, influence) in self.influence.iter().enumerate() {
             let of = |valued: &[Vec<f64>]| precision.rounded(mode.of_agent(valued, index));
-            let (known, returns) = (of(&self.values.now), of(&self.returns));
+            let known: Vec<Vec<f64>> = self.values.iter().flat_map(|own| own.now.clone()).collect();
+            let (known, returns) = (of(&known), of(&self.returns));
             let explained = explained_variance(precision, &known, &returns);
             report.push((format!("agent{index}/explained_variance"), explained));
             report.extend(influence.report(index));
@@ -93,8 +94,7 @@ impl Team {
                 (agent.network, agent.behaviour) = (Arc::clone(&network), Arc::clone(&behaviour));
             }
         }
-        let valued = CriticConfig { mode: config.critic_mode(), ..config.critic.clone() };
-        let critic = Critic::new(&valued, config.update.adam_epsilon, problem, start)?;
+        let critic = Critics::new(config, problem, start)?;
         let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
         let chunk_steps = policy.chunk_steps;
         let observer = Arc::new(Nobody);
@@ -152,15 +152,17 @@ impl Team {
         &self,
         batch: &Batch,
         rewards: &Rewards,
-        values: &Values,
+        values: &[Values],
     ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         let update = &self.config.update;
         let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
         let mode = self.config.critic_mode();
         let valued = mode.rewards(&batch.reward, rewards);
         let rounded = |numbers| self.precision.rounded(numbers);
+        let heads: Vec<(&Vec<f64>, &Vec<f64>)> =
+            values.iter().flat_map(|own| own.now.iter().zip(&own.next)).collect();
         let one = |head: usize| {
-            let (now, next) = (&values.now[head], &values.next[head]);
+            let (now, next) = heads[head];
             let advantage = rounded(advantage(batch, &valued[head], now, next, horizon));
             let returns = advantage.iter().zip(now).map(|(a, v)| a + v).collect();
             (advantage, rounded(returns))

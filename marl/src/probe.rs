@@ -6,9 +6,9 @@ use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, arrays};
 use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
-    BehaviourConfig, Config, Constant, CountedState, CriticConfig, CriticMode, DensityKind,
-    Divergence, Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored,
-    Sharing, Space, StateNorm, SurpriseConfig, UpdateConfig,
+    BehaviourConfig, Config, Constant, CountedState, CriticConfig, CriticInput, CriticMode,
+    DensityKind, Divergence, Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce,
+    Rule, Scored, Sharing, Space, StateNorm, SurpriseConfig, UpdateConfig,
 };
 use crate::error::MarlError;
 use crate::learning_rate::LearningRateDecay;
@@ -132,6 +132,7 @@ fn update() -> UpdateConfig {
 fn critic() -> CriticConfig {
     CriticConfig {
         mode: CriticMode::PerAgent,
+        input: CriticInput::State,
         input_norm: InputNorm::LayerNorm,
         layers: 2,
         width: 64,

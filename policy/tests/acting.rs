@@ -5,8 +5,8 @@ use candle_core::{DType, Device, Tensor};
 use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, InputNorm, Distribution, Gaussian, PolicyConfig, RefreshHidden,
-    Scratch, SequenceInput, gaussian,
+    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, InputNorm, PolicyConfig,
+    RefreshHidden, Scratch, SequenceInput, gaussian,
 };
 
 const OBSERVATION: usize = 23;

@@ -5,8 +5,8 @@ use candle_core::{DType, Device, Tensor};
 use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, CoreKind, InputNorm, Distribution, Head, PolicyConfig, PolicySnapshot, RefreshHidden,
-    Scratch, SequenceInput, categorical,
+    ActorNetwork, CoreKind, Distribution, Head, InputNorm, PolicyConfig, PolicySnapshot,
+    RefreshHidden, Scratch, SequenceInput, categorical,
 };
 
 const OBSERVATION: usize = 9;

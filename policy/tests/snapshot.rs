@@ -6,7 +6,9 @@ use std::collections::BTreeMap;
 use candle_core::DType;
 use policy::arrays::{Array, from_safetensors, to_safetensors};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, InputNorm, Head, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch};
+use policy::{
+    ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch,
+};
 
 fn config() -> PolicyConfig {
     PolicyConfig {

@@ -1,10 +1,11 @@
-//! `s2mia eval`: whole episodes of a trained policy, mean action, extrinsic return only.
+//! `s2mia eval`: whole episodes of a trained policy, mean or drawn actions, extrinsic return only.
 
 use std::path::Path;
 
 use actor::EnvironmentBatch;
 use anyhow::Context as _;
 use learner::evaluation::Spread;
+use proto::ActionChoice;
 use serde_json::json;
 
 use crate::chart;
@@ -17,7 +18,7 @@ use crate::output;
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let mut stage = Stage::of(&trained.config)?;
-    let returns = play(stage.environment.as_mut(), &trained, arguments.episodes)?;
+    let returns = play(stage.environment.as_mut(), &trained, arguments)?;
     let task = &stage.environment.description().task;
     let world = if stage.environment.simulated().is_some() { "rapier/" } else { "" };
     let spread = Spread::of(returns.iter().map(|episode| episode.0));
@@ -36,11 +37,15 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
 fn play(
     world: &mut dyn EnvironmentBatch,
     trained: &Trained,
-    episodes: u32,
+    arguments: &EvalArguments,
 ) -> anyhow::Result<Vec<(f64, u32)>> {
     let mut returns = Vec::new();
-    for episode in 0..episodes {
-        let start = trained.start(episode);
+    for episode in 0..arguments.episodes {
+        let choice = match arguments.sampled {
+            Some(seed) => ActionChoice::Sampled { seed: seed.wrapping_add(episode.into()) },
+            None => ActionChoice::Mean,
+        };
+        let start = (trained.start(episode), choice);
         let played = actor::play_episode(world, &trained.policy, start, |_| {})
             .context("the episode broke off")?;
         returns.push((played.extrinsic_return, played.steps));

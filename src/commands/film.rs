@@ -6,6 +6,7 @@ mod times;
 use std::path::Path;
 
 use anyhow::Context as _;
+use proto::ActionChoice;
 use sim::{Environments, Outcome};
 
 use crate::cli::FilmArguments;
@@ -94,7 +95,7 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     world.reset(0, 0, world.description().episode_steps, &mut key.generator());
     let mut moments = vec![Moment::of(&world)];
     let mut end = Outcome::default();
-    actor::play_episode(&mut world, &trained.policy, key, |step| {
+    actor::play_episode(&mut world, &trained.policy, (key, ActionChoice::Mean), |step| {
         let before = moments.last().expect("the start is there");
         let now = Moment::after(step, before);
         moments.push(now);

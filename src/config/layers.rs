@@ -163,8 +163,8 @@ fn misplaced(argument: &str) -> ConfigError {
     }
 }
 
-/// The files of the task, the preset and the algorithm that the other layers choose, and of an environment from outside
-/// if they name one. What a preset says for one algorithm on one task stands above the algorithm's file, everything
+/// The files of the task, the preset and the algorithm that the other layers choose, and for an environment from outside
+/// what takes the place of a scale that only the simulator computes. What a preset says for one algorithm on one task stands above the algorithm's file, everything
 /// else of it below.
 fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<Vec<Layer>, ConfigError> {
     let task = chosen("task", presets::TASKS, base, asked)?;
@@ -172,17 +172,25 @@ fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<Vec<La
     let preset = chosen("preset", presets::PRESETS, base, asked)?;
     let parts = PresetParts::of(preset, task.name, algorithm.name)?;
     let part = |table: &toml::Table| laid_out(preset.path, table, schema);
-    let mut layers = vec![preset_layer(task, schema)?];
-    if names_outside(asked) {
-        layers.push(preset_layer(presets::OUTSIDE, schema)?);
-    }
-    layers.extend([
+    let mut layers = vec![
+        preset_layer(task, schema)?,
         part(&parts.general)?,
         part(&parts.of_task)?,
         preset_layer(algorithm, schema)?,
         part(&parts.of_algorithm)?,
-    ]);
+    ];
+    if names_outside(asked) && norm_of(&layers) == Some("feature_z") {
+        layers.push(preset_layer(presets::OUTSIDE, schema)?);
+    }
     Ok(layers)
+}
+
+/// How these layers scale observations.
+fn norm_of(layers: &[Layer]) -> Option<&str> {
+    match layers.iter().rev().find_map(|layer| layer.values.get("observation.norm")) {
+        Some(Scalar::Text(norm)) => Some(norm),
+        _ => None,
+    }
 }
 
 /// Whether the environment comes from outside.

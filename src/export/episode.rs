@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use actor::{EnvironmentBatch, EnvironmentError};
 use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
 use policy::{Key, PolicySnapshot};
+use proto::ActionChoice;
 
 /// What every agent saw, remembered and did.
 pub(super) struct Episode {
@@ -31,7 +32,7 @@ pub(super) fn play(
     for agent in &policy.agents {
         agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });
     }
-    let episode = actor::play_episode(world, policy, start, |step| {
+    let episode = actor::play_episode(world, policy, (start, ActionChoice::Mean), |step| {
         for (index, track) in agents.iter_mut().enumerate() {
             track.observation.extend(&step.observation[index]);
             track.hidden.extend(&step.hidden[index]);

@@ -75,19 +75,19 @@ class Critic(nn.Module):
 
 
 class Posterior(nn.Module):
-    """`q(a^i | a^-i, features)`."""
+    """`q(a^i | a^-i, features)`: the policy, its mean shifted and its deviation times `2 sigmoid(sigma_correction)`."""
 
     def __init__(self, others, features, actions, sizes):
         super().__init__()
         self.encoder = nn.Linear(others, sizes["encoder"])
         self.joined = nn.Linear(features + sizes["encoder"], sizes["hidden"])
         self.head = nn.Linear(sizes["hidden"], actions)
-        self.log_std = nn.Parameter(torch.zeros(actions))
+        self.sigma_correction = nn.Parameter(torch.zeros(actions))
 
-    def distribution(self, features, others):
+    def distribution(self, features, others, policy):
         joined = torch.cat([features, torch.tanh(self.encoder(others))], -1)
-        mean = self.head(torch.tanh(self.joined(joined)))
-        return gaussian(mean, torch.sigmoid(self.log_std) * SIGMA_SCALE)
+        shift = self.head(torch.tanh(self.joined(joined)))
+        return gaussian(policy[0] + shift, policy[1] * 2 * torch.sigmoid(self.sigma_correction))
 
 
 class ActionValue(nn.Module):

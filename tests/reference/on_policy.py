@@ -57,19 +57,36 @@ class Update:
         """What the behaviour weights make of an agent's experience."""
         with torch.no_grad():
             features = self.features(agent)
+            policy = self.actor(agent).head.distribution(features)
         others = [action for other, action in enumerate(self.batch["action"]) if other != agent]
-        return {"features": features, "others": torch.cat(others, -1), "log_prob_old": self.log_prob(agent)}
+        return {
+            "features": features,
+            "others": torch.cat(others, -1),
+            "policy": (policy.mean, policy.stddev),
+            "log_prob_old": self.log_prob(agent),
+        }
 
     def fit_posterior(self, agent):
-        """Maximum likelihood on all environments but the held-out ones; then a constant."""
+        """Maximum likelihood on all environments but the held-out ones, until those gain nothing; then a constant."""
         known, action, settings = self.experience[agent], self.batch["action"][agent], self.settings
         every = int(settings["influence.holdout_every"])
         held_out = torch.arange(action.shape[1]) % every == every - 1
-        ask = lambda part: self.posteriors[agent].distribution(known["features"][:, part], known["others"][:, part])
+        posterior = self.posteriors[agent]
+        rows = lambda part: (known["features"][:, part], known["others"][:, part], [x[:, part] for x in known["policy"]])
+        ask = lambda part: posterior.distribution(*rows(part))
+        likelihood_of = lambda part: ask(part).log_prob(action[:, part]).mean()
+        floor = 0.5 * settings["policy.sigma_floor"] / known["policy"][1][0, 0]
         optimiser = Optimiser(self.posteriors[agent], settings, "influence", "update.max_gradient_norm")
+        likelihood, reached = likelihood_of(~held_out), likelihood_of(held_out)
         for _ in range(int(settings["influence.epochs"])):
-            likelihood = ask(~held_out).log_prob(action[:, ~held_out]).mean()
-            optimiser.step(-likelihood)
+            before = copy.deepcopy(posterior.state_dict())
+            trained = likelihood_of(~held_out)
+            optimiser.step(-trained)
+            posterior.sigma_correction.data.clamp_(min=torch.logit(floor.clamp(max=0.5)))
+            if likelihood_of(held_out) <= reached:
+                posterior.load_state_dict(before)
+                break
+            likelihood, reached = trained, likelihood_of(held_out)
         self.expected |= optimiser.arrays(f"posterior_{agent}")
         with torch.no_grad():
             gain = ask(held_out).log_prob(action[:, held_out]) - known["log_prob_old"][:, held_out]

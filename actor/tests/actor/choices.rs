@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, InputNorm, Head, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch};
+use policy::{
+    ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch,
+};
 use proto::{EnvironmentStart, RolloutWork, RunDescription, Start, TrajectoryChunk};
 use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
 

@@ -6,7 +6,7 @@ use crate::fixture::{
     CHUNK, ENVIRONMENTS, HIDDEN, HIDDEN_EVERY, STEPS, fresh_work, policy, run, task, world,
 };
 use policy::Scratch;
-use proto::{EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
+use proto::{ActionChoice, EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
 
 fn roll(work: &RolloutWork, world: &mut sim::Environments) -> Vec<TrajectoryChunk> {
     let mut chunks = Vec::new();
@@ -120,16 +120,22 @@ fn a_state_of_another_kind_is_refused_and_not_stepped() {
 }
 
 #[test]
-fn an_evaluation_episode_repeats_itself_and_lasts_to_the_limit() {
+fn an_evaluation_episode_repeats_itself_and_lasts_to_the_limit_with_mean_and_with_drawn_actions() {
     use policy::randomness::{Draw, Key, Purpose, RunSeed};
-    let play = |seed: u64| {
+    let play_by = |seed: u64, choice: ActionChoice| {
         let mut world = sim::Environments::new(&task(), 1).unwrap();
         let key = Key::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
         let mut shown = 0;
-        let episode = actor::play_episode(&mut world, &policy(), key, |_| shown += 1).unwrap();
+        let (world, start) = (&mut world, (key, choice));
+        let episode = actor::play_episode(world, &policy(), start, |_| shown += 1).unwrap();
         assert_eq!(shown, episode.steps);
         episode
     };
+    let play = |seed| play_by(seed, ActionChoice::Mean);
+    let drawn = |seed| play_by(1, ActionChoice::Sampled { seed });
+    assert_eq!(drawn(5), drawn(5));
+    assert_eq!(drawn(5).steps, 1000);
+    assert!(drawn(5) != drawn(6) && drawn(5) != play(1));
     assert_eq!(play(1), play(1));
     assert_eq!(play(1).steps, 1000);
     assert_ne!(play(1), play(2));

@@ -87,7 +87,7 @@ fn training() -> marl::Config {
             "max_gradient_norm": 10.0,
         },
         "critic": {
-            "mode": "per_agent", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
+            "mode": "per_agent", "input": "state", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
             "minibatches": 1, "clip": 0.2, "huber_delta": 10.0, "normalizer_beta": 0.999,
             "state_norm": "none", "max_gradient_norm": 10.0,
         },

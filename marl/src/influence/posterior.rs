@@ -3,12 +3,12 @@
 use std::ops::Range;
 
 use candle_core::{Device, Tensor, Var};
+use policy::Precision;
 use policy::arrays::NamedArrays;
 use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::Precision;
 
 use crate::batch::ActionKind;
 use crate::config::InfluenceConfig;
@@ -162,7 +162,8 @@ impl Posterior {
         (trained, held_out): (&[usize], &[usize]),
         (seed, draw): (RunSeed, Draw),
     ) -> Result<f64, MarlError> {
-        let mut reached = (self.log_likelihood(data, trained)?, self.log_likelihood(data, held_out)?);
+        let mut reached =
+            (self.log_likelihood(data, trained)?, self.log_likelihood(data, held_out)?);
         for epoch in 0..self.config.epochs {
             let before = self.parameters.to_arrays("")?;
             let (mut likelihood, draw) = (0.0, draw.step(epoch as u32));

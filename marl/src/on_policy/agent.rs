@@ -4,8 +4,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::parameters::Parameters;
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
 use rayon::prelude::*;
 
@@ -278,7 +278,12 @@ impl Agent {
                 let (holdout, trained): (Vec<usize>, Vec<usize>) =
                     all.iter().copied().partition(held_out);
                 let likelihood = posterior.fit(&data, (&trained, &holdout), (seed, draw))?;
-                (posterior.conditional(&data, &all)?, holdout, Some(likelihood), posterior.skipped())
+                (
+                    posterior.conditional(&data, &all)?,
+                    holdout,
+                    Some(likelihood),
+                    posterior.skipped(),
+                )
             }
             (None, Some(second)) => (second.conditional(&data)?, all, None, 0),
             (None, None) => return Ok(Influence::default()),

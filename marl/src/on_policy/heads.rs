@@ -73,8 +73,9 @@ mod tests {
         let (problem, policy, batch, mut config) =
             (probe::problem(), probe::policy(), probe::batch(), probe::config());
         config.influence.q_training = q_training;
-        let agent =
-            |index| Agent::new(&config, &policy, &problem, ((RunSeed(0), precision), index)).unwrap();
+        let agent = |index| {
+            Agent::new(&config, &policy, &problem, ((RunSeed(0), precision), index)).unwrap()
+        };
         let mut agents = vec![agent(0), agent(1)];
         let layout = Layout::of(&batch, policy.chunk_steps);
         let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();

@@ -230,7 +230,8 @@ fn with_a_lag_of_one_old_log_probs_are_those_that_the_policies_of_the_update_bef
                 let draw = Draw::of(Purpose::Minibatch).iteration(iteration as u64);
                 let factor = vec![1.0; today.len()];
                 let seed = (RunSeed(7), draw);
-                maximise(agent, (known, &Influence::default()), (&factor, f64::INFINITY), seed).unwrap();
+                maximise(agent, (known, &Influence::default()), (&factor, f64::INFINITY), seed)
+                    .unwrap();
             }
         }
     }

@@ -3,7 +3,7 @@
 use marl::config::{Rule, Sharing};
 use marl::{
     ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
-    MaddpgConfig, Problem, UpdateConfig,
+    MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
 };
 use policy::{CoreKind, PolicyConfig};
 
@@ -41,7 +41,7 @@ pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
     }
 }
 
-/// An update takes rewards as they come, so nothing is said of surprise.
+/// An update takes rewards as they come. Surprise has a weight, so that there is a value for each agent.
 pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> Config {
     let number = |key: &str| reference.setting(key);
     let usual = fixture::config(rule);
@@ -70,6 +70,7 @@ pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> 
             max_gradient_norm: number("critic.max_gradient_norm"),
             ..usual.critic
         },
+        surprise: SurpriseConfig { alpha: 0.01, ..usual.surprise },
         influence: influence(reference, usual.influence),
         maddpg: maddpg(reference, usual.maddpg),
         ..usual

@@ -47,18 +47,17 @@ fn the_algorithm_file_sets_the_three_weights_of_a_variant() {
 }
 
 #[test]
-fn an_environment_from_outside_is_shown_as_it_is_unless_something_else_is_asked_for() {
+fn an_environment_from_outside_is_shown_as_it_is_where_the_simulator_alone_could_scale_it() {
     let norm = |settings: &[&str]| {
         resolve(&request(settings)).unwrap().entries["observation.norm"].clone()
     };
     let url = "environment.url=http://localhost:7";
-    let shown = norm(&[url]);
-    assert_eq!(
-        shown,
-        Entry { value: Scalar::Text("none".into()), origin: "configs/outside.toml".into() }
-    );
-    assert_eq!(norm(&[url, "observation.norm=running"]).value, Scalar::Text("running".into()));
-    assert_eq!(norm(&[url, "environment.url="]).value, Scalar::Text("feature_z".into()));
+    let shown = Entry { value: Scalar::Text("none".into()), origin: "configs/outside.toml".into() };
+    for asked in ["preset=harl", "algorithm=maddpg"] {
+        assert_eq!(norm(&[url, asked]), shown);
+        assert_eq!(norm(&[asked]).value, Scalar::Text("feature_z".into()));
+    }
+    assert_eq!(norm(&[url]).value, Scalar::Text("running".into()));
 }
 
 #[test]

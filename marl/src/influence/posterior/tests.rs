@@ -76,7 +76,8 @@ fn information(posterior: &Posterior, data: &Conditions<'_>) -> f64 {
 fn estimate(rho: f64) -> f64 {
     let (action, others) = actions(rho);
     let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
-    let data = Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
+    let data =
+        Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
     let mut posterior = posterior();
     fitted(&mut posterior, &data);
     information(&posterior, &data)
@@ -124,7 +125,8 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
 fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
     let (action, others) = actions(0.8);
     let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
-    let data = Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
+    let data =
+        Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
     let all: Vec<usize> = (0..ROWS).collect();
     let fit = |posterior: &mut Posterior, iteration| {
         let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration);
@@ -143,7 +145,8 @@ fn an_untrained_posterior_is_the_policy_and_knows_exactly_nothing() {
     let (action, others) = actions(0.8);
     let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
     let policy = marginal();
-    let data = Conditions { features: &features, others: &others, action: &action, policy: &policy };
+    let data =
+        Conditions { features: &features, others: &others, action: &action, policy: &policy };
     let all: Vec<usize> = (0..ROWS).collect();
     assert_eq!(posterior().conditional(&data, &all).unwrap(), policy);
     assert_eq!(information(&posterior(), &data), 0.0);
@@ -154,7 +157,8 @@ fn training_never_lowers_the_likelihood_of_the_rows_that_are_held_out() {
     let (action, others) = actions(0.0);
     let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
     let policy = marginal();
-    let data = Conditions { features: &features, others: &others, action: &action, policy: &policy };
+    let data =
+        Conditions { features: &features, others: &others, action: &action, policy: &policy };
     let mut posterior = posterior();
     let draw = Draw::of(Purpose::PosteriorMinibatch);
     // Forty rows teach ten epochs nothing that holds elsewhere.

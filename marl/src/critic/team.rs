@@ -1,0 +1,117 @@
+//! The critics of a team: one that sees the global state, or, as in independent PPO, one for each agent that sees what
+//! the agent observes.
+
+use policy::arrays::NamedArrays;
+use policy::{Precision, RunSeed};
+use rayon::prelude::*;
+
+use super::{Critic, CriticFigures, Seen, Values};
+use crate::batch::{Batch, Final, Problem};
+use crate::config::{Config, CriticConfig, CriticInput};
+use crate::error::MarlError;
+
+/// One critic, or one for each agent.
+pub(crate) struct Critics {
+    input: CriticInput,
+    critics: Vec<Critic>,
+}
+
+impl Critics {
+    /// Critics for `problem`, their weights drawn with the seed of `start` and held in its precision.
+    pub(crate) fn new(
+        config: &Config,
+        problem: &Problem,
+        start: (RunSeed, Precision),
+    ) -> Result<Self, MarlError> {
+        let own = CriticConfig { mode: config.critic_mode(), ..config.critic.clone() };
+        let (input, epsilon) = (own.input, config.update.adam_epsilon);
+        let critics = match input {
+            CriticInput::State => {
+                let sizes = (problem.state, own.mode.values(problem.agents.len()));
+                vec![Critic::new(&own, epsilon, ("critic", 0), sizes, start)?]
+            }
+            CriticInput::Observation => {
+                let one = |(index, agent): (usize, &crate::batch::AgentShape)| {
+                    let name = format!("critic_{index}");
+                    let number = (name.as_str(), index as u32);
+                    Critic::new(&own, epsilon, number, (agent.observation, 1), start)
+                };
+                problem.agents.iter().enumerate().map(one).collect::<Result<_, _>>()?
+            }
+        };
+        Ok(Self { input, critics })
+    }
+
+    /// From now on its steps have the share `share` of their configured size.
+    pub(crate) fn scale_learning_rate(&mut self, share: f64) {
+        self.critics.iter_mut().for_each(|critic| critic.scale_learning_rate(share));
+    }
+
+    /// Every critic's opinion of `batch`.
+    pub(crate) fn values(&self, batch: &Batch) -> Result<Vec<Values>, MarlError> {
+        let one = |(index, critic): (usize, &Critic)| {
+            critic.values(batch, &self.input.seen(batch, index))
+        };
+        self.critics.par_iter().enumerate().map(one).collect()
+    }
+
+    /// Learns the returns `[V][T, B]`; `values` is what the critics thought of the batch before.
+    pub(crate) fn fit(
+        &mut self,
+        batch: &Batch,
+        values: &[Values],
+        returns: &[Vec<f64>],
+        iteration: u64,
+    ) -> Result<CriticFigures, MarlError> {
+        let (input, count) = (self.input, self.critics.len());
+        let own = returns.par_chunks(returns.len() / count);
+        let one =
+            |(index, ((critic, values), returns)): (usize, ((&mut Critic, &Values), &[_]))| {
+                critic.fit(&input.seen(batch, index), values, returns, iteration)
+            };
+        let fitted = self.critics.par_iter_mut().zip(values).zip(own).enumerate().map(one);
+        let fitted = fitted.collect::<Result<Vec<CriticFigures>, MarlError>>()?;
+        Ok(CriticFigures::mean(&fitted))
+    }
+
+    pub(crate) fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        let mut all = NamedArrays::new();
+        for critic in &self.critics {
+            all.append(&mut critic.arrays()?);
+        }
+        Ok(all)
+    }
+
+    pub(crate) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        self.critics.iter_mut().try_for_each(|critic| critic.restore(arrays))
+    }
+}
+
+impl CriticInput {
+    /// What critic `index` is shown.
+    fn seen(self, batch: &Batch, index: usize) -> Seen<'_> {
+        let own = |last: &Final| match self {
+            Self::State => last.state.clone(),
+            Self::Observation => last.observation[index].clone(),
+        };
+        let rows = match self {
+            Self::State => &batch.state,
+            Self::Observation => &batch.agents[index].observation,
+        };
+        Seen { rows, finals: batch.finals.iter().flat_map(own).collect() }
+    }
+}
+
+impl CriticFigures {
+    /// Means over critics; steps skipped are summed.
+    fn mean(critics: &[Self]) -> Self {
+        let count = critics.len() as f64;
+        let mean = |of: fn(&Self) -> f64| critics.iter().map(of).sum::<f64>() / count;
+        Self {
+            loss: mean(|one| one.loss),
+            gradient_norm: mean(|one| one.gradient_norm),
+            explained_variance: mean(|one| one.explained_variance),
+            skipped: critics.iter().map(|one| one.skipped).sum(),
+        }
+    }
+}
