@@ -3,7 +3,6 @@
 
 pub(crate) mod agent;
 pub(crate) mod ascent;
-mod behaviour;
 mod counted;
 mod joint;
 pub(crate) mod kl_budget;
@@ -86,10 +85,7 @@ impl Team {
             .collect::<Result<Vec<_>, _>>()?;
         if config.update.parameters == Sharing::Shared {
             let network = Arc::clone(&agents[0].network);
-            let behaviour = Arc::clone(&agents[0].behaviour);
-            for agent in &mut agents {
-                (agent.network, agent.behaviour) = (Arc::clone(&network), Arc::clone(&behaviour));
-            }
+            agents.iter_mut().for_each(|agent| agent.network = Arc::clone(&network));
         }
         let valued = CriticConfig { mode: config.critic_mode(), ..config.critic.clone() };
         let critic = Critic::new(&valued, config.update.adam_epsilon, problem, start)?;
@@ -110,17 +106,6 @@ impl Team {
     /// # Errors
     /// Refuses a batch that does not fit the problem.
     pub(crate) fn prepare(
-        &mut self,
-        batch: &Batch,
-        rewards: &Rewards,
-        iteration: u64,
-    ) -> Result<Option<Prepared>, MarlError> {
-        let prepared = self.look_at(batch, rewards, iteration)?;
-        self.agents.iter().try_for_each(Agent::remember_today)?;
-        Ok(prepared)
-    }
-
-    fn look_at(
         &mut self,
         batch: &Batch,
         rewards: &Rewards,
@@ -188,7 +173,6 @@ impl Team {
         for (index, agent) in self.agents.iter().enumerate() {
             if let Some(owner) = self.owner(index) {
                 arrays.append(&mut agent.network_arrays(&owner)?);
-                arrays.append(&mut agent.behaviour_arrays(&owner)?);
             }
             arrays.append(&mut agent.posterior_arrays(index)?);
         }
@@ -201,7 +185,6 @@ impl Team {
         for index in 0..self.agents.len() {
             if let Some(owner) = self.owner(index) {
                 self.agents[index].restore_network(&owner, arrays)?;
-                self.agents[index].restore_behaviour(&owner, arrays)?;
             }
             self.agents[index].restore_posterior(index, arrays)?;
         }

@@ -29,8 +29,6 @@ use crate::surprise::entropy_bound;
 pub(crate) struct Agent {
     /// Agents that share their parameters hold the same network.
     pub(crate) network: Arc<ActorNetwork>,
-    /// The network that acts; with a policy lag of 1 one that is an update behind.
-    pub(crate) behaviour: Arc<ActorNetwork>,
     pub(crate) adam: Adam,
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
@@ -114,17 +112,9 @@ impl Agent {
         ((seed, precision), index): ((RunSeed, Precision), usize),
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
-        let draw = Draw::of(Purpose::Initialisation).agent(number);
+        let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
         let (action, dtype) = ((shape.action, shape.kind.head()), precision.dtype());
-        let network = || {
-            let mut rng = generator(seed, draw);
-            ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)
-        };
-        let start = Arc::new(network()?);
-        let behaviour = match config.behaviour.policy_lag {
-            0 => Arc::clone(&start),
-            _ => Arc::new(network()?),
-        };
+        let network = ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)?;
         let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
         let total: usize = seen.sum();
         let (update, influence) = (&config.update, &config.influence);
@@ -135,7 +125,7 @@ impl Agent {
         };
         let own = PosteriorShape {
             others: total - shape.kind.seen_size(shape.action),
-            features: start.feature_size(),
+            features: network.feature_size(),
             action: shape.action,
             kind: shape.kind,
         };
@@ -146,9 +136,8 @@ impl Agent {
             .then(|| Posterior::new(influence, policy, q_adam, own, (seed, precision, number)))
             .transpose()?;
         Ok(Self {
-            adam: Adam::new(adam, start.parameters()),
-            network: start,
-            behaviour,
+            adam: Adam::new(adam, network.parameters()),
+            network: Arc::new(network),
             coefficients: Coefficients {
                 clip: update.clip,
                 entropy: update.entropy,
@@ -210,19 +199,18 @@ impl Agent {
         sigma.iter().filter(|&&sigma| sigma <= lowest).count() as f64 / sigma.len() as f64
     }
 
-    /// What `network` says of all rows, shard by shard: the policy and the log-densities of the actions, `[L, C]`, and
-    /// the features, `[L * C, F]`.
+    /// What today's weights say of all rows, shard by shard: the policy and the log-densities of the actions, `[L, C]`,
+    /// and the features, `[L * C, F]`.
     pub(super) fn asked(
         &self,
-        network: &ActorNetwork,
         sequences: &Sequences,
     ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
-        let (layout, weights) = (sequences.layout, network.weights()?);
+        let (layout, weights) = (sequences.layout, self.network.weights()?);
         let parts = shards(layout.chunks, layout.steps);
         let one = |range: Range<usize>| {
             let columns: Vec<usize> = range.collect();
-            let input = self.input_under(network, sequences, &columns)?;
-            let (head, features) = network.distribution_and_features(&weights, &input)?;
+            let input = self.input(sequences, &columns)?;
+            let (head, features) = self.network.distribution_and_features(&weights, &input)?;
             Ok((HeadRows::of(&head)?, features))
         };
         let (heads, features): (Vec<_>, Vec<_>) = shards::of_each(&parts, one)?.into_iter().unzip();
@@ -273,7 +261,7 @@ impl Agent {
     }
 }
 
-/// Every agent's experience under the behaviour weights.
+/// Every agent's experience under the behaviour weights, which are still the networks' own.
 pub(crate) fn gather(
     agents: &[Agent],
     batch: &Batch,
@@ -283,7 +271,7 @@ pub(crate) fn gather(
     let one = |index: usize| {
         let agent = &agents[index];
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-        let (behaviour, log_prob, features) = agent.asked(&agent.behaviour, &sequences)?;
+        let (behaviour, log_prob, features) = agent.asked(&sequences)?;
         let others = other_actions(agents, batch, index, layout);
         let samples =
             agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));
