@@ -28,17 +28,21 @@ impl Fingerprints {
         Self { rollout, learner: Digest(hasher.finalize().into()) }
     }
 
-    /// Refuses to resume the run in `folder` with a program that computes other bits.
-    pub(crate) fn demand_those_of(&self, folder: &Path) -> anyhow::Result<()> {
+    /// Refuses to resume the run in `folder` with a program that computes other bits, or to which its settings, which
+    /// hash to `config` here, say something else.
+    pub(crate) fn demand_those_of(&self, folder: &Path, config: Digest) -> anyhow::Result<()> {
         let manifest = manifest(folder)?;
         let told = |key: &str| manifest[key].as_str().unwrap_or("unknown").to_owned();
-        for (key, own) in
-            [("rollout_fingerprint", self.rollout), ("learner_fingerprint", self.learner)]
-        {
+        let (numbers, settings) = ("computes other numbers", "has other settings");
+        for (key, own, differs) in [
+            ("rollout_fingerprint", self.rollout, numbers),
+            ("learner_fingerprint", self.learner, numbers),
+            ("config_sha256", config, settings),
+        ] {
             let (of_run, own) = (told(key), own.to_string());
             if of_run != own {
                 return Err(Usage::new(format!(
-                    "{} was trained by a program that computes other numbers: its {key} is {of_run}, this \
+                    "{} was trained by a program that {differs}: its {key} is {of_run}, this \
                      program's is {own}; resume it with version {}, commit {}",
                     folder.display(),
                     told("version"),
@@ -64,23 +68,30 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn only_a_run_with_both_fingerprints_of_this_program_is_resumed() {
+    fn only_a_run_with_this_programs_fingerprints_and_settings_is_resumed() {
         let folder = tempfile::tempdir().unwrap();
         let here = Fingerprints { rollout: Digest([1; 32]), learner: Digest([2; 32]) };
-        let resume = |rollout: u8, learner: u8| {
+        let resume = |rollout: u8, learner: u8, config: u8| {
             let manifest = json!({
                 "rollout_fingerprint": Digest([rollout; 32]).to_string(),
                 "learner_fingerprint": Digest([learner; 32]).to_string(),
+                "config_sha256": Digest([config; 32]).to_string(),
                 "version": "0.1.0",
                 "git_commit": "abc",
             });
             std::fs::write(run_path::manifest_file(folder.path()), manifest.to_string()).unwrap();
-            here.demand_those_of(folder.path()).map_err(|error| error.to_string())
+            let known = here.demand_those_of(folder.path(), Digest([4; 32]));
+            known.map_err(|error| error.to_string())
         };
-        assert_eq!(resume(1, 2), Ok(()));
-        let [other_rollout, other_learner] = [resume(3, 2), resume(1, 3)].map(Result::unwrap_err);
-        assert!(other_rollout.contains("its rollout_fingerprint is 0303"), "{other_rollout}");
-        assert!(other_learner.contains("its learner_fingerprint is 0303"), "{other_learner}");
-        assert!(other_learner.ends_with("resume it with version 0.1.0, commit abc"));
+        assert_eq!(resume(1, 2, 4), Ok(()));
+        for (other, named) in [
+            (resume(3, 2, 4), "computes other numbers: its rollout_fingerprint is 0303"),
+            (resume(1, 3, 4), "computes other numbers: its learner_fingerprint is 0303"),
+            (resume(1, 2, 3), "has other settings: its config_sha256 is 0303"),
+        ] {
+            let refusal = other.unwrap_err();
+            assert!(refusal.contains(named), "{refusal}");
+            assert!(refusal.ends_with("resume it with version 0.1.0, commit abc"), "{refusal}");
+        }
     }
 }

@@ -50,7 +50,7 @@ pub(crate) fn prepare(
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let fingerprints = Fingerprints::measure();
     if let Some(folder) = &resumed.resume {
-        fingerprints.demand_those_of(folder)?;
+        fingerprints.demand_those_of(folder, Digest(config.resolved.sha256()))?;
     }
     let mut launch = launch(&config, offered, &folder, &fingerprints);
     launch.resume = resumed.resume.is_some();

@@ -30,26 +30,6 @@ pub(crate) struct RunSection {
     pub(crate) dir: String,
 }
 
-/// The setting `schedule`: when an iteration is rolled out.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum Schedule {
-    /// After the update before it, with the weights that come of it.
-    Synchronous,
-    /// Beside the update before it, with the weights that it begins with.
-    Overlap,
-}
-
-impl Schedule {
-    /// Updates by which the weights that roll out are behind.
-    fn policy_lag(self) -> i64 {
-        match self {
-            Self::Synchronous => 0,
-            Self::Overlap => 1,
-        }
-    }
-}
-
 /// Everything a run is started with.
 #[derive(Clone, Debug)]
 pub(crate) struct RunConfig {
@@ -63,7 +43,7 @@ pub(crate) struct RunConfig {
     pub(crate) task: sim::TaskConfig,
     /// Section `policy`.
     pub(crate) policy: policy::PolicyConfig,
-    /// `schedule` and sections `update`, `critic`, `surprise`, `influence`, `maddpg`, `overlap`.
+    /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
     pub(crate) training: marl::Config,
     /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `metrics`, `learner`.
     pub(crate) learner: learner::Config,
@@ -105,7 +85,7 @@ impl RunConfig {
             environment: section(resolved, "environment")?,
             task: task(resolved)?,
             policy: section(resolved, "policy")?,
-            training: training(resolved)?,
+            training: sections(resolved, &["update", "critic", "surprise", "influence", "maddpg"])?,
             learner: sections(
                 resolved,
                 &["environments", "lease", "evaluation", "checkpoint", "metrics", "learner"],
@@ -213,19 +193,6 @@ fn task(resolved: &Resolved) -> Result<sim::TaskConfig, String> {
     typed(table)
 }
 
-/// The sections of the learning rule, with what `schedule` and `overlap` say of the weights that roll out.
-fn training(resolved: &Resolved) -> Result<marl::Config, String> {
-    let mut table = tables(resolved, &["update", "critic", "surprise", "influence", "maddpg"]);
-    let name = toml::Value::String(resolved.text("schedule").to_owned());
-    let schedule = Schedule::deserialize(name).map_err(told)?;
-    let mut behaviour = tables(resolved, &["overlap"]).remove("overlap");
-    if let Some(toml::Value::Table(behaviour)) = &mut behaviour {
-        behaviour.insert("policy_lag".to_owned(), schedule.policy_lag().into());
-    }
-    table.extend(behaviour.map(|behaviour| ("behaviour".to_owned(), behaviour)));
-    typed(table)
-}
-
 /// One section as a type with the section's keys as fields.
 fn section<T: DeserializeOwned>(resolved: &Resolved, name: &str) -> Result<T, String> {
     match tables(resolved, &[name]).remove(name) {
@@ -252,12 +219,10 @@ fn tables(resolved: &Resolved, names: &[&str]) -> toml::Table {
 }
 
 fn typed<T: DeserializeOwned>(table: toml::Table) -> Result<T, String> {
+    // A parser's message in one line.
+    let told =
+        |error: toml::de::Error| error.message().split_whitespace().collect::<Vec<_>>().join(" ");
     toml::Value::Table(table).try_into().map_err(told)
-}
-
-/// A parser's message in one line.
-fn told(error: toml::de::Error) -> String {
-    error.message().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]
@@ -327,17 +292,6 @@ mod tests {
     }
 
     #[test]
-    fn with_overlap_policies_are_one_update_behind_under_every_rule() {
-        for algorithm in ["algorithm=happo-s2mia", "algorithm=mappo", "algorithm=maddpg"] {
-            let lag = |schedule: &str| {
-                built(&[algorithm, schedule]).unwrap().training.behaviour.policy_lag
-            };
-            assert_eq!((lag("schedule=synchronous"), lag("schedule=overlap")), (0, 1));
-        }
-        assert_eq!(built(&[]).unwrap().training.behaviour.policy_lag, 0);
-    }
-
-    #[test]
     fn maddpg_lays_what_it_refuses_at_the_setting_that_the_user_wrote() {
         for (setting, key) in [
             ("surprise.alpha=0.01", "surprise.alpha"),
@@ -382,8 +336,6 @@ mod tests {
             ("update.parameters=shared", "update.parameters"),
             ("maddpg.replay=2000000", "maddpg.replay"),
             ("maddpg.polyak=0", "maddpg.polyak"),
-            ("schedule=asynchronous", "schedule"),
-            ("overlap.factor_max=0.5", "overlap.factor_max"),
             ("log.episodes=some", "log.episodes"),
             ("log.episodes=0", "log.episodes"),
             ("log.max_file_mib=0", "log.max_file_mib"),

@@ -24,9 +24,9 @@ fn background(arguments: &[&str]) -> Child {
 }
 
 /// A run of thirty iterations that has begun.
-fn begun(folder: &Path, more: &[&str]) -> Child {
+fn begun(folder: &Path) -> Child {
     let dir = format!("run.dir={}", folder.display());
-    let run = background(&[&["train"], TINY, &[dir.as_str(), THIRTY], more].concat());
+    let run = background(&[&["train"], TINY, &[dir.as_str(), THIRTY]].concat());
     under_way(folder);
     run
 }
@@ -50,29 +50,24 @@ fn at_rest(of: &str) -> (Value, String) {
 #[test]
 fn pauses_and_checkpoints_at_any_moment_change_not_one_bit() {
     let runs = Runs::new();
-    for schedule in ["schedule=synchronous", "schedule=overlap"] {
-        let [disturbed, quiet] =
-            ["disturbed", "quiet"].map(|name| runs.folder(&format!("{name}-{schedule}")));
-        let of = disturbed.to_str().unwrap();
-        let mut run = begun(&disturbed, &[schedule]);
-        assert!(succeeded(&["pause", of]).contains("is paused"));
-        let (paused, line) = at_rest(of);
-        assert_eq!(paused["state"], "paused");
-        let health = ["health", "--learner", &address(&disturbed)];
-        assert!(succeeded(&health).contains("serves"), "a pause is no illness");
-        let iteration = &paused["iteration"];
-        assert!(line.starts_with(&format!("iteration {iteration}: ")), "{line}");
-        assert!(
-            Path::new(line.trim().rsplit(": ").next().unwrap()).join("manifest.json").is_file()
-        );
-        assert_eq!(inspect(&disturbed)["iteration"], *iteration);
-        assert!(succeeded(&["resume", of]).contains("goes on"));
-        let line = succeeded(&["checkpoint", of]);
-        assert!(line.starts_with("iteration "), "{line}");
-        assert!(run.wait().unwrap().success());
-        train(&quiet, &[THIRTY, schedule]);
-        assert_eq!(inspect(&disturbed), inspect(&quiet), "{schedule}");
-    }
+    let (disturbed, quiet) = (runs.folder("disturbed"), runs.folder("quiet"));
+    let of = disturbed.to_str().unwrap();
+    let mut run = begun(&disturbed);
+    assert!(succeeded(&["pause", of]).contains("is paused"));
+    let (paused, line) = at_rest(of);
+    assert_eq!(paused["state"], "paused");
+    let health = ["health", "--learner", &address(&disturbed)];
+    assert!(succeeded(&health).contains("serves"), "a pause is no illness");
+    let iteration = &paused["iteration"];
+    assert!(line.starts_with(&format!("iteration {iteration}: ")), "{line}");
+    assert!(Path::new(line.trim().rsplit(": ").next().unwrap()).join("manifest.json").is_file());
+    assert_eq!(inspect(&disturbed)["iteration"], *iteration);
+    assert!(succeeded(&["resume", of]).contains("goes on"));
+    let line = succeeded(&["checkpoint", of]);
+    assert!(line.starts_with("iteration "), "{line}");
+    assert!(run.wait().unwrap().success());
+    train(&quiet, &[THIRTY]);
+    assert_eq!(inspect(&disturbed), inspect(&quiet));
 }
 
 /// Where the learner of a run listens.
@@ -86,7 +81,7 @@ fn a_run_that_is_told_to_stop_while_it_is_paused_ends_as_by_a_signal_and_can_be_
     let runs = Runs::new();
     let (stopped, quiet) = (runs.folder("stopped"), runs.folder("quiet"));
     let of = stopped.to_str().unwrap();
-    let mut run = begun(&stopped, &[]);
+    let mut run = begun(&stopped);
     succeeded(&["pause", of]);
     let iteration = at_rest(of).0["iteration"].clone();
     assert!(succeeded(&["stop", of]).contains("stops after a checkpoint"));
@@ -122,7 +117,7 @@ fn watched(folder: &Path) -> Child {
 fn whoever_waits_for_a_learner_is_told_once_what_it_waits_for() {
     let runs = Runs::new();
     let folder = runs.folder("stopped");
-    let mut learner = begun(&folder, &[]);
+    let mut learner = begun(&folder);
     let of = folder.to_str().unwrap();
     succeeded(&["stop", of]);
     assert!(learner.wait().unwrap().success());
@@ -140,7 +135,7 @@ fn whoever_watches_sees_each_iteration_once_over_a_restart_and_then_the_end() {
     let runs = Runs::new();
     let folder = runs.folder("watched");
     let of = folder.to_str().unwrap();
-    let mut first = begun(&folder, &[]);
+    let mut first = begun(&folder);
     let mut watch = background(&["watch", of, "--lines", "--json"]);
     let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
     let begin = told.next().unwrap().unwrap();

@@ -49,7 +49,6 @@ const HAPPENINGS: [Happening; 8] = [
 const ACTORS: [u32; 3] = [1, 2, 4];
 const THREADS: [u32; 2] = [1, 2];
 const RULES: [Rule; 2] = [OnPolicy, Replay];
-const SCHEDULES: [Schedule; 2] = [Synchronous, Overlap];
 
 /// How policies are learnt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,53 +80,29 @@ impl Rule {
     }
 }
 
-/// When iterations are rolled out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Schedule {
-    /// With the newest weights.
-    Synchronous,
-    /// Beside the update before, with those that it began with.
-    Overlap,
-}
+type Cell = (Rule, Happening, u32, u32);
 
-use Schedule::{Overlap, Synchronous};
-
-impl Schedule {
-    fn setting(self) -> &'static str {
-        match self {
-            Synchronous => "schedule=synchronous",
-            Overlap => "schedule=overlap",
-        }
-    }
-}
-
-type Cell = (Rule, Schedule, Happening, u32, u32);
-
-/// Rule, schedule, happening, actors, threads: every happening with every number of actors, and the others
+/// Rule, happening, actors, threads: every happening with every number of actors, and rules and threads
 /// turned round so that each meets everything else.
 const CELLS: [Cell; 24] = {
-    let mut cells = [(OnPolicy, Synchronous, Nothing, 0, 0); 24];
+    let mut cells = [(OnPolicy, Nothing, 0, 0); 24];
     let mut index = 0;
     while index < 24 {
         let (happening, actors) = (index / 3, index % 3);
         let rule = RULES[(happening + actors) % 2];
-        let schedule = SCHEDULES[(happening + (3 - actors) / 3) % 2];
         let threads = THREADS[(happening + actors + actors.div_ceil(2)) % 2];
-        cells[index] = (rule, schedule, HAPPENINGS[happening], ACTORS[actors], threads);
+        cells[index] = (rule, HAPPENINGS[happening], ACTORS[actors], threads);
         index += 1;
     }
     cells
 };
 
 fn every_combination() -> Vec<Cell> {
-    let pairs = |rule| SCHEDULES.map(|schedule| (rule, schedule));
     let mut cells = Vec::new();
-    for (rule, schedule) in RULES.into_iter().flat_map(pairs) {
+    for rule in RULES {
         for happening in HAPPENINGS {
             let pairs = ACTORS.iter().flat_map(|actors| THREADS.map(|threads| (*actors, threads)));
-            let machine =
-                pairs.map(|(actors, threads)| (rule, schedule, happening, actors, threads));
-            cells.extend(machine);
+            cells.extend(pairs.map(|(actors, threads)| (rule, happening, actors, threads)));
         }
     }
     cells
@@ -155,11 +130,11 @@ fn signal(process: u32, name: &str) {
     assert!(sent.success());
 }
 
-fn play(folder: &Path, (rule, schedule, happening, count, threads): Cell) {
+fn play(folder: &Path, (rule, happening, count, threads): Cell) {
     let (actors_setting, threads) =
         (format!("run.actors={count}"), format!("learner.threads={threads}"));
     let machine = [actors_setting.as_str(), threads.as_str()];
-    let settings = [rule.settings(), &[schedule.setting()], &machine, &[SIX]].concat();
+    let settings = [rule.settings(), &machine, &[SIX]].concat();
     let resume = || {
         let again = ["train", "--resume", folder.to_str().unwrap(), SIX];
         succeeded(&[&again[..], &machine].concat());
@@ -195,24 +170,23 @@ fn play(folder: &Path, (rule, schedule, happening, count, threads): Cell) {
     }
 }
 
-/// Plays all cells and compares each with the first of its rule and schedule.
+/// Plays all cells and compares each with the first of its rule.
 fn compare(cells: &[Cell]) {
     let runs = Runs::new();
-    let mut firsts: Vec<((Rule, Schedule), serde_json::Value)> = Vec::new();
-    println!("| rule | schedule | happening | actors | threads | state |");
-    println!("| --- | --- | --- | --- | --- | --- |");
+    let mut firsts: Vec<(Rule, serde_json::Value)> = Vec::new();
+    println!("| rule | happening | actors | threads | state |");
+    println!("| --- | --- | --- | --- | --- |");
     for (index, cell) in cells.iter().enumerate() {
         let folder = runs.folder(&index.to_string());
         play(&folder, *cell);
         let state = inspect(&folder);
-        let (rule, schedule, happening, actors, threads) = cell;
+        let (rule, happening, actors, threads) = cell;
         let hash = &state["state_sha256"].as_str().unwrap()[..16];
-        println!("| {rule:?} | {schedule:?} | {happening:?} | {actors} | {threads} | `{hash}` |");
+        println!("| {rule:?} | {happening:?} | {actors} | {threads} | `{hash}` |");
         assert_eq!(state["iteration"], 6);
-        let kind = (*rule, *schedule);
-        match firsts.iter().find(|(first, _)| *first == kind) {
+        match firsts.iter().find(|(first, _)| first == rule) {
             Some((_, first)) => assert_eq!(&state, first, "{cell:?}"),
-            None => firsts.push((kind, state)),
+            None => firsts.push((*rule, state)),
         }
     }
 }
@@ -228,13 +202,8 @@ fn every_cell_ends_with_the_same_state_bit_for_bit() {
 #[test]
 fn every_pair_of_values_stands_in_some_cell() {
     type Same = fn(&Cell, &Cell) -> bool;
-    let columns: [Same; 5] = [
-        |a, b| a.0 == b.0,
-        |a, b| a.1 == b.1,
-        |a, b| a.2 == b.2,
-        |a, b| a.3 == b.3,
-        |a, b| a.4 == b.4,
-    ];
+    let columns: [Same; 4] =
+        [|a, b| a.0 == b.0, |a, b| a.1 == b.1, |a, b| a.2 == b.2, |a, b| a.3 == b.3];
     for wanted in every_combination() {
         for (at, one) in columns.iter().enumerate() {
             for other in &columns[at + 1..] {

@@ -121,7 +121,6 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
     for (name, of_status) in [
         ("s2mia_iteration", "iteration"),
         ("s2mia_env_steps_total", "env_steps"),
-        ("s2mia_policy_lag", "policy_lag"),
         ("s2mia_leases_reissued_total", "leases_reissued"),
         ("s2mia_slots{state=\"complete\"}", "complete_slots"),
     ] {

@@ -100,7 +100,6 @@ fn a_resume_refuses_what_would_make_it_another_run() {
         ("update.clip=0.3", "`update.clip`"),
         ("algorithm=happo", "`algorithm`"),
         ("run.seed=8", "`run.seed`"),
-        ("schedule=overlap", "`schedule`"),
     ] {
         let output = s2mia(&["train", "--resume", folder, setting]);
         let line = String::from_utf8(output.stderr).unwrap();

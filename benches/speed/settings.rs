@@ -54,7 +54,7 @@ impl Settings {
         Ok(Self {
             task: typed(task)?,
             policy: typed(resolved["policy"].clone())?,
-            training: typed(synchronous(sections(&resolved, &training)?, &resolved)?)?,
+            training: typed(sections(&resolved, &training)?)?,
             learner: typed(sections(&resolved, &learner)?)?,
         })
     }
@@ -97,16 +97,6 @@ impl Settings {
             fault: None,
         })
     }
-}
-
-/// The learning rule's settings where the newest weights roll out; `s2mia` makes `behaviour` of `overlap` and `schedule`.
-fn synchronous(mut training: Table, resolved: &Table) -> anyhow::Result<Table> {
-    let mut behaviour = sections(resolved, &["overlap"])?.remove("overlap");
-    let behaviour =
-        behaviour.as_mut().and_then(Value::as_table_mut).context("overlap is a section")?;
-    behaviour.insert("policy_lag".to_owned(), 0.into());
-    training.insert("behaviour".to_owned(), behaviour.clone().into());
-    Ok(training)
 }
 
 fn sections(resolved: &Table, names: &[&str]) -> anyhow::Result<Table> {

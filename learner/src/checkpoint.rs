@@ -33,8 +33,7 @@ const DRAFT: &str = ".tmp-";
 /// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves.
 const LATEST: &str = "LATEST";
 /// The groups of arrays, one file each.
-const GROUPS: [&str; 11] = [
-    "behaviour",
+const GROUPS: [&str; 9] = [
     "counters",
     "density",
     "environments",
@@ -43,7 +42,6 @@ const GROUPS: [&str; 11] = [
     "observation",
     "optimizer",
     "replay",
-    "rollout",
     "weights",
 ];
 
@@ -55,8 +53,7 @@ pub struct Checkpoint {
     /// Environment steps of all finished iterations.
     pub env_steps: u64,
     /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `normalizer`,
-    /// `observation`, `replay`, `environments`, `counters`, `evaluation`, and where older policies act than the newest, `behaviour`
-    /// and `rollout`.
+    /// `observation`, `replay`, `environments`, `counters`, `evaluation`.
     pub arrays: NamedArrays,
     /// The policies as actors get them: a `policy::PolicySnapshot`.
     pub policy: Vec<u8>,

@@ -167,7 +167,7 @@ impl Exchange {
     ) -> WeightsName {
         self.change(|shared| {
             let name = shared.weights.expect(weights);
-            shared.pace.open(iteration, weights, self.begun.elapsed());
+            shared.pace.open(iteration, self.begun.elapsed());
             shared.table.open_iteration(iteration, name, slots);
             name
         })

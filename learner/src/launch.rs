@@ -20,7 +20,6 @@ use crate::metrics::Metrics;
 use crate::provenance::Provenance;
 use crate::reward_log::RewardLog;
 use crate::run_folder::{RunFolder, RunFolderError};
-use crate::schedule::Schedule;
 use crate::trainer::{Trainer, policy_bytes};
 
 /// What a run is started with.
@@ -191,8 +190,7 @@ fn build(
     let problem = problem(&launch.environment);
     let algorithm =
         pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
-    let policy_lag = launch.training.behaviour.policy_lag;
-    let observations = ObservationMoments::new(launch.observations, &problem, policy_lag);
+    let observations = ObservationMoments::new(launch.observations, &problem);
     let environments = &launch.config.environments;
     let layout = Layout::of(description, environments.slots());
     let (metrics, measured) = Metrics::open(folder.path(), &launch.config.metrics, iteration)?;
@@ -212,8 +210,7 @@ fn build(
         config_sha256: launch.config_sha256,
         last_iteration: launch.iterations,
         layout,
-        schedule: Schedule::new(policy_lag),
-        policies: [policy_bytes(algorithm.as_ref(), &observations)?].into(),
+        policy: policy_bytes(algorithm.as_ref(), &observations)?,
         observations,
         algorithm,
         decay: launch.training.update.learning_rate_decay,

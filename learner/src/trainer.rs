@@ -4,7 +4,6 @@
 mod collect;
 mod save;
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -27,7 +26,6 @@ use crate::metrics::Metrics;
 use crate::provenance::{Origin, Provenance};
 use crate::reward_log::{Paid, RewardLog};
 use crate::run_folder::RunFolder;
-use crate::schedule::Schedule;
 use crate::trainer::collect::{Collected, Patience};
 
 /// Takes in what a run tells.
@@ -63,9 +61,8 @@ pub struct Trainer {
     pub(crate) environments: Environments,
     pub(crate) evaluations: Evaluations,
     pub(crate) iteration: u64,
-    pub(crate) schedule: Schedule,
-    /// As actors get them, from those that roll out the next iteration to the newest.
-    pub(crate) policies: VecDeque<Bytes>,
+    /// The newest policies, as actors get them.
+    pub(crate) policy: Bytes,
     pub(crate) folder: RunFolder,
     pub(crate) metrics: Metrics,
     pub(crate) provenance: Provenance,
@@ -94,18 +91,10 @@ struct Work {
     patience: Patience,
     /// Rollouts that came in while something else was waited for.
     arrived: Option<Collected>,
-    /// The iteration that was opened last.
-    open: Option<Open>,
+    /// The weights with which the open iteration is rolled out.
+    behaviour: Option<WeightsName>,
     /// When the last iteration ended.
     ended: Instant,
-}
-
-/// An iteration whose slots were opened.
-#[derive(Clone, Copy)]
-struct Open {
-    iteration: u64,
-    /// The weights with which it is rolled out.
-    behaviour: WeightsName,
 }
 
 /// What an update made of `D_k`.
@@ -132,7 +121,7 @@ impl Trainer {
             outside,
             patience: Patience::new(Instant::now()),
             arrived: None,
-            open: None,
+            behaviour: None,
             ended: Instant::now(),
         };
         let result = work.run();
@@ -146,11 +135,6 @@ impl Trainer {
     /// Dies here if a test asked for it.
     pub(crate) fn fault_at(&self, point: Point) {
         fault::at(self.fault, point, self.iteration);
-    }
-
-    /// The policies after the last finished iteration.
-    fn newest_policy(&self) -> &Bytes {
-        self.policies.back().expect("there are policies from the first iteration on")
     }
 
     fn steps_after(&self, iteration: u64) -> u64 {
@@ -170,11 +154,10 @@ impl Work {
             let batch = assemble(&self.trainer.layout, &collected.rollouts);
             let shares = self.trainer.environments.shares(&batch);
             self.trainer.environments.advance(&batch, &collected.rollouts);
-            self.lease(self.trainer.iteration + 1);
             let learnt = self.trainer.learn(&batch)?;
             self.trainer.iteration += 1;
             self.publish()?;
-            self.lease(self.trainer.iteration);
+            self.lease();
             self.trainer.fault_at(Point::AfterPublish);
             self.record(&collected, &learnt)?;
             self.log_rewards(&collected, &shares);
@@ -190,11 +173,8 @@ impl Work {
         if let Some(evaluated) = self.trainer.evaluations.outstanding().cloned() {
             self.open_evaluation(&evaluated)?;
         }
-        let oldest = self.trainer.schedule.behaviour(self.trainer.iteration).0;
-        for (version, policy) in (oldest..).zip(self.trainer.policies.clone()) {
-            self.outside.exchange.publish(PolicyVersion(version), policy)?;
-        }
-        self.lease(self.trainer.iteration);
+        self.publish()?;
+        self.lease();
         self.evaluate_if_due()
     }
 
@@ -218,24 +198,19 @@ impl Work {
     /// Hands the newest policies to the actors.
     fn publish(&mut self) -> Result<(), LearnerError> {
         let version = PolicyVersion(self.trainer.iteration);
-        self.outside.exchange.publish(version, self.trainer.newest_policy().clone())?;
+        self.outside.exchange.publish(version, self.trainer.policy.clone())?;
         Ok(())
     }
 
-    /// Opens the slots of `iteration`, whose start states are known, unless it is open already or past the end.
-    /// The weights that roll it out must be out: older ones are before the update, the newest only after it.
-    fn lease(&mut self, iteration: u64) {
-        let newest = PolicyVersion(self.trainer.iteration);
-        let behaviour = self.trainer.schedule.behaviour(iteration);
-        let open = self.open.is_some_and(|open| open.iteration == iteration);
-        if iteration >= self.trainer.last_iteration || behaviour > newest || open {
-            return;
+    /// Opens the slots of the next iteration, if there is one, to be rolled out with the weights just published.
+    fn lease(&mut self) {
+        let iteration = self.trainer.iteration;
+        if iteration < self.trainer.last_iteration {
+            let slots = self.trainer.environments.work(iteration);
+            let (exchange, weights) = (&self.outside.exchange, PolicyVersion(iteration));
+            self.behaviour = Some(exchange.open_iteration(iteration, weights, slots));
+            self.tell(&Event::Collecting { iteration, env_steps: self.trainer.env_steps() });
         }
-        let slots = self.trainer.environments.work(iteration);
-        let behaviour = self.outside.exchange.open_iteration(iteration, behaviour, slots);
-        self.open = Some(Open { iteration, behaviour });
-        let env_steps = self.trainer.steps_after(iteration);
-        self.tell(&Event::Collecting { iteration: self.trainer.iteration, env_steps });
     }
 
     /// Metrics and provenance of the iteration that has just been finished.
@@ -249,10 +224,8 @@ impl Work {
                 tracing::error!("the manifest does not name foreign actors yet: {error}");
             }
         }
-        let lag = trainer.iteration - 1 - collected.behaviour.version.0;
         let mut metrics = trainer.surprise.report();
         metrics.extend(learnt.report.iter().cloned());
-        metrics.push(("policy_lag".to_owned(), lag as f64));
         // An environment of another program may have a time limit of its own, which is no fault.
         if !self.outside.exchange.run().task_settings.is_empty() {
             metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
@@ -298,7 +271,7 @@ impl Work {
         if !self.trainer.evaluations.due(self.trainer.iteration) || !self.settle_evaluation()? {
             return Ok(());
         }
-        let (iteration, policy) = (self.trainer.iteration, self.trainer.newest_policy().clone());
+        let (iteration, policy) = (self.trainer.iteration, self.trainer.policy.clone());
         let evaluated = Evaluated { iteration, policy };
         self.open_evaluation(&evaluated)?;
         self.trainer.evaluations.begin(evaluated);
@@ -350,9 +323,7 @@ impl Trainer {
         let update = || algorithm.update(&seen, &rewards, *iteration);
         let report = tracing::trace_span!("update").in_scope(|| pool.install(update))?;
         pool.install(|| observations.take_in(batch));
-        self.policies.push_back(policy_bytes(self.algorithm.as_ref(), &self.observations)?);
-        let spent = self.policies.len() - self.schedule.versions(self.iteration + 1);
-        self.policies.drain(..spent);
+        self.policy = policy_bytes(self.algorithm.as_ref(), &self.observations)?;
         let update_secs = begin.elapsed().as_secs_f64();
         Ok(Learnt { report, density_secs, update_secs })
     }

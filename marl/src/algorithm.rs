@@ -16,7 +16,7 @@ use crate::phase::PhaseObserver;
 pub type Report = Vec<(String, f64)>;
 
 /// The first parts of the names of an algorithm's arrays.
-pub const PREFIXES: [&str; 5] = ["weights/", "optimizer/", "normalizer/", "replay/", "behaviour/"];
+pub const PREFIXES: [&str; 4] = ["weights/", "optimizer/", "normalizer/", "replay/"];
 
 /// A learning rule: turns experience into better policies.
 pub trait Algorithm: Send {

@@ -1,7 +1,6 @@
 //! Settings of the update, the critic, surprise and influence. No defaults live here: the binary's
 //! configuration files hold them.
 
-mod behaviour;
 mod influence;
 mod maddpg;
 mod surprise;
@@ -9,7 +8,6 @@ mod surprise;
 use policy::{CoreKind, InputNorm, PolicyConfig};
 use serde::{Deserialize, Serialize};
 
-pub use self::behaviour::BehaviourConfig;
 pub use self::influence::{CountedState, Divergence, Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
 pub use self::surprise::{Constant, DensityKind, Fit, Reduce, Scored, Space, SurpriseConfig};
@@ -36,8 +34,6 @@ pub struct Config {
     pub influence: InfluenceConfig,
     /// What MADDPG alone is told.
     pub maddpg: MaddpgConfig,
-    /// Which weights roll out what is learnt from.
-    pub behaviour: BehaviourConfig,
 }
 
 /// How policies are updated.
@@ -195,7 +191,6 @@ impl Config {
         self.surprise.validate()?;
         self.influence.validate()?;
         self.maddpg.validate()?;
-        self.behaviour.validate()?;
         if (self.update.parameters, self.influence.q_training)
             == (Sharing::Shared, QTraining::Shared)
         {

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
-use rayon::prelude::*;
 
 use crate::algorithm::{Algorithm, Report};
 use crate::batch::{Batch, Problem, Rewards};
@@ -16,7 +15,7 @@ use crate::on_policy::ascent::{maximise, moved};
 use crate::on_policy::kl_budget::KlBudget;
 use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
 use crate::phase::{Phase, PhaseObserver, during};
-use crate::surrogate::{factor_limits, lagged_factor, sequential_factor};
+use crate::surrogate::{factor_limits, sequential_factor};
 
 /// HAPPO and, by configuration alone, all its variants.
 pub struct Happo {
@@ -63,9 +62,8 @@ impl Algorithm for Happo {
             return Ok(skipped_report());
         };
         let order = self.order(iteration);
-        let Team { agents, critic, seed, config, observer, .. } = &mut self.team;
-        let limited = (order.as_slice(), config.behaviour.factor_limit());
-        let up = || sweep(agents, &prepared, limited, (*seed, iteration));
+        let Team { agents, critic, seed, observer, .. } = &mut self.team;
+        let up = || sweep(agents, &prepared, &order, (*seed, iteration));
         let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
         let (swept, fitted) = rayon::join(
             || during(&**observer, Phase::Sweep, up),
@@ -90,37 +88,27 @@ impl Algorithm for Happo {
     }
 }
 
-/// Updates every agent in `order`, each weighing its advantage with what the others have done since they
-/// acted: those before it in this sweep, and with older behaviour those after it in the last one. The factor
-/// `M` is at most `most`.
+/// Updates every agent in `order`, each weighing its advantage with what the ones before it did: the
+/// factor `M` starts at 1 and takes in each updated agent's ratio to its behaviour.
 fn sweep(
     agents: &mut [Agent],
     prepared: &Prepared,
-    (order, most): (&[usize], f64),
+    order: &[usize],
     (seed, iteration): (RunSeed, u64),
 ) -> Result<Report, MarlError> {
-    let pairs = agents.par_iter().zip(&prepared.experience);
-    let since = pairs.map(|(agent, known)| agent.log_prob_since(known));
-    let since = since.collect::<Result<Vec<Option<Vec<f64>>>, MarlError>>()?;
-    let ratio_since = |&other: &usize| {
-        let today = since[other].as_deref()?;
-        Some((today, prepared.experience[other].log_prob.as_slice()))
-    };
     let mut budget = KlBudget::new(agents[0].update.target_kl, agents.len());
-    let mut updated = vec![1.0; prepared.experience[0].log_prob.len()];
+    let mut factor = vec![1.0; prepared.experience[0].log_prob.len()];
     let mut reports = vec![Report::new(); agents.len()];
     for (position, &index) in order.iter().enumerate() {
         pass_optimiser(agents, index);
         let (agent, known) = (&mut agents[index], prepared.of(index));
         let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
-        let waiting = order[position + 1..].iter().filter_map(ratio_since);
-        let factor = lagged_factor(&updated, waiting, most);
         let trained = maximise(agent, known, (&factor, budget.share()), (seed, draw))?;
         let moved = moved(agent, known.0)?;
         budget.spend(moved.kl);
         reports[index] = agent_report(agent, index, known.0, &trained, &moved)?;
-        reports[index].extend(place_in_the_sweep(index, position, (&factor, most)));
-        updated = sequential_factor(&updated, &moved.log_prob, &known.0.log_prob);
+        reports[index].extend(place_in_the_sweep(index, position, &factor));
+        factor = sequential_factor(&factor, &moved.log_prob, &known.0.log_prob);
         pass_optimiser(agents, index);
     }
     Ok(reports.concat())
@@ -135,13 +123,12 @@ fn pass_optimiser(agents: &mut [Agent], index: usize) {
 }
 
 /// When the agent was updated, and with what factor.
-fn place_in_the_sweep(index: usize, position: usize, (factor, most): (&[f64], f64)) -> Report {
+fn place_in_the_sweep(index: usize, position: usize, factor: &[f64]) -> Report {
     let count = factor.len() as f64;
     let mean = factor.iter().sum::<f64>() / count;
     let variance = factor.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
     let (lowest, highest) = factor_limits();
     let held = factor.iter().filter(|&&x| x <= lowest || x >= highest).count();
-    let capped = factor.iter().filter(|&&x| x >= most).count();
     let named = [
         ("sweep_position", position as f64),
         ("factor_mean", mean),
@@ -149,7 +136,6 @@ fn place_in_the_sweep(index: usize, position: usize, (factor, most): (&[f64], f6
         ("factor_smallest", factor.iter().fold(f64::INFINITY, |least, &x| least.min(x))),
         ("factor_largest", factor.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x))),
         ("factor_held", held as f64 / count),
-        ("factor_capped", capped as f64 / count),
     ];
     named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect()
 }

@@ -40,8 +40,7 @@ pub mod value_normalizer;
 pub use algorithm::{Algorithm, Report, build, build_in};
 pub use batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use config::{
-    BehaviourConfig, Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig,
-    UpdateConfig,
+    Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,
 };
 pub use error::MarlError;
 pub use learning_rate::LearningRateDecay;

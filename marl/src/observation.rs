@@ -18,35 +18,31 @@ pub enum ObservationScale {
     Running,
 }
 
-/// What observations are scaled by. Policies of version `k` carry the statistics of all iterations before `k`, and what
-/// they roll out is learnt with the same ones.
+/// What observations are scaled by. The statistics are those of all iterations before: policies of version `k` play and
+/// learn iteration `k` with the same ones.
 #[derive(Clone, Debug)]
 pub struct ObservationMoments {
     /// `[N]`, or none where observations stay as they are.
     agents: Vec<RunningMoments>,
-    /// `[N]`, those of the policies that act, where these are not the newest.
-    behaviour: Option<Vec<RunningMoments>>,
 }
 
 impl ObservationMoments {
-    /// Of nothing yet, for policies that act `policy_lag` (0 or 1) updates late.
+    /// Of nothing yet.
     #[must_use]
-    pub fn new(scale: ObservationScale, problem: &Problem, policy_lag: u64) -> Self {
+    pub fn new(scale: ObservationScale, problem: &Problem) -> Self {
         let moments = || problem.agents.iter().map(|agent| RunningMoments::new(agent.observation));
-        let agents: Vec<RunningMoments> = match scale {
+        let agents = match scale {
             ObservationScale::AsShown => Vec::new(),
             ObservationScale::Running => moments().collect(),
         };
-        let behaviour = (policy_lag > 0).then(|| agents.clone());
-        Self { agents, behaviour }
+        Self { agents }
     }
 
-    /// `D_k` as the policies saw it that rolled it out.
+    /// `D_k` as policies see it.
     #[must_use]
     pub fn seen<'a>(&self, batch: &'a Batch) -> Cow<'a, Batch> {
         let mut seen = Cow::Borrowed(batch);
-        let acted = self.behaviour.as_ref().unwrap_or(&self.agents);
-        for (index, moments) in acted.iter().enumerate() {
+        for (index, moments) in self.agents.iter().enumerate() {
             let (standardisation, seen) = (moments.standardisation(), seen.to_mut());
             standardisation.apply(&mut seen.agents[index].observation);
             seen.finals
@@ -58,9 +54,6 @@ impl ObservationMoments {
 
     /// Takes in `D_k` as the environment showed it, for the iterations after it.
     pub fn take_in(&mut self, batch: &Batch) {
-        if let Some(behaviour) = &mut self.behaviour {
-            behaviour.clone_from(&self.agents);
-        }
         let agents = self.agents.par_iter_mut().zip(&batch.agents);
         agents.for_each(|(moments, agent)| moments.take_in(&agent.observation));
     }
@@ -76,15 +69,11 @@ impl ObservationMoments {
         policies
     }
 
-    /// `observation/agent_I.NAME`, and `observation/behaviour_I.NAME` where older policies act.
+    /// `observation/agent_I.NAME`.
     #[must_use]
     pub fn arrays(&self) -> NamedArrays {
-        let newest = self.agents.iter().enumerate();
-        let acting = self.behaviour.iter().flatten().enumerate();
-        let newest = newest.flat_map(|(index, moments)| moments.arrays(&newest_prefix(index)));
-        newest
-            .chain(acting.flat_map(|(index, moments)| moments.arrays(&acting_prefix(index))))
-            .collect()
+        let agents = self.agents.iter().enumerate();
+        agents.flat_map(|(index, moments)| moments.arrays(&prefix(index))).collect()
     }
 
     /// Takes over kept statistics.
@@ -97,19 +86,13 @@ impl ObservationMoments {
         if let Some(name) = stored.find(|name| !known.contains_key(*name)) {
             return Err(MarlError::Restore(format!("{name} belongs to no agent of this run")));
         }
-        let mut newest = self.agents.iter_mut().enumerate();
-        newest.try_for_each(|(index, own)| own.restore(&newest_prefix(index), arrays))?;
-        let mut acting = self.behaviour.iter_mut().flatten().enumerate();
-        acting.try_for_each(|(index, own)| own.restore(&acting_prefix(index), arrays))
+        let mut agents = self.agents.iter_mut().enumerate();
+        agents.try_for_each(|(index, moments)| moments.restore(&prefix(index), arrays))
     }
 }
 
-fn newest_prefix(agent: usize) -> String {
+fn prefix(agent: usize) -> String {
     format!("observation/agent_{agent}.")
-}
-
-fn acting_prefix(agent: usize) -> String {
-    format!("observation/behaviour_{agent}.")
 }
 
 #[cfg(test)]
@@ -120,7 +103,7 @@ mod tests {
     use crate::probe;
 
     fn known() -> ObservationMoments {
-        let mut known = ObservationMoments::new(ObservationScale::Running, &probe::problem(), 0);
+        let mut known = ObservationMoments::new(ObservationScale::Running, &probe::problem());
         known.take_in(&probe::batch());
         known
     }
@@ -153,7 +136,7 @@ mod tests {
     #[test]
     fn observations_that_are_as_shown_are_not_even_copied() {
         let (batch, problem) = (probe::batch(), probe::problem());
-        let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem, 0);
+        let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
         plain.take_in(&batch);
         assert!(matches!(plain.seen(&batch), Cow::Borrowed(_)));
         assert!(plain.arrays().is_empty());
@@ -173,32 +156,11 @@ mod tests {
     #[test]
     fn kept_statistics_are_taken_over_and_refused_where_there_are_none() {
         let (known, problem) = (known(), probe::problem());
-        let mut other = ObservationMoments::new(ObservationScale::Running, &problem, 0);
+        let mut other = ObservationMoments::new(ObservationScale::Running, &problem);
         other.restore(&known.arrays()).unwrap();
         assert_eq!(other.arrays(), known.arrays());
-        let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem, 0);
+        let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
         let error = plain.restore(&known.arrays()).unwrap_err().to_string();
         assert!(error.contains("observation/agent_0"), "{error}");
-    }
-
-    #[test]
-    fn what_older_policies_rolled_out_is_seen_with_their_statistics() {
-        let (first, problem) = (probe::batch(), probe::problem());
-        let mut second = first.clone();
-        second.agents[0].observation.iter_mut().for_each(|x| *x = 1.5 * *x + 1.0);
-        let mut newest = ObservationMoments::new(ObservationScale::Running, &problem, 0);
-        let mut late = ObservationMoments::new(ObservationScale::Running, &problem, 1);
-        // Iterations 0 and 1 are rolled out by the first policies, which know nothing yet.
-        assert!(*late.seen(&first) == first);
-        late.take_in(&first);
-        assert!(*late.seen(&second) == second);
-        late.take_in(&second);
-        newest.take_in(&first);
-        assert!(late.seen(&second) == newest.seen(&second));
-        assert!(*late.seen(&second) != second);
-        let mut restored = ObservationMoments::new(ObservationScale::Running, &problem, 1);
-        restored.restore(&late.arrays()).unwrap();
-        assert!(restored.seen(&second) == late.seen(&second));
-        assert_eq!(restored.arrays(), late.arrays());
     }
 }

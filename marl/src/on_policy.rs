@@ -3,7 +3,6 @@
 
 pub(crate) mod agent;
 pub(crate) mod ascent;
-mod behaviour;
 mod counted;
 mod heads;
 pub(crate) mod kl_budget;
@@ -87,11 +86,9 @@ impl Team {
             .collect::<Result<Vec<_>, _>>()?;
         if config.update.parameters == Sharing::Shared {
             let network = Arc::clone(&agents[0].network);
-            let behaviour = Arc::clone(&agents[0].behaviour);
             let trained = Arc::clone(&agents[0].trained);
             for agent in &mut agents {
-                agent.trained = Arc::clone(&trained);
-                (agent.network, agent.behaviour) = (Arc::clone(&network), Arc::clone(&behaviour));
+                (agent.network, agent.trained) = (Arc::clone(&network), Arc::clone(&trained));
             }
         }
         let critic = Critics::new(config, problem, start)?;
@@ -112,17 +109,6 @@ impl Team {
     /// # Errors
     /// Refuses a batch that does not fit the problem.
     pub(crate) fn prepare(
-        &mut self,
-        batch: &Batch,
-        rewards: &Rewards,
-        iteration: u64,
-    ) -> Result<Option<Prepared>, MarlError> {
-        let prepared = self.look_at(batch, rewards, iteration)?;
-        self.agents.iter().try_for_each(Agent::remember_today)?;
-        Ok(prepared)
-    }
-
-    fn look_at(
         &mut self,
         batch: &Batch,
         rewards: &Rewards,
@@ -192,7 +178,6 @@ impl Team {
         for (index, agent) in self.agents.iter().enumerate() {
             if let Some(owner) = self.owner(index) {
                 arrays.append(&mut agent.network_arrays(&owner)?);
-                arrays.append(&mut agent.behaviour_arrays(&owner)?);
             }
             arrays.append(&mut agent.posterior_arrays(index)?);
         }
@@ -205,7 +190,6 @@ impl Team {
         for index in 0..self.agents.len() {
             if let Some(owner) = self.owner(index) {
                 self.agents[index].restore_network(&owner, arrays)?;
-                self.agents[index].restore_behaviour(&owner, arrays)?;
             }
             self.agents[index].restore_posterior(index, arrays)?;
         }

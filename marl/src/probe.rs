@@ -6,9 +6,9 @@ use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, arrays};
 use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
-    BehaviourConfig, Config, Constant, CountedState, CriticConfig, CriticInput, CriticMode,
-    DensityKind, Divergence, Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce,
-    Rule, Scored, Sharing, Space, StateNorm, SurpriseConfig, UpdateConfig,
+    Config, Constant, CountedState, CriticConfig, CriticInput, CriticMode, DensityKind, Divergence,
+    Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored, Sharing, Space,
+    StateNorm, SurpriseConfig, UpdateConfig,
 };
 use crate::error::MarlError;
 use crate::learning_rate::LearningRateDecay;
@@ -107,7 +107,6 @@ pub(crate) fn config() -> Config {
         surprise: surprise(),
         influence: influence(),
         maddpg: maddpg(),
-        behaviour: BehaviourConfig { policy_lag: 0, factor_max: 2.0 },
     }
 }
 

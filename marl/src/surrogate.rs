@@ -52,20 +52,6 @@ pub fn sequential_factor(factor: &[f64], log_prob_new: &[f64], log_prob_old: &[f
         .collect()
 }
 
-/// HAPPO's factor where the weights `mu` that acted are older than the weights `pi` of today: `M = min(prod_j pi_j(a|o)
-/// / mu_j(a|o), most)` over all agents but the one to be updated. `updated` `[R]` is the product over those that the
-/// sweep has updated; `waiting` are the log-densities `(pi_j, mu_j)` of those that it has not, `[R]` each, nats.
-/// The limit binds from above alone: a row that the team has left behind may weigh little, none may weigh much.
-#[must_use]
-pub fn lagged_factor<'a>(
-    updated: &[f64],
-    waiting: impl Iterator<Item = (&'a [f64], &'a [f64])>,
-    most: f64,
-) -> Vec<f64> {
-    let all = waiting.fold(updated.to_vec(), |m, (pi, mu)| sequential_factor(&m, pi, mu));
-    all.into_iter().map(|factor| factor.min(most)).collect()
-}
-
 /// `(A - mean) / (std + 1e-5)` over all rows, with the population's deviation. `[R]` to `[R]`. Equal
 /// advantages are 0: their mean may differ from them in the last bit, and the quotient is then noise.
 #[must_use]
@@ -113,20 +99,6 @@ mod tests {
         let second = sequential_factor(&first, &[0.5 - ln2, 1.0 + ln2], &[0.5, 1.0]);
         assert!((first[0] - 2.0).abs() < 1e-12 && first[1] == 1.0);
         assert!((second[0] - 1.0).abs() < 1e-12 && (second[1] - 2.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn with_older_behaviour_the_factor_takes_in_the_agents_that_wait_and_stays_below_its_limit() {
-        // Probabilities of two agents' actions in three rows. The first was updated from 1/2 to 3/4, 1/2 and 1/8; the
-        // second waits, and has gone from 1/4 to 1/4, 3/4 and 1/2 since it acted: M = 3/2, 3 held at 2, 1/2.
-        let logs = |probabilities: [f64; 3]| probabilities.map(libm::log);
-        let updated = sequential_factor(&[1.0; 3], &logs([0.75, 0.5, 0.125]), &logs([0.5; 3]));
-        let (today, acted) = (logs([0.25, 0.75, 0.5]), logs([0.25; 3]));
-        let found = lagged_factor(&updated, [(&today[..], &acted[..])].into_iter(), 2.0);
-        for (found, expected) in found.iter().zip([1.5, 2.0, 0.5]) {
-            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
-        }
-        assert_eq!(lagged_factor(&updated, core::iter::empty(), f64::INFINITY), updated);
     }
 
     #[test]

@@ -29,8 +29,6 @@ pub struct Status {
     pub storage_degraded: bool,
     /// Open leases, the oldest first.
     pub leases: Vec<LeaseStatus>,
-    /// Updates between the open iteration and the weights that roll it out.
-    pub policy_lag: u64,
     /// Whether no work is handed out until somebody resumes.
     pub paused: bool,
 }
@@ -76,7 +74,6 @@ impl Status {
             leases_reissued: self.leases_reissued,
             storage_degraded: self.storage_degraded,
             leases: self.leases.iter().map(|lease| lease.to_wire()).collect(),
-            policy_lag: self.policy_lag,
             paused: self.paused,
         }
     }
@@ -97,7 +94,6 @@ impl Status {
             leases_reissued: wire.leases_reissued,
             storage_degraded: wire.storage_degraded,
             leases: wire.leases.iter().filter_map(LeaseStatus::from_wire).collect(),
-            policy_lag: wire.policy_lag,
             paused: wire.paused,
         }
     }
@@ -159,7 +155,6 @@ mod tests {
             leases_reissued: 8,
             storage_degraded: true,
             leases: vec![lease(11, LeasedWork::Slot(6)), lease(12, LeasedWork::Episode(0))],
-            policy_lag: 1,
             paused: true,
         };
         assert_eq!(Status::from_wire(status.to_wire()), status);

@@ -96,11 +96,10 @@ fn text(status: &Status) -> String {
         if status.storage_degraded { "\nthe last checkpoint could not be written" } else { "" };
     let paused = if status.paused { " is paused" } else { "" };
     let mut text = format!(
-        "{run_id}{paused}: iteration {iteration}, {} env steps{pace}, policy lag {}\n\
+        "{run_id}{paused}: iteration {iteration}, {} env steps{pace}\n\
          {complete_slots} of {slots} slots complete, {} leases on {actors} actors, \
          {} leased again, {} messages refused{disk}",
         thousands(status.env_steps),
-        status.policy_lag,
         leases.len(),
         status.leases_reissued,
         status.messages_refused,

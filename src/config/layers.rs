@@ -236,16 +236,19 @@ fn file_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
     table_layer(&place, &text, schema)
 }
 
-/// Settings that runs of earlier versions hold and that nothing reads any more.
-const RETIRED: [(&str, &str); 1] = [("update", "shards")];
+/// Settings that runs of earlier versions hold and that nothing reads any more, each with a value of its kind.
+const RETIRED: [(&str, Scalar); 3] = [
+    ("update.shards", Scalar::Integer(0)),
+    ("schedule", Scalar::Text(String::new())),
+    ("overlap.factor_max", Scalar::Float(0.0)),
+];
 
 /// The settings of a run folder, which an earlier version may have written.
 fn run_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
     let mut known = schema.clone();
-    let retired = RETIRED.map(|(section, key)| format!("{section}.{key}"));
-    known.extend(retired.iter().map(|key| (key.clone(), Scalar::Integer(0))));
+    known.extend(RETIRED.map(|(key, kind)| (key.to_owned(), kind)));
     let mut layer = file_layer(path, &known)?;
-    retired.iter().for_each(|key| drop(layer.values.remove(key)));
+    layer.values.retain(|key, _| schema.contains_key(key));
     Ok(layer)
 }
 

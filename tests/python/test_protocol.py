@@ -51,10 +51,10 @@ def test_nothing_breaks_programs_built_from_the_stable_files():
 
 
 def test_a_field_that_is_renumbered_renamed_or_of_another_type_is_found(changed):
-    for new in ("uint64 policy_lag = 99;", "uint64 lag = 13;", "string policy_lag = 13;"):
-        status, found = breaking(changed("control.proto", "uint64 policy_lag = 13;", new))
-        assert status == FOUND and "policy_lag" in found, found
-        changed("control.proto", new, "uint64 policy_lag = 13;")
+    for new in ("uint64 leases_reissued = 99;", "uint64 reissued = 10;", "string leases_reissued = 10;"):
+        status, found = breaking(changed("control.proto", "uint64 leases_reissued = 10;", new))
+        assert status == FOUND and "leases_reissued" in found, found
+        changed("control.proto", new, "uint64 leases_reissued = 10;")
 
 
 def test_a_call_that_is_new_breaks_nothing_and_one_that_is_gone_does(changed):

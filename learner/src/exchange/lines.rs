@@ -108,9 +108,9 @@ mod tests {
         Event::Iteration(IterationReport {
             iteration,
             env_steps: iteration * 4000,
-            // The update of the iteration before went on beside the roll-out.
+            // An evaluation was waited for, too.
             iteration_secs: 2.0,
-            rollout_secs: 1.75,
+            rollout_secs: 1.0,
             update_secs: 0.5,
             density_secs: 0.1,
             episode_return: Some(iteration as f64),

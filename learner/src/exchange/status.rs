@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use proto::{LeaseStatus, LeasedWork, PolicyVersion, Status};
+use proto::{LeaseStatus, LeasedWork, Status};
 use serde_json::{Value, json};
 
 use crate::exchange::{Exchange, Storage};
@@ -11,19 +11,16 @@ use crate::exchange::{Exchange, Storage};
 #[derive(Debug, Default)]
 pub(super) struct Pace {
     iteration: u64,
-    /// Updates between the open iteration and the weights that roll it out.
-    lag: u64,
     opened: Option<Duration>,
     /// How long the iteration before the open one took.
     took: Option<Duration>,
 }
 
 impl Pace {
-    pub(super) fn open(&mut self, iteration: u64, weights: PolicyVersion, now: Duration) {
+    pub(super) fn open(&mut self, iteration: u64, now: Duration) {
         self.took = self.opened.map(|before| now - before);
         self.opened = Some(now);
         self.iteration = iteration;
-        self.lag = iteration.saturating_sub(weights.0);
     }
 
     /// How long the open iteration has been open, seconds.
@@ -62,7 +59,6 @@ impl Exchange {
             leases_reissued: counts.reissued,
             storage_degraded: storage == Storage::Degraded,
             leases: shared.table.leases(),
-            policy_lag: shared.pace.lag,
             paused: shared.table.is_paused(),
         }
     }
@@ -98,21 +94,6 @@ pub fn status_json(status: &Status) -> Value {
         "messages_refused": status.messages_refused,
         "leases_reissued": status.leases_reissued,
         "storage_degraded": status.storage_degraded,
-        "policy_lag": status.policy_lag,
         "leases": status.leases.iter().map(lease).collect::<Vec<_>>(),
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_lag_counts_updates_between_an_iteration_and_the_weights_that_roll_it_out() {
-        let mut pace = Pace::default();
-        for (iteration, weights, lag) in [(0, 0, 0), (1, 0, 1), (2, 1, 1), (3, 3, 0)] {
-            pace.open(iteration, PolicyVersion(weights), Duration::from_secs(iteration));
-            assert_eq!(pace.lag, lag, "iteration {iteration} with weights {weights}");
-        }
-    }
 }

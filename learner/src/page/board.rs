@@ -20,8 +20,6 @@ pub(crate) struct Facts {
     pub(super) env_steps: u64,
     /// Iterations from one checkpoint to the next.
     pub(super) checkpoint_every: u64,
-    /// Updates by which the weights that roll out may be behind the newest.
-    pub(super) policy_lag_bound: u64,
     /// Times that an environment step goes into an optimiser step of an agent.
     pub(super) sample_reuse: f64,
     /// The iteration after which this learner took the run up.
@@ -37,7 +35,6 @@ impl Facts {
             iterations: launch.iterations,
             env_steps: launch.iterations.saturating_mul(steps),
             checkpoint_every: launch.config.checkpoint.every,
-            policy_lag_bound: launch.training.behaviour.policy_lag,
             sample_reuse: launch.training.sample_reuse(),
             taken_up_at: 0,
         }

@@ -58,13 +58,6 @@ impl Sheet {
         self.gauge("iteration", "Finished iterations", status.iteration as f64);
         let planned = facts.iterations as f64;
         self.gauge("iterations_planned", "Iterations of the whole run", planned);
-        let behind = "Updates by which the weights that roll out are behind the newest";
-        self.gauge("policy_lag", behind, status.policy_lag as f64);
-        self.gauge(
-            "policy_lag_bound",
-            "Most that policy_lag may be",
-            facts.policy_lag_bound as f64,
-        );
         let help = "Times that an environment step goes into an optimiser step of an agent";
         self.gauge("sample_reuse_ratio", help, facts.sample_reuse);
         let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == told.stage)));

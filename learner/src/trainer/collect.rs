@@ -58,8 +58,9 @@ impl Work {
         }
         match self.outside.exchange.wait(GLANCE) {
             Wake::Iteration { rollouts, secs } => {
-                let open = self.open.expect("an iteration is opened before it is complete");
-                self.arrived = Some(Collected { rollouts, secs, behaviour: open.behaviour });
+                let behaviour =
+                    self.behaviour.expect("an iteration is opened before it is complete");
+                self.arrived = Some(Collected { rollouts, secs, behaviour });
             }
             Wake::Evaluation(outcome) => self.take_evaluation(&outcome)?,
             Wake::Failed(error) => return Err(error.into()),
@@ -120,8 +121,7 @@ impl Patience {
         Self { steps: 0, moved: now, told: now, paused: false }
     }
 
-    /// The trainer waits from now on: what it did before, such as an update beside which all rollouts came in, is no
-    /// stillness.
+    /// The trainer waits from now on: what it did before, such as an update, is no stillness.
     fn begin(&mut self, now: Instant) {
         (self.moved, self.told) = (now, now);
     }

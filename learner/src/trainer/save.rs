@@ -1,13 +1,10 @@
 //! One consistent cut of the run: what a checkpoint holds, and when it is written.
 
-use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use bytes::Bytes;
 use policy::arrays::{Array, NamedArrays};
-use proto::PolicyVersion;
 
 use crate::checkpoint::{self, Checkpoint, Saved, Step};
 use crate::error::LearnerError;
@@ -15,9 +12,6 @@ use crate::event::{Event, Stage};
 use crate::exchange::Storage;
 use crate::fault::{self, Point};
 use crate::trainer::{Trainer, Work};
-
-/// The policies that roll out the open iteration, where they are not the newest.
-const ROLLOUT_POLICY: &str = "rollout/policy";
 
 impl Work {
     /// Writes a checkpoint every `checkpoint.every` iterations. One that fails is told loudly and
@@ -83,7 +77,7 @@ impl Trainer {
             iteration: self.iteration,
             env_steps: self.env_steps(),
             arrays: self.arrays()?,
-            policy: self.newest_policy().to_vec(),
+            policy: self.policy.to_vec(),
         };
         let (folder, keep) = (self.folder.path(), &self.config.checkpoint);
         let config = self.config_sha256.to_string();
@@ -103,7 +97,6 @@ impl Trainer {
         arrays.extend(self.observations.arrays());
         arrays.extend(self.environments.arrays());
         arrays.extend(self.evaluations.arrays());
-        arrays.extend(self.older_policies());
         for (name, count) in [("iteration", self.iteration), ("env_steps", self.env_steps())] {
             let array = Array::I64 { shape: vec![1], data: vec![count as i64] };
             arrays.insert(format!("counters/{name}"), array);
@@ -120,24 +113,8 @@ impl Trainer {
         self.observations.restore(arrays)?;
         self.environments.restore(arrays, self.iteration)?;
         self.evaluations.restore(arrays)?;
-        self.policies = self.restored_policies(arrays)?;
+        self.policy = super::policy_bytes(self.algorithm.as_ref(), &self.observations)?;
         Ok(())
-    }
-
-    /// The policies that roll out the open iteration, where they are not the newest: a resume begins it again.
-    fn older_policies(&self) -> NamedArrays {
-        let older = self.policies.iter().take(self.policies.len() - 1);
-        let array = |policy: &Bytes| Array::U8 { shape: vec![policy.len()], data: policy.to_vec() };
-        older.map(|policy| (ROLLOUT_POLICY.to_owned(), array(policy))).collect()
-    }
-
-    fn restored_policies(&self, arrays: &NamedArrays) -> Result<VecDeque<Bytes>, LearnerError> {
-        let newest = super::policy_bytes(self.algorithm.as_ref(), &self.observations)?;
-        if self.schedule.behaviour(self.iteration) == PolicyVersion(self.iteration) {
-            return Ok([newest].into());
-        }
-        let older = checkpoint::fields::bytes(arrays, ROLLOUT_POLICY)?;
-        Ok([Bytes::copy_from_slice(older), newest].into())
     }
 }
 

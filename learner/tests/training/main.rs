@@ -5,7 +5,6 @@
 mod actor;
 mod canary;
 mod film;
-mod overlap;
 mod settings;
 mod toy;
 

@@ -108,7 +108,6 @@ fn training() -> marl::Config {
             "replay": 1000, "batch": 8, "n_step": 2, "warm_up": 0, "updates_per_step": 0.1,
             "noise": 0.1, "polyak": 0.005,
         },
-        "behaviour": {"policy_lag": 0, "factor_max": 2.0},
     }))
     .unwrap()
 }

@@ -95,27 +95,6 @@ fn rewards_that_are_no_numbers_or_overflow_leave_the_update_out_and_are_counted(
 }
 
 #[test]
-fn what_acts_with_a_lag_of_one_follows_the_weights_even_where_an_update_is_left_out() {
-    for rule in RULES {
-        let mut config = config(rule);
-        config.behaviour.policy_lag = 1;
-        let mut algorithm = algorithm(&config);
-        let (batch, owner) =
-            (probe::batch(), if rule.1 == Sharing::Shared { "shared." } else { "agent_" });
-        let of = |algorithm: &dyn Algorithm, prefix: &str| {
-            numbers(&algorithm.arrays().unwrap(), &format!("{prefix}/{owner}"))
-        };
-        let wrong = vec![vec![f32::NAN; batch.rows()]; 2];
-        for rewards in [plain(&batch), wrong, plain(&batch)] {
-            let before = of(algorithm.as_ref(), "weights");
-            algorithm.update(&batch, &rewards, 0).unwrap();
-            assert_eq!(of(algorithm.as_ref(), "behaviour"), before, "{rule:?}");
-        }
-        assert_ne!(of(algorithm.as_ref(), "behaviour"), of(algorithm.as_ref(), "weights"));
-    }
-}
-
-#[test]
 fn huge_rewards_give_a_plain_update() {
     for rule in RULES {
         let mut algorithm = algorithm(&config(rule));

@@ -31,8 +31,6 @@ use crate::surprise::entropy_bound;
 pub(crate) struct Agent {
     /// Agents that share their parameters hold the same network.
     pub(crate) network: Arc<ActorNetwork>,
-    /// The network that acts; with a policy lag of 1 one that is an update behind.
-    pub(crate) behaviour: Arc<ActorNetwork>,
     pub(crate) adam: Adam,
     /// What `adam` moves: the network's parameters and the second head's.
     pub(super) trained: Arc<Parameters>,
@@ -118,17 +116,9 @@ impl Agent {
         ((seed, precision), index): ((RunSeed, Precision), usize),
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
-        let draw = Draw::of(Purpose::Initialisation).agent(number);
+        let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
         let (action, dtype) = ((shape.action, shape.kind.head()), precision.dtype());
-        let network = || {
-            let mut rng = generator(seed, draw);
-            ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)
-        };
-        let start = Arc::new(network()?);
-        let behaviour = match config.behaviour.policy_lag {
-            0 => Arc::clone(&start),
-            _ => Arc::new(network()?),
-        };
+        let network = ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)?;
         let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
         let total: usize = seen.sum();
         let (update, influence) = (&config.update, &config.influence);
@@ -139,7 +129,7 @@ impl Agent {
         };
         let own = PosteriorShape {
             others: total - shape.kind.seen_size(shape.action),
-            features: start.feature_size(),
+            features: network.feature_size(),
             action: shape.action,
             kind: shape.kind,
         };
@@ -156,12 +146,11 @@ impl Agent {
             .transpose()?;
         let none = Parameters::new();
         let second = second_head.as_ref().map_or(&none, SecondHead::parameters);
-        let trained = Arc::new(start.parameters().with("second_head.", second));
+        let trained = Arc::new(network.parameters().with("second_head.", second));
         Ok(Self {
             adam: Adam::new(adam, &trained),
             trained,
-            network: start,
-            behaviour,
+            network: Arc::new(network),
             coefficients: Coefficients {
                 clip: update.clip,
                 entropy: update.entropy,
@@ -230,19 +219,18 @@ impl Agent {
         sigma.iter().filter(|&&sigma| sigma <= lowest).count() as f64 / sigma.len() as f64
     }
 
-    /// What `network` says of all rows, shard by shard: the policy and the log-densities of the actions, `[L, C]`, and
-    /// the features, `[L * C, F]`.
+    /// What today's weights say of all rows, shard by shard: the policy and the log-densities of the actions, `[L, C]`,
+    /// and the features, `[L * C, F]`.
     pub(super) fn asked(
         &self,
-        network: &ActorNetwork,
         sequences: &Sequences,
     ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
-        let (layout, weights) = (sequences.layout, network.weights()?);
+        let (layout, weights) = (sequences.layout, self.network.weights()?);
         let parts = shards(layout.chunks, layout.steps);
         let one = |range: Range<usize>| {
             let columns: Vec<usize> = range.collect();
-            let input = self.input_under(network, sequences, &columns)?;
-            let (head, features) = network.distribution_and_features(&weights, &input)?;
+            let input = self.input(sequences, &columns)?;
+            let (head, features) = self.network.distribution_and_features(&weights, &input)?;
             Ok((HeadRows::of(&head)?, features))
         };
         let (heads, features): (Vec<_>, Vec<_>) = shards::of_each(&parts, one)?.into_iter().unzip();
@@ -300,7 +288,7 @@ impl Agent {
     }
 }
 
-/// Every agent's experience under the behaviour weights.
+/// Every agent's experience under the behaviour weights, which are still the networks' own.
 pub(crate) fn gather(
     agents: &[Agent],
     batch: &Batch,
@@ -310,7 +298,7 @@ pub(crate) fn gather(
     let one = |index: usize| {
         let agent = &agents[index];
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-        let (behaviour, log_prob, features) = agent.asked(&agent.behaviour, &sequences)?;
+        let (behaviour, log_prob, features) = agent.asked(&sequences)?;
         let others = other_actions(agents, batch, index, layout);
         let samples =
             agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));

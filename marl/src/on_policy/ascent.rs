@@ -189,7 +189,7 @@ pub(crate) struct Moved {
 
 /// Today's weights asked about all rows.
 pub(crate) fn moved(agent: &Agent, experience: &Experience) -> Result<Moved, MarlError> {
-    let (now, log_prob, _) = agent.asked(&agent.network, &experience.sequences)?;
+    let (now, log_prob, _) = agent.asked(&experience.sequences)?;
     let kl = experience.behaviour.kl_divergences(&now).iter().sum::<f64>();
     Ok(Moved { log_prob, kl: kl / experience.sequences.layout.rows() as f64 })
 }

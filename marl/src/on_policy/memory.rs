@@ -4,7 +4,7 @@
 
 use candle_core::DType;
 use policy::network::SequenceInput;
-use policy::{ActorNetwork, PolicyConfig, RefreshHidden};
+use policy::{PolicyConfig, RefreshHidden};
 
 use super::agent::Agent;
 use crate::error::MarlError;
@@ -28,23 +28,13 @@ impl Memory {
 }
 
 impl Agent {
-    /// The input of today's network for some chunks; every log-density of an update is asked for with it.
+    /// The network's input for some chunks; every log-density of an update is asked for with it.
     pub(super) fn input(
         &self,
         sequences: &Sequences,
         columns: &[usize],
     ) -> Result<SequenceInput, MarlError> {
-        self.input_under(&self.network, sequences, columns)
-    }
-
-    /// As [`Agent::input`], for `network`.
-    pub(super) fn input_under(
-        &self,
-        network: &ActorNetwork,
-        sequences: &Sequences,
-        columns: &[usize],
-    ) -> Result<SequenceInput, MarlError> {
-        let start = self.run_up(network, sequences, columns, self.memory.burn_in)?;
+        let start = self.run_up(sequences, columns, self.memory.burn_in)?;
         sequences.input_from(columns, start, self.precision.dtype())
     }
 
@@ -69,7 +59,6 @@ impl Agent {
     /// shorter where `D_k` begins within it.
     fn run_up(
         &self,
-        network: &ActorNetwork,
         sequences: &Sequences,
         columns: &[usize],
         burn_in: usize,
@@ -81,8 +70,8 @@ impl Agent {
         if burn_in == 0 || earlier.is_empty() {
             return Ok(states);
         }
-        let start = self.run_up(network, sequences, &earlier, burn_in - 1)?;
-        let found = self.states_after(network, sequences, &earlier, start)?;
+        let start = self.run_up(sequences, &earlier, burn_in - 1)?;
+        let found = self.states_after(sequences, &earlier, start)?;
         let width = self.hidden_size();
         let later = states.chunks_exact_mut(width).zip(columns);
         let later = later.filter(|(_, column)| before(column).is_some());
@@ -100,7 +89,7 @@ impl Agent {
         let mut all = states.clone();
         for chunk in (layout.environments..layout.chunks).step_by(layout.environments) {
             let before: Vec<usize> = (chunk - layout.environments..chunk).collect();
-            states = self.states_after(&self.network, sequences, &before, states)?;
+            states = self.states_after(sequences, &before, states)?;
             all.extend(&states);
         }
         Ok(all)
@@ -110,13 +99,13 @@ impl Agent {
     /// ends with the chunk.
     fn states_after(
         &self,
-        network: &ActorNetwork,
         sequences: &Sequences,
         columns: &[usize],
         start: Vec<f32>,
     ) -> Result<Vec<f32>, MarlError> {
         let input = sequences.input_from(columns, start, self.precision.dtype())?;
-        let last = network.last_state(&network.weights()?, &input)?.to_dtype(DType::F32)?;
+        let last =
+            self.network.last_state(&self.network.weights()?, &input)?.to_dtype(DType::F32)?;
         let mut states = last.flatten_all()?.to_vec1::<f32>()?;
         for (state, &column) in states.chunks_exact_mut(self.hidden_size()).zip(columns) {
             if sequences.ends[column] {

@@ -2,12 +2,11 @@
 //! in chunks agree, so that every ratio and the factor `M` are 1.
 
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
-use policy::{ActorPolicy, CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
+use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
 
 use super::agent::{Agent, Experience, Influence, gather};
-use super::ascent::{gradient, maximise, moved};
+use super::ascent::{gradient, moved};
 use crate::batch::{AgentBatch, Batch, Problem};
-use crate::config::Config;
 use crate::head_rows::HeadRows;
 use crate::minibatch::minibatches;
 use crate::probe;
@@ -36,12 +35,8 @@ fn policies() -> [PolicyConfig; 5] {
 }
 
 fn agents(policy: &PolicyConfig) -> Vec<Agent> {
-    agents_with(&probe::config(), policy)
-}
-
-fn agents_with(config: &Config, policy: &PolicyConfig) -> Vec<Agent> {
     let start = |index| ((RunSeed(3), Precision::Single), index);
-    let agent = |index| Agent::new(config, policy, &probe::problem(), start(index));
+    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), start(index));
     (0..2).map(|index| agent(index).unwrap()).collect()
 }
 
@@ -52,33 +47,25 @@ fn ended(at: &[(usize, usize)]) -> Vec<bool> {
 
 /// What the agents experience of random observations: every step as an actor takes it.
 fn played(agents: &[Agent], problem: &Problem) -> Batch {
-    played_by(&policies_of(agents), problem)
-}
-
-fn policies_of(agents: &[Agent]) -> Vec<ActorPolicy> {
-    agents.iter().map(|agent| agent.policy().unwrap()).collect()
-}
-
-fn played_by(policies: &[ActorPolicy], problem: &Problem) -> Batch {
     let (terminated, truncated) = (ended(&TERMINATED), ended(&TRUNCATED));
     let mut batch = Batch { steps: STEPS, environments: ENVIRONMENTS, ..Batch::default() };
     (batch.terminated, batch.truncated) = (terminated, truncated);
-    for (index, policy) in policies.iter().enumerate() {
+    for (index, agent) in agents.iter().enumerate() {
         let shape = &problem.agents[index];
-        let data = acted(policy, &batch, (shape.observation, shape.action), index as u32);
+        let data = acted(agent, &batch, (shape.observation, shape.action), index as u32);
         batch.agents.push(data);
     }
     batch
 }
 
 fn acted(
-    policy: &ActorPolicy,
+    agent: &Agent,
     batch: &Batch,
     (observation, action): (usize, usize),
     index: u32,
 ) -> AgentBatch {
     let mut rng = generator(RunSeed(5), Draw::of(Purpose::Action).agent(index));
-    let mut scratch = Scratch::default();
+    let (policy, mut scratch) = (agent.policy().unwrap(), Scratch::default());
     let (width, mut data) = (policy.hidden_size(), AgentBatch::default());
     let mut hidden = vec![0.0; ENVIRONMENTS * width];
     for step in 0..STEPS {
@@ -112,7 +99,7 @@ fn experience(agents: &[Agent], batch: &Batch) -> Vec<Experience> {
 fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64> {
     let layout = Layout::of(batch, steps);
     let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-    let (_, found, _) = agent.asked(&agent.network, &sequences).unwrap();
+    let (_, found, _) = agent.asked(&sequences).unwrap();
     let mut in_time = vec![0.0; batch.rows()];
     for step in 0..layout.steps {
         for chunk in 0..layout.chunks {
@@ -148,7 +135,7 @@ fn what_shards_say_of_all_rows_is_what_one_pass_says() {
         let (agent, layout) = (&agents[0], Layout::of(&batch, CHUNK));
         assert!(layout.rows() >= 128, "{} rows are one shard", layout.rows());
         let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
-        let (rows, _, features) = agent.asked(&agent.network, &sequences).unwrap();
+        let (rows, _, features) = agent.asked(&sequences).unwrap();
         let columns: Vec<usize> = (0..layout.chunks).collect();
         let (input, weights) =
             (agent.input(&sequences, &columns).unwrap(), agent.network.weights().unwrap());
@@ -197,43 +184,6 @@ fn an_agent_that_has_not_moved_leaves_the_factor_at_one() {
             factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
         }
         assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{policy:?}: {factor:?}");
-    }
-}
-
-/// How far the learner's log-densities are from those that an agent sent, nats.
-fn off(found: &[f64], batch: &Batch, agent: usize) -> f64 {
-    let sent = Layout::of(batch, CHUNK).chunked(&batch.agents[agent].log_prob, 1);
-    let apart = found.iter().zip(sent).map(|(found, sent)| (found - f64::from(sent)).abs());
-    apart.fold(0.0, f64::max)
-}
-
-#[test]
-fn with_a_lag_of_one_old_log_probs_are_those_that_the_policies_of_the_update_before_sent() {
-    let mut config = probe::config();
-    (config.behaviour.policy_lag, config.update.learning_rate) = (1, 2e-3);
-    for policy in policies() {
-        let mut agents = agents_with(&config, &policy);
-        let mut versions = Vec::new();
-        for iteration in 0..4_usize {
-            versions.push(policies_of(&agents));
-            let acting = &versions[iteration.saturating_sub(1)];
-            let batch = played_by(acting, &probe::problem());
-            agents.iter_mut().for_each(Agent::forget_states);
-            let experience = experience(&agents, &batch);
-            agents.iter().for_each(|agent| agent.remember_today().unwrap());
-            for (index, (agent, known)) in agents.iter_mut().zip(&experience).enumerate() {
-                let apart = off(&known.log_prob, &batch, index);
-                assert!(apart <= 1e-5, "{policy:?} iteration {iteration}: {apart}");
-                let today = agent.log_prob_since(known).unwrap().unwrap();
-                let moved = off(&today, &batch, index) > 1e-3;
-                assert_eq!(moved, iteration > 0, "{policy:?} iteration {iteration}");
-                let draw = Draw::of(Purpose::Minibatch).iteration(iteration as u64);
-                let factor = vec![1.0; today.len()];
-                let seed = (RunSeed(7), draw);
-                maximise(agent, (known, &Influence::default()), (&factor, f64::INFINITY), seed)
-                    .unwrap();
-            }
-        }
     }
 }
 

@@ -198,13 +198,19 @@ fn a_resumed_run_keeps_its_own_values_where_the_presets_have_changed() {
 
 #[test]
 fn a_setting_of_an_earlier_version_is_passed_over_in_a_runs_folder_and_nowhere_else() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file(&folder, "[update]\nshards = 2\nclip = 0.33\n");
-    let resolved = resolve(&Request { resumed: Some(path.clone()), ..request(&[]) }).unwrap();
-    assert_eq!(resolved.entries["update.clip"].value, Scalar::Float(0.33));
-    assert!(!resolved.entries.contains_key("update.shards"));
-    let written = Request { files: vec![path], ..request(&[]) };
-    assert!(resolve(&written).unwrap_err().to_string().contains("update.shards"));
+    for (key, text) in [
+        ("update.shards", "[update]\nshards = 2\nclip = 0.33\n"),
+        ("schedule", "schedule = \"synchronous\"\n[update]\nclip = 0.33\n"),
+        ("overlap.factor_max", "[overlap]\nfactor_max = 2.0\n[update]\nclip = 0.33\n"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = file(&folder, text);
+        let resolved = resolve(&Request { resumed: Some(path.clone()), ..request(&[]) }).unwrap();
+        assert_eq!(resolved.entries["update.clip"].value, Scalar::Float(0.33));
+        assert!(!resolved.entries.contains_key(key));
+        let written = Request { files: vec![path], ..request(&[]) };
+        assert!(resolve(&written).unwrap_err().to_string().contains(key));
+    }
 }
 
 #[test]
