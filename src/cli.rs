@@ -116,10 +116,10 @@ const CONFIG_LAYERS: &str = "\
 Later layers win:
   configs/base.toml             every default
   configs/tasks/TASK.toml       the first argument, or task=TASK
-  configs/outside.toml          with --environment URL, or environment.url=URL
   configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
   configs/algorithms/NAME.toml  algorithm=NAME
   configs/presets/PRESET.toml   algorithm.NAME.TASK, where a preset says so
+  configs/outside.toml          with environment.url, where the above say observation.norm=feature_z
   --config FILE                 in the order given
   S2MIA__SECTION__KEY           environment variables
   section.key=value             arguments";

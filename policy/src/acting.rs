@@ -25,9 +25,9 @@ const MOST_UNITS: usize = 1 << 20;
 #[serde(deny_unknown_fields)]
 pub struct ActorSpec {
     core: CoreKind,
-    /// Left out where it is a LayerNorm, which every policy had at first.
-    #[serde(default, skip_serializing_if = "is_layer_norm")]
-    input_norm: InputNorm,
+    /// Left out where it is a LayerNorm, as in snapshots that know nothing else.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    input_norm: Option<InputNorm>,
     observation: usize,
     action: usize,
     encoder: usize,
@@ -41,10 +41,6 @@ pub struct ActorSpec {
     head: Option<Head>,
 }
 
-fn is_layer_norm(norm: &InputNorm) -> bool {
-    *norm == InputNorm::LayerNorm
-}
-
 impl ActorSpec {
     pub(crate) fn new(
         config: &PolicyConfig,
@@ -53,7 +49,7 @@ impl ActorSpec {
     ) -> Result<Self, PolicyError> {
         let spec = Self {
             core: config.core,
-            input_norm: config.input_norm,
+            input_norm: Some(config.input_norm).filter(|norm| *norm != InputNorm::LayerNorm),
             observation,
             action,
             encoder: config.encoder,
@@ -87,7 +83,7 @@ impl ActorSpec {
     /// The network's layers; the head's weights start with the gain `head_gain`.
     pub(crate) fn layer_specs(&self, head_gain: f64) -> Vec<LayerSpec> {
         let mut layers = Vec::new();
-        if self.input_norm == InputNorm::LayerNorm {
+        if self.input_norm() == InputNorm::LayerNorm {
             layers.push(LayerSpec::norm("encoder.norm", self.observation));
         }
         match self.core {
@@ -118,7 +114,7 @@ impl ActorSpec {
     /// What stands before the first layer.
     #[must_use]
     pub fn input_norm(&self) -> InputNorm {
-        self.input_norm
+        self.input_norm.unwrap_or(InputNorm::LayerNorm)
     }
 
     /// Whether the policy remembers.

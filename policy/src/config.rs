@@ -14,13 +14,12 @@ pub enum CoreKind {
 }
 
 /// What stands between a network's input and its first layer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputNorm {
     /// Nothing: for inputs that are scaled already.
     None,
     /// A LayerNorm, as in HARL. It removes what all features of a row have in common, and with it the scale of the row.
-    #[default]
     LayerNorm,
 }
 

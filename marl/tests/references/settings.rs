@@ -73,7 +73,6 @@ pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> 
         surprise: SurpriseConfig { alpha: 0.01, ..usual.surprise },
         influence: influence(reference, usual.influence),
         maddpg: maddpg(reference, usual.maddpg),
-        ..usual
     }
 }
 
