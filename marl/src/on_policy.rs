@@ -86,9 +86,9 @@ impl Team {
             .collect::<Result<Vec<_>, _>>()?;
         if config.update.parameters == Sharing::Shared {
             let network = Arc::clone(&agents[0].network);
-            let trained = Arc::clone(&agents[0].trained);
+            let trainable = Arc::clone(&agents[0].trainable);
             for agent in &mut agents {
-                (agent.network, agent.trained) = (Arc::clone(&network), Arc::clone(&trained));
+                (agent.network, agent.trainable) = (Arc::clone(&network), Arc::clone(&trainable));
             }
         }
         let critic = Critics::new(config, problem, start)?;

@@ -155,6 +155,23 @@ fn whatever_the_critic_values_the_agents_learn_and_go_on_bit_for_bit_from_what_i
 }
 
 #[test]
+fn an_agent_that_has_used_its_share_of_the_joint_kl_makes_no_further_pass() {
+    for (target_kl, passes) in [(0.0, 4.0), (1e-12, 1.0)] {
+        let mut config = config(0.0);
+        (config.update.target_kl, config.update.epochs) = (target_kl, 4);
+        config.update.minibatches = 2;
+        let mut algorithm = marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
+        let batch = play(&algorithm.snapshot().unwrap(), 0);
+        let rewards = vec![batch.reward.clone(); 2];
+        let report = algorithm.update(&batch, &rewards, 0).unwrap();
+        for agent in ["agent0/epochs", "agent1/epochs"] {
+            let found = report.iter().find(|(name, _)| name == agent).unwrap().1;
+            assert_eq!(found, passes, "{agent} with {target_kl}");
+        }
+    }
+}
+
+#[test]
 fn a_restored_algorithm_goes_on_bit_for_bit_whatever_it_was_before() {
     let (mut kept, mut other) = (algorithm(0.01, 1), algorithm(0.01, 1));
     update(kept.as_mut(), 0);

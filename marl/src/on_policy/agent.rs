@@ -33,7 +33,7 @@ pub(crate) struct Agent {
     pub(crate) network: Arc<ActorNetwork>,
     pub(crate) adam: Adam,
     /// What `adam` moves: the network's parameters and the second head's.
-    pub(super) trained: Arc<Parameters>,
+    pub(super) trainable: Arc<Parameters>,
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
     pub(super) kind: ActionKind,
@@ -146,10 +146,10 @@ impl Agent {
             .transpose()?;
         let none = Parameters::new();
         let second = second_head.as_ref().map_or(&none, SecondHead::parameters);
-        let trained = Arc::new(network.parameters().with("second_head.", second));
+        let trainable = Arc::new(network.parameters().with("second_head.", second));
         Ok(Self {
-            adam: Adam::new(adam, &trained),
-            trained,
+            adam: Adam::new(adam, &trainable),
+            trainable,
             network: Arc::new(network),
             coefficients: Coefficients {
                 clip: update.clip,

@@ -73,7 +73,7 @@ pub(crate) fn maximise(
         let draw = draw.step(epoch as u32);
         for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
             let (figures, gradients) = gradient(agent, known, factor, &columns)?;
-            let norm = agent.adam.step(&agent.trained, &gradients)?;
+            let norm = agent.adam.step(&agent.trainable, &gradients)?;
             agent.project()?;
             done.add(&figures, norm);
         }
@@ -113,7 +113,7 @@ pub(crate) fn maximise_together(
                 found.collect::<Result<Vec<_>, MarlError>>()?.into_iter().unzip();
             let mean = Gradients::mean(gradients);
             let first = &mut agents[0];
-            let norm = first.adam.step(&first.trained, &mean)?;
+            let norm = first.adam.step(&first.trainable, &mean)?;
             first.project()?;
             for (done, figures) in done.iter_mut().zip(&figures) {
                 done.add(figures, norm);
@@ -170,7 +170,7 @@ fn shard(
         let gradient = q.influence_gradient(-lambda / total as f64, &p, term);
         root = (root + gradient.root(second)?)?;
     }
-    Ok((figures, Gradients::of(&agent.trained, &root)?))
+    Ok((figures, Gradients::of(&agent.trainable, &root)?))
 }
 
 impl Share for Figures {

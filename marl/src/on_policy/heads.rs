@@ -105,7 +105,7 @@ mod tests {
         let columns: Vec<usize> = (0..experience[0].sequences.layout.chunks).collect();
         let loss = || gradient(agent, known, &factor, &columns).unwrap().0.loss;
         let found = gradient(agent, known, &factor, &columns).unwrap().1;
-        for (var, slope) in agent.trained.vars().iter().zip(&found.0) {
+        for (var, slope) in agent.trainable.vars().iter().zip(&found.0) {
             let (start, slope, h) = (numbers(var).unwrap(), slope.numbers(), 1e-6);
             let moved = |at: usize, by: f64| {
                 let mut to = start.clone();
