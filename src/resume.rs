@@ -130,16 +130,16 @@ mod tests {
                 "`run.iterations` cannot change on resume: the run has 5 iterations, found 4 iterations",
             ),
             (
-                "run.env_steps=8001",
+                "run.env_steps=2001",
                 "run.iterations=1",
                 "`run.iterations` cannot change on resume: the run has 3 iterations \
-                 (run.env_steps = 8001), found 1 iteration",
+                 (run.env_steps = 2001), found 1 iteration",
             ),
             (
-                "run.env_steps=8001",
-                "run.env_steps=8000",
+                "run.env_steps=2001",
+                "run.env_steps=2000",
                 "`run.env_steps` cannot change on resume: the run has 3 iterations \
-                 (run.env_steps = 8001), found 2 iterations (run.env_steps = 8000)",
+                 (run.env_steps = 2001), found 2 iterations (run.env_steps = 2000)",
             ),
         ] {
             let error = check(&config(&[old]), &config(&[new])).unwrap_err().to_string();

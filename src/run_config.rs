@@ -241,9 +241,12 @@ mod tests {
     }
 
     #[test]
-    fn every_task_with_every_algorithm_and_preset_is_valid() {
+    fn every_task_with_every_algorithm_and_preset_is_valid_but_a_game_with_maddpg() {
         for (task, preset) in tasks_and_presets() {
             for algorithm in presets::ALGORITHMS {
+                if (task, algorithm.name) == ("cue-2x1", "maddpg") {
+                    continue;
+                }
                 let algorithm = format!("algorithm={}", algorithm.name);
                 let config = built(&[task, &algorithm, &format!("preset={preset}")]).unwrap();
                 assert_eq!(config.task.task, task);
@@ -286,9 +289,9 @@ mod tests {
     #[test]
     fn the_default_run_is_a_million_env_steps() {
         let config = built(&[]).unwrap();
-        assert_eq!((config.iterations(), config.env_steps()), (250, 1_000_000));
-        assert_eq!(built(&["run.env_steps=4001"]).unwrap().iterations(), 2);
-        assert_eq!(built(&["run.iterations=5"]).unwrap().env_steps(), 20_000);
+        assert_eq!((config.iterations(), config.env_steps()), (1000, 1_000_000));
+        assert_eq!(built(&["run.env_steps=1001"]).unwrap().iterations(), 2);
+        assert_eq!(built(&["run.iterations=5"]).unwrap().env_steps(), 5_000);
     }
 
     #[test]

@@ -102,11 +102,11 @@ mod tests {
         std::fs::write(run.folder.join("config.toml"), "").unwrap();
         assert_eq!(standing(&run), Standing::Begun { env_steps: 0 });
         let metrics = run.folder.join("metrics.jsonl");
-        let begun = "{\"kind\": \"iteration\", \"iteration\": 2, \"env_steps\": 8000}\n{\"ki";
+        let begun = "{\"kind\": \"iteration\", \"iteration\": 8, \"env_steps\": 8000}\n{\"ki";
         std::fs::write(&metrics, begun).unwrap();
         assert_eq!(standing(&run), Standing::Begun { env_steps: 8000 });
         let last =
-            "{\"kind\": \"evaluation\", \"iteration\": 2, \"env_steps\": 8000, \"mean\": 1}\n";
+            "{\"kind\": \"evaluation\", \"iteration\": 8, \"env_steps\": 8000, \"mean\": 1}\n";
         std::fs::write(&metrics, last).unwrap();
         assert_eq!(standing(&run), Standing::Finished);
     }
