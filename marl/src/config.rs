@@ -191,8 +191,9 @@ impl Config {
         self.surprise.validate()?;
         self.influence.validate()?;
         self.maddpg.validate()?;
-        if (self.update.parameters, self.influence.q_training)
-            == (Sharing::Shared, QTraining::Shared)
+        let both_shared = (Sharing::Shared, QTraining::Shared);
+        if (self.update.parameters, self.influence.q_training) == both_shared
+            && self.influence.lambda > 0.0
         {
             let range = "mle with update.parameters = shared: a trunk has one second head";
             return Err(refuse("influence.q_training", "shared", range));
