@@ -58,7 +58,7 @@ impl Trained {
 }
 
 /// One agent by itself, its advantages weighed with `factor`, `[L, C]`. It stops after the first epoch in which it moved
-/// farther than `kl_limit`, nats.
+/// as far as `kl_limit`, nats.
 pub(crate) fn maximise(
     agent: &mut Agent,
     known: PerAgent<'_>,
@@ -77,7 +77,7 @@ pub(crate) fn maximise(
             agent.project()?;
             done.add(&figures, norm);
         }
-        if trained.add_epoch(&done) > kl_limit {
+        if trained.add_epoch(&done) >= kl_limit {
             break;
         }
     }
@@ -87,7 +87,7 @@ pub(crate) fn maximise(
 
 /// Agents that share one network, whose optimiser is the first one's: each step follows the mean of
 /// their gradients, as if a minibatch held the rows of all of them. `draws` are the agents' own. They stop after the
-/// first epoch in which they together moved farther than `kl_limit`, nats.
+/// first epoch in which they together moved as far as `kl_limit`, nats.
 pub(crate) fn maximise_together(
     agents: &mut [Agent],
     known: &[PerAgent<'_>],
@@ -120,7 +120,7 @@ pub(crate) fn maximise_together(
             }
         }
         let moved = trained.iter_mut().zip(&done).map(|(all, done)| all.add_epoch(done));
-        if moved.sum::<f64>() > kl_limit {
+        if moved.sum::<f64>() >= kl_limit {
             break;
         }
     }
