@@ -50,25 +50,22 @@ pub fn play_episode(
     mut on_step: impl FnMut(&PlayedStep<'_>),
 ) -> Result<Episode, EnvironmentError> {
     world.reset(0, 0, world.description().episode_steps, key)?;
-    play_while(world, (policy, choice), &mut |step| {
-        on_step(step);
-        ControlFlow::Continue(())
-    })
+    play_on(world, (policy, choice), &mut on_step)
 }
 
-/// As [`play_episode`] with mean actions, from where environment 0 stands.
+/// As [`play_episode`], from where environment 0 stands.
 pub(crate) fn play_on(
     world: &mut dyn EnvironmentBatch,
-    policy: &PolicySnapshot,
+    acting: (&PolicySnapshot, ActionChoice),
     on_step: &mut impl FnMut(&PlayedStep<'_>),
 ) -> Result<Episode, EnvironmentError> {
-    play_while(world, (policy, ActionChoice::Mean), &mut |step| {
+    play_while(world, acting, &mut |step| {
         on_step(step);
         ControlFlow::Continue(())
     })
 }
 
-/// As [`play_episode`], from where environment 0 stands, but `on_step` may break the episode off.
+/// As [`play_on`], but `on_step` may break the episode off.
 pub(crate) fn play_while(
     world: &mut dyn EnvironmentBatch,
     (policy, choice): (&PolicySnapshot, ActionChoice),

@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use policy::{Key, PolicySnapshot, RunSeed};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork, RunDescription, Work,
-    wire,
+    ActionChoice, EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork,
+    RunDescription, Work, wire,
 };
 use tokio::sync::mpsc;
 
@@ -168,7 +168,7 @@ impl Worlds {
             FILMED => Camera::before(world)?,
             _ => None,
         };
-        let episode = play_on(world, &job.policy, &mut |step| {
+        let episode = play_on(world, (&job.policy, ActionChoice::Mean), &mut |step| {
             if let Some(camera) = &mut camera {
                 camera.see(step.world);
             }

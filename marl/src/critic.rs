@@ -36,7 +36,8 @@ pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
     precision: Precision,
-    name: String,
+    /// What its arrays' names end with.
+    suffix: String,
     /// Its number among the critics, which is also that of its first value.
     index: u32,
     /// `V`.
@@ -109,7 +110,7 @@ pub fn value_loss(value: f64, old: f64, target: f64, (clip, delta): (f64, f64)) 
 }
 
 impl Critic {
-    /// A critic called `name` that gives `count` values for `inputs` numbers; `index` tells critics of a team apart,
+    /// A critic that gives `count` values for `inputs` numbers; `suffix` and `index` tell critics of a team apart,
     /// `adam_epsilon` is as in the actors' optimiser.
     ///
     /// # Errors
@@ -117,7 +118,7 @@ impl Critic {
     pub fn new(
         config: &CriticConfig,
         adam_epsilon: f64,
-        (name, index): (&str, u32),
+        (suffix, index): (&str, u32),
         (inputs, count): (usize, usize),
         (seed, precision): (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
@@ -140,7 +141,7 @@ impl Critic {
             config: config.clone(),
             seed,
             precision,
-            name: name.to_owned(),
+            suffix: suffix.to_owned(),
             index,
             count,
             inputs,
@@ -277,19 +278,14 @@ impl Critic {
         Ok((loss, Gradients::of(&self.parameters, &root)?))
     }
 
-    /// Where the state of the scale of its inputs is kept; of a critic of global states it is `normalizer/state.*`.
-    fn scale_prefix(&self) -> String {
-        format!("normalizer/{}", self.name.replacen("critic", "state", 1) + ".")
-    }
-
-    /// `weights/NAME.*`, `optimizer/NAME.*`, `normalizer/value_I`, `normalizer/state*.*`.
+    /// `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`, the suffix for the first `*`.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.parameters.to_arrays(&format!("weights/{}.", self.name))?;
-        arrays.append(&mut self.adam.arrays(&format!("optimizer/{}.", self.name)));
-        arrays.append(&mut self.scale.arrays(&self.scale_prefix()));
+        let mut arrays = self.parameters.to_arrays(&format!("weights/critic{}.", self.suffix))?;
+        arrays.append(&mut self.adam.arrays(&format!("optimizer/critic{}.", self.suffix)));
+        arrays.append(&mut self.scale.arrays(&format!("normalizer/state{}.", self.suffix)));
         for (agent, normalizer) in (self.index..).zip(&self.normalizers) {
             let array = Array::F64 { shape: vec![3], data: normalizer.state().to_vec() };
             arrays.insert(format!("normalizer/value_{agent}"), array);
@@ -302,9 +298,9 @@ impl Critic {
     /// # Errors
     /// Names an array that is missing or does not fit.
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.parameters.load(&format!("weights/{}.", self.name), arrays)?;
-        self.adam.restore(&format!("optimizer/{}.", self.name), arrays)?;
-        self.scale.restore(&self.scale_prefix(), arrays)?;
+        self.parameters.load(&format!("weights/critic{}.", self.suffix), arrays)?;
+        self.adam.restore(&format!("optimizer/critic{}.", self.suffix), arrays)?;
+        self.scale.restore(&format!("normalizer/state{}.", self.suffix), arrays)?;
         for (agent, normalizer) in (self.index..).zip(&mut self.normalizers) {
             let name = format!("normalizer/value_{agent}");
             match arrays.get(&name) {

@@ -210,10 +210,7 @@ impl HeadRows {
     /// The rows of `parts`, of this kind each, one after another; no rows without parts.
     #[must_use]
     pub fn joined(&self, parts: &[Self]) -> Self {
-        let numbers = |part: &Self| match part {
-            Self::Gaussian { mean, .. } => mean.clone(),
-            Self::Categorical { logits, .. } => logits.clone(),
-        };
+        let numbers = |part: &Self| part.clone().into_numbers().0;
         let all: Vec<f64> = parts.iter().flat_map(numbers).collect();
         match (parts.first().unwrap_or(self), all) {
             (Self::Gaussian { sigma, .. }, mean) => Self::Gaussian { mean, sigma: sigma.clone() },
@@ -252,10 +249,7 @@ impl HeadRows {
             }
             all
         };
-        let numbers = |part: &Self| match part {
-            Self::Gaussian { mean, .. } => mean.clone(),
-            Self::Categorical { logits, .. } => logits.clone(),
-        };
+        let numbers = |part: &Self| part.clone().into_numbers().0;
         match &parts[0] {
             Self::Gaussian { sigma, .. } => {
                 Self::Gaussian { mean: together(sigma.len(), &numbers), sigma: sigma.clone() }

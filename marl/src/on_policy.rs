@@ -57,10 +57,10 @@ impl Prepared {
     /// How well every agent's returns were known, and what its posterior came to.
     pub(crate) fn report(&self, mode: CriticMode, precision: Precision) -> Report {
         let mut report = Report::new();
+        let values: Vec<Vec<f64>> = self.values.iter().flat_map(|own| own.now.clone()).collect();
         for (index, influence) in self.influence.iter().enumerate() {
             let of = |valued: &[Vec<f64>]| precision.rounded(mode.of_agent(valued, index));
-            let known: Vec<Vec<f64>> = self.values.iter().flat_map(|own| own.now.clone()).collect();
-            let (known, returns) = (of(&known), of(&self.returns));
+            let (known, returns) = (of(&values), of(&self.returns));
             let explained = explained_variance(precision, &known, &returns);
             report.push((format!("agent{index}/explained_variance"), explained));
             report.extend(influence.report(index));

@@ -146,8 +146,10 @@ fn every_rule_learns_a_sum_that_no_agent_commands_alone() {
         let before = skill(algorithm.as_ref());
         (0..60).for_each(|iteration| update(algorithm.as_mut(), iteration));
         let after = skill(algorithm.as_ref());
+        // Agents that move one network one after the other also undo some of what those before them learnt.
+        let enough = if rule == (Rule::Happo, Sharing::Shared) { 0.9 } else { 0.95 };
         // Means of zero leave all of x, whose variance is .25, unanswered.
-        assert!(before < 0.8 && after > 0.9, "{rule:?}: {before} {after}");
+        assert!(before < 0.8 && after > enough, "{rule:?}: {before} {after}");
     }
 }
 

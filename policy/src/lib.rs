@@ -31,7 +31,7 @@ pub use config::{CoreKind, InputNorm, PolicyConfig, RefreshHidden};
 pub use error::PolicyError;
 pub use gaussian::Gaussian;
 pub use head::{Distribution, Head};
-pub use network::{ActorNetwork, SequenceInput};
+pub use network::{ActorNetwork, SequenceInput, hold_sigma};
 pub use parameters::Parameters;
 pub use precision::Precision;
 pub use probe::probe;

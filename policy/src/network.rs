@@ -201,16 +201,7 @@ impl ActorNetwork {
     /// Passes on a tensor error.
     pub fn project(&self) -> Result<(), PolicyError> {
         let Some(log_std) = &self.log_std else { return Ok(()) };
-        let share = self.sigma_floor / self.spec.sigma_scale();
-        let lowest = libm::log(share / (1.0 - share));
-        let values = log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
-        if values.iter().any(|&value| value < lowest) {
-            let held: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
-            let width = held.len();
-            let held = Tensor::from_vec(held, width, &Device::Cpu)?;
-            log_std.set(&held.to_dtype(log_std.dtype())?)?;
-        }
-        Ok(())
+        hold_sigma(log_std, self.sigma_floor, self.spec.sigma_scale())
     }
 
     /// A plain copy to act with, in single precision.
@@ -227,4 +218,21 @@ impl ActorNetwork {
         }
         ActorPolicy::new(self.spec.clone(), arrays)
     }
+}
+
+/// Raises `log_std` to where `sigma = sigmoid(log_std) * scale` is at least `floor`, which is below `scale`.
+///
+/// # Errors
+/// Passes on a tensor error.
+pub fn hold_sigma(log_std: &Var, floor: f64, scale: f64) -> Result<(), PolicyError> {
+    let share = floor / scale;
+    let lowest = libm::log(share / (1.0 - share));
+    let values = log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
+    if values.iter().any(|&value| value < lowest) {
+        let held: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
+        let width = held.len();
+        let held = Tensor::from_vec(held, width, &Device::Cpu)?;
+        log_std.set(&held.to_dtype(log_std.dtype())?)?;
+    }
+    Ok(())
 }

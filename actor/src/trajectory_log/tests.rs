@@ -13,8 +13,8 @@ use std::sync::Arc;
 
 use policy::{Draw, Purpose, RunSeed, generator};
 use proto::{
-    Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId, PolicyVersion,
-    RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
+    ActionChoice, Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId,
+    PolicyVersion, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
 };
 
 use super::shares::{LoggedShare, ReadShares, read_shares};
@@ -80,7 +80,7 @@ pub(super) fn evaluate(desk: &Desk, work: EvaluationWork) {
     world.reset(0, 0, 25, &mut rng);
     let lease = lease(Work::Evaluation(work));
     let Some(mut witness) = desk.evaluation(&lease, work, &world) else { return };
-    play_on(&mut world, &policy(), &mut |step| witness.see(step)).unwrap();
+    play_on(&mut world, (&policy(), ActionChoice::Mean), &mut |step| witness.see(step)).unwrap();
     desk.take_evaluation(witness);
 }
 

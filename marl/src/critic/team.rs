@@ -6,8 +6,8 @@ use policy::{Precision, RunSeed};
 use rayon::prelude::*;
 
 use super::{Critic, CriticFigures, Seen, Values};
-use crate::batch::{Batch, Final, Problem};
-use crate::config::{Config, CriticConfig, CriticInput};
+use crate::batch::{AgentShape, Batch, Final, Problem};
+use crate::config::{Config, CriticInput};
 use crate::error::MarlError;
 
 /// One critic, or one for each agent.
@@ -23,23 +23,22 @@ impl Critics {
         problem: &Problem,
         start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
-        let own = CriticConfig { mode: config.critic_mode(), ..config.critic.clone() };
-        let (input, epsilon) = (own.input, config.update.adam_epsilon);
-        let critics = match input {
+        let (own, epsilon) = (&config.critic, config.update.adam_epsilon);
+        let critics = match own.input {
             CriticInput::State => {
-                let sizes = (problem.state, own.mode.values(problem.agents.len()));
-                vec![Critic::new(&own, epsilon, ("critic", 0), sizes, start)?]
+                let sizes = (problem.state, config.critic_mode().values(problem.agents.len()));
+                vec![Critic::new(own, epsilon, ("", 0), sizes, start)?]
             }
             CriticInput::Observation => {
-                let one = |(index, agent): (usize, &crate::batch::AgentShape)| {
-                    let name = format!("critic_{index}");
-                    let number = (name.as_str(), index as u32);
-                    Critic::new(&own, epsilon, number, (agent.observation, 1), start)
+                let one = |(index, agent): (usize, &AgentShape)| {
+                    let suffix = format!("_{index}");
+                    let number = (suffix.as_str(), index as u32);
+                    Critic::new(own, epsilon, number, (agent.observation, 1), start)
                 };
                 problem.agents.iter().enumerate().map(one).collect::<Result<_, _>>()?
             }
         };
-        Ok(Self { input, critics })
+        Ok(Self { input: own.input, critics })
     }
 
     /// From now on its steps have the share `share` of their configured size.

@@ -152,7 +152,7 @@ impl Posterior {
 
     /// Maximum likelihood on the rows `trained` of `data`: `max_xi mean log q_xi(a^i | a^-i, o^i, h^i)`, until an epoch
     /// no longer raises the likelihood of the rows `held_out`, or for all epochs if there are none. That last epoch is
-    /// undone. Gives the mean log-likelihood of the last epoch that counts, nats, or of the policy without one.
+    /// undone. Gives the mean log-likelihood of the last epoch that counts, nats, or what it was before if there is none.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -162,8 +162,7 @@ impl Posterior {
         (trained, held_out): (&[usize], &[usize]),
         (seed, draw): (RunSeed, Draw),
     ) -> Result<f64, MarlError> {
-        let mut reached =
-            (self.log_likelihood(data, trained)?, self.log_likelihood(data, held_out)?);
+        let (mut reached, mut counted) = (self.log_likelihood(data, held_out)?, None);
         for epoch in 0..self.config.epochs {
             let before = self.parameters.to_arrays("")?;
             let (mut likelihood, draw) = (0.0, draw.step(epoch as u32));
@@ -172,13 +171,13 @@ impl Posterior {
                 likelihood += self.step(data, &part)? * part.len() as f64 / trained.len() as f64;
             }
             let found = self.log_likelihood(data, held_out)?;
-            if !held_out.is_empty() && found <= reached.1 {
+            if !held_out.is_empty() && found <= reached {
                 self.parameters.load("", &before)?;
                 break;
             }
-            reached = (likelihood, found);
+            (reached, counted) = (found, Some(likelihood));
         }
-        Ok(reached.0)
+        counted.map_or_else(|| self.log_likelihood(data, trained), Ok)
     }
 
     /// Mean `log q` of the actions in the rows `of`, nats; 0 of none.

@@ -6,11 +6,10 @@ use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{Distribution, Gaussian, PolicyConfig, Precision};
+use policy::{Distribution, Gaussian, PolicyConfig, Precision, hold_sigma};
 
 use crate::config::InfluenceConfig;
 use crate::error::MarlError;
-use crate::gradient::numbers;
 use crate::head_rows::HeadRows;
 use crate::influence::posterior::{Conditions, PosteriorShape};
 use crate::layers::rows;
@@ -112,12 +111,6 @@ impl SecondHead {
     /// # Errors
     /// Passes on a tensor error.
     pub fn project(&self) -> Result<(), MarlError> {
-        let share = self.sigma_floor / self.sigma_scale;
-        let lowest = self.precision.round(libm::log(share / (1.0 - share)));
-        let held = numbers(self.log_std.as_tensor())?.into_iter().map(|value| value.max(lowest));
-        let held: Vec<f64> = held.collect();
-        let width = held.len();
-        let held = Tensor::from_vec(held, width, &Device::Cpu)?;
-        Ok(self.log_std.set(&held.to_dtype(self.precision.dtype())?)?)
+        Ok(hold_sigma(&self.log_std, self.sigma_floor, self.sigma_scale)?)
     }
 }

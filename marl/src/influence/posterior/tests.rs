@@ -50,6 +50,11 @@ fn actions(rho: f64) -> (Vec<f64>, Vec<f32>) {
     (0..ROWS).map(pair).unzip()
 }
 
+/// Features that say nothing, `[ROWS, 2]`.
+fn features() -> Tensor {
+    Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap()
+}
+
 /// The policy whose actions these are, if nobody looks at the others'.
 fn marginal() -> HeadRows {
     HeadRows::Gaussian { mean: vec![0.0; ROWS], sigma: vec![SIGMA] }
@@ -75,7 +80,7 @@ fn information(posterior: &Posterior, data: &Conditions<'_>) -> f64 {
 /// Trains on four rows of five; the mean gain in log-density over the marginal on the fifth.
 fn estimate(rho: f64) -> f64 {
     let (action, others) = actions(rho);
-    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let features = features();
     let data =
         Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
     let mut posterior = posterior();
@@ -111,7 +116,7 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
         action.push(((row + chance) % 3) as f64);
         kind.see(&[(row % 3) as f32], &mut others);
     }
-    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let features = features();
     let even = HeadRows::Categorical { logits: vec![0.0; 3 * ROWS], choices: 3 };
     let data = Conditions { features: &features, others: &others, action: &action, policy: &even };
     let mut posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
@@ -124,7 +129,7 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
 #[test]
 fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
     let (action, others) = actions(0.8);
-    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let features = features();
     let data =
         Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
     let all: Vec<usize> = (0..ROWS).collect();
@@ -143,7 +148,7 @@ fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
 #[test]
 fn an_untrained_posterior_is_the_policy_and_knows_exactly_nothing() {
     let (action, others) = actions(0.8);
-    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let features = features();
     let policy = marginal();
     let data =
         Conditions { features: &features, others: &others, action: &action, policy: &policy };
@@ -155,7 +160,7 @@ fn an_untrained_posterior_is_the_policy_and_knows_exactly_nothing() {
 #[test]
 fn training_never_lowers_the_likelihood_of_the_rows_that_are_held_out() {
     let (action, others) = actions(0.0);
-    let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+    let features = features();
     let policy = marginal();
     let data =
         Conditions { features: &features, others: &others, action: &action, policy: &policy };
