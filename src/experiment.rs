@@ -6,6 +6,8 @@ pub(crate) mod file;
 pub(crate) mod listing;
 pub(crate) mod plan;
 pub(crate) mod progress;
+pub(crate) mod record;
 pub(crate) mod report;
 pub(crate) mod results;
 pub(crate) mod standing;
+pub(crate) mod verdict;

@@ -7,6 +7,9 @@ use policy::{Draw, Purpose, RunSeed, generator};
 /// Resamplings of a bootstrap.
 const RESAMPLES: usize = 2000;
 
+/// Random exchanges of a permutation test.
+const PERMUTATIONS: usize = 10_000;
+
 /// Share of a bootstrap's resamplings that its interval holds.
 const CONFIDENCE: f64 = 0.95;
 
@@ -106,6 +109,46 @@ pub(crate) fn probability_of_improvement(runs: &[f64], baseline: &[f64]) -> f64 
     scores.sum::<f64>() / (runs.len() * baseline.len()) as f64
 }
 
+/// Two-sided p-value of the mean over strata of [`probability_of_improvement`], under the hypothesis that within a
+/// stratum both samples come from one distribution: the share of 10,000 random exchanges within strata (and of what is
+/// there) whose mean lies at least as far from 1/2. What is drawn depends on `key` alone.
+pub(crate) fn permutation_p_value(strata: &[(Vec<f64>, Vec<f64>)], key: Draw) -> f64 {
+    let mut rng = generator(RunSeed(0), Draw { purpose: Purpose::Bootstrap, ..key });
+    let improvement =
+        |(own, rivals): &(Vec<f64>, Vec<f64>)| probability_of_improvement(own, rivals);
+    let distance = |strata: &[(Vec<f64>, Vec<f64>)]| {
+        (strata.iter().map(improvement).sum::<f64>() / strata.len() as f64 - 0.5).abs()
+    };
+    let found = distance(strata);
+    let mut exchanged = |(own, rivals): &(Vec<f64>, Vec<f64>)| {
+        let mut all = [own.as_slice(), rivals.as_slice()].concat();
+        for last in (1..all.len()).rev() {
+            all.swap(last, (f64::from(uniform(&mut rng)) * (last + 1) as f64) as usize);
+        }
+        let rivals = all.split_off(own.len());
+        (all, rivals)
+    };
+    let as_far = (0..PERMUTATIONS)
+        .filter(|_| {
+            distance(&strata.iter().map(&mut exchanged).collect::<Vec<_>>()) >= found - 1e-12
+        })
+        .count();
+    (as_far + 1) as f64 / (PERMUTATIONS + 1) as f64
+}
+
+/// Holm's correction: p-values of several tests, each made larger so that the chance of any false rejection stays below
+/// the level at which they are read. In the order given.
+pub(crate) fn holm_adjusted(p_values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..p_values.len()).collect();
+    order.sort_by(|&left, &right| p_values[left].total_cmp(&p_values[right]));
+    let (mut adjusted, mut largest) = (vec![0.0; p_values.len()], 0.0_f64);
+    for (rank, &index) in order.iter().enumerate() {
+        largest = largest.max((p_values.len() - rank) as f64 * p_values[index]).min(1.0);
+        adjusted[index] = largest;
+    }
+    adjusted
+}
+
 fn sorted(values: &[f64]) -> Vec<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -124,6 +167,22 @@ mod tests {
     fn the_interquartile_mean_of_eight_is_the_mean_of_the_middle_four() {
         let values = [900.0, 1.0, 5.0, 4.0, 3.0, 2.0, -700.0, 6.0];
         assert_eq!(interquartile_mean(&values), (2.0 + 3.0 + 4.0 + 5.0) / 4.0);
+    }
+
+    #[test]
+    fn the_permutation_test_meets_the_exact_share_of_exchanges() {
+        // Of the 20 ways to part six numbers in two halves, two are as uneven as this one.
+        let strata = [(vec![4.0, 5.0, 6.0], vec![1.0, 2.0, 3.0])];
+        assert!((permutation_p_value(&strata, key()) - 0.1).abs() < 0.01);
+        let level = [(vec![1.0, 2.0], vec![1.0, 2.0])];
+        assert_eq!(permutation_p_value(&level, key()), 1.0);
+    }
+
+    #[test]
+    fn holms_correction_meets_a_case_worked_by_hand() {
+        // In order .01, .02, .04: 3 * .01, then 2 * .02, then .04, never less than the one before.
+        assert_eq!(holm_adjusted(&[0.04, 0.01, 0.02]), [0.04, 0.03, 0.04]);
+        assert_eq!(holm_adjusted(&[0.6, 0.7]), [1.0, 1.0]);
     }
 
     #[test]

@@ -63,6 +63,9 @@ pub struct UpdateConfig {
     /// Joint `KL[old || new]` of all agents' policies, nats; an agent makes no further pass once it has used its
     /// share. 0: no limit.
     pub target_kl: f64,
+    /// `KL[old || new]` of one agent's policy, nats, which its step size is adapted to ([`crate::learning_rate::adapted`]).
+    /// 0: it is not.
+    pub desired_kl: f64,
     /// Weight of the entropy bonus.
     pub entropy: f64,
     /// Global norm to which gradients are clipped.
@@ -333,6 +336,7 @@ impl UpdateConfig {
         count("update.epochs", self.epochs)?;
         count("update.minibatches", self.minibatches)?;
         not_negative("update.target_kl", self.target_kl)?;
+        not_negative("update.desired_kl", self.desired_kl)?;
         not_negative("update.entropy", self.entropy)?;
         positive("update.max_gradient_norm", self.max_gradient_norm)
     }

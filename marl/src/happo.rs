@@ -106,6 +106,7 @@ fn sweep(
         let trained = maximise(agent, known, (&factor, budget.share()), (seed, draw))?;
         let moved = moved(agent, known.0)?;
         budget.spend(moved.kl);
+        agent.adam.adapt(moved.kl, agent.update.desired_kl);
         reports[index] = agent_report(agent, index, known.0, &trained, &moved)?;
         reports[index].extend(place_in_the_sweep(index, position, &factor));
         factor = sequential_factor(&factor, &moved.log_prob, &known.0.log_prob);

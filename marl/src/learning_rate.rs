@@ -1,4 +1,4 @@
-//! How step sizes shrink over a run. The index of the iteration decides, never a clock.
+//! How step sizes change over a run: with the index of the iteration, or with how far an update moved a policy.
 
 use serde::{Deserialize, Serialize};
 
@@ -28,9 +28,44 @@ fn linear_share(iteration: u64, iterations: u64) -> f64 {
     iterations.saturating_sub(iteration) as f64 / iterations.max(1) as f64
 }
 
+/// By what the share grows or shrinks at once.
+const STEP: f64 = 1.2;
+/// A divergence within this factor of the desired one is near enough.
+const NEAR: f64 = 1.5;
+/// The smallest share.
+const SMALLEST: f64 = 0.02;
+
+/// The share of the configured step size for an agent's next update, after one with `share` moved its policy by `kl` nats
+/// where `desired` nats, above 0, were wanted. At most 1. A `kl` that is no number changes nothing.
+#[must_use]
+pub fn adapted(share: f64, kl: f64, desired: f64) -> f64 {
+    let factor = match kl / desired {
+        far if far > NEAR => 1.0 / STEP,
+        far if far < 1.0 / NEAR => STEP,
+        _ => 1.0,
+    };
+    (share * factor).clamp(SMALLEST, 1.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_policy_that_moves_too_far_takes_smaller_steps_and_one_that_hardly_moves_larger_ones_again()
+    {
+        assert_eq!(adapted(0.6, 0.016, 0.01), 0.6 / 1.2);
+        assert_eq!(adapted(0.6, 0.006, 0.01), 0.6 * 1.2);
+        for kl in [0.007, 0.01, 0.014, f64::NAN] {
+            assert_eq!(adapted(0.6, kl, 0.01), 0.6);
+        }
+    }
+
+    #[test]
+    fn an_adapted_step_is_never_larger_than_configured_nor_nothing() {
+        assert_eq!(adapted(0.9, 0.0, 0.01), 1.0);
+        assert_eq!(adapted(0.02, f64::INFINITY, 0.01), 0.02);
+    }
 
     #[test]
     fn over_four_iterations_the_step_size_falls_by_quarters() {

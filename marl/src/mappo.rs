@@ -12,7 +12,7 @@ use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Config, Sharing};
 use crate::error::MarlError;
 use crate::on_policy::agent::Agent;
-use crate::on_policy::ascent::{PerAgent, Trained, maximise, maximise_together, moved};
+use crate::on_policy::ascent::{Moved, PerAgent, Trained, maximise, maximise_together, moved};
 use crate::on_policy::kl_budget::KlBudget;
 use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
 use crate::phase::{Phase, PhaseObserver, during};
@@ -65,11 +65,13 @@ impl Algorithm for Mappo {
             || during(&**observer, Phase::Critic, fit),
         );
         let mut report = critic_report(&fitted?);
-        for (index, (agent, trained)) in self.team.agents.iter().zip(&climbed?).enumerate() {
-            let experience = &prepared.experience[index];
-            let moved = moved(agent, experience)?;
-            report.extend(agent_report(agent, index, experience, trained, &moved)?);
+        let asked = agents.iter().zip(&prepared.experience).map(|(agent, own)| moved(agent, own));
+        let moved = asked.collect::<Result<Vec<_>, _>>()?;
+        for (index, trained) in climbed?.iter().enumerate() {
+            let (agent, experience) = (&agents[index], &prepared.experience[index]);
+            report.extend(agent_report(agent, index, experience, trained, &moved[index])?);
         }
+        adapt_steps(agents, &moved, sharing);
         report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
         Ok(report)
     }
@@ -84,6 +86,20 @@ impl Algorithm for Mappo {
 
     fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
         self.team.restore(arrays)
+    }
+}
+
+/// Adapts every optimiser's step size to how far its policy moved; that of all agents to how far they moved on average.
+fn adapt_steps(agents: &mut [Agent], moved: &[Moved], sharing: Sharing) {
+    let desired = agents[0].update.desired_kl;
+    match sharing {
+        Sharing::Shared => {
+            let kl = moved.iter().map(|own| own.kl).sum::<f64>() / moved.len() as f64;
+            agents[0].adam.adapt(kl, desired);
+        }
+        Sharing::Separate => {
+            agents.iter_mut().zip(moved).for_each(|(agent, own)| agent.adam.adapt(own.kl, desired));
+        }
     }
 }
 

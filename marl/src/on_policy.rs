@@ -230,6 +230,7 @@ pub(crate) fn agent_report(
         ("ratio_held", figures.held_fraction),
         ("gradient_norm", trained.gradient_norm),
         ("epochs", trained.epochs as f64),
+        ("learning_rate", trained.learning_rate),
         ("skipped_steps", trained.skipped as f64),
         ("influence_kl", figures.influence),
         ("influence_capped", figures.capped_fraction),

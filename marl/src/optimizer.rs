@@ -8,6 +8,7 @@ use policy::parameters::{Parameters, Slot};
 
 use crate::error::MarlError;
 use crate::gradient::Gradients;
+use crate::learning_rate::adapted;
 use crate::reals::Reals;
 
 const BETA_1: f64 = 0.9;
@@ -28,8 +29,10 @@ pub struct AdamConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
     config: AdamConfig,
-    /// Share of the configured step size that the next steps take.
-    share: f64,
+    /// Share of the configured step size that the run leaves at this iteration. Not part of the state to keep.
+    decay: f64,
+    /// Share of the configured step size that the movement of a policy leaves.
+    adapted: f64,
     slots: Vec<Slot>,
     first: Vec<Reals>,
     second: Vec<Reals>,
@@ -44,7 +47,8 @@ impl Adam {
         let zeros: Vec<Reals> = parameters.vars().iter().map(|var| Reals::zeros(var)).collect();
         Self {
             config,
-            share: 1.0,
+            decay: 1.0,
+            adapted: 1.0,
             slots: parameters.slots().to_vec(),
             first: zeros.clone(),
             second: zeros,
@@ -55,7 +59,21 @@ impl Adam {
 
     /// From now on steps have the share `share` of the configured size. It is not part of the state to keep.
     pub fn scale_learning_rate(&mut self, share: f64) {
-        self.share = share;
+        self.decay = share;
+    }
+
+    /// Adapts the step size to an update that moved the policy by `kl` nats, where `desired` were wanted; 0: nothing
+    /// is.
+    pub fn adapt(&mut self, kl: f64, desired: f64) {
+        if desired > 0.0 {
+            self.adapted = adapted(self.adapted, kl, desired);
+        }
+    }
+
+    /// The size of the next step.
+    #[must_use]
+    pub fn learning_rate(&self) -> f64 {
+        self.decay * self.adapted * self.config.learning_rate
     }
 
     /// Takes one step down the gradient and returns the gradient's norm before clipping. A gradient
@@ -78,7 +96,7 @@ impl Adam {
         let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0);
         let stride = Stride {
             scale,
-            length: self.share * self.config.learning_rate / (1.0 - pow(BETA_1, self.steps as f64)),
+            length: self.learning_rate() / (1.0 - pow(BETA_1, self.steps as f64)),
             root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
             epsilon: self.config.epsilon,
         };
@@ -99,7 +117,7 @@ impl Adam {
         self.skipped
     }
 
-    /// The state to keep: `PREFIXm.NAME`, `PREFIXv.NAME`, `PREFIXsteps`, `PREFIXskipped`.
+    /// The state to keep: `PREFIXm.NAME`, `PREFIXv.NAME`, `PREFIXsteps`, `PREFIXskipped`, `PREFIXadapted`.
     #[must_use]
     pub fn arrays(&self, prefix: &str) -> NamedArrays {
         let mut arrays = NamedArrays::new();
@@ -113,6 +131,8 @@ impl Adam {
             let array = Array::I64 { shape: vec![1], data: vec![count] };
             arrays.insert(format!("{prefix}{name}"), array);
         }
+        let share = Array::F64 { shape: vec![1], data: vec![self.adapted] };
+        arrays.insert(format!("{prefix}adapted"), share);
         arrays
     }
 
@@ -127,6 +147,7 @@ impl Adam {
         }
         self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
         self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
+        self.adapted = stored_share(arrays, &format!("{prefix}adapted"))?;
         Ok(())
     }
 }
@@ -208,6 +229,16 @@ fn stored_count(arrays: &NamedArrays, name: &str) -> Result<i64, MarlError> {
     match arrays.get(name) {
         Some(Array::I64 { data, .. }) if data.len() == 1 && data[0] >= 0 => Ok(data[0]),
         Some(_) => Err(MarlError::Restore(format!("{name} is not one count"))),
+        None => Err(MarlError::Restore(format!("{name} is missing"))),
+    }
+}
+
+fn stored_share(arrays: &NamedArrays, name: &str) -> Result<f64, MarlError> {
+    match arrays.get(name) {
+        Some(Array::F64 { data, .. }) if data.len() == 1 && data[0] > 0.0 && data[0] <= 1.0 => {
+            Ok(data[0])
+        }
+        Some(_) => Err(MarlError::Restore(format!("{name} is not one share above 0"))),
         None => Err(MarlError::Restore(format!("{name} is missing"))),
     }
 }

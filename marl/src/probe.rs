@@ -123,6 +123,7 @@ fn update() -> UpdateConfig {
         epochs: 2,
         minibatches: 2,
         target_kl: 0.0,
+        desired_kl: 0.0,
         entropy: 0.01,
         max_gradient_norm: 10.0,
     }

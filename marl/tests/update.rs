@@ -4,7 +4,7 @@
 #[path = "fixture/settings.rs"]
 mod settings;
 
-use marl::config::{CriticInput, CriticMode, Rule};
+use marl::config::{CriticInput, CriticMode, Rule, Sharing};
 use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem};
 use policy::{
     CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
@@ -168,6 +168,34 @@ fn an_agent_that_has_used_its_share_of_the_joint_kl_makes_no_further_pass() {
             let found = report.iter().find(|(name, _)| name == agent).unwrap().1;
             assert_eq!(found, passes, "{agent} with {target_kl}");
         }
+    }
+}
+
+#[test]
+fn a_policy_that_moves_too_far_takes_smaller_steps_which_a_restored_algorithm_knows() {
+    for (rule, parameters) in [
+        (Rule::Happo, Sharing::Separate),
+        (Rule::Happo, Sharing::Shared),
+        (Rule::Mappo, Sharing::Separate),
+        (Rule::Mappo, Sharing::Shared),
+    ] {
+        let mut config = config(0.0);
+        (config.update.rule, config.update.parameters) = (rule, parameters);
+        config.update.desired_kl = 1e-12;
+        let build = || marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
+        let (mut kept, mut other) = (build(), build());
+        let learning_rate = |algorithm: &mut dyn Algorithm, iteration: u64| {
+            let batch = play(&algorithm.snapshot().unwrap(), iteration);
+            let rewards = vec![batch.reward.clone(); 2];
+            let report = algorithm.update(&batch, &rewards, iteration).unwrap();
+            report.iter().find(|(name, _)| name == "agent1/learning_rate").unwrap().1
+        };
+        let first = learning_rate(kept.as_mut(), 0);
+        other.restore(&kept.arrays().unwrap()).unwrap();
+        let second = learning_rate(kept.as_mut(), 1);
+        assert!(second < first, "{rule:?} {parameters:?}: {first}, then {second}");
+        assert_eq!(learning_rate(other.as_mut(), 1), second);
+        assert_eq!(kept.arrays().unwrap(), other.arrays().unwrap());
     }
 }
 

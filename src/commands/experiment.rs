@@ -10,6 +10,7 @@ use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
 use crate::experiment::plan::{PlannedRun, plan};
 use crate::experiment::progress::Progress;
+use crate::experiment::record::Record;
 use crate::experiment::report;
 use crate::{output, signals};
 
@@ -21,7 +22,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let at_once = arguments.jobs.map_or_else(|| file.runs_at_once(cores), usize::from);
     if arguments.list {
-        output::line(listing(&runs, at_once));
+        output::line(listing(&runs, &Record::read(&file.record)?, at_once));
         return Ok(());
     }
     if arguments.report {
@@ -29,7 +30,11 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     }
     std::fs::create_dir_all(&file.folder)
         .with_context(|| format!("cannot make {}", file.folder.display()))?;
-    let (tally, stopped) = runtime()?.block_on(bring_to_end(&runs, at_once))?;
+    let record = Record::read(&file.record)?;
+    let (recorded, missing): (Vec<_>, Vec<_>) =
+        runs.iter().cloned().partition(|run| record.holds(run));
+    let (mut tally, stopped) = runtime()?.block_on(bring_to_end(&missing, at_once))?;
+    tally.finished += recorded.len();
     tell(&file, &runs)?;
     finish(&tally, runs.len(), stopped.then_some(arguments))
 }

@@ -38,6 +38,9 @@ pub(crate) struct ExperimentFile {
     /// Where run folders, tables and figures go; empty: `runs/` and the file's name.
     #[serde(default)]
     pub(crate) folder: PathBuf,
+    /// CSV file of the finished runs, which are not run again; empty: none is kept.
+    #[serde(default)]
+    pub(crate) record: PathBuf,
     /// Environment steps of each run.
     pub(crate) env_steps: u64,
     /// Seeds of each variant on each task.

@@ -1,22 +1,26 @@
 //! The runs of an experiment as lines: what each is, and how far.
 
 use super::plan::PlannedRun;
+use super::record::Record;
 use super::standing::{Standing, mismatch, standing};
 use crate::chart;
 
 /// One line per run, and one for all.
-pub(crate) fn listing(runs: &[PlannedRun], at_once: usize) -> String {
+pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> String {
     let width = runs.iter().map(|run| run.name().len()).max().unwrap_or(0);
     let line = |run: &PlannedRun| {
         let steps = chart::thousands(run.config.env_steps());
-        format!("{:width$}  {steps:>10} steps  {}\n", run.name(), how_far(run))
+        format!("{:width$}  {steps:>10} steps  {}\n", run.name(), how_far(run, record))
     };
     let total = runs.iter().map(|run| run.config.env_steps()).sum();
     let lines: String = runs.iter().map(line).collect();
     format!("{lines}{} runs, {} steps, {at_once} at once", runs.len(), chart::thousands(total))
 }
 
-fn how_far(run: &PlannedRun) -> String {
+fn how_far(run: &PlannedRun, record: &Record) -> String {
+    if record.holds(run) {
+        return "recorded".to_owned();
+    }
     match (mismatch(run), standing(run)) {
         (Some(why), _) => why,
         (None, Standing::New) => "new".to_owned(),

@@ -14,6 +14,8 @@ pub(crate) struct PlannedRun {
     pub(crate) task: String,
     /// Name of the variant.
     pub(crate) variant: String,
+    /// Seed.
+    pub(crate) seed: u64,
     /// Its folder.
     pub(crate) folder: PathBuf,
     /// Everything that `s2mia train` is told besides the folder.
@@ -81,6 +83,7 @@ fn planned(
     Ok(PlannedRun {
         task: task.to_owned(),
         variant: variant.name.clone(),
+        seed,
         folder,
         settings,
         config,

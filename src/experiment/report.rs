@@ -1,13 +1,16 @@
 //! An experiment's table, as Markdown and CSV, and its figures.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
+use super::record::Record;
 use super::results::{Estimate, Measured, Row, rows};
 use super::standing::{Standing, mismatch, standing};
+use super::verdict::{Verdict, verdicts};
 use crate::learning_curve::{self, Curve, Quantity};
 use crate::{chart, figures};
 
@@ -16,15 +19,13 @@ pub(crate) fn write(
     file: &ExperimentFile,
     runs: &[PlannedRun],
 ) -> anyhow::Result<(String, Vec<PathBuf>)> {
-    let there: Vec<&PlannedRun> = runs.iter().filter(|run| is_there(run)).collect();
-    let mut curves = Vec::new();
-    for run in &there {
-        curves.push(Curve { algorithm: run.variant.clone(), ..learning_curve::read(&run.folder)? });
-    }
-    let measured: Vec<Measured> = there.iter().zip(&curves).filter_map(measured).collect();
+    let (mut curves, finished) = curves(file, runs)?;
+    let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
     let rows = rows(&measured, &variants, &file.baseline, file.threshold);
-    let table = markdown(&rows, file, (measured.len(), runs.len()));
+    let together = verdicts(&measured, &variants, &file.baseline);
+    let counts = (measured.len(), runs.len());
+    let table = markdown(&rows, file, counts) + &over_all_tasks(&together, &file.baseline);
     let mut written = vec![
         put(&file.folder, "results.md", &table)?,
         put(&file.folder, "results.csv", &csv(&rows))?,
@@ -37,15 +38,39 @@ pub(crate) fn write(
     Ok((table, written))
 }
 
+/// The curves of all runs that have begun, by the names of their variants, and the places among them of those that are
+/// finished: only these are compared, and stand in the experiment's record afterwards.
+fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Curve>, Vec<usize>)> {
+    let mut record = Record::read(&file.record)?;
+    let (mut curves, mut finished) = (Vec::new(), Vec::new());
+    for run in runs {
+        let curve = match record.curve(run) {
+            Some(curve) => curve,
+            None if is_there(run) => {
+                let (algorithm, settings) = (run.variant.clone(), BTreeMap::new());
+                Curve { algorithm, settings, ..learning_curve::read(&run.folder)? }
+            }
+            None => continue,
+        };
+        if !record.holds(run) && standing(run) == Standing::Finished {
+            record.add(run, &curve)?;
+        }
+        finished.extend(record.holds(run).then_some(curves.len()));
+        curves.push(curve);
+    }
+    if !file.record.as_os_str().is_empty() {
+        record.write(&file.record)?;
+    }
+    Ok((curves, finished))
+}
+
 fn is_there(run: &PlannedRun) -> bool {
     standing(run) != Standing::New && mismatch(run).is_none()
 }
 
-/// Only finished runs are compared; the figures show the others too.
-fn measured((run, curve): (&&PlannedRun, &Curve)) -> Option<Measured> {
+fn measured(curve: &Curve) -> Measured {
     let returns = curve.of(Quantity::Return).to_vec();
-    let (task, variant) = (run.task.clone(), run.variant.clone());
-    (standing(run) == Standing::Finished).then_some(Measured { task, variant, returns })
+    Measured { task: curve.task.clone(), variant: curve.algorithm.clone(), returns }
 }
 
 fn put(folder: &Path, name: &str, text: &str) -> anyhow::Result<PathBuf> {
@@ -59,7 +84,7 @@ fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, us
     let share = 100.0 * file.threshold;
     let mut text = format!(
         "{finished} of {planned} runs are finished. Interquartile means over seeds with 95 % bootstrap \
-         intervals; learnt is {share:.0} % of the task's best final return.\n\n\
+         intervals; final is the mean over the last tenth of the run; learnt is {share:.0} % of the task's best final return.\n\n\
          | task | variant | runs | final return | mean return over training | steps until learnt (median) \
          | P(better than {}) |\n| --- | --- | --- | --- | --- | --- | --- |\n",
         file.baseline
@@ -79,6 +104,32 @@ fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, us
         );
     }
     text
+}
+
+/// Every variant against the baseline, over all tasks that both have; nothing where there is none.
+fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
+    if verdicts.is_empty() {
+        return String::new();
+    }
+    let line = |verdict: &Verdict| {
+        format!(
+            "| {} | {} | {} | {} | {} | {:.3} | {:.3} |\n",
+            verdict.variant,
+            verdict.tasks,
+            verdict.runs,
+            shown(verdict.score, 2),
+            shown(verdict.improvement, 2),
+            verdict.p_value,
+            verdict.adjusted_p_value,
+        )
+    };
+    format!(
+        "\nOver all tasks, against {baseline}: scores are final returns in units of {baseline}'s on the task; \
+         intervals by bootstrap within each task; p by permutation within each task, adjusted by Holm.\n\n\
+         | variant | tasks | runs | score | P(better than {baseline}) | p | p, adjusted |\n\
+         | --- | --- | --- | --- | --- | --- | --- |\n{}",
+        verdicts.iter().map(line).collect::<String>()
+    )
 }
 
 /// `86 (20 to 100)`

@@ -38,7 +38,7 @@ pub(crate) struct Row {
     pub(crate) variant: String,
     /// Finished runs.
     pub(crate) runs: usize,
-    /// Interquartile mean of the returns of the last evaluation.
+    /// Interquartile mean of the runs' final returns.
     pub(crate) final_return: Estimate,
     /// Interquartile mean of the areas under the curves, per environment step: the mean return over training.
     pub(crate) area: Estimate,
@@ -109,9 +109,16 @@ fn row(
     }
 }
 
-/// The last evaluation of each curve.
 fn finals(curves: &[&[(f64, f64)]]) -> Vec<f64> {
-    curves.iter().filter_map(|curve| curve.last().map(|point| point.1)).collect()
+    curves.iter().map(|curve| final_return(curve)).collect()
+}
+
+/// The mean of the evaluations after nine tenths of the run; the last one is always among them. NaN without any.
+pub(super) fn final_return(curve: &[(f64, f64)]) -> f64 {
+    let last = curve.last().map_or(0.0, |point| point.0);
+    let late = curve.iter().filter(|point| point.0 > 0.9 * last || point.0 == last);
+    let returns: Vec<f64> = late.map(|point| point.1).collect();
+    returns.iter().sum::<f64>() / returns.len() as f64
 }
 
 fn mean(values: &[f64], figure: u32) -> Estimate {
@@ -143,6 +150,13 @@ mod tests {
     fn run(variant: &str, middle: f64, last: f64) -> Measured {
         let returns = vec![(0.0, 0.0), (100.0, middle), (200.0, last)];
         Measured { task: "ant-4x2".into(), variant: variant.into(), returns }
+    }
+
+    #[test]
+    fn the_final_return_is_the_mean_over_the_last_tenth_of_the_run() {
+        let curve = [(0.0, 1.0), (900.0, 2.0), (950.0, 3.0), (1000.0, 5.0)];
+        assert_eq!(final_return(&curve), 4.0);
+        assert_eq!(final_return(&curve[..1]), 1.0);
     }
 
     #[test]

@@ -65,7 +65,7 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
 }
 
 /// The lines at the end of a file of JSON lines; what cannot be read is left out.
-fn last_lines(path: &Path) -> Vec<Value> {
+pub(super) fn last_lines(path: &Path) -> Vec<Value> {
     let tail = || -> std::io::Result<Vec<u8>> {
         let mut file = File::open(path)?;
         let length = file.metadata()?.len();

@@ -83,7 +83,7 @@ fn training() -> marl::Config {
         "update": {
             "rule": "happo", "parameters": "separate", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
             "learning_rate_decay": "none",
-            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "target_kl": 0.0, "entropy": 0.0,
+            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "target_kl": 0.0, "desired_kl": 0.0, "entropy": 0.0,
             "max_gradient_norm": 10.0,
         },
         "critic": {

@@ -29,6 +29,8 @@ pub(crate) struct Trained {
     pub(crate) epochs: usize,
     /// Steps skipped so far because their gradient was not finite.
     pub(crate) skipped: i64,
+    /// Size of the steps.
+    pub(crate) learning_rate: f64,
 }
 
 impl Trained {
@@ -81,7 +83,7 @@ pub(crate) fn maximise(
             break;
         }
     }
-    trained.skipped = agent.adam.skipped();
+    (trained.skipped, trained.learning_rate) = (agent.adam.skipped(), agent.adam.learning_rate());
     Ok(trained.mean())
 }
 
@@ -124,8 +126,9 @@ pub(crate) fn maximise_together(
             break;
         }
     }
-    let skipped = agents[0].adam.skipped();
-    Ok(trained.into_iter().map(|all| Trained { skipped, ..all.mean() }).collect())
+    let (skipped, learning_rate) = (agents[0].adam.skipped(), agents[0].adam.learning_rate());
+    let one = |all: Trained| Trained { skipped, learning_rate, ..all.mean() };
+    Ok(trained.into_iter().map(one).collect())
 }
 
 /// The gradient of a minibatch: shards, each a graph of its own, added in a fixed tree, so that the sum does not depend

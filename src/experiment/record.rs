@@ -1,0 +1,270 @@
+//! The record of an experiment: what its finished runs said, as one CSV file that outlives their folders. A run that
+//! stands in it is not run again.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::str::FromStr;
+
+use anyhow::{Context as _, bail};
+use learner::provenance::PROVENANCE_FILE;
+use serde_json::Value;
+
+use super::plan::PlannedRun;
+use super::standing::last_lines;
+use crate::learning_curve::{Curve, Quantity};
+use crate::run_path;
+
+const HEADER: &str =
+    "task,variant,seed,env_steps,return,surprise,information,weights_sha256,commit";
+
+/// Task, name of the variant and seed.
+type RunName = (String, String, u64);
+
+/// Finished runs by name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Record(BTreeMap<RunName, RecordedRun>);
+
+/// One finished run.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct RecordedRun {
+    /// In order of environment steps; at least one.
+    evaluations: Vec<Evaluation>,
+    /// Of the last weights; it stands in the run's last line.
+    weights_sha256: String,
+    /// Of the program that began the run; in the last line too.
+    commit: String,
+}
+
+/// One evaluation, with the means of what the iterations since the one before it reported.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Evaluation {
+    env_steps: u64,
+    mean_return: f64,
+    surprise: Option<f64>,
+    information: Option<f64>,
+}
+
+impl Record {
+    /// Reads the file; none is an empty record, and so is no path.
+    ///
+    /// # Errors
+    /// Names the file and the line that is no such record.
+    pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
+        if !path.exists() {
+            return Ok(Self::default());
+        }
+        let text = std::fs::read_to_string(path);
+        let text = text.with_context(|| format!("cannot read {}", path.display()))?;
+        let mut lines = text.lines().zip(1..);
+        if lines.next().is_none_or(|(first, _)| first != HEADER) {
+            bail!("{} must begin with the line {HEADER}", path.display());
+        }
+        let mut record = Self::default();
+        for (line, number) in lines {
+            let told = record.take(line);
+            told.with_context(|| format!("{}, line {number}: {line}", path.display()))?;
+        }
+        Ok(record)
+    }
+
+    /// Takes over one line.
+    fn take(&mut self, line: &str) -> anyhow::Result<()> {
+        let fields: Vec<&str> = line.split(',').collect();
+        let [task, variant, seed, env_steps, mean_return, surprise, information, weights, commit] =
+            fields[..]
+        else {
+            bail!("has {} of 9 fields", fields.len());
+        };
+        let optional = |text: &str| (!text.is_empty()).then(|| number::<f64>(text)).transpose();
+        let evaluation = Evaluation {
+            env_steps: number(env_steps)?,
+            mean_return: number(mean_return)?,
+            surprise: optional(surprise)?,
+            information: optional(information)?,
+        };
+        let name = (task.to_owned(), variant.to_owned(), number(seed)?);
+        let run = self.0.entry(name).or_default();
+        (run.weights_sha256, run.commit) = (weights.to_owned(), commit.to_owned());
+        if run.evaluations.last().is_some_and(|last| last.env_steps >= evaluation.env_steps) {
+            bail!("env_steps must grow");
+        }
+        run.evaluations.push(evaluation);
+        Ok(())
+    }
+
+    /// Whether the planned run stands in it, with its length.
+    pub(crate) fn holds(&self, run: &PlannedRun) -> bool {
+        let last = self.0.get(&name(run)).and_then(|known| known.evaluations.last());
+        last.is_some_and(|last| last.env_steps == run.config.env_steps())
+    }
+
+    /// The curve of the planned run, if it stands in it.
+    pub(crate) fn curve(&self, run: &PlannedRun) -> Option<Curve> {
+        let known = self.0.get(&name(run)).filter(|_| self.holds(run))?;
+        let points = |of: fn(&Evaluation) -> Option<f64>| -> Vec<(f64, f64)> {
+            let point = |e: &Evaluation| Some((e.env_steps as f64, of(e)?));
+            known.evaluations.iter().filter_map(point).collect()
+        };
+        let points = BTreeMap::from([
+            (Quantity::Return, points(|e| Some(e.mean_return))),
+            (Quantity::Surprise, points(|e| e.surprise)),
+            (Quantity::Information, points(|e| e.information)),
+        ]);
+        let (task, algorithm, seed) = (run.task.clone(), run.variant.clone(), run.seed.to_string());
+        Some(Curve { task, algorithm, seed, settings: BTreeMap::new(), points })
+    }
+
+    /// Takes over a finished run from its folder, with its curve.
+    ///
+    /// # Errors
+    /// Names the file of the folder that cannot be read.
+    pub(crate) fn add(&mut self, run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
+        let mut before = f64::NEG_INFINITY;
+        let evaluation = |&(env_steps, mean_return): &(f64, f64)| {
+            let since = (before, env_steps);
+            before = env_steps;
+            Evaluation {
+                env_steps: env_steps as u64,
+                mean_return,
+                surprise: mean_within(curve.of(Quantity::Surprise), since),
+                information: mean_within(curve.of(Quantity::Information), since),
+            }
+        };
+        let evaluations = curve.of(Quantity::Return).iter().map(evaluation).collect();
+        let manifest = run_path::manifest_file(&run.folder);
+        let manifest = std::fs::read(&manifest)
+            .map_err(anyhow::Error::from)
+            .and_then(|bytes| Ok(serde_json::from_slice::<Value>(&bytes)?))
+            .with_context(|| format!("cannot read {}", manifest.display()))?;
+        let last = last_lines(&run.folder.join(PROVENANCE_FILE)).pop().unwrap_or_default();
+        let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        let (weights_sha256, commit) =
+            (text(&last["weights_sha256"]), text(&manifest["git_commit"]));
+        self.0.insert(name(run), RecordedRun { evaluations, weights_sha256, commit });
+        Ok(())
+    }
+
+    /// Writes the file, in the order of tasks, variants and seeds.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be written.
+    pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
+        let failed = || format!("cannot write {}", path.display());
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).with_context(failed)?;
+        }
+        std::fs::write(path, self.text()).with_context(failed)
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!("{HEADER}\n");
+        let optional = |value: Option<f64>| value.map_or_else(String::new, |x| x.to_string());
+        for ((task, variant, seed), run) in &self.0 {
+            let last = run.evaluations.len().saturating_sub(1);
+            for (index, e) in run.evaluations.iter().enumerate() {
+                let (surprise, information) = (optional(e.surprise), optional(e.information));
+                let origin = match index == last {
+                    true => format!("{},{}", run.weights_sha256, run.commit),
+                    false => ",".to_owned(),
+                };
+                let (env_steps, mean_return) = (e.env_steps, e.mean_return);
+                text += &format!(
+                    "{task},{variant},{seed},{env_steps},{mean_return},{surprise},{information},{origin}\n"
+                );
+            }
+        }
+        text
+    }
+}
+
+fn name(run: &PlannedRun) -> RunName {
+    (run.task.clone(), run.variant.clone(), run.seed)
+}
+
+fn number<T: FromStr>(text: &str) -> anyhow::Result<T> {
+    text.parse().map_err(|_| anyhow::anyhow!("`{text}` is no number that fits there"))
+}
+
+/// Mean of the points after the first number of environment steps, up to the second.
+fn mean_within(points: &[(f64, f64)], (after, up_to): (f64, f64)) -> Option<f64> {
+    let within = points.iter().filter(|(env_steps, _)| *env_steps > after && *env_steps <= up_to);
+    let values: Vec<f64> = within.map(|(_, value)| *value).collect();
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::file::ExperimentFile;
+    use crate::experiment::file::tests::SAMPLE;
+    use crate::experiment::plan::plan;
+
+    fn planned() -> Vec<PlannedRun> {
+        plan(&toml::from_str::<ExperimentFile>(SAMPLE).unwrap()).unwrap()
+    }
+
+    /// The curve and the folder of a finished run.
+    fn finish(run: &mut PlannedRun, folder: &Path) -> Curve {
+        run.folder = folder.to_path_buf();
+        std::fs::write(folder.join("manifest.json"), "{\"git_commit\": \"abc\"}").unwrap();
+        let lines = "{\"weights_sha256\": \"12\"}\n{\"weights_sha256\": \"34\"}\n";
+        std::fs::write(folder.join(PROVENANCE_FILE), lines).unwrap();
+        let returns = vec![(0.0, -1.5), (4000.0, 2.0), (8000.0, 3.25)];
+        let surprise = vec![(1000.0, 4.0), (3000.0, 6.0), (7000.0, 8.0)];
+        let points = [(Quantity::Return, returns), (Quantity::Surprise, surprise)];
+        let (task, algorithm) = (run.task.clone(), run.variant.clone());
+        let (seed, settings) = (run.seed.to_string(), BTreeMap::new());
+        Curve { task, algorithm, seed, settings, points: points.into() }
+    }
+
+    #[test]
+    fn a_finished_run_stands_in_the_record_with_its_hash_and_comes_back_as_a_curve() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, mut runs) = (folder.path().join("record.csv"), planned());
+        let curve = finish(&mut runs[0], folder.path());
+        let mut record = Record::read(&path).unwrap();
+        assert!(!record.holds(&runs[0]));
+        record.add(&runs[0], &curve).unwrap();
+        record.write(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(
+            lines[2..],
+            ["halfcheetah-2x3,happo,0,4000,2,5,,,", "halfcheetah-2x3,happo,0,8000,3.25,8,,34,abc"]
+        );
+        let again = Record::read(&path).unwrap();
+        assert_eq!(again, record);
+        assert!(again.holds(&runs[0]) && !again.holds(&runs[1]));
+        let found = again.curve(&runs[0]).unwrap();
+        assert_eq!(found.of(Quantity::Return), curve.of(Quantity::Return));
+        assert_eq!(found.of(Quantity::Surprise), [(4000.0, 5.0), (8000.0, 8.0)]);
+    }
+
+    #[test]
+    fn a_run_of_another_length_is_not_the_recorded_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut runs = planned();
+        let mut curve = finish(&mut runs[0], folder.path());
+        curve.points.get_mut(&Quantity::Return).unwrap().pop();
+        let mut record = Record::default();
+        record.add(&runs[0], &curve).unwrap();
+        assert!(!record.holds(&runs[0]) && record.curve(&runs[0]).is_none());
+    }
+
+    #[test]
+    fn a_line_that_is_no_evaluation_is_refused_with_its_number() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("record.csv");
+        let good = "ant-4x2,happo,0,4000,2,5,,,";
+        for (text, words) in [
+            ("x\n".to_owned(), "must begin with the line task,variant"),
+            (format!("{HEADER}\n{good}\nant-4x2,happo\n"), "line 3"),
+            (format!("{HEADER}\n{good}\n{good}\n"), "env_steps must grow"),
+            (format!("{HEADER}\nant-4x2,happo,x,4000,2,5,,,\n"), "`x` is no number"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let error = format!("{:#}", Record::read(&path).unwrap_err());
+            assert!(error.contains(words) && error.contains("record.csv"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! What an experiment says of each variant over all tasks together, as Agarwal et al. (NeurIPS 2021) aggregate runs:
+//! every task counts alike, and only runs of the same task are exchanged. Pure.
+
+use std::collections::BTreeMap;
+
+use policy::{Draw, Purpose};
+
+use super::results::{Estimate, Measured, final_return};
+use crate::statistics::{
+    bootstrap_interval, holm_adjusted, interquartile_mean, permutation_p_value,
+    probability_of_improvement,
+};
+
+/// A variant against the baseline, over the tasks that both have finished runs of.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Verdict {
+    /// Variant.
+    pub(crate) variant: String,
+    /// Tasks.
+    pub(crate) tasks: usize,
+    /// Its finished runs on them.
+    pub(crate) runs: usize,
+    /// Interquartile mean over all runs of the final return in units of the baseline's interquartile mean on the task.
+    pub(crate) score: Estimate,
+    /// Probability that a run of the variant ends higher than one of the baseline, mean over tasks.
+    pub(crate) improvement: Estimate,
+    /// Of a two-sided permutation test of that probability.
+    pub(crate) p_value: f64,
+    /// The same after Holm's correction for all variants.
+    pub(crate) adjusted_p_value: f64,
+}
+
+/// Final returns of a variant's and of the baseline's runs on each task.
+type Pairs = Vec<(Vec<f64>, Vec<f64>)>;
+
+/// A verdict on each of `variants` but the baseline itself that shares a task with it.
+pub(crate) fn verdicts(runs: &[Measured], variants: &[String], baseline: &str) -> Vec<Verdict> {
+    let mut finals = BTreeMap::<(&str, &str), Vec<f64>>::new();
+    for run in runs {
+        let of_task = finals.entry((&run.variant, &run.task)).or_default();
+        of_task.push(final_return(&run.returns));
+    }
+    let of = |name: &str| -> BTreeMap<&str, &Vec<f64>> {
+        let own = finals.iter().filter(|((variant, _), _)| *variant == name);
+        own.map(|((_, task), returns)| (*task, returns)).collect()
+    };
+    let rivals = of(baseline);
+    let compared = variants.iter().filter(|variant| *variant != baseline).filter_map(|variant| {
+        let shared = of(variant).into_iter();
+        let pairs: Pairs = shared
+            .filter_map(|(task, own)| Some((own.clone(), (*rivals.get(task)?).clone())))
+            .collect();
+        (!pairs.is_empty()).then(|| verdict(variant, &pairs))
+    });
+    let mut found: Vec<Verdict> = compared.collect();
+    let raw: Vec<f64> = found.iter().map(|verdict| verdict.p_value).collect();
+    for (verdict, adjusted) in found.iter_mut().zip(holm_adjusted(&raw)) {
+        verdict.adjusted_p_value = adjusted;
+    }
+    found
+}
+
+fn verdict(variant: &str, pairs: &Pairs) -> Verdict {
+    let samples: Vec<&[f64]> =
+        pairs.iter().flat_map(|(own, rivals)| [own.as_slice(), rivals.as_slice()]).collect();
+    let estimate = |figure: u32, of: fn(&[Vec<f64>]) -> f64| {
+        let key = Draw::of(Purpose::Bootstrap).step(figure);
+        let whole: Vec<Vec<f64>> = samples.iter().map(|sample| sample.to_vec()).collect();
+        Estimate { value: of(&whole), interval: bootstrap_interval(&samples, key, of) }
+    };
+    let p_value = permutation_p_value(pairs, Draw::of(Purpose::Bootstrap).step(5));
+    Verdict {
+        variant: variant.to_owned(),
+        tasks: pairs.len(),
+        runs: pairs.iter().map(|(own, _)| own.len()).sum(),
+        score: estimate(3, normalised_score),
+        improvement: estimate(4, mean_improvement),
+        p_value,
+        adjusted_p_value: p_value,
+    }
+}
+
+/// Of a variant's runs and the baseline's on every task, `[own, rivals, own, rivals, ..]`.
+fn normalised_score(samples: &[Vec<f64>]) -> f64 {
+    let scores = samples.chunks_exact(2).flat_map(|pair| {
+        let unit = interquartile_mean(&pair[1]);
+        pair[0].iter().map(move |own| own / unit)
+    });
+    interquartile_mean(&scores.collect::<Vec<_>>())
+}
+
+/// As [`normalised_score`].
+fn mean_improvement(samples: &[Vec<f64>]) -> f64 {
+    let tasks = samples.chunks_exact(2).map(|pair| probability_of_improvement(&pair[0], &pair[1]));
+    tasks.sum::<f64>() / (samples.len() / 2) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(task: &str, variant: &str, last: f64) -> Measured {
+        let returns = vec![(0.0, 0.0), (100.0, last)];
+        Measured { task: task.into(), variant: variant.into(), returns }
+    }
+
+    #[test]
+    fn tasks_count_alike_and_only_those_that_both_have_are_compared() {
+        let mut runs = vec![run("walker2d-2x3", "new", 9.0)];
+        for seed in 0..4 {
+            runs.push(run("ant-4x2", "happo", 100.0));
+            runs.push(run("ant-4x2", "new", 200.0 + f64::from(seed)));
+            runs.push(run("halfcheetah-2x3", "happo", 10.0));
+        }
+        runs.push(run("halfcheetah-2x3", "new", 5.0));
+        let variants = ["new".to_owned(), "happo".to_owned(), "absent".to_owned()];
+        let found = verdicts(&runs, &variants, "happo");
+        let [new] = found.as_slice() else { panic!("{found:?}") };
+        assert_eq!((new.tasks, new.runs), (2, 5));
+        // All of four on one task, none of one on the other.
+        assert_eq!(new.improvement.value, 0.5);
+        // 0.5, 2.00, 2.01, 2.02, 2.03 in order: a quarter of the second, the third, a quarter of the fourth.
+        assert!((new.score.value - 2.01).abs() < 0.011, "{new:?}");
+        assert_eq!(new.p_value, new.adjusted_p_value);
+    }
+
+    #[test]
+    fn a_variant_that_always_ends_higher_is_told_from_chance_and_one_that_is_the_same_is_not() {
+        let mut runs = Vec::new();
+        for (task, offset) in [("ant-4x2", 0.0), ("halfcheetah-2x3", 1000.0)] {
+            for seed in 0..5 {
+                let plain = offset + f64::from(seed);
+                runs.push(run(task, "happo", plain));
+                runs.push(run(task, "same", plain));
+                runs.push(run(task, "better", plain + 10.0));
+            }
+        }
+        let found = verdicts(&runs, &["same".to_owned(), "better".to_owned()], "happo");
+        let [same, better] = found.as_slice() else { panic!("{found:?}") };
+        assert_eq!((same.improvement.value, better.improvement.value), (0.5, 1.0));
+        assert!(same.p_value > 0.9 && better.p_value < 0.005, "{found:?}");
+        assert!((better.adjusted_p_value - 2.0 * better.p_value).abs() < 1e-12, "{found:?}");
+    }
+}
