@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use marl::ObservationScale;
+use marl::{ActionKind, ObservationScale};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
@@ -67,7 +67,10 @@ impl RunConfig {
         };
         let set =
             resolved.entries.iter().filter(|(key, e)| e.value != defaults.entries[*key].value);
-        let key = set.map(|(key, _)| key).find(to_blame).map_or("run", String::as_str);
+        let (named, others): (Vec<&String>, Vec<&String>) = set
+            .map(|(key, _)| key)
+            .partition(|key| key.contains('.') && detail.contains(key.as_str()));
+        let key = named.into_iter().chain(others).find(to_blame).map_or("run", String::as_str);
         let place = resolved.origin(key).to_owned();
         Err(ConfigError::Refused { place, key: key.to_owned(), detail })
     }
@@ -120,15 +123,20 @@ impl RunConfig {
         Ok(())
     }
 
-    /// A task is built only where its actions decide.
+    /// A task is built only where its actions decide; how it scales what it shows is another matter.
     fn validate_actions(&self) -> Result<(), String> {
-        let Err(refusal) = self.training.suits_continuous_actions() else { return Ok(()) };
-        let task = sim::Environments::new(&self.task, 1).map_err(|error| error.to_string())?;
-        let mut agents = task.description().agents.iter();
-        match agents.any(|agent| agent.action.choices.is_none()) {
-            true => Err(refusal.to_string()),
-            false => Ok(()),
+        let kinds = [ActionKind::Continuous, ActionKind::Discrete { choices: 2 }];
+        if kinds.iter().all(|&kind| self.training.suits_actions(kind).is_ok()) {
+            return Ok(());
         }
+        let mut task = self.task.clone();
+        task.observation.norm = ObservationNorm::None;
+        let task = sim::Environments::new(&task, 1).map_err(|error| error.to_string())?;
+        task.description().agents.iter().try_for_each(|agent| {
+            let of_choices = |choices| ActionKind::Discrete { choices: choices as usize };
+            let kind = agent.action.choices.map_or(ActionKind::Continuous, of_choices);
+            self.training.suits_actions(kind).map_err(|error| error.to_string())
+        })
     }
 
     fn validate_burn_in(&self) -> Result<(), String> {
@@ -284,6 +292,14 @@ mod tests {
         assert!(built(&["cue-2x1", count]).is_ok());
         let message = built(&["halfcheetah-6x1", count]).unwrap_err().to_string();
         assert!(message.contains("for continuous actions: counts need choices"), "{message}");
+    }
+
+    #[test]
+    fn maddpg_is_refused_for_choices_by_its_own_key() {
+        let message = built(&["cue-2x1", "algorithm=maddpg"]).unwrap_err().to_string();
+        let expected = "configs/algorithms/maddpg.toml: update.rule = maddpg is out of range: happo \
+                        or mappo for a task of choices";
+        assert_eq!(message, expected);
     }
 
     #[test]

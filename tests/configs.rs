@@ -27,6 +27,10 @@ fn every_task_and_algorithm_file_is_found_by_its_name() {
         for algorithm in files("algorithms") {
             let (task, algorithm) = (task.file_stem().unwrap(), algorithm.file_stem().unwrap());
             let (task, algorithm) = (task.to_str().unwrap(), algorithm.to_str().unwrap());
+            // A task of choices, for which MADDPG is not defined.
+            if (task, algorithm) == ("cue-2x1", "maddpg") {
+                continue;
+            }
             let text = resolved(&[task, &format!("algorithm={algorithm}")]);
             assert!(text.contains(&format!("# configs/algorithms/{algorithm}.toml")), "{text}");
             let changed = std::fs::read_to_string(format!("configs/tasks/{task}.toml")).unwrap();

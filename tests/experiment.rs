@@ -30,7 +30,33 @@ fn an_experiment_ends_in_a_table_and_figures_and_runs_nothing_twice() {
     assert_eq!(status, Some(0), "{told}");
     assert_eq!(std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap(), table);
     let (_, listed) = s2mia(&["experiment", experiment.file(), "--list"]);
-    assert_eq!(listed.matches("  finished").count(), 3, "{listed}");
+    assert_eq!(listed.matches("  recorded").count(), 3, "{listed}");
+}
+
+#[test]
+fn what_stands_in_the_record_is_compared_and_not_run_again_when_its_folders_are_gone() {
+    let experiment = Experiment::new();
+    let table = |told: &str| {
+        told.lines().filter(|line| line.starts_with('|')).collect::<Vec<_>>().join("\n")
+    };
+    let first = table(&experiment.run());
+    let record = std::fs::read_to_string(experiment.record()).unwrap();
+    let state = experiment.folder().join("cue-2x1-long-seed3/provenance.jsonl");
+    let last = std::fs::read_to_string(state).unwrap();
+    let last: serde_json::Value = serde_json::from_str(last.lines().last().unwrap()).unwrap();
+    let weights = last["weights_sha256"].as_str().unwrap();
+    let of_long = |line: &&str| line.starts_with("cue-2x1,long,3,40000,") && line.contains(weights);
+    assert_eq!(record.lines().filter(of_long).count(), 1, "{record}");
+    std::fs::remove_dir_all(experiment.folder()).unwrap();
+    let (_, listed) = s2mia(&["experiment", experiment.file(), "--list"]);
+    assert_eq!(listed.matches("  recorded").count(), 3, "{listed}");
+    let again = experiment.run();
+    assert!(
+        again.contains("3 of 3 runs are finished") && !again.contains(" is finished\n"),
+        "{again}"
+    );
+    assert_eq!(table(&again), first);
+    assert_eq!(std::fs::read_to_string(experiment.record()).unwrap(), record);
 }
 
 #[test]
@@ -71,7 +97,10 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
     for (name, last) in [
         ("paper.toml", "720 runs, 7,200,000,000 steps"),
-        ("paper-small.toml", "66 runs, 63,300,000 steps"),
+        ("study.toml", "90 runs, 90,000,000 steps"),
+        ("study-terms.toml", "270 runs, 270,000,000 steps"),
+        ("study-mappo.toml", "117 runs, 98,100,000 steps"),
+        ("tuning.toml", "225 runs, 67,500,000 steps"),
     ] {
         let (status, told) = s2mia(&["experiment", folder.join(name).to_str().unwrap(), "--list"]);
         assert_eq!(status, Some(0), "{told}");

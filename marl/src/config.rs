@@ -63,8 +63,8 @@ pub struct UpdateConfig {
     /// Joint `KL[old || new]` of all agents' policies, nats; an agent makes no further pass once it has used its
     /// share. 0: no limit.
     pub target_kl: f64,
-    /// `KL[old || new]` of one agent's policy, nats, which its step size is adapted to ([`crate::learning_rate::adapted`]).
-    /// 0: it is not.
+    /// Nats of `KL[old || new]` to which the step size of each agent is adapted ([`crate::learning_rate::adapted`]).
+    /// 0: step sizes are not adapted.
     pub desired_kl: f64,
     /// Weight of the entropy bonus.
     pub entropy: f64,
@@ -282,12 +282,18 @@ impl Config {
         }
     }
 
-    /// Refuses what is not defined for continuous actions.
+    /// Refuses what is not defined for actions of this kind.
     ///
     /// # Errors
     /// Names the key that does not fit.
-    pub fn suits_continuous_actions(&self) -> Result<(), MarlError> {
-        self.influence.check_for_numbers()
+    pub fn suits_actions(&self, kind: ActionKind) -> Result<(), MarlError> {
+        match kind {
+            ActionKind::Continuous => self.influence.check_for_numbers(),
+            ActionKind::Discrete { .. } if self.update.rule == Rule::Maddpg => {
+                Err(refuse("update.rule", "maddpg", "happo or mappo for a task of choices"))
+            }
+            ActionKind::Discrete { .. } => self.influence.check_for_choices(),
+        }
     }
 
     /// Refuses agents that cannot share their parameters although they should, and choices or continuous actions
@@ -296,16 +302,7 @@ impl Config {
     /// # Errors
     /// Names the first agent whose sizes differ from the first one's, or the key that does not fit.
     pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
-        if problem.agents.iter().any(|agent| agent.kind == ActionKind::Continuous) {
-            self.suits_continuous_actions()?;
-        }
-        if problem.agents.iter().any(|agent| agent.kind != ActionKind::Continuous) {
-            self.influence.check_for_choices()?;
-            if self.update.rule == Rule::Maddpg {
-                let range = "happo or mappo for a task of choices";
-                return Err(refuse("update.rule", "maddpg", range));
-            }
-        }
+        problem.agents.iter().try_for_each(|agent| self.suits_actions(agent.kind))?;
         self.surprise.suits_agents(&problem.agents)?;
         let sizes = |index: usize| {
             let agent = &problem.agents[index];

@@ -62,8 +62,8 @@ impl Adam {
         self.decay = share;
     }
 
-    /// Adapts the step size to an update that moved the policy by `kl` nats, where `desired` were wanted; 0: nothing
-    /// is.
+    /// Adapts the step size to an update that moved the policy by `kl` nats where `desired` were wanted. With `desired`
+    /// = 0 the step size stays.
     pub fn adapt(&mut self, kl: f64, desired: f64) {
         if desired > 0.0 {
             self.adapted = adapted(self.adapted, kl, desired);

@@ -1,5 +1,5 @@
-//! The record of an experiment: what its finished runs said, as one CSV file that outlives their folders. A run that
-//! stands in it is not run again.
+//! The record of an experiment: the evaluations of its finished runs, as one CSV file that outlives the run folders. A
+//! run that stands in it is not run again.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -7,7 +7,9 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
 use learner::provenance::PROVENANCE_FILE;
+use policy::arrays::hex;
 use serde_json::Value;
+use sha2::{Digest as _, Sha256};
 
 use super::plan::PlannedRun;
 use super::standing::last_lines;
@@ -15,7 +17,7 @@ use crate::learning_curve::{Curve, Quantity};
 use crate::run_path;
 
 const HEADER: &str =
-    "task,variant,seed,env_steps,return,surprise,information,weights_sha256,commit";
+    "task,variant,seed,env_steps,return,surprise,information,settings_sha256,weights_sha256,commit";
 
 /// Task, name of the variant and seed.
 type RunName = (String, String, u64);
@@ -29,9 +31,18 @@ pub(crate) struct Record(BTreeMap<RunName, RecordedRun>);
 struct RecordedRun {
     /// In order of environment steps; at least one.
     evaluations: Vec<Evaluation>,
-    /// Of the last weights; it stands in the run's last line.
+    /// What stands in the run's last line only.
+    origin: Origin,
+}
+
+/// What a run was made by, and what came out.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Origin {
+    /// Of the settings that decide what a run computes, and how it is evaluated.
+    settings_sha256: String,
+    /// Of the last weights.
     weights_sha256: String,
-    /// Of the program that began the run; in the last line too.
+    /// Of the program that began the run.
     commit: String,
 }
 
@@ -45,7 +56,7 @@ struct Evaluation {
 }
 
 impl Record {
-    /// Reads the file; none is an empty record, and so is no path.
+    /// Reads the file. The record is empty if there is no file, or no path.
     ///
     /// # Errors
     /// Names the file and the line that is no such record.
@@ -70,21 +81,26 @@ impl Record {
     /// Takes over one line.
     fn take(&mut self, line: &str) -> anyhow::Result<()> {
         let fields: Vec<&str> = line.split(',').collect();
-        let [task, variant, seed, env_steps, mean_return, surprise, information, weights, commit] =
-            fields[..]
+        let [task, variant, seed, env_steps, mean_return, surprise, information, hashes @ ..] =
+            &fields[..]
         else {
-            bail!("has {} of 9 fields", fields.len());
+            bail!("has {} of 10 fields", fields.len());
         };
-        let optional = |text: &str| (!text.is_empty()).then(|| number::<f64>(text)).transpose();
+        let [config, weights, commit] = hashes else {
+            bail!("has {} of 10 fields", fields.len());
+        };
+        let optional = |text: &str| (!text.is_empty()).then(|| finite(text)).transpose();
         let evaluation = Evaluation {
             env_steps: number(env_steps)?,
-            mean_return: number(mean_return)?,
+            mean_return: finite(mean_return)?,
             surprise: optional(surprise)?,
             information: optional(information)?,
         };
-        let name = (task.to_owned(), variant.to_owned(), number(seed)?);
+        let name = ((*task).to_owned(), (*variant).to_owned(), number(seed)?);
         let run = self.0.entry(name).or_default();
-        (run.weights_sha256, run.commit) = (weights.to_owned(), commit.to_owned());
+        let [settings_sha256, weights_sha256, commit] =
+            [config, weights, commit].map(|&text| text.to_owned());
+        run.origin = Origin { settings_sha256, weights_sha256, commit };
         if run.evaluations.last().is_some_and(|last| last.env_steps >= evaluation.env_steps) {
             bail!("env_steps must grow");
         }
@@ -92,25 +108,20 @@ impl Record {
         Ok(())
     }
 
-    /// Whether the planned run stands in it, with its length.
+    /// Whether the planned run stands in it, with its settings and its length.
     pub(crate) fn holds(&self, run: &PlannedRun) -> bool {
-        let last = self.0.get(&name(run)).and_then(|known| known.evaluations.last());
-        last.is_some_and(|last| last.env_steps == run.config.env_steps())
+        self.0.get(&name(run)).is_some_and(|known| {
+            let last = known.evaluations.last().map(|last| last.env_steps);
+            last == Some(run.config.env_steps())
+                && known.origin.settings_sha256 == settings_sha256(run)
+        })
     }
 
     /// The curve of the planned run, if it stands in it.
     pub(crate) fn curve(&self, run: &PlannedRun) -> Option<Curve> {
         let known = self.0.get(&name(run)).filter(|_| self.holds(run))?;
-        let points = |of: fn(&Evaluation) -> Option<f64>| -> Vec<(f64, f64)> {
-            let point = |e: &Evaluation| Some((e.env_steps as f64, of(e)?));
-            known.evaluations.iter().filter_map(point).collect()
-        };
-        let points = BTreeMap::from([
-            (Quantity::Return, points(|e| Some(e.mean_return))),
-            (Quantity::Surprise, points(|e| e.surprise)),
-            (Quantity::Information, points(|e| e.information)),
-        ]);
         let (task, algorithm, seed) = (run.task.clone(), run.variant.clone(), run.seed.to_string());
+        let points = points(&known.evaluations);
         Some(Curve { task, algorithm, seed, settings: BTreeMap::new(), points })
     }
 
@@ -119,18 +130,7 @@ impl Record {
     /// # Errors
     /// Names the file of the folder that cannot be read.
     pub(crate) fn add(&mut self, run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
-        let mut before = f64::NEG_INFINITY;
-        let evaluation = |&(env_steps, mean_return): &(f64, f64)| {
-            let since = (before, env_steps);
-            before = env_steps;
-            Evaluation {
-                env_steps: env_steps as u64,
-                mean_return,
-                surprise: mean_within(curve.of(Quantity::Surprise), since),
-                information: mean_within(curve.of(Quantity::Information), since),
-            }
-        };
-        let evaluations = curve.of(Quantity::Return).iter().map(evaluation).collect();
+        let evaluations = evaluations(curve);
         let manifest = run_path::manifest_file(&run.folder);
         let manifest = std::fs::read(&manifest)
             .map_err(anyhow::Error::from)
@@ -138,13 +138,16 @@ impl Record {
             .with_context(|| format!("cannot read {}", manifest.display()))?;
         let last = last_lines(&run.folder.join(PROVENANCE_FILE)).pop().unwrap_or_default();
         let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-        let (weights_sha256, commit) =
-            (text(&last["weights_sha256"]), text(&manifest["git_commit"]));
-        self.0.insert(name(run), RecordedRun { evaluations, weights_sha256, commit });
+        let origin = Origin {
+            settings_sha256: settings_sha256(run),
+            weights_sha256: text(&last["weights_sha256"]),
+            commit: text(&manifest["git_commit"]),
+        };
+        self.0.insert(name(run), RecordedRun { evaluations, origin });
         Ok(())
     }
 
-    /// Writes the file, in the order of tasks, variants and seeds.
+    /// Writes the file, in the order of tasks, variants and seeds. It is there whole or as it was before.
     ///
     /// # Errors
     /// Names the file if it cannot be written.
@@ -153,7 +156,9 @@ impl Record {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).with_context(failed)?;
         }
-        std::fs::write(path, self.text()).with_context(failed)
+        let draft = path.with_extension("csv.draft");
+        std::fs::write(&draft, self.text()).with_context(failed)?;
+        std::fs::rename(&draft, path).with_context(failed)
     }
 
     fn text(&self) -> String {
@@ -163,9 +168,10 @@ impl Record {
             let last = run.evaluations.len().saturating_sub(1);
             for (index, e) in run.evaluations.iter().enumerate() {
                 let (surprise, information) = (optional(e.surprise), optional(e.information));
+                let Origin { settings_sha256, weights_sha256, commit } = &run.origin;
                 let origin = match index == last {
-                    true => format!("{},{}", run.weights_sha256, run.commit),
-                    false => ",".to_owned(),
+                    true => format!("{settings_sha256},{weights_sha256},{commit}"),
+                    false => ",,".to_owned(),
                 };
                 let (env_steps, mean_return) = (e.env_steps, e.mean_return);
                 text += &format!(
@@ -177,8 +183,58 @@ impl Record {
     }
 }
 
+/// The curve with all its quantities where it was evaluated, as a record keeps them.
+pub(crate) fn at_evaluations(curve: Curve) -> Curve {
+    let points = points(&evaluations(&curve));
+    Curve { points, ..curve }
+}
+
+fn evaluations(curve: &Curve) -> Vec<Evaluation> {
+    let mut before = f64::NEG_INFINITY;
+    let evaluation = |&(env_steps, mean_return): &(f64, f64)| {
+        let since = (before, env_steps);
+        before = env_steps;
+        Evaluation {
+            env_steps: env_steps as u64,
+            mean_return,
+            surprise: mean_within(curve.of(Quantity::Surprise), since),
+            information: mean_within(curve.of(Quantity::Information), since),
+        }
+    };
+    curve.of(Quantity::Return).iter().map(evaluation).collect()
+}
+
+fn points(evaluations: &[Evaluation]) -> BTreeMap<Quantity, Vec<(f64, f64)>> {
+    let points = |of: fn(&Evaluation) -> Option<f64>| -> Vec<(f64, f64)> {
+        let point = |e: &Evaluation| Some((e.env_steps as f64, of(e)?));
+        evaluations.iter().filter_map(point).collect()
+    };
+    BTreeMap::from([
+        (Quantity::Return, points(|e| Some(e.mean_return))),
+        (Quantity::Surprise, points(|e| e.surprise)),
+        (Quantity::Information, points(|e| e.information)),
+    ])
+}
+
 fn name(run: &PlannedRun) -> RunName {
     (run.task.clone(), run.variant.clone(), run.seed)
+}
+
+/// SHA-256 of the settings that decide what the run computes, and how often and on how many episodes it is evaluated.
+fn settings_sha256(run: &PlannedRun) -> String {
+    let settings = &run.config.resolved;
+    let mut hasher = Sha256::new();
+    hasher.update(settings.sha256());
+    for key in ["evaluation.every_steps", "evaluation.episodes"] {
+        hasher.update(format!("{key} = {}\n", settings.shown(key)));
+    }
+    hex(&hasher.finalize())
+}
+
+fn finite(text: &str) -> anyhow::Result<f64> {
+    let value: f64 = number(text)?;
+    anyhow::ensure!(value.is_finite(), "`{text}` is not finite");
+    Ok(value)
 }
 
 fn number<T: FromStr>(text: &str) -> anyhow::Result<T> {
@@ -228,10 +284,9 @@ mod tests {
         record.write(&path).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(
-            lines[2..],
-            ["halfcheetah-2x3,happo,0,4000,2,5,,,", "halfcheetah-2x3,happo,0,8000,3.25,8,,34,abc"]
-        );
+        assert_eq!(lines[2], "halfcheetah-2x3,happo,0,4000,2,5,,,,");
+        let config = settings_sha256(&runs[0]);
+        assert_eq!(lines[3], format!("halfcheetah-2x3,happo,0,8000,3.25,8,,{config},34,abc"));
         let again = Record::read(&path).unwrap();
         assert_eq!(again, record);
         assert!(again.holds(&runs[0]) && !again.holds(&runs[1]));
@@ -252,15 +307,32 @@ mod tests {
     }
 
     #[test]
+    fn a_run_with_other_settings_or_evaluations_is_not_the_recorded_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut runs = planned();
+        let curve = finish(&mut runs[0], folder.path());
+        let mut record = Record::default();
+        record.add(&runs[0], &curve).unwrap();
+        assert!(record.holds(&runs[0]));
+        for other in ["settings.update.clip = 0.3", "settings.evaluation.episodes = 3"] {
+            let text =
+                SAMPLE.replace("settings.evaluation", &format!("{other}\nsettings.evaluation"));
+            let file: ExperimentFile = toml::from_str(&text).unwrap();
+            assert!(!record.holds(&plan(&file).unwrap()[0]), "{other}");
+        }
+    }
+
+    #[test]
     fn a_line_that_is_no_evaluation_is_refused_with_its_number() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("record.csv");
-        let good = "ant-4x2,happo,0,4000,2,5,,,";
+        let good = "ant-4x2,happo,0,4000,2,5,,,,";
         for (text, words) in [
             ("x\n".to_owned(), "must begin with the line task,variant"),
             (format!("{HEADER}\n{good}\nant-4x2,happo\n"), "line 3"),
             (format!("{HEADER}\n{good}\n{good}\n"), "env_steps must grow"),
-            (format!("{HEADER}\nant-4x2,happo,x,4000,2,5,,,\n"), "`x` is no number"),
+            (format!("{HEADER}\nant-4x2,happo,0,4000,NaN,5,,,,\n"), "`NaN` is not finite"),
+            (format!("{HEADER}\nant-4x2,happo,x,4000,2,5,,,,\n"), "`x` is no number"),
         ] {
             std::fs::write(&path, text).unwrap();
             let error = format!("{:#}", Record::read(&path).unwrap_err());

@@ -7,7 +7,7 @@ use anyhow::Context as _;
 
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
-use super::record::Record;
+use super::record::{Record, at_evaluations};
 use super::results::{Estimate, Measured, Row, rows};
 use super::standing::{Standing, mismatch, standing};
 use super::verdict::{Verdict, verdicts};
@@ -41,27 +41,30 @@ pub(crate) fn write(
 /// The curves of all runs that have begun, by the names of their variants, and the places among them of those that are
 /// finished: only these are compared, and stand in the experiment's record afterwards.
 fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Curve>, Vec<usize>)> {
-    let mut record = Record::read(&file.record)?;
+    let recorded = Record::read(&file.record)?;
+    let (mut record, kept) = (recorded.clone(), !file.record.as_os_str().is_empty());
     let (mut curves, mut finished) = (Vec::new(), Vec::new());
     for run in runs {
-        let curve = match record.curve(run) {
-            Some(curve) => curve,
-            None if is_there(run) => {
-                let (algorithm, settings) = (run.variant.clone(), BTreeMap::new());
-                Curve { algorithm, settings, ..learning_curve::read(&run.folder)? }
-            }
+        let (curve, done) = match record.curve(run) {
+            Some(curve) => (curve, true),
+            None if is_there(run) => (of_folder(run)?, standing(run) == Standing::Finished),
             None => continue,
         };
-        if !record.holds(run) && standing(run) == Standing::Finished {
+        if kept && done && !record.holds(run) {
             record.add(run, &curve)?;
         }
-        finished.extend(record.holds(run).then_some(curves.len()));
-        curves.push(curve);
+        finished.extend(done.then_some(curves.len()));
+        curves.push(if kept { at_evaluations(curve) } else { curve });
     }
-    if !file.record.as_os_str().is_empty() {
+    if record != recorded {
         record.write(&file.record)?;
     }
     Ok((curves, finished))
+}
+
+fn of_folder(run: &PlannedRun) -> anyhow::Result<Curve> {
+    let (algorithm, settings) = (run.variant.clone(), BTreeMap::new());
+    Ok(Curve { algorithm, settings, ..learning_curve::read(&run.folder)? })
 }
 
 fn is_there(run: &PlannedRun) -> bool {
@@ -132,9 +135,12 @@ fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
     )
 }
 
-/// `86 (20 to 100)`
+/// `86 (20 to 100)`, or `-` of what does not exist.
 fn shown(estimate: Estimate, decimals: usize) -> String {
     let Estimate { value, interval } = estimate;
+    if value.is_nan() {
+        return "-".to_owned();
+    }
     format!("{value:.decimals$} ({:.decimals$} to {:.decimals$})", interval.low, interval.high)
 }
 

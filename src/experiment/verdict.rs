@@ -1,5 +1,5 @@
-//! What an experiment says of each variant over all tasks together, as Agarwal et al. (NeurIPS 2021) aggregate runs:
-//! every task counts alike, and only runs of the same task are exchanged. Pure.
+//! What an experiment says of each variant over all tasks together, as Agarwal et al. (NeurIPS 2021) aggregate runs: in
+//! the probability of improvement every task counts alike, and only runs of the same task are exchanged. Pure.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,8 @@ pub(crate) struct Verdict {
     pub(crate) tasks: usize,
     /// Its finished runs on them.
     pub(crate) runs: usize,
-    /// Interquartile mean over all runs of the final return in units of the baseline's interquartile mean on the task.
+    /// Interquartile mean over all runs of the final return in units of the baseline's interquartile mean on the task;
+    /// NaN if that is not above 0 on every task.
     pub(crate) score: Estimate,
     /// Probability that a run of the variant ends higher than one of the baseline, mean over tasks.
     pub(crate) improvement: Estimate,
@@ -84,9 +85,13 @@ fn verdict(variant: &str, pairs: &Pairs) -> Verdict {
 fn normalised_score(samples: &[Vec<f64>]) -> f64 {
     let scores = samples.chunks_exact(2).flat_map(|pair| {
         let unit = interquartile_mean(&pair[1]);
-        pair[0].iter().map(move |own| own / unit)
+        pair[0].iter().map(move |own| if unit > 0.0 { own / unit } else { f64::NAN })
     });
-    interquartile_mean(&scores.collect::<Vec<_>>())
+    let scores: Vec<f64> = scores.collect();
+    match scores.iter().any(|score| score.is_nan()) {
+        true => f64::NAN,
+        false => interquartile_mean(&scores),
+    }
 }
 
 /// As [`normalised_score`].
@@ -119,9 +124,16 @@ mod tests {
         assert_eq!((new.tasks, new.runs), (2, 5));
         // All of four on one task, none of one on the other.
         assert_eq!(new.improvement.value, 0.5);
-        // 0.5, 2.00, 2.01, 2.02, 2.03 in order: a quarter of the second, the third, a quarter of the fourth.
-        assert!((new.score.value - 2.01).abs() < 0.011, "{new:?}");
+        // 0.5, 2.00, 2.01, 2.02, 2.03 in order: the third, and three quarters of each of its neighbours.
+        assert!((new.score.value - 2.01).abs() < 1e-9, "{new:?}");
         assert_eq!(new.p_value, new.adjusted_p_value);
+    }
+
+    #[test]
+    fn a_baseline_that_earns_nothing_is_no_unit_for_a_score() {
+        let runs = [run("ant-4x2", "happo", -1.0), run("ant-4x2", "new", 5.0)];
+        let found = verdicts(&runs, &["new".to_owned()], "happo");
+        assert!(found[0].score.value.is_nan() && found[0].improvement.value == 1.0, "{found:?}");
     }
 
     #[test]

@@ -21,7 +21,8 @@ impl Experiment {
         let place = tempfile::tempdir().unwrap();
         let text = format!(
             r#"
-            folder = "{}"
+            folder = "{folder}/runs"
+            record = "{folder}/record.csv"
             env_steps = 2_000
             seeds = [0, 1]
             tasks = ["cue-2x1"]
@@ -43,7 +44,7 @@ impl Experiment {
             seeds = [3]
             env_steps = 40_000
             "#,
-            place.path().join("runs").display()
+            folder = place.path().display()
         );
         let file = place.path().join("experiment.toml");
         std::fs::write(&file, text).unwrap();
@@ -52,6 +53,10 @@ impl Experiment {
 
     pub(crate) fn file(&self) -> &str {
         &self.file
+    }
+
+    pub(crate) fn record(&self) -> PathBuf {
+        self.place.path().join("record.csv")
     }
 
     pub(crate) fn folder(&self) -> PathBuf {

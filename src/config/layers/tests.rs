@@ -19,22 +19,21 @@ fn file(folder: &tempfile::TempDir, text: &str) -> PathBuf {
 #[test]
 fn every_layer_wins_over_the_one_before_it() {
     let folder = tempfile::tempdir().unwrap();
-    let mut request = request(&["ant-8x1", "algorithm=happo"]);
-    let start =
-        |request: &Request| resolve(request).unwrap().entries["policy.initial_log_std"].clone();
-    assert_eq!(start(&request).origin, "configs/tasks/ant-8x1.toml");
+    let mut request = request(&["walker2d-6x1", "algorithm=happo"]);
+    let gamma = |request: &Request| resolve(request).unwrap().entries["update.gamma"].clone();
+    assert_eq!(gamma(&request).origin, "configs/tasks/walker2d-6x1.toml");
 
-    let path = file(&folder, "[policy]\ninitial_log_std = 0.11\n");
+    let path = file(&folder, "[update]\ngamma = 0.11\n");
     request.files = vec![path.clone()];
-    assert_eq!(start(&request).origin, path.display().to_string());
+    assert_eq!(gamma(&request).origin, path.display().to_string());
 
-    request.environment = vec![("S2MIA__POLICY__INITIAL_LOG_STD".into(), "0.12".into())];
-    assert_eq!(start(&request).value, Scalar::Float(0.12));
-    assert_eq!(start(&request).origin, "environment variable S2MIA__POLICY__INITIAL_LOG_STD");
+    request.environment = vec![("S2MIA__UPDATE__GAMMA".into(), "0.12".into())];
+    assert_eq!(gamma(&request).value, Scalar::Float(0.12));
+    assert_eq!(gamma(&request).origin, "environment variable S2MIA__UPDATE__GAMMA");
 
-    request.settings.push("policy.initial_log_std=0.13".into());
+    request.settings.push("update.gamma=0.13".into());
     let asked = Entry { value: Scalar::Float(0.13), origin: "command line".into() };
-    assert_eq!(start(&request), asked);
+    assert_eq!(gamma(&request), asked);
 }
 
 #[test]
@@ -66,10 +65,10 @@ fn an_environment_from_outside_is_shown_as_it_is_where_the_simulator_alone_could
 fn a_file_may_choose_the_task() {
     let folder = tempfile::tempdir().unwrap();
     let mut request = request(&[]);
-    request.files = vec![file(&folder, "task = \"ant-2x4\"\n")];
+    request.files = vec![file(&folder, "task = \"walker2d-3x2\"\n")];
     let resolved = resolve(&request).unwrap();
-    assert_eq!(resolved.text("task"), "ant-2x4");
-    assert_eq!(resolved.origin("policy.initial_log_std"), "configs/tasks/ant-2x4.toml");
+    assert_eq!(resolved.text("task"), "walker2d-3x2");
+    assert_eq!(resolved.origin("update.gamma"), "configs/tasks/walker2d-3x2.toml");
 }
 
 #[test]
