@@ -55,7 +55,8 @@ impl Fingerprints {
     }
 }
 
-fn manifest(folder: &Path) -> anyhow::Result<serde_json::Value> {
+/// The manifest of a run folder.
+pub(crate) fn manifest(folder: &Path) -> anyhow::Result<serde_json::Value> {
     let file = run_path::manifest_file(folder);
     let shown = file.display();
     let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {shown}"))?;

@@ -39,8 +39,12 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
 }
 
 /// Replaces a file as a whole: a reader sees the old one or the new one, never a part.
-pub(crate) fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
+///
+/// # Errors
+/// Names the file or folder that could not be written.
+pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let named = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = named.unwrap_or(Path::new("."));
     let name =
         path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let draft = folder.join(format!(".tmp-{name}"));

@@ -13,8 +13,8 @@ use sha2::{Digest as _, Sha256};
 
 use super::plan::PlannedRun;
 use super::standing::last_lines;
+use crate::fingerprints;
 use crate::learning_curve::{Curve, Quantity};
-use crate::run_path;
 
 const HEADER: &str =
     "task,variant,seed,env_steps,return,surprise,information,settings_sha256,weights_sha256,commit";
@@ -81,12 +81,19 @@ impl Record {
     /// Takes over one line.
     fn take(&mut self, line: &str) -> anyhow::Result<()> {
         let fields: Vec<&str> = line.split(',').collect();
-        let [task, variant, seed, env_steps, mean_return, surprise, information, hashes @ ..] =
-            &fields[..]
+        let [
+            task,
+            variant,
+            seed,
+            env_steps,
+            mean_return,
+            surprise,
+            information,
+            settings,
+            weights,
+            commit,
+        ] = fields[..]
         else {
-            bail!("has {} of 10 fields", fields.len());
-        };
-        let [config, weights, commit] = hashes else {
             bail!("has {} of 10 fields", fields.len());
         };
         let optional = |text: &str| (!text.is_empty()).then(|| finite(text)).transpose();
@@ -96,10 +103,10 @@ impl Record {
             surprise: optional(surprise)?,
             information: optional(information)?,
         };
-        let name = ((*task).to_owned(), (*variant).to_owned(), number(seed)?);
+        let name = (task.to_owned(), variant.to_owned(), number(seed)?);
         let run = self.0.entry(name).or_default();
         let [settings_sha256, weights_sha256, commit] =
-            [config, weights, commit].map(|&text| text.to_owned());
+            [settings, weights, commit].map(str::to_owned);
         run.origin = Origin { settings_sha256, weights_sha256, commit };
         if run.evaluations.last().is_some_and(|last| last.env_steps >= evaluation.env_steps) {
             bail!("env_steps must grow");
@@ -131,11 +138,7 @@ impl Record {
     /// Names the file of the folder that cannot be read.
     pub(crate) fn add(&mut self, run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
         let evaluations = evaluations(curve);
-        let manifest = run_path::manifest_file(&run.folder);
-        let manifest = std::fs::read(&manifest)
-            .map_err(anyhow::Error::from)
-            .and_then(|bytes| Ok(serde_json::from_slice::<Value>(&bytes)?))
-            .with_context(|| format!("cannot read {}", manifest.display()))?;
+        let manifest = fingerprints::manifest(&run.folder)?;
         let last = last_lines(&run.folder.join(PROVENANCE_FILE)).pop().unwrap_or_default();
         let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let origin = Origin {
@@ -152,13 +155,11 @@ impl Record {
     /// # Errors
     /// Names the file if it cannot be written.
     pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
-        let failed = || format!("cannot write {}", path.display());
         if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).with_context(failed)?;
+            let made = std::fs::create_dir_all(folder);
+            made.with_context(|| format!("cannot make {}", folder.display()))?;
         }
-        let draft = path.with_extension("csv.draft");
-        std::fs::write(&draft, self.text()).with_context(failed)?;
-        std::fs::rename(&draft, path).with_context(failed)
+        Ok(learner::durable::replace(path, self.text().as_bytes())?)
     }
 
     fn text(&self) -> String {

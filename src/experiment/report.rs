@@ -45,16 +45,19 @@ fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Cur
     let (mut record, kept) = (recorded.clone(), !file.record.as_os_str().is_empty());
     let (mut curves, mut finished) = (Vec::new(), Vec::new());
     for run in runs {
-        let (curve, done) = match record.curve(run) {
+        let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
-            None if is_there(run) => (of_folder(run)?, standing(run) == Standing::Finished),
+            None if is_there(run) => {
+                let (curve, done) = (of_folder(run)?, standing(run) == Standing::Finished);
+                if kept && done {
+                    record.add(run, &curve)?;
+                }
+                (if kept { at_evaluations(curve) } else { curve }, done)
+            }
             None => continue,
         };
-        if kept && done && !record.holds(run) {
-            record.add(run, &curve)?;
-        }
         finished.extend(done.then_some(curves.len()));
-        curves.push(if kept { at_evaluations(curve) } else { curve });
+        curves.push(curve);
     }
     if record != recorded {
         record.write(&file.record)?;

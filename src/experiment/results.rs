@@ -18,6 +18,16 @@ pub(crate) struct Estimate {
     pub(crate) interval: Interval,
 }
 
+impl Estimate {
+    /// `of` the samples, each drawn again by itself for the interval; `figure` tells the draws of different figures
+    /// apart.
+    pub(super) fn of(samples: &[&[f64]], figure: u32, of: impl Fn(&[Vec<f64>]) -> f64) -> Self {
+        let whole: Vec<Vec<f64>> = samples.iter().map(|sample| sample.to_vec()).collect();
+        let key = Draw::of(Purpose::Bootstrap).step(figure);
+        Self { value: of(&whole), interval: bootstrap_interval(samples, key, of) }
+    }
+}
+
 /// One finished run.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Measured {
@@ -52,19 +62,15 @@ pub(crate) struct Row {
     pub(crate) improvement: Option<Estimate>,
 }
 
-/// The curves of each variant on each task.
-type Groups<'a> = BTreeMap<(&'a str, &'a str), Vec<&'a [(f64, f64)]>>;
+/// The curves of each variant on each task, by task and variant.
+pub(super) type Groups<'a> = BTreeMap<(&'a str, &'a str), Vec<&'a [(f64, f64)]>>;
 
 /// A row for each variant on each task, in the order of `variants` within a task. What counts as learnt is
 /// `share` of the highest final return among the task's variants.
 pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share: f64) -> Vec<Row> {
-    let mut groups = Groups::new();
-    for run in runs {
-        groups.entry((&run.task, &run.variant)).or_default().push(&run.returns);
-    }
-    let tasks: BTreeSet<&str> = groups.keys().map(|(task, _)| *task).collect();
+    let groups = grouped(runs);
     let mut rows = Vec::new();
-    for task in tasks {
+    for task in tasks(&groups) {
         let of_task = |variant| found(&groups, task, variant);
         let bests = variants.iter().filter_map(|v| Some(interquartile_mean(&finals(of_task(v)?))));
         let threshold = share * bests.fold(f64::NEG_INFINITY, f64::max);
@@ -78,7 +84,19 @@ pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share
     rows
 }
 
-fn found<'a>(
+pub(super) fn grouped(runs: &[Measured]) -> Groups<'_> {
+    let mut groups = Groups::new();
+    for run in runs {
+        groups.entry((&run.task, &run.variant)).or_default().push(&run.returns);
+    }
+    groups
+}
+
+pub(super) fn tasks<'a>(groups: &Groups<'a>) -> BTreeSet<&'a str> {
+    groups.keys().map(|(task, _)| *task).collect()
+}
+
+pub(super) fn found<'a>(
     groups: &'a Groups<'a>,
     task: &'a str,
     variant: &'a str,
@@ -109,12 +127,13 @@ fn row(
     }
 }
 
-fn finals(curves: &[&[(f64, f64)]]) -> Vec<f64> {
+/// The final return of each run.
+pub(super) fn finals(curves: &[&[(f64, f64)]]) -> Vec<f64> {
     curves.iter().map(|curve| final_return(curve)).collect()
 }
 
 /// The mean of the evaluations after nine tenths of the run; the last one is always among them. NaN without any.
-pub(super) fn final_return(curve: &[(f64, f64)]) -> f64 {
+fn final_return(curve: &[(f64, f64)]) -> f64 {
     let last = curve.last().map_or(0.0, |point| point.0);
     let late = curve.iter().filter(|point| point.0 > 0.9 * last || point.0 == last);
     let returns: Vec<f64> = late.map(|point| point.1).collect();
@@ -130,10 +149,8 @@ fn mean(values: &[f64], figure: u32) -> Estimate {
 }
 
 fn improvement(runs: &[f64], baseline: &[f64]) -> Estimate {
-    let key = Draw::of(Purpose::Bootstrap).step(2);
     let of = |samples: &[Vec<f64>]| probability_of_improvement(&samples[0], &samples[1]);
-    let interval = bootstrap_interval(&[runs, baseline], key, of);
-    Estimate { value: probability_of_improvement(runs, baseline), interval }
+    Estimate::of(&[runs, baseline], 2, of)
 }
 
 /// The median, in which a run that never reaches the threshold takes for ever.

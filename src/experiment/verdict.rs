@@ -1,14 +1,11 @@
 //! What an experiment says of each variant over all tasks together, as Agarwal et al. (NeurIPS 2021) aggregate runs: in
 //! the probability of improvement every task counts alike, and only runs of the same task are exchanged. Pure.
 
-use std::collections::BTreeMap;
-
 use policy::{Draw, Purpose};
 
-use super::results::{Estimate, Measured, final_return};
+use super::results::{Estimate, Measured, finals, found, grouped, tasks};
 use crate::statistics::{
-    bootstrap_interval, holm_adjusted, interquartile_mean, permutation_p_value,
-    probability_of_improvement,
+    holm_adjusted, interquartile_mean, permutation_p_value, probability_of_improvement,
 };
 
 /// A variant against the baseline, over the tasks that both have finished runs of.
@@ -36,48 +33,37 @@ type Pairs = Vec<(Vec<f64>, Vec<f64>)>;
 
 /// A verdict on each of `variants` but the baseline itself that shares a task with it.
 pub(crate) fn verdicts(runs: &[Measured], variants: &[String], baseline: &str) -> Vec<Verdict> {
-    let mut finals = BTreeMap::<(&str, &str), Vec<f64>>::new();
-    for run in runs {
-        let of_task = finals.entry((&run.variant, &run.task)).or_default();
-        of_task.push(final_return(&run.returns));
-    }
-    let of = |name: &str| -> BTreeMap<&str, &Vec<f64>> {
-        let own = finals.iter().filter(|((variant, _), _)| *variant == name);
-        own.map(|((_, task), returns)| (*task, returns)).collect()
+    let groups = grouped(runs);
+    let pairs = |variant: &String| -> Pairs {
+        let of = |task, name| found(&groups, task, name).map(finals);
+        let shared = tasks(&groups).into_iter();
+        shared.filter_map(|task| Some((of(task, variant)?, of(task, baseline)?))).collect()
     };
-    let rivals = of(baseline);
-    let compared = variants.iter().filter(|variant| *variant != baseline).filter_map(|variant| {
-        let shared = of(variant).into_iter();
-        let pairs: Pairs = shared
-            .filter_map(|(task, own)| Some((own.clone(), (*rivals.get(task)?).clone())))
-            .collect();
-        (!pairs.is_empty()).then(|| verdict(variant, &pairs))
-    });
-    let mut found: Vec<Verdict> = compared.collect();
-    let raw: Vec<f64> = found.iter().map(|verdict| verdict.p_value).collect();
-    for (verdict, adjusted) in found.iter_mut().zip(holm_adjusted(&raw)) {
-        verdict.adjusted_p_value = adjusted;
-    }
-    found
+    let rivals = variants.iter().filter(|variant| *variant != baseline);
+    let compared: Vec<(&String, Pairs)> = rivals
+        .map(|variant| (variant, pairs(variant)))
+        .filter(|(_, pairs)| !pairs.is_empty())
+        .collect();
+    let key = Draw::of(Purpose::Bootstrap).step(5);
+    let raw: Vec<f64> = compared.iter().map(|(_, pairs)| permutation_p_value(pairs, key)).collect();
+    let p_values = raw.iter().copied().zip(holm_adjusted(&raw));
+    let judged = compared.iter().zip(p_values);
+    judged.map(|((variant, pairs), p_values)| verdict(variant, pairs, p_values)).collect()
 }
 
-fn verdict(variant: &str, pairs: &Pairs) -> Verdict {
+/// `p_values`: as it is, and adjusted.
+fn verdict(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Verdict {
     let samples: Vec<&[f64]> =
         pairs.iter().flat_map(|(own, rivals)| [own.as_slice(), rivals.as_slice()]).collect();
-    let estimate = |figure: u32, of: fn(&[Vec<f64>]) -> f64| {
-        let key = Draw::of(Purpose::Bootstrap).step(figure);
-        let whole: Vec<Vec<f64>> = samples.iter().map(|sample| sample.to_vec()).collect();
-        Estimate { value: of(&whole), interval: bootstrap_interval(&samples, key, of) }
-    };
-    let p_value = permutation_p_value(pairs, Draw::of(Purpose::Bootstrap).step(5));
+    let (p_value, adjusted_p_value) = p_values;
     Verdict {
         variant: variant.to_owned(),
         tasks: pairs.len(),
         runs: pairs.iter().map(|(own, _)| own.len()).sum(),
-        score: estimate(3, normalised_score),
-        improvement: estimate(4, mean_improvement),
+        score: Estimate::of(&samples, 3, normalised_score),
+        improvement: Estimate::of(&samples, 4, mean_improvement),
         p_value,
-        adjusted_p_value: p_value,
+        adjusted_p_value,
     }
 }
 
