@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use policy::PolicySnapshot;
 use proto::{Ack, Beat, Lease, Registered};
+use tokio::sync::MappedMutexGuard;
 use tonic::{Code, Status};
 use tracing::Instrument as _;
 
@@ -21,21 +22,15 @@ pub(crate) enum Ended {
     Dropped(String),
 }
 
-/// Where a lease stands.
-#[derive(Default)]
-struct Progress {
-    /// Messages sent and not acknowledged.
-    waiting: usize,
-    /// The stepping thread has nothing more to say.
-    produced_all: bool,
-}
+/// The stepping thread, until it has nothing more to say about the lease.
+type Held<'a> = Option<MappedMutexGuard<'a, Stepper>>;
 
-/// Has the stepping thread work off `lease`, streams what it produces and keeps the lease alive.
-/// When it returns, the stepping thread is idle.
+/// Has the stepping thread work off `lease`, streams what it produces and keeps the lease alive until
+/// every message is acknowledged. The stepping thread is given back, idle, before that: as soon as it has produced all.
 pub(crate) async fn work_off(
     client: &mut Client,
     own: &Registered,
-    stepper: &mut Stepper,
+    stepper: MappedMutexGuard<'_, Stepper>,
     lease: Lease,
     policy: Arc<PolicySnapshot>,
     pace: Duration,
@@ -47,17 +42,15 @@ pub(crate) async fn work_off(
     let span = tracing::Span::current();
     let job = Job { lease, policy, watch: Arc::clone(&watch), span };
     stepper.jobs.send(job).await.map_err(|_| gone())?;
-    let mut progress = Progress::default();
-    let ended = stream(client, stepper, &mut push, beat, (&watch, pace), &mut progress)
+    let mut stepper = Some(stepper);
+    let ended = stream(client, &mut stepper, &mut push, beat, (&watch, pace))
         .instrument(tracing::trace_span!("push"))
         .await;
     watch.cancelled.store(true, Ordering::Relaxed);
-    while !progress.produced_all {
-        progress.produced_all = match stepper.produced.recv().await {
-            Some(Produced::Message(_)) => false,
-            Some(Produced::End | Produced::Failed(_)) => true,
-            None => return Err(gone()),
-        };
+    while stepper.is_some() {
+        if let Produced::End | Produced::Failed(_) = next(&mut stepper).await? {
+            stepper = None;
+        }
     }
     match ended {
         Err(ActorError::Refused(status)) if is_over(&status) => {
@@ -74,34 +67,34 @@ fn is_over(status: &Status) -> bool {
 
 async fn stream(
     client: &mut Client,
-    stepper: &mut Stepper,
+    stepper: &mut Held<'_>,
     push: &mut PushStream,
     mut beat: Beat,
     (watch, pace): (&Watch, Duration),
-    progress: &mut Progress,
 ) -> Result<Ended, ActorError> {
     let mut pulse = tokio::time::interval(pace);
     pulse.tick().await;
+    let mut unacknowledged = 0_usize;
     loop {
-        let room = !progress.produced_all && progress.waiting < MAX_UNACKNOWLEDGED;
+        let room = stepper.is_some() && unacknowledged < MAX_UNACKNOWLEDGED;
         tokio::select! {
-            produced = stepper.produced.recv(), if room => {
-                match produced.ok_or_else(gone)? {
+            produced = next(stepper), if room => {
+                match produced? {
                     Produced::Message(message) => {
-                        progress.waiting += 1;
+                        unacknowledged += 1;
                         // If the stream is closed, its status says why.
                         let _ = push.results.send(*message).await;
                     }
-                    Produced::End => progress.produced_all = true,
+                    Produced::End => *stepper = None,
                     Produced::Failed(error) => {
-                        progress.produced_all = true;
+                        *stepper = None;
                         return Err(error.of_lease(beat.lease));
                     }
                 }
             }
             ack = push.acknowledgements.message() => {
                 let ack = ack?.ok_or_else(|| Status::unavailable("the learner closed the stream"))?;
-                progress.waiting = progress.waiting.saturating_sub(1);
+                unacknowledged = unacknowledged.saturating_sub(1);
                 if Ack::from_wire(&ack)?.lease_finished {
                     return Ok(Ended::Finished);
                 }
@@ -113,6 +106,14 @@ async fn stream(
                 }
             }
         }
+    }
+}
+
+/// What the stepping thread produces next. Waits for ever once it is given back.
+async fn next(stepper: &mut Held<'_>) -> Result<Produced, ActorError> {
+    match stepper {
+        Some(stepper) => stepper.produced.recv().await.ok_or_else(gone),
+        None => std::future::pending().await,
     }
 }
 

@@ -4,8 +4,8 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use proto::{Lease, LeaseAnswer, Registration, Work};
-use tokio::sync::watch;
+use proto::{Lease, LeaseAnswer, Registered, Registration, RunDescription, Work};
+use tokio::sync::{Mutex, MutexGuard, watch};
 use tracing::Instrument as _;
 
 use crate::client::{Answered, Client, WeightsCache, explained, may_pass};
@@ -89,7 +89,8 @@ async fn explained_session(
     }
 }
 
-/// One session: from a new connection to the run's end.
+/// One session: from a new connection to the run's end. Two leases overlap: while the last messages of one are
+/// on their way and acknowledged, the next is taken and stepped.
 async fn attend(
     config: &Config,
     log: Option<&Log>,
@@ -101,42 +102,78 @@ async fn attend(
     let own = client.register(&registration(config, &source)?).await?;
     tracing::info!(actor = own.actor.0, run = run.run_id, "registered with {}", config.learner);
     let desk = log.and_then(|log| Some(log.desk(&run, source.task()?)));
-    let mut stepper = Stepper::start(Arc::clone(&run), &source, desk)?;
-    let mut weights = WeightsCache::default();
-    loop {
-        let lost = log.map_or(0, Log::untold);
-        let Answered { answer, parent } = client.lease(&own, &run, lost).await?;
-        if let Some(log) = log {
-            log.tell(lost);
-        }
-        match answer {
-            LeaseAnswer::Done => return Ok(Session::Done),
-            LeaseAnswer::Retry { wait_millis } => {
-                outage.over();
-                tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
+    let stepper = Stepper::start(Arc::clone(&run), &source, desk)?;
+    let tools = Mutex::new(Tools { stepper, weights: WeightsCache::default(), outage });
+    let lane = || Lane { client: client.clone(), own, run: &run, log, tools: &tools };
+    let (mut first, mut second) = (lane(), lane());
+    tokio::select! {
+        ended = first.attend() => ended,
+        ended = second.attend() => ended,
+    }
+}
+
+/// What the lanes of a session use in turns.
+struct Tools<'a> {
+    stepper: Stepper,
+    weights: WeightsCache,
+    outage: &'a mut Outage,
+}
+
+/// Works off lease after lease. Holds the tools from asking for a lease until its last step, and
+/// leaves them to the other lane while its last messages are acknowledged.
+struct Lane<'a, 'o> {
+    client: Client,
+    own: Registered,
+    run: &'a RunDescription,
+    log: Option<&'a Log>,
+    tools: &'a Mutex<Tools<'o>>,
+}
+
+impl Lane<'_, '_> {
+    /// Until the run is over.
+    async fn attend(&mut self) -> Result<Session, ActorError> {
+        let mut worked = false;
+        loop {
+            let mut tools = self.tools.lock().await;
+            if std::mem::take(&mut worked) {
+                tools.outage.over();
             }
-            LeaseAnswer::Lease(lease) => {
-                let id = lease.id;
-                let span = span(&lease, parent.as_deref());
-                let pace = Duration::from_secs_f64(run.heartbeat_secs);
-                let work = async {
-                    let policy = client.weights(&mut weights, lease.weights);
-                    let policy = policy.instrument(tracing::trace_span!("weights")).await?;
-                    work_off(&mut client, &own, &mut stepper, lease, policy, pace).await
-                };
-                let ended = work.instrument(span).await?;
-                outage.over();
-                match ended {
-                    Ended::Finished => {}
-                    Ended::Dropped(why) => {
-                        tracing::warn!(
-                            learner = config.learner,
-                            "lease {id} dropped: {why}; asking for another"
-                        )
-                    }
+            let lost = self.log.map_or(0, Log::untold);
+            let Answered { answer, parent } = self.client.lease(&self.own, self.run, lost).await?;
+            if let Some(log) = self.log {
+                log.tell(lost);
+            }
+            match answer {
+                LeaseAnswer::Done => return Ok(Session::Done),
+                LeaseAnswer::Retry { wait_millis } => {
+                    tools.outage.over();
+                    tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
+                }
+                LeaseAnswer::Lease(lease) => {
+                    let span = span(&lease, parent.as_deref());
+                    self.work(lease, tools).instrument(span).await?;
+                    worked = true;
                 }
             }
         }
+    }
+
+    /// One lease.
+    async fn work(
+        &mut self,
+        lease: Lease,
+        mut tools: MutexGuard<'_, Tools<'_>>,
+    ) -> Result<(), ActorError> {
+        let (id, client) = (lease.id, &mut self.client);
+        let pace = Duration::from_secs_f64(self.run.heartbeat_secs);
+        let policy = client.weights(&mut tools.weights, lease.weights);
+        let policy = policy.instrument(tracing::trace_span!("weights")).await?;
+        let stepper = MutexGuard::map(tools, |tools| &mut tools.stepper);
+        match work_off(client, &self.own, stepper, lease, policy, pace).await? {
+            Ended::Finished => {}
+            Ended::Dropped(why) => tracing::warn!("lease {id} dropped: {why}; asking for another"),
+        }
+        Ok(())
     }
 }
 

@@ -3,5 +3,6 @@
 
 mod choices;
 mod fixture;
+mod overlap;
 mod recording;
 mod rollout;
