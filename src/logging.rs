@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use indicatif::MultiProgress;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
-use tracing_subscriber::{EnvFilter, Layer, Registry};
+use tracing_subscriber::{EnvFilter, Layer};
 
 use crate::cli::{Arguments, Command, LogFormat};
 
@@ -18,9 +18,8 @@ pub(crate) fn bars() -> &'static MultiProgress {
     BARS.get_or_init(MultiProgress::new)
 }
 
-/// Starts logging, and gives `spans` what is recorded beside it; the filter is `--log`, then RUST_LOG, then the command's own
-/// level.
-pub(crate) fn start(arguments: &Arguments, spans: Option<impl Layer<Registry> + Send + Sync>) {
+/// Starts logging; the filter is `--log`, then RUST_LOG, then the command's own level.
+pub(crate) fn start(arguments: &Arguments) {
     let default = match arguments.command {
         Command::Learner(_) | Command::Actor(_) => "info",
         // A stranger at the live view's port is no trouble of the run's.
@@ -35,7 +34,7 @@ pub(crate) fn start(arguments: &Arguments, spans: Option<impl Layer<Registry> + 
         LogFormat::Text => lines.with_ansi(false).with_target(false).boxed(),
         LogFormat::Json => lines.json().flatten_event(true).boxed(),
     };
-    tracing_subscriber::registry().with(spans).with(lines.with_filter(filter)).init();
+    tracing_subscriber::registry().with(lines.with_filter(filter)).init();
 }
 
 /// Writes to stderr while no bar is drawn.

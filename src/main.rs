@@ -26,8 +26,6 @@ mod run_path;
 mod signals;
 mod statistics;
 mod supervisor;
-#[cfg(feature = "otel")]
-mod telemetry;
 
 use std::process::ExitCode;
 
@@ -45,29 +43,11 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => return cli::report(&error),
     };
-    match choose_registers().and_then(|()| run(arguments)) {
+    logging::start(&arguments);
+    match choose_registers().and_then(|()| commands::run(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failure(&error),
     }
-}
-
-/// Runs the command, and with the feature `otel` sends its spans.
-#[cfg(feature = "otel")]
-fn run(arguments: cli::Arguments) -> anyhow::Result<()> {
-    let telemetry = telemetry::Telemetry::start(&arguments.command);
-    let sending = telemetry.as_ref().ok().and_then(Option::as_ref);
-    logging::start(&arguments, sending.map(telemetry::Telemetry::spans));
-    if let Err(error) = &telemetry {
-        tracing::warn!("{error:#}; the run goes on without them");
-    }
-    commands::run(arguments.command)
-}
-
-/// Runs the command.
-#[cfg(not(feature = "otel"))]
-fn run(arguments: cli::Arguments) -> anyhow::Result<()> {
-    logging::start(&arguments, None::<tracing_subscriber::layer::Identity>);
-    commands::run(arguments.command)
 }
 
 /// Computes with the registers that `S2MIA_SIMD` names; without it with the widest of this processor.

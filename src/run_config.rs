@@ -342,7 +342,7 @@ mod tests {
             ("run.env_steps=0", "run.env_steps"),
             ("surprise.density=oracle", "surprise.density"),
             ("surprise.density=categorical", "surprise.constant"),
-            ("surprise.references=5", "surprise.references"),
+            ("surprise.vae.latent=0", "surprise.vae.latent"),
             ("surprise.clip=-1", "surprise.clip"),
             ("influence.kappa=-1", "influence.kappa"),
             ("influence.lag=2", "influence.lag"),

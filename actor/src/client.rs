@@ -44,13 +44,6 @@ pub(crate) struct PushStream {
     pub(crate) acknowledgements: Streaming<wire::PushTrajectoryResponse>,
 }
 
-/// What the learner answers who asks for work.
-pub(crate) struct Answered {
-    pub(crate) answer: LeaseAnswer,
-    /// The span in which the work stands, as W3C Trace Context writes it, from a learner that records spans.
-    pub(crate) parent: Option<String>,
-}
-
 /// A connection to the learner.
 #[derive(Clone)]
 pub(crate) struct Client {
@@ -96,7 +89,7 @@ impl Client {
         own: &Registered,
         run: &RunDescription,
         log_steps_lost: u64,
-    ) -> Result<Answered, ActorError> {
+    ) -> Result<LeaseAnswer, ActorError> {
         let message = wire::LeaseSlotsRequest {
             actor_id: own.actor.0,
             incarnation: own.incarnation.0,
@@ -105,9 +98,7 @@ impl Client {
         };
         let deadline = CALL_DEADLINE + Duration::from_millis(LEASE_WAIT_MILLIS.into());
         let response = self.service.lease_slots(within(deadline, message)).await?;
-        let parent = response.metadata().get("traceparent").and_then(|text| text.to_str().ok());
-        let parent = parent.map(str::to_owned);
-        Ok(Answered { answer: LeaseAnswer::from_wire(response.into_inner(), run)?, parent })
+        Ok(LeaseAnswer::from_wire(response.into_inner(), run)?)
     }
 
     pub(crate) async fn heartbeat(&mut self, beat: &Beat) -> Result<HeartbeatAnswer, ActorError> {

@@ -8,7 +8,6 @@ use policy::PolicySnapshot;
 use proto::{Ack, Beat, Lease, Registered};
 use tokio::sync::MappedMutexGuard;
 use tonic::{Code, Status};
-use tracing::Instrument as _;
 
 use crate::client::{Client, MAX_UNACKNOWLEDGED, PushStream};
 use crate::error::{ActorError, describe};
@@ -39,13 +38,10 @@ pub(crate) async fn work_off(
     let beat =
         Beat { actor: own.actor, incarnation: own.incarnation, lease: lease.id, slot_step: 0 };
     let mut push = client.open_push().await?;
-    let span = tracing::Span::current();
-    let job = Job { lease, policy, watch: Arc::clone(&watch), span };
+    let job = Job { lease, policy, watch: Arc::clone(&watch) };
     stepper.jobs.send(job).await.map_err(|_| gone())?;
     let mut stepper = Some(stepper);
-    let ended = stream(client, &mut stepper, &mut push, beat, (&watch, pace))
-        .instrument(tracing::trace_span!("push"))
-        .await;
+    let ended = stream(client, &mut stepper, &mut push, beat, (&watch, pace)).await;
     watch.cancelled.store(true, Ordering::Relaxed);
     while stepper.is_some() {
         if let Produced::End | Produced::Failed(_) = next(&mut stepper).await? {

@@ -4,11 +4,10 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use proto::{Lease, LeaseAnswer, Registered, Registration, RunDescription, Work};
+use proto::{Lease, LeaseAnswer, Registered, Registration, RunDescription};
 use tokio::sync::{Mutex, MutexGuard, watch};
-use tracing::Instrument as _;
 
-use crate::client::{Answered, Client, WeightsCache, explained, may_pass};
+use crate::client::{Client, WeightsCache, explained, may_pass};
 use crate::config::Config;
 use crate::error::{ActorError, describe};
 use crate::identity::rollout_fingerprint;
@@ -139,7 +138,7 @@ impl Lane<'_, '_> {
                 tools.outage.over();
             }
             let lost = self.log.map_or(0, Log::untold);
-            let Answered { answer, parent } = self.client.lease(&self.own, self.run, lost).await?;
+            let answer = self.client.lease(&self.own, self.run, lost).await?;
             if let Some(log) = self.log {
                 log.tell(lost);
             }
@@ -150,8 +149,7 @@ impl Lane<'_, '_> {
                     tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
                 }
                 LeaseAnswer::Lease(lease) => {
-                    let span = span(&lease, parent.as_deref());
-                    self.work(lease, tools).instrument(span).await?;
+                    self.work(lease, tools).await?;
                     worked = true;
                 }
             }
@@ -166,8 +164,7 @@ impl Lane<'_, '_> {
     ) -> Result<(), ActorError> {
         let (id, client) = (lease.id, &mut self.client);
         let pace = Duration::from_secs_f64(self.run.heartbeat_secs);
-        let policy = client.weights(&mut tools.weights, lease.weights);
-        let policy = policy.instrument(tracing::trace_span!("weights")).await?;
+        let policy = client.weights(&mut tools.weights, lease.weights).await?;
         let stepper = MutexGuard::map(tools, |tools| &mut tools.stepper);
         match work_off(client, &self.own, stepper, lease, policy, pace).await? {
             Ended::Finished => {}
@@ -175,15 +172,6 @@ impl Lane<'_, '_> {
         }
         Ok(())
     }
-}
-
-/// A lease, for whoever records spans: within the learner's iteration, or by itself if that is not known.
-fn span(lease: &Lease, parent: Option<&str>) -> tracing::Span {
-    let slot = match &lease.work {
-        Work::Rollout(work) => Some(work.slot),
-        Work::Evaluation(_) => None,
-    };
-    tracing::trace_span!("lease", trace.parent = parent, lease = lease.id.0, lease.attempt, slot)
 }
 
 /// What this actor offers for the run.

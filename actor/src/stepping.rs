@@ -30,8 +30,6 @@ pub(crate) struct Job {
     pub(crate) lease: Lease,
     pub(crate) policy: Arc<PolicySnapshot>,
     pub(crate) watch: Arc<Watch>,
-    /// Where its own span stands, for whoever records spans.
-    pub(crate) span: tracing::Span,
 }
 
 /// What the two sides of a job share while it runs.
@@ -109,7 +107,6 @@ impl Worlds {
         job: &Job,
         results: &mpsc::Sender<Produced>,
     ) -> Result<(), EnvironmentError> {
-        let _rollout = tracing::trace_span!(parent: &job.span, "rollout").entered();
         match &job.lease.work {
             Work::Rollout(work) => self.roll_out(job, work, results),
             Work::Evaluation(work) => {

@@ -1,6 +1,7 @@
 //! Many actors against one learner: how much it takes in, what that costs it, and whether their number matters. The
 //! actors step no worlds: each sends the same recorded slot of the real policy, whose log-densities the learner
-//! checks as always. The policies stay what they are because the learner's steps are too small to be seen.
+//! checks as always. The policies stay what they are
+//! because the learner's steps are too small to be seen and nothing is scaled by running statistics.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Stdio};
@@ -30,10 +31,13 @@ const SLOTS: usize = 256;
 const STEPS: usize = 200;
 
 /// One environment to a slot, and as little training as there can be.
-const SETTINGS: [&str; 11] = [
+const SETTINGS: [&str; 14] = [
     "halfcheetah-2x3",
     "environments.count=256",
     "environments.per_slot=1",
+    "environments.steps=200",
+    "observation.norm=none",
+    "critic.state_norm=none",
     "evaluation.every_steps=0",
     "update.learning_rate=1e-30",
     "update.epochs=1",

@@ -1,10 +1,17 @@
 //! The learner's update by its parts, for the shapes of HARL's tuned settings.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Mutex, Once};
 
-use marl::{Algorithm, Batch, Phase, PhaseObserver, Problem, Surprise};
+use marl::{Algorithm, Batch, Problem, Surprise};
 use policy::RunSeed;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use tracing::span::Id;
+use tracing::{Metadata, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::FilterFn;
+use tracing_subscriber::layer::{Context, SubscriberExt as _};
+use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::clock::{Took, median, once, thread_secs};
 use crate::settings::{self, Settings};
@@ -15,14 +22,8 @@ use crate::{Effort, synthetic};
 pub(crate) const TASKS: [&str; 3] = ["halfcheetah-6x1", "walker2d-2x3", "ant-4x2"];
 pub(crate) const CORES: [&str; 2] = ["mlp", "gru"];
 
-const PHASES: [Phase; 6] = [
-    Phase::Values,
-    Phase::Advantages,
-    Phase::Behaviour,
-    Phase::Posteriors,
-    Phase::Sweep,
-    Phase::Critic,
-];
+/// The parts of an on-policy update: the names of its spans, in the order in which they begin.
+const PHASES: [&str; 6] = ["values", "advantages", "behaviour", "posteriors", "policies", "critic"];
 
 /// One task with one core.
 pub(crate) struct Case {
@@ -87,7 +88,7 @@ fn row(case: &Case, effort: Effort) -> anyhow::Result<Row> {
         ("relabel, s", of(|parts| parts.relabel, single)),
     ];
     let names =
-        ["values, s", "advantages, s", "behaviour, s", "posteriors, s", "sweep, s", "critic, s"];
+        ["values, s", "advantages, s", "behaviour, s", "posteriors, s", "policies, s", "critic, s"];
     for (phase, name) in names.into_iter().enumerate() {
         figures.push((name, median(single.iter().map(|parts| parts.phases[phase]))));
     }
@@ -99,7 +100,6 @@ pub(crate) struct Updates {
     pub(crate) surprise: Surprise,
     pub(crate) algorithm: Box<dyn Algorithm>,
     pub(crate) pool: ThreadPool,
-    stopwatch: Arc<Stopwatch>,
     iteration: u64,
 }
 
@@ -119,14 +119,12 @@ impl Updates {
         problem: &Problem,
         threads: usize,
     ) -> anyhow::Result<Self> {
-        let stopwatch = Arc::new(Stopwatch::default());
-        let mut algorithm = marl::build(&settings.training, &settings.policy, problem, RunSeed(0))?;
-        algorithm.observe_phases(Arc::clone(&stopwatch) as Arc<dyn PhaseObserver>);
+        Stopwatch::start();
+        let algorithm = marl::build(&settings.training, &settings.policy, problem, RunSeed(0))?;
         Ok(Self {
             surprise: Surprise::new(&settings.training.surprise, problem, RunSeed(0))?,
             algorithm,
             pool: ThreadPoolBuilder::new().num_threads(threads).build()?,
-            stopwatch,
             iteration: 0,
         })
     }
@@ -138,7 +136,7 @@ impl Updates {
 
     /// One update, as the learner makes it.
     pub(crate) fn run(&mut self, batch: &Batch) -> anyhow::Result<Parts> {
-        let Self { surprise, algorithm, pool, stopwatch, iteration } = self;
+        let Self { surprise, algorithm, pool, iteration } = self;
         let (updated, wall) = once(|| {
             pool.install(|| {
                 let (parts, whole) = once(|| {
@@ -154,32 +152,48 @@ impl Updates {
         *iteration += 1;
         let ((density, relabel), whole) = updated?;
         let whole = Took { wall: wall.wall, ..whole };
-        Ok(Parts { density, relabel, phases: stopwatch.read(), whole })
+        Ok(Parts { density, relabel, phases: Stopwatch::read(), whole })
     }
 }
 
-/// Processor time of the threads that began phases, at their beginning, and what they took.
-#[derive(Default)]
-struct Stopwatch(Mutex<[(f64, f64); 6]>);
+/// Processor time of a thread at the beginning of the span of each part, and what the last span of that name took.
+static SPANS: Mutex<[(f64, f64); PHASES.len()]> = Mutex::new([(0.0, 0.0); PHASES.len()]);
+
+/// Times the spans of an update.
+struct Stopwatch;
 
 impl Stopwatch {
-    fn read(&self) -> [f64; 6] {
-        self.0.lock().expect("no observer panics").map(|(_, secs)| secs)
+    /// From now on; once for all updates of the process.
+    fn start() {
+        static STARTED: Once = Once::new();
+        let of_updates =
+            |metadata: &Metadata<'_>| metadata.is_span() && metadata.target().starts_with("marl");
+        let layer = || Stopwatch.with_filter(FilterFn::new(of_updates));
+        STARTED.call_once(|| tracing_subscriber::registry().with(layer()).init());
     }
 
-    fn change(&self, phase: Phase, change: impl FnOnce(&mut (f64, f64))) {
-        let place = PHASES.iter().position(|known| *known == phase);
-        let mut watch = self.0.lock().expect("no observer panics");
-        change(&mut watch[place.expect("every phase is known")]);
+    fn read() -> [f64; PHASES.len()] {
+        SPANS.lock().expect("no reader panics").map(|(_, secs)| secs)
     }
 }
 
-impl PhaseObserver for Stopwatch {
-    fn begin(&self, phase: Phase) {
-        self.change(phase, |(begun, _)| *begun = thread_secs());
+impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Stopwatch {
+    fn on_enter(&self, id: &Id, context: Context<'_, S>) {
+        change(id, &context, |(begun, _)| *begun = thread_secs());
     }
 
-    fn end(&self, phase: Phase) {
-        self.change(phase, |(begun, secs)| *secs = thread_secs() - *begun);
+    fn on_exit(&self, id: &Id, context: Context<'_, S>) {
+        change(id, &context, |(begun, secs)| *secs = thread_secs() - *begun);
+    }
+}
+
+fn change<S: Subscriber + for<'a> LookupSpan<'a>>(
+    id: &Id,
+    context: &Context<'_, S>,
+    change: impl FnOnce(&mut (f64, f64)),
+) {
+    let name = context.span(id).map_or("", |span| span.name());
+    if let Some(place) = PHASES.iter().position(|known| *known == name) {
+        change(&mut SPANS.lock().expect("no reader panics")[place]);
     }
 }

@@ -18,7 +18,6 @@ use crate::config::LeaseConfig;
 use crate::published::Published;
 use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
-use crate::traces::Traces;
 
 mod control;
 mod film;
@@ -71,7 +70,6 @@ pub struct Exchange {
     storage: watch::Sender<Storage>,
     orders: Orders,
     lines: watch::Sender<Lines>,
-    traces: Traces,
 }
 
 #[derive(Debug)]
@@ -116,7 +114,6 @@ impl Exchange {
             trainer: Condvar::new(),
             work: Notify::new(),
             storage: watch::Sender::new(Storage::Sound),
-            traces: Traces::begin(),
         })
     }
 
@@ -124,11 +121,6 @@ impl Exchange {
     #[must_use]
     pub fn run(&self) -> &RunDescription {
         &self.run
-    }
-
-    /// The traces that its iterations belong to.
-    pub(crate) fn traces(&self) -> Traces {
-        self.traces
     }
 
     // What the trainer does.

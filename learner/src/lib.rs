@@ -29,7 +29,6 @@ pub mod run_folder;
 pub mod service;
 pub mod slots;
 mod team;
-mod traces;
 pub mod trainer;
 
 pub use config::{

@@ -7,13 +7,12 @@ use std::time::Duration;
 use proto::wire::control_service_server::{self, ControlServiceServer};
 use proto::wire::learner_service_server::{self, LearnerService, LearnerServiceServer};
 use proto::{
-    ActorId, Beat, Incarnation, Lease, LeaseAnswer, LeaseId, MAX_LEASE_WAIT_MILLIS,
-    MAX_MESSAGE_BYTES, MAX_UNACKNOWLEDGED, Refusal, Registration, WeightsName, Work, wire,
+    ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
+    MAX_UNACKNOWLEDGED, Refusal, Registration, WeightsName, wire,
 };
 use security::Role;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::metadata::AsciiMetadataValue;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Server;
 use tonic::transport::server::Router;
@@ -127,18 +126,6 @@ impl Learner {
     fn counted(&self, caller: &Caller, refusal: Refusal) -> Status {
         refused(&self.exchange, caller, None, refusal)
     }
-
-    /// Where spans of this work stand, while the learner records its own.
-    fn trace_of(&self, answer: &LeaseAnswer) -> Option<AsciiMetadataValue> {
-        match answer {
-            LeaseAnswer::Lease(Lease { work: Work::Rollout(work), .. })
-                if tracing::span_enabled!(tracing::Level::TRACE) =>
-            {
-                self.exchange.traces().parent(work.iteration).parse().ok()
-            }
-            _ => None,
-        }
-    }
 }
 
 #[tonic::async_trait]
@@ -175,11 +162,7 @@ impl LearnerService for Learner {
         let answer = self.exchange.lease(actor, incarnation, patience).await;
         let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
         self.exchange.count_lost_log_steps(request.log_steps_lost);
-        let mut response = Response::new(answer.to_wire());
-        if let Some(parent) = self.trace_of(&answer) {
-            response.metadata_mut().insert("traceparent", parent);
-        }
-        Ok(response)
+        Ok(Response::new(answer.to_wire()))
     }
 
     type GetWeightsStream = ReceiverStream<Result<wire::GetWeightsResponse, Status>>;

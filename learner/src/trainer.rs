@@ -146,8 +146,7 @@ impl Work {
     fn run(&mut self) -> Result<Summary, LearnerError> {
         self.begin()?;
         while self.trainer.iteration < self.trainer.last_iteration {
-            let _iteration = self.span().entered();
-            let collected = tracing::trace_span!("collect").in_scope(|| self.collect())?;
+            let collected = self.collect()?;
             let Some(collected) = collected else { break };
             self.enter(Stage::Update);
             self.trainer.fault_at(Point::AfterCollect);
@@ -287,14 +286,6 @@ impl Work {
         Ok(())
     }
 
-    /// The iteration that comes next, for whoever records spans.
-    fn span(&self) -> tracing::Span {
-        let iteration = self.trainer.iteration;
-        let env_steps = self.trainer.steps_after(iteration + 1);
-        let own = self.outside.exchange.traces().parent(iteration);
-        tracing::trace_span!("iteration", trace.own = own, iteration, env_steps)
-    }
-
     fn enter(&mut self, stage: Stage) {
         self.tell(&Event::Stage(stage));
     }
@@ -317,11 +308,11 @@ impl Trainer {
             surprise.refit(&seen, *iteration)?;
             Ok::<_, MarlError>(surprise.relabel(&seen))
         };
-        let rewards = tracing::trace_span!("refit").in_scope(|| pool.install(refit))?;
+        let rewards = pool.install(refit)?;
         let density_secs = begin.elapsed().as_secs_f64();
         algorithm.scale_learning_rates(self.decay.share(*iteration, self.last_iteration));
         let update = || algorithm.update(&seen, &rewards, *iteration);
-        let report = tracing::trace_span!("update").in_scope(|| pool.install(update))?;
+        let report = pool.install(update)?;
         pool.install(|| observations.take_in(batch));
         self.policy = policy_bytes(self.algorithm.as_ref(), &self.observations)?;
         let update_secs = begin.elapsed().as_secs_f64();

@@ -1,16 +1,9 @@
-//! What every learning rule offers to the learner, and the one place that chooses one.
+//! What every learning rule offers to the learner.
 
-use std::sync::Arc;
+use policy::{NamedArrays, PolicySnapshot};
 
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
-
-use crate::batch::{Batch, Problem, Rewards};
-use crate::config::{Config, Rule};
+use crate::batch::{Batch, Rewards};
 use crate::error::MarlError;
-use crate::happo::Happo;
-use crate::maddpg::Maddpg;
-use crate::mappo::Mappo;
-use crate::phase::PhaseObserver;
 
 /// Figures of an update by name, in a fixed order.
 pub type Report = Vec<(String, f64)>;
@@ -23,9 +16,6 @@ pub trait Algorithm: Send {
     /// From now on actors and critics step with the share `share` of their configured step sizes. Whoever calls
     /// [`Algorithm::update`] says so before; it is no part of the state.
     fn scale_learning_rates(&mut self, share: f64);
-
-    /// From now on `observer` is told of the parts of every update. A rule without these parts tells nothing.
-    fn observe_phases(&mut self, _observer: Arc<dyn PhaseObserver>) {}
 
     /// Takes one update from the experience of iteration `iteration` and every agent's rewards
     /// `[N][T, B]`.
@@ -68,40 +58,6 @@ pub trait Algorithm: Send {
     fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError>;
 }
 
-/// The configured learning rule, its weights drawn with `seed`.
-///
-/// # Errors
-/// Refuses settings that do not suit each other or the problem; passes on a tensor error.
-pub fn build(
-    config: &Config,
-    policy: &PolicyConfig,
-    problem: &Problem,
-    seed: RunSeed,
-) -> Result<Box<dyn Algorithm>, MarlError> {
-    build_in(Precision::Single, config, policy, problem, seed)
-}
-
-/// As [`build`], in any precision.
-///
-/// # Errors
-/// As [`build`].
-pub fn build_in(
-    precision: Precision,
-    config: &Config,
-    policy: &PolicyConfig,
-    problem: &Problem,
-    seed: RunSeed,
-) -> Result<Box<dyn Algorithm>, MarlError> {
-    let start = (seed, precision);
-    config.suits(policy)?;
-    config.suits_agents(problem)?;
-    match config.update.rule {
-        Rule::Happo => Ok(Box::new(Happo::new(config, policy, problem, start)?)),
-        Rule::Mappo => Ok(Box::new(Mappo::new(config, policy, problem, start)?)),
-        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, start)?)),
-    }
-}
-
 /// Refuses stored arrays of an algorithm that this one does not have.
 pub(crate) fn refuse_strange(stored: &NamedArrays, known: &NamedArrays) -> Result<(), MarlError> {
     let own = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
@@ -110,6 +66,3 @@ pub(crate) fn refuse_strange(stored: &NamedArrays, known: &NamedArrays) -> Resul
         Some(name) => Err(MarlError::Restore(format!("{name} belongs to nothing in this run"))),
     }
 }
-
-#[cfg(test)]
-mod tests;

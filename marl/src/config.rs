@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 
 pub use self::influence::{CountedState, Divergence, Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
-pub use self::surprise::{Constant, DensityKind, Fit, Reduce, Scored, Space, SurpriseConfig};
+pub use self::surprise::{
+    Constant, DensityKind, Fit, Reduce, Scored, Space, SurpriseConfig, VaeConfig,
+};
 use crate::batch::{ActionKind, Problem};
 use crate::error::MarlError;
 use crate::learning_rate::LearningRateDecay;

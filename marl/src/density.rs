@@ -2,9 +2,7 @@
 
 pub mod categorical;
 pub mod diagonal_gaussian;
-pub mod gaussian_mixture;
 mod moments;
-pub mod random_encoder;
 mod stored;
 #[cfg(test)]
 mod tests;
@@ -106,12 +104,6 @@ pub fn build(
     Ok(match config.density {
         DensityKind::DiagonalGaussian => Box::new(diagonal_gaussian::DiagonalGaussian(moments)),
         DensityKind::Categorical => Box::new(categorical::Categorical::new(moments)),
-        DensityKind::GaussianMixture => {
-            Box::new(gaussian_mixture::GaussianMixture::new(config, moments))
-        }
-        DensityKind::Vae => Box::new(vae::Vae::new(config, moments, (seed, agent))?),
-        DensityKind::RandomEncoder => {
-            Box::new(random_encoder::RandomEncoder::new(config, moments, (seed, agent)))
-        }
+        DensityKind::Vae => Box::new(vae::Vae::new(&config.vae, moments, (seed, agent))?),
     })
 }

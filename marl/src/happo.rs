@@ -1,90 +1,30 @@
 //! HAPPO with the paper's two terms: a sequential sweep over agents in random order.
 
-use std::sync::Arc;
-
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 
-use crate::algorithm::{Algorithm, Report};
-use crate::batch::{Batch, Problem, Rewards};
-use crate::config::{Config, Sharing};
+use crate::algorithm::Report;
+use crate::config::Sharing;
 use crate::error::MarlError;
 use crate::minibatch::permutation;
 use crate::on_policy::agent::Agent;
 use crate::on_policy::ascent::{maximise, moved};
 use crate::on_policy::kl_budget::KlBudget;
-use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
-use crate::phase::{Phase, PhaseObserver, during};
+use crate::on_policy::{Climb, Prepared, agent_report};
 use crate::surrogate::{factor_limits, sequential_factor};
 
 /// HAPPO and, by configuration alone, all its variants.
-pub struct Happo {
-    team: Team,
-}
+pub(crate) struct Happo;
 
-impl Happo {
-    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision.
-    ///
-    /// # Errors
-    /// Passes on a tensor error.
-    pub fn new(
-        config: &Config,
-        policy: &PolicyConfig,
-        problem: &Problem,
-        start: (RunSeed, Precision),
-    ) -> Result<Self, MarlError> {
-        Ok(Self { team: Team::new(config, policy, problem, start)? })
-    }
-
-    /// The order in which this iteration's sweep visits the agents.
-    fn order(&self, iteration: u64) -> Vec<usize> {
-        let draw = Draw::of(Purpose::AgentOrder).iteration(iteration);
-        permutation(self.team.agents.len(), &mut generator(self.team.seed, draw))
-    }
-}
-
-impl Algorithm for Happo {
-    fn scale_learning_rates(&mut self, share: f64) {
-        self.team.scale_learning_rates(share);
-    }
-
-    fn observe_phases(&mut self, observer: Arc<dyn PhaseObserver>) {
-        self.team.observer = observer;
-    }
-
-    fn update(
-        &mut self,
-        batch: &Batch,
-        rewards: &Rewards,
-        iteration: u64,
+impl Climb for Happo {
+    fn climb(
+        &self,
+        agents: &mut [Agent],
+        prepared: &Prepared,
+        (seed, iteration): (RunSeed, u64),
     ) -> Result<Report, MarlError> {
-        let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
-            return Ok(skipped_report());
-        };
-        let order = self.order(iteration);
-        let Team { agents, critic, seed, observer, .. } = &mut self.team;
-        let up = || sweep(agents, &prepared, &order, (*seed, iteration));
-        let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
-        let (swept, fitted) = rayon::join(
-            || during(&**observer, Phase::Sweep, up),
-            || during(&**observer, Phase::Critic, fit),
-        );
-        let mut report = critic_report(&fitted?);
-        report.extend(swept?);
-        report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
-        Ok(report)
-    }
-
-    fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
-        self.team.snapshot()
-    }
-
-    fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        self.team.arrays()
-    }
-
-    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.team.restore(arrays)
+        let draw = Draw::of(Purpose::AgentOrder).iteration(iteration);
+        let order = permutation(agents.len(), &mut generator(seed, draw));
+        sweep(agents, prepared, &order, (seed, iteration))
     }
 }
 

@@ -16,20 +16,20 @@ pub mod density;
 pub mod error;
 pub mod gaussian;
 pub mod gradient;
-pub mod happo;
+mod happo;
 pub mod head_rows;
 pub mod influence;
 mod layers;
 pub mod learning_rate;
 pub mod maddpg;
-pub mod mappo;
+mod mappo;
 pub mod minibatch;
 pub mod observation;
 mod on_policy;
 pub mod optimizer;
-pub mod phase;
 pub mod probe;
 pub mod reals;
+mod rule;
 pub mod running;
 pub mod sequence;
 mod shards;
@@ -37,14 +37,14 @@ pub mod surprise;
 pub mod surrogate;
 pub mod value_normalizer;
 
-pub use algorithm::{Algorithm, Report, build, build_in};
+pub use algorithm::{Algorithm, Report};
 pub use batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use config::{
-    Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,
+    Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig, VaeConfig,
 };
 pub use error::MarlError;
 pub use learning_rate::LearningRateDecay;
 pub use observation::{ObservationMoments, ObservationScale};
-pub use phase::{Phase, PhaseObserver};
 pub use probe::probe;
+pub use rule::{build, build_in};
 pub use surprise::Surprise;

@@ -1,91 +1,40 @@
 //! MAPPO with the paper's two terms: all agents climb at once, each as if the others stood still, with
 //! one network for all of them or one each.
 
-use std::sync::Arc;
-
 use policy::randomness::{Draw, Purpose, RunSeed};
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 use rayon::prelude::*;
 
-use crate::algorithm::{Algorithm, Report};
-use crate::batch::{Batch, Problem, Rewards};
-use crate::config::{Config, Sharing};
+use crate::algorithm::Report;
+use crate::config::Sharing;
 use crate::error::MarlError;
 use crate::on_policy::agent::Agent;
 use crate::on_policy::ascent::{Moved, PerAgent, Trained, maximise, maximise_together, moved};
 use crate::on_policy::kl_budget::KlBudget;
-use crate::on_policy::{Prepared, Team, agent_report, critic_report, skipped_report};
-use crate::phase::{Phase, PhaseObserver, during};
+use crate::on_policy::{Climb, Prepared, agent_report};
 
 /// MAPPO; its surrogate is HAPPO's with a factor of 1.
-pub struct Mappo {
-    sharing: Sharing,
-    team: Team,
+pub(crate) struct Mappo {
+    /// Whether one network acts for all agents.
+    pub(crate) sharing: Sharing,
 }
 
-impl Mappo {
-    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision.
-    ///
-    /// # Errors
-    /// Passes on a tensor error.
-    pub fn new(
-        config: &Config,
-        policy: &PolicyConfig,
-        problem: &Problem,
-        start: (RunSeed, Precision),
-    ) -> Result<Self, MarlError> {
-        let sharing = config.update.parameters;
-        Ok(Self { sharing, team: Team::new(config, policy, problem, start)? })
-    }
-}
-
-impl Algorithm for Mappo {
-    fn scale_learning_rates(&mut self, share: f64) {
-        self.team.scale_learning_rates(share);
-    }
-
-    fn observe_phases(&mut self, observer: Arc<dyn PhaseObserver>) {
-        self.team.observer = observer;
-    }
-
-    fn update(
-        &mut self,
-        batch: &Batch,
-        rewards: &Rewards,
-        iteration: u64,
+impl Climb for Mappo {
+    fn climb(
+        &self,
+        agents: &mut [Agent],
+        prepared: &Prepared,
+        occasion: (RunSeed, u64),
     ) -> Result<Report, MarlError> {
-        let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
-            return Ok(skipped_report());
-        };
-        let (sharing, Team { agents, critic, seed, observer, .. }) = (self.sharing, &mut self.team);
-        let up = || climb(agents, &prepared, sharing, (*seed, iteration));
-        let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
-        let (climbed, fitted) = rayon::join(
-            || during(&**observer, Phase::Sweep, up),
-            || during(&**observer, Phase::Critic, fit),
-        );
-        let mut report = critic_report(&fitted?);
+        let trained = climb_together(agents, prepared, self.sharing, occasion)?;
         let asked = agents.iter().zip(&prepared.experience).map(|(agent, own)| moved(agent, own));
         let moved = asked.collect::<Result<Vec<_>, _>>()?;
-        for (index, trained) in climbed?.iter().enumerate() {
+        let mut report = Report::new();
+        for (index, trained) in trained.iter().enumerate() {
             let (agent, experience) = (&agents[index], &prepared.experience[index]);
             report.extend(agent_report(agent, index, experience, trained, &moved[index])?);
         }
-        adapt_steps(agents, &moved, sharing);
-        report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
+        adapt_steps(agents, &moved, self.sharing);
         Ok(report)
-    }
-
-    fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
-        self.team.snapshot()
-    }
-
-    fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        self.team.arrays()
-    }
-
-    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.team.restore(arrays)
     }
 }
 
@@ -104,7 +53,7 @@ fn adapt_steps(agents: &mut [Agent], moved: &[Moved], sharing: Sharing) {
 }
 
 /// Updates all agents against the behaviour of all others.
-fn climb(
+fn climb_together(
     agents: &mut [Agent],
     prepared: &Prepared,
     sharing: Sharing,

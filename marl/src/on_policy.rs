@@ -12,10 +12,11 @@ use std::sync::Arc;
 
 use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
 use rayon::prelude::*;
+use tracing::trace_span;
 
 use crate::actor_loss::Figures;
 use crate::advantage::{Horizon, advantage};
-use crate::algorithm::{Report, refuse_strange};
+use crate::algorithm::{Algorithm, Report, refuse_strange};
 use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Config, CriticMode, Sharing};
 use crate::critic::{CriticFigures, Critics, Values, explained_variance};
@@ -23,9 +24,84 @@ use crate::error::MarlError;
 use crate::gaussian;
 use crate::on_policy::agent::{Agent, Experience, Influence};
 use crate::on_policy::ascent::{Moved, PerAgent, Trained};
-use crate::phase::{Nobody, Phase, PhaseObserver, during};
 use crate::sequence::Layout;
 use crate::surrogate::normalized_advantage;
+
+/// How a rule improves the policies; all else of an update is the same for all on-policy rules.
+pub(crate) trait Climb: Send + Sync {
+    /// Moves the policies of `agents`, and reports what that came to.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    fn climb(
+        &self,
+        agents: &mut [Agent],
+        prepared: &Prepared,
+        occasion: (RunSeed, u64),
+    ) -> Result<Report, MarlError>;
+}
+
+/// A rule that learns from `D_k` alone.
+pub(crate) struct OnPolicy<C> {
+    climb: C,
+    team: Team,
+}
+
+impl<C: Climb> OnPolicy<C> {
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub(crate) fn new(
+        climb: C,
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        start: (RunSeed, Precision),
+    ) -> Result<Self, MarlError> {
+        Ok(Self { climb, team: Team::new(config, policy, problem, start)? })
+    }
+}
+
+impl<C: Climb> Algorithm for OnPolicy<C> {
+    fn scale_learning_rates(&mut self, share: f64) {
+        self.team.scale_learning_rates(share);
+    }
+
+    fn update(
+        &mut self,
+        batch: &Batch,
+        rewards: &Rewards,
+        iteration: u64,
+    ) -> Result<Report, MarlError> {
+        let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
+            return Ok(skipped_report());
+        };
+        let Team { agents, critic, seed, .. } = &mut self.team;
+        let up = || self.climb.climb(agents, &prepared, (*seed, iteration));
+        let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
+        let (climbed, fitted) = rayon::join(
+            || trace_span!("policies").in_scope(up),
+            || trace_span!("critic").in_scope(fit),
+        );
+        let mut report = critic_report(&fitted?);
+        report.extend(climbed?);
+        report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
+        Ok(report)
+    }
+
+    fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
+        self.team.snapshot()
+    }
+
+    fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        self.team.arrays()
+    }
+
+    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        self.team.restore(arrays)
+    }
+}
 
 /// All agents and their critics.
 pub(crate) struct Team {
@@ -36,7 +112,6 @@ pub(crate) struct Team {
     pub(crate) seed: RunSeed,
     pub(crate) agents: Vec<Agent>,
     pub(crate) critic: Critics,
-    pub(crate) observer: Arc<dyn PhaseObserver>,
 }
 
 /// What is known of `D_k` before any policy moves.
@@ -94,8 +169,7 @@ impl Team {
         let critic = Critics::new(config, problem, start)?;
         let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
         let chunk_steps = policy.chunk_steps;
-        let observer = Arc::new(Nobody);
-        Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic, observer })
+        Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
     }
 
     pub(crate) fn scale_learning_rates(&mut self, share: f64) {
@@ -117,19 +191,18 @@ impl Team {
         let hidden: Vec<usize> = self.agents.iter().map(Agent::hidden_size).collect();
         batch.check(&self.problem, self.chunk_steps, &hidden)?;
         let layout = Layout::of(batch, self.chunk_steps);
-        let observer = Arc::clone(&self.observer);
-        let values = during(&*observer, Phase::Values, || self.critic.values(batch))?;
+        let values = trace_span!("values").in_scope(|| self.critic.values(batch))?;
         let valued = || self.advantages(batch, rewards, &values);
-        let (advantages, returns) = during(&*observer, Phase::Advantages, valued);
+        let (advantages, returns) = trace_span!("advantages").in_scope(valued);
         if !returns.iter().flatten().all(|value| value.is_finite()) {
             return Ok(None);
         }
         self.agents.iter_mut().for_each(Agent::forget_states);
         let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
-        let experience = during(&*observer, Phase::Behaviour, gathered)?;
+        let experience = trace_span!("behaviour").in_scope(gathered)?;
         let (agents, seed) = (&mut self.agents, self.seed);
         let fitted = || agent::fit_posteriors(agents, &experience, seed, iteration);
-        let influence = during(&*observer, Phase::Posteriors, fitted)?;
+        let influence = trace_span!("posteriors").in_scope(fitted)?;
         Ok(Some(Prepared { experience, influence, values, returns }))
     }
 
@@ -198,12 +271,12 @@ impl Team {
 }
 
 /// What is told of an update that was left out because returns were no finite numbers.
-pub(crate) fn skipped_report() -> Report {
+fn skipped_report() -> Report {
     vec![("losses/update_skipped".to_owned(), 1.0)]
 }
 
 /// What the critic's fit came to.
-pub(crate) fn critic_report(figures: &CriticFigures) -> Report {
+fn critic_report(figures: &CriticFigures) -> Report {
     vec![
         ("losses/value_loss".to_owned(), figures.loss),
         ("losses/value_gradient_norm".to_owned(), figures.gradient_norm),

@@ -3,15 +3,15 @@
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, arrays};
 
-use crate::algorithm::build;
 use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
     Config, Constant, CountedState, CriticConfig, CriticInput, CriticMode, DensityKind, Divergence,
     Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored, Sharing, Space,
-    StateNorm, SurpriseConfig, UpdateConfig,
+    StateNorm, SurpriseConfig, UpdateConfig, VaeConfig,
 };
 use crate::error::MarlError;
 use crate::learning_rate::LearningRateDecay;
+use crate::rule::build;
 use crate::surprise::Surprise;
 
 const OBSERVATION: usize = 19;
@@ -160,16 +160,7 @@ pub(crate) fn surprise() -> SurpriseConfig {
         clip: 0.0,
         sigma_floor: 0.01,
         mask_below: 1e-4,
-        components: 3,
-        em_steps: 20,
-        vae_hidden: 16,
-        vae_latent: 2,
-        vae_epochs: 5,
-        vae_minibatches: 4,
-        vae_learning_rate: 1e-2,
-        embedding: 4,
-        neighbours: 3,
-        references: 256,
+        vae: VaeConfig { hidden: 16, latent: 2, epochs: 5, minibatches: 4, learning_rate: 1e-2 },
     }
 }
 

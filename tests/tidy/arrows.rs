@@ -22,16 +22,12 @@ const ARROWS: [(&str, &[&str]); 8] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 36] = [
+const HEAVY: [(&str, &[&str]); 32] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
     ("kuva", &[ROOT]),
     ("mimalloc", &[ROOT]),
-    ("opentelemetry", &[ROOT]),
-    ("opentelemetry-otlp", &[ROOT]),
-    ("opentelemetry-proto", &[ROOT]),
-    ("opentelemetry_sdk", &[ROOT]),
     ("tiny-skia", &[ROOT]),
     ("toml", &[ROOT]),
     ("tracing-subscriber", &[ROOT]),

@@ -56,7 +56,7 @@ impl Work {
         }
         self.enter(Stage::Save);
         let begin = Instant::now();
-        let saved = tracing::trace_span!("save").in_scope(|| self.trainer.save())?;
+        let saved = self.trainer.save()?;
         self.trainer.saved = Some(saved.clone());
         self.tell(&Event::Checkpoint {
             path: saved.path.clone(),

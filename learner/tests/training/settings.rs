@@ -94,9 +94,8 @@ fn training() -> marl::Config {
         "surprise": {
             "alpha": 0.01, "density": "vae", "fit": "previous", "ema_memory": 0.9,
             "space": "policy_obs", "obs": "current", "reduce": "sum", "constant": "centered", "clip": 0.0,
-            "sigma_floor": 0.01, "mask_below": 1e-4, "components": 2, "em_steps": 5,
-            "vae_hidden": 8, "vae_latent": 2, "vae_epochs": 1, "vae_minibatches": 2,
-            "vae_learning_rate": 1e-3, "embedding": 4, "neighbours": 2, "references": 16,
+            "sigma_floor": 0.01, "mask_below": 1e-4,
+            "vae": { "hidden": 8, "latent": 2, "epochs": 1, "minibatches": 2, "learning_rate": 1e-3 },
         },
         "influence": {
             "lambda": 0.01, "estimator": "variational_kl", "divergence": "kl_qp",

@@ -32,26 +32,24 @@ pub struct SurpriseConfig {
     pub sigma_floor: f64,
     /// Features with a smaller deviation on `D_k` are left out, in units of the feature.
     pub mask_below: f64,
-    /// Components of a mixture.
-    pub components: usize,
-    /// Steps of expectation and maximisation in the fit of a mixture.
-    pub em_steps: usize,
-    /// Units of the hidden layers of a variational autoencoder.
-    pub vae_hidden: usize,
-    /// Its latent dimensions.
-    pub vae_latent: usize,
-    /// Its passes over `D_k`.
-    pub vae_epochs: usize,
+    /// What `density = vae` alone is told.
+    pub vae: VaeConfig,
+}
+
+/// A variational autoencoder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VaeConfig {
+    /// Units of its hidden layers.
+    pub hidden: usize,
+    /// Latent dimensions.
+    pub latent: usize,
+    /// Passes over `D_k`.
+    pub epochs: usize,
     /// Parts of one pass, each an optimiser step.
-    pub vae_minibatches: usize,
+    pub minibatches: usize,
     /// Adam's step size.
-    pub vae_learning_rate: f64,
-    /// Dimensions of a random projection; more than there are features means as many as those.
-    pub embedding: usize,
-    /// The neighbour, counted from 1, whose distance is the measure.
-    pub neighbours: usize,
-    /// Most rows of `D_k` among which neighbours are sought.
-    pub references: usize,
+    pub learning_rate: f64,
 }
 
 /// The classes of densities.
@@ -62,12 +60,8 @@ pub enum DensityKind {
     DiagonalGaussian,
     /// Independent frequencies per feature, for features that take few values.
     Categorical,
-    /// A mixture of diagonal Gaussians.
-    GaussianMixture,
     /// A variational autoencoder, trained on from iteration to iteration.
     Vae,
-    /// Nearest neighbours in a random projection.
-    RandomEncoder,
 }
 
 /// Which experience the density that scores `D_k` was fitted on.
@@ -135,19 +129,7 @@ impl SurpriseConfig {
         not_negative("surprise.clip", self.clip)?;
         let memory = "0 <= ema_memory < 1";
         within("surprise.ema_memory", self.ema_memory, 0.0..1.0, memory)?;
-        count("surprise.components", self.components)?;
-        count("surprise.em_steps", self.em_steps)?;
-        count("surprise.vae_hidden", self.vae_hidden)?;
-        count("surprise.vae_latent", self.vae_latent)?;
-        count("surprise.vae_epochs", self.vae_epochs)?;
-        count("surprise.vae_minibatches", self.vae_minibatches)?;
-        positive("surprise.vae_learning_rate", self.vae_learning_rate)?;
-        count("surprise.embedding", self.embedding)?;
-        count("surprise.neighbours", self.neighbours)?;
-        if self.references <= self.neighbours {
-            let range = "more than surprise.neighbours";
-            return Err(refuse("surprise.references", self.references, range));
-        }
+        self.vae.validate()?;
         self.validate_density()
     }
 
@@ -170,12 +152,21 @@ impl SurpriseConfig {
             let range = "current or previous: only diagonal_gaussian has moments to average";
             return Err(refuse("surprise.fit", "ema", range));
         }
-        let free = matches!(self.density, DensityKind::Categorical | DensityKind::RandomEncoder);
-        if self.constant == Constant::Paper && free {
-            let range = "density or centered: categorical and random_encoder have no Gaussian whose \
-                         constant could be left out";
+        if self.constant == Constant::Paper && self.density == DensityKind::Categorical {
+            let range =
+                "density or centered: categorical has no Gaussian whose constant could be left out";
             return Err(refuse("surprise.constant", "paper", range));
         }
         Ok(())
+    }
+}
+
+impl VaeConfig {
+    fn validate(&self) -> Result<(), MarlError> {
+        count("surprise.vae.hidden", self.hidden)?;
+        count("surprise.vae.latent", self.latent)?;
+        count("surprise.vae.epochs", self.epochs)?;
+        count("surprise.vae.minibatches", self.minibatches)?;
+        positive("surprise.vae.learning_rate", self.learning_rate)
     }
 }

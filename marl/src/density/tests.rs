@@ -8,13 +8,8 @@ use crate::gaussian::entropy;
 use crate::probe;
 use crate::surprise::entropy_bound;
 
-const KINDS: [DensityKind; 5] = [
-    DensityKind::DiagonalGaussian,
-    DensityKind::Categorical,
-    DensityKind::GaussianMixture,
-    DensityKind::Vae,
-    DensityKind::RandomEncoder,
-];
+const KINDS: [DensityKind; 3] =
+    [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae];
 const ROWS: usize = 4000;
 
 fn config(density: DensityKind) -> SurpriseConfig {
@@ -68,11 +63,6 @@ fn a_true_model_meets_the_entropy() {
     let pairs = entropy(&[2.0, 0.5]);
     let found = found_entropy(&config(DensityKind::DiagonalGaussian), &normal_pairs(), 2);
     assert!((found - pairs).abs() < 0.04, "{found} {pairs}");
-    // Two hills that do not meet: one bit more than one of them.
-    let hills = entropy(&[0.5]) + libm::log(2.0);
-    let two = SurpriseConfig { components: 2, ..config(DensityKind::GaussianMixture) };
-    let found = found_entropy(&two, &two_hills(), 1);
-    assert!((found - hills).abs() < 0.03, "{found} {hills}");
     let letters = 1.5 * libm::log(2.0);
     let found = found_entropy(&config(DensityKind::Categorical), &symbols(), 1);
     assert!((found - letters).abs() < 0.02, "{found} {letters}");
@@ -90,15 +80,6 @@ fn a_model_that_is_not_the_truth_lies_above_the_entropy() {
     let bounds: Vec<f64> = bounds.collect();
     assert!(bounds.iter().all(|bound| *bound > pairs - 0.04), "{bounds:?} {pairs}");
     assert!(bounds[19] < pairs + 0.3, "{bounds:?} {pairs}");
-}
-
-#[test]
-fn a_mixture_of_one_is_a_gaussian() {
-    let data = normal_pairs();
-    let one = SurpriseConfig { components: 1, ..config(DensityKind::GaussianMixture) };
-    let mixture = fit(density(&one, 2).as_mut(), &data, 2, 0);
-    let gaussian = fit(density(&config(DensityKind::DiagonalGaussian), 2).as_mut(), &data, 2, 0);
-    assert!(mixture.iter().zip(&gaussian).all(|(m, g)| (m - g).abs() < 1e-9));
 }
 
 #[test]
@@ -129,13 +110,6 @@ fn an_autoencoder_learns_on_from_iteration_to_iteration() {
     let gaussian = found_entropy(&config(DensityKind::DiagonalGaussian), &ring, 2);
     assert!(bounds[19] < bounds[0] - 0.3, "{bounds:?}");
     assert!(bounds[19] < gaussian - 0.3, "{bounds:?} {gaussian}");
-}
-
-#[test]
-fn neighbours_find_the_entropy_where_the_projection_keeps_all_features() {
-    let pairs = entropy(&[2.0, 0.5]);
-    let found = found_entropy(&config(DensityKind::RandomEncoder), &normal_pairs(), 2);
-    assert!((found - pairs).abs() < 0.1, "{found} {pairs}");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
 use super::moments::Moments;
-use crate::config::SurpriseConfig;
+use crate::config::VaeConfig;
 use crate::density::{Density, Observations, Occasion};
 use crate::error::MarlError;
 use crate::gaussian::LOG_TWO_PI;
@@ -77,13 +77,13 @@ impl Latent {
 impl Vae {
     /// Networks for the moments' features, drawn for agent `agent`.
     pub(super) fn new(
-        config: &SurpriseConfig,
+        config: &VaeConfig,
         moments: Moments,
         (seed, agent): (RunSeed, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::DensityInitialisation).agent(agent));
         let (mut parameters, single) = (Parameters::new(), Precision::Single.dtype());
-        let (features, hidden, latent) = (moments.signals(), config.vae_hidden, config.vae_latent);
+        let (features, hidden, latent) = (moments.signals(), config.hidden, config.latent);
         let (tanh, identity) = (Activation::Tanh, Activation::Identity);
         let mut pair = |name: &str, from: usize, to: usize, gain: f64| {
             let (first, second) = (format!("{name}.hidden"), format!("{name}.output"));
@@ -96,11 +96,11 @@ impl Vae {
         let start = Tensor::full(START_LOG_SIGMA, features, &Device::Cpu)?;
         let log_sigma = parameters.add("log_sigma", start)?;
         let adam = AdamConfig {
-            learning_rate: config.vae_learning_rate,
+            learning_rate: config.learning_rate,
             epsilon: EPSILON,
             max_gradient_norm: MAX_GRADIENT_NORM,
         };
-        let (epochs, minibatches) = (config.vae_epochs, config.vae_minibatches);
+        let (epochs, minibatches) = (config.epochs, config.minibatches);
         let adam = Adam::new(adam, &parameters);
         Ok(Self {
             epochs,
@@ -320,7 +320,7 @@ mod tests {
     #[test]
     fn the_gradient_meets_finite_differences() {
         let moments = Moments::new(vec![0, 1], 0.01, 1e-4);
-        let mut vae = Vae::new(&probe::surprise(), moments, (RunSeed(1), 0)).unwrap();
+        let mut vae = Vae::new(&probe::surprise().vae, moments, (RunSeed(1), 0)).unwrap();
         let data = [0.3, -1.0, 2.0, 0.4, -0.7, 1.5];
         let (observations, occasion) = (
             Observations { data: &data, width: 2 },

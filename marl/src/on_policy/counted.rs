@@ -51,10 +51,11 @@ mod tests {
     use rand::RngCore;
 
     use super::*;
-    use crate::algorithm::{Report, build};
+    use crate::algorithm::Report;
     use crate::batch::{AgentBatch, AgentShape, Final, Problem};
     use crate::config::{Config, Divergence, Estimator};
     use crate::probe;
+    use crate::rule::build;
 
     const STEPS: usize = 20;
     const ENVIRONMENTS: usize = 300;

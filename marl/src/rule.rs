@@ -1,0 +1,52 @@
+//! The one place that chooses a learning rule.
+
+use policy::{PolicyConfig, Precision, RunSeed};
+
+use crate::algorithm::Algorithm;
+use crate::batch::Problem;
+use crate::config::{Config, Rule};
+use crate::error::MarlError;
+use crate::happo::Happo;
+use crate::maddpg::Maddpg;
+use crate::mappo::Mappo;
+use crate::on_policy::OnPolicy;
+
+/// The configured learning rule, its weights drawn with `seed`.
+///
+/// # Errors
+/// Refuses settings that do not suit each other or the problem; passes on a tensor error.
+pub fn build(
+    config: &Config,
+    policy: &PolicyConfig,
+    problem: &Problem,
+    seed: RunSeed,
+) -> Result<Box<dyn Algorithm>, MarlError> {
+    build_in(Precision::Single, config, policy, problem, seed)
+}
+
+/// As [`build`], in any precision.
+///
+/// # Errors
+/// As [`build`].
+pub fn build_in(
+    precision: Precision,
+    config: &Config,
+    policy: &PolicyConfig,
+    problem: &Problem,
+    seed: RunSeed,
+) -> Result<Box<dyn Algorithm>, MarlError> {
+    let start = (seed, precision);
+    config.suits(policy)?;
+    config.suits_agents(problem)?;
+    match config.update.rule {
+        Rule::Happo => Ok(Box::new(OnPolicy::new(Happo, config, policy, problem, start)?)),
+        Rule::Mappo => {
+            let mappo = Mappo { sharing: config.update.parameters };
+            Ok(Box::new(OnPolicy::new(mappo, config, policy, problem, start)?))
+        }
+        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, start)?)),
+    }
+}
+
+#[cfg(test)]
+mod tests;
