@@ -119,7 +119,7 @@ Later layers win:
   configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
   configs/algorithms/NAME.toml  algorithm=NAME
   configs/presets/PRESET.toml   algorithm.NAME.TASK, where a preset says so
-  configs/outside.toml          with environment.url, where the above say observation.norm=feature_z
+  configs/outside.toml          with environment_service.url, where the above say observation.norm=feature_z
   --config FILE                 in the order given
   S2MIA__SECTION__KEY           environment variables
   section.key=value             arguments";

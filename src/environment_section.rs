@@ -1,11 +1,11 @@
-//! The section `environment`: who offers it, if not the simulator.
+//! The section `environment_service`: who offers it, if not the simulator.
 
 use actor::LogSettings;
 use proto::Episodes;
 use serde::Deserialize;
 use sim::{ObservationConfig, ObservationNorm};
 
-/// The section `environment`.
+/// The section `environment_service`.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EnvironmentSection {
@@ -32,13 +32,13 @@ impl EnvironmentSection {
     ) -> Result<(), String> {
         if observation.norm == ObservationNorm::FeatureZ {
             return Err(
-                "observation.norm must be none or running with environment.url, is feature_z: \
+                "observation.norm must be none or running with environment_service.url, is feature_z: \
                         the simulator alone scales what it shows"
                     .to_owned(),
             );
         }
         if log.episodes != Episodes::None {
-            return Err("log.episodes must be none with environment.url: \
+            return Err("log.episodes must be none with environment_service.url: \
                         the simulator's episodes alone are logged"
                 .to_owned());
         }
@@ -52,7 +52,8 @@ mod tests {
     use crate::run_config::RunConfig;
 
     fn refused(more: &str) -> Option<String> {
-        let settings = vec!["environment.url=http://localhost:7".to_owned(), more.to_owned()];
+        let settings =
+            vec!["environment_service.url=http://localhost:7".to_owned(), more.to_owned()];
         let resolved = layers::resolve(&Request { settings, ..Request::default() }).unwrap();
         RunConfig::build(resolved).err().map(|error| error.to_string())
     }

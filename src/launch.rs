@@ -46,7 +46,7 @@ pub(crate) fn prepare(
     };
     // Claiming it comes later, when actors are there already.
     RunFolder::demand_free(&folder)?;
-    config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment.url");
+    config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment_service.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let fingerprints = Fingerprints::measure();
     if let Some(folder) = &resumed.resume {

@@ -10,7 +10,7 @@ use crate::config::ConfigError;
 use crate::run_config::RunConfig;
 
 /// The setting that names the program.
-const URL: &str = "environment.url";
+const URL: &str = "environment_service.url";
 
 /// What every actor of a run must step.
 pub(crate) struct Offered {
@@ -18,7 +18,7 @@ pub(crate) struct Offered {
     pub(crate) spec: EnvironmentSpec,
     /// JSON from which actors build it; empty if another program steps it.
     pub(crate) task_settings: String,
-    /// The setting `environment.description`: empty for the simulator, whose settings say everything.
+    /// The setting `environment_service.description`: empty for the simulator, whose settings say everything.
     pub(crate) description: String,
     /// How an episode is brought back in another slot: `encoded` by the simulator, or as that program can.
     pub(crate) states: &'static str,

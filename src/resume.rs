@@ -103,7 +103,7 @@ mod tests {
         assert_eq!(
             error.to_string(),
             "command line: `update.clip` cannot change on resume: the run has 0.1, found 0.3; \
-             a resume may change run.actors, environment.url, lease.*, evaluation.*, checkpoint.*, \
+             a resume may change run.actors, environment_service.url, lease.*, evaluation.*, checkpoint.*, \
              metrics.*, learner.*, log.*, and raise run.iterations or run.env_steps"
         );
         let error = check(&old, &config(&["run.iterations=5", "run.seed=2"])).unwrap_err();
@@ -113,12 +113,12 @@ mod tests {
     #[test]
     fn a_description_that_is_not_asked_for_yet_is_no_change_and_another_one_is() {
         let with = |description: &str| {
-            let description = format!("environment.description={description}");
-            config(&["environment.url=http://localhost:7", &description])
+            let description = format!("environment_service.description={description}");
+            config(&["environment_service.url=http://localhost:7", &description])
         };
         assert_eq!(check(&with("abc"), &with("")), Ok(()));
         let error = check(&with("abc"), &with("def")).unwrap_err();
-        assert!(error.to_string().contains("`environment.description`"), "{error}");
+        assert!(error.to_string().contains("`environment_service.description`"), "{error}");
     }
 
     #[test]

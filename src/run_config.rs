@@ -37,7 +37,7 @@ pub(crate) struct RunConfig {
     pub(crate) resolved: Resolved,
     /// Section `run`.
     pub(crate) run: RunSection,
-    /// Section `environment`.
+    /// Section `environment_service`.
     pub(crate) environment: EnvironmentSection,
     /// `task` and sections `observation`, `partition`.
     pub(crate) task: sim::TaskConfig,
@@ -85,7 +85,7 @@ impl RunConfig {
     fn assemble(resolved: &Resolved) -> Result<Self, String> {
         let config = Self {
             run: section(resolved, "run")?,
-            environment: section(resolved, "environment")?,
+            environment: section(resolved, "environment_service")?,
             task: task(resolved)?,
             policy: section(resolved, "policy")?,
             training: sections(resolved, &["update", "critic", "surprise", "influence", "maddpg"])?,
@@ -114,10 +114,10 @@ impl RunConfig {
         }
         self.validate_burn_in()?;
         let (chunk, through_time) =
-            (self.learner.environments.chunk_steps, self.policy.chunk_steps);
+            (self.learner.environments.message_steps, self.policy.backpropagation_steps);
         if !chunk.is_multiple_of(through_time) {
             return Err(format!(
-                "environments.chunk_steps must be a multiple of policy.chunk_steps = {through_time}, is {chunk}"
+                "environments.message_steps must be a multiple of policy.backpropagation_steps = {through_time}, is {chunk}"
             ));
         }
         Ok(())
@@ -331,7 +331,7 @@ mod tests {
             ("update.gamma=1.5", "update.gamma"),
             ("update.learning_rate=-1", "update.learning_rate"),
             ("environments.count=0", "environments.count"),
-            ("environments.chunk_steps=25", "environments.chunk_steps"),
+            ("environments.message_steps=25", "environments.message_steps"),
             ("policy.core=lstm", "policy.core"),
             ("policy.hidden=0", "policy.hidden"),
             ("observation.mode=eyes", "observation.mode"),

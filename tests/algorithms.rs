@@ -12,7 +12,7 @@ const TINY: &[&str] = &[
     "environments.count=4",
     "environments.steps=20",
     "environments.per_slot=2",
-    "environments.chunk_steps=10",
+    "environments.message_steps=10",
     "policy.encoder=8",
     "policy.hidden=8",
     "policy.width=8",
@@ -96,7 +96,7 @@ fn running_statistics_are_the_same_with_any_number_of_actors_and_through_a_stop(
 fn a_run_whose_recurrent_states_are_computed_again_is_resumed_exactly() {
     let stored = trains_exactly(&["algorithm=happo-s2mia"]);
     let settings = ["algorithm=happo-s2mia", "policy.refresh_hidden=every_epoch"];
-    let chunks = ["policy.chunk_steps=5", "policy.burn_in=5"];
+    let chunks = ["policy.backpropagation_steps=5", "policy.burn_in=5"];
     let again = trains_exactly(&[settings, chunks].concat());
     assert_ne!(again["weights_sha256"], stored["weights_sha256"]);
 }

@@ -30,7 +30,7 @@ pub(crate) fn program(arguments: &[&str]) -> Command {
 /// Settings of a core beside `preset=harl`, whose single rows are meant for `mlp`; HARL trains memories in chunks of 10.
 pub(crate) fn core(name: &str) -> &'static [&'static str] {
     match name {
-        "gru" => &["policy.core=gru", "policy.chunk_steps=10"],
+        "gru" => &["policy.core=gru", "policy.backpropagation_steps=10"],
         _ => &["policy.core=mlp"],
     }
 }

@@ -24,7 +24,7 @@ pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
             ("encoder", whole(policy.encoder)),
             ("width", whole(policy.width)),
             ("layers", whole(policy.layers)),
-            ("chunk", whole(policy.chunk_steps)),
+            ("chunk", whole(policy.backpropagation_steps)),
             ("epochs", whole(update.epochs)),
             ("minibatches", whole(update.minibatches)),
             ("critic epochs", whole(training.critic.epochs)),
@@ -57,9 +57,12 @@ fn is_as_told(case: &str, settings: &Settings) -> anyhow::Result<()> {
         true => {
             let units = if case.ends_with("gru 128") { 128 } else { 64 };
             let chunk = if case.ends_with("sequences of 200") { 200 } else { 10 };
-            ([policy.encoder, policy.hidden_size(), policy.chunk_steps], [units, units, chunk])
+            (
+                [policy.encoder, policy.hidden_size(), policy.backpropagation_steps],
+                [units, units, chunk],
+            )
         }
-        false => ([policy.width, policy.layers, policy.chunk_steps], [128, 3, 1]),
+        false => ([policy.width, policy.layers, policy.backpropagation_steps], [128, 3, 1]),
     };
     ensure!(
         found == told && (update.epochs, update.minibatches) == (epochs, minibatches),

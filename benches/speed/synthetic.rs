@@ -27,7 +27,8 @@ pub(crate) fn batch(
     let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe));
     let mut normals =
         |count: usize| -> Vec<f32> { (0..count).map(|_| standard_normal(&mut rng)).collect() };
-    let (rows, chunks) = (steps * environments, steps / policy.chunk_steps * environments);
+    let (rows, chunks) =
+        (steps * environments, steps / policy.backpropagation_steps * environments);
     let mut agent = |shape: &AgentShape| AgentBatch {
         observation: normals(rows * shape.observation),
         // Near what a policy with small means would do, so that log-densities stay usual.

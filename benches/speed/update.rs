@@ -40,7 +40,7 @@ pub(crate) fn cases() -> anyhow::Result<Vec<Case>> {
             cases.push(Case::of(task, core, core, &[])?);
         }
     }
-    let whole = ["policy.chunk_steps=200", "environments.chunk_steps=200"];
+    let whole = ["policy.backpropagation_steps=200", "environments.message_steps=200"];
     cases.push(Case::of(TASKS[0], "gru", "gru, sequences of 200", &whole)?);
     Ok(cases)
 }

@@ -32,7 +32,7 @@ pub struct EnvironmentsConfig {
     /// Environments in one slot, the unit of work that an actor leases.
     pub per_slot: usize,
     /// Steps in one message from an actor.
-    pub chunk_steps: usize,
+    pub message_steps: usize,
     /// When first episodes end.
     pub phase: Phase,
 }
@@ -177,9 +177,9 @@ impl EnvironmentsConfig {
         within("environments.count", self.count as u64, 1, 1_000_000)?;
         within("environments.steps", self.steps as u64, 1, 1_000_000)?;
         within("environments.per_slot", self.per_slot as u64, 1, self.count as u64)?;
-        within("environments.chunk_steps", self.chunk_steps as u64, 1, self.steps as u64)?;
+        within("environments.message_steps", self.message_steps as u64, 1, self.steps as u64)?;
         divides("environments.per_slot", self.per_slot, "environments.count", self.count)?;
-        divides("environments.chunk_steps", self.chunk_steps, "environments.steps", self.steps)
+        divides("environments.message_steps", self.message_steps, "environments.steps", self.steps)
     }
 }
 
@@ -216,7 +216,7 @@ mod tests {
             count: 20,
             steps: 200,
             per_slot: 2,
-            chunk_steps: 50,
+            message_steps: 50,
             phase: Phase::Staggered,
         }
     }
@@ -248,12 +248,12 @@ mod tests {
                 "environments.per_slot = 3 is out of range: a divisor of environments.count = 20",
             ),
             (
-                EnvironmentsConfig { chunk_steps: 300, ..config() },
-                "environments.chunk_steps = 300 is out of range: 1 to 200",
+                EnvironmentsConfig { message_steps: 300, ..config() },
+                "environments.message_steps = 300 is out of range: 1 to 200",
             ),
             (
-                EnvironmentsConfig { chunk_steps: 30, ..config() },
-                "environments.chunk_steps = 30 is out of range: a divisor of environments.steps = 200",
+                EnvironmentsConfig { message_steps: 30, ..config() },
+                "environments.message_steps = 30 is out of range: a divisor of environments.steps = 200",
             ),
         ];
         for (config, message) in cases {

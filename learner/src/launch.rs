@@ -71,10 +71,11 @@ impl Launch {
         self.training.suits(&self.policy)?;
         self.training.suits_observations(self.observations)?;
         self.training.suits_agents(&problem(&self.environment))?;
-        let (chunk, through_time) = (self.config.environments.chunk_steps, self.policy.chunk_steps);
+        let (chunk, through_time) =
+            (self.config.environments.message_steps, self.policy.backpropagation_steps);
         if !chunk.is_multiple_of(through_time) {
-            let range = format!("a multiple of policy.chunk_steps = {through_time}");
-            let (key, found) = ("environments.chunk_steps", chunk.to_string());
+            let range = format!("a multiple of policy.backpropagation_steps = {through_time}");
+            let (key, found) = ("environments.message_steps", chunk.to_string());
             return Err(ConfigError { key, found, range }.into());
         }
         self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
@@ -93,9 +94,9 @@ impl Launch {
             environment: self.environment.clone(),
             environments_per_slot: environments.per_slot as u32,
             slot_steps: environments.steps as u32,
-            chunk_steps: environments.chunk_steps as u32,
+            chunk_steps: environments.message_steps as u32,
             hidden_sizes: vec![hidden; self.environment.agents.len()],
-            hidden_every: self.policy.chunk_steps as u32,
+            hidden_every: self.policy.backpropagation_steps as u32,
             rollout_fingerprint: self.rollout_fingerprint,
             config_sha256: self.config_sha256,
             heartbeat_secs: self.config.lease.heartbeat_secs,

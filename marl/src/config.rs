@@ -264,9 +264,9 @@ impl Config {
         }
         let q = &self.influence;
         let second_head = q.q_training == QTraining::Shared && q.lambda > 0.0;
-        if second_head && q.sigma_floor >= f64::from(policy.sigma_scale) {
+        if second_head && q.posterior_sigma_floor >= f64::from(policy.sigma_scale) {
             let range = "below policy.sigma_scale with influence.q_training = shared";
-            return Err(refuse("influence.sigma_floor", q.sigma_floor, range));
+            return Err(refuse("influence.posterior_sigma_floor", q.posterior_sigma_floor, range));
         }
         Ok(())
     }

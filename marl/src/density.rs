@@ -100,7 +100,7 @@ pub fn build(
     signal: &[usize],
     (seed, agent): (RunSeed, u32),
 ) -> Result<Box<dyn Density>, MarlError> {
-    let moments = Moments::new(signal.to_vec(), config.sigma_floor, config.mask_below);
+    let moments = Moments::new(signal.to_vec(), config.feature_sigma_floor, config.mask_below);
     Ok(match config.density {
         DensityKind::DiagonalGaussian => Box::new(diagonal_gaussian::DiagonalGaussian(moments)),
         DensityKind::Categorical => Box::new(categorical::Categorical::new(moments)),

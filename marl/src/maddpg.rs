@@ -49,7 +49,7 @@ impl Maddpg {
             gamma: config.update.gamma,
             config: config.maddpg.clone(),
             problem: problem.clone(),
-            chunk_steps: policy.chunk_steps,
+            chunk_steps: policy.backpropagation_steps,
             seed: start.0,
             agents,
         })

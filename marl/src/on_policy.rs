@@ -168,7 +168,7 @@ impl Team {
         }
         let critic = Critics::new(config, problem, start)?;
         let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
-        let chunk_steps = policy.chunk_steps;
+        let chunk_steps = policy.backpropagation_steps;
         Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
     }
 

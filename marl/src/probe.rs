@@ -60,7 +60,7 @@ pub(crate) fn batch() -> Batch {
         observation: normals(rows * OBSERVATION),
         action: normals(rows * ACTION),
         log_prob: vec![0.0; rows],
-        hidden: normals(STEPS / policy().chunk_steps * ENVIRONMENTS * policy().hidden),
+        hidden: normals(STEPS / policy().backpropagation_steps * ENVIRONMENTS * policy().hidden),
     });
     let agents = agents.collect();
     let finals = (0..ENVIRONMENTS).map(|environment| Final {
@@ -90,10 +90,10 @@ pub(crate) fn policy() -> PolicyConfig {
         hidden: 64,
         width: 64,
         layers: 1,
-        chunk_steps: 10,
+        backpropagation_steps: 10,
         burn_in: 0,
         refresh_hidden: RefreshHidden::Never,
-        initial_log_std: 1.0,
+        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 0.01,
@@ -158,7 +158,7 @@ pub(crate) fn surprise() -> SurpriseConfig {
         reduce: Reduce::Sum,
         constant: Constant::Paper,
         clip: 0.0,
-        sigma_floor: 0.01,
+        feature_sigma_floor: 0.01,
         mask_below: 1e-4,
         vae: VaeConfig { hidden: 16, latent: 2, epochs: 5, minibatches: 4, learning_rate: 1e-2 },
     }
@@ -176,7 +176,7 @@ fn influence() -> InfluenceConfig {
         epochs: 2,
         learning_rate: 5e-4,
         minibatches: 1,
-        sigma_floor: 0.05,
+        posterior_sigma_floor: 0.05,
         holdout_every: 5,
         lag: 0,
         counted_state: CountedState::Observation,

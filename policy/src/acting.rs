@@ -56,7 +56,7 @@ impl ActorSpec {
             hidden: config.hidden,
             width: config.width,
             layers: config.layers,
-            chunk_steps: config.chunk_steps,
+            chunk_steps: config.backpropagation_steps,
             sigma_scale: config.sigma_scale,
             head: Some(head).filter(|head| *head != Head::Gaussian),
         };

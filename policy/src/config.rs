@@ -50,14 +50,14 @@ pub struct PolicyConfig {
     /// Layers of the MLP core.
     pub layers: usize,
     /// Steps of backpropagation through time, and between stored recurrent states.
-    pub chunk_steps: usize,
+    pub backpropagation_steps: usize,
     /// Steps before a chunk whose recurrent states are computed again with today's weights, from the
-    /// state stored that many steps before; 0 or a multiple of `chunk_steps`.
+    /// state stored that many steps before; 0 or a multiple of `backpropagation_steps`.
     pub burn_in: usize,
     /// When stored recurrent states are computed again.
     pub refresh_hidden: RefreshHidden,
-    /// Start of `log_std`, of which `sigma = sigmoid(log_std) * sigma_scale`.
-    pub initial_log_std: f32,
+    /// Sigma at the start, in units of the action.
+    pub initial_sigma: f64,
     /// Upper end of sigma, in units of the action.
     pub sigma_scale: f32,
     /// Lower end of sigma, in units of the action.
@@ -89,17 +89,22 @@ impl PolicyConfig {
         let real = |x: f32, from: f32, to: f32| (x.to_string(), x > from && x <= to);
         let floor = self.sigma_floor;
         let below = floor > 0.0 && floor < self.sigma_scale;
+        let log_std = self.initial_log_std();
         let memory = self.core != CoreKind::Mlp;
         let checks = [
             ("policy.encoder", size(self.encoder), "1 to 4096"),
             ("policy.hidden", size(self.hidden), "1 to 4096"),
             ("policy.width", size(self.width), "1 to 4096"),
             ("policy.layers", count(self.layers, 16), "1 to 16"),
-            ("policy.chunk_steps", count(self.chunk_steps, 10_000), "1 to 10000"),
+            (
+                "policy.backpropagation_steps",
+                count(self.backpropagation_steps, 10_000),
+                "1 to 10000",
+            ),
             (
                 "policy.burn_in",
-                (self.burn_in.to_string(), self.burn_in.is_multiple_of(self.chunk_steps)),
-                "0 or a multiple of policy.chunk_steps",
+                (self.burn_in.to_string(), self.burn_in.is_multiple_of(self.backpropagation_steps)),
+                "0 or a multiple of policy.backpropagation_steps",
             ),
             (
                 "policy.burn_in",
@@ -111,16 +116,19 @@ impl PolicyConfig {
                 ("every_epoch".to_owned(), memory || self.refresh_hidden == RefreshHidden::Never),
                 "never with policy.core = mlp",
             ),
-            (
-                "policy.initial_log_std",
-                real(self.initial_log_std, -20.0, 20.0),
-                "above -20, at most 20",
-            ),
             ("policy.sigma_scale", real(self.sigma_scale, 0.0, 10.0), "above 0, at most 10"),
             (
                 "policy.sigma_floor",
                 (floor.to_string(), below),
                 "above 0 and below policy.sigma_scale",
+            ),
+            (
+                "policy.initial_sigma",
+                (
+                    self.initial_sigma.to_string(),
+                    self.initial_sigma > f64::from(floor) && log_std.is_finite(),
+                ),
+                "above policy.sigma_floor and below policy.sigma_scale",
             ),
             ("policy.head_gain", real(self.head_gain, 0.0, 10.0), "above 0, at most 10"),
         ];
@@ -128,6 +136,13 @@ impl PolicyConfig {
             Some((key, (found, _), expected)) => Err(ConfigError { key, found, expected }),
             None => Ok(()),
         }
+    }
+
+    /// Start of the parameter `log_std`, of which `sigma = sigmoid(log_std) * sigma_scale`.
+    #[must_use]
+    pub fn initial_log_std(&self) -> f32 {
+        let share = self.initial_sigma / f64::from(self.sigma_scale);
+        libm::log(share / (1.0 - share)) as f32
     }
 
     /// Width of the recurrent state, 0 without one.
@@ -152,10 +167,10 @@ mod tests {
             hidden: 64,
             width: 128,
             layers: 3,
-            chunk_steps: 10,
+            backpropagation_steps: 10,
             burn_in: 0,
             refresh_hidden: RefreshHidden::Never,
-            initial_log_std: 1.0,
+            initial_sigma: 0.365_529_29,
             sigma_scale: 0.5,
             sigma_floor: 0.05,
             head_gain: 0.01,
@@ -179,7 +194,7 @@ mod tests {
         for (refused, message) in [
             (
                 burn_in(CoreKind::Gru, 15),
-                "policy.burn_in is 15, expected 0 or a multiple of policy.chunk_steps",
+                "policy.burn_in is 15, expected 0 or a multiple of policy.backpropagation_steps",
             ),
             (burn_in(CoreKind::Mlp, 20), "policy.burn_in is 20, expected 0 with policy.core = mlp"),
             (

@@ -74,7 +74,7 @@ impl ActorNetwork {
         let layers = LayerStack::declare(&mut parameters, &declared, dtype, rng)?;
         let log_std = match kind {
             Head::Gaussian => {
-                let start = Tensor::full(config.initial_log_std, action, &Device::Cpu)?;
+                let start = Tensor::full(config.initial_log_std(), action, &Device::Cpu)?;
                 Some(parameters.add("head.log_std", start.to_dtype(dtype)?)?)
             }
             Head::Categorical { .. } | Head::Deterministic { .. } | Head::Uniform { .. } => None,

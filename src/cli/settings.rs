@@ -17,7 +17,7 @@ pub(crate) struct SettingsArguments {
     #[arg(long = "config", value_name = "FILE")]
     pub(crate) files: Vec<PathBuf>,
     /// Train in the environment that a program offers there; TASK then only says whose settings to take. Short for
-    /// environment.url=URL.
+    /// environment_service.url=URL.
     #[arg(long, value_name = "URL")]
     pub(crate) environment: Option<String>,
 }
@@ -25,7 +25,7 @@ pub(crate) struct SettingsArguments {
 impl SettingsArguments {
     /// All settings as key.path=value, those with a flag of their own among them.
     pub(crate) fn written(&self) -> Vec<String> {
-        let url = self.environment.iter().map(|url| format!("environment.url={url}"));
+        let url = self.environment.iter().map(|url| format!("environment_service.url={url}"));
         self.settings.iter().cloned().chain(url).collect()
     }
 }

@@ -21,6 +21,16 @@ pub(crate) enum ConfigError {
         /// The known key that is spelled most alike.
         nearest: Option<String>,
     },
+    /// A key of an earlier version.
+    #[error("{place}: `{key}` is called `{now}` now{}", told(.now))]
+    Renamed {
+        /// Layer that sets the key.
+        place: String,
+        /// Dotted path.
+        key: String,
+        /// What it is called now.
+        now: &'static str,
+    },
     /// A value of another kind than the default's.
     #[error("{place}: `{key}` must be {expected}, found {found}")]
     WrongKind {
@@ -104,6 +114,14 @@ fn named(key: &str, detail: &str) -> String {
 pub(crate) fn in_words(detail: &str) -> String {
     let told = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
     NUMBERS.into_iter().fold(detail.to_owned(), told)
+}
+
+/// What a new name does not say.
+fn told(now: &str) -> &'static str {
+    match now {
+        "policy.initial_sigma" => ", and is sigma itself: sigmoid(initial_log_std) * sigma_scale",
+        _ => "",
+    }
 }
 
 fn suggestion(nearest: Option<&str>) -> String {

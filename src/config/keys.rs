@@ -7,7 +7,7 @@ const FOLDER: &str = "run.dir";
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     FOLDER,
-    "environment.url",
+    "environment_service.url",
     "lease.",
     "evaluation.",
     "checkpoint.",
@@ -16,8 +16,29 @@ const OPERATIONAL: &[&str] = &[
     "log.",
 ];
 
+/// Keys that had another name in an earlier version, and their name now.
+const RENAMED: &[(&str, &str)] = &[
+    ("environment.url", "environment_service.url"),
+    ("environment.description", "environment_service.description"),
+    ("environments.chunk_steps", "environments.message_steps"),
+    ("policy.chunk_steps", "policy.backpropagation_steps"),
+    ("policy.initial_log_std", "policy.initial_sigma"),
+    ("surprise.sigma_floor", "surprise.feature_sigma_floor"),
+    ("surprise.vae_hidden", "surprise.vae.hidden"),
+    ("surprise.vae_latent", "surprise.vae.latent"),
+    ("surprise.vae_epochs", "surprise.vae.epochs"),
+    ("surprise.vae_minibatches", "surprise.vae.minibatches"),
+    ("surprise.vae_learning_rate", "surprise.vae.learning_rate"),
+    ("influence.sigma_floor", "influence.posterior_sigma_floor"),
+];
+
+/// What a key of an earlier version is called now.
+pub(crate) fn renamed(key: &str) -> Option<&'static str> {
+    RENAMED.iter().find(|(old, _)| *old == key).map(|(_, now)| *now)
+}
+
 /// The semantic key that the program fills in when a run starts.
-pub(crate) const FILLED_IN: &str = "environment.description";
+pub(crate) const FILLED_IN: &str = "environment_service.description";
 
 /// Keys that only say how far a run goes; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
@@ -130,11 +151,20 @@ mod tests {
     }
 
     #[test]
+    fn a_renamed_key_is_known_by_its_new_name_alone() {
+        let defaults = crate::config::layers::defaults();
+        for (old, now) in RENAMED {
+            assert!(!defaults.entries.contains_key(*old), "{old}");
+            assert!(defaults.entries.contains_key(*now), "{now}");
+        }
+    }
+
+    #[test]
     fn operational_keys_are_told_from_semantic_ones() {
         for key in [
             "run.actors",
             "run.dir",
-            "environment.url",
+            "environment_service.url",
             "lease.ttl_secs",
             "learner.threads",
             "log.episodes",
@@ -142,9 +172,13 @@ mod tests {
         ] {
             assert!(!is_semantic(key), "{key}");
         }
-        for key in
-            ["task", "run.seed", "environment.description", "environments.count", "policy.core"]
-        {
+        for key in [
+            "task",
+            "run.seed",
+            "environment_service.description",
+            "environments.count",
+            "policy.core",
+        ] {
             assert!(is_semantic(key), "{key}");
         }
     }

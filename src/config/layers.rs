@@ -195,7 +195,7 @@ fn norm_of(layers: &[Layer]) -> Option<&str> {
 
 /// Whether the environment comes from outside.
 fn names_outside(asked: &[Layer]) -> bool {
-    let url = asked.iter().rev().find_map(|layer| layer.values.get("environment.url"));
+    let url = asked.iter().rev().find_map(|layer| layer.values.get("environment_service.url"));
     url.is_some_and(|url| *url != Scalar::Text(String::new()))
 }
 
@@ -301,6 +301,9 @@ fn known<'a>(place: &str, key: &str, schema: &'a Schema) -> Result<&'a Scalar, C
             expected,
             found: "a value".into(),
         });
+    }
+    if let Some(now) = keys::renamed(key) {
+        return Err(ConfigError::Renamed { place, key: key.to_owned(), now });
     }
     let nearest = keys::nearest(key, schema.keys().map(String::as_str)).map(str::to_owned);
     Err(ConfigError::UnknownKey { place, key: key.to_owned(), nearest })

@@ -30,7 +30,7 @@ pub struct InfluenceConfig {
     /// Parts of one pass, each an optimiser step.
     pub minibatches: usize,
     /// Smallest deviation of a posterior, in units of the action.
-    pub sigma_floor: f64,
+    pub posterior_sigma_floor: f64,
     /// Environments `e` with `e mod n = n - 1` train no posterior; they measure the estimate.
     pub holdout_every: usize,
     /// Steps, 0 or 1, by which the others' actions that q is told are older than the own one.
@@ -92,7 +92,7 @@ impl InfluenceConfig {
         count("influence.epochs", self.epochs)?;
         positive("influence.learning_rate", self.learning_rate)?;
         count("influence.minibatches", self.minibatches)?;
-        positive("influence.sigma_floor", self.sigma_floor)?;
+        positive("influence.posterior_sigma_floor", self.posterior_sigma_floor)?;
         if self.holdout_every < 2 {
             let range = "at least 2: with 1 no environment would be left to train on";
             return Err(refuse("influence.holdout_every", self.holdout_every, range));

@@ -29,7 +29,7 @@ pub struct SurpriseConfig {
     /// Largest magnitude of what alpha multiplies, nats; 0 for none.
     pub clip: f64,
     /// Smallest deviation that a density assumes, in units of the feature.
-    pub sigma_floor: f64,
+    pub feature_sigma_floor: f64,
     /// Features with a smaller deviation on `D_k` are left out, in units of the feature.
     pub mask_below: f64,
     /// What `density = vae` alone is told.
@@ -124,7 +124,7 @@ pub enum Constant {
 impl SurpriseConfig {
     pub(super) fn validate(&self) -> Result<(), MarlError> {
         not_negative("surprise.alpha", self.alpha)?;
-        positive("surprise.sigma_floor", self.sigma_floor)?;
+        positive("surprise.feature_sigma_floor", self.feature_sigma_floor)?;
         not_negative("surprise.mask_below", self.mask_below)?;
         not_negative("surprise.clip", self.clip)?;
         let memory = "0 <= ema_memory < 1";

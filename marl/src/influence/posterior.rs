@@ -210,7 +210,7 @@ impl Posterior {
         Ok(likelihood)
     }
 
-    /// One optimiser step, after which sigma is at its floor or above: `influence.sigma_floor`, or the policy's sigma
+    /// One optimiser step, after which sigma is at its floor or above: `influence.posterior_sigma_floor`, or the policy's sigma
     /// where that is lower.
     fn descend(&mut self, gradients: &Gradients, policy: &HeadRows) -> Result<(), MarlError> {
         self.adam.step(&self.parameters, gradients)?;
@@ -219,7 +219,7 @@ impl Posterior {
             return Ok(());
         };
         let lowest = |sigma: &f64| {
-            let half = (0.5 * self.config.sigma_floor / sigma).min(0.5);
+            let half = (0.5 * self.config.posterior_sigma_floor / sigma).min(0.5);
             self.precision.round(libm::log(half / (1.0 - half)))
         };
         let held = numbers(correction.as_tensor())?.into_iter().zip(sigma);

@@ -53,12 +53,12 @@ impl SecondHead {
         ];
         let encoder = LayerStack::declare(&mut parameters, &encoder, dtype, &mut rng)?;
         let joined = LayerStack::declare(&mut parameters, &joined, dtype, &mut rng)?;
-        let start = Tensor::full(policy.initial_log_std, shape.action, &Device::Cpu)?;
+        let start = Tensor::full(policy.initial_log_std(), shape.action, &Device::Cpu)?;
         let log_std = parameters.add("log_std", start.to_dtype(dtype)?)?;
         Ok(Self {
             others: shape.others,
             sigma_scale: f64::from(policy.sigma_scale),
-            sigma_floor: config.sigma_floor,
+            sigma_floor: config.posterior_sigma_floor,
             precision,
             parameters,
             encoder,

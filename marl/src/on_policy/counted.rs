@@ -136,8 +136,12 @@ mod tests {
     }
 
     fn update(config: &Config, batch: &Batch) -> Report {
-        let policy =
-            PolicyConfig { core: CoreKind::Mlp, chunk_steps: 1, width: 8, ..probe::policy() };
+        let policy = PolicyConfig {
+            core: CoreKind::Mlp,
+            backpropagation_steps: 1,
+            width: 8,
+            ..probe::policy()
+        };
         let mut algorithm = build(config, &policy, &problem(), RunSeed(0)).unwrap();
         algorithm.update(batch, &vec![batch.reward.clone(); 2], 0).unwrap()
     }

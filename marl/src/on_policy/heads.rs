@@ -77,7 +77,7 @@ mod tests {
             Agent::new(&config, &policy, &problem, ((RunSeed(0), precision), index)).unwrap()
         };
         let mut agents = vec![agent(0), agent(1)];
-        let layout = Layout::of(&batch, policy.chunk_steps);
+        let layout = Layout::of(&batch, policy.backpropagation_steps);
         let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();
         let advantages = vec![advantage.clone(), advantage];
         let experience = gather(&agents, &batch, layout, &advantages).unwrap();

@@ -22,7 +22,8 @@ pub(super) struct Memory {
 
 impl Memory {
     pub(super) fn new(policy: &PolicyConfig) -> Self {
-        let (burn_in, refresh) = (policy.burn_in / policy.chunk_steps, policy.refresh_hidden);
+        let (burn_in, refresh) =
+            (policy.burn_in / policy.backpropagation_steps, policy.refresh_hidden);
         Self { burn_in, refresh, refreshed: None }
     }
 }

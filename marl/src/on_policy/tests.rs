@@ -22,7 +22,13 @@ const TRUNCATED: [(usize, usize); 3] = [(7, 2), (9, 5), (16, 1)];
 const CORES: [CoreKind; 2] = [CoreKind::Gru, CoreKind::Mlp];
 
 fn policy(core: CoreKind) -> PolicyConfig {
-    PolicyConfig { core, chunk_steps: CHUNK, layers: 2, head_gain: 1.0, ..probe::policy() }
+    PolicyConfig {
+        core,
+        backpropagation_steps: CHUNK,
+        layers: 2,
+        head_gain: 1.0,
+        ..probe::policy()
+    }
 }
 
 /// Both cores, and every way to come by a recurrent state.

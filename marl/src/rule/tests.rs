@@ -63,7 +63,7 @@ fn narrowed(environments: usize) -> Batch {
         observation: of(&agent.observation, steps),
         action: of(&agent.action, steps),
         log_prob: of(&agent.log_prob, steps),
-        hidden: of(&agent.hidden, steps / probe::policy().chunk_steps),
+        hidden: of(&agent.hidden, steps / probe::policy().backpropagation_steps),
     });
     Batch {
         agents: agents.collect(),
@@ -180,7 +180,7 @@ fn one_single_step_is_enough_for_every_density_and_an_update() {
     batch.reward.truncate(1);
     (batch.terminated, batch.truncated) = (vec![true], vec![false]);
     batch.finals[0] = Final { step: 0, ..batch.finals[0].clone() };
-    let policy = PolicyConfig { chunk_steps: 1, ..probe::policy() };
+    let policy = PolicyConfig { backpropagation_steps: 1, ..probe::policy() };
     for density in [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae] {
         let mut config = probe::config();
         config.surprise.density = density;

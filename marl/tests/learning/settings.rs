@@ -75,7 +75,7 @@ fn policy(core: CoreKind) -> PolicyConfig {
         hidden: 16,
         width: 16,
         layers: 2,
-        chunk_steps: 4,
+        backpropagation_steps: 4,
         ..fixture::policy(core)
     }
 }

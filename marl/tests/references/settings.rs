@@ -35,7 +35,7 @@ pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
         hidden: 6,
         width: 7,
         layers: 2,
-        chunk_steps: 5,
+        backpropagation_steps: 5,
         sigma_floor: reference.setting("policy.sigma_floor") as f32,
         ..fixture::policy(core)
     }
@@ -85,7 +85,7 @@ fn influence(reference: &Reference, usual: InfluenceConfig) -> InfluenceConfig {
         epochs: reference.setting("influence.epochs") as usize,
         learning_rate: reference.setting("influence.learning_rate"),
         minibatches: 1,
-        sigma_floor: reference.setting("policy.sigma_floor"),
+        posterior_sigma_floor: reference.setting("policy.sigma_floor"),
         holdout_every: reference.setting("influence.holdout_every") as usize,
         ..usual
     }

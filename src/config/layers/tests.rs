@@ -52,7 +52,7 @@ fn an_environment_from_outside_is_shown_as_it_is_where_the_simulator_alone_could
     let norm = |settings: &[&str]| {
         resolve(&request(settings)).unwrap().entries["observation.norm"].clone()
     };
-    let url = "environment.url=http://localhost:7";
+    let url = "environment_service.url=http://localhost:7";
     let shown = Entry { value: Scalar::Text("none".into()), origin: "configs/outside.toml".into() };
     for asked in ["preset=harl", "algorithm=maddpg"] {
         assert_eq!(norm(&[url, asked]), shown);
@@ -82,6 +82,10 @@ fn an_unknown_key_is_refused_with_the_nearest_one() {
             "{}: unknown key `update.lerning_rate`; did you mean `update.learning_rate`?",
             path.display()
         )
+    );
+    assert_eq!(
+        refusal(&["policy.chunk_steps=5"]),
+        "command line: `policy.chunk_steps` is called `policy.backpropagation_steps` now"
     );
     assert_eq!(refusal(&["zzzzzzzz=1"]), "command line: unknown key `zzzzzzzz`");
 }

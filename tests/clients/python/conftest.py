@@ -17,7 +17,7 @@ sys.path.insert(0, str(CLIENTS))
 
 SMALL = ["cue-2x1", "run.seed=3", "evaluation.episodes=2", "checkpoint.every=10"]
 FEW = [*SMALL, "run.iterations=2", "evaluation.every_steps=0"]
-FEW += ["environments.per_slot=4", "environments.chunk_steps=10"]
+FEW += ["environments.per_slot=4", "environments.message_steps=10"]
 MANY = [*SMALL, "run.env_steps=30000", "evaluation.every_steps=10000"]
 
 

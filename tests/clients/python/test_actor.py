@@ -37,7 +37,7 @@ def test_agents_learn_to_follow_the_cue_from_what_a_python_actor_plays(serve):
 
 def test_python_and_the_projects_own_actors_take_over_each_others_games(serve):
     learner = serve("both", [*SMALL, "run.iterations=20", "evaluation.every_steps=0", "environments.steps=30",
-                             "environments.chunk_steps=30"])
+                             "environments.message_steps=30"])
     with subprocess.Popen(command("actor", "--learner", learner.url), stderr=subprocess.DEVNULL) as own:
         client = Learner(learner.address)
         done = act_for(client, Cue, np.random.default_rng(2))

@@ -44,7 +44,7 @@ def test_agents_learn_in_a_pettingzoo_environment(offer, tmp_path):
 
 def test_an_environment_without_states_gives_one_actor_and_two_the_same_weights(offer, tmp_path):
     url = offer("games:Follow")
-    short = ("run.iterations=3", "environments.steps=20", "environments.chunk_steps=20")
+    short = ("run.iterations=3", "environments.steps=20", "environments.message_steps=20")
     hashes = []
     for actors in (1, 2):
         folder = tmp_path / str(actors)

@@ -53,7 +53,7 @@ def test_a_run_in_mujoco_ends_in_the_same_state_with_one_actor_and_two(offer, tm
     for actors in (1, 2):
         folder = tmp_path / str(actors)
         settings = ["environments.count=4", "environments.per_slot=2", "environments.steps=20",
-                    "environments.chunk_steps=20", "run.iterations=3", "evaluation.every_steps=0"]
+                    "environments.message_steps=20", "run.iterations=3", "evaluation.every_steps=0"]
         arguments = ("train", *SMALL, *settings, f"run.actors={actors}", f"run.dir={folder}", "--environment", url)
         subprocess.run(command(*arguments), capture_output=True, timeout=300, check=True)
         told = subprocess.run(command("inspect", folder, "--json"), capture_output=True, text=True, check=True)

@@ -22,7 +22,7 @@ fn config() -> InfluenceConfig {
         epochs: 10,
         learning_rate: 2e-2,
         minibatches: 20,
-        sigma_floor: 0.05,
+        posterior_sigma_floor: 0.05,
         holdout_every: 5,
         lag: 0,
         counted_state: CountedState::Observation,
