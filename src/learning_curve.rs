@@ -49,7 +49,7 @@ impl Curve {
 pub(crate) struct Series {
     /// Variant, for the legend; the same in every panel.
     pub(crate) label: String,
-    /// Place of the label among all of the picture, which decides its colour.
+    /// What decides its colour, its marks and its kind of line.
     pub(crate) rank: usize,
     /// Runs in it.
     pub(crate) runs: usize,
@@ -130,17 +130,39 @@ fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
 /// Runs that differ in nothing but their seed, by task and by the name that tells them from the task's others.
 type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
 
-/// A panel for each quantity and task, quantity by quantity; the same variant has the same label in all.
+/// The shipped algorithms, in the order of their ranks: each is drawn alike in every picture.
+const ALGORITHMS: [&str; 8] =
+    ["happo-s2mia", "happo", "mappo", "maddpg", "happo-sm", "happo-smh", "happo-mi", "happo-0"];
+
+/// How the variant `name` of those in a picture is drawn: shipped algorithms have a rank of their own, others follow them.
+fn rank(name: &str, names: &[&str]) -> usize {
+    let shipped = |name: &str| ALGORITHMS.iter().position(|known| *known == name);
+    let first = match names.iter().any(|name| shipped(name).is_some()) {
+        true => ALGORITHMS.len(),
+        false => 0,
+    };
+    let others = names.iter().filter(|other| shipped(other).is_none());
+    let follows = || first + others.take_while(|other| **other != name).count();
+    shipped(name).unwrap_or_else(follows)
+}
+
+/// A panel for each quantity and task, quantity by quantity, tasks in the order of the curves; the same variant has the same label in all.
 pub(crate) fn panels(curves: &[Curve], quantities: &[Quantity]) -> Vec<Panel> {
     let groups = grouped(curves);
-    let tasks: BTreeSet<&str> = groups.keys().map(|(task, _)| *task).collect();
+    let mut tasks: Vec<&str> = Vec::new();
+    for curve in curves {
+        if !tasks.contains(&curve.task.as_str()) {
+            tasks.push(&curve.task);
+        }
+    }
     let labels = labels(&groups);
+    let names: Vec<&str> = labels.keys().map(String::as_str).collect();
     let mut panels = Vec::new();
     for &quantity in quantities {
         for task in &tasks {
             let inside = groups.iter().filter(|((of, _), _)| of == task);
             let series = inside.filter_map(|((_, name), group)| {
-                let rank = labels.keys().position(|known| known == name)?;
+                let rank = rank(name, &names);
                 let points = joined(group, quantity);
                 let label = labels[name].clone();
                 (!points.is_empty()).then_some(Series { label, rank, runs: group.len(), points })

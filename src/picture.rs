@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use kuva::backend::png::PngBackend;
 use kuva::backend::svg::SvgBackend;
-use kuva::plot::{BandPlot, LegendPosition, LinePlot, LineStyle};
+use kuva::plot::scatter::MarkerShape;
+use kuva::plot::{BandPlot, LegendPosition, LinePlot, LineStyle, ScatterPlot};
 use kuva::render::figure::Figure;
 use kuva::render::layout::{Layout, TickFormat};
 use kuva::render::plots::Plot;
@@ -15,8 +16,27 @@ use crate::learning_curve::{Panel, Point, Series};
 use crate::palette::{OKABE_ITO, Rgb, hex};
 use crate::statistics::Interval;
 
-/// Colours that a thin line on white can have.
-const COLOURS: [Rgb; 7] = *OKABE_ITO.first_chunk().expect("the palette has more");
+/// Colours that a thin line on white can have: the palette's but its pale last one, and grey.
+const COLOURS: [Rgb; 8] = {
+    let mut colours = OKABE_ITO;
+    colours[7] = [0x88, 0x88, 0x88];
+    colours
+};
+
+/// Marks on curves, which tell them apart where colours do not.
+const MARKERS: [MarkerShape; 8] = [
+    MarkerShape::Circle,
+    MarkerShape::Square,
+    MarkerShape::Triangle,
+    MarkerShape::Diamond,
+    MarkerShape::TriangleDown,
+    MarkerShape::Cross,
+    MarkerShape::Plus,
+    MarkerShape::Star,
+];
+
+/// Marks on one curve, about.
+const MARKS: usize = 6;
 
 /// Size of a lone panel's axes in SVG units; the PNG has twice as many pixels.
 const WIDTH: f64 = 720.0;
@@ -107,14 +127,15 @@ fn has_bands(panel: &Panel) -> bool {
     panel.series.iter().any(|series| series.runs > 1)
 }
 
-/// All bands, then all lines, so that no line is covered.
+/// All bands, then all lines, then their marks, so that no line is covered.
 fn plots(panel: &Panel) -> Vec<Plot> {
     let many = panel.series.iter().filter(|series| series.runs > 1);
     let bands = many.flat_map(|series| {
         let confidence = band(series, CONFIDENCE_OPACITY, |point| point.confidence);
         [confidence, band(series, RANGE_OPACITY, |point| point.quartiles)]
     });
-    bands.chain(panel.series.iter().map(line)).collect()
+    let lines = panel.series.iter().map(line);
+    bands.chain(lines).chain(panel.series.iter().map(marks)).collect()
 }
 
 fn band(series: &Series, opacity: f64, of: fn(&Point) -> Interval) -> Plot {
@@ -132,7 +153,22 @@ fn line(series: &Series) -> Plot {
     };
     let points = series.points.iter().map(|point| (point.env_steps, point.centre));
     let line = LinePlot::new().with_data(points).with_color(colour(series)).with_stroke_width(2.0);
-    Plot::Line(line.with_line_style(style).with_legend(series.label.as_str()))
+    Plot::Line(line.with_line_style(style))
+}
+
+/// Marks on the curve, and its entry in the legend. Curves begin theirs at different points.
+fn marks(series: &Series) -> Plot {
+    let every = series.points.len().div_ceil(MARKS).max(1);
+    let points = series.points.iter().skip(series.rank % every).step_by(every);
+    // Past the colours each colour comes again, with another mark.
+    let marker = MARKERS[(series.rank + 3 * (series.rank / COLOURS.len())) % MARKERS.len()];
+    let marks = ScatterPlot::new()
+        .with_data(points.map(|point| (point.env_steps, point.centre)))
+        .with_color(colour(series))
+        .with_size(4.5)
+        .with_marker(marker)
+        .with_legend(series.label.as_str());
+    Plot::Scatter(marks)
 }
 
 fn colour(series: &Series) -> String {

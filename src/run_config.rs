@@ -214,16 +214,32 @@ fn sections<T: DeserializeOwned>(resolved: &Resolved, names: &[&str]) -> Result<
     typed(tables(resolved, names))
 }
 
+/// The tables `names`, with the tables inside them.
 fn tables(resolved: &Resolved, names: &[&str]) -> toml::Table {
     let mut tables = toml::Table::new();
     for name in names {
-        let prefix = format!("{name}.");
-        let inside = resolved.entries.iter().filter_map(|(key, entry)| {
-            Some((key.strip_prefix(&prefix)?.to_owned(), entry.value.to_toml()))
-        });
-        tables.insert((*name).to_owned(), toml::Value::Table(inside.collect()));
+        tables.insert((*name).to_owned(), toml::Value::Table(toml::Table::new()));
+    }
+    for (key, entry) in &resolved.entries {
+        let mut path = key.split('.');
+        if let Some(section) = path.next().and_then(|section| tables.get_mut(section)) {
+            insert(section, path.collect(), entry.value.to_toml());
+        }
     }
     tables
+}
+
+/// Puts `value` into `table` under the path `keys`, and makes the tables on the way.
+fn insert(table: &mut toml::Value, keys: Vec<&str>, value: toml::Value) {
+    let (last, sections) = keys.split_last().expect("every key of a section has a name");
+    let mut inner = table;
+    for section in sections {
+        let tables = inner.as_table_mut().expect("a section holds tables and values");
+        let empty = || toml::Value::Table(toml::Table::new());
+        inner = tables.entry(*section).or_insert_with(empty);
+    }
+    let tables = inner.as_table_mut().expect("a section holds tables and values");
+    tables.insert((*last).to_owned(), value);
 }
 
 fn typed<T: DeserializeOwned>(table: toml::Table) -> Result<T, String> {

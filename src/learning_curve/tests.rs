@@ -75,10 +75,23 @@ fn a_variant_keeps_its_label_and_colour_in_every_panel() {
     ];
     let panels = returns(&curves);
     let tasks: Vec<&str> = panels.iter().map(|panel| panel.task.as_str()).collect();
-    assert_eq!(tasks, ["ant-4x2", "halfcheetah-2x3"]);
-    let (alone, beside) = (&panels[0].series[0], &panels[1].series[1]);
-    assert_eq!((alone.label.as_str(), alone.rank), ("mappo (1 to 2 seeds)", 1));
-    assert_eq!((beside.label.as_str(), beside.rank), ("mappo (1 to 2 seeds)", 1));
+    assert_eq!(tasks, ["halfcheetah-2x3", "ant-4x2"]);
+    let (beside, alone) = (&panels[0].series[1], &panels[1].series[0]);
+    assert_eq!((alone.label.as_str(), alone.rank), ("mappo (1 to 2 seeds)", 2));
+    assert_eq!((beside.label.as_str(), beside.rank), ("mappo (1 to 2 seeds)", 2));
+}
+
+#[test]
+fn a_shipped_algorithm_is_drawn_alike_in_every_picture_and_no_two_variants_of_one_are() {
+    let ranks = |names: &[&str]| {
+        let curves: Vec<Curve> = names.iter().map(|name| curve(name, 1, &[(0.0, 1.0)])).collect();
+        let panels = returns(&curves);
+        panels[0].series.iter().map(|series| series.rank).collect::<Vec<_>>()
+    };
+    assert_eq!(ranks(&["happo", "mappo"]), [1, 2]);
+    assert_eq!(ranks(&["mappo"]), [2]);
+    assert_eq!(ranks(&["happo", "mine", "yours"]), [1, 8, 9]);
+    assert_eq!(ranks(&["mine", "yours"]), [0, 1]);
 }
 
 #[test]
