@@ -167,7 +167,9 @@ pub(crate) fn panels(curves: &[Curve], quantities: &[Quantity]) -> Vec<Panel> {
                 let label = labels[name].clone();
                 (!points.is_empty()).then_some(Series { label, rank, runs: group.len(), points })
             });
-            panels.push(Panel { task: (*task).to_owned(), quantity, series: series.collect() });
+            let mut series: Vec<Series> = series.collect();
+            series.sort_by_key(|series| series.rank);
+            panels.push(Panel { task: (*task).to_owned(), quantity, series });
         }
     }
     panels
