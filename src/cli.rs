@@ -1,4 +1,4 @@
-//! The arguments of every command.
+//! The command-line arguments of all commands.
 
 mod control;
 mod export;
@@ -28,79 +28,79 @@ pub(crate) use serve::ServeArguments;
 pub(crate) use settings::SettingsArguments;
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
 
-/// Trains cooperative robot controllers with HAPPO-S2MIA: rollout actors and a learner over gRPC.
+/// Trains cooperative robot controllers with HAPPO-S2MIA: a learner and rollout actors communicate over gRPC.
 #[derive(Debug, Parser)]
 #[command(name = "s2mia", version, propagate_version = true, max_term_width = 100)]
 pub(crate) struct Arguments {
-    /// Form of the log lines on stderr.
+    /// Log format on stderr.
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
     pub(crate) log_format: LogFormat,
-    /// What is logged, as in RUST_LOG: a level, or target=level pairs [default: info for learner and actor, else warn].
+    /// Log filter as in RUST_LOG: a level, or target=level pairs [default: info for learner and actor, else warn].
     #[arg(long, global = true, value_name = "FILTER")]
     pub(crate) log: Option<String>,
-    /// What to do.
+    /// Command.
     #[command(subcommand)]
     pub(crate) command: Command,
 }
 
-/// Form of the log.
+/// Log format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum LogFormat {
-    /// For people.
+    /// Human-readable lines.
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// A role or a tool.
+/// A command: a role in training, or a tool.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Train on this machine: a learner and actor processes, with progress and a return curve.
+    /// Train on this machine with a learner and actor processes; print progress and draw a return curve.
     #[command(after_help = TRAIN_EXAMPLES)]
     Train(TrainArguments),
     /// Serve one run to actors on this or other machines.
     Learner(LearnerArguments),
-    /// Roll out for a learner until its run is done.
+    /// Compute rollouts for a learner until its run is finished.
     Actor(ActorArguments),
-    /// Ask a learner whether it serves; the exit status is the answer.
+    /// Check whether a learner is serving; the exit status is the result.
     Health(HealthArguments),
-    /// Say where a run stands: iteration, slots, leases, actors, steps per second.
+    /// Print a run's iteration, slots, leases, actors and steps per second.
     Status(StatusArguments),
-    /// Show a run folder live to Foxglove, or print a line for each iteration that a learner finishes.
+    /// Stream a run folder live to Foxglove, or print one line per iteration that a learner finishes.
     Watch(WatchArguments),
-    /// Let a learner hand out no more work; what is leased is finished.
+    /// Pause a learner: it issues no new leases; issued leases are finished.
     Pause(OrderArguments),
-    /// Let a paused learner go on. (`s2mia train --resume` takes up a run that has ended.)
+    /// Continue a paused learner. (`s2mia train --resume` continues a run that has ended.)
     Resume(OrderArguments),
-    /// Let a learner write a checkpoint, and say where it is.
+    /// Make a learner write a checkpoint, and print its path.
     Checkpoint(CheckpointArguments),
-    /// Let a learner end after a checkpoint, as SIGTERM does.
+    /// Make a learner write a checkpoint and exit, as SIGTERM does.
     Stop(OrderArguments),
-    /// Act by a run's trained policies for whoever observes, over gRPC.
+    /// Serve a run's trained policies over gRPC: clients send observations and receive actions.
     Serve(ServeArguments),
-    /// Measure a trained policy: whole episodes, mean action, extrinsic return.
+    /// Evaluate a trained policy: extrinsic return of whole episodes, with the mean action by default.
     Eval(EvalArguments),
-    /// Record episodes of a trained policy as MCAP, ready for Foxglove.
+    /// Record episodes of a trained policy as MCAP for Foxglove.
     Record(RecordArguments),
-    /// Look at, check, repair, repeat and join trajectory logs.
+    /// Inspect, verify, repair, replay and join trajectory logs.
     #[command(subcommand)]
     Log(LogCommand),
-    /// Draw a moving robot as a strip of pictures, and say how far and how honestly it went.
+    /// Draw a robot's motion as a strip of pictures; print its distance and signs of unphysical motion.
     Film(FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
     Plot(PlotArguments),
-    /// Run tasks x variants x seeds, several at once, then make a table and figures of them; go on with it at will.
+    /// Train tasks x variants x seeds in parallel, then make a table and figures; repeat the command to resume.
     Experiment(ExperimentArguments),
-    /// Write a trained policy as ONNX files, one for each agent, for programs that know nothing of this one.
+    /// Write a trained policy as ONNX files, one per agent, for use in other programs.
     Export(ExportArguments),
-    /// Say what the newest good checkpoint of a run holds.
+    /// Print the contents of a run's newest valid checkpoint.
     Inspect(InspectArguments),
     /// List the tasks with their agents, joints and sizes.
     Tasks(TasksArguments),
     /// Print the resolved configuration with the origin of each value.
     #[command(after_help = CONFIG_LAYERS)]
     Config(SettingsArguments),
-    /// Make certificates for a learner and for each role, signed by a new authority.
+    /// Create certificates for a learner and for each role, signed by a new certificate authority.
     Certs(CertsArguments),
 }
 
@@ -110,27 +110,27 @@ Examples:
   s2mia train halfcheetah-6x1 algorithm=happo run.seed=7
   s2mia train --resume runs/NAME run.env_steps=2000000
 
-`s2mia config` prints every key that can be set.";
+`s2mia config` prints all settings.";
 
 const CONFIG_LAYERS: &str = "\
-Later layers win:
+Later layers override earlier ones:
   configs/base.toml             every default
   configs/tasks/TASK.toml       the first argument, or task=TASK
   configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
   configs/algorithms/NAME.toml  algorithm=NAME
-  configs/presets/PRESET.toml   algorithm.NAME.TASK, where a preset says so
-  configs/outside.toml          with environment_service.url, where the above say observation.norm=feature_z
+  configs/presets/PRESET.toml   algorithm.NAME.TASK, if the preset has this table
+  configs/outside.toml          with environment_service.url; overrides observation.norm=feature_z
   --config FILE                 in the order given
   S2MIA__SECTION__KEY           environment variables
   section.key=value             arguments";
 
-/// How an earlier run is taken up again.
+/// Resume of an earlier run.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ResumeArguments {
-    /// Go on with this run folder from its newest good checkpoint.
+    /// Resume the run in this folder from its newest valid checkpoint.
     #[arg(long, value_name = "RUN")]
     pub(crate) resume: Option<PathBuf>,
-    /// Die without a farewell at POINT@ITERATION, such as after-publish@3: for tests of what comes after.
+    /// Exit without cleanup at POINT@ITERATION, such as after-publish@3. Tests of crash recovery use it.
     #[arg(long, value_name = "POINT@ITERATION", hide = true)]
     pub(crate) die_at: Option<learner::Fault>,
 }
@@ -144,8 +144,8 @@ pub(crate) struct TrainArguments {
     /// Resume.
     #[command(flatten)]
     pub(crate) resume: ResumeArguments,
-    /// Train only ITERATIONS, in a temporary folder, three times: undisturbed, with an actor killed, and stopped
-    /// and resumed; the exit status says whether all end in the same state.
+    /// Train ITERATIONS three times in a temporary folder: undisturbed, with an actor killed, and stopped and
+    /// resumed. The exit status is 0 only if all three end in the same state.
     #[arg(
         long,
         value_name = "ITERATIONS",
@@ -156,10 +156,10 @@ pub(crate) struct TrainArguments {
         value_parser = clap::value_parser!(u64).range(2..)
     )]
     pub(crate) verify_determinism: Option<u64>,
-    /// Stop after a checkpoint as soon as standard input closes, so that no run outlives the process that started it.
+    /// Write a checkpoint and stop when standard input closes, so that the run does not outlive its parent process.
     #[arg(long)]
     pub(crate) stop_with_stdin: bool,
-    /// Page.
+    /// Web page.
     #[command(flatten)]
     pub(crate) page: PageArguments,
     /// Live view.
@@ -176,16 +176,16 @@ pub(crate) struct LearnerArguments {
     /// Resume.
     #[command(flatten)]
     pub(crate) resume: ResumeArguments,
-    /// Address for actors.
+    /// Address on which the learner listens for actors.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     pub(crate) listen: SocketAddr,
-    /// Listen beyond this machine although nothing is encrypted and nobody is asked who they are.
+    /// Allow a non-loopback --listen address without encryption and authentication.
     #[arg(long, conflicts_with = "tls_certificate")]
     pub(crate) insecure_allow_remote: bool,
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ServerTlsArguments,
-    /// Page.
+    /// Web page.
     #[command(flatten)]
     pub(crate) page: PageArguments,
 }
@@ -193,22 +193,22 @@ pub(crate) struct LearnerArguments {
 /// `s2mia actor`
 #[derive(Args, Debug)]
 pub(crate) struct ActorArguments {
-    /// Where the learner listens.
+    /// URL of the learner.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
-    /// Step the environment that a program offers there, instead of building the run's own.
+    /// Use the environment that an external program offers at this URL, instead of the run's own.
     #[arg(long, value_name = "URL", conflicts_with = "log_dir")]
     pub(crate) environment: Option<String>,
     /// Name in the learner's log [default: host name and process id].
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Give up when the learner cannot be reached for this long.
+    /// Exit when the learner cannot be reached for this long.
     #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
     pub(crate) max_outage_secs: f64,
-    /// End as soon as standard input closes, so that no actor outlives the process that started it.
+    /// Exit when standard input closes, so that the actor does not outlive its parent process.
     #[arg(long)]
     pub(crate) exit_with_stdin: bool,
-    /// Talk to a learner on another machine although nothing is encrypted and it is not asked who it is.
+    /// Allow a learner on another machine without encryption and authentication.
     #[arg(long, conflicts_with = "tls_ca")]
     pub(crate) insecure_allow_remote: bool,
     /// Log.
@@ -222,10 +222,10 @@ pub(crate) struct ActorArguments {
 /// `s2mia health`
 #[derive(Args, Debug)]
 pub(crate) struct HealthArguments {
-    /// Where the learner listens.
+    /// URL of the learner.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
-    /// How long to wait for its answer.
+    /// Timeout for the learner's response.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
     /// TLS.
@@ -238,10 +238,10 @@ pub(crate) struct HealthArguments {
 pub(crate) struct EvalArguments {
     /// Run folder.
     pub(crate) run: PathBuf,
-    /// Whole episodes to play.
+    /// Number of whole episodes.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
-    /// Draw actions as in training, episode I with the seed SEED + I, instead of taking the means or likeliest choices.
+    /// Sample actions as in training (seed of episode I: SEED + I) instead of using the mean or most probable action.
     #[arg(long, value_name = "SEED", num_args = 0..=1, default_missing_value = "0")]
     pub(crate) sampled: Option<u64>,
     /// Print one JSON object instead of a table.
@@ -254,7 +254,7 @@ pub(crate) struct EvalArguments {
 pub(crate) struct RecordArguments {
     /// Run folder.
     pub(crate) run: PathBuf,
-    /// Whole episodes to record.
+    /// Number of whole episodes to record.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
     /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap].
@@ -267,16 +267,16 @@ pub(crate) struct RecordArguments {
 pub(crate) struct FilmArguments {
     /// Run folder.
     pub(crate) run: PathBuf,
-    /// Which of the episodes that `s2mia eval` plays.
+    /// Index of the episode, counted as in `s2mia eval`.
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     pub(crate) episode: u32,
-    /// Pictures in the strip.
+    /// Number of pictures in the strip.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub(crate) frames: u32,
     /// Time of the first picture [default: 5, or the middle of a shorter episode].
     #[arg(long, value_name = "SECONDS")]
     pub(crate) from_secs: Option<f64>,
-    /// Time from one picture to the next.
+    /// Time between two pictures.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.05)]
     pub(crate) every_secs: f64,
     /// PNG file to write [default: RUN/film.png].
@@ -300,7 +300,7 @@ pub(crate) struct TasksArguments {
     /// Print one JSON array.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Draw every robot's partition into DIR/TASK.png: links in the colours of the agents, joints with numbers.
+    /// Draw every robot's partition into DIR/TASK.png, with links in the agents' colours and numbered joints.
     #[arg(long, value_name = "DIR", conflicts_with = "json")]
     pub(crate) picture: Option<PathBuf>,
 }
@@ -308,10 +308,10 @@ pub(crate) struct TasksArguments {
 /// `s2mia certs`
 #[derive(Args, Debug)]
 pub(crate) struct CertsArguments {
-    /// New or empty folder for the files.
+    /// New or empty folder for the certificates and keys.
     #[arg(value_name = "DIR")]
     pub(crate) folder: PathBuf,
-    /// Host names and addresses under which actors reach the learner.
+    /// Host names and addresses that actors use to reach the learner.
     #[arg(
         long,
         value_name = "HOST,...",

@@ -1,4 +1,4 @@
-//! The arguments of what is asked of a learner at work.
+//! The arguments of commands that query or control a running learner.
 
 use std::net::SocketAddr;
 
@@ -6,10 +6,10 @@ use clap::Args;
 
 use super::ClientTlsArguments;
 
-/// Which learner.
+/// Selects the learner.
 #[derive(Args, Debug)]
 pub(crate) struct LearnerArgument {
-    /// Run folder, or where the learner listens.
+    /// Run folder, or URL of the learner.
     #[arg(value_name = "RUN | URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) of: String,
     /// TLS.
@@ -20,13 +20,13 @@ pub(crate) struct LearnerArgument {
 /// `s2mia status`
 #[derive(Args, Debug)]
 pub(crate) struct StatusArguments {
-    /// Whose.
+    /// Learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
     /// Print one JSON object.
     #[arg(long)]
     pub(crate) json: bool,
-    /// How long to wait for the learner's answer.
+    /// Timeout for the learner's response.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
 }
@@ -34,10 +34,10 @@ pub(crate) struct StatusArguments {
 /// `s2mia pause`, `resume` and `stop`
 #[derive(Args, Debug)]
 pub(crate) struct OrderArguments {
-    /// Who is asked.
+    /// Learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
-    /// How long to wait for the learner's answer.
+    /// Timeout for the learner's response.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     pub(crate) timeout_secs: f64,
 }
@@ -45,19 +45,19 @@ pub(crate) struct OrderArguments {
 /// `s2mia checkpoint`
 #[derive(Args, Debug)]
 pub(crate) struct CheckpointArguments {
-    /// Who is asked.
+    /// Learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
-    /// How long to wait for the checkpoint: an update that is going on is finished first.
+    /// Timeout for the checkpoint. The learner finishes an update in progress first.
     #[arg(long, value_name = "SECONDS", default_value_t = 600.0)]
     pub(crate) timeout_secs: f64,
 }
 
 const WATCH_CASES: &str = "\
-What is watched:
-  s2mia watch              lines of the learner at http://127.0.0.1:50051, until the run is finished
-  s2mia watch URL          lines of the learner there
-  s2mia watch RUN --lines  lines of whichever learner works on this run folder, also over restarts
+Examples:
+  s2mia watch              lines of the learner at http://127.0.0.1:50051, until its run is finished
+  s2mia watch URL          lines of the learner at URL
+  s2mia watch RUN --lines  lines of the run in this folder; continues when its learner restarts
   s2mia watch RUN          the robot and the learning curves of this run folder, live, until Ctrl-C:
                            open ws://127.0.0.1:8765 in Foxglove, with deploy/foxglove/s2mia.json";
 
@@ -65,33 +65,33 @@ What is watched:
 #[derive(Args, Debug)]
 #[command(after_help = WATCH_CASES)]
 pub(crate) struct WatchArguments {
-    /// What is watched.
+    /// Run folder or learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
-    /// Print a line for each iteration of RUN instead of showing it live; a URL's are printed anyway.
+    /// Print one line per iteration of RUN instead of streaming it live; with a URL this is the default.
     #[arg(long)]
     pub(crate) lines: bool,
-    /// Leave out the lines of iterations up to this one [default: 0].
+    /// Omit the lines of iterations up to and including this one [default: 0].
     #[arg(long, value_name = "ITERATION")]
     pub(crate) after: Option<u64>,
-    /// Print one JSON object a line.
+    /// Print one JSON object per line.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Give up the lines when the learner cannot be reached for this long [default: 300].
+    /// When printing lines, exit if the learner cannot be reached for this long [default: 300].
     #[arg(long, value_name = "SECONDS")]
     pub(crate) max_outage_secs: Option<f64>,
     /// Address of the live view [default: 127.0.0.1:8765].
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) listen: Option<SocketAddr>,
-    /// Show it beyond this machine although nothing is encrypted and nobody is asked who they are.
+    /// Allow a non-loopback --listen address without encryption and authentication.
     #[arg(long)]
     pub(crate) insecure_allow_remote: bool,
 }
 
-/// How `train` shows its run live.
+/// The live view of `s2mia train`.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct LiveArguments {
-    /// Show the robot and the learning curves live to Foxglove [default ADDRESS: 127.0.0.1:8765].
+    /// Stream the robot and the learning curves live to Foxglove [default ADDRESS: 127.0.0.1:8765].
     #[arg(
         long,
         value_name = "ADDRESS",
@@ -101,7 +101,7 @@ pub(crate) struct LiveArguments {
         conflicts_with = "verify_determinism"
     )]
     pub(crate) watch: Option<SocketAddr>,
-    /// Show it beyond this machine although nothing is encrypted and nobody is asked who they are.
+    /// Allow a non-loopback --watch address without encryption and authentication.
     #[arg(long, requires = "watch")]
     pub(crate) insecure_allow_remote_watch: bool,
 }

@@ -1,19 +1,19 @@
-//! The arguments that say what an actor logs, and those of the tools for logs.
+//! The arguments for an actor's trajectory logs and for the log tools.
 
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-/// What an actor logs.
+/// Trajectory logging of an actor.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ActorLogArguments {
     /// Folder for trajectory logs (MCAP).
     #[arg(long, value_name = "DIR", requires = "log_episodes")]
     pub(crate) log_dir: Option<PathBuf>,
-    /// Which episodes: evaluation, all, or one in so many, as log.episodes says it.
+    /// Episodes to log, as in log.episodes: evaluation, all, or a number N for one episode in N.
     #[arg(long, value_name = "WHICH", requires = "log_dir")]
     pub(crate) log_episodes: Option<String>,
-    /// Size after which a log goes on in another file [default: log.max_file_mib].
+    /// File size after which the log continues in a new file [default: log.max_file_mib].
     #[arg(long, value_name = "MIB", requires = "log_dir")]
     pub(crate) log_max_file_mib: Option<u64>,
 }
@@ -21,23 +21,23 @@ pub(crate) struct ActorLogArguments {
 /// `s2mia log`
 #[derive(Debug, Subcommand)]
 pub(crate) enum LogCommand {
-    /// Say what MCAP files hold: one table.
+    /// Print the contents of MCAP files in one table.
     Info(LogFiles),
-    /// Check checksums, schemas, that every share of every episode is there once, and that the learner's intrinsic
-    /// rewards belong to them; status 3 if shares are missing.
+    /// Verify checksums, schemas, that every share of every episode exists exactly once, and that the learner's
+    /// intrinsic rewards match the shares. Exit status 3: shares are missing.
     Verify(LogFiles),
-    /// Save what is whole in a damaged or unfinished file; status 3 if something was lost.
+    /// Recover the intact data of a damaged or unfinished file. Exit status 3: data was lost.
     Recover(RecoverArguments),
     /// Step the simulator with the logged actions and compare every observation, state and reward, bit for bit.
     Replay(LogFiles),
-    /// Put the shares of episodes together into one file, ordered by episode and step, with their intrinsic rewards.
+    /// Join the shares of episodes in one file, ordered by episode and step, with their intrinsic rewards.
     Join(JoinArguments),
 }
 
 /// Logs.
 #[derive(Args, Debug)]
 pub(crate) struct LogFiles {
-    /// MCAP files, or folders with trajectories-*.mcap; to verify and join also rewards-*.jsonl.
+    /// MCAP files, or folders with trajectories-*.mcap; for verify and join also rewards-*.jsonl.
     #[arg(required = true, value_name = "FILE | DIR")]
     pub(crate) files: Vec<PathBuf>,
 }
@@ -47,7 +47,7 @@ pub(crate) struct LogFiles {
 pub(crate) struct RecoverArguments {
     /// MCAP file.
     pub(crate) file: PathBuf,
-    /// New file for what is whole.
+    /// New file for the recovered data.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
 }
@@ -58,7 +58,7 @@ pub(crate) struct JoinArguments {
     /// Logs.
     #[command(flatten)]
     pub(crate) logs: LogFiles,
-    /// New file for the episodes.
+    /// New file for the joined episodes.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
 }

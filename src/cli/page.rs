@@ -1,30 +1,30 @@
-//! Where a run's page is shown, and to whom.
+//! The arguments for a run's web page: its address, its host names and remote access.
 
 use std::net::SocketAddr;
 use std::str::FromStr;
 
 use clap::Args;
 
-/// How `train` and `learner` show their run.
+/// The web page of `s2mia train` and `s2mia learner`.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct PageArguments {
-    /// Address of the run's page and of its figures for Prometheus (/metrics); off: none.
+    /// Address of the run's web page and Prometheus metrics (/metrics); off disables both.
     #[arg(long, value_name = "ADDRESS | off", default_value = "127.0.0.1:0")]
     pub(crate) page: PageAddress,
-    /// More names and addresses by which the page may be asked for, besides those of loopback.
+    /// Additional host names and addresses accepted in requests for the page, besides loopback.
     #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
     pub(crate) page_host: Vec<String>,
-    /// Show the page beyond this machine although nothing is encrypted and nobody is asked who they are.
+    /// Allow a non-loopback --page address without encryption and authentication.
     #[arg(long)]
     pub(crate) insecure_allow_remote_page: bool,
 }
 
-/// Where the page is, if anywhere.
+/// Address of the page, if it is enabled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PageAddress {
-    /// Nowhere.
+    /// The page is disabled.
     Off,
-    /// Here; port 0 is any free one.
+    /// Address to listen on; port 0 selects a free port.
     At(SocketAddr),
 }
 

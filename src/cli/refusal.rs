@@ -1,4 +1,4 @@
-//! How a command line that cannot be followed is reported: in one line.
+//! Reports an invalid command line in one line.
 
 use std::process::ExitCode;
 
@@ -7,7 +7,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use super::settings::VALUE_NAME;
 use crate::config::{keys, layers};
 
-/// Prints help and version as clap does, and everything else as one line.
+/// Prints help and version as clap does, and any other report as one line.
 pub(crate) fn report(error: &clap::Error) -> ExitCode {
     let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
     if asked || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
@@ -18,7 +18,7 @@ pub(crate) fn report(error: &clap::Error) -> ExitCode {
     ExitCode::from(2)
 }
 
-/// The message and the tip of a report of clap, without its usage text.
+/// The message and the tip of clap's report, without its usage text.
 fn one_line(error: &clap::Error) -> String {
     let report = error.render().to_string();
     let setting = setting_meant(error, &report);
@@ -31,8 +31,8 @@ fn one_line(error: &clap::Error) -> String {
     words.chain(setting).collect::<Vec<_>>().join("; ") + "; see --help"
 }
 
-/// How an unknown flag is written as a setting, where a command takes settings and has no flag like it: clap would
-/// have it passed as a task.
+/// A tip for an unknown flag that is probably a setting, if the command takes settings and has no similar flag.
+/// Clap's tip would be to pass the flag as a task.
 fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
     let Some(ContextValue::String(flag)) = error.get(ContextKind::InvalidArg) else { return None };
     let takes_settings = error.kind() == ErrorKind::UnknownArgument && report.contains(VALUE_NAME);

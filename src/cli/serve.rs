@@ -12,13 +12,13 @@ use super::ServerTlsArguments;
 pub(crate) struct ServeArguments {
     /// Run folder.
     pub(crate) run: PathBuf,
-    /// Address for whoever acts by the policies.
+    /// Address on which the server listens for clients of the policies.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50052")]
     pub(crate) listen: SocketAddr,
-    /// Take up newer checkpoints of the run as they are written; each episode keeps the one that it began with.
+    /// Load newer checkpoints of the run as they are written. An episode keeps the checkpoint that it started with.
     #[arg(long)]
     pub(crate) follow: bool,
-    /// Listen beyond this machine although nothing is encrypted and nobody is asked who they are.
+    /// Allow a non-loopback --listen address without encryption and authentication.
     #[arg(long, conflicts_with = "tls_certificate")]
     pub(crate) insecure_allow_remote: bool,
     /// TLS.

@@ -1,43 +1,43 @@
-//! The arguments that say who may talk to whom.
+//! The TLS arguments of servers and clients.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use security::{ClientFiles, IdentityFiles, ServerFiles};
 
-/// How a learner is guarded.
+/// TLS files of a server.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ServerTlsArguments {
-    /// Speak TLS with this certificate (PEM, its chain after it), and let in only who shows one, too.
+    /// Use TLS with this certificate (PEM, followed by its chain) and require a certificate from every client.
     #[arg(long, value_name = "FILE", requires_all = ["tls_key", "tls_client_ca"])]
     tls_certificate: Option<PathBuf>,
     /// Private key of --tls-certificate (PEM).
     #[arg(long, value_name = "FILE", requires = "tls_certificate")]
     tls_key: Option<PathBuf>,
-    /// Authority that signed the certificates of actors, viewers and admins (PEM).
+    /// Certificate authority that signed the certificates of actors, viewers and admins (PEM).
     #[arg(long, value_name = "FILE", requires = "tls_certificate")]
     tls_client_ca: Option<PathBuf>,
 }
 
-/// How a client of a learner shows who it is, and whom it trusts.
+/// TLS files of a learner's client: its certificate and the authority that it trusts.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ClientTlsArguments {
-    /// Authority that signed the learner's certificate (PEM); needed for an https:// URL.
+    /// Certificate authority that signed the learner's certificate (PEM); required for an https:// URL.
     #[arg(long, value_name = "FILE", requires_all = ["tls_certificate", "tls_key"])]
     tls_ca: Option<PathBuf>,
-    /// This client's certificate (PEM, its chain after it); the role in it says what it may ask.
+    /// This client's certificate (PEM, followed by its chain); its role defines which requests are permitted.
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_certificate: Option<PathBuf>,
     /// Private key of --tls-certificate (PEM).
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_key: Option<PathBuf>,
-    /// Name in the learner's certificate [default: the host in the URL].
+    /// Host name in the learner's certificate [default: the host in the URL].
     #[arg(long, value_name = "NAME", requires = "tls_ca")]
     tls_server_name: Option<String>,
 }
 
 impl ServerTlsArguments {
-    /// The files, if there are any.
+    /// The TLS files, if the arguments name them.
     pub(crate) fn files(&self) -> Option<ServerFiles> {
         let identity = identity(self.tls_certificate.as_ref(), self.tls_key.as_ref())?;
         Some(ServerFiles { identity, client_authority: self.tls_client_ca.clone()? })
@@ -45,7 +45,7 @@ impl ServerTlsArguments {
 }
 
 impl ClientTlsArguments {
-    /// The files, if there are any.
+    /// The TLS files, if the arguments name them.
     pub(crate) fn files(&self) -> Option<ClientFiles> {
         let identity = identity(self.tls_certificate.as_ref(), self.tls_key.as_ref())?;
         let server_name = self.tls_server_name.clone();
