@@ -1,7 +1,7 @@
 //! Many actors against one learner: how much it takes in, what that costs it, and whether their number matters. The
 //! actors step no worlds: each sends the same recorded slot of the real policy, whose log-densities the learner
-//! checks as always. The policies stay what they are
-//! because the learner's steps are too small to be seen and nothing is scaled by running statistics.
+//! checks as always. The policies stay what they are because the learner's steps are too small to be seen and nothing is
+//! scaled by running statistics.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Stdio};

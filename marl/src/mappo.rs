@@ -13,10 +13,7 @@ use crate::on_policy::kl_budget::KlBudget;
 use crate::on_policy::{Climb, Prepared, agent_report};
 
 /// MAPPO; its surrogate is HAPPO's with a factor of 1.
-pub(crate) struct Mappo {
-    /// Whether one network acts for all agents.
-    pub(crate) sharing: Sharing,
-}
+pub(crate) struct Mappo;
 
 impl Climb for Mappo {
     fn climb(
@@ -25,7 +22,7 @@ impl Climb for Mappo {
         prepared: &Prepared,
         occasion: (RunSeed, u64),
     ) -> Result<Report, MarlError> {
-        let trained = climb_together(agents, prepared, self.sharing, occasion)?;
+        let trained = climb_together(agents, prepared, occasion)?;
         let asked = agents.iter().zip(&prepared.experience).map(|(agent, own)| moved(agent, own));
         let moved = asked.collect::<Result<Vec<_>, _>>()?;
         let mut report = Report::new();
@@ -33,15 +30,15 @@ impl Climb for Mappo {
             let (agent, experience) = (&agents[index], &prepared.experience[index]);
             report.extend(agent_report(agent, index, experience, trained, &moved[index])?);
         }
-        adapt_steps(agents, &moved, self.sharing);
+        adapt_steps(agents, &moved);
         Ok(report)
     }
 }
 
 /// Adapts every optimiser's step size to how far its policy moved; that of all agents to how far they moved on average.
-fn adapt_steps(agents: &mut [Agent], moved: &[Moved], sharing: Sharing) {
+fn adapt_steps(agents: &mut [Agent], moved: &[Moved]) {
     let desired = agents[0].update.desired_kl;
-    match sharing {
+    match agents[0].update.parameters {
         Sharing::Shared => {
             let kl = moved.iter().map(|own| own.kl).sum::<f64>() / moved.len() as f64;
             agents[0].adam.adapt(kl, desired);
@@ -56,13 +53,12 @@ fn adapt_steps(agents: &mut [Agent], moved: &[Moved], sharing: Sharing) {
 fn climb_together(
     agents: &mut [Agent],
     prepared: &Prepared,
-    sharing: Sharing,
     (seed, iteration): (RunSeed, u64),
 ) -> Result<Vec<Trained>, MarlError> {
     let factor = vec![1.0; prepared.experience[0].log_prob.len()];
     let target_kl = agents[0].update.target_kl;
     let draw = |agent: usize| Draw::of(Purpose::Minibatch).iteration(iteration).agent(agent as u32);
-    match sharing {
+    match agents[0].update.parameters {
         Sharing::Shared => {
             let known: Vec<PerAgent<'_>> = (0..agents.len()).map(|i| prepared.of(i)).collect();
             let draws: Vec<Draw> = (0..agents.len()).map(draw).collect();

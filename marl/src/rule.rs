@@ -40,10 +40,7 @@ pub fn build_in(
     config.suits_agents(problem)?;
     match config.update.rule {
         Rule::Happo => Ok(Box::new(OnPolicy::new(Happo, config, policy, problem, start)?)),
-        Rule::Mappo => {
-            let mappo = Mappo { sharing: config.update.parameters };
-            Ok(Box::new(OnPolicy::new(mappo, config, policy, problem, start)?))
-        }
+        Rule::Mappo => Ok(Box::new(OnPolicy::new(Mappo, config, policy, problem, start)?)),
         Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, start)?)),
     }
 }

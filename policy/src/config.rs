@@ -89,7 +89,7 @@ impl PolicyConfig {
         let real = |x: f32, from: f32, to: f32| (x.to_string(), x > from && x <= to);
         let floor = self.sigma_floor;
         let below = floor > 0.0 && floor < self.sigma_scale;
-        let log_std = self.initial_log_std();
+        let open = f64::from(floor)..f64::from(self.sigma_scale);
         let memory = self.core != CoreKind::Mlp;
         let checks = [
             ("policy.encoder", size(self.encoder), "1 to 4096"),
@@ -126,7 +126,7 @@ impl PolicyConfig {
                 "policy.initial_sigma",
                 (
                     self.initial_sigma.to_string(),
-                    self.initial_sigma > f64::from(floor) && log_std.is_finite(),
+                    self.initial_sigma > open.start && self.initial_sigma < open.end,
                 ),
                 "above policy.sigma_floor and below policy.sigma_scale",
             ),
@@ -185,6 +185,22 @@ mod tests {
         let error = PolicyConfig { sigma_floor: 0.5, ..valid() }.validate().expect_err("too high");
         assert_eq!(error.key, "policy.sigma_floor");
         assert!(PolicyConfig { sigma_scale: f32::NAN, ..valid() }.validate().is_err());
+    }
+
+    #[test]
+    fn the_first_sigma_is_the_one_that_was_asked_for_and_lies_between_its_bounds() {
+        for initial_sigma in [0.06, 0.25, 0.365_529_29, 0.49] {
+            let config = PolicyConfig { initial_sigma, ..valid() };
+            let log_std = f64::from(config.initial_log_std());
+            let sigma = f64::from(config.sigma_scale) / (1.0 + libm::exp(-log_std));
+            assert!((sigma - initial_sigma).abs() < 1e-7, "{sigma} {initial_sigma}");
+            assert_eq!(config.validate(), Ok(()));
+        }
+        assert_eq!(valid().initial_log_std(), 1.0);
+        for initial_sigma in [0.0, 0.05, 0.5, 0.6, f64::NAN] {
+            let error = PolicyConfig { initial_sigma, ..valid() }.validate().expect_err("refused");
+            assert_eq!(error.key, "policy.initial_sigma");
+        }
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! What can be wrong with a configuration, always with the place where the user wrote it.
 
+use super::keys;
+
 /// A configuration that cannot be used. Each message is one line.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ConfigError {
@@ -22,7 +24,7 @@ pub(crate) enum ConfigError {
         nearest: Option<String>,
     },
     /// A key of an earlier version.
-    #[error("{place}: `{key}` is called `{now}` now{}", told(.now))]
+    #[error("{place}: `{key}` is called `{now}` now{}", keys::other_meaning(.now))]
     Renamed {
         /// Layer that sets the key.
         place: String,
@@ -114,14 +116,6 @@ fn named(key: &str, detail: &str) -> String {
 pub(crate) fn in_words(detail: &str) -> String {
     let told = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
     NUMBERS.into_iter().fold(detail.to_owned(), told)
-}
-
-/// What a new name does not say.
-fn told(now: &str) -> &'static str {
-    match now {
-        "policy.initial_sigma" => ", and is sigma itself: sigmoid(initial_log_std) * sigma_scale",
-        _ => "",
-    }
 }
 
 fn suggestion(nearest: Option<&str>) -> String {

@@ -37,6 +37,14 @@ pub(crate) fn renamed(key: &str) -> Option<&'static str> {
     RENAMED.iter().find(|(old, _)| *old == key).map(|(_, now)| *now)
 }
 
+/// What the new name of a key does not say: how its value differs.
+pub(crate) fn other_meaning(now: &str) -> &'static str {
+    match now {
+        "policy.initial_sigma" => ", and is sigma itself: sigmoid(initial_log_std) * sigma_scale",
+        _ => "",
+    }
+}
+
 /// The semantic key that the program fills in when a run starts.
 pub(crate) const FILLED_IN: &str = "environment_service.description";
 
