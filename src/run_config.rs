@@ -45,7 +45,7 @@ pub(crate) struct RunConfig {
     pub(crate) policy: policy::PolicyConfig,
     /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
     pub(crate) training: marl::Config,
-    /// Sections `environments`, `lease`, `evaluation`, `checkpoint`, `metrics`, `learner`.
+    /// Sections `environments`, `lease`, `audit`, `evaluation`, `checkpoint`, `metrics`, `learner`.
     pub(crate) learner: learner::Config,
     /// Section `log`.
     pub(crate) log: actor::LogSettings,
@@ -91,7 +91,7 @@ impl RunConfig {
             training: sections(resolved, &["update", "critic", "surprise", "influence", "maddpg"])?,
             learner: sections(
                 resolved,
-                &["environments", "lease", "evaluation", "checkpoint", "metrics", "learner"],
+                &["environments", "lease", "audit", "evaluation", "checkpoint", "metrics", "learner"],
             )?,
             log: section(resolved, "log")?,
             resolved: resolved.clone(),

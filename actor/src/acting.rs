@@ -95,11 +95,7 @@ impl Agents {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let Sizes { action: width, output, .. } = self.sizes[agent];
             for (row, &environment) in indices.iter().enumerate() {
-                let key = Draw::of(Purpose::Action)
-                    .iteration(noise.iteration)
-                    .environment(environment)
-                    .step(noise.step)
-                    .agent(agent as u32);
+                let key = Draw::of_action(noise.iteration, environment, noise.step, agent as u32);
                 let mut rng = generator(noise.seed, key);
                 let output = &self.output[agent][row * output..(row + 1) * output];
                 let action = &mut self.action[agent][row * width..(row + 1) * width];

@@ -112,7 +112,8 @@ impl Worlds {
             Work::Evaluation(work) => {
                 let (result, film) = self.evaluate(job, *work)?;
                 let content = Content::Evaluation(result.to_wire());
-                let mut message = PushHeader::of(&job.lease, result.digest()).to_wire(content);
+                let header = PushHeader::of(&job.lease, result.digest(work.iteration));
+                let mut message = header.to_wire(content);
                 message.film = film.as_ref().map(Film::to_wire);
                 // Nobody waits behind an evaluation's only message.
                 let _ = send(job, message, results);
@@ -135,8 +136,9 @@ impl Worlds {
                 witness.borrow_mut().see(step, own);
             }
         };
+        let origin = work.origin();
         roll_out(run, work, &job.policy, slot.as_mut(), see, |chunk| {
-            let (message, digest) = chunk.to_wire(run);
+            let (message, digest) = chunk.to_wire(run, &origin);
             if let Some(witness) = &witness {
                 witness.borrow_mut().keep(chunk);
             }
@@ -165,7 +167,10 @@ impl Worlds {
             FILMED => Camera::before(world)?,
             _ => None,
         };
+        let mut steps = 0;
         let episode = play_on(world, (&job.policy, ActionChoice::Mean), &mut |step| {
+            steps += 1;
+            job.watch.step.store(steps, Ordering::Relaxed);
             if let Some(camera) = &mut camera {
                 camera.see(step.world);
             }

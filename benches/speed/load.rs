@@ -14,7 +14,8 @@ use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    Digest, Lease, LeaseAnswer, PushHeader, Registered, RunDescription, WeightsName, Work, wire,
+    Lease, LeaseAnswer, PushHeader, Registered, Registration, RunDescription, TrajectoryChunk,
+    WeightsName, Work, wire,
 };
 use tokio::sync::OnceCell;
 use tonic::transport::Channel;
@@ -50,7 +51,7 @@ const SETTINGS: [&str; 14] = [
 
 /// A recorded slot, as it travels.
 struct Recording {
-    chunks: Vec<(wire::TrajectoryChunk, Digest)>,
+    chunks: Vec<(TrajectoryChunk, wire::TrajectoryChunk)>,
     bytes: usize,
 }
 
@@ -113,7 +114,9 @@ async fn act(
     let mut service = LearnerServiceClient::connect(url).await?;
     let answer = service.describe_run(wire::DescribeRunRequest {}).await?.into_inner();
     let run = RunDescription::from_wire(answer.run)?;
-    let registered = service.register(registration(&run).to_wire()).await?.into_inner();
+    // Every slot gets the same recording, whose random draws are another slot's: only a foreign actor may send it.
+    let foreign = Registration { rollout_fingerprint: None, ..registration(&run) };
+    let registered = service.register(foreign.to_wire()).await?.into_inner();
     let own = Registered::from_wire(&registered);
     loop {
         let request = wire::LeaseSlotsRequest {
@@ -145,11 +148,14 @@ async fn push(
     lease: &Lease,
     recording: &Recording,
 ) -> Result<(), Status> {
+    let Work::Rollout(work) = &lease.work else { return Ok(()) };
+    let origin = work.origin();
     let messages: Vec<_> = recording
         .chunks
         .iter()
-        .map(|(chunk, digest)| {
-            PushHeader::of(lease, *digest).to_wire(Content::Chunk(chunk.clone()))
+        .map(|(chunk, message)| {
+            let header = PushHeader::of(lease, chunk.digest(&origin));
+            header.to_wire(Content::Chunk(message.clone()))
         })
         .collect();
     let mut answers = service.push_trajectory(tokio_stream::iter(messages)).await?.into_inner();
@@ -172,8 +178,12 @@ async fn record(
     let policy = weights(service, lease.weights).await?;
     let mut world = settings.world(settings.learner.environments.per_slot)?;
     let played = roll_out(run, work, &policy, &mut world);
-    let chunks: Vec<_> = played.iter().map(|chunk| chunk.to_wire(run)).collect();
-    let bytes = chunks.iter().map(|(chunk, _)| chunk.encoded_len()).sum();
+    let both = |chunk: TrajectoryChunk| {
+        let message = chunk.to_wire(run, &work.origin()).0;
+        (chunk, message)
+    };
+    let chunks: Vec<_> = played.into_iter().map(both).collect();
+    let bytes = chunks.iter().map(|(_, message)| message.encoded_len()).sum();
     Ok(Recording { chunks, bytes })
 }
 

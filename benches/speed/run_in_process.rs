@@ -120,7 +120,8 @@ pub(crate) fn through_the_exchange(
 ) -> anyhow::Result<Log> {
     let launch = settings.launch(folder, iterations)?;
     let (trainer, description) = launch::prepare(launch)?;
-    let (exchange, log) = (Exchange::new(description, settings.learner.lease), Log::default());
+    let (lease, audit) = (settings.learner.lease, settings.learner.audit);
+    let (exchange, log) = (Exchange::new(description, lease, audit), Log::default());
     let outside = Outside {
         exchange: Arc::clone(&exchange),
         observer: log.observer(),
@@ -147,9 +148,10 @@ fn act(exchange: &Exchange, connection: ConnectionId, settings: &Settings) {
     let own = exchange.register(connection, &registration(&run)).expect("it is this program");
     let mut world = settings.world(per_slot(settings)).expect("the task is known");
     loop {
-        let answer = exchange.lease(own.actor, own.incarnation, Duration::from_secs(10));
+        let answer =
+            exchange.lease(connection, own.actor, own.incarnation, Duration::from_secs(10));
         match runtime.block_on(answer).expect("the actor is registered") {
-            LeaseAnswer::Lease(lease) => perform(exchange, &run, &lease, &mut world),
+            LeaseAnswer::Lease(lease) => perform(exchange, connection, &run, &lease, &mut world),
             LeaseAnswer::Retry { .. } => {}
             LeaseAnswer::Done => break,
         }
@@ -169,6 +171,7 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
 
 fn perform(
     exchange: &Exchange,
+    connection: ConnectionId,
     run: &RunDescription,
     lease: &Lease,
     world: &mut sim::Environments,
@@ -176,10 +179,11 @@ fn perform(
     let Work::Rollout(work) = &lease.work else { return };
     let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };
     let policy = PolicySnapshot::from_bytes(&snapshot).expect("the learner's own bytes");
+    let origin = work.origin();
     let send = |chunk: TrajectoryChunk| {
-        let header = PushHeader::of(lease, chunk.digest());
+        let header = PushHeader::of(lease, chunk.digest(&origin));
         // A copy of a slot that somebody else has finished is not wanted any more.
-        match exchange.accept_chunk(&header, chunk) {
+        match exchange.accept_chunk(connection, &header, chunk.sequence, |_| Ok(chunk)) {
             Ok(_) => ControlFlow::Continue(()),
             Err(_) => ControlFlow::Break(()),
         }

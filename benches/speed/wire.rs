@@ -114,6 +114,7 @@ fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
     let mut world = settings.world(settings.learner.environments.per_slot)?;
     let chunks = roll_out(&run, &work, &snapshot, &mut world);
     let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };
+    let origin = work.origin();
     let lease = Lease {
         id: LeaseId(1),
         incarnation: Incarnation(1),
@@ -122,7 +123,7 @@ fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
         work: Work::Rollout(work),
     };
     let bytes = |chunk: &proto::TrajectoryChunk| {
-        let (message, digest) = chunk.to_wire(&run);
+        let (message, digest) = chunk.to_wire(&run, &origin);
         PushHeader::of(&lease, digest).to_wire(Content::Chunk(message)).encoded_len()
     };
     Ok((Slot { bytes: chunks.iter().map(bytes).sum() }, snapshot))

@@ -35,8 +35,8 @@ fn push(bytes: &[u8], run: &RunDescription) {
     match PushHeader::from_wire(message) {
         Ok((header, Content::Chunk(chunk))) => taken_in(&chunk, run, header.digest),
         Ok((header, Content::Evaluation(result))) => {
-            let read = EvaluationResult::from_wire(&result, run, header.digest);
-            read.into_iter().for_each(|read| assert_eq!(read.digest(), header.digest));
+            let read = EvaluationResult::from_wire(&result, run, 3, header.digest);
+            read.into_iter().for_each(|read| assert_eq!(read.digest(3), header.digest));
         }
         Err(_) => {}
     }
@@ -193,10 +193,11 @@ fn place(message: &mut wire::TrajectoryChunk, tensor: u8) -> &mut Option<wire::T
 
 /// What is taken in is what was sent: every number finite, no flag twice, and the digest that was claimed.
 fn taken_in(message: &wire::TrajectoryChunk, run: &RunDescription, claimed: Digest) {
-    let Ok(chunk) = TrajectoryChunk::from_wire(message, run, claimed) else { return };
-    let (again, digest) = chunk.to_wire(run);
+    let origin = sample::origin();
+    let Ok(chunk) = TrajectoryChunk::from_wire(message, run, &origin, claimed) else { return };
+    let (again, digest) = chunk.to_wire(run, &origin);
     assert_eq!(digest, claimed);
-    assert_eq!(TrajectoryChunk::from_wire(&again, run, digest).as_ref(), Ok(&chunk));
+    assert_eq!(TrajectoryChunk::from_wire(&again, run, &origin, digest).as_ref(), Ok(&chunk));
     let both = chunk.terminated.iter().zip(&chunk.truncated).any(|(one, other)| *one && *other);
     assert!(!both && chunk.state.iter().chain(&chunk.reward).all(|number| number.is_finite()));
 }

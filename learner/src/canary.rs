@@ -2,15 +2,16 @@
 //! observations, from the stored recurrent states, and compares. Wrong weights, a wrong recurrent state
 //! or another order of observations show at once.
 
-use policy::{ActorPolicy, PolicySnapshot, Scratch};
-use proto::{AgentChunk, Reason, Refusal, RunDescription, TrajectoryChunk};
+use policy::{ActorPolicy, Draw, PolicySnapshot, RunSeed, Scratch, generator};
+use proto::{AgentChunk, Reason, Refusal, RolloutOrigin, RunDescription, TrajectoryChunk};
 
 /// Largest difference between the actor's and the learner's log-probability (nats) or recurrent state.
 /// Another program's rounding stays well below it, another policy does not.
 pub const TOLERANCE: f32 = 1e-3;
 
 /// Whether `policy` gives the chunk's log-probabilities and leads from each stored recurrent state to the
-/// next one. The chunk has been validated for `run`, and the policy fits the run's environment.
+/// next one. The chunk has been validated for `run`, and the policy fits the run's environment. With `origin`, the slot
+/// that an exact actor computed, the actions of the chunk's first step must also be the ones that the slot's keys draw.
 ///
 /// # Errors
 /// Refuses the first agent and step at which they differ.
@@ -18,6 +19,7 @@ pub fn check(
     policy: &PolicySnapshot,
     run: &RunDescription,
     chunk: &TrajectoryChunk,
+    origin: Option<&RolloutOrigin>,
 ) -> Result<(), Refusal> {
     let environments = run.environments_per_slot as usize;
     let done =
@@ -28,7 +30,16 @@ pub fn check(
         // A policy without memory starts anew at each step.
         let every = if policy.hidden_size() == 0 { 1 } else { run.hidden_every as usize };
         let replay = Replay { policy, rows, environments, every, done: &done, end };
-        replay.run(&mut scratch).map_err(|(field, detail)| {
+        let found = replay.run(&mut scratch).and_then(|first| {
+            let Some(origin) = origin else { return Ok(()) };
+            let draw = |environment| {
+                let (iteration, step) = (origin.iteration, chunk.first_step);
+                Draw::of_action(iteration, environment, step, i as u32)
+            };
+            let draws = origin.environments.iter().copied().map(draw);
+            replay.same_actions(RunSeed(run.seed), draws, &first)
+        });
+        found.map_err(|(field, detail)| {
             Refusal::new(Reason::CanaryMismatch, format!("chunk.agents[{i}].{field}"), detail)
         })?;
     }
@@ -60,7 +71,8 @@ struct Replayed {
 type Mismatch = (&'static str, String);
 
 impl Replay<'_> {
-    fn run(&self, scratch: &mut Scratch) -> Result<(), Mismatch> {
+    /// Compares log-probabilities and recurrent states; returns the outputs of the first step, `[E, out]`.
+    fn run(&self, scratch: &mut Scratch) -> Result<Vec<f32>, Mismatch> {
         let replayed = self.replay(scratch);
         let width = self.environments * self.policy.hidden_size();
         for block in 0..self.blocks() {
@@ -74,6 +86,31 @@ impl Replay<'_> {
             };
             let after = (block + 1) * self.every;
             next.map_or(Ok(()), |next| self.same_state(after, &replayed.hidden[own], next))?;
+        }
+        let mut first = replayed.output;
+        first.truncate(self.environments * self.policy.output_size());
+        Ok(first)
+    }
+
+    /// Compares the actions of the first step with those that `draws` give, one for each environment.
+    fn same_actions(
+        &self,
+        seed: RunSeed,
+        draws: impl Iterator<Item = Draw>,
+        output: &[f32],
+    ) -> Result<(), Mismatch> {
+        let width = self.policy.action_size();
+        let mut drawn = vec![0.0; width];
+        let outputs = output.chunks_exact(self.policy.output_size());
+        let rows = outputs.zip(self.rows.action.chunks_exact(width)).zip(draws);
+        for (e, ((output, found), draw)) in rows.enumerate() {
+            self.policy.draw(output, &mut generator(seed, draw), &mut drawn);
+            if found.iter().zip(&drawn).any(|(found, drawn)| differs(*found, *drawn)) {
+                let detail = format!(
+                    "{found:?} at step 0 of environment {e}, the slot's random key gives {drawn:?}"
+                );
+                return Err(("action", detail));
+            }
         }
         Ok(())
     }

@@ -11,6 +11,8 @@ pub struct Config {
     pub environments: EnvironmentsConfig,
     /// How long an actor may be silent.
     pub lease: LeaseConfig,
+    /// How many slots are computed twice.
+    pub audit: AuditConfig,
     /// When and how policies are evaluated.
     pub evaluation: EvaluationConfig,
     /// When the run is saved.
@@ -73,6 +75,28 @@ impl LeaseConfig {
     }
 }
 
+/// How many slots are computed twice, by two actors, to compare the results.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AuditConfig {
+    /// Share of the slots, 0 to 1. No slot is audited while fewer than two actors are connected.
+    pub share: f64,
+}
+
+impl AuditConfig {
+    /// Refuses shares outside 0 to 1.
+    ///
+    /// # Errors
+    /// Names the key and its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        if (0.0..=1.0).contains(&self.share) {
+            return Ok(());
+        }
+        let (found, range) = (self.share.to_string(), "0 to 1".to_owned());
+        Err(ConfigError { key: "audit.share", found, range })
+    }
+}
+
 /// When and how policies are evaluated.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -130,6 +154,8 @@ pub struct MetricsConfig {
 pub struct ThreadsConfig {
     /// Threads of the update; 0: one per core. No result depends on it.
     pub threads: usize,
+    /// Connections that may have actors.
+    pub connections: usize,
 }
 
 /// A setting outside its range.
@@ -152,11 +178,13 @@ impl Config {
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.environments.validate()?;
         self.lease.validate()?;
+        self.audit.validate()?;
         if self.evaluation.every_steps > 0 {
             within("evaluation.episodes", self.evaluation.episodes.into(), 1, 10_000)?;
         }
         self.checkpoint.validate()?;
-        within("learner.threads", self.learner.threads as u64, 0, 1024)
+        within("learner.threads", self.learner.threads as u64, 0, 1024)?;
+        within("learner.connections", self.learner.connections as u64, 1, 65_536)
     }
 }
 

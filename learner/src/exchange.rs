@@ -2,21 +2,25 @@
 //! under one lock, and the queue of what the trainer waits for.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use proto::{
     Ack, AckState, ActorId, Beat, EvaluationResult, HeartbeatAnswer, Incarnation, LeaseAnswer,
-    LeaseId, PolicyVersion, PushHeader, Refusal, Registered, Registration, RolloutWork,
-    RunDescription, TrajectoryChunk, WeightsName,
+    LeaseId, PolicyVersion, PushHeader, Refusal, Registered, Registration, RolloutOrigin,
+    RolloutWork, RunDescription, TrajectoryChunk, WeightsName,
 };
 use tokio::sync::{Notify, watch};
 
 use crate::canary;
-use crate::config::LeaseConfig;
+use crate::config::{AuditConfig, LeaseConfig};
 use crate::published::Published;
-use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotTable, Trust};
+use crate::slots::{
+    AuditPlan, ChunkPreview, ConnectionId, Disagreement, Effect, EvaluationPreview, Offer,
+    SlotRules, SlotTable, Trust,
+};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 
 mod control;
@@ -88,11 +92,17 @@ struct Shared {
 }
 
 impl Exchange {
-    /// An exchange without work. `run` and `lease` have been validated.
+    /// An exchange without work. The settings have been validated.
     #[must_use]
-    pub fn new(run: RunDescription, lease: LeaseConfig) -> Arc<Self> {
-        let ttl = Duration::from_secs_f64(lease.ttl_secs);
-        let table = SlotTable::new(run.incarnation, ttl, run.chunks_per_slot());
+    pub fn new(run: RunDescription, lease: LeaseConfig, audit: AuditConfig) -> Arc<Self> {
+        let table = SlotTable::new(SlotRules {
+            incarnation: run.incarnation,
+            ttl: Duration::from_secs_f64(lease.ttl_secs),
+            chunks_per_slot: run.chunks_per_slot(),
+            steps_per_slot: run.slot_steps,
+            episode_steps: run.environment.episode_steps,
+            audit: AuditPlan { share: audit.share, secret: random_number() },
+        });
         let shared = Shared {
             table,
             weights: Weights::default(),
@@ -226,6 +236,7 @@ impl Exchange {
     /// Refuses unknown actors, other incarnations, and too many leases.
     pub async fn lease(
         &self,
+        sender: ConnectionId,
         actor: ActorId,
         incarnation: Incarnation,
         patience: Duration,
@@ -236,7 +247,7 @@ impl Exchange {
             let mut freed = std::pin::pin!(self.work.notified());
             freed.as_mut().enable();
             let (offer, deadline) = self.change(|shared| {
-                (shared.table.lease(actor, incarnation), shared.table.next_deadline())
+                (shared.table.lease(sender, actor, incarnation), shared.table.next_deadline())
             });
             let left = end.saturating_sub(self.begun.elapsed());
             let pause = match offer? {
@@ -256,9 +267,9 @@ impl Exchange {
     ///
     /// # Errors
     /// Refuses unknown actors and other incarnations.
-    pub fn heartbeat(&self, beat: &Beat) -> Result<HeartbeatAnswer, Refusal> {
+    pub fn heartbeat(&self, sender: ConnectionId, beat: &Beat) -> Result<HeartbeatAnswer, Refusal> {
         let (lease_valid, run_state) =
-            self.change(|shared| (shared.table.heartbeat(beat), shared.table.state()));
+            self.change(|shared| (shared.table.heartbeat(sender, beat), shared.table.state()));
         Ok(HeartbeatAnswer { lease_valid: lease_valid?, run_state })
     }
 
@@ -270,53 +281,69 @@ impl Exchange {
         self.lock().weights.find(name).map(|published| published.bytes.clone())
     }
 
-    /// Whether chunk `sequence` under `header` would be taken in, before its content is looked at.
-    ///
-    /// # Errors
-    /// See [`SlotTable::preview_chunk`].
-    pub fn preview_chunk(&self, header: &PushHeader, sequence: u32) -> Result<AckState, Refusal> {
-        self.change(|shared| shared.table.preview_chunk(header, sequence))
+    /// Whether an actor registered on this connection.
+    #[must_use]
+    pub fn is_registered(&self, connection: ConnectionId) -> bool {
+        self.lock().table.is_registered(connection)
     }
 
-    /// Takes in a validated chunk. Runs the policies over it, so it belongs on a thread that may block.
+    /// Takes in a chunk, which `read` decodes and checks as one of the slot that it is given. Runs the policies over
+    /// it, so it belongs on a thread that may block.
     ///
     /// # Errors
-    /// Refuses what [`Self::preview_chunk`] refuses, and a chunk that the lease's weights do not explain.
+    /// Refuses what [`SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights do not
+    /// explain.
     pub fn accept_chunk(
         &self,
+        sender: ConnectionId,
         header: &PushHeader,
-        chunk: TrajectoryChunk,
+        sequence: u32,
+        read: impl FnOnce(&RolloutOrigin) -> Result<TrajectoryChunk, Refusal>,
     ) -> Result<Ack, Refusal> {
-        if self.preview_chunk(header, chunk.sequence)? == AckState::Accepted {
-            let published = self.lock().weights.find(header.weights)?;
-            canary::check(&published.policy, &self.run, &chunk)?;
-        }
+        let preview = self.change(|shared| shared.table.preview_chunk(sender, header, sequence))?;
+        let (origin, trust) = match preview {
+            ChunkPreview::Repeated(ack) => return Ok(ack),
+            ChunkPreview::Next { origin, trust } => (origin, trust),
+        };
+        // Not under the lock: this takes milliseconds.
+        let chunk = read(&origin)?;
+        let published = self.lock().weights.find(header.weights)?;
+        let drawn = (trust == Trust::Exact).then_some(&origin);
+        canary::check(&published.policy, &self.run, &chunk, drawn)?;
         self.change(|shared| {
-            let ack = shared.table.chunk(header, chunk)?;
+            let ack = shared.table.chunk(sender, header, chunk)?;
             shared.chunks_accepted += u64::from(ack.state == AckState::Accepted);
             Ok(ack)
         })
     }
 
-    /// Takes in the validated result of an evaluation episode.
+    /// Takes in the result of an evaluation episode, which `read` checks as one of the iteration that it is given.
     ///
     /// # Errors
     /// See [`SlotTable::evaluation`].
     pub fn accept_evaluation(
         &self,
+        sender: ConnectionId,
         header: &PushHeader,
-        result: EvaluationResult,
+        read: impl FnOnce(u64) -> Result<EvaluationResult, Refusal>,
     ) -> Result<Ack, Refusal> {
-        self.change(|shared| shared.table.evaluation(header, result))
+        match self.change(|shared| shared.table.preview_evaluation(sender, header))? {
+            EvaluationPreview::Repeated(ack) => Ok(ack),
+            EvaluationPreview::Next(work) => {
+                let result = read(work.iteration)?;
+                self.change(|shared| shared.table.evaluation(sender, header, result))
+            }
+        }
     }
 
-    /// Tells and counts a refusal. If it was about a lease's result, the lease ends.
+    /// Logs and counts a refusal. If it was about a lease of the caller, the lease ends.
     pub fn refused(&self, caller: &Caller, lease: Option<LeaseId>, refusal: &Refusal) {
         self.tell_refusal(caller, lease, refusal);
         self.change(|shared| {
             *shared.refusals.entry(refusal.reason.name().to_owned()).or_default() += 1;
-            let ended = lease.filter(|_| is_about_the_lease(refusal));
-            ended.into_iter().for_each(|id| shared.table.refuse(id));
+            if is_about_the_lease(refusal) {
+                shared.table.refuse(caller.connection, lease);
+            }
         });
     }
 
@@ -360,6 +387,12 @@ impl Exchange {
         // Nothing panics while it holds the lock half-changed: the table's methods check first.
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// A number that no peer can guess. No result depends on it.
+pub(crate) fn random_number() -> u64 {
+    // The standard library keys its hashers from the system's random source.
+    RandomState::new().build_hasher().finish()
 }
 
 fn retry(wait: Duration) -> LeaseAnswer {

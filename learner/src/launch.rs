@@ -15,6 +15,7 @@ use crate::config::{Config, ConfigError};
 use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::Evaluations;
+use crate::exchange::random_number;
 use crate::fault::Fault;
 use crate::metrics::Metrics;
 use crate::provenance::Provenance;
@@ -140,8 +141,8 @@ pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError
             iterations: launch.iterations,
         });
     }
-    let incarnation = folder.begin(&launch.config_toml, &launch.manifest())?;
-    let description = launch.description(incarnation);
+    folder.begin(&launch.config_toml, &launch.manifest())?;
+    let description = launch.description(Incarnation(random_number()));
     let mut trainer = build(launch, folder, &description, iteration)?;
     if let Some(loaded) = resumed {
         trainer.restore(&loaded.checkpoint)?;
@@ -217,7 +218,7 @@ fn build(
         decay: launch.training.update.learning_rate_decay,
         iteration: 0,
         provenance: Provenance::open(folder.path(), iteration)?,
-        reward_log: RewardLog::open(&folder.logs(), launch.logged, description.incarnation)?,
+        reward_log: RewardLog::open(&folder.logs(), launch.logged)?,
         folder,
         metrics,
         saved: None,

@@ -32,8 +32,8 @@ mod team;
 pub mod trainer;
 
 pub use config::{
-    CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, LeaseConfig, MetricsConfig,
-    Phase, ThreadsConfig,
+    AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, LeaseConfig,
+    MetricsConfig, Phase, ThreadsConfig,
 };
 pub use door::Door;
 pub use error::LearnerError;

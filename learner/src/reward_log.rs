@@ -11,7 +11,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
 use marl::Rewards;
-use proto::{Digest, Episodes, Incarnation, ShareRewards, reward_log_name, rollout_episode_id};
+use proto::{Digest, Episodes, ShareRewards, reward_log_name, rollout_episode_id};
 
 use crate::durable::{self, FileError};
 use crate::environments::Share;
@@ -55,17 +55,15 @@ impl RewardLog {
     ///
     /// # Errors
     /// If the thread cannot be started.
-    pub fn open(
-        folder: &Path,
-        episodes: Episodes,
-        start: Incarnation,
-    ) -> Result<Option<Self>, LearnerError> {
+    pub fn open(folder: &Path, episodes: Episodes) -> Result<Option<Self>, LearnerError> {
         if !episodes.hold_rollouts() {
             return Ok(None);
         }
         let lost = Arc::new(AtomicU64::new(0));
         let (orders, queue) = sync_channel(QUEUE);
-        let path = folder.join(reward_log_name(start.0));
+        // Each start of the learner writes a file of its own.
+        let names = (1..).map(|start| folder.join(reward_log_name(start)));
+        let path = names.into_iter().find(|path| !path.exists()).unwrap_or_default();
         let scribe = Scribe { path, file: None, broken: false, lost: Arc::clone(&lost) };
         let thread = std::thread::Builder::new().name("reward-log".to_owned());
         let thread = thread.spawn(move || scribe.work(&queue)).map_err(|error| {
@@ -210,7 +208,7 @@ mod tests {
     }
 
     fn open(folder: &Path, episodes: Episodes) -> RewardLog {
-        RewardLog::open(folder, episodes, Incarnation(2)).unwrap().expect("something is logged")
+        RewardLog::open(folder, episodes).unwrap().expect("something is logged")
     }
 
     fn read(folder: &Path) -> Vec<ShareRewards> {
@@ -246,7 +244,7 @@ mod tests {
         open(folder.path(), Episodes::Every(2)).take(paid(&rewards()));
         let found: Vec<_> = read(folder.path()).into_iter().map(|line| line.episode_id).collect();
         assert_eq!(found, ["rollout-0-0"]);
-        let none = RewardLog::open(folder.path(), Episodes::Evaluation, Incarnation(3)).unwrap();
+        let none = RewardLog::open(folder.path(), Episodes::Evaluation).unwrap();
         assert!(none.is_none(), "evaluations are not learnt from");
     }
 

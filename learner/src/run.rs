@@ -37,7 +37,8 @@ pub async fn run(
     observer: Observer,
     stop: watch::Receiver<bool>,
 ) -> Result<Summary, LearnerError> {
-    let lease = launch.config.lease;
+    let (lease, audit) = (launch.config.lease, launch.config.audit);
+    let connections = launch.config.learner.connections;
     let facts = Facts::of(&launch);
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) =
@@ -46,12 +47,12 @@ pub async fn run(
     let address = door.listener.local_addr();
     let address = address.map_err(|error| LearnerError::Service(error.to_string()))?;
     trainer.folder.note_address(address)?;
-    let exchange = Exchange::new(description, lease);
+    let exchange = Exchange::new(description, lease, audit);
     let (observer, _shown) = match page {
         Some(page) => show(page, facts, &trainer, &exchange, observer),
         None => (observer, None),
     };
-    let server = Server::start(door, &exchange);
+    let server = Server::start(door, connections, &exchange);
     let broken = Arc::clone(&server.broken);
     let (asked, watched) = (Arc::clone(&exchange), Arc::clone(&exchange));
     let stop =
@@ -106,10 +107,10 @@ struct Server {
 }
 
 impl Server {
-    fn start(door: Door, exchange: &Arc<Exchange>) -> Self {
+    fn start(door: Door, connections: usize, exchange: &Arc<Exchange>) -> Self {
         let (close, closed) = oneshot::channel::<()>();
         let broken = Arc::new(AtomicBool::new(false));
-        let serving = service::serve(Arc::clone(exchange), door, async move {
+        let serving = service::serve(Arc::clone(exchange), door, connections, async move {
             // An error means that the sender is gone, which ends the service as well.
             let _told = closed.await;
         });

@@ -1,19 +1,16 @@
-//! The folder of a run: who may write to it, what it says about the run, and how often the run has
-//! been started.
+//! The folder of a run: which process may write to it, and what it says about the run.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use proto::Incarnation;
 use serde_json::Value;
 
 use crate::durable::{self, FileError};
 
 const CONFIG: &str = "config.toml";
 const MANIFEST: &str = "manifest.json";
-const INCARNATION: &str = "incarnation";
 const LOCK: &str = "learner.lock";
 const LOGS: &str = "logs";
 /// Where the learner of the latest start listened.
@@ -51,7 +48,7 @@ pub enum RunFolderError {
         path: PathBuf,
     },
     /// There is nothing to resume.
-    #[error("{path} holds no run to resume: it has no {CONFIG}")]
+    #[error("{path} holds no run to resume: it has no {MANIFEST}")]
     NoRun {
         /// The folder.
         path: PathBuf,
@@ -94,7 +91,7 @@ impl RunFolder {
     pub fn claim_new(path: &Path) -> Result<Self, RunFolderError> {
         durable::make_folder(path)?;
         let folder = Self::lock(path)?;
-        let taken = [CONFIG, MANIFEST, "checkpoints"].iter().any(|name| path.join(name).exists());
+        let taken = [MANIFEST, "checkpoints"].iter().any(|name| path.join(name).exists());
         match taken {
             true => Err(RunFolderError::Taken { path: path.to_path_buf() }),
             false => Ok(folder),
@@ -106,7 +103,7 @@ impl RunFolder {
     /// # Errors
     /// The folder holds no run or another one, is in use, or cannot be written.
     pub fn claim_existing(path: &Path, config_sha256: &str) -> Result<Self, RunFolderError> {
-        if !path.join(CONFIG).is_file() {
+        if !path.join(MANIFEST).is_file() {
             return Err(RunFolderError::NoRun { path: path.to_path_buf() });
         }
         let folder = Self::lock(path)?;
@@ -132,23 +129,17 @@ impl RunFolder {
         self.file(LOGS)
     }
 
-    /// Writes down the settings and the manifest, and counts this start of the run. The count is on
-    /// disk before any lease can carry it, so that no two starts ever share one.
+    /// Writes the settings, then the manifest. The manifest makes the folder a run, so a crash in between leaves a
+    /// folder that a new run may use.
     ///
     /// # Errors
-    /// Names the file that could not be written or is damaged.
-    pub fn begin(
-        &self,
-        config_toml: &str,
-        manifest: &Value,
-    ) -> Result<Incarnation, RunFolderError> {
+    /// Names the file that could not be written.
+    pub fn begin(&self, config_toml: &str, manifest: &Value) -> Result<(), RunFolderError> {
         let mut manifest = manifest.clone();
         manifest[FOREIGN_ACTORS] = Value::Bool(self.had_foreign_actors());
-        let incarnation = self.incarnation()?.saturating_add(1);
-        durable::replace(&self.file(INCARNATION), format!("{incarnation}\n").as_bytes())?;
-        durable::replace(&self.file(MANIFEST), format!("{manifest:#}\n").as_bytes())?;
         durable::replace(&self.file(CONFIG), config_toml.as_bytes())?;
-        Ok(Incarnation(incarnation))
+        durable::replace(&self.file(MANIFEST), format!("{manifest:#}\n").as_bytes())?;
+        Ok(())
     }
 
     /// Writes down where this start of the learner listens.
@@ -250,17 +241,6 @@ impl RunFolder {
         let object = serde_json::from_str(&text).map(Value::Object);
         object.map_err(|error| RunFolderError::Damaged { path, detail: error.to_string() })
     }
-
-    /// Starts of the run so far.
-    fn incarnation(&self) -> Result<u64, RunFolderError> {
-        let path = self.file(INCARNATION);
-        if !path.exists() {
-            return Ok(0);
-        }
-        let text = std::fs::read_to_string(&path).map_err(FileError::of("read", &path))?;
-        let damaged = |detail: String| RunFolderError::Damaged { path: path.clone(), detail };
-        text.trim().parse().map_err(|_| damaged(format!("{:?} is no number", text.trim())))
-    }
 }
 
 #[cfg(test)]
@@ -270,18 +250,6 @@ mod tests {
 
     fn manifest() -> Value {
         json!({"config_sha256": "aa"})
-    }
-
-    #[test]
-    fn every_start_has_a_number_of_its_own() {
-        let folder = tempfile::tempdir().unwrap();
-        let first = RunFolder::claim_new(folder.path()).unwrap();
-        assert_eq!(first.begin("a = 1\n", &manifest()).unwrap(), Incarnation(1));
-        drop(first);
-        for number in 2..5 {
-            let again = RunFolder::claim_existing(folder.path(), "aa").unwrap();
-            assert_eq!(again.begin("a = 1\n", &manifest()).unwrap(), Incarnation(number));
-        }
     }
 
     #[test]
@@ -323,6 +291,19 @@ mod tests {
     }
 
     #[test]
+    fn a_start_that_ended_before_the_manifest_leaves_a_folder_for_a_new_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder::claim_new(folder.path()).unwrap();
+        durable::replace(&run.file(CONFIG), b"a = 1\n").unwrap();
+        drop(run);
+        let error = RunFolder::claim_existing(folder.path(), "aa").unwrap_err();
+        assert!(matches!(error, RunFolderError::NoRun { .. }), "{error}");
+        RunFolder::claim_new(folder.path()).unwrap().begin("a = 2\n", &manifest()).unwrap();
+        assert_eq!(std::fs::read_to_string(folder.path().join(CONFIG)).unwrap(), "a = 2\n");
+        RunFolder::claim_existing(folder.path(), "aa").unwrap();
+    }
+
+    #[test]
     fn other_semantic_settings_are_refused_with_both_hashes() {
         let folder = tempfile::tempdir().unwrap();
         RunFolder::claim_new(folder.path()).unwrap().begin("", &manifest()).unwrap();
@@ -339,14 +320,5 @@ mod tests {
         run.note_foreign_actors().unwrap();
         run.begin("", &manifest()).unwrap();
         assert_eq!(run.manifest().unwrap()["foreign_actors"], true);
-    }
-
-    #[test]
-    fn a_damaged_count_of_starts_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let run = RunFolder::claim_new(folder.path()).unwrap();
-        std::fs::write(run.file(INCARNATION), "many").unwrap();
-        let message = run.begin("", &manifest()).unwrap_err().to_string();
-        assert!(message.contains("incarnation is damaged: \"many\" is no number"), "{message}");
     }
 }

@@ -8,14 +8,13 @@ use proto::wire::control_service_server::{self, ControlServiceServer};
 use proto::wire::learner_service_server::{self, LearnerService, LearnerServiceServer};
 use proto::{
     ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
-    MAX_UNACKNOWLEDGED, Refusal, Registration, WeightsName, wire,
+    MAX_UNACKNOWLEDGED, Reason, Refusal, Registration, WeightsName, wire,
 };
 use security::Role;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Server;
-use tonic::transport::server::Router;
 use tonic::{Request, Response, Status, Streaming};
 use tonic_health::pb::health_server;
 use tonic_reflection::server::Builder;
@@ -23,7 +22,9 @@ use tonic_reflection::server::Builder;
 use crate::door::Door;
 use crate::exchange::{Caller, Exchange};
 use crate::service::control::Control;
+use crate::service::ingest::Results;
 
+mod bodies;
 mod connections;
 mod control;
 mod crowd;
@@ -33,6 +34,7 @@ mod ingest;
 mod opened;
 mod operator;
 mod policies;
+mod registry;
 mod snapshots;
 mod storage;
 
@@ -61,23 +63,20 @@ const OF_LEARNERS: [&str; 2] =
 /// Why reflection can always be built.
 const COMPILED: &str = "the descriptors were compiled with the program";
 
-/// Serves `exchange` at `door` until `shutdown` completes and the open calls have ended.
+/// Serves `exchange` at `door` until `shutdown` completes and the open calls have ended. At most `most_with_actors`
+/// connections may have actors.
 ///
 /// # Errors
 /// Says why the service broke down.
 pub async fn serve(
     exchange: Arc<Exchange>,
     door: Door,
+    most_with_actors: usize,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), tonic::transport::Error> {
     let held = Arc::clone(&exchange);
-    let incoming = connections::accept(door, Arc::new(move |id| held.disconnect(id)));
-    service(exchange).await.serve_with_incoming_shutdown(incoming, shutdown).await
-}
-
-/// The learner's service with health and reflection. Leases end with the connection only for connections
-/// that [`serve`] accepts.
-pub async fn service(exchange: Arc<Exchange>) -> Router {
+    let farewell = Arc::new(move |id| held.disconnect(id));
+    let incoming = connections::accept(door, most_with_actors, farewell);
     let storage = exchange.storage();
     let control = ControlServiceServer::new(Control { exchange: Arc::clone(&exchange) });
     let learner = LearnerServiceServer::new(Learner { exchange })
@@ -87,11 +86,14 @@ pub async fn service(exchange: Arc<Exchange>) -> Router {
     reporter.set_serving::<LearnerServiceServer<Learner>>().await;
     tokio::spawn(storage::follow(storage, reporter));
     server()
+        .layer(bodies::limits())
         .add_service(InterceptedService::new(learner, connections::needs(Role::Actor)))
         .add_service(control)
         .add_service(health)
         .add_service(reflection(&OF_LEARNERS).build_v1().expect(COMPILED))
         .add_service(reflection(&OF_LEARNERS).build_v1alpha().expect(COMPILED))
+        .serve_with_incoming_shutdown(incoming, shutdown)
+        .await
 }
 
 /// A server with the limits that hold for all of ours.
@@ -142,10 +144,11 @@ impl LearnerService for Learner {
         &self,
         request: Request<wire::RegisterRequest>,
     ) -> Result<Response<wire::RegisterResponse>, Status> {
-        let connection = connections::of(&request);
         let caller = connections::caller(&request, "register");
-        let registered = Registration::from_wire(request.into_inner())
-            .and_then(|registration| self.exchange.register(connection, &registration))
+        let room = connections::note_actor(&request);
+        let registered = room
+            .and_then(|()| Registration::from_wire(request.into_inner()))
+            .and_then(|registration| self.exchange.register(caller.connection, &registration))
             .map_err(|refusal| self.counted(&caller, refusal))?;
         Ok(Response::new(registered.to_wire()))
     }
@@ -159,7 +162,8 @@ impl LearnerService for Learner {
         let millis = request.wait_millis.min(MAX_LEASE_WAIT_MILLIS);
         let (actor, incarnation) = (ActorId(request.actor_id), Incarnation(request.incarnation));
         let patience = Duration::from_millis(millis.into());
-        let answer = self.exchange.lease(actor, incarnation, patience).await;
+        let sender = caller.connection;
+        let answer = self.exchange.lease(sender, actor, incarnation, patience).await;
         let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
         self.exchange.count_lost_log_steps(request.log_steps_lost);
         Ok(Response::new(answer.to_wire()))
@@ -184,10 +188,17 @@ impl LearnerService for Learner {
         &self,
         request: Request<Streaming<wire::PushTrajectoryRequest>>,
     ) -> Result<Response<Self::PushTrajectoryStream>, Status> {
+        let caller = connections::caller(&request, "push_trajectory");
+        if !self.exchange.is_registered(caller.connection) {
+            let detail = "no actor is registered on this connection";
+            let refusal = Refusal::new(Reason::UnknownActor, "connection", detail);
+            return Err(self.counted(&caller, refusal));
+        }
         // Full when the actor does not take its acknowledgements away; then nothing more is read.
         let (acks, stream) = mpsc::channel(MAX_UNACKNOWLEDGED);
-        let caller = connections::caller(&request, "push_trajectory");
-        tokio::spawn(ingest::pump(Arc::clone(&self.exchange), caller, request.into_inner(), acks));
+        let (pushes, share) = (connections::pushes(&request), request.extensions().get().cloned());
+        let results = Results { messages: request.into_inner(), pushes, share };
+        tokio::spawn(ingest::pump(Arc::clone(&self.exchange), caller, results, acks));
         Ok(Response::new(ReceiverStream::new(stream)))
     }
 
@@ -197,7 +208,7 @@ impl LearnerService for Learner {
     ) -> Result<Response<wire::HeartbeatResponse>, Status> {
         let caller = connections::caller(&request, "heartbeat");
         let beat = Beat::from_wire(&request.into_inner());
-        let answer = self.exchange.heartbeat(&beat);
+        let answer = self.exchange.heartbeat(caller.connection, &beat);
         let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
         Ok(Response::new(answer.to_wire()))
     }

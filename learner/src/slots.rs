@@ -1,42 +1,66 @@
-//! Who computes what: a state machine without clock, socket or thread. The caller tells it the time
-//! ([`SlotTable::tick`]), hands messages in, and takes [`Effect`]s out.
+//! Who computes what: a state machine without clock, socket or thread. The caller passes the time
+//! ([`SlotTable::tick`]) and messages in, and takes [`Effect`]s out.
 //!
 //! A slot is computed from its first step under one lease. A lease ends when its result is complete, when
-//! nothing is heard of it for its time to live, when it stands still for long, when one of its messages
-//! is refused, or when the actor's connection closes; then the slot is free again, from its first step.
-//! What an ended lease had sent is kept as digests: a later result that contradicts it is computed once
-//! more, and if two complete ones differ, the machine or the program is not deterministic and the run
-//! must stop.
+//! no message comes for its time to live, when it makes no progress for long, when one of its messages is
+//! refused, or when the actor's connection closes; then the slot is free again, from its first step.
+//! Only the connection on which the actor registered may send messages for its leases.
+//!
+//! Results are compared by digest. What an ended lease had sent is kept: a later result that contradicts it is computed
+//! once more, and if two complete ones differ, the run must stop. A slot that takes much longer than others gets a
+//! backup lease, and a share of the slots is audited ([`AuditPlan`]).
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    Ack, AckState, ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, LeaseStatus,
-    PushHeader, Reason, Refusal, RolloutWork, RunState, TrajectoryChunk, WeightsName, Work,
+    ActorId, Beat, Incarnation, Lease, LeaseId, LeaseStatus, Reason, Refusal, RolloutWork,
+    RunState, WeightsName, Work,
 };
 
 mod actors;
-mod board;
+mod audits;
 mod evaluations;
+mod iteration;
 mod leases;
 mod outcome;
 mod pause;
+mod results;
+mod typical;
 
-use actors::{Actors, Admission};
+use actors::{Actors, Admission, Owner};
 pub use actors::{ConnectionId, Trust};
-use board::{Board, Verdict};
-pub use board::{Disagreement, Testimony};
+use audits::Audits;
+pub use audits::{AuditCounts, AuditPlan};
 use evaluations::Evaluations;
-use leases::{Claim, Finished, OpenLease, Standing, follows, repeated, wrong_kind};
+use iteration::{ClaimedSlot, OpenIteration};
+pub use iteration::{ComputedChunk, Disagreement};
+use leases::{Claim, Finished, OpenLease};
 pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Incident, Offer, SlotRollout};
+pub use results::{ChunkPreview, EvaluationPreview};
+use typical::TypicalTime;
+
+/// What holds for a table as long as it exists.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlotRules {
+    /// This start of the learner.
+    pub incarnation: Incarnation,
+    /// A lease without a message for this long ends.
+    pub ttl: Duration,
+    /// Chunks of a slot.
+    pub chunks_per_slot: u32,
+    /// Steps of a slot.
+    pub steps_per_slot: u32,
+    /// Steps of the longest episode.
+    pub episode_steps: u32,
+    /// Which slots are computed twice.
+    pub audit: AuditPlan,
+}
 
 /// Who computes what.
 #[derive(Debug)]
 pub struct SlotTable {
-    incarnation: Incarnation,
-    ttl: Duration,
-    chunks_per_slot: u32,
+    rules: SlotRules,
     now: Duration,
     over: bool,
     paused: bool,
@@ -44,37 +68,50 @@ pub struct SlotTable {
     last_lease: u64,
     open: BTreeMap<LeaseId, OpenLease>,
     finished: Finished,
-    board: Option<Board>,
+    iteration: Option<OpenIteration>,
     evaluations: Evaluations,
+    audits: Audits,
+    typical: TypicalTime,
     reissued: u64,
+    backups: u64,
     effects: Vec<Effect>,
     incidents: Vec<Incident>,
 }
 
+/// What a new lease is for.
+struct Claimed {
+    claim: Claim,
+    weights: WeightsName,
+    work: Work,
+    /// How often the work was leased before.
+    attempt: u32,
+}
+
 impl SlotTable {
-    /// An empty table. A lease of which nothing is heard for `ttl` ends.
+    /// An empty table.
     #[must_use]
-    pub fn new(incarnation: Incarnation, ttl: Duration, chunks_per_slot: u32) -> Self {
+    pub fn new(rules: SlotRules) -> Self {
         Self {
-            incarnation,
-            ttl,
-            chunks_per_slot,
+            rules,
             now: Duration::ZERO,
             over: false,
             paused: false,
-            actors: Actors::new(ttl),
+            actors: Actors::new(rules.ttl),
             last_lease: 0,
             open: BTreeMap::new(),
             finished: Finished::default(),
-            board: None,
+            iteration: None,
             evaluations: Evaluations::default(),
+            audits: Audits::new(rules.audit),
+            typical: TypicalTime::default(),
             reissued: 0,
+            backups: 0,
             effects: Vec::new(),
             incidents: Vec::new(),
         }
     }
 
-    /// It is `now`, counted from any fixed moment; leases past their time end. Earlier times are ignored.
+    /// It is `now`, counted from any fixed moment; leases past their deadline end. Earlier times are ignored.
     pub fn tick(&mut self, now: Duration) {
         self.now = self.now.max(now);
         let over =
@@ -87,10 +124,13 @@ impl SlotTable {
         }
     }
 
-    /// When the next lease ends unless something is heard of it.
+    /// When the next lease ends without a message, or the next slot may get a backup lease.
     #[must_use]
     pub fn next_deadline(&self) -> Option<Duration> {
-        self.open.values().map(|lease| lease.deadline).min()
+        let ends = self.open.values().map(|lease| lease.deadline);
+        let held = self.iteration.iter().flat_map(OpenIteration::held_since);
+        let backups = held.map(|since| since + self.backup_age()).filter(|at| *at > self.now);
+        ends.chain(backups).min()
     }
 
     /// What is to be done since the last call, in order.
@@ -103,19 +143,19 @@ impl SlotTable {
         std::mem::take(&mut self.incidents)
     }
 
-    /// Opens an iteration; whatever was open before is dropped, and its leases end.
+    /// Opens an iteration; the slots that were open before are dropped, and their leases end.
     pub fn open_iteration(
         &mut self,
         iteration: u64,
         weights: WeightsName,
         slots: Vec<RolloutWork>,
     ) {
-        self.open.retain(|_, lease| matches!(lease.claim, Claim::Episode(_)));
-        self.board = Some(Board::new(iteration, weights, slots));
+        self.open.retain(|_, lease| !matches!(lease.claim, Claim::Slot(_)));
+        self.iteration = Some(OpenIteration::new(iteration, weights, slots));
         self.effects.push(Effect::WorkFreed);
     }
 
-    /// Opens an evaluation beside whatever is open; its episodes are leased when no slot is free.
+    /// Opens an evaluation beside other open work; its episodes are leased when no slot is free.
     pub fn open_evaluation(&mut self, iteration: u64, weights: WeightsName, episodes: u32) {
         self.evaluations.open(iteration, weights, episodes);
         self.effects.push(Effect::WorkFreed);
@@ -123,7 +163,8 @@ impl SlotTable {
 
     /// The weights that open work names.
     pub fn weights_in_use(&self) -> impl Iterator<Item = WeightsName> {
-        self.board.iter().map(|board| board.weights).chain(self.evaluations.weights())
+        let rollouts = self.iteration.iter().map(|open| open.weights);
+        rollouts.chain(self.evaluations.weights()).chain(self.audits.weights())
     }
 
     /// The run is over: every later request for work is answered so.
@@ -138,20 +179,23 @@ impl SlotTable {
         if self.over { RunState::Done } else { RunState::Running }
     }
 
-    /// How far the table is.
+    /// The table's figures.
     #[must_use]
     pub fn counts(&self) -> Counts {
-        let rolling = self.open.values().filter(|lease| matches!(lease.claim, Claim::Slot(_)));
-        let partial = rolling.map(|lease| lease.chunks.len() as u64).sum::<u64>();
-        let complete = self.board.as_ref().map_or(0, Board::complete_chunks);
+        let held = self.iteration.iter().flat_map(OpenIteration::held);
+        let chunks = |id: &LeaseId| self.open.get(id).map_or(0, |lease| lease.chunks.len() as u64);
+        let partial = held.map(|leases| leases.iter().map(chunks).max().unwrap_or(0)).sum::<u64>();
+        let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
         Counts {
             chunks: partial + complete,
             actors: self.actors.count(),
             foreign: self.actors.foreign,
             reissued: self.reissued,
+            backups: self.backups,
+            audits: self.audits.counts,
             leases: self.open.len(),
-            slots: self.board.as_ref().map_or(0, Board::slots),
-            complete_slots: self.board.as_ref().map_or(0, Board::complete_slots),
+            slots: self.iteration.as_ref().map_or(0, OpenIteration::slots),
+            complete_slots: self.iteration.as_ref().map_or(0, OpenIteration::complete_slots),
         }
     }
 
@@ -161,24 +205,40 @@ impl SlotTable {
         self.open.iter().map(|(id, lease)| lease.status(*id, self.now)).collect()
     }
 
+    /// The open lease with this id, if it belongs to an actor of this connection.
+    #[must_use]
+    pub fn lease_of(&self, connection: ConnectionId, id: LeaseId) -> Option<LeaseStatus> {
+        let own = self.open.get(&id).filter(|lease| lease.owner.connection == connection);
+        own.map(|lease| lease.status(id, self.now))
+    }
+
     /// What the table holds in memory.
     #[must_use]
     pub fn footprint(&self) -> Footprint {
+        let partial = self.open.values().map(|lease| lease.chunks.len() as u64).sum::<u64>();
+        let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
         Footprint {
             actors: self.actors.count(),
             open_leases: self.open.len(),
             finished_leases: self.finished.count(),
-            chunks: self.counts().chunks,
-            witnesses: self.board.as_ref().map_or(0, Board::witnesses),
+            chunks: partial + complete,
+            earlier_results: self.iteration.as_ref().map_or(0, OpenIteration::earlier_results),
+            open_audits: self.audits.open(),
         }
     }
 
-    /// Admits an actor that spoke on `connection`. One connection carries 16 at most: past that, the
+    /// Admits an actor that registered on `connection`. One connection carries 16 at most: past that, the
     /// one that registered first is gone.
     pub fn register(&mut self, connection: ConnectionId, trust: Trust) -> ActorId {
         let gone = self.actors.make_room(connection);
         self.end_leases_of(&gone);
         self.actors.register(connection, trust)
+    }
+
+    /// Whether an actor registered on this connection.
+    #[must_use]
+    pub fn is_registered(&self, connection: ConnectionId) -> bool {
+        self.actors.has(connection)
     }
 
     /// The connection closed: its actors are gone, their leases end.
@@ -189,159 +249,120 @@ impl SlotTable {
 
     fn end_leases_of(&mut self, gone: &[ActorId]) {
         for actor in gone.iter().copied() {
-            let leases = self.open.iter().filter(|(_, lease)| lease.actor == actor);
+            let leases = self.open.iter().filter(|(_, lease)| lease.owner.actor == actor);
             let leases = leases.map(|(id, lease)| lease.status(*id, self.now)).collect::<Vec<_>>();
             leases.iter().for_each(|lost| self.abandon(lost.lease));
             self.incidents.push(Incident::Gone { actor, leases });
         }
     }
 
-    /// Gives `actor` the lowest free slot, or else the first free evaluation episode.
+    /// Gives `actor` the lowest free slot, else the first free evaluation episode, else an audit, else a backup of the
+    /// slowest slot.
     ///
     /// # Errors
-    /// Refuses unknown actors, other incarnations, and more leases than one actor may hold.
-    pub fn lease(&mut self, actor: ActorId, incarnation: Incarnation) -> Result<Offer, Refusal> {
+    /// Refuses actors that did not register on the sender's connection, other incarnations, and more leases than one
+    /// actor may hold.
+    pub fn lease(
+        &mut self,
+        sender: ConnectionId,
+        actor: ActorId,
+        incarnation: Incarnation,
+    ) -> Result<Offer, Refusal> {
         self.same_incarnation(incarnation)?;
-        let held = self.open.values().filter(|lease| lease.actor == actor).count();
-        let admission = self.actors.admit(actor, held, self.now)?;
-        match admission {
+        let owner = self.actors.owner(sender, actor)?;
+        let held = self.open.values().filter(|lease| lease.owner.actor == actor).count();
+        match self.actors.admit(owner, held, self.now)? {
             _ if self.over => return Ok(Offer::Done),
             _ if self.paused => return Ok(Offer::Nothing),
             Admission::Quarantined(wait) => return Ok(Offer::Quarantined(wait)),
             Admission::Welcome => {}
         }
-        let owner = (actor, self.actors.trust(actor)?);
         let id = LeaseId(self.last_lease + 1);
-        Ok(match self.claim(id) {
-            None => Offer::Nothing,
-            Some((claim, weights, work, attempt)) => {
-                self.last_lease = id.0;
-                self.open.insert(id, OpenLease::new(owner, weights, claim, self.now, self.ttl));
-                let incarnation = self.incarnation;
-                Offer::Lease(Lease { id, incarnation, weights, attempt, work })
-            }
-        })
+        let Some(Claimed { claim, weights, work, attempt }) = self.claim(id, owner) else {
+            return Ok(Offer::Nothing);
+        };
+        self.last_lease = id.0;
+        self.open.insert(id, OpenLease::new(owner, weights, claim, self.now, self.rules.ttl));
+        Ok(Offer::Lease(Lease { id, incarnation, weights, attempt, work }))
     }
 
-    /// What is leased, and how often it was before.
-    fn claim(&mut self, id: LeaseId) -> Option<(Claim, WeightsName, Work, u32)> {
-        if let Some(board) = &mut self.board
-            && let Some((index, work, issued)) = board.claim(id)
+    fn claim(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
+        if let Some(open) = &mut self.iteration
+            && let Some(slot) = open.claim(id, self.now)
         {
-            self.reissued += u64::from(issued > 0);
-            return Some((Claim::Slot(index), board.weights, Work::Rollout(work), issued));
+            self.reissued += u64::from(slot.attempt > 0);
+            return Some(Claimed::slot(slot, open.weights));
         }
-        let (work, weights, issued) = self.evaluations.claim(id)?;
-        self.reissued += u64::from(issued > 0);
-        Some((Claim::Episode(work), weights, Work::Evaluation(work), issued))
+        if let Some((work, weights, attempt)) = self.evaluations.claim(id) {
+            self.reissued += u64::from(attempt > 0);
+            let (claim, work) = (Claim::Episode(work), Work::Evaluation(work));
+            return Some(Claimed { claim, weights, work, attempt });
+        }
+        if owner.trust == Trust::Exact
+            && let Some((work, weights)) = self.audits.claim(id, owner)
+        {
+            let claim = Claim::Audit { iteration: work.iteration, slot: work.slot };
+            return Some(Claimed { claim, weights, work: Work::Rollout(work), attempt: 1 });
+        }
+        self.claim_backup(id, owner)
     }
 
-    /// An actor is alive. Whether its lease still is.
+    fn claim_backup(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
+        let since = self.now.checked_sub(self.backup_age())?;
+        let open = self.iteration.as_mut()?;
+        let of_another = |held: LeaseId| {
+            self.open.get(&held).is_some_and(|lease| lease.owner.connection != owner.connection)
+        };
+        let slot = open.claim_backup(id, since, of_another)?;
+        self.backups += 1;
+        Some(Claimed::slot(slot, open.weights))
+    }
+
+    /// A slot that is held for longer than this may get a backup lease.
+    fn backup_age(&self) -> Duration {
+        self.typical.backup_age().unwrap_or(self.rules.ttl)
+    }
+
+    /// An actor is alive. Whether its lease is still open.
     ///
     /// # Errors
-    /// Refuses unknown actors and other incarnations.
-    pub fn heartbeat(&mut self, beat: &Beat) -> Result<bool, Refusal> {
+    /// Refuses actors that did not register on the sender's connection, other incarnations, and more steps than the
+    /// work has.
+    pub fn heartbeat(&mut self, sender: ConnectionId, beat: &Beat) -> Result<bool, Refusal> {
         self.same_incarnation(beat.incarnation)?;
-        self.actors.known(beat.actor)?;
-        let lease = self.open.get_mut(&beat.lease).filter(|lease| lease.actor == beat.actor);
-        Ok(lease.map(|lease| lease.beat(beat.slot_step, self.now, self.ttl)).is_some())
-    }
-
-    /// Whether chunk `sequence` under `header` would be taken in, before its content is looked at.
-    ///
-    /// # Errors
-    /// Refuses, in this order: another incarnation, a lease that ended or never was, other weights than
-    /// the lease's, work of another kind, a chunk that does not follow the last one, and a chunk that
-    /// repeats an earlier one with another digest.
-    pub fn preview_chunk(&self, header: &PushHeader, sequence: u32) -> Result<AckState, Refusal> {
-        match self.standing(header)? {
-            Standing::Finished(digests) => repeated(digests, sequence, header.digest),
-            Standing::Open(lease) if matches!(lease.claim, Claim::Slot(_)) => {
-                follows(&lease.digests, sequence, header.digest)
-            }
-            Standing::Open(_) => Err(wrong_kind("chunk", "an evaluation")),
-        }
-    }
-
-    /// Takes in a chunk that has been checked.
-    ///
-    /// # Errors
-    /// What [`Self::preview_chunk`] refuses.
-    pub fn chunk(&mut self, header: &PushHeader, chunk: TrajectoryChunk) -> Result<Ack, Refusal> {
-        let sequence = chunk.sequence;
-        let state = self.preview_chunk(header, sequence)?;
-        let ack = |lease_finished| Ack { lease: header.lease, sequence, state, lease_finished };
-        let Some(lease) = self.open.get_mut(&header.lease) else {
-            return Ok(ack(true));
+        self.actors.owner(sender, beat.actor)?;
+        let own = |lease: &&mut OpenLease| lease.owner.actor == beat.actor;
+        let Some(lease) = self.open.get_mut(&beat.lease).filter(own) else {
+            return Ok(false);
         };
-        lease.hear(self.now, self.ttl);
-        if state == AckState::Accepted {
-            lease.accept(header.digest, chunk);
+        let most = match lease.claim {
+            Claim::Episode(_) => self.rules.episode_steps,
+            Claim::Slot(_) | Claim::Audit { .. } => self.rules.steps_per_slot,
+        };
+        if beat.slot_step > most {
+            let detail = format!("{}, the work has {most} steps", beat.slot_step);
+            return Err(Refusal::new(Reason::BadValue, "slot_step", detail));
         }
-        let complete = lease.chunks.len() as u64 == u64::from(self.chunks_per_slot);
-        if complete {
-            self.complete_slot(header.lease);
-        }
-        Ok(ack(complete))
+        lease.beat(beat.slot_step, self.now, self.rules.ttl);
+        Ok(true)
     }
 
-    fn complete_slot(&mut self, id: LeaseId) {
-        let lease = self.open.remove(&id).expect("the caller holds the open lease");
-        let Claim::Slot(index) = lease.claim else {
-            unreachable!("only slots have chunks");
-        };
-        let board = self.board.as_mut().expect("a slot's lease ends with its iteration");
-        self.finished.remember(id, lease.digests.clone());
-        self.actors.finished(lease.actor);
-        match board.complete(index, id, lease) {
-            Verdict::Stands => {
-                let rollouts = board.take_if_complete();
-                self.effects.extend(rollouts.map(Effect::Iteration));
-            }
-            Verdict::Disputed => self.effects.push(Effect::WorkFreed),
-            Verdict::Failed(disagreement) => {
-                self.effects.push(Effect::Failed(Box::new(disagreement)))
+    /// A message from this connection was refused. If it was for a lease of the connection, the lease ends. The
+    /// refusal counts against the lease's actor, or else against all actors of the connection.
+    pub fn refuse(&mut self, sender: ConnectionId, lease: Option<LeaseId>) {
+        let own = lease.and_then(|id| {
+            let open = self.open.get(&id).filter(|open| open.owner.connection == sender)?;
+            Some((id, open.owner.actor))
+        });
+        let actors = own.map_or_else(|| self.actors.of(sender), |(_, actor)| vec![actor]);
+        for actor in actors {
+            if let Some(pause) = self.actors.strike(actor, self.now) {
+                self.incidents.push(Incident::Quarantined { actor, pause });
             }
         }
-    }
-
-    /// Takes in the checked result of an evaluation episode.
-    ///
-    /// # Errors
-    /// As [`Self::preview_chunk`], and a result of another episode than the lease's.
-    pub fn evaluation(
-        &mut self,
-        header: &PushHeader,
-        result: EvaluationResult,
-    ) -> Result<Ack, Refusal> {
-        let ack = |state| Ack { lease: header.lease, sequence: 0, state, lease_finished: true };
-        let (work, actor) = match self.standing(header)? {
-            Standing::Finished(digests) => return repeated(digests, 0, header.digest).map(ack),
-            Standing::Open(lease) => match lease.claim {
-                Claim::Episode(work) => (work, lease.actor),
-                Claim::Slot(_) => return Err(wrong_kind("evaluation", "a slot")),
-            },
-        };
-        if work.episode != result.episode {
-            let detail = format!("{}, the lease is for {}", result.episode, work.episode);
-            return Err(Refusal::new(Reason::BadValue, "evaluation.episode", detail));
+        if let Some((id, _)) = own {
+            self.abandon(id);
         }
-        self.open.remove(&header.lease);
-        self.finished.remember(header.lease, vec![header.digest]);
-        self.actors.finished(actor);
-        let outcome = self.evaluations.complete(work, result);
-        self.effects.extend(outcome.map(Effect::Evaluation));
-        Ok(ack(AckState::Accepted))
-    }
-
-    /// A message of this lease was refused: the lease ends, and the actor's refusals are counted.
-    pub fn refuse(&mut self, lease: LeaseId) {
-        let Some(open) = self.open.get(&lease) else { return };
-        let actor = open.actor;
-        if let Some(pause) = self.actors.strike(actor, self.now) {
-            self.incidents.push(Incident::Quarantined { actor, pause });
-        }
-        self.abandon(lease);
     }
 
     fn abandon(&mut self, id: LeaseId) {
@@ -350,33 +371,28 @@ impl SlotTable {
         };
         match lease.claim {
             Claim::Episode(work) => self.evaluations.release(work),
+            Claim::Audit { .. } => self.audits.release(id),
             Claim::Slot(index) => {
-                let board = self.board.as_mut().expect("a slot's lease ends with its iteration");
-                board.release(index, id, lease);
+                if let Some(open) = &mut self.iteration {
+                    open.release(index, id, lease);
+                }
             }
         }
         self.effects.push(Effect::WorkFreed);
     }
 
-    fn standing(&self, header: &PushHeader) -> Result<Standing<'_>, Refusal> {
-        self.same_incarnation(header.incarnation)?;
-        if let Some(digests) = self.finished.digests(header.lease) {
-            return Ok(Standing::Finished(digests));
-        }
-        let ended = || {
-            let detail = format!("lease {} has ended or never was", header.lease);
-            Refusal::new(Reason::UnknownLease, "lease_id", detail)
-        };
-        let lease = self.open.get(&header.lease).ok_or_else(ended)?;
-        lease.same_weights(header.weights)?;
-        Ok(Standing::Open(lease))
-    }
-
     fn same_incarnation(&self, found: Incarnation) -> Result<(), Refusal> {
-        if found == self.incarnation {
+        if found == self.rules.incarnation {
             return Ok(());
         }
-        let detail = format!("{found}, this start of the learner is {}", self.incarnation);
+        let detail = format!("{found}, this start of the learner is {}", self.rules.incarnation);
         Err(Refusal::new(Reason::OtherIncarnation, "incarnation", detail))
+    }
+}
+
+impl Claimed {
+    fn slot(slot: ClaimedSlot, weights: WeightsName) -> Self {
+        let ClaimedSlot { index, work, attempt } = slot;
+        Self { claim: Claim::Slot(index), weights, work: Work::Rollout(work), attempt }
     }
 }

@@ -5,6 +5,8 @@
 mod cluster;
 #[path = "slots/disturbances.rs"]
 mod disturbances;
+#[path = "slots/doubles.rs"]
+mod doubles;
 #[path = "slots/faults.rs"]
 mod faults;
 #[path = "slots/leases.rs"]

@@ -72,6 +72,12 @@ impl Draw {
         Self { purpose, iteration: 0, environment: 0, step: 0, agent: 0 }
     }
 
+    /// The noise of an agent's action in a step of a slot; `environment` is counted over the whole run.
+    #[must_use]
+    pub fn of_action(iteration: u64, environment: u32, step: u32, agent: u32) -> Self {
+        Self { purpose: Purpose::Action, iteration, environment, step, agent }
+    }
+
     /// With this iteration (or episode index).
     #[must_use]
     pub fn iteration(self, iteration: u64) -> Self {

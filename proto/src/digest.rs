@@ -5,7 +5,7 @@ use std::fmt;
 
 use sha2::{Digest as _, Sha256};
 
-use crate::{ShareRewards, wire};
+use crate::{RolloutOrigin, ShareRewards, wire};
 
 /// A SHA-256. Shows as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -31,10 +31,14 @@ impl fmt::Debug for Digest {
     }
 }
 
-/// The digest that `message TrajectoryChunk` documents. Missing submessages count as empty: they are
+/// The digest that `message TrajectoryChunk` documents, for the slot `origin`. Missing submessages count as empty: they are
 /// refused by name elsewhere.
-pub(crate) fn of_chunk(chunk: &wire::TrajectoryChunk) -> Digest {
+pub(crate) fn of_chunk(chunk: &wire::TrajectoryChunk, origin: &RolloutOrigin) -> Digest {
     let mut canonical = Canonical::new(b"s2mia.v1.TrajectoryChunk");
+    canonical.0.update(origin.iteration.to_le_bytes());
+    canonical.integers(&[origin.slot]);
+    canonical.length(origin.environments.len());
+    canonical.integers(&origin.environments);
     canonical.integers(&[chunk.sequence, chunk.first_step, chunk.steps]);
     for agent in &chunk.agents {
         canonical.tensors([&agent.observation, &agent.action, &agent.log_prob, &agent.hidden]);
@@ -56,9 +60,10 @@ pub(crate) fn of_chunk(chunk: &wire::TrajectoryChunk) -> Digest {
     canonical.finish()
 }
 
-/// The digest that `message EvaluationResult` documents.
-pub(crate) fn of_evaluation(result: &wire::EvaluationResult) -> Digest {
+/// The digest that `message EvaluationResult` documents, for the policies after `iteration`.
+pub(crate) fn of_evaluation(result: &wire::EvaluationResult, iteration: u64) -> Digest {
     let mut canonical = Canonical::new(b"s2mia.v1.EvaluationResult");
+    canonical.0.update(iteration.to_le_bytes());
     canonical.integers(&[result.episode]);
     canonical.0.update(result.extrinsic_return.to_le_bytes());
     canonical.integers(&[result.steps]);
@@ -123,17 +128,20 @@ mod tests {
 
     #[test]
     fn an_evaluation_hashes_to_what_python_gives_for_the_documented_bytes() {
-        // hashlib.sha256(b"s2mia.v1.EvaluationResult" + struct.pack("<IdI", 3, 1.5, 1000)).hexdigest()
+        // hashlib.sha256(b"s2mia.v1.EvaluationResult" + struct.pack("<QIdI", 7, 3, 1.5, 1000)).hexdigest()
         let result = wire::EvaluationResult { episode: 3, extrinsic_return: 1.5, steps: 1000 };
-        let expected = "a4c690a3aaa381b9c54db41891054120a97f26adea321f37ae9d19480bb4632b";
-        assert_eq!(of_evaluation(&result).to_string(), expected);
+        let expected = "6b3a218eabaa94b37908a403c1bb829da0416b542b6fa0504df2cdf63abafa0c";
+        assert_eq!(of_evaluation(&result, 7).to_string(), expected);
     }
 
     #[test]
     fn an_empty_chunk_hashes_to_what_python_gives_for_the_documented_bytes() {
         let chunk =
             wire::TrajectoryChunk { sequence: 1, first_step: 2, steps: 3, ..Default::default() };
-        let expected = "47a6ca956970effcbf0f6375503568fccba851596884510c10013e8be8384ff3";
-        assert_eq!(of_chunk(&chunk).to_string(), expected);
+        let expected = "515cee1f55e45a6f0b1d6a4bed53760d47aba14a10c4d88b55222eb2a0ba9b78";
+        let origin = RolloutOrigin { iteration: 4, slot: 5, environments: vec![10, 11] };
+        assert_eq!(of_chunk(&chunk, &origin).to_string(), expected);
+        let other = RolloutOrigin { slot: 3, ..origin };
+        assert_ne!(of_chunk(&chunk, &other).to_string(), expected);
     }
 }

@@ -47,7 +47,9 @@ pub use run::RunDescription;
 pub use share_rewards::{ShareRewards, is_reward_log_name, reward_log_name};
 pub use status::{LeaseStatus, LeasedWork, Status};
 pub use trajectory::{AgentChunk, EvaluationResult, FinalStep, SlotEnd, TrajectoryChunk};
-pub use work::{EnvironmentStart, EvaluationWork, Lease, RolloutWork, Start, WeightsName, Work};
+pub use work::{
+    EnvironmentStart, EvaluationWork, Lease, RolloutOrigin, RolloutWork, Start, WeightsName, Work,
+};
 
 /// Bytes that a message takes on the wire.
 #[must_use]
@@ -56,7 +58,7 @@ pub fn wire_bytes(message: &impl prost::Message) -> usize {
 }
 
 /// Version of what the `.proto` files say. Both sides must have the same one.
-pub const PROTOCOL_VERSION: u32 = 2;
+pub const PROTOCOL_VERSION: u32 = 3;
 /// Largest message in either direction, bytes.
 pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
 /// Largest piece of a policy snapshot, bytes.

@@ -38,6 +38,8 @@ pub enum Reason {
     DigestConflict,
     /// The lease has ended or never was.
     UnknownLease,
+    /// The lease was given to an actor of another connection.
+    OtherConnection,
     /// The message is for another start of the learner.
     OtherIncarnation,
     /// The registration has ended or never was.
@@ -60,10 +62,12 @@ pub enum Reason {
     Undecodable,
     /// No message came for too long.
     TooSlow,
+    /// The learner has no room for more at the moment.
+    Busy,
 }
 
 /// Every reason with its stable name and status code.
-const REASONS: [(Reason, &str, Code); 22] = [
+const REASONS: [(Reason, &str, Code); 24] = [
     (Reason::MissingField, "MISSING_FIELD", Code::InvalidArgument),
     (Reason::BadValue, "BAD_VALUE", Code::InvalidArgument),
     (Reason::BadType, "BAD_TYPE", Code::InvalidArgument),
@@ -75,6 +79,7 @@ const REASONS: [(Reason, &str, Code); 22] = [
     (Reason::DigestMismatch, "DIGEST_MISMATCH", Code::DataLoss),
     (Reason::DigestConflict, "DIGEST_CONFLICT", Code::DataLoss),
     (Reason::UnknownLease, "UNKNOWN_LEASE", Code::Aborted),
+    (Reason::OtherConnection, "OTHER_CONNECTION", Code::Aborted),
     (Reason::OtherIncarnation, "OTHER_INCARNATION", Code::Aborted),
     (Reason::UnknownActor, "UNKNOWN_ACTOR", Code::Aborted),
     (Reason::UnknownWeights, "UNKNOWN_WEIGHTS", Code::Aborted),
@@ -86,6 +91,7 @@ const REASONS: [(Reason, &str, Code); 22] = [
     (Reason::TooLarge, "TOO_LARGE", Code::ResourceExhausted),
     (Reason::Undecodable, "UNDECODABLE", Code::InvalidArgument),
     (Reason::TooSlow, "TOO_SLOW", Code::DeadlineExceeded),
+    (Reason::Busy, "BUSY", Code::Unavailable),
 ];
 
 impl Reason {

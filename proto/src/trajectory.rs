@@ -3,7 +3,7 @@
 
 use bytes::Bytes;
 
-use crate::{Digest, RunDescription, digest, tensor, wire};
+use crate::{Digest, RolloutOrigin, RunDescription, digest, tensor, wire};
 
 /// Consecutive steps of one slot: `t` steps of `E` environments.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,20 +118,24 @@ impl<'a> Sizes<'a> {
 }
 
 impl TrajectoryChunk {
-    /// SHA-256 over the canonical bytes that `trajectory.proto` documents. It covers values, not shapes.
+    /// SHA-256 over the canonical bytes that `trajectory.proto` documents. It covers the slot and values, not shapes.
     #[must_use]
-    pub fn digest(&self) -> Digest {
-        digest::of_chunk(&self.message(&Shapes::unknown(self)))
+    pub fn digest(&self, origin: &RolloutOrigin) -> Digest {
+        digest::of_chunk(&self.message(&Shapes::unknown(self)), origin)
     }
 
-    /// The message for it, and its digest.
+    /// The message for it, and its digest as a chunk of the slot `origin`.
     ///
     /// # Panics
     /// If the arrays do not have the run's sizes: the chunk was built wrongly on this side.
     #[must_use]
-    pub fn to_wire(&self, run: &RunDescription) -> (wire::TrajectoryChunk, Digest) {
+    pub fn to_wire(
+        &self,
+        run: &RunDescription,
+        origin: &RolloutOrigin,
+    ) -> (wire::TrajectoryChunk, Digest) {
         let message = self.message(&Shapes::of(&Sizes::of(run), self));
-        let digest = digest::of_chunk(&message);
+        let digest = digest::of_chunk(&message, origin);
         (message, digest)
     }
 
@@ -205,10 +209,10 @@ impl SlotEnd {
 }
 
 impl EvaluationResult {
-    /// SHA-256 over the canonical bytes that `trajectory.proto` documents.
+    /// SHA-256 over the canonical bytes that `trajectory.proto` documents, for the policies after `iteration`.
     #[must_use]
-    pub fn digest(&self) -> Digest {
-        digest::of_evaluation(&self.to_wire())
+    pub fn digest(&self, iteration: u64) -> Digest {
+        digest::of_evaluation(&self.to_wire(), iteration)
     }
 
     /// The message for it.

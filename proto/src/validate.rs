@@ -10,12 +10,12 @@ use crate::tensor::{Flags, Floats, MAX_MAGNITUDE};
 use crate::trajectory::Sizes;
 use crate::work::state_size;
 use crate::{
-    AgentChunk, Digest, EvaluationResult, FinalStep, Reason, Refusal, RunDescription, SlotEnd,
-    TrajectoryChunk, digest, wire,
+    AgentChunk, Digest, EvaluationResult, FinalStep, Reason, Refusal, RolloutOrigin,
+    RunDescription, SlotEnd, TrajectoryChunk, digest, wire,
 };
 
 impl TrajectoryChunk {
-    /// Reads a pushed chunk of a slot of `run` that came with the digest `claimed`. The run's description
+    /// Reads a pushed chunk of the slot `origin` of `run` that came with the digest `claimed`. The run's description
     /// has been validated.
     ///
     /// # Errors
@@ -23,12 +23,13 @@ impl TrajectoryChunk {
     pub fn from_wire(
         wire: &wire::TrajectoryChunk,
         run: &RunDescription,
+        origin: &RolloutOrigin,
         claimed: Digest,
     ) -> Result<Self, Refusal> {
         let sizes = Sizes::of(run);
         let last = check_counters(wire, run)?;
         let shaped = Shaped::check(wire, &sizes, last)?;
-        same_digest(digest::of_chunk(wire), claimed)?;
+        same_digest(digest::of_chunk(wire, origin), claimed)?;
         let chunk = shaped.decode(wire)?;
         check_choices(&chunk, run)?;
         check_flags(&chunk, sizes.environments)?;
@@ -38,16 +39,18 @@ impl TrajectoryChunk {
 }
 
 impl EvaluationResult {
-    /// Reads a pushed result of an episode of `run` that came with the digest `claimed`.
+    /// Reads a pushed result of an episode of the policies after `iteration` of `run` that came with the digest
+    /// `claimed`.
     ///
     /// # Errors
     /// Refuses a wrong digest, a return that is not finite, and a length that no episode has.
     pub fn from_wire(
         wire: &wire::EvaluationResult,
         run: &RunDescription,
+        iteration: u64,
         claimed: Digest,
     ) -> Result<Self, Refusal> {
-        same_digest(digest::of_evaluation(wire), claimed)?;
+        same_digest(digest::of_evaluation(wire, iteration), claimed)?;
         let total = wire.extrinsic_return;
         let most = f64::from(MAX_MAGNITUDE) * f64::from(run.environment.episode_steps);
         if !(-most..=most).contains(&total) {

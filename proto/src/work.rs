@@ -50,6 +50,17 @@ pub struct RolloutWork {
     pub environments: Vec<EnvironmentStart>,
 }
 
+/// The slot that a chunk belongs to. The chunk's digest covers it, so that no chunk passes for another slot's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RolloutOrigin {
+    /// The iteration.
+    pub iteration: u64,
+    /// The slot's index.
+    pub slot: u32,
+    /// `[E]`, the environments' indices over the whole run.
+    pub environments: Vec<u32>,
+}
+
 /// From where an environment goes on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentStart {
@@ -151,6 +162,16 @@ impl WeightsName {
 }
 
 impl RolloutWork {
+    /// The slot, for the digests of its chunks.
+    #[must_use]
+    pub fn origin(&self) -> RolloutOrigin {
+        RolloutOrigin {
+            iteration: self.iteration,
+            slot: self.slot,
+            environments: self.environments.iter().map(|start| start.environment).collect(),
+        }
+    }
+
     fn to_wire(&self) -> wire::RolloutWork {
         wire::RolloutWork {
             iteration: self.iteration,

@@ -9,6 +9,7 @@ const OPERATIONAL: &[&str] = &[
     FOLDER,
     "environment_service.url",
     "lease.",
+    "audit.",
     "evaluation.",
     "checkpoint.",
     "metrics.",

@@ -12,4 +12,5 @@ mod incidents;
 mod learners;
 mod rubbish;
 mod silence;
+mod strangers;
 mod usage;

@@ -3,7 +3,7 @@
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
     AgentChunk, Lease, LeaseAnswer, PushHeader, Registered, Registration, RunDescription,
-    TrajectoryChunk, wire,
+    TrajectoryChunk, Work, wire,
 };
 use tonic::Status;
 use tonic::transport::Channel;
@@ -85,7 +85,8 @@ pub(crate) fn message(
     chunk: &TrajectoryChunk,
     run: &RunDescription,
 ) -> wire::PushTrajectoryRequest {
-    let (chunk, digest) = chunk.to_wire(run);
+    let Work::Rollout(work) = &lease.work else { panic!("expected a slot, got {lease:?}") };
+    let (chunk, digest) = chunk.to_wire(run, &work.origin());
     let content = wire::push_trajectory_request::Content::Chunk(chunk);
     PushHeader::of(lease, digest).to_wire(content)
 }

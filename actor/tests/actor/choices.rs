@@ -8,7 +8,7 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{
     ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch,
 };
-use proto::{EnvironmentStart, RolloutWork, RunDescription, Start, TrajectoryChunk};
+use proto::{EnvironmentStart, RolloutOrigin, RolloutWork, RunDescription, Start, TrajectoryChunk};
 use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
 
 use crate::fixture;
@@ -75,9 +75,10 @@ fn a_slot_of_choices_repeats_bit_for_bit_and_the_wire_takes_it() {
     let first = roll(&mut used);
     assert_eq!(roll(&mut used), first);
     assert_eq!(run().validate(), Ok(()));
+    let origin = RolloutOrigin { iteration: 4, slot: 3, environments: vec![6, 7] };
     for chunk in &first {
-        let (message, digest) = chunk.to_wire(&run());
-        assert_eq!(&TrajectoryChunk::from_wire(&message, &run(), digest).unwrap(), chunk);
+        let (message, digest) = chunk.to_wire(&run(), &origin);
+        assert_eq!(&TrajectoryChunk::from_wire(&message, &run(), &origin, digest).unwrap(), chunk);
     }
     let actions: Vec<f32> = first.iter().flat_map(|chunk| chunk.agents[1].action.clone()).collect();
     for choice in [0.0, 1.0, 2.0] {

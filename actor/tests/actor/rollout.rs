@@ -65,9 +65,12 @@ fn chunks_have_the_shapes_of_the_run_and_number_their_steps() {
 #[test]
 fn the_wire_takes_every_chunk_as_it_was_built() {
     for chunk in roll(&fresh_work(), &mut world()) {
-        let (message, digest) = chunk.to_wire(&run());
-        assert_eq!(TrajectoryChunk::from_wire(&message, &run(), digest).unwrap(), chunk);
-        assert_eq!(digest, chunk.digest());
+        let (message, digest) = chunk.to_wire(&run(), &fresh_work().origin());
+        assert_eq!(
+            TrajectoryChunk::from_wire(&message, &run(), &fresh_work().origin(), digest).unwrap(),
+            chunk
+        );
+        assert_eq!(digest, chunk.digest(&fresh_work().origin()));
     }
 }
 

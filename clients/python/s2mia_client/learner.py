@@ -17,13 +17,16 @@ LEASE_WAIT_MILLIS = 5_000
 MAX_UNACKNOWLEDGED = 4
 
 
-def chunk_digest(chunk) -> bytes:
-    """SHA-256 of a chunk's content, as trajectory.proto describes it."""
+def chunk_digest(chunk, rollout) -> bytes:
+    """SHA-256 of a chunk of the slot `rollout`, as trajectory.proto describes it."""
     sha = hashlib.sha256(b"s2mia.v1.TrajectoryChunk")
 
     def blob(data: bytes) -> None:
         sha.update(struct.pack("<Q", len(data)) + data)
 
+    environments = [start.environment for start in rollout.environments]
+    sha.update(struct.pack("<QIQ", rollout.iteration, rollout.slot, len(environments)))
+    sha.update(struct.pack(f"<{len(environments)}I", *environments))
     sha.update(struct.pack("<3I", chunk.sequence, chunk.first_step, chunk.steps))
     for agent in chunk.agents:
         for tensor in (agent.observation, agent.action, agent.log_prob, agent.hidden):
@@ -46,9 +49,9 @@ def chunk_digest(chunk) -> bytes:
     return sha.digest()
 
 
-def evaluation_digest(result) -> bytes:
-    """SHA-256 of an evaluation's result."""
-    figures = struct.pack("<IdI", result.episode, result.extrinsic_return, result.steps)
+def evaluation_digest(result, iteration: int) -> bytes:
+    """SHA-256 of the result of an episode with the policies after `iteration`."""
+    figures = struct.pack("<QIdI", iteration, result.episode, result.extrinsic_return, result.steps)
     return hashlib.sha256(b"s2mia.v1.EvaluationResult" + figures).digest()
 
 
@@ -110,10 +113,10 @@ class Learner:
         )
         if isinstance(content, wire.TrajectoryChunk):
             message.chunk.CopyFrom(content)
-            message.digest = chunk_digest(content)
+            message.digest = chunk_digest(content, lease.rollout)
         else:
             message.evaluation.CopyFrom(content)
-            message.digest = evaluation_digest(content)
+            message.digest = evaluation_digest(content, lease.evaluation.iteration)
         return message
 
     def push(self, lease, contents) -> bool:

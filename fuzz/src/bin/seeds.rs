@@ -56,7 +56,7 @@ fn messages() -> Vec<Seed> {
     let run = sample::run();
     let push = |content, digest| PushHeader::of(&lease(), digest).to_wire(content).encode_to_vec();
     let chunk = |sequence| {
-        let (message, digest) = sample::chunk(sequence).to_wire(&run);
+        let (message, digest) = sample::chunk(sequence).to_wire(&run, &sample::origin());
         push(Content::Chunk(message), digest)
     };
     let result = EvaluationResult { episode: 0, extrinsic_return: 12.5, steps: 40 };
@@ -69,7 +69,7 @@ fn messages() -> Vec<Seed> {
     let mut seeds = vec![
         (Some(0), chunk(0)),
         (Some(0), chunk(1)),
-        (Some(0), push(Content::Evaluation(result.to_wire()), result.digest())),
+        (Some(0), push(Content::Evaluation(result.to_wire()), result.digest(3))),
         (Some(1), registration.to_wire().encode_to_vec()),
         (Some(2), LeaseAnswer::Lease(lease()).to_wire().encode_to_vec()),
         (Some(2), LeaseAnswer::Retry { wait_millis: 100 }.to_wire().encode_to_vec()),

@@ -7,11 +7,13 @@ use std::net::SocketAddr;
 use proto::{ActorId, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal};
 
 use crate::exchange::Exchange;
-use crate::slots::Incident;
+use crate::slots::{ConnectionId, Incident};
 
 /// Who made a call, and which: for the log.
 #[derive(Clone, Copy, Debug)]
 pub struct Caller {
+    /// The connection that the call came over.
+    pub connection: ConnectionId,
     /// The other end of the connection; none where there is no socket.
     pub peer: Option<SocketAddr>,
     /// What was asked for, such as `register`.
@@ -114,13 +116,12 @@ pub(super) fn is_about_the_lease(refusal: &Refusal) -> bool {
 impl Exchange {
     /// One line for a refusal, before its consequences are told.
     pub(super) fn tell_refusal(&self, caller: &Caller, lease: Option<LeaseId>, why: &Refusal) {
-        let leases = lease.map(|_| self.lock().table.leases()).unwrap_or_default();
-        let stood = leases.iter().find(|status| Some(status.lease) == lease);
+        let stood = lease.and_then(|id| self.lock().table.lease_of(caller.connection, id));
         let (reason, field) = (why.reason.name(), &why.field);
         let next = match stood {
             Some(lease) if is_about_the_lease(why) => {
                 let who = self.lock().names.call(lease.actor);
-                format!("{who} was {}; the lease ends, {FREE}", at(lease))
+                format!("{who} was {}; the lease ends, {FREE}", at(&lease))
             }
             _ => "no lease is touched".to_owned(),
         };

@@ -84,7 +84,7 @@ pub fn status_json(status: &Status) -> Value {
     json!({
         "state": if status.paused { "paused" } else { "running" },
         "run_id": status.run_id,
-        "incarnation": status.incarnation.0,
+        "incarnation": format!("{:016x}", status.incarnation.0),
         "iteration": status.iteration,
         "env_steps": status.env_steps,
         "env_steps_per_sec": status.env_steps_per_sec,

@@ -8,22 +8,24 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
+use proto::Refusal;
 use security::{Role, Standing};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 use tonic::{Request, Status};
 
-use super::crowd::{Crowd, Place};
+use super::crowd::{self, Crowd};
 use super::greeting::{Admitted, Bytes, greet};
+use super::registry::{self, Admission, Registry};
 use crate::door::{Door, Guard};
 use crate::exchange::Caller;
 use crate::slots::ConnectionId;
 
-/// Connections at a time; more wait to be accepted.
-const MOST_CONNECTIONS: usize = 1024;
+/// Streams of results that one connection may have open at a time. An actor works off two leases at a time.
+const MOST_PUSHES: usize = 2;
 /// Connections of one address, so that no machine by itself can keep all others out.
 const MOST_OF_ONE_ADDRESS: usize = 512;
 /// Pause after a failed accept, for example because the process is out of file descriptors.
@@ -35,6 +37,23 @@ pub(super) struct Peer {
     connection: ConnectionId,
     address: SocketAddr,
     standing: Standing,
+    registry: Arc<Registry>,
+    pushes: Arc<Semaphore>,
+}
+
+/// An actor registers on the connection of this request.
+///
+/// # Errors
+/// Refuses it when too many connections have actors.
+pub(super) fn note_actor<T>(request: &Request<T>) -> Result<(), Refusal> {
+    let peer: Option<&Peer> = request.extensions().get();
+    peer.map_or(Ok(()), |peer| peer.registry.note_actor(peer.connection))
+}
+
+/// The streams of results that the connection of this request may open.
+pub(super) fn pushes<T>(request: &Request<T>) -> Arc<Semaphore> {
+    let peer: Option<&Peer> = request.extensions().get();
+    peer.map_or_else(|| Arc::new(Semaphore::new(1)), |peer| Arc::clone(&peer.pushes))
 }
 
 /// The connection that a request came over.
@@ -44,7 +63,8 @@ pub(super) fn of<T>(request: &Request<T>) -> ConnectionId {
 
 /// Who makes a call, for the log.
 pub(super) fn caller<T>(request: &Request<T>, call: &'static str) -> Caller {
-    Caller { peer: request.extensions().get().map(|peer: &Peer| peer.address), call }
+    let peer: Option<&Peer> = request.extensions().get();
+    Caller { connection: of(request), peer: peer.map(|peer| peer.address), call }
 }
 
 /// Lets calls pass whose peer has this role, and refuses all others by name.
@@ -67,14 +87,19 @@ pub(super) fn demand<T>(request: &Request<T>, role: Role) -> Result<(), Status> 
 pub(super) type Farewell = Arc<dyn Fn(ConnectionId) + Send + Sync>;
 
 /// Accepts connections until the returned stream is dropped.
-pub(super) fn accept(door: Door, farewell: Farewell) -> ReceiverStream<io::Result<Connection>> {
+/// At most `most_with_actors` of them may have actors.
+pub(super) fn accept(
+    door: Door,
+    most_with_actors: usize,
+    farewell: Farewell,
+) -> ReceiverStream<io::Result<Connection>> {
     // One accepted connection waits for the server; the others stay with the kernel.
     let (sender, stream) = mpsc::channel(1);
     tokio::spawn(async move {
-        let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+        let registry = Registry::new(most_with_actors);
         let crowd = Crowd::new(MOST_OF_ONE_ADDRESS);
         let mut last = 0;
-        while let Ok(permit) = Arc::clone(&room).acquire_owned().await {
+        loop {
             let accepted = tokio::select! {
                 () = sender.closed() => return,
                 accepted = door.listener.accept() => accepted,
@@ -90,7 +115,19 @@ pub(super) fn accept(door: Door, farewell: Farewell) -> ReceiverStream<io::Resul
                     last += 1;
                     let id = ConnectionId(last);
                     let farewell = Arc::clone(&farewell);
-                    let open = Open { id, farewell, _permit: permit, _place: place };
+                    let Admission { place: registered, closed, evicted } = registry.admit(id);
+                    if evicted.is_some() {
+                        tracing::warn!(peer = %address, "too many connections without an actor are open; the \
+                             oldest is closed for a new one");
+                    }
+                    let places = (place, registered);
+                    let open = Open {
+                        id,
+                        farewell,
+                        closed,
+                        registry: Arc::clone(&registry),
+                        _places: places,
+                    };
                     // Whoever is slow to say who they are keeps nobody else waiting.
                     tokio::spawn(usher(io, address, door.guard.clone(), open, sender.clone()));
                 }
@@ -111,11 +148,12 @@ async fn usher(
     io: TcpStream,
     address: SocketAddr,
     guard: Guard,
-    open: Open,
+    mut open: Open,
     server: mpsc::Sender<io::Result<Connection>>,
 ) {
     let greeted = tokio::select! {
         () = server.closed() => return,
+        _ = &mut open.closed => return,
         greeted = greet(io, address, &guard) => greeted,
     };
     if let Some(Admitted { bytes, standing }) = greeted {
@@ -123,8 +161,14 @@ async fn usher(
         let _taken = server
             .send(Ok(Connection {
                 io: bytes,
-                peer: Peer { connection: open.id, address, standing },
-                _open: open,
+                peer: Peer {
+                    connection: open.id,
+                    address,
+                    standing,
+                    registry: Arc::clone(&open.registry),
+                    pushes: Arc::new(Semaphore::new(MOST_PUSHES)),
+                },
+                open,
             }))
             .await;
     }
@@ -134,15 +178,17 @@ async fn usher(
 pub(super) struct Connection {
     io: Box<dyn Bytes>,
     peer: Peer,
-    _open: Open,
+    open: Open,
 }
 
 /// Says when it is closed.
 struct Open {
     id: ConnectionId,
     farewell: Farewell,
-    _permit: OwnedSemaphorePermit,
-    _place: Place,
+    /// Ends when the connection has to close.
+    closed: oneshot::Receiver<()>,
+    registry: Arc<Registry>,
+    _places: (crowd::Place, registry::Place),
 }
 
 impl Drop for Open {
@@ -165,6 +211,10 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        if Pin::new(&mut self.open.closed).poll(context).is_ready() {
+            // No more bytes: the server ends the connection.
+            return Poll::Ready(Ok(()));
+        }
         Pin::new(&mut self.io).poll_read(context, buffer)
     }
 }

@@ -5,14 +5,16 @@ use std::time::Duration;
 
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    Ack, AckState, EvaluationResult, Film, LeaseId, PushHeader, Reason, Refusal, TrajectoryChunk,
-    wire,
+    Ack, EvaluationResult, Film, LeaseId, PushHeader, Reason, Refusal, RolloutOrigin,
+    TrajectoryChunk, wire,
 };
-use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::SendTimeoutError;
+use tokio::sync::{Semaphore, mpsc};
 use tonic::{Code, Status, Streaming};
 
 use crate::exchange::{Caller, Exchange};
+use crate::service::bodies::Share;
+use crate::slots::ConnectionId;
 
 /// A stream on which no whole message came for this long is closed.
 const SILENCE: Duration = Duration::from_secs(300);
@@ -22,25 +24,36 @@ const ACK_DEADLINE: Duration = Duration::from_secs(10);
 /// Acknowledgements of one stream.
 type Acks = mpsc::Sender<Result<wire::PushTrajectoryResponse, Status>>;
 
-/// Takes in everything that comes over `inbound`, until it ends or something is refused.
-pub(super) async fn pump(
-    exchange: Arc<Exchange>,
-    caller: Caller,
-    mut inbound: Streaming<wire::PushTrajectoryRequest>,
-    acks: Acks,
-) {
+/// A stream of results.
+pub(super) struct Results {
+    pub(super) messages: Streaming<wire::PushTrajectoryRequest>,
+    /// Permits of the connection; more streams than these wait.
+    pub(super) pushes: Arc<Semaphore>,
+    /// What the stream holds of the budget of bytes.
+    pub(super) share: Option<Arc<Share>>,
+}
+
+/// Takes in all messages of a stream, until it ends or one is refused.
+pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Results, acks: Acks) {
+    let Results { mut messages, pushes, share } = results;
+    let _permit = tokio::select! {
+        () = acks.closed() => return,
+        permit = pushes.acquire_owned() => permit,
+    };
     let mut lease = None;
     loop {
         let next = tokio::select! {
             () = acks.closed() => return,
-            next = tokio::time::timeout(SILENCE, inbound.message()) => next,
+            next = tokio::time::timeout(SILENCE, messages.message()) => next,
         };
         let result = match next {
             Ok(Ok(None)) => return,
             Ok(Ok(Some(request))) => {
                 lease = Some(LeaseId(request.lease_id));
                 exchange.count_bytes(proto::wire_bytes(&request));
-                take_in(&exchange, caller, request).await
+                let taken = take_in(&exchange, caller, request).await;
+                share.iter().for_each(|share| share.processed());
+                taken
             }
             Ok(Err(status)) => match unreadable(&status) {
                 None => return,
@@ -86,7 +99,8 @@ async fn take_in(
 ) -> Result<wire::PushTrajectoryResponse, Status> {
     let shared = Arc::clone(exchange);
     let lease = LeaseId(request.lease_id);
-    let result = tokio::task::spawn_blocking(move || read(&shared, request)).await;
+    let result =
+        tokio::task::spawn_blocking(move || read(&shared, caller.connection, request)).await;
     match result {
         Ok(Ok(ack)) => Ok(ack.to_wire()),
         Ok(Err(refusal)) => Err(super::refused(exchange, &caller, Some(lease), refusal)),
@@ -98,19 +112,29 @@ async fn take_in(
 }
 
 /// Header, then lease and order, then the content, then the canary.
-fn read(exchange: &Exchange, mut request: wire::PushTrajectoryRequest) -> Result<Ack, Refusal> {
+fn read(
+    exchange: &Exchange,
+    sender: ConnectionId,
+    mut request: wire::PushTrajectoryRequest,
+) -> Result<Ack, Refusal> {
     let film = request.film.take();
     let (header, content) = PushHeader::from_wire(request)?;
     match content {
         Content::Chunk(chunk) => {
-            let state = exchange.preview_chunk(&header, chunk.sequence)?;
-            let chunk = TrajectoryChunk::from_wire(&chunk, exchange.run(), header.digest)?;
-            log(&header, chunk.sequence, state);
-            exchange.accept_chunk(&header, chunk)
+            let decode = |origin: &RolloutOrigin| {
+                TrajectoryChunk::from_wire(&chunk, exchange.run(), origin, header.digest)
+            };
+            exchange.accept_chunk(sender, &header, chunk.sequence, decode)
         }
         Content::Evaluation(result) => {
-            let result = EvaluationResult::from_wire(&result, exchange.run(), header.digest)?;
-            let ack = exchange.accept_evaluation(&header, result)?;
+            let mut checked = None;
+            let ack = exchange.accept_evaluation(sender, &header, |iteration| {
+                let run = exchange.run();
+                let result = EvaluationResult::from_wire(&result, run, iteration, header.digest)?;
+                checked = Some(result);
+                Ok(result)
+            })?;
+            let Some(result) = checked else { return Ok(ack) };
             // No result depends on a film, so one that does not fit costs nobody a lease.
             match film.map(|film| Film::from_wire(&film, exchange.run())).transpose() {
                 Ok(film) => {
@@ -121,8 +145,4 @@ fn read(exchange: &Exchange, mut request: wire::PushTrajectoryRequest) -> Result
             Ok(ack)
         }
     }
-}
-
-fn log(header: &PushHeader, sequence: u32, state: AckState) {
-    tracing::trace!(lease = %header.lease, sequence, ?state, "chunk");
 }

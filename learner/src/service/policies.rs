@@ -18,12 +18,14 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::{COMPILED, connections, deadline, reflection, server};
+use super::{COMPILED, bodies, connections, deadline, reflection, server};
 use crate::door::Door;
 use crate::exchange::Caller;
 use crate::published::Published;
 use crate::team::Team;
 
+/// Actors register with learners only.
+const NO_ACTORS: usize = 0;
 /// Answers that wait to be taken away; then nothing more is read.
 const ANSWERS_AHEAD: usize = 1;
 /// How long open streams have to end when the server stops.
@@ -53,12 +55,13 @@ pub async fn serve_policies(
     door: Door,
     stop: watch::Receiver<bool>,
 ) -> Result<(), tonic::transport::Error> {
-    let incoming = connections::accept(door, Arc::new(drop));
+    let incoming = connections::accept(door, NO_ACTORS, Arc::new(drop));
     let policies = Policies { served, stop: stop.clone() };
     let policies = PolicyServiceServer::new(policies).max_decoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<PolicyServiceServer<Policies>>().await;
     let serving = server()
+        .layer(bodies::limits())
         .add_service(InterceptedService::new(policies, connections::needs(Role::Viewer)))
         .add_service(health)
         .add_service(reflection(&SERVICES).build_v1().expect(COMPILED))

@@ -1,5 +1,5 @@
-//! Registered actors: on which connection they live, whether their numbers can be compared, and how often
-//! they were refused of late.
+//! Registered actors: their connection, whether their results can be compared, and how many of their latest messages
+//! were refused.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -19,12 +19,20 @@ const MOST_DOUBLINGS: u32 = 5;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ConnectionId(pub u64);
 
+/// A registered actor and its connection. Only messages over this connection count as the actor's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Owner {
+    pub(super) actor: ActorId,
+    pub(super) connection: ConnectionId,
+    pub(super) trust: Trust,
+}
+
 /// Whether an actor promises the same bits as the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trust {
     /// It gave the run's fingerprint.
     Exact,
-    /// It gave none: its results are not compared with anybody's, and the run is not exactly repeatable.
+    /// It gave none: its results are not compared with others, and the run is not exactly repeatable.
     Foreign,
 }
 
@@ -82,24 +90,38 @@ impl Actors {
 
     /// The actors that are gone with the connection.
     pub(super) fn disconnect(&mut self, connection: ConnectionId) -> Vec<ActorId> {
-        let of_it =
-            |(id, actor): (&ActorId, &Actor)| (actor.connection == connection).then_some(*id);
-        let gone = self.registered.iter().filter_map(of_it).collect::<Vec<_>>();
+        let gone = self.of(connection);
         self.registered.retain(|_, actor| actor.connection != connection);
         gone
     }
 
-    pub(super) fn known(&self, id: ActorId) -> Result<(), Refusal> {
-        self.find(id).map(|_| ())
+    /// The actor, if it registered on this connection.
+    pub(super) fn owner(&self, sender: ConnectionId, id: ActorId) -> Result<Owner, Refusal> {
+        let actor = self.find(sender, id)?;
+        Ok(Owner { actor: id, connection: sender, trust: actor.trust })
+    }
+
+    /// Whether any actor registered on this connection.
+    pub(super) fn has(&self, connection: ConnectionId) -> bool {
+        self.registered.values().any(|actor| actor.connection == connection)
+    }
+
+    /// Whether exact actors registered on two or more connections.
+    pub(super) fn can_audit(&self) -> bool {
+        let exact = self.registered.values().filter(|actor| actor.trust == Trust::Exact);
+        let mut connections = exact.map(|actor| actor.connection);
+        let first = connections.next();
+        first.is_some_and(|first| connections.any(|other| other != first))
     }
 
     pub(super) fn admit(
         &self,
-        id: ActorId,
+        owner: Owner,
         leases: usize,
         now: Duration,
     ) -> Result<Admission, Refusal> {
-        let actor = self.find(id)?;
+        let id = owner.actor;
+        let actor = self.find(owner.connection, id)?;
         if leases >= MOST_LEASES {
             let detail = format!("actor {id} holds {leases} leases, {MOST_LEASES} are allowed");
             return Err(Refusal::new(Reason::TooManyLeases, "actor_id", detail));
@@ -108,15 +130,18 @@ impl Actors {
         Ok(if wait.is_zero() { Admission::Welcome } else { Admission::Quarantined(wait) })
     }
 
-    fn find(&self, id: ActorId) -> Result<&Actor, Refusal> {
-        self.registered.get(&id).ok_or_else(|| {
-            let detail = format!("actor {id} is not registered, or its connection has closed");
+    fn find(&self, sender: ConnectionId, id: ActorId) -> Result<&Actor, Refusal> {
+        let own = self.registered.get(&id).filter(|actor| actor.connection == sender);
+        own.ok_or_else(|| {
+            let detail = format!("actor {id} is not registered on this connection");
             Refusal::new(Reason::UnknownActor, "actor_id", detail)
         })
     }
 
-    pub(super) fn trust(&self, id: ActorId) -> Result<Trust, Refusal> {
-        self.find(id).map(|actor| actor.trust)
+    /// The actors of a connection.
+    pub(super) fn of(&self, connection: ConnectionId) -> Vec<ActorId> {
+        let own = self.registered.iter().filter(|(_, actor)| actor.connection == connection);
+        own.map(|(id, _)| *id).collect()
     }
 
     pub(super) fn finished(&mut self, id: ActorId) {

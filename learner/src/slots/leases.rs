@@ -1,18 +1,20 @@
-//! Leases: the open ones with what came in under them, and the digests of those that were finished.
+//! Leases: the open ones with the chunks received under them, and the digests of finished ones.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    AckState, ActorId, Digest, EvaluationWork, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal,
+    AckState, Digest, EvaluationWork, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal,
     TrajectoryChunk, WeightsName,
 };
 
-use super::Trust;
+use super::actors::Owner;
 
-/// A lease whose steps stand still for this many times to live is no longer extended by heartbeats.
+/// A lease without progress for this many times to live is no longer extended by heartbeats.
 const PATIENCE_IN_TTLS: u32 = 6;
-/// Finished leases whose results are recognised when they come again, because an acknowledgement was lost.
+/// No lease is extended beyond this many times to live.
+const MOST_AGE_IN_TTLS: u32 = 90;
+/// Finished leases whose results are recognised when they are sent again after a lost acknowledgement.
 const MOST_FINISHED: usize = 4096;
 
 /// What a lease is for.
@@ -20,6 +22,13 @@ const MOST_FINISHED: usize = 4096;
 pub(super) enum Claim {
     /// The slot at this index of the open iteration.
     Slot(usize),
+    /// A slot of this or an earlier iteration, computed again to compare the digests.
+    Audit {
+        /// The slot's iteration.
+        iteration: u64,
+        /// The slot's index.
+        slot: u32,
+    },
     /// An evaluation episode.
     Episode(EvaluationWork),
 }
@@ -27,19 +36,19 @@ pub(super) enum Claim {
 /// An open lease.
 #[derive(Debug)]
 pub(super) struct OpenLease {
-    pub(super) actor: ActorId,
-    pub(super) trust: Trust,
+    pub(super) owner: Owner,
     pub(super) weights: WeightsName,
     pub(super) claim: Claim,
     pub(super) deadline: Duration,
     pub(super) digests: Vec<Digest>,
     pub(super) chunks: Vec<TrajectoryChunk>,
+    pub(super) begun: Duration,
     step: u32,
     progress: Duration,
 }
 
-/// Where a lease stands that a message names.
-pub(super) enum Standing<'a> {
+/// State of the lease that a message names.
+pub(super) enum LeaseState<'a> {
     /// It is open.
     Open(&'a OpenLease),
     /// Its result is complete and has these digests.
@@ -48,49 +57,69 @@ pub(super) enum Standing<'a> {
 
 impl OpenLease {
     pub(super) fn new(
-        (actor, trust): (ActorId, Trust),
+        owner: Owner,
         weights: WeightsName,
         claim: Claim,
         now: Duration,
         ttl: Duration,
     ) -> Self {
-        let (digests, chunks, deadline) = (Vec::new(), Vec::new(), now + ttl);
-        Self { actor, trust, weights, claim, deadline, digests, chunks, step: 0, progress: now }
+        Self {
+            owner,
+            weights,
+            claim,
+            deadline: now + ttl,
+            digests: Vec::new(),
+            chunks: Vec::new(),
+            begun: now,
+            step: 0,
+            progress: now,
+        }
     }
 
-    /// Something of the work came in.
-    pub(super) fn hear(&mut self, now: Duration, ttl: Duration) {
-        self.progress = now;
-        self.deadline = now + ttl;
-    }
-
-    /// A sign of life: it extends the lease unless the work has stood still for long.
+    /// A heartbeat: extends the lease unless it made no progress for long, or is too old. Only accepted chunks are
+    /// progress of a slot; an episode has none, so its steps count.
     pub(super) fn beat(&mut self, step: u32, now: Duration, ttl: Duration) {
-        if step > self.step {
+        if matches!(self.claim, Claim::Episode(_)) && step > self.step {
             self.step = step;
             self.progress = now;
         }
-        if now - self.progress < ttl * PATIENCE_IN_TTLS {
-            self.deadline = now + ttl;
-        }
+        self.extend(now, ttl);
+    }
+
+    fn extend(&mut self, now: Duration, ttl: Duration) {
+        let patient = self.progress + ttl * PATIENCE_IN_TTLS;
+        let longest = self.begun + ttl * MOST_AGE_IN_TTLS;
+        self.deadline = (now + ttl).min(patient).min(longest);
     }
 
     pub(super) fn status(&self, lease: LeaseId, now: Duration) -> LeaseStatus {
         LeaseStatus {
             lease,
-            actor: self.actor,
+            actor: self.owner.actor,
             work: match self.claim {
                 Claim::Slot(index) => LeasedWork::Slot(index as u32),
+                Claim::Audit { slot, .. } => LeasedWork::Slot(slot),
                 Claim::Episode(work) => LeasedWork::Episode(work.episode),
             },
-            chunks: self.chunks.len() as u32,
+            chunks: self.digests.len() as u32,
             still_secs: (now - self.progress).as_secs_f64(),
         }
     }
 
-    pub(super) fn accept(&mut self, digest: Digest, chunk: TrajectoryChunk) {
+    /// Takes in the next chunk. An audit needs only its digest.
+    pub(super) fn accept(
+        &mut self,
+        digest: Digest,
+        chunk: TrajectoryChunk,
+        now: Duration,
+        ttl: Duration,
+    ) {
         self.digests.push(digest);
-        self.chunks.push(chunk);
+        if matches!(self.claim, Claim::Slot(_)) {
+            self.chunks.push(chunk);
+        }
+        self.progress = now;
+        self.extend(now, ttl);
     }
 
     pub(super) fn same_weights(&self, found: WeightsName) -> Result<(), Refusal> {
@@ -137,7 +166,7 @@ pub(super) fn follows(
     digest: Digest,
 ) -> Result<AckState, Refusal> {
     if (sequence as usize) < digests.len() {
-        return repeated(digests, sequence, digest);
+        return repeated(digests, sequence, digest).map(|()| AckState::Repeated);
     }
     if sequence as usize == digests.len() {
         return Ok(AckState::Accepted);
@@ -146,16 +175,12 @@ pub(super) fn follows(
     Err(Refusal::new(Reason::OutOfOrder, "chunk.sequence", detail))
 }
 
-/// Whether chunk `sequence` is the one that was given before.
-pub(super) fn repeated(
-    digests: &[Digest],
-    sequence: u32,
-    digest: Digest,
-) -> Result<AckState, Refusal> {
+/// Whether chunk `sequence` is equal to the one that was given before.
+pub(super) fn repeated(digests: &[Digest], sequence: u32, digest: Digest) -> Result<(), Refusal> {
     match digests.get(sequence as usize) {
-        Some(held) if *held == digest => Ok(AckState::Repeated),
+        Some(held) if *held == digest => Ok(()),
         Some(held) => {
-            let detail = format!("{digest}, this lease gave {held} before");
+            let detail = format!("{digest}, the accepted one is {held}");
             Err(Refusal::new(Reason::DigestConflict, "digest", detail))
         }
         None => {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use proto::{ActorId, Digest, EvaluationResult, Lease, LeaseId, LeaseStatus, TrajectoryChunk};
 
-use super::Disagreement;
+use super::{AuditCounts, Disagreement};
 
 /// A complete slot.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,7 +53,7 @@ pub enum Incident {
         /// What it was at, ended now.
         leases: Vec<LeaseStatus>,
     },
-    /// Nothing was heard of this lease for its time to live, or its work stood still for long.
+    /// No message came for this lease for its time to live, it made no progress for long, or it is too old.
     Expired(LeaseStatus),
     /// Too many messages in a row were refused.
     Quarantined {
@@ -80,7 +80,7 @@ pub enum Offer {
 /// How far the table is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Chunks accepted in the open iteration, of open leases and complete slots.
+    /// Chunks accepted in the open iteration, of complete slots and of the lease of each held slot that is furthest.
     pub chunks: u64,
     /// Registered actors.
     pub actors: usize,
@@ -88,6 +88,10 @@ pub struct Counts {
     pub foreign: u64,
     /// Slots and episodes that had to be leased again, over the whole run.
     pub reissued: u64,
+    /// Slots that were leased a second time because the first lease was slow, over the whole run.
+    pub backups: u64,
+    /// Slots computed twice for comparison, over the whole run.
+    pub audits: AuditCounts,
     /// Open leases, of slots and of evaluation episodes.
     pub leases: usize,
     /// Slots of the open iteration.
@@ -101,12 +105,14 @@ pub struct Counts {
 pub struct Footprint {
     /// Registered actors: at most 16 for each open connection.
     pub actors: usize,
-    /// Open leases: at most one for each slot and each episode of an open evaluation.
+    /// Open leases: at most two for each slot, one for each audit and each episode of an open evaluation.
     pub open_leases: usize,
     /// Finished leases whose results are recognised when they come again: at most 4,096.
     pub finished_leases: usize,
-    /// Chunks of the open iteration: at most all of them once.
+    /// Chunks of the open iteration: at most all of them twice.
     pub chunks: u64,
     /// Digests of ended leases: at most 9 lists for each slot.
-    pub witnesses: usize,
+    pub earlier_results: usize,
+    /// Slots to be computed again for comparison: at most 8.
+    pub open_audits: usize,
 }

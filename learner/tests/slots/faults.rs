@@ -4,12 +4,14 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use learner::slots::{ConnectionId, Effect, Offer, SlotTable, Trust};
+use learner::slots::{Effect, Offer, SlotTable};
 use proptest::prelude::*;
-use proto::{ActorId, Beat, Lease};
+use proto::{AckState, Beat};
 
 use crate::schedules::for_all;
-use crate::table::{CHUNKS, INCARNATION, TTL, honest, push, table, weights, works};
+use crate::table::{
+    Actor, CHUNKS, Held, INCARNATION, TTL, actor, honest, push, table, weights, works,
+};
 
 const SLOTS: u32 = 3;
 
@@ -53,9 +55,9 @@ fn happening() -> impl Strategy<Value = Happening> {
 struct World {
     table: SlotTable,
     now: Duration,
-    actors: Vec<ActorId>,
+    actors: Vec<Actor>,
     /// Every lease ever given, and the chunks its actor has sent.
-    leases: Vec<(Lease, u32)>,
+    leases: Vec<(Held, u32)>,
     iteration: u64,
     consumed: BTreeSet<(u64, u32)>,
 }
@@ -73,13 +75,15 @@ impl World {
             Happening::Push { lease, skip } => self.push(lease, skip),
             Happening::Repeat(at) => self.repeat(at),
             Happening::Refuse(at) => {
-                let lease = pick(&self.leases, at).map(|(lease, _)| lease.id);
-                lease.into_iter().for_each(|id| self.table.refuse(id));
+                if let Some((lease, _)) = pick(&self.leases, at) {
+                    self.table.refuse(lease.connection, Some(lease.id));
+                }
             }
             Happening::Beat(at) => self.beat(at),
             Happening::Disconnect(at) => {
-                let actor = pick(&self.actors, at).copied();
-                actor.into_iter().for_each(|actor| self.table.disconnect(ConnectionId(actor.0)));
+                if let Some(actor) = pick(&self.actors, at) {
+                    self.table.disconnect(actor.connection);
+                }
             }
             Happening::Pass(tenths) => {
                 self.now += TTL * tenths / 10;
@@ -90,15 +94,15 @@ impl World {
     }
 
     fn register(&mut self) {
-        // Each actor has the connection with its own number.
-        let connection = ConnectionId(self.actors.len() as u64 + 1);
-        self.actors.push(self.table.register(connection, Trust::Exact));
+        // Each actor has a connection of its own.
+        let connection = self.actors.len() as u64 + 1;
+        self.actors.push(actor(&mut self.table, connection));
     }
 
     fn lease(&mut self, at: usize) {
         let Some(actor) = pick(&self.actors, at) else { return };
-        if let Ok(Offer::Lease(lease)) = self.table.lease(*actor, INCARNATION) {
-            self.leases.push((lease, 0));
+        if let Ok(Offer::Lease(lease)) = actor.ask(&mut self.table) {
+            self.leases.push((Held { connection: actor.connection, lease }, 0));
         }
     }
 
@@ -106,10 +110,13 @@ impl World {
         let Some(at) = at.checked_rem(self.leases.len()) else { return };
         let (lease, sent) = &mut self.leases[at];
         let sequence = *sent + skip;
-        if sequence < CHUNKS && push(&mut self.table, lease, sequence).is_ok() {
-            assert_eq!(skip, 0, "a chunk was taken in although one before it is missing");
-            *sent += 1;
-        }
+        let Some(Ok(ack)) = (sequence < CHUNKS).then(|| push(&mut self.table, lease, sequence))
+        else {
+            return;
+        };
+        let accepted = ack.state == AckState::Accepted;
+        assert!(!accepted || skip == 0, "a chunk was taken in although one before it is missing");
+        *sent += 1;
     }
 
     fn repeat(&mut self, at: usize) {
@@ -124,8 +131,9 @@ impl World {
         else {
             return;
         };
-        let (incarnation, lease) = (INCARNATION, lease.id);
-        let _ = self.table.heartbeat(&Beat { actor: *actor, incarnation, lease, slot_step: *sent });
+        let (actor, connection) = (actor.id, actor.connection);
+        let beat = Beat { actor, incarnation: INCARNATION, lease: lease.id, slot_step: *sent };
+        let _ = self.table.heartbeat(connection, &beat);
     }
 
     /// Takes complete iterations out, as the trainer does, and opens the next one.

@@ -6,7 +6,8 @@ use learner::slots::{ConnectionId, Effect, Offer};
 use proto::{ActorId, Beat, EvaluationResult, Incarnation, PushHeader, Reason, Work};
 
 use crate::table::{
-    CHUNKS, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights, works,
+    Actor, CHUNKS, Held, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights,
+    works,
 };
 
 fn second(count: u64) -> Duration {
@@ -19,9 +20,9 @@ fn the_lowest_free_slot_is_leased_first() {
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, a);
     assert_eq!((slot(&first), slot(&lease(&mut table, b))), (0, 1));
-    table.refuse(first.id);
+    table.refuse(first.connection, Some(first.id));
     assert_eq!((slot(&lease(&mut table, b)), slot(&lease(&mut table, b))), (0, 2));
-    assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Nothing));
+    assert_eq!(a.ask(&mut table), Ok(Offer::Nothing));
 }
 
 #[test]
@@ -36,8 +37,8 @@ fn evaluations_are_leased_when_no_slot_is_free_and_end_once_all_episodes_are_in(
         let Work::Evaluation(work) = lease.work else { panic!("{lease:?}") };
         assert_eq!((work.iteration, work.episode), (7, i as u32));
         let result = EvaluationResult { episode: i as u32, extrinsic_return: i as f64, steps: 5 };
-        let header = PushHeader::of(lease, result.digest());
-        assert!(table.evaluation(&header, result).unwrap().lease_finished);
+        let header = PushHeader::of(lease, result.digest(work.iteration));
+        assert!(table.evaluation(lease.connection, &header, result).unwrap().lease_finished);
     }
     let [Effect::Evaluation(outcome)] = &table.effects()[..] else { panic!("no outcome") };
     let returns = outcome.episodes.iter().map(|episode| episode.extrinsic_return);
@@ -51,7 +52,7 @@ fn a_silent_lease_ends_after_its_time_to_live_and_the_slot_starts_again() {
     let late = lease(&mut table, a);
     push(&mut table, &late, 0).unwrap();
     table.tick(TTL - second(1));
-    assert_eq!(table.lease(b, INCARNATION), Ok(Offer::Nothing));
+    assert_eq!(b.ask(&mut table), Ok(Offer::Nothing));
     table.tick(TTL);
     assert_eq!(table.effects(), [Effect::WorkFreed]);
     let again = lease(&mut table, b);
@@ -61,22 +62,47 @@ fn a_silent_lease_ends_after_its_time_to_live_and_the_slot_starts_again() {
 }
 
 #[test]
-fn what_is_heard_of_a_lease_extends_it_until_the_work_stands_still_for_long() {
+fn heartbeats_extend_a_lease_until_no_chunk_came_for_long_whatever_steps_they_claim() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
-    let beat = |slot_step| Beat { actor: a, incarnation: INCARNATION, lease: lease.id, slot_step };
-    for time in 1..20 {
+    let beat =
+        |slot_step| Beat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
+    push(&mut table, &lease, 0).unwrap();
+    for time in 1..8 {
         table.tick(second(15 * time));
-        assert_eq!(table.heartbeat(&beat(time as u32)), Ok(true), "at {} s", 15 * time);
+        assert_eq!(table.heartbeat(a.connection, &beat(5 * time as u32)), Ok(true), "{time}");
     }
-    // It stands still from 285 s on: signs of life extend it only for six times to live.
-    let ended = (20..40).find(|time| {
+    table.tick(6 * TTL);
+    assert_eq!(table.heartbeat(a.connection, &beat(50)), Ok(false));
+}
+
+#[test]
+fn an_episode_is_played_on_while_its_steps_rise_but_no_lease_grows_older_than_ninety_times_to_live()
+{
+    let mut table = table(0);
+    table.open_evaluation(0, weights(), 1);
+    let a = actor(&mut table, 1);
+    let lease = lease(&mut table, a);
+    let beat =
+        |slot_step| Beat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
+    for time in 1..120 {
         table.tick(second(15 * time));
-        table.heartbeat(&beat(19)) == Ok(false)
-    });
-    let end = second(285) + 6 * TTL;
-    assert!(ended.map(|time| second(15 * time)).is_some_and(|at| at > end && at < end + 2 * TTL));
+        assert_eq!(table.heartbeat(a.connection, &beat(time as u32)), Ok(true), "{time}");
+    }
+    table.tick(90 * TTL);
+    assert_eq!(table.heartbeat(a.connection, &beat(121)), Ok(false));
+}
+
+#[test]
+fn more_steps_than_the_work_has_are_refused() {
+    let mut table = table(1);
+    let a = actor(&mut table, 1);
+    let lease = lease(&mut table, a);
+    let beat = Beat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step: 51 };
+    let refusal = table.heartbeat(a.connection, &beat).unwrap_err();
+    assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::BadValue, "slot_step"));
+    assert_eq!(refusal.detail, "51, the work has 50 steps");
 }
 
 #[test]
@@ -87,7 +113,7 @@ fn a_closed_connection_frees_its_leases_at_once() {
     table.disconnect(ConnectionId(1));
     assert_eq!((slot(&lease(&mut table, b)), table.counts().actors), (0, 1));
     assert_eq!(push(&mut table, &gone[0], 0).unwrap_err().reason, Reason::UnknownLease);
-    assert_eq!(table.lease(a, INCARNATION).unwrap_err().reason, Reason::UnknownActor);
+    assert_eq!(a.ask(&mut table).unwrap_err().reason, Reason::UnknownActor);
 }
 
 #[test]
@@ -95,8 +121,14 @@ fn another_incarnation_or_an_unknown_actor_is_refused() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let other = Incarnation(10);
-    assert_eq!(table.lease(a, other).unwrap_err().reason, Reason::OtherIncarnation);
-    assert_eq!(table.lease(ActorId(99), INCARNATION).unwrap_err().reason, Reason::UnknownActor);
+    assert_eq!(
+        table.lease(a.connection, a.id, other).unwrap_err().reason,
+        Reason::OtherIncarnation
+    );
+    assert_eq!(
+        table.lease(a.connection, ActorId(99), INCARNATION).unwrap_err().reason,
+        Reason::UnknownActor
+    );
     let mut lease = lease(&mut table, a);
     lease.incarnation = other;
     assert_eq!(push(&mut table, &lease, 0).unwrap_err().reason, Reason::OtherIncarnation);
@@ -107,7 +139,7 @@ fn an_actor_holds_four_leases_at_most() {
     let mut table = table(5);
     let a = actor(&mut table, 1);
     (0..4).for_each(|_| drop(lease(&mut table, a)));
-    assert_eq!(table.lease(a, INCARNATION).unwrap_err().reason, Reason::TooManyLeases);
+    assert_eq!(a.ask(&mut table).unwrap_err().reason, Reason::TooManyLeases);
 }
 
 #[test]
@@ -116,11 +148,11 @@ fn an_actor_that_is_refused_three_times_in_a_row_waits_while_others_work() {
     let (bad, good) = (actor(&mut table, 1), actor(&mut table, 2));
     for _ in 0..3 {
         let lease = lease(&mut table, bad);
-        table.refuse(lease.id);
+        table.refuse(lease.connection, Some(lease.id));
     }
-    assert_eq!(table.lease(bad, INCARNATION), Ok(Offer::Quarantined(TTL)));
+    assert_eq!(bad.ask(&mut table), Ok(Offer::Quarantined(TTL)));
     let kept = lease(&mut table, good);
-    table.refuse(kept.id);
+    table.refuse(kept.connection, Some(kept.id));
     table.tick(TTL);
     assert_eq!(slot(&lease(&mut table, bad)), 0);
 }
@@ -136,7 +168,7 @@ fn leases_of_an_iteration_end_when_the_next_one_opens() {
     assert!(matches!(complete(&mut table, &lease)[..], [Effect::Iteration(_)]));
 }
 
-fn lease_of(table: &mut learner::slots::SlotTable, actor: ActorId) -> proto::Lease {
+fn lease_of(table: &mut learner::slots::SlotTable, actor: Actor) -> Held {
     table.effects();
     lease(table, actor)
 }
@@ -146,7 +178,7 @@ fn a_finished_run_answers_done() {
     let mut table = table(2);
     let a = actor(&mut table, 1);
     table.finish();
-    assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Done));
+    assert_eq!(a.ask(&mut table), Ok(Offer::Done));
 }
 
 #[test]
@@ -156,7 +188,7 @@ fn a_paused_run_gives_no_work_lets_open_work_be_finished_and_goes_on() {
     let open = lease(&mut table, a);
     table.open_evaluation(0, weights(), 1);
     table.pause();
-    assert_eq!((table.lease(a, INCARNATION), table.is_paused()), (Ok(Offer::Nothing), true));
+    assert_eq!((a.ask(&mut table), table.is_paused()), (Ok(Offer::Nothing), true));
     assert!((0..CHUNKS).all(|sequence| push(&mut table, &open, sequence).is_ok()));
     table.effects();
     table.resume();
@@ -164,7 +196,7 @@ fn a_paused_run_gives_no_work_lets_open_work_be_finished_and_goes_on() {
     assert_eq!(slot(&lease(&mut table, a)), 1);
     table.pause();
     table.finish();
-    assert_eq!(table.lease(a, INCARNATION), Ok(Offer::Done), "a run that is over is over");
+    assert_eq!(a.ask(&mut table), Ok(Offer::Done), "a run that is over is over");
 }
 
 #[test]
@@ -174,10 +206,7 @@ fn a_connection_that_registers_for_the_seventeenth_time_loses_its_first_actor() 
     let held = lease(&mut table, first);
     (0..15).for_each(|_| assert_ne!(actor(&mut table, 1), first));
     let elsewhere = actor(&mut table, 2);
-    assert_eq!(
-        (table.counts().actors, table.lease(elsewhere, INCARNATION)),
-        (17, Ok(Offer::Nothing))
-    );
+    assert_eq!((table.counts().actors, elsewhere.ask(&mut table)), (17, Ok(Offer::Nothing)));
     actor(&mut table, 1);
     assert_eq!(table.counts().actors, 17);
     assert_eq!(push(&mut table, &held, 0).unwrap_err().reason, Reason::UnknownLease);

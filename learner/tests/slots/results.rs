@@ -3,7 +3,7 @@
 use learner::slots::{ConnectionId, Effect, SlotTable, Trust};
 use proto::{AckState, ActorId, Digest, PolicyVersion, Reason};
 
-use crate::table::{CHUNKS, actor, complete, lease, push, push_as, table};
+use crate::table::{Actor, CHUNKS, actor, complete, lease, push, push_as, table};
 
 const OTHER: Digest = Digest([66; 32]);
 
@@ -28,7 +28,7 @@ fn an_iteration_is_complete_when_every_slot_is_and_comes_in_the_order_of_slots()
     let (first, second) = (lease(&mut table, a), lease(&mut table, b));
     assert_eq!(complete(&mut table, &second), []);
     assert_eq!(table.counts().chunks, u64::from(CHUNKS));
-    assert_eq!(rollouts(&complete(&mut table, &first)), [(0, a), (1, b)]);
+    assert_eq!(rollouts(&complete(&mut table, &first)), [(0, a.id), (1, b.id)]);
 }
 
 #[test]
@@ -76,7 +76,7 @@ fn a_result_that_agrees_with_what_was_seen_before_stands() {
     vanish_after(&mut table, 2, honest);
     let a = actor(&mut table, 3);
     let lease = lease(&mut table, a);
-    assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, a)]);
+    assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, a.id)]);
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn a_result_that_contradicts_an_unfinished_one_stands_when_it_comes_out_again() 
     let first = lease(&mut table, a);
     assert_eq!(complete(&mut table, &first), [Effect::WorkFreed]);
     let second = lease(&mut table, b);
-    assert_eq!(rollouts(&complete(&mut table, &second)), [(0, b)]);
+    assert_eq!(rollouts(&complete(&mut table, &second)), [(0, b.id)]);
 }
 
 #[test]
@@ -103,15 +103,16 @@ fn two_complete_results_that_differ_stop_the_run_and_name_everybody() {
     push(&mut table, &second, 2).unwrap();
     let [Effect::Failed(found)] = &table.effects()[..] else { panic!("no failure") };
     assert_eq!((found.slot, found.sequence), (0, 1));
-    assert_eq!((found.first.actor, found.second.actor, found.second.digest), (a, b, OTHER));
+    assert_eq!((found.first.actor, found.second.actor, found.second.digest), (a.id, b.id, OTHER));
 }
 
 #[test]
 fn results_of_a_foreign_actor_are_never_compared() {
     let mut table = table(1);
     vanish_after(&mut table, 1, OTHER);
-    let foreign = table.register(ConnectionId(2), Trust::Foreign);
+    let connection = ConnectionId(2);
+    let foreign = Actor { connection, id: table.register(connection, Trust::Foreign) };
     let lease = lease(&mut table, foreign);
-    assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, foreign)]);
+    assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, foreign.id)]);
     assert_eq!(table.counts().foreign, 1);
 }

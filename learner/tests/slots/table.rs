@@ -1,8 +1,9 @@
 //! A slot table with small numbers, and an actor that does what a test says.
 
+use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
-use learner::slots::{ConnectionId, Effect, Offer, SlotTable, Trust};
+use learner::slots::{AuditPlan, ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
 use proto::{
     Ack, ActorId, Digest, EnvironmentStart, Incarnation, Lease, PolicyVersion, PushHeader, Refusal,
     RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
@@ -27,22 +28,79 @@ pub(crate) fn works(iteration: u64, slots: u32) -> Vec<RolloutWork> {
         .collect()
 }
 
+/// The rules of a start of the learner, without audits.
+pub(crate) fn rules(incarnation: Incarnation) -> SlotRules {
+    SlotRules {
+        incarnation,
+        ttl: TTL,
+        chunks_per_slot: CHUNKS,
+        steps_per_slot: 50,
+        episode_steps: 1000,
+        audit: AuditPlan::NONE,
+    }
+}
+
 /// A table with an open iteration of `slots` slots.
 pub(crate) fn table(slots: u32) -> SlotTable {
-    let mut table = SlotTable::new(INCARNATION, TTL, CHUNKS);
+    opened(SlotTable::new(rules(INCARNATION)), slots)
+}
+
+/// A table whose slots are all audited.
+pub(crate) fn audited_table(slots: u32) -> SlotTable {
+    let audit = AuditPlan { share: 1.0, secret: 5 };
+    opened(SlotTable::new(SlotRules { audit, ..rules(INCARNATION) }), slots)
+}
+
+fn opened(mut table: SlotTable, slots: u32) -> SlotTable {
     table.open_iteration(0, weights(), works(0, slots));
     table.effects();
     table
 }
 
-/// An actor on a connection of its own.
-pub(crate) fn actor(table: &mut SlotTable, connection: u64) -> ActorId {
-    table.register(ConnectionId(connection), Trust::Exact)
+/// A registered actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Actor {
+    pub(crate) connection: ConnectionId,
+    pub(crate) id: ActorId,
 }
 
-pub(crate) fn lease(table: &mut SlotTable, actor: ActorId) -> Lease {
-    match table.lease(actor, INCARNATION).unwrap() {
-        Offer::Lease(lease) => lease,
+impl Actor {
+    /// Asks for work.
+    pub(crate) fn ask(self, table: &mut SlotTable) -> Result<Offer, Refusal> {
+        table.lease(self.connection, self.id, INCARNATION)
+    }
+}
+
+/// A lease, and the connection that holds it.
+#[derive(Clone, Debug)]
+pub(crate) struct Held {
+    pub(crate) connection: ConnectionId,
+    pub(crate) lease: Lease,
+}
+
+impl Deref for Held {
+    type Target = Lease;
+
+    fn deref(&self) -> &Lease {
+        &self.lease
+    }
+}
+
+impl DerefMut for Held {
+    fn deref_mut(&mut self) -> &mut Lease {
+        &mut self.lease
+    }
+}
+
+/// An exact actor on this connection.
+pub(crate) fn actor(table: &mut SlotTable, connection: u64) -> Actor {
+    let connection = ConnectionId(connection);
+    Actor { connection, id: table.register(connection, Trust::Exact) }
+}
+
+pub(crate) fn lease(table: &mut SlotTable, actor: Actor) -> Held {
+    match actor.ask(table).unwrap() {
+        Offer::Lease(lease) => Held { connection: actor.connection, lease },
         other => panic!("expected a lease, got {other:?}"),
     }
 }
@@ -76,21 +134,21 @@ pub(crate) fn chunk(lease: &Lease, sequence: u32) -> TrajectoryChunk {
     }
 }
 
-pub(crate) fn push(table: &mut SlotTable, lease: &Lease, sequence: u32) -> Result<Ack, Refusal> {
+pub(crate) fn push(table: &mut SlotTable, lease: &Held, sequence: u32) -> Result<Ack, Refusal> {
     push_as(table, lease, sequence, honest(lease, sequence))
 }
 
 pub(crate) fn push_as(
     table: &mut SlotTable,
-    lease: &Lease,
+    lease: &Held,
     sequence: u32,
     digest: Digest,
 ) -> Result<Ack, Refusal> {
-    table.chunk(&PushHeader::of(lease, digest), chunk(lease, sequence))
+    table.chunk(lease.connection, &PushHeader::of(lease, digest), chunk(lease, sequence))
 }
 
 /// Pushes everything honestly, and hands back what the table wants done.
-pub(crate) fn complete(table: &mut SlotTable, lease: &Lease) -> Vec<Effect> {
+pub(crate) fn complete(table: &mut SlotTable, lease: &Held) -> Vec<Effect> {
     for sequence in 0..CHUNKS {
         push(table, lease, sequence).unwrap();
     }

@@ -42,10 +42,14 @@ fn work(exchange: &Exchange, connection: ConnectionId, gone: &AtomicBool) {
     let run = exchange.run().clone();
     let registered = exchange.register(connection, &registration(&run)).unwrap();
     while !gone.load(Ordering::Relaxed) {
-        let answer =
-            exchange.lease(registered.actor, registered.incarnation, Duration::from_millis(50));
+        let answer = exchange.lease(
+            connection,
+            registered.actor,
+            registered.incarnation,
+            Duration::from_millis(50),
+        );
         match runtime.block_on(answer).unwrap() {
-            LeaseAnswer::Lease(lease) => perform(exchange, &run, &lease),
+            LeaseAnswer::Lease(lease) => perform(exchange, connection, &run, &lease),
             LeaseAnswer::Retry { .. } => {}
             LeaseAnswer::Done => break,
         }
@@ -63,20 +67,25 @@ fn registration(run: &RunDescription) -> Registration {
 }
 
 /// A result that is not wanted any more is refused, as in a real run when the learner stops.
-fn perform(exchange: &Exchange, run: &RunDescription, lease: &Lease) {
+fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, lease: &Lease) {
     let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };
     let policy = PolicySnapshot::from_bytes(&snapshot).unwrap();
     match &lease.work {
         Work::Rollout(work) => {
             for chunk in toy::roll_out(run, &policy, work) {
-                if exchange.accept_chunk(&PushHeader::of(lease, chunk.digest()), chunk).is_err() {
+                let header = PushHeader::of(lease, chunk.digest(&work.origin()));
+                if exchange
+                    .accept_chunk(connection, &header, chunk.sequence, |_| Ok(chunk))
+                    .is_err()
+                {
                     return;
                 }
             }
         }
         Work::Evaluation(work) => {
             let result = toy::evaluate(run, &policy, work);
-            let _late = exchange.accept_evaluation(&PushHeader::of(lease, result.digest()), result);
+            let header = PushHeader::of(lease, result.digest(work.iteration));
+            let _late = exchange.accept_evaluation(connection, &header, |_| Ok(result));
         }
     }
 }

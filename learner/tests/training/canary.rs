@@ -3,7 +3,9 @@
 use learner::assemble::problem;
 use learner::{canary, launch};
 use policy::{CoreKind, PolicySnapshot};
-use proto::{EnvironmentStart, Reason, RolloutWork, RunDescription, Start, TrajectoryChunk};
+use proto::{
+    EnvironmentStart, Reason, RolloutOrigin, RolloutWork, RunDescription, Start, TrajectoryChunk,
+};
 
 use crate::settings::launch_in;
 use crate::toy;
@@ -26,13 +28,36 @@ fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<Trajectory
     (run, policy, chunks)
 }
 
+/// The slot that is rolled out.
+fn origin() -> RolloutOrigin {
+    RolloutOrigin { iteration: 0, slot: 0, environments: vec![0, 1] }
+}
+
+#[test]
+fn a_chunk_of_another_slot_iteration_or_environment_is_refused_by_its_random_draws() {
+    let (run, policy, chunks) = rolled_out(CoreKind::Gru);
+    let others = [
+        RolloutOrigin { environments: vec![2, 3], slot: 1, ..origin() },
+        RolloutOrigin { iteration: 1, ..origin() },
+        RolloutOrigin { environments: vec![0, 3], ..origin() },
+    ];
+    for other in others {
+        let refusal = canary::check(&policy, &run, &chunks[0], Some(&other)).unwrap_err();
+        assert_eq!(
+            (refusal.reason, refusal.field.as_str()),
+            (Reason::CanaryMismatch, "chunk.agents[0].action")
+        );
+    }
+    assert_eq!(canary::check(&policy, &run, &chunks[0], None), Ok(()));
+}
+
 #[test]
 fn chunks_of_the_named_policy_pass_with_and_without_memory() {
     for core in [CoreKind::Gru, CoreKind::Mlp] {
         let (run, policy, chunks) = rolled_out(core);
         assert!(chunks.iter().any(|chunk| chunk.truncated.contains(&true)));
         for chunk in &chunks {
-            assert_eq!(canary::check(&policy, &run, chunk), Ok(()));
+            assert_eq!(canary::check(&policy, &run, chunk, Some(&origin())), Ok(()));
         }
     }
 }
@@ -54,7 +79,7 @@ fn a_changed_number_is_refused_by_agent_step_and_environment() {
     for (spoil, field, place) in spoiled {
         let mut chunk = chunks.last().unwrap().clone();
         spoil(&mut chunk);
-        let refusal = canary::check(&policy, &run, &chunk).unwrap_err();
+        let refusal = canary::check(&policy, &run, &chunk, Some(&origin())).unwrap_err();
         assert_eq!(
             (refusal.reason, refusal.field),
             (Reason::CanaryMismatch, format!("chunk.{field}"))
@@ -68,6 +93,6 @@ fn of_several_differences_the_first_step_is_told() {
     let (run, policy, mut chunks) = rolled_out(CoreKind::Gru);
     chunks[0].agents[0].log_prob[6] += 1.0;
     chunks[0].agents[0].log_prob[2] += 1.0;
-    let refusal = canary::check(&policy, &run, &chunks[0]).unwrap_err();
+    let refusal = canary::check(&policy, &run, &chunks[0], Some(&origin())).unwrap_err();
     assert!(refusal.detail.contains("step 1 of environment 0"), "{}", refusal.detail);
 }

@@ -28,9 +28,9 @@ fn train_until(
     actors: u64,
     enough: impl Fn(&Event) -> bool + Send + 'static,
 ) -> (Summary, Vec<Event>) {
-    let lease = launch.config.lease;
+    let (lease, audit) = (launch.config.lease, launch.config.audit);
     let (trainer, run) = launch::prepare(launch).unwrap();
-    let exchange = Exchange::new(run, lease);
+    let exchange = Exchange::new(run, lease, audit);
     let crew = Actors::start(actors, &exchange);
     let events = Arc::new(Mutex::new(Vec::new()));
     let stops = Arc::new(AtomicUsize::new(0));

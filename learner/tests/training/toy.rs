@@ -179,11 +179,11 @@ impl Slot<'_> {
             &mut mean,
             &mut Scratch::default(),
         );
-        let key =
-            Draw::of(Purpose::Action).iteration(self.work.iteration).step(step).agent(agent as u32);
         let mut actions = Vec::new();
         for (start, mean) in self.work.environments.iter().zip(&mean) {
-            let mut rng = generator(RunSeed(self.run.seed), key.environment(start.environment));
+            let (iteration, environment) = (self.work.iteration, start.environment);
+            let draw = Draw::of_action(iteration, environment, step, agent as u32);
+            let mut rng = generator(RunSeed(self.run.seed), draw);
             let mut action = [0.0];
             policy.draw(&[*mean], &mut rng, &mut action);
             chunk.log_prob.push(policy.log_prob(&[*mean], &action));

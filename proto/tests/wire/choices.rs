@@ -20,8 +20,8 @@ fn chunk(action: [f32; 4]) -> TrajectoryChunk {
 }
 
 fn sent(action: [f32; 4]) -> Result<TrajectoryChunk, Refusal> {
-    let (message, digest) = chunk(action).to_wire(&run());
-    TrajectoryChunk::from_wire(&message, &run(), digest)
+    let (message, digest) = chunk(action).to_wire(&run(), &sample::origin());
+    TrajectoryChunk::from_wire(&message, &run(), &sample::origin(), digest)
 }
 
 #[test]

@@ -9,9 +9,9 @@ use proto::{
 use crate::sample;
 
 fn with_state(tensor: wire::Tensor) -> Refusal {
-    let (mut message, digest) = sample::chunk(0).to_wire(&sample::run());
+    let (mut message, digest) = sample::chunk(0).to_wire(&sample::run(), &sample::origin());
     message.state = Some(tensor);
-    TrajectoryChunk::from_wire(&message, &sample::run(), digest).unwrap_err()
+    TrajectoryChunk::from_wire(&message, &sample::run(), &sample::origin(), digest).unwrap_err()
 }
 
 fn floats(shape: &[u32], data: Bytes) -> wire::Tensor {
@@ -37,7 +37,12 @@ fn four_mebibytes_in_one_tensor_are_refused_by_their_shape() {
 #[test]
 fn an_empty_message_is_refused_by_its_first_missing_part() {
     let (run, digest) = (sample::run(), Digest([0; 32]));
-    let refusal = TrajectoryChunk::from_wire(&wire::TrajectoryChunk::default(), &run, digest);
+    let refusal = TrajectoryChunk::from_wire(
+        &wire::TrajectoryChunk::default(),
+        &run,
+        &sample::origin(),
+        digest,
+    );
     assert_eq!(refusal.unwrap_err().field, "chunk.steps");
     let lease = LeaseAnswer::from_wire(wire::LeaseSlotsResponse::default(), &run);
     assert_eq!(lease.unwrap_err().field, "answer");
@@ -65,7 +70,7 @@ fn a_run_whose_messages_could_not_be_sent_is_refused_by_name() {
 #[test]
 fn a_flipped_bit_is_refused_or_changes_no_value() {
     let run = sample::run();
-    let (message, digest) = sample::chunk(1).to_wire(&run);
+    let (message, digest) = sample::chunk(1).to_wire(&run, &sample::origin());
     let honest = message.encode_to_vec();
     for bit in 0..8 * honest.len() {
         let mut bytes = honest.clone();
@@ -73,7 +78,7 @@ fn a_flipped_bit_is_refused_or_changes_no_value() {
         let Ok(message) = wire::TrajectoryChunk::decode(bytes.as_slice()) else {
             continue;
         };
-        if let Ok(chunk) = TrajectoryChunk::from_wire(&message, &run, digest) {
+        if let Ok(chunk) = TrajectoryChunk::from_wire(&message, &run, &sample::origin(), digest) {
             assert_eq!(chunk, sample::chunk(1), "bit {bit}");
         }
     }

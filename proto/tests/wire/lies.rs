@@ -55,16 +55,16 @@ fn end(chunk: &mut wire::TrajectoryChunk) -> &mut wire::SlotEnd {
 /// The digest is honest: it is made after the lie.
 fn verdict(lie: &Lie) -> Refusal {
     let run = sample::run();
-    let (mut message, _) = sample::chunk(lie.sequence).to_wire(&run);
+    let (mut message, _) = sample::chunk(lie.sequence).to_wire(&run, &sample::origin());
     (lie.tell)(&mut message);
     let digest = honest_digest(&message);
-    TrajectoryChunk::from_wire(&message, &run, digest).unwrap_err()
+    TrajectoryChunk::from_wire(&message, &run, &sample::origin(), digest).unwrap_err()
 }
 
 /// What the refusal of a wrong digest says that the right one is; any will do when that is not reached.
 fn honest_digest(message: &wire::TrajectoryChunk) -> Digest {
     let wrong = Digest([0; 32]);
-    match TrajectoryChunk::from_wire(message, &sample::run(), wrong) {
+    match TrajectoryChunk::from_wire(message, &sample::run(), &sample::origin(), wrong) {
         Err(refusal) if refusal.reason == Reason::DigestMismatch => {
             let text = refusal.detail.strip_prefix("the content has ").unwrap();
             let byte = |i| u8::from_str_radix(&text[2 * i..2 * i + 2], 16).unwrap();
@@ -182,7 +182,7 @@ fn lies_about_the_ends_of_episodes_and_slots_are_refused_by_name() {
         lie(0, |c| finals(c).environments[1] = u32::MAX, Reason::Inconsistent, "chunk.finals"),
         lie(
             0,
-            |c| c.end = sample::chunk(1).to_wire(&sample::run()).0.end,
+            |c| c.end = sample::chunk(1).to_wire(&sample::run(), &sample::origin()).0.end,
             Reason::Inconsistent,
             "chunk.end",
         ),
@@ -205,9 +205,10 @@ fn lies_about_the_ends_of_episodes_and_slots_are_refused_by_name() {
 #[test]
 fn content_that_does_not_have_its_digest_is_refused_before_anybody_looks_at_its_values() {
     let run = sample::run();
-    let (mut message, digest) = sample::chunk(0).to_wire(&run);
+    let (mut message, digest) = sample::chunk(0).to_wire(&run, &sample::origin());
     set(&mut message.reward, f32::NAN);
-    let refusal = TrajectoryChunk::from_wire(&message, &run, digest).unwrap_err();
+    let refusal =
+        TrajectoryChunk::from_wire(&message, &run, &sample::origin(), digest).unwrap_err();
     assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::DigestMismatch, "digest"));
 }
 
@@ -216,7 +217,7 @@ fn evaluations_that_no_episode_gives_are_refused_by_name() {
     let honest = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps: 10 };
     let verdict = |result: EvaluationResult| {
         let refusal =
-            EvaluationResult::from_wire(&result.to_wire(), &sample::run(), result.digest())
+            EvaluationResult::from_wire(&result.to_wire(), &sample::run(), 7, result.digest(7))
                 .unwrap_err();
         (refusal.reason, refusal.field)
     };
@@ -226,6 +227,6 @@ fn evaluations_that_no_episode_gives_are_refused_by_name() {
         let odd = EvaluationResult { steps, ..honest };
         assert_eq!(verdict(odd), (Reason::BadValue, "evaluation.steps".to_owned()));
     }
-    let wrong = EvaluationResult::from_wire(&honest.to_wire(), &sample::run(), Digest([0; 32]));
+    let wrong = EvaluationResult::from_wire(&honest.to_wire(), &sample::run(), 7, Digest([0; 32]));
     assert_eq!(wrong.unwrap_err().reason, Reason::DigestMismatch);
 }

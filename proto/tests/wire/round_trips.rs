@@ -81,9 +81,12 @@ fn a_chunk_survives_the_round_trip_and_keeps_its_digest() {
     let run = sample::run();
     for sequence in [0, 1] {
         let chunk = sample::chunk(sequence);
-        let (message, digest) = chunk.to_wire(&run);
-        assert_eq!(chunk.digest(), digest);
-        assert_eq!(TrajectoryChunk::from_wire(&sent(&message), &run, digest), Ok(chunk));
+        let (message, digest) = chunk.to_wire(&run, &sample::origin());
+        assert_eq!(chunk.digest(&sample::origin()), digest);
+        assert_eq!(
+            TrajectoryChunk::from_wire(&sent(&message), &run, &sample::origin(), digest),
+            Ok(chunk)
+        );
     }
 }
 
@@ -91,12 +94,15 @@ fn a_chunk_survives_the_round_trip_and_keeps_its_digest() {
 fn an_evaluation_survives_the_round_trip() {
     let result = EvaluationResult { episode: 2, extrinsic_return: -17.25, steps: 1000 };
     let message = sent(&result.to_wire());
-    assert_eq!(EvaluationResult::from_wire(&message, &sample::run(), result.digest()), Ok(result));
+    assert_eq!(
+        EvaluationResult::from_wire(&message, &sample::run(), 7, result.digest(7)),
+        Ok(result)
+    );
 }
 
 #[test]
 fn a_push_survives_the_round_trip() {
-    let (message, digest) = sample::chunk(0).to_wire(&sample::run());
+    let (message, digest) = sample::chunk(0).to_wire(&sample::run(), &sample::origin());
     let header = PushHeader::of(&lease(rollout()), digest);
     let found = PushHeader::from_wire(sent(&header.to_wire(Content::Chunk(message.clone()))));
     assert_eq!(found, Ok((header, Content::Chunk(message))));

@@ -2,7 +2,8 @@
 
 use proto::{
     ActionSpec, AgentChunk, AgentSpec, Digest, EnvironmentSpec, FeatureRole, FeatureSpec,
-    FinalStep, Incarnation, PROTOCOL_VERSION, RunDescription, SlotEnd, TrajectoryChunk,
+    FinalStep, Incarnation, PROTOCOL_VERSION, RolloutOrigin, RunDescription, SlotEnd,
+    TrajectoryChunk,
 };
 
 fn features(count: usize, role: FeatureRole) -> Vec<FeatureSpec> {
@@ -33,6 +34,11 @@ pub(crate) fn environment() -> EnvironmentSpec {
         state_version: 1,
         max_state_bytes: 64,
     }
+}
+
+/// The slot of the sample's chunks.
+pub(crate) fn origin() -> RolloutOrigin {
+    RolloutOrigin { iteration: 3, slot: 0, environments: vec![0, 1] }
 }
 
 /// Slots of 2 environments and 2 chunks of 2 steps; agent 0 has 3 recurrent units, agent 1 none.

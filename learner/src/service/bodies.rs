@@ -1,0 +1,152 @@
+//! Bytes that requests may occupy. Most calls send one small message. Streams of results share one budget: when it is
+//! spent, streams that hold more than an equal share of it end, and the others go on.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::task::{Context, Poll};
+
+use bytes::Bytes;
+use http_body_util::Limited;
+use hyper::body::{Body as HttpBody, Frame, SizeHint};
+use tonic::body::Body;
+use tonic::codegen::http::Request;
+use tonic::{Code, Status};
+use tower::util::MapRequestLayer;
+
+/// Largest request of a call that sends one message, bytes. A registration names every observation feature.
+const MOST_REQUEST_BYTES: usize = 256 << 10;
+/// Bytes of results that all streams together may hold before they are processed.
+const MOST_IN_FLIGHT_BYTES: usize = 512 << 20;
+/// Calls whose requests are streams.
+const STREAMS: [&str; 3] = ["/PushTrajectory", "/Act", "/ServerReflectionInfo"];
+/// The one of them whose messages are large.
+const RESULTS: &str = "/PushTrajectory";
+
+/// Limits the bodies of all requests of a server.
+pub(super) fn limits() -> MapRequestLayer<impl Fn(Request<Body>) -> Request<Body> + Clone> {
+    let budget = Budget::of(MOST_IN_FLIGHT_BYTES);
+    MapRequestLayer::new(move |request| budget.limit(request))
+}
+
+/// The budget of all streams of results.
+#[derive(Debug)]
+struct Budget {
+    most: usize,
+    held: AtomicUsize,
+    streams: AtomicUsize,
+}
+
+/// What one stream holds of the budget.
+#[derive(Debug)]
+pub(super) struct Share {
+    budget: Arc<Budget>,
+    held: AtomicUsize,
+}
+
+impl Budget {
+    fn of(most: usize) -> Arc<Self> {
+        Arc::new(Self { most, held: AtomicUsize::new(0), streams: AtomicUsize::new(0) })
+    }
+
+    fn share(self: &Arc<Self>) -> Arc<Share> {
+        self.streams.fetch_add(1, Ordering::Relaxed);
+        Arc::new(Share { budget: Arc::clone(self), held: AtomicUsize::new(0) })
+    }
+
+    /// Limits the body of a request.
+    fn limit(self: &Arc<Self>, mut request: Request<Body>) -> Request<Body> {
+        let path = request.uri().path();
+        if path.ends_with(RESULTS) {
+            let share = self.share();
+            request.extensions_mut().insert(Arc::clone(&share));
+            return request.map(|body| Body::new(Counted { body, share }));
+        }
+        if STREAMS.iter().any(|stream| path.ends_with(stream)) {
+            return request;
+        }
+        request.map(|body| Body::new(Limited::new(body, MOST_REQUEST_BYTES)))
+    }
+}
+
+impl Share {
+    /// More bytes came in.
+    ///
+    /// # Errors
+    /// The budget is spent, and this stream holds more than an equal share of it.
+    fn take(&self, bytes: usize) -> Result<(), Status> {
+        let own = self.held.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        let all = self.budget.held.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        let equal = self.budget.most / self.budget.streams.load(Ordering::Relaxed).max(1);
+        if all <= self.budget.most || own <= equal {
+            return Ok(());
+        }
+        let message = format!("{all} bytes of results wait to be processed, {own} of this stream");
+        Err(Status::new(Code::Unavailable, message))
+    }
+
+    /// Everything that came in so far has been processed.
+    pub(super) fn processed(&self) {
+        let held = self.held.swap(0, Ordering::Relaxed);
+        self.budget.held.fetch_sub(held, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        self.processed();
+        self.budget.streams.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// A body whose bytes count.
+struct Counted {
+    body: Body,
+    share: Arc<Share>,
+}
+
+impl HttpBody for Counted {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        let polled = Pin::new(&mut self.body).poll_frame(context);
+        polled.map(|next| {
+            next.map(|frame| {
+                let frame = frame?;
+                self.share.take(frame.data_ref().map_or(0, Bytes::len))?;
+                Ok(frame)
+            })
+        })
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stream_ends_only_when_the_budget_is_spent_and_it_holds_more_than_an_equal_share() {
+        let budget = Budget::of(1000);
+        let (large, small) = (budget.share(), budget.share());
+        assert!(large.take(900).is_ok() && small.take(100).is_ok());
+        assert!(small.take(100).is_ok(), "it holds less than half");
+        let status = large.take(100).unwrap_err();
+        assert_eq!(status.code(), Code::Unavailable);
+        drop(large);
+        small.processed();
+        assert_eq!(budget.held.load(Ordering::Relaxed), 0);
+        assert!(small.take(1000).is_ok());
+    }
+}

@@ -1,0 +1,127 @@
+//! The open connections. Actors may fill their share; connections without an actor (probes, viewers, peers that have
+//! not registered) share places of their own, and when these are taken the oldest of them is closed for a new one.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use proto::{Reason, Refusal};
+use tokio::sync::oneshot;
+
+use crate::slots::ConnectionId;
+
+/// Places beyond those of actors.
+const WITHOUT_ACTOR: usize = 64;
+
+/// The open connections of one listener.
+#[derive(Debug)]
+pub(super) struct Registry {
+    most_with_actors: usize,
+    open: Mutex<BTreeMap<ConnectionId, Open>>,
+}
+
+#[derive(Debug)]
+struct Open {
+    has_actor: bool,
+    /// Dropped to close the connection.
+    _close: oneshot::Sender<()>,
+}
+
+/// A connection's place; free again when this is dropped.
+#[derive(Debug)]
+pub(super) struct Place {
+    id: ConnectionId,
+    registry: Arc<Registry>,
+}
+
+/// A place, and the signal that the connection has to close.
+pub(super) struct Admission {
+    pub(super) place: Place,
+    pub(super) closed: oneshot::Receiver<()>,
+    /// The connection that was closed for this one.
+    pub(super) evicted: Option<ConnectionId>,
+}
+
+impl Registry {
+    /// At most so many connections with actors.
+    pub(super) fn new(most_with_actors: usize) -> Arc<Self> {
+        Arc::new(Self { most_with_actors, open: Mutex::default() })
+    }
+
+    /// A place for a new connection.
+    pub(super) fn admit(self: &Arc<Self>, id: ConnectionId) -> Admission {
+        let (close, closed) = oneshot::channel();
+        let mut open = self.lock();
+        let mut without = open.iter().filter(|(_, open)| !open.has_actor).map(|(id, _)| *id);
+        let oldest = without.next();
+        let full = without.count() + 1 >= WITHOUT_ACTOR;
+        let evicted = oldest.filter(|_| full);
+        evicted.map(|id| open.remove(&id));
+        open.insert(id, Open { has_actor: false, _close: close });
+        drop(open);
+        Admission { place: Place { id, registry: Arc::clone(self) }, closed, evicted }
+    }
+
+    /// An actor registers on the connection.
+    ///
+    /// # Errors
+    /// Refuses the actor when the places of actors are taken.
+    pub(super) fn note_actor(&self, id: ConnectionId) -> Result<(), Refusal> {
+        let mut open = self.lock();
+        let with_actors = open.values().filter(|open| open.has_actor).count();
+        let Some(own) = open.get_mut(&id) else { return Ok(()) };
+        if !own.has_actor && with_actors >= self.most_with_actors {
+            let most = self.most_with_actors;
+            let detail = format!("{most} connections have actors (learner.connections); try later");
+            return Err(Refusal::new(Reason::Busy, "connection", detail));
+        }
+        own.has_actor = true;
+        Ok(())
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<ConnectionId, Open>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.registry.lock().remove(&self.id);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_connection_without_an_actor_is_closed_for_a_new_one_and_those_with_actors_stay() {
+        let registry = Registry::new(2);
+        let mut admitted = Vec::new();
+        for id in 0..WITHOUT_ACTOR as u64 {
+            let admission = registry.admit(ConnectionId(id));
+            assert_eq!(admission.evicted, None);
+            admitted.push(admission);
+        }
+        registry.note_actor(ConnectionId(0)).unwrap();
+        // One place came free with that.
+        admitted.push(registry.admit(ConnectionId(100)));
+        let next = registry.admit(ConnectionId(101));
+        assert_eq!(next.evicted, Some(ConnectionId(1)));
+        assert!(
+            admitted[1].closed.try_recv().is_err_and(|e| e == oneshot::error::TryRecvError::Closed)
+        );
+        assert_eq!(registry.lock().len(), WITHOUT_ACTOR + 1);
+    }
+
+    #[test]
+    fn actors_past_the_limit_are_refused_until_one_leaves() {
+        let registry = Registry::new(1);
+        let (first, _second) = (registry.admit(ConnectionId(1)), registry.admit(ConnectionId(2)));
+        registry.note_actor(ConnectionId(1)).unwrap();
+        registry.note_actor(ConnectionId(1)).unwrap();
+        let refusal = registry.note_actor(ConnectionId(2)).unwrap_err();
+        assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::Busy, "connection"));
+        drop(first);
+        registry.note_actor(ConnectionId(2)).unwrap();
+    }
+}

@@ -1,0 +1,151 @@
+//! Who may send results, and slots that two actors compute: backups of slow ones, and audits.
+
+use std::time::Duration;
+
+use learner::slots::{AuditCounts, ConnectionId, Effect, Offer};
+use proto::{AckState, Beat, Digest, Reason};
+
+use crate::table::{
+    Held, INCARNATION, TTL, actor, audited_table, complete, lease, push, push_as, slot, table,
+    weights, works,
+};
+
+const OTHER: Digest = Digest([66; 32]);
+
+fn second(count: u64) -> Duration {
+    Duration::from_secs(count)
+}
+
+#[test]
+fn messages_over_another_connection_end_no_lease_and_count_against_their_sender() {
+    let mut table = table(1);
+    let (honest, liar) = (actor(&mut table, 1), actor(&mut table, 2));
+    let held = lease(&mut table, honest);
+    let stolen = Held { connection: liar.connection, ..held.clone() };
+    for connection in [liar.connection, ConnectionId(77)] {
+        for _ in 0..3 {
+            let pushed = push(&mut table, &Held { connection, ..stolen.clone() }, 0);
+            assert_eq!(pushed.unwrap_err().reason, Reason::OtherConnection);
+            table.refuse(connection, Some(held.id));
+        }
+    }
+    let beat = Beat { actor: honest.id, incarnation: INCARNATION, lease: held.id, slot_step: 1 };
+    let refusal = table.heartbeat(liar.connection, &beat).unwrap_err();
+    assert_eq!(refusal.reason, Reason::UnknownActor);
+    let asked = table.lease(liar.connection, honest.id, INCARNATION).unwrap_err();
+    assert_eq!(asked.reason, Reason::UnknownActor);
+    assert_eq!(liar.ask(&mut table), Ok(Offer::Quarantined(TTL)));
+    assert_eq!(table.heartbeat(honest.connection, &beat), Ok(true));
+    assert!(matches!(complete(&mut table, &held)[..], [Effect::Iteration(_)]));
+}
+
+#[test]
+fn an_idle_actor_backs_up_the_slot_that_is_held_longest_once_it_is_slow() {
+    let mut table = table(3);
+    let (slow, quick) = (actor(&mut table, 1), actor(&mut table, 2));
+    let stuck = lease(&mut table, slow);
+    push(&mut table, &stuck, 0).unwrap();
+    for _ in 0..2 {
+        let done = lease(&mut table, quick);
+        table.tick(second(2 * u64::from(slot(&done))));
+        complete(&mut table, &done);
+    }
+    // Slots took two seconds each.
+    assert_eq!(quick.ask(&mut table), Ok(Offer::Nothing));
+    assert_eq!(table.next_deadline(), Some(second(6)));
+    table.tick(second(6));
+    assert_eq!(slow.ask(&mut table), Ok(Offer::Nothing), "no backup of one's own slot");
+    let backup = lease(&mut table, quick);
+    assert_eq!((slot(&backup), backup.attempt, table.counts().backups), (0, 1, 1));
+    assert_eq!(actor(&mut table, 3).ask(&mut table), Ok(Offer::Nothing), "one backup at most");
+    assert!(matches!(complete(&mut table, &backup)[..], [Effect::Iteration(_)]));
+    // The slow actor is told that its work is done, and a result that differs is refused.
+    assert_eq!(push_as(&mut table, &stuck, 1, OTHER).unwrap_err().reason, Reason::DigestConflict);
+    let late = push(&mut table, &stuck, 1).unwrap();
+    assert_eq!((late.state, late.lease_finished), (AckState::Repeated, true));
+}
+
+#[test]
+fn a_slot_goes_on_when_one_of_its_two_leases_ends() {
+    let mut table = table(1);
+    let (slow, quick) = (actor(&mut table, 1), actor(&mut table, 2));
+    let first = lease(&mut table, slow);
+    let beat = Beat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
+    for time in [15, 30] {
+        table.tick(second(time));
+        assert_eq!(table.heartbeat(slow.connection, &beat), Ok(true));
+    }
+    let backup = lease(&mut table, quick);
+    table.disconnect(quick.connection);
+    assert_eq!(push(&mut table, &backup, 0).unwrap_err().reason, Reason::UnknownLease);
+    table.effects();
+    assert!(matches!(complete(&mut table, &first)[..], [Effect::Iteration(_)]));
+}
+
+fn audits(agreed: u64, disagreed: u64, skipped: u64) -> AuditCounts {
+    AuditCounts { agreed, disagreed, skipped }
+}
+
+#[test]
+fn an_audited_slot_is_computed_again_by_another_actor_and_counted_when_it_agrees() {
+    let mut table = audited_table(1);
+    let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
+    let first = lease(&mut table, a);
+    assert!(matches!(complete(&mut table, &first)[..], [Effect::Iteration(_)]));
+    assert_eq!(a.ask(&mut table), Ok(Offer::Nothing), "nobody audits itself");
+    let audit = lease(&mut table, b);
+    assert_eq!((slot(&audit), audit.attempt), (0, 1));
+    // The next iteration does not end it.
+    table.open_iteration(1, weights(), works(1, 1));
+    table.effects();
+    assert_eq!(complete(&mut table, &audit), []);
+    assert_eq!(table.counts().audits, audits(1, 0, 0));
+    assert_eq!(table.counts().complete_slots, 0);
+}
+
+#[test]
+fn an_audit_that_differs_stops_the_run_and_names_both_actors() {
+    let mut table = audited_table(1);
+    let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
+    let first = lease(&mut table, a);
+    complete(&mut table, &first);
+    let audit = lease(&mut table, b);
+    push(&mut table, &audit, 0).unwrap();
+    push_as(&mut table, &audit, 1, OTHER).unwrap();
+    push(&mut table, &audit, 2).unwrap();
+    let [Effect::Failed(found)] = &table.effects()[..] else { panic!("no failure") };
+    assert_eq!((found.iteration, found.slot, found.sequence), (0, 0, 1));
+    assert_eq!((found.first.actor, found.second.actor, found.second.digest), (a.id, b.id, OTHER));
+    assert_eq!(table.counts().audits, audits(0, 1, 0));
+}
+
+#[test]
+fn one_actor_alone_is_not_audited() {
+    let mut table = audited_table(1);
+    let a = actor(&mut table, 1);
+    let first = lease(&mut table, a);
+    complete(&mut table, &first);
+    let b = actor(&mut table, 2);
+    assert_eq!(b.ask(&mut table), Ok(Offer::Nothing));
+    assert_eq!(table.counts().audits, audits(0, 0, 0));
+}
+
+#[test]
+fn an_audit_whose_actor_dies_goes_to_another_and_the_oldest_of_too_many_is_skipped() {
+    let mut table = audited_table(10);
+    let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
+    for _ in 0..10 {
+        let done = lease(&mut table, a);
+        complete(&mut table, &done);
+    }
+    assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 2), 8));
+    let lost = lease(&mut table, b);
+    assert_eq!(slot(&lost), 2);
+    table.disconnect(b.connection);
+    let c = actor(&mut table, 3);
+    let again = lease(&mut table, c);
+    table.effects();
+    assert_eq!(slot(&again), 2);
+    assert_eq!(complete(&mut table, &again), [], "the trainer has the iteration already");
+    assert_eq!(table.counts().audits, audits(1, 0, 2));
+}

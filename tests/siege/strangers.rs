@@ -1,0 +1,135 @@
+//! Peers that send in another actor's name, and peers that take up room: neither ends an actor's lease, fills the
+//! memory or keeps a probe from its answer.
+
+use std::process::Command;
+
+use proto::wire::learner_service_client::LearnerServiceClient;
+use proto::{Beat, Reason, Refusal, wire};
+use tonic::transport::{Channel, Endpoint};
+
+use crate::attackers::{Attacker, invented, message, registration};
+use crate::learners::{Learner, inspect};
+use crate::usage::Usage;
+
+/// What a learner may hold more than before, with all peers of a flood connected: 1,024 requests of 256 KiB, and
+/// what the allocator adds.
+const MOST_MIB: u64 = 500;
+
+async fn is_valid(attacker: &mut Attacker, lease: proto::LeaseId) -> bool {
+    let (actor, incarnation) = (attacker.own.actor, attacker.own.incarnation);
+    let beat = Beat { actor, incarnation, lease, slot_step: 0 };
+    attacker.service.heartbeat(beat.to_wire()).await.unwrap().into_inner().lease_valid
+}
+
+#[tokio::test]
+async fn pushes_over_another_connection_end_no_lease_and_quarantine_their_sender() {
+    let folder = tempfile::tempdir().unwrap();
+    let (attacked, in_peace) = (folder.path().join("attacked"), folder.path().join("in-peace"));
+    let mut learner = Learner::start(&attacked, &[]);
+    let mut honest = Attacker::connect(&learner.url).await;
+    let lease = honest.lease().await;
+    let forged = message(&lease, &invented(&honest.run), &honest.run);
+    let mut unregistered = LearnerServiceClient::connect(learner.url.clone()).await.unwrap();
+    let mut registered = Attacker::connect(&learner.url).await;
+    for _ in 0..3 {
+        let pushed = unregistered.push_trajectory(tokio_stream::iter([forged.clone()])).await;
+        let refusal = Refusal::from_status(&pushed.unwrap_err()).unwrap();
+        assert_eq!(refusal.reason, Reason::UnknownActor);
+        let refusal = Refusal::from_status(&registered.push(forged.clone()).await).unwrap();
+        assert_eq!(refusal.reason, Reason::OtherConnection, "{refusal}");
+        assert!(is_valid(&mut honest, lease.id).await);
+    }
+    let asked = wire::LeaseSlotsRequest {
+        actor_id: registered.own.actor.0,
+        incarnation: registered.own.incarnation.0,
+        wait_millis: 0,
+        log_steps_lost: 0,
+    };
+    let answer = registered.service.lease_slots(asked).await.unwrap().into_inner().answer;
+    assert!(
+        matches!(answer, Some(wire::lease_slots_response::Answer::Retry(_))),
+        "in quarantine: {answer:?}"
+    );
+    drop((honest, registered, unregistered));
+    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
+    let mut quiet = Learner::start(&in_peace, &[]);
+    tokio::task::spawn_blocking(move || quiet.finish(&[])).await.unwrap();
+    assert_eq!(inspect(&attacked), inspect(&in_peace));
+}
+
+fn is_healthy(url: &str) -> bool {
+    let mut health = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    health.args(["health", "--learner", url]).output().unwrap().status.success()
+}
+
+/// Sixteen calls at a time over one connection: large registrations, and streams that stop within a large message.
+async fn flood(url: String) -> Channel {
+    let channel = Endpoint::from_shared(url).unwrap().connect().await.unwrap();
+    let large = "x".repeat(4_000_000);
+    let calls = (0..16).map(|call| {
+        let mut service = LearnerServiceClient::new(channel.clone());
+        let large = large.clone();
+        tokio::spawn(async move {
+            let content = wire::EvaluationResult::default();
+            let content = wire::push_trajectory_request::Content::Evaluation(content);
+            let push = wire::PushTrajectoryRequest {
+                digest: large.clone().into_bytes().into(),
+                content: Some(content),
+                ..Default::default()
+            };
+            let registration = wire::RegisterRequest { client: large, ..Default::default() };
+            match call % 2 {
+                0 => service.register(registration).await.map(drop).unwrap_err(),
+                _ => {
+                    service.push_trajectory(tokio_stream::iter([push])).await.map(drop).unwrap_err()
+                }
+            }
+        })
+    });
+    for call in calls.collect::<Vec<_>>() {
+        call.await.unwrap();
+    }
+    channel
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn sixty_four_connections_with_sixteen_large_requests_each_cost_bounded_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut learner = Learner::start(&folder.path().join("run"), &[]);
+    let before = Usage::of(learner.process.id());
+    let floods = (0..64).map(|_| tokio::spawn(flood(learner.url.clone()))).collect::<Vec<_>>();
+    let mut most = before.resident_mib;
+    let mut channels = Vec::new();
+    for flood in floods {
+        channels.push(flood.await.unwrap());
+        most = most.max(Usage::of(learner.process.id()).resident_mib);
+    }
+    assert!(most <= before.resident_mib + MOST_MIB, "{most} MiB, {before:?}");
+    assert!(is_healthy(&learner.url));
+    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_learner_full_of_actors_and_idle_peers_still_answers_probes_and_refuses_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let few = ["learner.connections=3"].map(str::to_owned);
+    let mut learner = Learner::start(&folder.path().join("run"), &few);
+    let mut actors = Vec::new();
+    for _ in 0..3 {
+        actors.push(Attacker::connect(&learner.url).await);
+    }
+    let mut idle = Vec::new();
+    for _ in 0..150 {
+        idle.push(Endpoint::from_shared(learner.url.clone()).unwrap().connect().await.unwrap());
+    }
+    let mut late = LearnerServiceClient::connect(learner.url.clone()).await.unwrap();
+    let refused = late.register(registration(&actors[0].run).to_wire()).await.unwrap_err();
+    let refusal = Refusal::from_status(&refused).unwrap();
+    assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::Busy, "connection"));
+    assert!(is_healthy(&learner.url));
+    assert!(learner.log().contains("too many connections without an actor are open"));
+    let lease = actors[0].lease().await.id;
+    assert!(is_valid(&mut actors[0], lease).await);
+    drop((actors, idle, late));
+    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
+}
