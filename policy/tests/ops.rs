@@ -44,7 +44,7 @@ fn networks() -> Vec<(Vec<LayerSpec>, usize)> {
     let gru = vec![
         LayerSpec::norm("n", 9),
         linear("e", (9, 20), Activation::Tanh),
-        LayerSpec::gru("gru", (20, 18)),
+        LayerSpec::gru("gru", 20, 18),
         LayerSpec::norm("o", 18),
         linear("h", (18, 2), Activation::Identity),
     ];
