@@ -19,7 +19,7 @@ use disturbances::{Event, MOST_UNDER_WAY, SEATS};
 use learner::slots::{ConnectionId, Effect, Offer, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
-    ActorId, Beat, Digest, EvaluationResult, Incarnation, Lease, LeaseId, PolicyVersion,
+    ActorId, Heartbeat, Digest, EvaluationResult, Incarnation, Lease, LeaseId, PolicyVersion,
     PushHeader, WeightsName, Work,
 };
 use table::{CHUNKS, INCARNATION, TTL, chunk, honest, weights, works};
@@ -55,7 +55,7 @@ fn event(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<Event> {
     let (seat, message) = (number % SEATS, number % MOST_UNDER_WAY);
     Ok(match kind {
         0 => Event::Act(seat),
-        1 => Event::Beat(seat),
+        1 => Event::Heartbeat(seat),
         2 => Event::Arrive(message),
         3 => Event::ArriveTwice(message),
         4 => Event::Lose(message),
@@ -78,7 +78,7 @@ enum Call {
     Chunk { lease: u8, sequence: u8, lie: Lie },
     Evaluation { lease: u8, episode: u8, lie: Lie },
     Refuse(u8),
-    Beat { actor: u8, lease: u8, step: u32 },
+    Heartbeat { actor: u8, lease: u8, step: u32 },
     Pass(u8),
     OpenIteration,
     OpenEvaluation(u8),
@@ -145,9 +145,9 @@ impl Siege {
             Call::Chunk { lease, sequence, lie } => self.push(lease, sequence.into(), lie),
             Call::Evaluation { lease, episode, lie } => self.evaluate(lease, episode.into(), lie),
             Call::Refuse(lease) => self.table.refuse(LeaseId(lease.into())),
-            Call::Beat { actor, lease, step } => {
+            Call::Heartbeat { actor, lease, step } => {
                 let (actor, lease) = (ActorId(actor.into()), LeaseId(lease.into()));
-                let beat = Beat { actor, incarnation: INCARNATION, lease, slot_step: step };
+                let beat = Heartbeat { actor, incarnation: INCARNATION, lease, slot_step: step };
                 let _valid = self.table.heartbeat(&beat);
             }
             Call::Pass(tenths) => {

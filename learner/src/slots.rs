@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    Ack, AckState, ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, LeaseStatus,
+    Ack, AckState, ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, LeaseId, LeaseStatus,
     PushHeader, Reason, Refusal, RolloutWork, RunState, TrajectoryChunk, WeightsName, Work,
 };
 
@@ -240,7 +240,7 @@ impl SlotTable {
     ///
     /// # Errors
     /// Refuses unknown actors and other incarnations.
-    pub fn heartbeat(&mut self, beat: &Beat) -> Result<bool, Refusal> {
+    pub fn heartbeat(&mut self, beat: &Heartbeat) -> Result<bool, Refusal> {
         self.same_incarnation(beat.incarnation)?;
         self.actors.known(beat.actor)?;
         let lease = self.open.get_mut(&beat.lease).filter(|lease| lease.actor == beat.actor);

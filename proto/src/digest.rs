@@ -1,5 +1,5 @@
-//! SHA-256, the digest used everywhere, and the canonical bytes of what is pushed. The `.proto` comments
-//! give the same bytes in Python.
+//! SHA-256 digests, and the canonical bytes of pushed messages. The `.proto` comments document the same bytes in
+//! Python.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::{ShareRewards, wire};
 
-/// A SHA-256. Shows as 64 hexadecimal digits.
+/// A SHA-256, displayed as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Digest(pub [u8; 32]);
 
@@ -31,8 +31,8 @@ impl fmt::Debug for Digest {
     }
 }
 
-/// The digest that `message TrajectoryChunk` documents. Missing submessages count as empty: they are
-/// refused by name elsewhere.
+/// The digest documented at `message TrajectoryChunk`. Missing submessages count as empty;
+/// validation rejects them separately.
 pub(crate) fn of_chunk(chunk: &wire::TrajectoryChunk) -> Digest {
     let mut canonical = Canonical::new(b"s2mia.v1.TrajectoryChunk");
     canonical.integers(&[chunk.sequence, chunk.first_step, chunk.steps]);
@@ -56,7 +56,7 @@ pub(crate) fn of_chunk(chunk: &wire::TrajectoryChunk) -> Digest {
     canonical.finish()
 }
 
-/// The digest that `message EvaluationResult` documents.
+/// The digest documented at `message EvaluationResult`.
 pub(crate) fn of_evaluation(result: &wire::EvaluationResult) -> Digest {
     let mut canonical = Canonical::new(b"s2mia.v1.EvaluationResult");
     canonical.integers(&[result.episode]);
@@ -65,7 +65,7 @@ pub(crate) fn of_evaluation(result: &wire::EvaluationResult) -> Digest {
     canonical.finish()
 }
 
-/// The digest that [`ShareRewards::checksum`] documents.
+/// The digest documented at [`ShareRewards::checksum`].
 pub(crate) fn of_share_rewards(line: &ShareRewards) -> Digest {
     let mut canonical = Canonical::new(b"s2mia.log.ShareRewards");
     canonical.blob(line.episode_id.as_bytes());
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn an_evaluation_hashes_to_what_python_gives_for_the_documented_bytes() {
+    fn an_evaluation_has_the_digest_that_python_computes() {
         // hashlib.sha256(b"s2mia.v1.EvaluationResult" + struct.pack("<IdI", 3, 1.5, 1000)).hexdigest()
         let result = wire::EvaluationResult { episode: 3, extrinsic_return: 1.5, steps: 1000 };
         let expected = "a4c690a3aaa381b9c54db41891054120a97f26adea321f37ae9d19480bb4632b";
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_chunk_hashes_to_what_python_gives_for_the_documented_bytes() {
+    fn an_empty_chunk_has_the_digest_that_python_computes() {
         let chunk =
             wire::TrajectoryChunk { sequence: 1, first_step: 2, steps: 3, ..Default::default() };
         let expected = "47a6ca956970effcbf0f6375503568fccba851596884510c10013e8be8384ff3";

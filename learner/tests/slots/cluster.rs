@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use learner::slots::{ConnectionId, Effect, Offer, SlotRollout, SlotTable, Trust};
 use proto::{
-    ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, PushHeader, Reason, Refusal, Work,
+    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, LeaseId, PushHeader, Reason, Refusal,
+    Work,
 };
 
 use crate::disturbances::{Event, MOST_UNDER_WAY, SEATS};
@@ -25,7 +26,7 @@ enum Message {
     Ask(ActorId),
     Chunk(Lease, u32),
     Episode(Lease),
-    Beat(Beat),
+    Heartbeat(Heartbeat),
     Offered(Offer),
     Taken { lease: Key, sequence: u32, finished: bool },
     Ended(Key),
@@ -96,7 +97,7 @@ impl Cluster {
     pub(crate) fn happen(&mut self, event: Event) {
         match event {
             Event::Act(seat) => self.act(seat),
-            Event::Beat(seat) => self.beat(seat),
+            Event::Heartbeat(seat) => self.beat(seat),
             Event::Arrive(at) => self.arrive(at),
             Event::ArriveTwice(at) => {
                 let again = self.network.get(at).cloned();
@@ -156,7 +157,7 @@ impl Cluster {
             return;
         };
         let (lease, slot_step) = (doing.lease.id, doing.sent);
-        self.send(seat, Message::Beat(Beat { actor, incarnation, lease, slot_step }));
+        self.send(seat, Message::Heartbeat(Heartbeat { actor, incarnation, lease, slot_step }));
     }
 
     fn kill(&mut self, seat: usize) {
@@ -228,7 +229,7 @@ impl Cluster {
                 let taken = self.table.evaluation(&header, result);
                 self.answer(&lease, taken.map(|_| (0, true)))
             }
-            Message::Beat(beat) => match self.table.heartbeat(&beat) {
+            Message::Heartbeat(beat) => match self.table.heartbeat(&beat) {
                 Ok(true) => return,
                 Ok(false) => Message::Ended((incarnation, beat.lease)),
                 Err(_) => Message::Unknown,

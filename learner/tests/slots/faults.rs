@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use learner::slots::{ConnectionId, Effect, Offer, SlotTable, Trust};
 use proptest::prelude::*;
-use proto::{ActorId, Beat, Lease};
+use proto::{ActorId, Heartbeat, Lease};
 
 use crate::schedules::for_all;
 use crate::table::{CHUNKS, INCARNATION, TTL, honest, push, table, weights, works};
@@ -27,7 +27,7 @@ enum Happening {
     /// Something of a lease was refused.
     Refuse(usize),
     /// An actor gives a sign of life.
-    Beat(usize),
+    Heartbeat(usize),
     /// An actor is killed.
     Disconnect(usize),
     /// Time passes, in tenths of the time to live.
@@ -43,7 +43,7 @@ fn happening() -> impl Strategy<Value = Happening> {
             .prop_map(|(lease, skip)| Happening::Push { lease, skip }),
         2 => some.clone().prop_map(Happening::Repeat),
         1 => some.clone().prop_map(Happening::Refuse),
-        2 => some.clone().prop_map(Happening::Beat),
+        2 => some.clone().prop_map(Happening::Heartbeat),
         1 => some.prop_map(Happening::Disconnect),
         2 => (1..8_u32).prop_map(Happening::Pass),
     ]
@@ -76,7 +76,7 @@ impl World {
                 let lease = pick(&self.leases, at).map(|(lease, _)| lease.id);
                 lease.into_iter().for_each(|id| self.table.refuse(id));
             }
-            Happening::Beat(at) => self.beat(at),
+            Happening::Heartbeat(at) => self.beat(at),
             Happening::Disconnect(at) => {
                 let actor = pick(&self.actors, at).copied();
                 actor.into_iter().for_each(|actor| self.table.disconnect(ConnectionId(actor.0)));
@@ -125,7 +125,12 @@ impl World {
             return;
         };
         let (incarnation, lease) = (INCARNATION, lease.id);
-        let _ = self.table.heartbeat(&Beat { actor: *actor, incarnation, lease, slot_step: *sent });
+        let _ = self.table.heartbeat(&Heartbeat {
+            actor: *actor,
+            incarnation,
+            lease,
+            slot_step: *sent,
+        });
     }
 
     /// Takes complete iterations out, as the trainer does, and opens the next one.

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use learner::slots::{ConnectionId, Effect, Offer};
-use proto::{ActorId, Beat, EvaluationResult, Incarnation, PushHeader, Reason, Work};
+use proto::{ActorId, EvaluationResult, Heartbeat, Incarnation, PushHeader, Reason, Work};
 
 use crate::table::{
     CHUNKS, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights, works,
@@ -65,7 +65,8 @@ fn what_is_heard_of_a_lease_extends_it_until_the_work_stands_still_for_long() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
-    let beat = |slot_step| Beat { actor: a, incarnation: INCARNATION, lease: lease.id, slot_step };
+    let beat =
+        |slot_step| Heartbeat { actor: a, incarnation: INCARNATION, lease: lease.id, slot_step };
     for time in 1..20 {
         table.tick(second(15 * time));
         assert_eq!(table.heartbeat(&beat(time as u32)), Ok(true), "at {} s", 15 * time);
