@@ -1,4 +1,4 @@
-//! Acting agrees with training, and a row's bits do not depend on its company.
+//! Acting agrees with training, and a row's bits do not depend on the other rows.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use candle_core::{DType, Device, Tensor};
@@ -40,7 +40,7 @@ fn normals(seed: u64, count: usize) -> Vec<f32> {
     (0..count).map(|_| standard_normal(&mut rng)).collect()
 }
 
-/// The Gaussian that a network with a Gaussian head gives.
+/// The distribution of a network with a Gaussian head.
 fn gaussian_of(network: &ActorNetwork, input: &SequenceInput) -> Gaussian {
     match network.distribution(&network.weights().unwrap(), input).unwrap() {
         Distribution::Gaussian(gaussian) => gaussian,

@@ -1,4 +1,4 @@
-//! A categorical head acts as it is trained, whatever batch a row stands in, and survives a snapshot.
+//! A categorical head acts as it is trained, in every batch, and survives a snapshot.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use candle_core::{DType, Device, Tensor};

@@ -1,4 +1,4 @@
-//! Snapshots survive a round trip and refuse what is none.
+//! Snapshots survive a round trip, and invalid bytes are rejected.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::collections::BTreeMap;
