@@ -19,7 +19,7 @@ use disturbances::{Event, MOST_UNDER_WAY, SEATS};
 use learner::slots::{ConnectionId, Effect, Offer, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
-    ActorId, Heartbeat, Digest, EvaluationResult, Incarnation, Lease, LeaseId, PolicyVersion,
+    ActorId, Digest, EvaluationResult, Heartbeat, Incarnation, Lease, LeaseId, PolicyVersion,
     PushHeader, WeightsName, Work,
 };
 use table::{CHUNKS, INCARNATION, TTL, chunk, honest, weights, works};
@@ -156,7 +156,11 @@ impl Siege {
             }
             Call::OpenIteration => self.open_next(),
             Call::OpenEvaluation(episodes) if self.evaluations < 4 => {
-                self.table.open_evaluation(self.evaluations, weights(), u32::from(episodes % 3) + 1);
+                self.table.open_evaluation(
+                    self.evaluations,
+                    weights(),
+                    u32::from(episodes % 3) + 1,
+                );
                 self.evaluations += 1;
             }
             Call::OpenEvaluation(_) => {}
