@@ -1,4 +1,4 @@
-//! Compiles the `.proto` files without an installed protoc, and keeps their descriptors for reflection.
+//! Compiles the `.proto` files without an installed protoc and writes their descriptors for reflection.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -6,11 +6,11 @@ use std::path::PathBuf;
 use prost::Message;
 
 const ROOT: &str = "proto";
-/// What learners and servers of policies serve, and tell by reflection.
+/// Served by learners and policy servers, with reflection.
 const SERVED: [&str; 6] = ["control", "learner", "policy", "environment", "trajectory", "tensor"];
-/// What other programs serve to actors.
+/// Served by environment programs.
 const OFFERED: &str = "proto/s2mia/v1/environment_service.proto";
-/// What actors write for people: not part of the conversation.
+/// Messages of trajectory logs.
 const LOG: &str = "proto/s2mia/log/v1/log.proto";
 
 fn main() -> Result<(), Box<dyn Error>> {

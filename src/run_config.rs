@@ -91,7 +91,15 @@ impl RunConfig {
             training: sections(resolved, &["update", "critic", "surprise", "influence", "maddpg"])?,
             learner: sections(
                 resolved,
-                &["environments", "lease", "audit", "evaluation", "checkpoint", "metrics", "learner"],
+                &[
+                    "environments",
+                    "lease",
+                    "audit",
+                    "evaluation",
+                    "checkpoint",
+                    "metrics",
+                    "learner",
+                ],
             )?,
             log: section(resolved, "log")?,
             resolved: resolved.clone(),

@@ -1,4 +1,4 @@
-//! The program from outside: wrong input is one line on stderr and status 2; the tools print what they say.
+//! The command line: invalid input gives one line on stderr and status 2.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::process::{Command, Output};

@@ -1,5 +1,5 @@
-//! A learner at work is paused, saved, watched and stopped by whoever may, and ends with the very state of one that was
-//! left in peace.
+//! Authorised clients pause, save, watch and stop a running learner. It ends in the same state as an undisturbed
+//! one.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]

@@ -1,5 +1,5 @@
-//! A run whose environment another program offers: it is the run that the simulator's own environment gives, whatever
-//! dies on the way, and a program that lies is found out by field.
+//! A run in an external environment equals the run in the same built-in environment, in spite of failures, and invalid
+//! messages of the program are rejected by field.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/cue_service.rs"]

@@ -1,5 +1,5 @@
-//! The promise, cell by cell: whatever is killed, frozen or stopped on the way, and however many actors and threads
-//! there are, a run ends with the same weights, optimiser and densities, bit for bit.
+//! With any number of actors and threads, and with killed, frozen or stopped processes,
+//! a run ends with the same weights, optimiser and densities, bit for bit.
 //!
 //! `cargo test` plays `CELLS`, in which every pair of values of two columns stands in some row. All combinations are
 //! played, and their table is printed, by `EXACTNESS_MATRIX=whole cargo test --test exactness -- --nocapture`.

@@ -1,5 +1,5 @@
-//! Whole experiments with real processes: stopped, killed and gone on with, they end in the same weights, and one
-//! run that fails does not stop the others.
+//! Whole experiments with real processes: stopped, killed and resumed, they end with the same weights, and a failed
+//! run does not stop the others.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/experiments.rs"]

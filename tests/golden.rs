@@ -1,4 +1,4 @@
-//! The bits themselves: short runs end with the weights and the state whose SHA-256 stand in `tests/data/golden.json`,
+//! Short runs end with the weights and the state whose SHA-256 are in `tests/data/golden.json`,
 //! on every machine and with every SIMD width of its processor. Where cargo runs tests of another architecture through
 //! a runner, the learner and the actor are started through the same one.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]

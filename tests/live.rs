@@ -1,4 +1,4 @@
-//! A run shown live, seen by viewers that speak Foxglove's protocol.
+//! The live view of a run, received by clients of Foxglove's protocol.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]

@@ -1,4 +1,4 @@
-//! Trajectory logs of real runs: they change nothing, hold everything, and their tools end with the right status.
+//! Trajectory logs of real runs are complete and do not affect results; their tools exit with the right status.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]
@@ -149,7 +149,7 @@ fn a_damaged_line_of_rewards_is_named_and_costs_its_share_alone() {
     let text = std::fs::read_to_string(folder.join("logs/rewards-0001.jsonl")).unwrap();
     let (first, rest) = text.split_once('\n').unwrap();
     std::fs::write(&damaged, format!("{}\n{rest}", first.replacen("0.0", "0.1", 1))).unwrap();
-    let part = "1 damaged lines, first line 1: its checksum is not that of its content";
+    let part = "1 damaged lines, first line 1: the checksum does not match the content";
     let all = logs(folder);
     let paths: Vec<&Path> = all.iter().map(PathBuf::as_path).chain([&*damaged]).collect();
     let (status, text) = told(&log(&[&["verify".as_ref()], &paths[..]].concat()));

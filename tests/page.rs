@@ -1,4 +1,4 @@
-//! What a learner shows over HTTP, asked as a browser and Prometheus ask.
+//! The learner's HTTP page, requested like a browser and like Prometheus.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]

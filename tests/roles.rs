@@ -1,4 +1,4 @@
-//! A learner and an actor started by hand, as containers start them.
+//! A learner and an actor started separately, as containers start them.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]

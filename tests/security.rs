@@ -1,6 +1,6 @@
-//! Who is let in and who is not, with real processes: certificates of another authority, of the wrong role or
-//! past their time, plain text where TLS is spoken and the reverse. Each is refused with one line on either
-//! side, and the run goes on.
+//! Authentication and authorisation with real processes: certificates of another authority, of the wrong role or
+//! expired, plain text to a TLS port and the reverse. Each is rejected with one line on either
+//! side, and the run continues.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/learners.rs"]

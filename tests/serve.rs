@@ -1,4 +1,4 @@
-//! Trained policies as a service: they act for a world elsewhere as the evaluator does at home, bit for bit.
+//! Served policies compute the same actions as the evaluator, bit for bit.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]

@@ -1,5 +1,5 @@
-//! Told to stop: the first signal leaves a checkpoint and ends with status 0, also in the middle of an update; the second
-//! one ends at once.
+//! Shutdown: the first signal writes a checkpoint and exits with status 0, even during an update; the second
+//! exits at once.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]

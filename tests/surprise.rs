@@ -1,4 +1,4 @@
-//! Whose surprise it is: with a real robot's observations, the space in which surprise is measured decides whether
+//! With a real robot's observations, the space in which surprise is measured determines whether
 //! agents share it.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 

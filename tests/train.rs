@@ -1,5 +1,5 @@
 //! Whole runs with real processes: the result does not depend on how many actors there are or on stops,
-//! and every tool reads what a run leaves.
+//! and every tool reads a run's files.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/processes.rs"]

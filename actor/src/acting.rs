@@ -122,7 +122,7 @@ impl Agents {
             let Sizes { action: width, output, .. } = self.sizes[agent];
             let outputs = self.output[agent].chunks_exact(output);
             for (action, output) in self.action[agent].chunks_exact_mut(width).zip(outputs) {
-                policy.settle(output, action);
+                policy.mode(output, action);
             }
         }
     }

@@ -8,8 +8,8 @@ use policy::PolicySnapshot;
 use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
-    Beat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, PolicyVersion, Registered, Registration,
-    RunDescription, WeightsName, wire,
+    Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, PolicyVersion, Registered,
+    Registration, RunDescription, WeightsName, wire,
 };
 use security::ClientFiles;
 use tokio::sync::mpsc;
@@ -101,7 +101,10 @@ impl Client {
         Ok(LeaseAnswer::from_wire(response.into_inner(), run)?)
     }
 
-    pub(crate) async fn heartbeat(&mut self, beat: &Beat) -> Result<HeartbeatAnswer, ActorError> {
+    pub(crate) async fn heartbeat(
+        &mut self,
+        beat: &Heartbeat,
+    ) -> Result<HeartbeatAnswer, ActorError> {
         let answer = self.service.heartbeat(within(CALL_DEADLINE, beat.to_wire())).await?;
         Ok(HeartbeatAnswer::from_wire(&answer.into_inner())?)
     }

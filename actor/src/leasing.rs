@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use policy::PolicySnapshot;
-use proto::{Ack, Beat, Lease, Registered};
+use proto::{Ack, Heartbeat, Lease, Registered};
 use tokio::sync::MappedMutexGuard;
 use tonic::{Code, Status};
 
@@ -36,7 +36,7 @@ pub(crate) async fn work_off(
 ) -> Result<Ended, ActorError> {
     let watch = Arc::new(Watch::default());
     let beat =
-        Beat { actor: own.actor, incarnation: own.incarnation, lease: lease.id, slot_step: 0 };
+        Heartbeat { actor: own.actor, incarnation: own.incarnation, lease: lease.id, slot_step: 0 };
     let mut push = client.open_push().await?;
     let job = Job { lease, policy, watch: Arc::clone(&watch) };
     stepper.jobs.send(job).await.map_err(|_| gone())?;
@@ -65,7 +65,7 @@ async fn stream(
     client: &mut Client,
     stepper: &mut Held<'_>,
     push: &mut PushStream,
-    mut beat: Beat,
+    mut beat: Heartbeat,
     (watch, pace): (&Watch, Duration),
 ) -> Result<Ended, ActorError> {
     let mut pulse = tokio::time::interval(pace);

@@ -32,6 +32,6 @@ fn act(policy: &ActorPolicy) {
     let [observation, mut hidden, mut output] = sizes.map(|size| vec![0.0; size]);
     policy.forward(1, &observation, &mut hidden, &mut output, &mut Scratch::default());
     let mut action = vec![0.0; policy.action_size()];
-    policy.settle(&output, &mut action);
+    policy.mode(&output, &mut action);
     let _density = policy.log_prob(&output, &action);
 }

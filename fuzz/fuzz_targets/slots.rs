@@ -19,7 +19,7 @@ use disturbances::{Event, MOST_UNDER_WAY, SEATS};
 use learner::slots::{ChunkPreview, ConnectionId, Effect, Offer, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
-    AckState, ActorId, Beat, Digest, EvaluationResult, Incarnation, LeaseId, PolicyVersion,
+    AckState, ActorId, Heartbeat, Digest, EvaluationResult, Incarnation, LeaseId, PolicyVersion,
     PushHeader, WeightsName, Work,
 };
 use table::{CHUNKS, Held, INCARNATION, TTL, chunk, honest, weights, works};
@@ -152,7 +152,7 @@ impl Siege {
             Call::Beat { connection, actor, lease, step } => {
                 let connection = ConnectionId(u64::from(connection % 4));
                 let (actor, lease) = (ActorId(actor.into()), LeaseId(lease.into()));
-                let beat = Beat { actor, incarnation: INCARNATION, lease, slot_step: step };
+                let beat = Heartbeat { actor, incarnation: INCARNATION, lease, slot_step: step };
                 let _valid = self.table.heartbeat(connection, &beat);
             }
             Call::Pass(tenths) => {

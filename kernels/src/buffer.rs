@@ -1,24 +1,24 @@
-//! Rows of numbers in whole cache lines.
+//! Rows of values, padded to whole cache lines.
 
 use crate::simd::{LANES, Line};
 
-/// Lines as numbers.
+/// The values of `lines`, padding included.
 pub(crate) fn numbers(lines: &[Line]) -> &[f32] {
     // SAFETY: a line is sixteen floats without padding, and aligned more strictly than they are.
     unsafe { core::slice::from_raw_parts(lines.as_ptr().cast(), lines.len() * LANES) }
 }
 
-/// Lines that hold `width` numbers.
+/// Lines needed for `width` values.
 pub(crate) fn groups(width: usize) -> usize {
     width.div_ceil(LANES)
 }
 
-/// Lines between rows of `width` numbers: an odd number, so that the rows of a block fall into different sets of a cache.
+/// Lines from one row of `width` values to the next. Odd, so that the rows of a block map to different cache sets.
 pub(crate) fn stride(width: usize) -> usize {
     groups(width) | 1
 }
 
-/// Rows of `width` numbers, each in its own lines; what pads them is 0.
+/// Rows of `width` values. Each row starts a new line and is padded with 0.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rows {
     lines: Vec<Line>,
@@ -26,7 +26,7 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Makes room for `rows` rows of `width` numbers, whose contents are then those of earlier rows.
+    /// Resizes to `rows` rows of `width` values. The contents are then unspecified.
     pub(crate) fn resize(&mut self, rows: usize, width: usize) {
         self.width = width;
         self.lines.resize(rows * stride(width), Line::default());
@@ -51,7 +51,7 @@ impl Rows {
         &mut self.lines[from * stride..to * stride]
     }
 
-    /// Takes over dense rows `[rows, width]` from row `first` on.
+    /// Copies dense rows `[rows, width]` to the rows from `first` on.
     pub(crate) fn fill(&mut self, first: usize, dense: &[f32]) {
         let (width, stride) = (self.width, self.stride());
         let lines = self.lines[first * stride..].chunks_exact_mut(stride);
@@ -70,7 +70,7 @@ impl Rows {
     }
 }
 
-/// `values` in lines, padded with 0.
+/// `values` as lines, padded with 0.
 pub(crate) fn padded(values: &[f32]) -> Vec<Line> {
     let mut lines = vec![Line::default(); groups(values.len())];
     for (line, part) in lines.iter_mut().zip(values.chunks(LANES)) {
@@ -79,7 +79,7 @@ pub(crate) fn padded(values: &[f32]) -> Vec<Line> {
     lines
 }
 
-/// Copies the numbers that `lines` hold back to `values`.
+/// Copies `lines` to `values`, without the padding.
 pub(crate) fn unpadded(lines: &[Line], values: &mut [f32]) {
     for (line, part) in lines.iter().zip(values.chunks_mut(LANES)) {
         part.copy_from_slice(&line.0[..part.len()]);

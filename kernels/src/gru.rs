@@ -1,4 +1,4 @@
-//! A gated recurrent unit over the steps of some sequences.
+//! A gated recurrent unit over the steps of several sequences.
 
 use crate::buffer::{Rows, padded, stride};
 use crate::linear::{Weights, add_rows, slope_of_tanh};
@@ -9,47 +9,55 @@ use crate::simd::{Line, Simd};
 /// Gates r, z, n.
 const GATES: usize = 3;
 
-/// Weights of both linear maps, each gate by itself.
+/// Weights of both linear maps, separate for each gate.
 #[derive(Clone, Debug)]
 pub(crate) struct Gru {
     inputs: usize,
     hidden: usize,
     input: [Weights; GATES],
     recurrent: [Weights; GATES],
-    /// Of r and z both biases added, of n that of the input.
+    /// For r and z the sum of both biases, for n that of the input.
     input_bias: [Vec<Line>; GATES],
-    /// Of n's recurrent part.
+    /// Bias of n's recurrent part.
     candidate_bias: Vec<Line>,
 }
 
-/// What a forward pass leaves to the backward pass, rows `t * B + b`.
+/// Values that the forward pass saves for the backward pass, rows `t * B + b`.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trace {
-    /// r, z, n, and `W_hn h' + b_hn`; the backward pass puts the gradients by their pre-activations in their place.
+    /// r, z, n, and `W_hn h' + b_hn`. The backward pass overwrites them with the gradients of their pre-activations.
     gates: [Rows; GATES + 1],
     /// `h'` of every step.
     before: Rows,
-    /// The state at first, `[B, H]`; later its gradient.
+    /// The initial state, `[B, H]`. In the backward pass, its gradient.
     state: Rows,
 }
 
-/// Steps, sequences and resets.
+/// How rows form sequences: `T` steps of `B` sequences, rows `t * B + b`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Steps<'a> {
-    pub(crate) steps: usize,
-    pub(crate) sequences: usize,
-    /// `[T, B]`
-    pub(crate) mask: &'a [f32],
+pub struct Sequences<'a> {
+    /// The recurrent state before the first step, `[B, H]`.
+    pub start: &'a [f32],
+    /// 0 where the state is reset before the step, else 1, `[T, B]`.
+    pub mask: &'a [f32],
+    /// `B`
+    pub count: usize,
+}
+
+impl Sequences<'_> {
+    pub(crate) fn steps(&self) -> usize {
+        self.mask.len() / self.count.max(1)
+    }
 }
 
 impl Gru {
-    /// From `W_i`, `b_i`, `W_h`, `b_h`, one after another.
-    pub(crate) fn new(parameters: &[f32], (inputs, hidden): (usize, usize)) -> Self {
+    /// From the concatenation of `W_i`, `b_i`, `W_h`, `b_h`.
+    pub(crate) fn new(parameters: &[f32], inputs: usize, hidden: usize) -> Self {
         let (input, rest) = parameters.split_at(GATES * hidden * inputs);
         let (input_bias, rest) = rest.split_at(GATES * hidden);
         let (recurrent, recurrent_bias) = rest.split_at(GATES * hidden * hidden);
         let gate = |of: &[f32], width: usize, gate: usize| {
-            Weights::new(&of[gate * hidden * width..][..hidden * width], (width, hidden))
+            Weights::new(&of[gate * hidden * width..][..hidden * width], width, hidden)
         };
         let bias = |gate: usize| {
             let own = &input_bias[gate * hidden..][..hidden];
@@ -70,16 +78,18 @@ impl Gru {
         }
     }
 
-    /// States after every step, from `start` `[B, H]`.
+    /// Writes the states after every step.
     #[inline(always)]
     pub(crate) fn forward<S: Simd>(
         &self,
         simd: S,
-        (x, states): (&Rows, &mut Rows),
-        (steps, start): (Steps<'_>, &[f32]),
+        x: &Rows,
+        sequences: Sequences<'_>,
+        states: &mut Rows,
         trace: &mut Trace,
     ) {
-        let (rows, count) = (steps.steps * steps.sequences, steps.sequences);
+        let Sequences { start, mask, count } = sequences;
+        let rows = sequences.steps() * count;
         trace.before.resize(rows, self.hidden);
         trace.state.resize(count, self.hidden);
         trace.state.fill(0, start);
@@ -89,14 +99,14 @@ impl Gru {
             let into = trace.gates[gate].range_mut(0, rows);
             simd.product(&weights.forward(x.range(0, rows), into, rows, start));
         }
-        for step in 0..steps.steps {
+        for step in 0..sequences.steps() {
             let (from, to) = (step * count, (step + 1) * count);
             let earlier = match step {
                 0 => trace.state.range(0, count),
                 _ => states.range(from - count, from),
             };
             let before = trace.before.range_mut(from, to);
-            masked(simd, earlier, before, &steps.mask[from..to], stride(self.hidden));
+            masked(simd, earlier, before, &mask[from..to], stride(self.hidden));
             let before = trace.before.range(from, to);
             for (gate, weights) in self.recurrent.iter().enumerate() {
                 let (place, start) = match gate {
@@ -106,30 +116,28 @@ impl Gru {
                 let into = trace.gates[place].range_mut(from, to);
                 simd.product(&weights.forward(before, into, count, start));
             }
-            let [r, z, n, candidate] = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
-            cells(simd, (r, z, n, candidate), before, states.range_mut(from, to));
+            let gates = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
+            cells(simd, gates, before, states.range_mut(from, to));
         }
     }
 
-    /// Backpropagation through time, last step first, from the gradient `g` by the states. Adds to the gradient of the
-    /// parameters and writes that of `x`.
+    /// Backpropagation through time from the gradient `g` of the states: replaces the gates in `trace` by the gradients of
+    /// their pre-activations, last step first.
     #[inline(always)]
     pub(crate) fn backward<S: Simd>(
         &self,
         simd: S,
-        (x, g): (&Rows, &Rows),
-        steps: Steps<'_>,
+        sequences: Sequences<'_>,
+        g: &Rows,
         trace: &mut Trace,
-        (parameters, dx): (Option<&mut [f32]>, &mut Rows),
     ) {
-        let (rows, count) = (steps.steps * steps.sequences, steps.sequences);
+        let Sequences { mask, count, .. } = sequences;
         trace.state.range_mut(0, count).fill(Line::default());
-        for step in (0..steps.steps).rev() {
+        for step in (0..sequences.steps()).rev() {
             let (from, to) = (step * count, (step + 1) * count);
-            let [r, z, n, candidate] = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
-            let known = (g.range(from, to), trace.before.range(from, to));
-            let later = trace.state.range_mut(0, count);
-            cells_backward(simd, (r, z, n, candidate), known, later);
+            let gates = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
+            let before = trace.before.range(from, to);
+            cells_backward(simd, gates, before, g.range(from, to), trace.state.range_mut(0, count));
             for (gate, weights) in self.recurrent.iter().enumerate() {
                 let place = if gate == 2 { 3 } else { gate };
                 let d = trace.gates[place].range(from, to);
@@ -137,11 +145,19 @@ impl Gru {
                 simd.product(&weights.backward(d, later, count, Start::Result));
             }
             let later = trace.state.range_mut(0, count);
-            reset(simd, later, &steps.mask[from..to], stride(self.hidden));
+            reset(simd, later, &mask[from..to], stride(self.hidden));
         }
-        if let Some(parameters) = parameters {
-            self.add_gradient(simd, x, rows, trace, parameters);
-        }
+    }
+
+    /// After [`Self::backward`]: writes the gradient of the input.
+    #[inline(always)]
+    pub(crate) fn input_gradient<S: Simd>(
+        &self,
+        simd: S,
+        rows: usize,
+        trace: &Trace,
+        dx: &mut Rows,
+    ) {
         dx.resize(rows, self.inputs);
         for (gate, weights) in self.input.iter().enumerate() {
             let start = if gate == 0 { Start::Zero } else { Start::Result };
@@ -150,8 +166,9 @@ impl Gru {
         }
     }
 
+    /// After [`Self::backward`]: adds to the gradient of the parameters.
     #[inline(always)]
-    fn add_gradient<S: Simd>(
+    pub(crate) fn add_gradient<S: Simd>(
         &self,
         simd: S,
         x: &Rows,
@@ -177,7 +194,7 @@ impl Gru {
     }
 }
 
-/// `to = from * mask`, a number of the mask for every row.
+/// `to = from * mask`, with one mask value per row.
 #[inline(always)]
 fn masked<S: Simd>(simd: S, from: &[Line], to: &mut [Line], mask: &[f32], stride: usize) {
     let rows = from.chunks_exact(stride).zip(to.chunks_exact_mut(stride));
@@ -197,11 +214,13 @@ fn reset<S: Simd>(simd: S, rows: &mut [Line], mask: &[f32], stride: usize) {
     }
 }
 
-type Gates<'a> = (&'a mut [Line], &'a mut [Line], &'a mut [Line], &'a mut [Line]);
+/// As in [`Trace`].
+type Gates<'a> = [&'a mut [Line]; GATES + 1];
 
-/// Turns pre-activations into gates and writes the states.
+/// Replaces pre-activations by gates and writes the states.
 #[inline(always)]
-fn cells<S: Simd>(simd: S, (r, z, n, candidate): Gates<'_>, before: &[Line], states: &mut [Line]) {
+fn cells<S: Simd>(simd: S, gates: Gates<'_>, before: &[Line], states: &mut [Line]) {
+    let [r, z, n, candidate] = gates;
     let gates = r.iter_mut().zip(z).zip(n.iter_mut().zip(candidate));
     for (((r, z), (n, candidate)), (before, state)) in gates.zip(before.iter().zip(states)) {
         let reset = sigmoid_of(simd, simd.load(r));
@@ -214,15 +233,17 @@ fn cells<S: Simd>(simd: S, (r, z, n, candidate): Gates<'_>, before: &[Line], sta
     }
 }
 
-/// Puts the gradients by the pre-activations in the gates' place. `known` is the gradient by the states from above, and
-/// `h'`; `later` comes in as that from the next step and leaves as the direct part of the gradient by `h'`.
+/// Replaces the gates by the gradients of their pre-activations. `g` is the gradient of the states from the next layer.
+/// `later` is the one from the next step; it is replaced by the direct part of the gradient of `before`, `h'`.
 #[inline(always)]
 fn cells_backward<S: Simd>(
     simd: S,
-    (r, z, n, candidate): Gates<'_>,
-    (g, before): (&[Line], &[Line]),
+    gates: Gates<'_>,
+    before: &[Line],
+    g: &[Line],
     later: &mut [Line],
 ) {
+    let [r, z, n, candidate] = gates;
     let one = simd.splat(1.0);
     let gates = r.iter_mut().zip(z).zip(n.iter_mut().zip(candidate));
     let known = g.iter().zip(before).zip(later);

@@ -1,15 +1,15 @@
-//! Networks forwards and backwards in vector registers, with the same bits on every processor.
+//! Forward and backward passes of networks in vector registers, bit-identical on every processor.
 //!
-//! A [`Network`] is a list of layers: layer norm, linear map with activation, GRU. [`Packed`] holds its weights in the
-//! order in which the registers read them and is made once per optimiser step; [`Packed::forward`] takes blocks of rows
-//! through all layers while they are in cache, [`Packed::backward`] the same blocks back.
+//! A [`Network`] is a list of layers: layer norm, linear map with activation, GRU. [`Packed`] contains its weights in the
+//! order in which the kernel reads them; it is built once per optimiser step. [`Packed::forward`] and
+//! [`Packed::backward`] take blocks of rows through all layers while they are in cache.
 //!
-//! **Fixed arithmetic.** Every sum has one order: products are chains of fused multiply-adds over `k`, gradients of
-//! weights one chain over rows, sums across a row sixteen lanes that are folded by halves. The elementary
-//! functions are ours. So the result is the same at every [`Width`], and a row's result does not depend on the rows
-//! around it.
+//! **Fixed arithmetic.** Every sum has one order: a product is a chain of fused multiply-adds over `k`, a gradient of
+//! weights one chain over rows, and a sum across a row adds sixteen lanes by halves. The crate implements its own
+//! elementary functions. The result is therefore the same at every [`Width`], and a row's result does not depend on the
+//! other rows.
 //!
-//! This is the one shipped crate with `unsafe` code of ours: vector instructions, and the pointers of the innermost loop.
+//! This is the only shipped crate with `unsafe` code: vector instructions, and the pointers of the innermost loop.
 
 #![expect(unsafe_code, reason = "vector instructions, and the pointers of the innermost loop")]
 #![deny(unsafe_op_in_unsafe_fn)]
@@ -27,19 +27,20 @@ mod workspace;
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
+pub use gru::Sequences;
 pub use math::{sigmoid, tanh};
 pub use network::{Activation, Layer, Network};
-pub use packed::{Input, Memory, Packed};
+pub use packed::{Input, Packed};
 pub use simd::Width;
 pub use workspace::Workspace;
 
-/// Added to a variance before its root, in a layer norm.
+/// Added to the variance in a layer norm, before the square root.
 pub const LAYER_NORM_EPSILON: f32 = 1e-5;
 
 /// The selected width as a number; 0 before the first use.
 static SELECTED: AtomicU8 = AtomicU8::new(0);
 
-/// The registers that kernels compute with: the widest of this processor, unless [`select`] has chosen others.
+/// The register width in use: the widest of this processor, unless [`select`] has set another.
 #[must_use]
 pub fn width() -> Width {
     let selected = SELECTED.load(Ordering::Relaxed);
@@ -51,7 +52,7 @@ pub fn width() -> Width {
     })
 }
 
-/// Computes with `width` from now on; false if the processor lacks it.
+/// Sets the register width of all later computations. Returns false, without effect, if the processor does not support it.
 pub fn select(width: Width) -> bool {
     let available = width.is_available();
     if available {

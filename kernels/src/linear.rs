@@ -1,4 +1,4 @@
-//! A linear map with its activation, on a block of rows.
+//! A linear map with its activation, for a block of rows.
 
 use crate::buffer::{groups, numbers, padded, stride, unpadded};
 use crate::math::tanh_of;
@@ -6,7 +6,7 @@ use crate::network::Activation;
 use crate::product::{Left, Product, Right, Start};
 use crate::simd::{LANES, Line, Simd};
 
-/// Weights in the order in which registers read them.
+/// Weights in the order in which the kernel reads them.
 #[derive(Clone, Debug)]
 pub(crate) struct Weights {
     pub(crate) inputs: usize,
@@ -19,7 +19,7 @@ pub(crate) struct Weights {
 
 impl Weights {
     /// From `[outputs, inputs]`.
-    pub(crate) fn new(weight: &[f32], (inputs, outputs): (usize, usize)) -> Self {
+    pub(crate) fn new(weight: &[f32], inputs: usize, outputs: usize) -> Self {
         assert_eq!(weight.len(), inputs * outputs, "weights of {inputs} to {outputs}");
         let mut forward = vec![Line::default(); groups(outputs) * inputs];
         let mut backward = vec![Line::default(); groups(inputs) * outputs];
@@ -35,7 +35,7 @@ impl Weights {
         Self { inputs, outputs, forward, backward }
     }
 
-    /// `y = start + x W^T` of rows.
+    /// `y = start + x W^T` for `rows` rows.
     #[inline(always)]
     pub(crate) fn forward<'a>(
         &'a self,
@@ -44,12 +44,12 @@ impl Weights {
         rows: usize,
         start: Start<'a>,
     ) -> Product<'a> {
-        let left = Left::rows(numbers(x), stride(self.inputs) * LANES, (rows, self.inputs));
+        let left = Left::rows(numbers(x), stride(self.inputs) * LANES, rows, self.inputs);
         let right = Right::packed(&self.forward, self.inputs);
-        Product::lines(left, right, (y, stride(self.outputs)), self.outputs, start)
+        Product::lines(left, right, y, self.outputs, start)
     }
 
-    /// `dx = start + g W` of rows.
+    /// `dx = start + g W` for `rows` rows.
     #[inline(always)]
     pub(crate) fn backward<'a>(
         &'a self,
@@ -58,12 +58,12 @@ impl Weights {
         rows: usize,
         start: Start<'a>,
     ) -> Product<'a> {
-        let left = Left::rows(numbers(g), stride(self.outputs) * LANES, (rows, self.outputs));
+        let left = Left::rows(numbers(g), stride(self.outputs) * LANES, rows, self.outputs);
         let right = Right::packed(&self.backward, self.outputs);
-        Product::lines(left, right, (dx, stride(self.inputs)), self.inputs, start)
+        Product::lines(left, right, dx, self.inputs, start)
     }
 
-    /// Adds `g^T x` of rows to the gradient `[outputs, inputs]`.
+    /// Adds `g^T x` of `rows` rows to the gradient `[outputs, inputs]`.
     #[inline(always)]
     pub(crate) fn gradient<'a>(
         &self,
@@ -72,13 +72,13 @@ impl Weights {
         rows: usize,
         gradient: &'a mut [f32],
     ) -> Product<'a> {
-        let left = Left::columns(numbers(g), stride(self.outputs) * LANES, (rows, self.outputs));
+        let left = Left::columns(numbers(g), stride(self.outputs) * LANES, rows, self.outputs);
         let right = Right::rows(x, stride(self.inputs));
         Product::dense(left, right, gradient, self.inputs, Start::Result)
     }
 }
 
-/// Adds rows to `sums`, row after row.
+/// Adds the rows to `sums`, in row order.
 #[inline(always)]
 pub(crate) fn add_rows<S: Simd>(simd: S, rows: &[Line], sums: &mut [f32]) {
     let stride = stride(sums.len());
@@ -100,10 +100,16 @@ pub(crate) struct Linear {
 }
 
 impl Linear {
-    /// From `W` `[outputs, inputs]` and `b` `[outputs]`, one after the other.
-    pub(crate) fn new(parameters: &[f32], shape: (usize, usize), activation: Activation) -> Self {
-        let (weight, bias) = parameters.split_at(shape.0 * shape.1);
-        Self { weights: Weights::new(weight, shape), bias: padded(bias), activation }
+    /// From the concatenation of `W` `[outputs, inputs]` and `b` `[outputs]`.
+    pub(crate) fn new(
+        parameters: &[f32],
+        inputs: usize,
+        outputs: usize,
+        activation: Activation,
+    ) -> Self {
+        let (weight, bias) = parameters.split_at(inputs * outputs);
+        let weights = Weights::new(weight, inputs, outputs);
+        Self { weights, bias: padded(bias), activation }
     }
 
     #[inline(always)]
@@ -121,17 +127,19 @@ impl Linear {
         }
     }
 
-    /// Turns the gradient `g` by the result `y` into that by the linear map's own result, adds to the gradient of the
-    /// parameters, and writes that of `x`.
+    /// Replaces the gradient `g` of the result `y` by the gradient before the activation, adds to the gradient of the
+    /// parameters, and writes the gradient of `x`.
     #[inline(always)]
     pub(crate) fn backward<S: Simd>(
         &self,
         simd: S,
-        (x, y, g): (&[Line], &[Line], &mut [Line]),
-        rows: usize,
+        x: &[Line],
+        y: &[Line],
+        g: &mut [Line],
         parameters: Option<&mut [f32]>,
         dx: Option<&mut [Line]>,
     ) {
+        let rows = y.len() / stride(self.weights.outputs);
         self.before_activation(simd, y, g);
         if let Some(parameters) = parameters {
             let weights = self.weights.inputs * self.weights.outputs;

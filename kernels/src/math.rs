@@ -1,12 +1,12 @@
-//! Elementary functions of single precision, out of correctly rounded operations alone.
+//! Elementary functions in single precision, computed only with correctly rounded operations.
 
 use crate::simd::{Operation, Simd};
 use crate::width;
 
-/// Beyond this the tangent is 1 to the last bit that the approximation gives.
+/// Inputs are clamped to this magnitude; the approximation gives 1 from here on.
 const TANH_LIMIT: f32 = 7.905_311;
 
-/// Coefficients of `tanh(x) / x`'s numerator in powers of `x^2`, the highest first.
+/// Coefficients of the numerator of `tanh(x) / x` in powers of `x^2`, the highest first.
 const NUMERATOR: [f32; 7] = [
     -2.760_768_5e-16,
     2.000_188e-13,
@@ -17,11 +17,11 @@ const NUMERATOR: [f32; 7] = [
     4.893_524_6e-3,
 ];
 
-/// Its denominator's.
+/// Coefficients of the denominator.
 const DENOMINATOR: [f32; 4] = [1.198_258_4e-6, 1.185_347e-4, 2.268_434_6e-3, 4.893_525e-3];
 
-/// Hyperbolic tangent as a ratio of an odd polynomial of degree 13 and an even one of degree 6 (the minimax
-/// coefficients in common use), relative error below 5e-7.
+/// Hyperbolic tangent: the ratio of an odd polynomial of degree 13 and an even one of degree 6 (the usual minimax
+/// coefficients). Its relative error is below 5e-7.
 #[inline(always)]
 pub(crate) fn tanh_of<S: Simd>(simd: S, x: S::Vector) -> S::Vector {
     let x = simd.at_least(simd.splat(-TANH_LIMIT), x);
@@ -32,7 +32,7 @@ pub(crate) fn tanh_of<S: Simd>(simd: S, x: S::Vector) -> S::Vector {
     simd.div(simd.mul(x, numerator), denominator)
 }
 
-/// Horner's scheme; the highest power's coefficient comes first.
+/// Horner's method; `coefficients` start with the highest power.
 #[inline(always)]
 fn polynomial<S: Simd>(simd: S, x: S::Vector, coefficients: &[f32]) -> S::Vector {
     let mut sum = simd.splat(coefficients[0]);
@@ -49,12 +49,12 @@ pub(crate) fn sigmoid_of<S: Simd>(simd: S, x: S::Vector) -> S::Vector {
     simd.fma(half, tanh_of(simd, simd.mul(half, x)), half)
 }
 
-struct One {
+struct ScalarCall {
     x: f32,
     sigmoid: bool,
 }
 
-impl Operation for One {
+impl Operation for ScalarCall {
     type Output = f32;
 
     #[inline(always)]
@@ -70,13 +70,13 @@ impl Operation for One {
 /// Hyperbolic tangent of one number; relative error below 5e-7.
 #[must_use]
 pub fn tanh(x: f32) -> f32 {
-    width().run(One { x, sigmoid: false })
+    width().run(ScalarCall { x, sigmoid: false })
 }
 
 /// `1 / (1 + exp(-x))` of one number.
 #[must_use]
 pub fn sigmoid(x: f32) -> f32 {
-    width().run(One { x, sigmoid: true })
+    width().run(ScalarCall { x, sigmoid: true })
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
-//! What a network is made of.
+//! Layers and their sizes.
 
 use core::ops::Range;
 
-/// What follows a linear map.
+/// Function applied to the result of a linear map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
-    /// Nothing.
+    /// `x`.
     Identity,
     /// Hyperbolic tangent.
     Tanh,
@@ -13,22 +13,22 @@ pub enum Activation {
     Relu,
 }
 
-/// A layer, its parameters in PyTorch's shapes and order.
+/// A layer. Its parameters have PyTorch's shapes and order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layer {
     /// `(x - mean) / sqrt(var + 1e-5) * weight + bias` over a row, with the biased variance; parameters `weight`,
     /// `bias`, `[width]` each.
     Norm {
-        /// Numbers in a row.
+        /// Width of an input row.
         width: usize,
     },
     /// `activation(x W^T + b)`; parameters `W` `[outputs, inputs]`, `b` `[outputs]`.
     Linear {
-        /// Numbers in a row.
+        /// Width of an input row.
         inputs: usize,
-        /// Numbers in a row of the result.
+        /// Width of an output row.
         outputs: usize,
-        /// What follows.
+        /// Applied to every value of the result.
         activation: Activation,
     },
     /// A gated recurrent unit over `T` steps of `B` sequences, rows `t * B + b`:
@@ -36,7 +36,7 @@ pub enum Layer {
     /// `n = tanh(W_in x + b_in + r (W_hn h' + b_hn))`; parameters `W_i` `[3H, inputs]`, `b_i` `[3H]`, `W_h`
     /// `[3H, H]`, `b_h` `[3H]`, gates in the order r, z, n.
     Gru {
-        /// Numbers in a row.
+        /// Width of an input row.
         inputs: usize,
         /// Recurrent units, `H`.
         hidden: usize,
@@ -44,7 +44,7 @@ pub enum Layer {
 }
 
 impl Layer {
-    /// Numbers in a row of what it is given.
+    /// Width of an input row.
     #[must_use]
     pub fn inputs(self) -> usize {
         match self {
@@ -53,7 +53,7 @@ impl Layer {
         }
     }
 
-    /// Numbers in a row of its result.
+    /// Width of an output row.
     #[must_use]
     pub fn outputs(self) -> usize {
         match self {
@@ -63,7 +63,7 @@ impl Layer {
         }
     }
 
-    /// Numbers in its parameters.
+    /// Number of its parameters (scalars).
     #[must_use]
     pub fn parameters(self) -> usize {
         match self {
@@ -74,7 +74,7 @@ impl Layer {
     }
 }
 
-/// Layers one after another, with at most one GRU among them.
+/// A sequence of layers with at most one GRU.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Network {
     layers: Vec<Layer>,
@@ -84,7 +84,7 @@ impl Network {
     /// A network of these layers.
     ///
     /// # Panics
-    /// If there is none, if one has no units, if two do not fit together, or if there are two GRUs.
+    /// If there is no layer, a layer has no units, two widths do not match, or there are two GRUs.
     #[must_use]
     pub fn new(layers: Vec<Layer>) -> Self {
         assert!(!layers.is_empty(), "a network without layers");
@@ -95,38 +95,38 @@ impl Network {
         Self { layers }
     }
 
-    /// The layers in their order.
+    /// The layers in order.
     #[must_use]
     pub fn layers(&self) -> &[Layer] {
         &self.layers
     }
 
-    /// Numbers in a row of its input.
+    /// Width of an input row.
     #[must_use]
     pub fn inputs(&self) -> usize {
         self.layers[0].inputs()
     }
 
-    /// Numbers in a row of its output.
+    /// Width of an output row.
     #[must_use]
     pub fn outputs(&self) -> usize {
         self.layers[self.layers.len() - 1].outputs()
     }
 
-    /// Index and units of the GRU.
+    /// Layer index and units of the GRU.
     #[must_use]
     pub fn gru(&self) -> Option<(usize, usize)> {
         let found = self.layers.iter().position(|layer| matches!(layer, Layer::Gru { .. }))?;
         Some((found, self.layers[found].outputs()))
     }
 
-    /// Numbers in all parameters.
+    /// Number of all parameters (scalars).
     #[must_use]
     pub fn parameters(&self) -> usize {
         self.layers.iter().map(|layer| layer.parameters()).sum()
     }
 
-    /// Where each layer's parameters stand among all.
+    /// The range of each layer's parameters in the concatenation of all.
     pub(crate) fn ranges(&self) -> Vec<Range<usize>> {
         let mut end = 0;
         let range = |layer: &Layer| {

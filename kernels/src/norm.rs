@@ -1,11 +1,23 @@
-//! Layer normalisation of a block of rows.
+//! Layer normalisation for a block of rows.
 
 use crate::LAYER_NORM_EPSILON;
 use crate::buffer::{groups, padded, stride, unpadded};
 use crate::simd::{LANES, Line, Simd};
 
-/// A row's mean and the inverse of its deviation.
-pub(crate) type Moments = (f32, f32);
+/// Statistics of a row.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Moments {
+    mean: f32,
+    /// `1 / sqrt(var + epsilon)`.
+    inverse_deviation: f32,
+}
+
+impl Moments {
+    #[inline(always)]
+    fn splat<S: Simd>(self, simd: S) -> (S::Vector, S::Vector) {
+        (simd.splat(self.mean), simd.splat(self.inverse_deviation))
+    }
+}
 
 /// Weight and bias, padded.
 #[derive(Clone, Debug)]
@@ -13,12 +25,12 @@ pub(crate) struct Norm {
     width: usize,
     weight: Vec<Line>,
     bias: Vec<Line>,
-    /// 1 in the lanes of the last group that hold numbers, else 0.
+    /// 1 in the lanes of the last group that hold values, 0 in its padding.
     mask: Line,
 }
 
 impl Norm {
-    /// From `weight` and `bias`, `[width]` each, one after the other.
+    /// From the concatenation of `weight` and `bias`, `[width]` each.
     pub(crate) fn new(parameters: &[f32]) -> Self {
         let width = parameters.len() / 2;
         let (weight, bias) = parameters.split_at(width);
@@ -28,7 +40,7 @@ impl Norm {
         Self { width, weight: padded(weight), bias: padded(bias), mask }
     }
 
-    /// `x`'s lane differences from the mean; 0 in the padding.
+    /// `x - mean`; 0 in the padding.
     #[inline(always)]
     fn centred<S: Simd>(&self, simd: S, x: &Line, group: usize, mean: S::Vector) -> S::Vector {
         let centred = simd.sub(simd.load(x), mean);
@@ -38,7 +50,6 @@ impl Norm {
         }
     }
 
-    /// Mean and inverse deviation of a row.
     #[inline(always)]
     fn moments<S: Simd>(&self, simd: S, x: &[Line]) -> Moments {
         let count = self.width as f32;
@@ -53,7 +64,7 @@ impl Norm {
             squares = simd.fma(centred, centred, squares);
         }
         let variance = simd.sum(squares) / count;
-        (mean, 1.0 / (variance + LAYER_NORM_EPSILON).sqrt())
+        Moments { mean, inverse_deviation: 1.0 / (variance + LAYER_NORM_EPSILON).sqrt() }
     }
 
     #[inline(always)]
@@ -69,7 +80,7 @@ impl Norm {
         for ((x, y), moments) in rows.zip(moments) {
             let (x, y) = (&x[..groups], &mut y[..groups]);
             *moments = self.moments(simd, x);
-            let (mean, inverse) = (simd.splat(moments.0), simd.splat(moments.1));
+            let (mean, inverse) = moments.splat(simd);
             for (group, (x, y)) in x.iter().zip(y).enumerate() {
                 let normal = simd.mul(simd.sub(simd.load(x), mean), inverse);
                 let (weight, bias) = (&self.weight[group], &self.bias[group]);
@@ -78,23 +89,25 @@ impl Norm {
         }
     }
 
-    /// Adds to the gradient of weight and bias, and writes that of `x`.
+    /// Adds to the gradient of weight and bias, and writes the gradient of `x`.
     #[inline(always)]
     pub(crate) fn backward<S: Simd>(
         &self,
         simd: S,
-        (x, g, moments): (&[Line], &[Line], &[Moments]),
+        x: &[Line],
+        g: &[Line],
+        moments: &[Moments],
         parameters: Option<&mut [f32]>,
         dx: Option<&mut [Line]>,
     ) {
         if let Some(parameters) = parameters {
-            self.add_gradient(simd, (x, g, moments), parameters);
+            self.add_gradient(simd, x, g, moments, parameters);
         }
         let Some(dx) = dx else { return };
         let (stride, groups) = (stride(self.width), groups(self.width));
         let rows = x.chunks_exact(stride).zip(g.chunks_exact(stride)).zip(moments);
         for (((x, g), &moments), dx) in rows.zip(dx.chunks_exact_mut(stride)) {
-            self.backward_row(simd, (&x[..groups], &g[..groups], moments), &mut dx[..groups]);
+            self.backward_row(simd, &x[..groups], &g[..groups], moments, &mut dx[..groups]);
         }
     }
 
@@ -103,10 +116,12 @@ impl Norm {
     fn backward_row<S: Simd>(
         &self,
         simd: S,
-        (x, g, moments): (&[Line], &[Line], Moments),
+        x: &[Line],
+        g: &[Line],
+        moments: Moments,
         dx: &mut [Line],
     ) {
-        let (mean, inverse) = (simd.splat(moments.0), simd.splat(moments.1));
+        let (mean, inverse) = moments.splat(simd);
         let (mut plain, mut normals) = (simd.splat(0.0), simd.splat(0.0));
         for (group, (x, g)) in x.iter().zip(g).enumerate() {
             let d = simd.mul(simd.load(g), simd.load(&self.weight[group]));
@@ -133,7 +148,9 @@ impl Norm {
     fn add_gradient<S: Simd>(
         &self,
         simd: S,
-        (x, g, moments): (&[Line], &[Line], &[Moments]),
+        x: &[Line],
+        g: &[Line],
+        moments: &[Moments],
         parameters: &mut [f32],
     ) {
         let stride = stride(self.width);
@@ -141,7 +158,7 @@ impl Norm {
         let (mut by_weight, mut by_bias) = (padded(weight), padded(bias));
         let rows = x.chunks_exact(stride).zip(g.chunks_exact(stride)).zip(moments);
         for ((x, g), moments) in rows {
-            let (mean, inverse) = (simd.splat(moments.0), simd.splat(moments.1));
+            let (mean, inverse) = moments.splat(simd);
             let sums = by_weight.iter_mut().zip(&mut by_bias);
             for ((by_weight, by_bias), (x, g)) in sums.zip(x.iter().zip(g)) {
                 let normal = simd.mul(simd.sub(simd.load(x), mean), inverse);

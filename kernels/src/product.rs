@@ -1,13 +1,14 @@
-//! Matrix products. One kernel serves all three of a linear layer: forwards, by its weights and by its rows.
+//! Matrix products. One kernel computes a linear layer's result and the gradients of its weights and of its input.
 //!
-//! Every element of a result is one chain of fused multiply-adds in the order of `k`. So it does not depend on how rows
-//! and columns are dealt out to tiles.
+//! Every element of a result is one chain of fused multiply-adds in the order of `k`. It therefore does not depend on
+//! the tiling.
 
 use core::marker::PhantomData;
 
+use crate::buffer::stride;
 use crate::simd::{LANES, Line, Simd};
 
-/// A strided matrix that is read: element `(i, k)` is `data[i * outer + k * inner]`.
+/// The left operand, a strided matrix: element `(i, k)` is `data[i * outer + k * inner]`.
 #[derive(Clone, Copy)]
 pub(crate) struct Left<'a> {
     data: *const f32,
@@ -19,22 +20,21 @@ pub(crate) struct Left<'a> {
 }
 
 impl<'a> Left<'a> {
-    /// `rows` rows of `depth` numbers, `stride` apart.
-    pub(crate) fn rows(data: &'a [f32], stride: usize, (rows, depth): (usize, usize)) -> Self {
+    /// `rows` rows of `depth` values, `stride` values apart.
+    pub(crate) fn rows(data: &'a [f32], stride: usize, rows: usize, depth: usize) -> Self {
         assert!(rows > 0 && depth > 0 && depth <= stride, "{rows} rows of {depth} in {stride}");
         assert!((rows - 1) * stride + depth <= data.len(), "rows beyond the data");
         Self { data: data.as_ptr(), outer: stride, inner: 1, rows, depth, borrowed: PhantomData }
     }
 
-    /// The transpose: `width` rows of `rows` numbers.
-    pub(crate) fn columns(data: &'a [f32], stride: usize, (rows, width): (usize, usize)) -> Self {
-        let Self { data, outer, rows, depth, borrowed, .. } =
-            Self::rows(data, stride, (rows, width));
+    /// The transpose of [`Self::rows`]: `width` rows of `rows` values.
+    pub(crate) fn columns(data: &'a [f32], stride: usize, rows: usize, width: usize) -> Self {
+        let Self { data, outer, rows, depth, borrowed, .. } = Self::rows(data, stride, rows, width);
         Self { data, outer: 1, inner: outer, rows: depth, depth: rows, borrowed }
     }
 }
 
-/// Lines that are read: the one of columns `16 g..16 (g + 1)` in row `k` is `lines[g * group + k * row]`.
+/// The right operand: columns `16 g..16 (g + 1)` of row `k` are `lines[g * group + k * row]`.
 #[derive(Clone, Copy)]
 pub(crate) struct Right<'a> {
     lines: &'a [Line],
@@ -43,7 +43,7 @@ pub(crate) struct Right<'a> {
 }
 
 impl<'a> Right<'a> {
-    /// Packed weights: all rows of a group of columns one after another.
+    /// Packed weights: all rows of one group of columns are adjacent.
     pub(crate) fn packed(lines: &'a [Line], depth: usize) -> Self {
         Self { lines, group: depth, row: 1 }
     }
@@ -54,17 +54,17 @@ impl<'a> Right<'a> {
     }
 }
 
-/// What the chains of multiply-adds begin with.
+/// Initial value of the chains of multiply-adds.
 #[derive(Clone, Copy)]
 pub(crate) enum Start<'a> {
     Zero,
-    /// One line for every group of columns.
+    /// One line per group of columns.
     Bias(&'a [Line]),
-    /// What the result holds already.
+    /// The current contents of the result.
     Result,
 }
 
-/// `C = start + A B` with `C` of `columns` columns, `stride` numbers between its rows.
+/// `C = start + A B`. `C` has `columns` columns, and its rows are `stride` values apart.
 pub(crate) struct Product<'a> {
     left: Left<'a>,
     right: Right<'a>,
@@ -73,24 +73,24 @@ pub(crate) struct Product<'a> {
     columns: usize,
     result: *mut f32,
     stride: usize,
-    /// Whether the last group's padding is written too.
+    /// Whether the padding of the last group is also written.
     padded: bool,
     borrowed: PhantomData<&'a mut [f32]>,
 }
 
 impl<'a> Product<'a> {
-    /// Into lines, whose padding beyond the columns is written as the right side's lanes have it.
+    /// Into lines. Their padding is computed from the padding of the right operand.
     pub(crate) fn lines(
         left: Left<'a>,
         right: Right<'a>,
-        (result, stride): (&'a mut [Line], usize),
+        result: &'a mut [Line],
         columns: usize,
         start: Start<'a>,
     ) -> Self {
-        assert!(columns.div_ceil(LANES) <= stride, "{columns} columns in {stride} lines");
+        let stride = stride(columns);
         assert!(left.rows * stride <= result.len(), "a result of {} rows", left.rows);
         let result = result.as_mut_ptr().cast::<f32>();
-        Self { padded: true, ..Self::new((left, right), (result, stride * LANES), columns, start) }
+        Self { padded: true, ..Self::new(left, right, result, stride * LANES, columns, start) }
     }
 
     /// Into a dense matrix `[rows, columns]`.
@@ -102,12 +102,14 @@ impl<'a> Product<'a> {
         start: Start<'a>,
     ) -> Self {
         assert_eq!(result.len(), left.rows * columns, "a result of {} rows", left.rows);
-        Self::new((left, right), (result.as_mut_ptr(), columns), columns, start)
+        Self::new(left, right, result.as_mut_ptr(), columns, columns, start)
     }
 
     fn new(
-        (left, right): (Left<'a>, Right<'a>),
-        (result, stride): (*mut f32, usize),
+        left: Left<'a>,
+        right: Right<'a>,
+        result: *mut f32,
+        stride: usize,
         columns: usize,
         start: Start<'a>,
     ) -> Self {
@@ -121,13 +123,13 @@ impl<'a> Product<'a> {
         Self { left, right, start, relu, columns, result, stride, padded, borrowed }
     }
 
-    /// The same with `max(x, 0)` of every element.
+    /// The same product with `max(x, 0)` applied to every element.
     pub(crate) fn rectified(self) -> Self {
         Self { relu: true, ..self }
     }
 }
 
-/// Computes `product`, inlined where the registers' width is known.
+/// Computes `product`. Inlined into functions compiled for one register width.
 #[inline(always)]
 pub(crate) fn run<S: Simd>(simd: S, product: &Product<'_>) {
     let tiles = product.left.rows.div_ceil(S::TILE_ROWS);
@@ -141,8 +143,8 @@ pub(crate) fn run<S: Simd>(simd: S, product: &Product<'_>) {
         let mut row = 0;
         for tile in 0..tiles {
             let rows = height + usize::from(tile < taller);
-            // SAFETY: `row + rows` never exceeds the rows, nor `group + count` the groups, which are whole where there
-            // are several; `Product::new` and its callers have checked what they span.
+            // SAFETY: `row + rows` is at most the number of rows and `group + count` the number of groups; several
+            // groups are whole. `Product::new` and its callers checked the extents.
             unsafe { tile_of(simd, product, (group, count), (row, rows)) };
             row += rows;
         }
@@ -150,7 +152,7 @@ pub(crate) fn run<S: Simd>(simd: S, product: &Product<'_>) {
     }
 }
 
-/// Groups of columns whose sums grow side by side in a tile of `rows` rows: few sums would wait for each other.
+/// Groups of columns in a tile of `rows` rows. With few rows, several groups hide the latency of the multiply-adds.
 #[inline(always)]
 fn groups_of_tile<S: Simd>(rows: usize) -> usize {
     match rows {
@@ -173,7 +175,7 @@ unsafe fn tile_of<S: Simd>(
         ($($height:literal x $groups:literal,)*) => {
             match (rows, count) {
                 $(($height, $groups) if $height <= S::TILE_ROWS => {
-                    // SAFETY: the caller's.
+                    // SAFETY: guaranteed by the caller.
                     unsafe { tile::<S, $height, $groups>(simd, product, group, row) }
                 })*
                 _ => unreachable!("a tile of {rows} rows and {count} groups"),
@@ -201,7 +203,7 @@ unsafe fn tile<S: Simd, const M: usize, const N: usize>(
     let whole = product.padded || (group + N) * LANES <= product.columns;
     let width = if whole { LANES } else { product.columns - group * LANES };
     let mut sums = [[simd.splat(0.0); N]; M];
-    // SAFETY: rows and groups are in range by the caller's word; `Product::new` has checked what they span.
+    // SAFETY: rows and groups are in range by the contract of the caller; `Product::new` checked the extents.
     unsafe {
         let result = product.result.add(row * stride + group * LANES);
         for (m, sums) in sums.iter_mut().enumerate() {
@@ -244,24 +246,24 @@ unsafe fn tile<S: Simd, const M: usize, const N: usize>(
     }
 }
 
-/// The first `width` lanes, the others 0.
+/// Loads `width` lanes; the others are 0.
 ///
 /// # Safety
-/// That many numbers can be read.
+/// `from` is valid for reading `width` values.
 #[inline(always)]
 unsafe fn load_part<S: Simd>(simd: S, from: *const f32, width: usize) -> S::Vector {
     let mut line = Line::default();
-    // SAFETY: the caller's; a line holds sixteen.
+    // SAFETY: guaranteed by the caller; a line has sixteen values.
     unsafe { core::ptr::copy_nonoverlapping(from, line.0.as_mut_ptr(), width) };
     simd.load(&line)
 }
 
 /// # Safety
-/// `width` numbers can be written.
+/// `to` is valid for writing `width` values.
 #[inline(always)]
 unsafe fn store_part<S: Simd>(simd: S, x: S::Vector, to: *mut f32, width: usize) {
     let mut line = Line::default();
     simd.store(x, &mut line);
-    // SAFETY: the caller's; a line holds sixteen.
+    // SAFETY: guaranteed by the caller; a line has sixteen values.
     unsafe { core::ptr::copy_nonoverlapping(line.0.as_ptr(), to, width) };
 }

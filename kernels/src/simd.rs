@@ -1,7 +1,7 @@
-//! Sixteen lanes of single precision, whatever the registers' width.
+//! Vectors of sixteen single-precision lanes, for any register width.
 //!
-//! Every operation is correctly rounded (IEEE 754), lane by lane, so all implementations give the same bits. Sums
-//! across lanes are folded in one fixed order: lanes `i + 8`, `+ 4`, `+ 2`, `+ 1`.
+//! Every operation is correctly rounded (IEEE 754) in each lane, so all implementations give the same bits. Sums
+//! across lanes add in one fixed order: lanes `i + 8`, `+ 4`, `+ 2`, `+ 1`.
 
 #[cfg(target_arch = "aarch64")]
 mod neon;
@@ -14,31 +14,31 @@ use crate::product::Product;
 /// Lanes of a vector.
 pub(crate) const LANES: usize = 16;
 
-/// Sixteen numbers in memory, one cache line.
+/// Sixteen values in memory: one cache line.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub(crate) struct Line(pub(crate) [f32; LANES]);
 
-/// A proof that the processor has the instructions, with the operations on sixteen lanes.
+/// Operations on sixteen lanes. A value of the type proves that the processor has the instructions.
 pub(crate) trait Simd: Copy {
     /// Sixteen lanes.
     type Vector: Copy;
 
-    /// Most rows of a tile, so that its sums stay in registers.
+    /// Maximum rows of a tile whose sums fit in registers.
     const TILE_ROWS: usize;
 
     fn splat(self, x: f32) -> Self::Vector;
     fn load(self, from: &Line) -> Self::Vector;
     fn store(self, x: Self::Vector, to: &mut Line);
-    /// Sixteen numbers at `from`.
+    /// Loads sixteen values from `from`.
     ///
     /// # Safety
-    /// They can be read.
+    /// `from` is valid for reading sixteen values.
     unsafe fn load_pointer(self, from: *const f32) -> Self::Vector;
-    /// Sixteen numbers to `to`.
+    /// Stores sixteen values to `to`.
     ///
     /// # Safety
-    /// They can be written.
+    /// `to` is valid for writing sixteen values.
     unsafe fn store_pointer(self, x: Self::Vector, to: *mut f32);
     fn add(self, x: Self::Vector, y: Self::Vector) -> Self::Vector;
     fn sub(self, x: Self::Vector, y: Self::Vector) -> Self::Vector;
@@ -54,23 +54,23 @@ pub(crate) trait Simd: Copy {
     fn where_positive(self, x: Self::Vector, y: Self::Vector) -> Self::Vector;
     /// Sum of the lanes in the fixed order.
     fn sum(self, x: Self::Vector) -> f32;
-    /// [`crate::product::run`], compiled for these registers.
+    /// [`crate::product::run`], compiled for this register width.
     fn product(self, product: &Product<'_>);
 }
 
-/// A computation that is compiled for each kind of registers.
+/// A computation that is compiled for each register width.
 pub(crate) trait Operation {
     type Output;
 
-    /// Everything that it calls is inlined, but for [`Simd::product`].
+    /// Everything it calls is inlined, except [`Simd::product`].
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// The registers that kernels compute with. All widths give the same bits.
+/// Register width of the kernels. All widths give the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Width {
-    /// One number at a time.
+    /// No vector instructions.
     Scalar = 1,
     /// 256 bits, x86-64 with AVX2 and FMA.
     Avx2,
@@ -81,10 +81,10 @@ pub enum Width {
 }
 
 impl Width {
-    /// All widths, the widest last.
+    /// All widths in ascending order.
     pub const ALL: [Self; 4] = [Self::Scalar, Self::Neon, Self::Avx2, Self::Avx512];
 
-    /// Its name in `S2MIA_SIMD`.
+    /// The name in `S2MIA_SIMD`.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -95,13 +95,13 @@ impl Width {
         }
     }
 
-    /// The width of this name.
+    /// The width with this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|width| width.name() == name)
     }
 
-    /// Whether this processor has it.
+    /// Whether this processor supports the width.
     #[must_use]
     pub fn is_available(self) -> bool {
         match self {
@@ -116,17 +116,17 @@ impl Width {
         }
     }
 
-    /// The widest that this processor has.
+    /// The widest that this processor supports.
     #[must_use]
     pub fn widest() -> Self {
         let available = Self::ALL.into_iter().rev().find(|width| width.is_available());
         available.unwrap_or(Self::Scalar)
     }
 
-    /// Runs `operation`.
+    /// Runs `operation` at this width.
     ///
     /// # Panics
-    /// If the processor lacks this width.
+    /// If the processor does not support this width.
     pub(crate) fn run<O: Operation>(self, operation: O) -> O::Output {
         assert!(self.is_available(), "{} is not available on this processor", self.name());
         match self {

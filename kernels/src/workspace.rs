@@ -1,22 +1,22 @@
-//! What a forward pass leaves to the backward pass, kept from step to step so that nothing is allocated again.
+//! Buffers of a forward and backward pass, reused between steps to avoid allocation.
 
 use crate::buffer::Rows;
 use crate::gru::Trace;
 use crate::norm::Moments;
 use crate::simd::Line;
 
-/// Buffers of one pass at a time.
+/// Buffers of one forward pass and its backward pass.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     pub(crate) rows: usize,
     /// The input and every layer's result.
     pub(crate) activations: Vec<Rows>,
-    /// Of every layer norm's rows.
+    /// Statistics of every layer norm's rows.
     pub(crate) moments: Vec<Vec<Moments>>,
     pub(crate) trace: Trace,
-    /// Gradient by a result of all rows, where a pass through blocks ends.
+    /// Gradient of a segment's result and of its input, all rows.
     pub(crate) gradients: [Rows; 2],
-    /// Gradient by a block's results.
+    /// The same for one layer and one block of rows.
     pub(crate) blocks: [Vec<Line>; 2],
 }
 
@@ -26,13 +26,12 @@ impl Workspace {
         self.append_result(self.activations.len().saturating_sub(1), into);
     }
 
-    /// Appends to `into` what the last layer was given, `[rows, F]`.
+    /// Appends the input of the last layer to `into`, `[rows, F]`.
     pub fn append_features(&self, into: &mut Vec<f32>) {
         self.append_result(self.activations.len().saturating_sub(2), into);
     }
 
-    /// Appends to `into` the states after the last step of `sequences` sequences, `[B, H]`, of a GRU that is layer
-    /// `layer`.
+    /// Appends to `into` the states of the GRU with index `layer` after the last step of `sequences` sequences, `[B, H]`.
     pub fn append_last_states(&self, layer: usize, sequences: usize, into: &mut Vec<f32>) {
         self.activations[layer + 1].append_to(self.rows - sequences, self.rows, into);
     }

@@ -1,8 +1,8 @@
-//! The same bits at every width, in every batch.
+//! Results have the same bits at every register width and in every batch.
 
-use kernels::{Activation, Input, Layer, Memory, Network, Packed, Width, Workspace, select};
+use kernels::{Activation, Input, Layer, Network, Packed, Sequences, Width, Workspace, select};
 
-/// Numbers in `(-1, 1)` without a pattern that a kernel could follow.
+/// Pseudo-random numbers in `(-1, 1)`.
 fn numbers(count: usize, seed: u64) -> Vec<f32> {
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut next = || {
@@ -14,7 +14,7 @@ fn numbers(count: usize, seed: u64) -> Vec<f32> {
     (0..count).map(|_| next()).collect()
 }
 
-/// With a layer norm at the input.
+/// [`mlp`] with a layer norm at the input.
 fn normed_mlp(inputs: usize, width: usize, outputs: usize) -> Network {
     let norm = Layer::Norm { width: inputs };
     Network::new([&[norm], mlp(inputs, width, outputs).layers()].concat())
@@ -48,16 +48,17 @@ fn pass(network: &Network, rows: usize, sequences: usize) -> Vec<u32> {
     let input = numbers(rows * network.inputs(), 2);
     let start = numbers(sequences * network.gru().map_or(0, |(_, hidden)| hidden), 3);
     let mask: Vec<f32> = (0..rows).map(|row| f32::from(u8::from(row % 7 != 3))).collect();
-    let memory = network.gru().map(|_| Memory { start: &start, mask: &mask, sequences });
+    let sequences =
+        network.gru().map(|_| Sequences { start: &start, mask: &mask, count: sequences });
     let mut workspace = Workspace::default();
-    packed.forward(Input { rows: &input, memory }, &mut workspace);
+    packed.forward(Input { rows: &input, sequences }, &mut workspace);
     let mut all = Vec::new();
     workspace.append_output(&mut all);
     workspace.append_features(&mut all);
     let mut gradient = numbers(network.parameters(), 5);
     let output = numbers(rows * network.outputs(), 4);
     let mut by_input = Vec::new();
-    packed.backward(&output, memory, &mut workspace, Some(&mut gradient), Some(&mut by_input));
+    packed.backward(&output, sequences, &mut workspace, Some(&mut gradient), Some(&mut by_input));
     assert_eq!(by_input.len(), input.len());
     all.extend(gradient);
     all.extend(by_input);
@@ -103,12 +104,12 @@ fn a_row_has_the_same_result_in_every_batch() {
     let input = numbers(rows * 19, 2);
     let mut workspace = Workspace::default();
     let mut together = Vec::new();
-    packed.forward(Input { rows: &input, memory: None }, &mut workspace);
+    packed.forward(Input { rows: &input, sequences: None }, &mut workspace);
     workspace.append_output(&mut together);
     for size in [1, 2, 5, 13] {
         let mut alone = Vec::new();
         for part in input.chunks(size * 19) {
-            packed.forward(Input { rows: part, memory: None }, &mut workspace);
+            packed.forward(Input { rows: part, sequences: None }, &mut workspace);
             workspace.append_output(&mut alone);
         }
         assert_eq!(alone, together, "batches of {size}");
@@ -116,7 +117,7 @@ fn a_row_has_the_same_result_in_every_batch() {
 }
 
 #[test]
-fn gradients_are_one_chain_over_rows_whatever_the_batch() {
+fn gradients_are_one_chain_over_rows_in_any_batch() {
     let network = normed_mlp(19, 48, 3);
     let packed = Packed::new(&network, &numbers(network.parameters(), 1));
     let rows = if cfg!(miri) { 9 } else { 300 };
@@ -124,7 +125,7 @@ fn gradients_are_one_chain_over_rows_whatever_the_batch() {
     let found = |size: usize| {
         let (mut workspace, mut gradient) = (Workspace::default(), vec![0.0; network.parameters()]);
         for (input, output) in input.chunks(size * 19).zip(output.chunks(size * 3)) {
-            packed.forward(Input { rows: input, memory: None }, &mut workspace);
+            packed.forward(Input { rows: input, sequences: None }, &mut workspace);
             packed.backward(output, None, &mut workspace, Some(&mut gradient), None);
         }
         gradient
@@ -136,19 +137,19 @@ fn gradients_are_one_chain_over_rows_whatever_the_batch() {
 }
 
 #[test]
-fn a_gradient_of_the_input_is_there_without_one_of_the_parameters() {
+fn the_input_gradient_does_not_need_the_parameter_gradient() {
     let network = mlp(5, 16, 1);
     let packed = Packed::new(&network, &numbers(network.parameters(), 1));
     let input = numbers(20, 2);
     let mut workspace = Workspace::default();
     let mut found = Vec::new();
-    packed.forward(Input { rows: &input, memory: None }, &mut workspace);
+    packed.forward(Input { rows: &input, sequences: None }, &mut workspace);
     packed.backward(&[1.0; 4], None, &mut workspace, None, Some(&mut found));
     let mut outputs = Vec::new();
     for by in [1e-2_f32, -1e-2] {
         let moved: Vec<f32> =
             input.iter().enumerate().map(|(i, x)| if i == 7 { x + by } else { *x }).collect();
-        packed.forward(Input { rows: &moved, memory: None }, &mut workspace);
+        packed.forward(Input { rows: &moved, sequences: None }, &mut workspace);
         workspace.append_output(&mut outputs);
     }
     let slope = (outputs[1] - outputs[5]) / 2e-2;
@@ -162,7 +163,7 @@ fn nan_in_a_row_stays_in_that_row() {
     let mut input = numbers(20, 2);
     input[7] = f32::NAN;
     let (mut workspace, mut output) = (Workspace::default(), Vec::new());
-    packed.forward(Input { rows: &input, memory: None }, &mut workspace);
+    packed.forward(Input { rows: &input, sequences: None }, &mut workspace);
     workspace.append_output(&mut output);
     let nan: Vec<bool> = output.iter().map(|x| x.is_nan()).collect();
     assert_eq!(nan, [false, false, true, true, false, false, false, false]);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use proto::{
-    Ack, AckState, ActorId, Beat, EvaluationResult, HeartbeatAnswer, Incarnation, LeaseAnswer,
+    Ack, AckState, ActorId, EvaluationResult, Heartbeat, HeartbeatAnswer, Incarnation, LeaseAnswer,
     LeaseId, PolicyVersion, PushHeader, Refusal, Registered, Registration, RolloutOrigin,
     RolloutWork, RunDescription, TrajectoryChunk, WeightsName,
 };
@@ -267,7 +267,11 @@ impl Exchange {
     ///
     /// # Errors
     /// Refuses unknown actors and other incarnations.
-    pub fn heartbeat(&self, sender: ConnectionId, beat: &Beat) -> Result<HeartbeatAnswer, Refusal> {
+    pub fn heartbeat(
+        &self,
+        sender: ConnectionId,
+        beat: &Heartbeat,
+    ) -> Result<HeartbeatAnswer, Refusal> {
         let (lease_valid, run_state) =
             self.change(|shared| (shared.table.heartbeat(sender, beat), shared.table.state()));
         Ok(HeartbeatAnswer { lease_valid: lease_valid?, run_state })

@@ -56,7 +56,7 @@ impl RewardLog {
     /// # Errors
     /// If the thread cannot be started.
     pub fn open(folder: &Path, episodes: Episodes) -> Result<Option<Self>, LearnerError> {
-        if !episodes.hold_rollouts() {
+        if !episodes.include_rollouts() {
             return Ok(None);
         }
         let lost = Arc::new(AtomicU64::new(0));
@@ -74,7 +74,7 @@ impl RewardLog {
 
     /// Hands in an iteration: those of its shares that are logged.
     pub fn take(&self, paid: Paid<'_>) {
-        let held = |share: &&Share| self.episodes.hold_rollout(share.environment, share.episode);
+        let held = |share: &&Share| self.episodes.include_rollout(share.environment, share.episode);
         let shares = paid.shares.iter().filter(held);
         let lines: Vec<_> = shares.map(|share| paid.line(share)).collect();
         if lines.is_empty() {

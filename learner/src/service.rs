@@ -7,7 +7,7 @@ use std::time::Duration;
 use proto::wire::control_service_server::{self, ControlServiceServer};
 use proto::wire::learner_service_server::{self, LearnerService, LearnerServiceServer};
 use proto::{
-    ActorId, Beat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
+    ActorId, Heartbeat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
     MAX_UNACKNOWLEDGED, Reason, Refusal, Registration, WeightsName, wire,
 };
 use security::Role;
@@ -207,7 +207,7 @@ impl LearnerService for Learner {
         request: Request<wire::HeartbeatRequest>,
     ) -> Result<Response<wire::HeartbeatResponse>, Status> {
         let caller = connections::caller(&request, "heartbeat");
-        let beat = Beat::from_wire(&request.into_inner());
+        let beat = Heartbeat::from_wire(&request.into_inner());
         let answer = self.exchange.heartbeat(caller.connection, &beat);
         let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
         Ok(Response::new(answer.to_wire()))

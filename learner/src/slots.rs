@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    ActorId, Beat, Incarnation, Lease, LeaseId, LeaseStatus, Reason, Refusal, RolloutWork,
+    ActorId, Heartbeat, Incarnation, Lease, LeaseId, LeaseStatus, Reason, Refusal, RolloutWork,
     RunState, WeightsName, Work,
 };
 
@@ -328,7 +328,7 @@ impl SlotTable {
     /// # Errors
     /// Refuses actors that did not register on the sender's connection, other incarnations, and more steps than the
     /// work has.
-    pub fn heartbeat(&mut self, sender: ConnectionId, beat: &Beat) -> Result<bool, Refusal> {
+    pub fn heartbeat(&mut self, sender: ConnectionId, beat: &Heartbeat) -> Result<bool, Refusal> {
         self.same_incarnation(beat.incarnation)?;
         self.actors.owner(sender, beat.actor)?;
         let own = |lease: &&mut OpenLease| lease.owner.actor == beat.actor;

@@ -58,7 +58,7 @@ impl Team {
             (vec![0.0; policy.output_size()], vec![0.0; policy.action_size()]);
         policy.forward(1, observation, &mut member.hidden, &mut output, &mut self.scratch);
         match self.choice {
-            ActionChoice::Mean => policy.settle(&output, &mut action),
+            ActionChoice::Mean => policy.mode(&output, &mut action),
             ActionChoice::Sampled { seed } => {
                 let key = Draw::of(Purpose::ServedAction)
                     .iteration(self.episodes)

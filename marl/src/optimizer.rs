@@ -4,7 +4,7 @@
 use libm::{pow, sqrt};
 use policy::arrays::{Array, NamedArrays};
 use policy::math::Real;
-use policy::parameters::{Parameters, Slot};
+use policy::parameters::{Parameters, TensorSpan};
 
 use crate::error::MarlError;
 use crate::gradient::Gradients;
@@ -33,7 +33,7 @@ pub struct Adam {
     decay: f64,
     /// Share of the configured step size that the movement of a policy leaves.
     adapted: f64,
-    slots: Vec<Slot>,
+    spans: Vec<TensorSpan>,
     first: Vec<Reals>,
     second: Vec<Reals>,
     steps: i64,
@@ -49,7 +49,7 @@ impl Adam {
             config,
             decay: 1.0,
             adapted: 1.0,
-            slots: parameters.slots().to_vec(),
+            spans: parameters.spans().to_vec(),
             first: zeros.clone(),
             second: zeros,
             steps: 0,
@@ -121,10 +121,10 @@ impl Adam {
     #[must_use]
     pub fn arrays(&self, prefix: &str) -> NamedArrays {
         let mut arrays = NamedArrays::new();
-        for slot in &self.slots {
+        for span in &self.spans {
             for (kind, moment) in [("m", &self.first), ("v", &self.second)] {
-                let array = moment[slot.var].array(slot);
-                arrays.insert(format!("{prefix}{kind}.{}", slot.name), array);
+                let array = moment[span.var].array(span);
+                arrays.insert(format!("{prefix}{kind}.{}", span.name), array);
             }
         }
         for (name, count) in [("steps", self.steps), ("skipped", self.skipped)] {
@@ -141,9 +141,9 @@ impl Adam {
     /// # Errors
     /// Names the array that is missing or has another shape or type.
     pub fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        for slot in &self.slots {
-            take_over(&mut self.first[slot.var], arrays, &format!("{prefix}m."), slot)?;
-            take_over(&mut self.second[slot.var], arrays, &format!("{prefix}v."), slot)?;
+        for span in &self.spans {
+            take_over(&mut self.first[span.var], arrays, &format!("{prefix}m."), span)?;
+            take_over(&mut self.second[span.var], arrays, &format!("{prefix}v."), span)?;
         }
         self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
         self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
@@ -211,16 +211,16 @@ fn take_over(
     moment: &mut Reals,
     arrays: &NamedArrays,
     prefix: &str,
-    slot: &Slot,
+    span: &TensorSpan,
 ) -> Result<(), MarlError> {
-    let name = format!("{prefix}{}", slot.name);
+    let name = format!("{prefix}{}", span.name);
     let array =
         arrays.get(&name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
-    match moment.take_over(array, slot) {
+    match moment.take_over(array, span) {
         true => Ok(()),
         false => Err(MarlError::Restore(format!(
             "{name} is not an array of {:?} in the run's precision",
-            slot.shape
+            span.shape
         ))),
     }
 }

@@ -2,7 +2,7 @@
 
 use candle_core::{DType, Device, Shape, Tensor};
 use policy::arrays::Array;
-use policy::parameters::Slot;
+use policy::parameters::TensorSpan;
 
 use crate::error::MarlError;
 
@@ -92,8 +92,8 @@ impl Reals {
 
     /// The numbers of a parameter as an array.
     #[must_use]
-    pub fn array(&self, slot: &Slot) -> Array {
-        let (shape, range) = (slot.shape.clone(), slot.range.clone());
+    pub fn array(&self, span: &TensorSpan) -> Array {
+        let (shape, range) = (span.shape.clone(), span.range.clone());
         match self {
             Self::Single(data) => Array::F32 { shape, data: data[range].to_vec() },
             Self::Double(data) => Array::F64 { shape, data: data[range].to_vec() },
@@ -102,14 +102,14 @@ impl Reals {
 
     /// Takes over the numbers of a parameter from an array of this precision and of its shape; whether it was one.
     #[must_use]
-    pub fn take_over(&mut self, array: &Array, slot: &Slot) -> bool {
+    pub fn take_over(&mut self, array: &Array, span: &TensorSpan) -> bool {
         match (self, array) {
-            (Self::Single(own), Array::F32 { shape, data }) if *shape == slot.shape => {
-                own[slot.range.clone()].copy_from_slice(data);
+            (Self::Single(own), Array::F32 { shape, data }) if *shape == span.shape => {
+                own[span.range.clone()].copy_from_slice(data);
                 true
             }
-            (Self::Double(own), Array::F64 { shape, data }) if *shape == slot.shape => {
-                own[slot.range.clone()].copy_from_slice(data);
+            (Self::Double(own), Array::F64 { shape, data }) if *shape == span.shape => {
+                own[span.range.clone()].copy_from_slice(data);
                 true
             }
             _ => false,

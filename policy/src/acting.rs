@@ -1,11 +1,11 @@
-//! The policy as an actor holds it: plain numbers, no graph.
+//! The policy in an actor: weights and inference, without a graph.
 //!
-//! A row's result has the same bits whatever batch it is in, on every machine, and in training: the same kernels compute
+//! A row's result has the same bits in every batch, on every machine and in training, because the same kernels compute
 //! it.
 
 mod reader;
 
-use kernels::{Activation, Input, Memory, Packed, Workspace};
+use kernels::{Activation, Input, Packed, Sequences, Workspace};
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
@@ -17,15 +17,15 @@ use crate::head::Head;
 use crate::layers::{LayerSpec, RELU_GAIN, TANH_GAIN, network_of};
 use crate::standardisation::Standardisation;
 
-/// No policy of ours is wider or deeper.
-const MOST_UNITS: usize = 1 << 20;
+/// Maximum of every size in an [`ActorSpec`].
+const MAX_SIZE: usize = 1 << 20;
 
-/// Sizes of one agent's policy and how it acts; travels with its weights.
+/// Sizes and action distribution of one agent's policy; part of a snapshot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActorSpec {
     core: CoreKind,
-    /// Left out where it is a LayerNorm, as in snapshots that know nothing else.
+    /// Absent for a LayerNorm, for compatibility with older snapshots.
     #[serde(skip_serializing_if = "Option::is_none")]
     input_norm: Option<InputNorm>,
     observation: usize,
@@ -36,7 +36,7 @@ pub struct ActorSpec {
     layers: usize,
     chunk_steps: usize,
     sigma_scale: f32,
-    /// Left out of a Gaussian policy's snapshot, so that its bytes do not depend on which other heads exist.
+    /// Absent for a Gaussian, so that the bytes of its snapshot do not depend on which other heads exist.
     #[serde(skip_serializing_if = "Option::is_none")]
     head: Option<Head>,
 }
@@ -45,7 +45,8 @@ impl ActorSpec {
     pub(crate) fn new(
         config: &PolicyConfig,
         observation: usize,
-        (action, head): (usize, Head),
+        action: usize,
+        head: Head,
     ) -> Result<Self, PolicyError> {
         let spec = Self {
             core: config.core,
@@ -64,7 +65,7 @@ impl ActorSpec {
         Ok(spec)
     }
 
-    /// Refuses sizes with which no network can be built, before anything is computed from them.
+    /// Rejects sizes that no network can have, before anything is computed from them.
     fn check(&self) -> Result<(), PolicyError> {
         let of_core = match self.core {
             CoreKind::Gru => [("encoder", self.encoder), ("hidden", self.hidden)],
@@ -72,15 +73,15 @@ impl ActorSpec {
         };
         let shared = [("observation", self.observation), ("action", self.action)];
         for (name, size) in shared.into_iter().chain(of_core) {
-            if !(1..=MOST_UNITS).contains(&size) {
-                let detail = format!("{name} is {size}, expected 1 to {MOST_UNITS}");
+            if !(1..=MAX_SIZE).contains(&size) {
+                let detail = format!("{name} is {size}, expected 1 to {MAX_SIZE}");
                 return Err(PolicyError::Snapshot(detail));
             }
         }
         self.head().check(self.action)
     }
 
-    /// The network's layers; the head's weights start with the gain `head_gain`.
+    /// The network's layers; the head's weights are initialised with the gain `head_gain`.
     pub(crate) fn layer_specs(&self, head_gain: f64) -> Vec<LayerSpec> {
         let mut layers = Vec::new();
         if self.input_norm() == InputNorm::LayerNorm {
@@ -91,7 +92,7 @@ impl ActorSpec {
                 let encoder = (self.observation, self.encoder);
                 let (tanh, gain) = (Activation::Tanh, TANH_GAIN);
                 layers.push(LayerSpec::linear("encoder.linear", encoder, tanh, gain));
-                layers.push(LayerSpec::gru("gru", (self.encoder, self.hidden)));
+                layers.push(LayerSpec::gru("gru", self.encoder, self.hidden));
                 layers.push(LayerSpec::norm("output.norm", self.hidden));
             }
             CoreKind::Mlp => {
@@ -111,25 +112,25 @@ impl ActorSpec {
         layers
     }
 
-    /// What stands before the first layer.
+    /// Normalisation of the network's input.
     #[must_use]
     pub fn input_norm(&self) -> InputNorm {
         self.input_norm.unwrap_or(InputNorm::LayerNorm)
     }
 
-    /// Whether the policy remembers.
+    /// Kind of network.
     #[must_use]
     pub fn core(&self) -> CoreKind {
         self.core
     }
 
-    /// Layers of a network that does not remember.
+    /// Number of layers of the MLP core.
     #[must_use]
     pub fn layers(&self) -> usize {
         self.layers
     }
 
-    /// What actions are drawn from.
+    /// Action distribution.
     #[must_use]
     pub fn head(&self) -> Head {
         self.head.unwrap_or(Head::Gaussian)
@@ -163,17 +164,17 @@ impl ActorSpec {
 pub struct ActorPolicy {
     spec: ActorSpec,
     arrays: NamedArrays,
-    /// Applied to observations before the trunk sees them.
+    /// Applied to observations before the network.
     standardisation: Option<Standardisation>,
     network: Packed,
     sigma: Vec<f32>,
 }
 
-/// Buffers of [`ActorPolicy::forward`], kept by the caller so that a step allocates nothing.
+/// Buffers of [`ActorPolicy::forward`]. The caller reuses them, so that a step does not allocate.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     observation: Vec<f32>,
-    /// Ones: no state is reset inside a step.
+    /// All ones: no state is reset within a step.
     mask: Vec<f32>,
     output: Vec<f32>,
     states: Vec<f32>,
@@ -181,7 +182,7 @@ pub struct Scratch {
 }
 
 impl ActorPolicy {
-    /// A policy of this shape with these weights (PyTorch's names, `[out, in]`).
+    /// A policy with the given spec and weights (PyTorch's names, `[out, in]`).
     pub(crate) fn new(spec: ActorSpec, arrays: NamedArrays) -> Result<Self, PolicyError> {
         spec.check()?;
         let mut reader = Reader { arrays: &arrays, used: 0 };
@@ -207,43 +208,43 @@ impl ActorPolicy {
         Ok(Self { spec, arrays, standardisation, network, sigma })
     }
 
-    /// Sizes of the policy and how it acts.
+    /// Sizes and action distribution.
     #[must_use]
     pub fn spec(&self) -> &ActorSpec {
         &self.spec
     }
 
-    /// The weights, as in PyTorch.
+    /// The weights, with PyTorch's names and layout.
     #[must_use]
     pub fn arrays(&self) -> &NamedArrays {
         &self.arrays
     }
 
-    /// Number of observation features.
+    /// Number of observation features `obs`.
     #[must_use]
     pub fn observation_size(&self) -> usize {
         self.spec.observation
     }
 
-    /// Numbers in an action.
+    /// Number of action values `act`.
     #[must_use]
     pub fn action_size(&self) -> usize {
         self.spec.action
     }
 
-    /// The kind of its action distribution.
+    /// Action distribution.
     #[must_use]
     pub fn head(&self) -> Head {
         self.spec.head()
     }
 
-    /// Numbers that the network gives for an action: means or logits.
+    /// Number of network outputs `out`: means or logits.
     #[must_use]
     pub fn output_size(&self) -> usize {
         self.spec.outputs()
     }
 
-    /// Width of the recurrent state, 0 without one.
+    /// Width `H` of the recurrent state, 0 without a GRU.
     #[must_use]
     pub fn hidden_size(&self) -> usize {
         self.spec.hidden_size()
@@ -255,16 +256,16 @@ impl ActorPolicy {
         self.spec.chunk_steps
     }
 
-    /// Deviations of the action noise, `[act]`; none of a choice.
+    /// Standard deviations of the action noise, `[act]`; empty for a categorical policy.
     #[must_use]
     pub fn sigma(&self) -> &[f32] {
         &self.sigma
     }
 
-    /// The same network, whose actions are now drawn uniformly from the range of its own.
+    /// The same network with actions drawn uniformly from its action range.
     ///
     /// # Panics
-    /// If the policy has no range.
+    /// If the policy has no action range.
     #[must_use]
     pub fn uniform(self) -> Self {
         let (Head::Deterministic { low, high, .. } | Head::Uniform { low, high }) = self.head()
@@ -276,10 +277,10 @@ impl ActorPolicy {
         Self { spec: ActorSpec { head: Some(head), ..self.spec }, sigma, ..self }
     }
 
-    /// The same network, which from now on sees observations as `standardisation` leaves them.
+    /// The same network with `standardisation` applied to its observations.
     ///
     /// # Panics
-    /// If it is of another number of features.
+    /// If the number of features differs.
     #[must_use]
     pub fn standardised(mut self, standardisation: Standardisation) -> Self {
         assert_eq!(standardisation.mean.len(), self.spec.observation, "features");
@@ -288,25 +289,25 @@ impl ActorPolicy {
         self
     }
 
-    /// An action `[act]` drawn from one row's output `[out]`.
+    /// Draws an action `[act]` from one row's output `[out]`.
     pub fn draw(&self, output: &[f32], rng: &mut impl RngCore, action: &mut [f32]) {
         self.head().draw(output, &self.sigma, rng, action);
     }
 
-    /// The action `[act]` that evaluation takes: the mean, or the likeliest choice.
-    pub fn settle(&self, output: &[f32], action: &mut [f32]) {
-        self.head().settle(output, action);
+    /// The mode of the distribution, which evaluation uses: the mean `[act]`, or the likeliest choice.
+    pub fn mode(&self, output: &[f32], action: &mut [f32]) {
+        self.head().mode(output, action);
     }
 
-    /// Log-probability of an action `[act]` under one row's output `[out]`, nats. The index of a choice has
+    /// Log-probability, in nats, of an action `[act]` under one row's output `[out]`. The index of a choice must have
     /// been validated.
     #[must_use]
     pub fn log_prob(&self, output: &[f32], action: &[f32]) -> f32 {
         self.head().log_prob(output, &self.sigma, action)
     }
 
-    /// Outputs `[rows, out]`, means or logits, for observations `[rows, obs]`; `hidden` `[rows, H]` moves on by a
-    /// step. Observations are as the environment shows them.
+    /// Computes outputs `[rows, out]`, means or logits, for observations `[rows, obs]` as the environment returns them, and
+    /// advances `hidden` `[rows, H]` by one step.
     pub fn forward(
         &self,
         rows: usize,
@@ -323,9 +324,9 @@ impl ActorPolicy {
         let hidden = &mut hidden[..rows * self.hidden_size()];
         let Scratch { observation, mask, output: found, states, workspace } = scratch;
         mask.resize(rows, 1.0);
-        let memory = Memory { start: hidden, mask: &mask[..rows], sequences: rows };
+        let sequences = Sequences { start: hidden, mask: &mask[..rows], count: rows };
         let gru = self.network.network().gru();
-        let input = Input { rows: observation, memory: gru.map(|_| memory) };
+        let input = Input { rows: observation, sequences: gru.map(|_| sequences) };
         self.network.forward(input, workspace);
         if let Some((layer, _)) = gru {
             states.clear();
@@ -336,6 +337,6 @@ impl ActorPolicy {
         workspace.append_output(found);
         let output = &mut output[..found.len()];
         output.copy_from_slice(found);
-        self.head().spread(output);
+        self.head().scale_output(output);
     }
 }

@@ -1,4 +1,4 @@
-//! Named arrays: how weights and every other state travel and are kept, and how they are hashed.
+//! Named arrays, the representation of weights and all other state: file format and hash.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -6,66 +6,66 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-/// Numbers of one type with a shape, row-major.
+/// An array with a shape, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Array {
     /// 32-bit floats.
     F32 {
         /// Length of every axis.
         shape: Vec<usize>,
-        /// Row-major numbers.
+        /// Elements, row-major.
         data: Vec<f32>,
     },
     /// 64-bit floats.
     F64 {
         /// Length of every axis.
         shape: Vec<usize>,
-        /// Row-major numbers.
+        /// Elements, row-major.
         data: Vec<f64>,
     },
     /// 64-bit integers.
     I64 {
         /// Length of every axis.
         shape: Vec<usize>,
-        /// Row-major numbers.
+        /// Elements, row-major.
         data: Vec<i64>,
     },
     /// Bytes.
     U8 {
         /// Length of every axis.
         shape: Vec<usize>,
-        /// Row-major numbers.
+        /// Elements, row-major.
         data: Vec<u8>,
     },
 }
 
-/// Arrays in the order of their names.
+/// Arrays sorted by name.
 pub type NamedArrays = BTreeMap<String, Array>;
 
-/// Arrays that cannot be written or bytes that hold none.
+/// Arrays that cannot be encoded, or bytes that cannot be decoded.
 #[derive(Debug, Error)]
 pub enum ArrayError {
     /// Not a safetensors file.
     #[error("not a safetensors file: {0}")]
     Format(#[from] safetensors::SafeTensorError),
-    /// An element type that no array here has.
-    #[error("array {name} has the unknown element type {dtype:?}; known are F32, F64, I64, U8")]
+    /// An unsupported element type.
+    #[error("array {name} has element type {dtype:?}; supported are F32, F64, I64, U8")]
     ElementType {
         /// Name of the array.
         name: String,
-        /// What it has.
+        /// Its element type.
         dtype: Dtype,
     },
-    /// More or fewer numbers than the shape says.
-    #[error("array {name} has {found} numbers, its shape {shape:?} asks for {expected}")]
+    /// The number of elements does not match the shape.
+    #[error("array {name} has {found} elements, its shape {shape:?} requires {expected}")]
     Length {
         /// Name of the array.
         name: String,
         /// Its shape.
         shape: Vec<usize>,
-        /// Numbers the shape asks for.
+        /// Elements that the shape requires.
         expected: usize,
-        /// Numbers there are.
+        /// Elements found.
         found: usize,
     },
 }
@@ -82,7 +82,7 @@ impl Array {
         }
     }
 
-    /// The numbers `range`, as an array of the given shape.
+    /// The elements in `range` as an array of the given shape.
     #[must_use]
     pub(crate) fn part(&self, range: core::ops::Range<usize>, shape: Vec<usize>) -> Self {
         match self {
@@ -121,7 +121,7 @@ impl Array {
         }
     }
 
-    /// The numbers as little-endian bytes.
+    /// The elements as little-endian bytes.
     fn bytes(&self) -> Vec<u8> {
         match self {
             Self::F32 { data, .. } => flat(data.iter().map(|x| x.to_le_bytes())),
@@ -161,11 +161,11 @@ fn from_view(name: &str, view: &TensorView<'_>) -> Result<Array, ArrayError> {
     }
 }
 
-/// The arrays as a safetensors file. With at most one metadata entry the bytes depend on nothing
-/// but the content.
+/// Encodes arrays as a safetensors file. With at most one metadata entry the bytes depend only on the
+/// contents.
 ///
 /// # Errors
-/// Names an array whose shape and length disagree.
+/// Names an array whose length does not match its shape.
 pub fn to_safetensors(
     arrays: &NamedArrays,
     metadata: &BTreeMap<String, String>,
@@ -185,11 +185,11 @@ pub fn to_safetensors(
     Ok(safetensors::serialize(views, (!metadata.is_empty()).then_some(metadata))?)
 }
 
-/// Arrays and metadata of a safetensors file. The format's own checks (header length, overlapping or
-/// missing bytes) come first, so that hostile bytes end in an error.
+/// Decodes arrays and metadata of a safetensors file. The safetensors crate first checks the header length and
+/// overlapping or missing bytes, so that malicious bytes cause an error.
 ///
 /// # Errors
-/// Says why the bytes are no such file, or names an array of an unknown element type.
+/// If the bytes are not a safetensors file, or an array has an unsupported element type.
 pub fn from_safetensors(
     bytes: &[u8],
 ) -> Result<(NamedArrays, BTreeMap<String, String>), ArrayError> {
@@ -203,9 +203,9 @@ pub fn from_safetensors(
     Ok((arrays, metadata))
 }
 
-/// SHA-256 of arrays, which come in the order of their names. For each: length of the name (8 bytes), its bytes,
+/// SHA-256 of arrays sorted by name. For each: length of the name (8 bytes), its bytes,
 /// tag of the element type (1 byte: f32 1, f64 2, i64 3, u8 4), number of axes (8), length of each
-/// axis (8), numbers. All little-endian.
+/// axis (8), elements. All little-endian.
 #[must_use]
 pub fn sha256<'a>(arrays: impl IntoIterator<Item = (&'a String, &'a Array)>) -> [u8; 32] {
     let mut hash = Sha256::new();
@@ -222,7 +222,7 @@ pub fn sha256<'a>(arrays: impl IntoIterator<Item = (&'a String, &'a Array)>) -> 
     hash.finalize().into()
 }
 
-/// Lower-case hexadecimal digits.
+/// `digest` in lower-case hexadecimal digits.
 #[must_use]
 pub fn hex(digest: &[u8]) -> String {
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_sees_names_types_shapes_and_every_bit() {
+    fn the_hash_covers_names_types_shapes_and_every_bit() {
         let base = sha256(&sample());
         let mut renamed = sample();
         let a = renamed.remove("a").expect("there");
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_and_hostile_bytes_are_refused_without_a_panic() {
+    fn corrupt_and_malicious_bytes_are_rejected_without_a_panic() {
         let bytes = to_safetensors(&sample(), &BTreeMap::new()).expect("shapes fit");
         for length in 0..bytes.len() {
             assert!(from_safetensors(&bytes[..length]).is_err(), "{length} bytes were accepted");
@@ -282,10 +282,10 @@ mod tests {
     }
 
     #[test]
-    fn a_shape_that_lies_is_refused_by_name() {
+    fn a_wrong_shape_is_rejected_by_name() {
         let wrong = Array::F32 { shape: vec![3], data: vec![1.0] };
         let error = to_safetensors(&NamedArrays::from([("x".to_owned(), wrong)]), &BTreeMap::new())
             .expect_err("lengths differ");
-        assert_eq!(error.to_string(), "array x has 1 numbers, its shape [3] asks for 3");
+        assert_eq!(error.to_string(), "array x has 1 elements, its shape [3] requires 3");
     }
 }

@@ -1,4 +1,4 @@
-//! One choice among a few: the distribution of a discrete action, given by unnormalised log-probabilities.
+//! The categorical distribution of a discrete action, given by logits.
 
 use candle_core::Tensor;
 use rand::RngCore;
@@ -6,12 +6,12 @@ use rand::RngCore;
 /// A trainable categorical distribution over `R` rows of `K` choices.
 #[derive(Clone, Debug)]
 pub struct Categorical {
-    /// Log-probabilities up to a constant in each row, `[R, K]`.
+    /// Unnormalised log-probabilities, `[R, K]`.
     pub logits: Tensor,
 }
 
-/// `log p(choice) = logit_choice - log sum_k exp logit_k`, nats. `logits` is `[K]`; computed in f64, so that
-/// no logit overflows and the sum loses nothing.
+/// `log p(choice) = logit_choice - log sum_k exp logit_k`, nats. `logits` is `[K]`. Computed in f64 to avoid
+/// overflow and rounding errors.
 #[must_use]
 pub fn log_prob(logits: &[f32], choice: usize) -> f32 {
     let largest = f64::from(logits[mode(logits)]);
@@ -19,7 +19,7 @@ pub fn log_prob(logits: &[f32], choice: usize) -> f32 {
     (f64::from(logits[choice]) - largest - libm::log(sum)) as f32
 }
 
-/// The likeliest choice, of equals the first.
+/// The likeliest choice; the first if several are equally likely.
 #[must_use]
 pub fn mode(logits: &[f32]) -> usize {
     let mut best = 0;
@@ -31,20 +31,20 @@ pub fn mode(logits: &[f32]) -> usize {
     best
 }
 
-/// A choice from one 32-bit draw `u` in `[0, 1)`: the first whose cumulated weight exceeds `u` of the total. The
-/// weights are `exp(logit - largest)` in f64, added in the order of the choices.
+/// Draws a choice with one 32-bit number `u` in `[0, 1)`: the first whose cumulative weight exceeds `u` times the total.
+/// The weights are `exp(logit - largest)` in f64, added in the order of the choices.
 pub fn draw(logits: &[f32], rng: &mut impl RngCore) -> usize {
     let largest = f64::from(logits[mode(logits)]);
     let weight = |&logit: &f32| libm::exp(f64::from(logit) - largest);
     let total: f64 = logits.iter().map(weight).sum();
-    let mark = f64::from(rng.next_u32()) / 4_294_967_296.0 * total;
+    let threshold = f64::from(rng.next_u32()) / 4_294_967_296.0 * total;
     let mut sum = 0.0;
-    let passed = |logit: &f32| {
+    let exceeds = |logit: &f32| {
         sum += weight(logit);
-        sum > mark
+        sum > threshold
     };
-    // The mark lies below the total, so one passes; logits that are no numbers are refused elsewhere.
-    logits.iter().position(passed).unwrap_or(0)
+    // The threshold is below the total, so a choice is found. NaN logits are rejected elsewhere.
+    logits.iter().position(exceeds).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -52,13 +52,13 @@ mod tests {
     use super::*;
     use crate::randomness::{Draw, Purpose, RunSeed, generator};
 
-    /// Probabilities 1/2, 1/3 and 1/6, moved by a constant.
+    /// Logits of the probabilities 1/2, 1/3 and 1/6, plus a constant.
     fn logits() -> [f32; 3] {
         [0.5, 1.0 / 3.0, 1.0 / 6.0].map(|p: f32| libm::logf(p) + 7.0)
     }
 
     #[test]
-    fn the_log_probability_meets_a_hand_worked_case_whatever_the_scale() {
+    fn the_log_probability_matches_a_hand_worked_case_at_every_scale() {
         for (choice, p) in [0.5, 1.0 / 3.0, 1.0 / 6.0].into_iter().enumerate() {
             assert!((f64::from(log_prob(&logits(), choice)) - libm::log(p)).abs() < 1e-6);
         }
@@ -73,13 +73,13 @@ mod tests {
     }
 
     #[test]
-    fn choices_are_drawn_as_often_as_their_probabilities_say() {
+    fn choices_are_drawn_in_proportion_to_their_probabilities() {
         let mut counts = [0_i32; 3];
         for step in 0..60_000 {
             let mut rng = generator(RunSeed(1), Draw::of(Purpose::Probe).step(step));
             counts[draw(&logits(), &mut rng)] += 1;
         }
-        // Deviations are at most 122.
+        // Standard deviations are at most 122.
         let expected = [30_000, 20_000, 10_000];
         assert!(counts.iter().zip(expected).all(|(n, e)| (n - e).abs() < 500), "{counts:?}");
     }

@@ -3,43 +3,43 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// How an actor remembers.
+/// Kind of actor network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CoreKind {
     /// Linear, tanh, GRU, LayerNorm: the paper's actor.
     Gru,
-    /// Layers of Linear, ReLU, LayerNorm; no memory.
+    /// Layers of Linear, ReLU, LayerNorm; not recurrent.
     Mlp,
 }
 
-/// What stands between a network's input and its first layer.
+/// Normalisation of a network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputNorm {
-    /// Nothing: for inputs that are scaled already.
+    /// None, for inputs that are already scaled.
     None,
-    /// A LayerNorm, as in HARL. It removes what all features of a row have in common, and with it the scale of the row.
+    /// A LayerNorm, as in HARL. It removes the mean and the scale of each row.
     LayerNorm,
 }
 
-/// When the learner computes stored recurrent states again with today's weights.
+/// When the learner recomputes stored recurrent states with the current weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RefreshHidden {
-    /// Every epoch starts chunks from the states of the rollout.
+    /// Chunks start from the states of the rollout in every epoch.
     Never,
-    /// Before each epoch but the first.
+    /// Before every epoch except the first.
     EveryEpoch,
 }
 
-/// Sizes and start of every actor network. The defaults stand in `configs/base.toml`.
+/// Sizes and initialisation of every actor network. `configs/base.toml` has the defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyConfig {
-    /// Which core.
+    /// Kind of network.
     pub core: CoreKind,
-    /// What stands before the core.
+    /// Normalisation of the network's input.
     pub input_norm: InputNorm,
     /// Units of the GRU core's encoder.
     pub encoder: usize,
@@ -51,18 +51,18 @@ pub struct PolicyConfig {
     pub layers: usize,
     /// Steps of backpropagation through time, and between stored recurrent states.
     pub backpropagation_steps: usize,
-    /// Steps before a chunk whose recurrent states are computed again with today's weights, from the
-    /// state stored that many steps before; 0 or a multiple of `backpropagation_steps`.
+    /// Number of steps before a chunk for which recurrent states are recomputed with the current weights, from the
+    /// stored state at their start; 0 or a multiple of `backpropagation_steps`.
     pub burn_in: usize,
-    /// When stored recurrent states are computed again.
+    /// When stored recurrent states are recomputed.
     pub refresh_hidden: RefreshHidden,
-    /// Sigma at the start, in units of the action.
+    /// Initial sigma, in units of the action.
     pub initial_sigma: f64,
-    /// Upper end of sigma, in units of the action.
+    /// Upper bound of sigma, in units of the action.
     pub sigma_scale: f32,
-    /// Lower end of sigma, in units of the action.
+    /// Lower bound of sigma, in units of the action.
     pub sigma_floor: f32,
-    /// Gain of the orthogonal start of the action head.
+    /// Gain of the orthogonal initialisation of the action head.
     pub head_gain: f32,
 }
 
@@ -72,17 +72,17 @@ pub struct PolicyConfig {
 pub struct ConfigError {
     /// Key in the run's configuration.
     pub key: &'static str,
-    /// What it is.
+    /// Value found.
     pub found: String,
-    /// What it may be.
+    /// Values allowed.
     pub expected: &'static str,
 }
 
 impl PolicyConfig {
-    /// Checks every range.
+    /// Checks every value.
     ///
     /// # Errors
-    /// Names the first key that is out of range.
+    /// Names the first key with a value out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let size = |size: usize| (size.to_string(), (1..=4096).contains(&size));
         let count = |count: usize, most: usize| (count.to_string(), (1..=most).contains(&count));
@@ -90,7 +90,7 @@ impl PolicyConfig {
         let floor = self.sigma_floor;
         let below = floor > 0.0 && floor < self.sigma_scale;
         let open = f64::from(floor)..f64::from(self.sigma_scale);
-        let memory = self.core != CoreKind::Mlp;
+        let recurrent = self.core != CoreKind::Mlp;
         let checks = [
             ("policy.encoder", size(self.encoder), "1 to 4096"),
             ("policy.hidden", size(self.hidden), "1 to 4096"),
@@ -108,12 +108,15 @@ impl PolicyConfig {
             ),
             (
                 "policy.burn_in",
-                (self.burn_in.to_string(), memory || self.burn_in == 0),
+                (self.burn_in.to_string(), recurrent || self.burn_in == 0),
                 "0 with policy.core = mlp",
             ),
             (
                 "policy.refresh_hidden",
-                ("every_epoch".to_owned(), memory || self.refresh_hidden == RefreshHidden::Never),
+                (
+                    "every_epoch".to_owned(),
+                    recurrent || self.refresh_hidden == RefreshHidden::Never,
+                ),
                 "never with policy.core = mlp",
             ),
             ("policy.sigma_scale", real(self.sigma_scale, 0.0, 10.0), "above 0, at most 10"),
@@ -138,14 +141,14 @@ impl PolicyConfig {
         }
     }
 
-    /// Start of the parameter `log_std`, of which `sigma = sigmoid(log_std) * sigma_scale`.
+    /// Initial value of the parameter `log_std`, where `sigma = sigmoid(log_std) * sigma_scale`.
     #[must_use]
     pub fn initial_log_std(&self) -> f32 {
         let share = self.initial_sigma / f64::from(self.sigma_scale);
         libm::log(share / (1.0 - share)) as f32
     }
 
-    /// Width of the recurrent state, 0 without one.
+    /// Width of the recurrent state, 0 without a GRU.
     #[must_use]
     pub fn hidden_size(&self) -> usize {
         match self.core {
@@ -178,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_out_of_range_is_named_with_what_it_may_be() {
+    fn an_error_names_the_key_the_value_and_the_allowed_range() {
         assert_eq!(valid().validate(), Ok(()));
         let error = PolicyConfig { hidden: 0, ..valid() }.validate().expect_err("no units");
         assert_eq!(error.to_string(), "policy.hidden is 0, expected 1 to 4096");
@@ -188,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_sigma_is_the_one_that_was_asked_for_and_lies_between_its_bounds() {
+    fn the_initial_sigma_has_the_configured_value_and_is_between_its_bounds() {
         for initial_sigma in [0.06, 0.25, 0.365_529_29, 0.49] {
             let config = PolicyConfig { initial_sigma, ..valid() };
             let log_std = f64::from(config.initial_log_std());
@@ -204,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn states_are_computed_again_by_whole_chunks_and_only_by_a_core_that_has_some() {
+    fn states_are_recomputed_in_whole_chunks_and_only_with_a_recurrent_core() {
         let burn_in = |core, burn_in| PolicyConfig { core, burn_in, ..valid() }.validate();
         assert_eq!(burn_in(CoreKind::Gru, 20), Ok(()));
         for (refused, message) in [

@@ -1,22 +1,22 @@
-//! What can go wrong at this crate's edge.
+//! Errors of this crate.
 
 use thiserror::Error;
 
 use crate::arrays::ArrayError;
 
-/// A policy that cannot be built, trained, written or read.
+/// A policy cannot be built, trained, encoded or decoded.
 #[derive(Debug, Error)]
 pub enum PolicyError {
     /// A tensor operation failed.
     #[error("tensor operation: {0}")]
     Tensor(#[from] candle_core::Error),
-    /// Arrays are no arrays.
+    /// Arrays cannot be encoded or decoded.
     #[error(transparent)]
     Arrays(#[from] ArrayError),
-    /// Stored arrays do not fit the network.
+    /// Stored arrays do not match the network.
     #[error("stored weights: {0}")]
     Restore(String),
-    /// A snapshot's bytes are not a policy.
+    /// The bytes are not a valid policy snapshot.
     #[error("policy snapshot: {0}")]
     Snapshot(String),
 }

@@ -1,4 +1,4 @@
-//! The diagonal Gaussian that actors draw their actions from.
+//! The diagonal Gaussian distribution of continuous actions.
 
 use candle_core::Tensor;
 
@@ -10,7 +10,7 @@ const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 pub struct Gaussian {
     /// Means, `[R, A]`, in units of the action.
     pub mean: Tensor,
-    /// Deviations, the same in every row, `[A]`.
+    /// Standard deviations, the same in every row, `[A]`.
     pub sigma: Tensor,
 }
 
@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_log_density_meets_a_hand_worked_case() {
+    fn the_log_density_matches_a_hand_worked_case() {
         // (1 - 0) / .5 = 2 and 0: -2 - ln .5 - .9189 - ln .25 - .9189 = -1.758437
         let found = log_prob(&[0.0, 3.0], &[0.5, 0.25], &[1.0, 3.0]);
         assert!((found + 1.758_436).abs() < 1e-5, "{found}");

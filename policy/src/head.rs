@@ -1,5 +1,4 @@
-//! How an actor turns its network's output into an action: what a snapshot says about acting, and the kind of
-//! distribution that is trained.
+//! Action distributions: in a snapshot ([`Head`]) and in training ([`Distribution`]).
 
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
@@ -9,29 +8,29 @@ use crate::error::PolicyError;
 use crate::gaussian::{self, Gaussian};
 use crate::randomness::{standard_normal, uniform};
 
-/// What an action is drawn from; travels with the weights.
+/// Action distribution, given the network's output; part of a snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Head {
-    /// A Gaussian around the network's output with learnt deviations; never clamped.
+    /// A Gaussian with the network's output as mean and learnt standard deviations; never clamped.
     Gaussian,
-    /// One number, the index of a choice.
+    /// One value, the index of a choice.
     Categorical {
         /// `K`, number of choices.
         choices: usize,
     },
-    /// The network's output through tanh, spread over the range; explored with Gaussian noise and
-    /// clamped to the range. Its density is that of the noise before the clamp.
+    /// The network's output after tanh, scaled to the range. Exploration adds Gaussian noise and
+    /// clamps to the range. The density is that of the noise before the clamp.
     Deterministic {
-        /// Deviation of the noise, in units of the action.
+        /// Standard deviation of the noise, in units of the action.
         noise_sigma: f32,
         /// Lowest action.
         low: f32,
         /// Highest action.
         high: f32,
     },
-    /// Every action of the range is as likely as any other, whatever is observed. The mean action is
-    /// that of [`Head::Deterministic`], so that a policy that only warms up can be evaluated.
+    /// Uniform over the range, independent of the observation. The mode is that of [`Head::Deterministic`], so that a
+    /// policy can be evaluated during warm-up.
     Uniform {
         /// Lowest action.
         low: f32,
@@ -41,8 +40,8 @@ pub enum Head {
 }
 
 impl Head {
-    /// Half the width and the middle of the range over which the network's output, a tangent, is spread; none
-    /// where it is the action's mean as it stands.
+    /// Half the width and the middle of the range to which the network's output in `(-1, 1)` is scaled; `None` if the
+    /// output is not scaled.
     #[must_use]
     pub(crate) fn scale(self) -> Option<(f32, f32)> {
         match self {
@@ -53,7 +52,7 @@ impl Head {
         }
     }
 
-    /// The deviation of every action dimension, where it is not learnt.
+    /// The standard deviation of every action dimension, if it is not learnt.
     #[must_use]
     pub(crate) fn fixed_sigma(self) -> Option<f32> {
         match self {
@@ -63,7 +62,7 @@ impl Head {
         }
     }
 
-    /// Numbers that the network gives for an action of `action` numbers: means or logits.
+    /// Number of network outputs for `action` action values: means or logits.
     #[must_use]
     pub fn outputs(self, action: usize) -> usize {
         match self {
@@ -72,7 +71,7 @@ impl Head {
         }
     }
 
-    /// Refuses a range, a deviation or a number of choices that no action of `action` numbers can be drawn from.
+    /// Rejects an invalid range, standard deviation or number of choices for `action` action values.
     pub(crate) fn check(self, action: usize) -> Result<(), PolicyError> {
         let range = |low: f32, high: f32| low < high && low.is_finite() && high.is_finite();
         let holds = match self {
@@ -86,19 +85,19 @@ impl Head {
         match holds {
             true => Ok(()),
             false => Err(PolicyError::Snapshot(format!(
-                "no action of {action} numbers can be drawn from {self:?}"
+                "{self:?} is invalid for {action} action values"
             ))),
         }
     }
 
-    /// The network's output `[act]` becomes the mean action.
-    pub(crate) fn spread(self, output: &mut [f32]) {
+    /// Scales the network's output `[act]` to the mean action.
+    pub(crate) fn scale_output(self, output: &mut [f32]) {
         if let Some((half, middle)) = self.scale() {
             output.iter_mut().for_each(|x| *x = *x * half + middle);
         }
     }
 
-    /// An action `[act]` drawn from one row's output `[out]`: around the mean, evenly, or a choice.
+    /// Draws an action `[act]` from one row's output `[out]`.
     pub(crate) fn draw(
         self,
         output: &[f32],
@@ -121,15 +120,15 @@ impl Head {
         }
     }
 
-    /// The action that evaluation takes: the mean, or the likeliest choice.
-    pub(crate) fn settle(self, output: &[f32], action: &mut [f32]) {
+    /// The mode `[act]`: the mean, or the likeliest choice.
+    pub(crate) fn mode(self, output: &[f32], action: &mut [f32]) {
         match self {
             Self::Categorical { .. } => action[0] = categorical::mode(output) as f32,
             _ => action.copy_from_slice(output),
         }
     }
 
-    /// Log-density or log-probability of an action `[act]`, nats. A choice's index has been validated.
+    /// Log-density or log-probability, in nats, of an action `[act]`. The index of a choice must have been validated.
     pub(crate) fn log_prob(self, output: &[f32], sigma: &[f32], action: &[f32]) -> f32 {
         match self {
             Self::Gaussian | Self::Deterministic { .. } => {
@@ -144,9 +143,9 @@ impl Head {
 /// A trainable distribution over `R` rows of actions.
 #[derive(Clone, Debug)]
 pub enum Distribution {
-    /// Real numbers.
+    /// Continuous actions.
     Gaussian(Gaussian),
-    /// Choices.
+    /// Discrete actions.
     Categorical(Categorical),
 }
 
@@ -167,15 +166,15 @@ mod tests {
     }
 
     #[test]
-    fn tangents_are_spread_over_the_range_and_a_gaussians_means_are_left_alone() {
+    fn tanh_outputs_are_scaled_to_the_range_and_gaussian_means_are_not() {
         for head in [EXPLORING, WARMING_UP] {
             let mut outputs = [0.0, 1.0, -1.0];
-            head.spread(&mut outputs);
+            head.scale_output(&mut outputs);
             let close = |found: f32, expected: f32| (found - expected).abs() < 1e-5;
             assert!(close(outputs[0], 1.0) && close(outputs[1], 4.0) && close(outputs[2], -2.0));
         }
         let mut output = [7.0];
-        Head::Gaussian.spread(&mut output);
+        Head::Gaussian.scale_output(&mut output);
         assert_eq!(output, [7.0]);
     }
 
@@ -201,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_without_a_range_or_without_noise_is_refused() {
+    fn a_head_without_a_range_or_without_noise_is_rejected() {
         for head in [EXPLORING, WARMING_UP, Head::Gaussian] {
             assert!(head.check(1).is_ok());
         }

@@ -1,17 +1,22 @@
-//! Starting weights, drawn from a given generator.
+//! Initial weights, drawn from a given generator.
 
 use rand::RngCore;
 
 use crate::randomness::standard_normal;
 
-/// An orthogonal `[rows, columns]` matrix times `gain`, row-major: orthonormal rows, or columns where
-/// there are more rows than columns. Gram and Schmidt, twice, on normal draws in f64.
-pub fn orthogonal(rng: &mut impl RngCore, rows: usize, columns: usize, gain: f64) -> Vec<f32> {
+/// An orthogonal `[rows, columns]` matrix times `gain`, row-major: orthonormal rows, or columns if
+/// there are more rows than columns. Gram-Schmidt, twice, on normal draws in f64.
+pub(crate) fn orthogonal(
+    rng: &mut impl RngCore,
+    rows: usize,
+    columns: usize,
+    gain: f64,
+) -> Vec<f32> {
     let (count, length) = (rows.min(columns), rows.max(columns));
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(count);
     while basis.len() < count {
         let draw = (0..length).map(|_| f64::from(standard_normal(rng))).collect();
-        // A draw inside the span of the others has nothing left; it is drawn again.
+        // A draw in the span of the others leaves no direction; draw again.
         if let Some(vector) = orthonormalised(draw, &basis) {
             basis.push(vector);
         }
@@ -54,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shorter_side_is_orthonormal_times_the_gain() {
+    fn rows_or_columns_are_orthonormal_times_the_gain() {
         let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
         for (rows, columns) in [(1, 5), (5, 1), (4, 7), (7, 4), (64, 64)] {
             let matrix = orthogonal(&mut rng, rows, columns, 2.0);
@@ -69,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn elements_are_centred_with_the_spread_of_a_random_rotation() {
+    fn elements_have_the_mean_and_variance_of_a_random_rotation() {
         let mut rng = generator(RunSeed(2), Draw::of(Purpose::Initialisation));
         let matrix = orthogonal(&mut rng, 100, 100, 1.0);
         let mean = matrix.iter().map(|&x| f64::from(x)).sum::<f64>() / 1e4;

@@ -1,32 +1,32 @@
-//! A network's layers with the names and starts of their parameters.
+//! Layers with the names and initial values of their parameters.
 
 use kernels::{Activation, Layer, Network};
 use rand::RngCore;
 
 use crate::initialise::orthogonal;
 
-/// Gain of an orthogonal start before a hyperbolic tangent.
+/// Gain of an orthogonal initialisation before tanh.
 pub const TANH_GAIN: f64 = 5.0 / 3.0;
-/// Gain of an orthogonal start before a rectifier, `sqrt(2)`.
+/// Gain of an orthogonal initialisation before ReLU, `sqrt(2)`.
 pub const RELU_GAIN: f64 = core::f64::consts::SQRT_2;
 
-/// One layer of a network that is declared.
+/// Declaration of one layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerSpec {
     name: String,
     layer: Layer,
-    /// Of the orthogonal starts of weights.
+    /// Gain of the orthogonal initialisation.
     gain: f64,
 }
 
 impl LayerSpec {
-    /// A layer norm of `width` numbers: `NAME.weight`, `NAME.bias`.
+    /// A layer norm of `width` features: `NAME.weight`, `NAME.bias`.
     #[must_use]
     pub fn norm(name: &str, width: usize) -> Self {
         Self { name: name.to_owned(), layer: Layer::Norm { width }, gain: 1.0 }
     }
 
-    /// A linear map of `inputs` to `outputs` numbers with an orthogonal start: `NAME.weight`, `NAME.bias`.
+    /// A linear map from `inputs` to `outputs` features with orthogonal initialisation: `NAME.weight`, `NAME.bias`.
     #[must_use]
     pub fn linear(
         name: &str,
@@ -39,7 +39,7 @@ impl LayerSpec {
 
     /// A GRU: `NAME.weight_ih`, `NAME.bias_ih`, `NAME.weight_hh`, `NAME.bias_hh`; every gate's block is orthogonal.
     #[must_use]
-    pub fn gru(name: &str, (inputs, hidden): (usize, usize)) -> Self {
+    pub fn gru(name: &str, inputs: usize, hidden: usize) -> Self {
         Self { name: name.to_owned(), layer: Layer::Gru { inputs, hidden }, gain: 1.0 }
     }
 
@@ -63,8 +63,8 @@ impl LayerSpec {
         }
     }
 
-    /// Starts of all its parameters, one after another, drawn from `rng`.
-    pub fn start(&self, rng: &mut impl RngCore) -> Vec<f32> {
+    /// Concatenated initial values of all its parameters, drawn from `rng`.
+    pub(crate) fn initial_values(&self, rng: &mut impl RngCore) -> Vec<f32> {
         match self.layer {
             Layer::Norm { width } => [vec![1.0; width], vec![0.0; width]].concat(),
             Layer::Linear { inputs, outputs, .. } => {
@@ -85,7 +85,7 @@ impl LayerSpec {
     }
 }
 
-/// The network that these layers make.
+/// The network of these layers.
 #[must_use]
 pub fn network_of(specs: &[LayerSpec]) -> Network {
     Network::new(specs.iter().map(|spec| spec.layer).collect())

@@ -1,9 +1,8 @@
-//! What actors and the learner must agree on: actor networks, distributions, parameters, weight bytes.
+//! Shared by actors and learner: actor networks, distributions, parameters, weight encoding, all random draws.
 //!
-//! The learner trains an [`ActorNetwork`] (candle tensors, automatic differentiation, a network being one
-//! operation) and broadcasts a [`PolicySnapshot`] of it; an actor acts with the snapshot's
-//! [`ActorPolicy`]s, which are plain numbers. Every random draw of the system comes from
-//! [`randomness`]. Nothing here reads a file, a clock or a socket.
+//! The learner trains an [`ActorNetwork`] (candle tensors and automatic differentiation, with a network as one
+//! operation) and publishes a [`PolicySnapshot`] of it. An actor acts with the [`ActorPolicy`]s of the snapshot,
+//! which have no graph. Every random draw of the system comes from [`randomness`].
 
 pub mod acting;
 pub mod arrays;
@@ -12,7 +11,7 @@ pub mod config;
 pub mod error;
 pub mod gaussian;
 pub mod head;
-pub mod initialise;
+mod initialise;
 pub mod layers;
 pub mod math;
 pub mod network;
@@ -31,7 +30,7 @@ pub use config::{CoreKind, InputNorm, PolicyConfig, RefreshHidden};
 pub use error::PolicyError;
 pub use gaussian::Gaussian;
 pub use head::{Distribution, Head};
-pub use network::{ActorNetwork, SequenceInput, hold_sigma};
+pub use network::{ActorNetwork, SequenceInput, project_sigma};
 pub use parameters::Parameters;
 pub use precision::Precision;
 pub use probe::probe;

@@ -1,9 +1,9 @@
-//! Elementary functions that give the same bits on every machine: `libm` in double precision, our own in single
+//! Elementary functions with the same bits on every machine: `libm` in double precision, `kernels` in single
 //! precision.
 
 use candle_core::WithDType;
 
-/// A float that networks and optimisers compute with.
+/// Float type of networks and optimisers.
 pub trait Real: WithDType + core::ops::Neg<Output = Self> {
     /// `1 / (1 + exp(-x))`.
     fn sigmoid(self) -> Self;

@@ -18,7 +18,7 @@ use crate::parameters::Parameters;
 pub struct SequenceInput {
     /// Observations, `[T*B, obs]`.
     pub observation: Tensor,
-    /// Recurrent state before the first step, `[B, H]`; not read by a core without memory.
+    /// Recurrent state before the first step, `[B, H]`; ignored without a GRU.
     pub hidden: Tensor,
     /// 0 where the recurrent state is reset before the step, else 1, `[T, B]`.
     pub mask: Tensor,
@@ -30,19 +30,19 @@ impl SequenceInput {
     }
 }
 
-/// One agent's actor: the trunk (everything up to the features) and the head of the policy `p`.
+/// One agent's actor network: the trunk (all layers but the last) and the head of the policy `p`.
 #[derive(Debug)]
 pub struct ActorNetwork {
     spec: ActorSpec,
     sigma_floor: f64,
     parameters: Parameters,
     layers: LayerStack,
-    /// Only where deviations are learnt.
+    /// Only if sigma is learnt.
     log_std: Option<Var>,
 }
 
 impl ActorNetwork {
-    /// A network for `observation` features and `action` dimensions with a Gaussian head, its weights drawn
+    /// A network for `observation` features and `action` dimensions with a Gaussian head. Its weights are drawn
     /// from `rng`.
     ///
     /// # Errors
@@ -54,25 +54,26 @@ impl ActorNetwork {
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
-        Self::with_head(config, observation, (action, Head::Gaussian), dtype, rng)
+        Self::with_head(config, observation, action, Head::Gaussian, dtype, rng)
     }
 
-    /// As [`ActorNetwork::new`], for actions of `action` numbers that `head` gives.
+    /// As [`ActorNetwork::new`], for `action` action values and any head.
     ///
     /// # Errors
-    /// If such actions cannot come from `head`; passes on a tensor error.
+    /// If `head` is invalid for `action` values; passes on a tensor error.
     pub fn with_head(
         config: &PolicyConfig,
         observation: usize,
-        (action, kind): (usize, Head),
+        action: usize,
+        head: Head,
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
-        let spec = ActorSpec::new(config, observation, (action, kind))?;
+        let spec = ActorSpec::new(config, observation, action, head)?;
         let mut parameters = Parameters::new();
         let declared = spec.layer_specs(f64::from(config.head_gain));
         let layers = LayerStack::declare(&mut parameters, &declared, dtype, rng)?;
-        let log_std = match kind {
+        let log_std = match head {
             Head::Gaussian => {
                 let start = Tensor::full(config.initial_log_std(), action, &Device::Cpu)?;
                 Some(parameters.add("head.log_std", start.to_dtype(dtype)?)?)
@@ -95,13 +96,13 @@ impl ActorNetwork {
         self.spec.feature_size()
     }
 
-    /// Width `H` of the recurrent state, 0 without one.
+    /// Width `H` of the recurrent state, 0 without a GRU.
     #[must_use]
     pub fn hidden_size(&self) -> usize {
         self.spec.hidden_size()
     }
 
-    /// The layers' weights as they are now; to be taken once per optimiser step.
+    /// The current weights of all layers. Call once per optimiser step.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -109,7 +110,7 @@ impl ActorNetwork {
         Ok(self.layers.weights()?)
     }
 
-    /// As [`ActorNetwork::weights`], those of the trunk and those of the head.
+    /// As [`ActorNetwork::weights`], separately for trunk and head.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -117,11 +118,11 @@ impl ActorNetwork {
         Ok(self.layers.split_weights()?)
     }
 
-    /// As [`ActorNetwork::distribution`] from [`ActorNetwork::split_weights`], with the trunk's features `[T*B, F]`, by
-    /// which gradients are known.
+    /// As [`ActorNetwork::distribution`] with [`ActorNetwork::split_weights`], and the differentiable features
+    /// `[T*B, F]` of the trunk.
     ///
     /// # Errors
-    /// If shapes or element types do not fit.
+    /// If shapes or element types do not match.
     pub fn distribution_on_trunk(
         &self,
         [trunk, head]: &[Weights; 2],
@@ -131,10 +132,10 @@ impl ActorNetwork {
         Ok((self.head(head.apply(&features, None)?)?, features))
     }
 
-    /// The policy `p(a | o, h)` of every row under `weights`, which are this network's.
+    /// The policy `p(a | o, h)` of every row, with `weights` of this network.
     ///
     /// # Errors
-    /// If shapes or element types do not fit.
+    /// If shapes or element types do not match.
     pub fn distribution(
         &self,
         weights: &Weights,
@@ -143,10 +144,10 @@ impl ActorNetwork {
         self.head(weights.apply(&input.observation, input.recurrent())?)
     }
 
-    /// As [`ActorNetwork::distribution`], a constant but for sigma, with what the head sees, `[T*B, F]`.
+    /// As [`ActorNetwork::distribution`], with the features `[T*B, F]`. Features and means (or logits) are constants.
     ///
     /// # Errors
-    /// If shapes or element types do not fit.
+    /// If shapes or element types do not match.
     pub fn distribution_and_features(
         &self,
         weights: &Weights,
@@ -157,11 +158,11 @@ impl ActorNetwork {
         Ok((self.head(output)?, features))
     }
 
-    /// The recurrent state after the last step, `[B, H]`, of which no gradient is known; the one before the first
-    /// step of a core without memory.
+    /// The recurrent state after the last step, `[B, H]`, a constant. Without a GRU, the state before the first
+    /// step.
     ///
     /// # Errors
-    /// If shapes or element types do not fit.
+    /// If shapes or element types do not match.
     pub fn last_state(
         &self,
         weights: &Weights,
@@ -172,8 +173,8 @@ impl ActorNetwork {
         Ok(found.unwrap_or_else(|| input.hidden.clone()))
     }
 
-    /// From the layers' output `[R, out]`: logits; or the mean with `sigma = sigmoid(log_std) * sigma_scale` where it
-    /// is learnt, and the squashed mean with the deviation of its exploration where not.
+    /// From the layers' output `[R, out]`: logits; or the mean, with `sigma = sigmoid(log_std) * sigma_scale` if it
+    /// is learnt, otherwise the fixed sigma of the head.
     fn head(&self, output: Tensor) -> Result<Distribution, PolicyError> {
         let head = self.spec.head();
         let output = match head.scale() {
@@ -193,18 +194,17 @@ impl ActorNetwork {
         Ok(Distribution::Gaussian(Gaussian { mean: output, sigma }))
     }
 
-    /// Brings the parameters back to where sigma is at least its floor; to be called after every
-    /// optimiser step. A hard floor inside the network would have no gradient below it, so
-    /// that a sigma once there could never grow again.
+    /// Projects the parameters to sigma at or above its floor. Call after every optimiser step. A hard floor inside the
+    /// network has no gradient below it, so a smaller sigma could never grow again.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn project(&self) -> Result<(), PolicyError> {
         let Some(log_std) = &self.log_std else { return Ok(()) };
-        hold_sigma(log_std, self.sigma_floor, self.spec.sigma_scale())
+        project_sigma(log_std, self.sigma_floor, self.spec.sigma_scale())
     }
 
-    /// A plain copy to act with, in single precision.
+    /// A copy for acting, without a graph and in single precision.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -220,19 +220,19 @@ impl ActorNetwork {
     }
 }
 
-/// Raises `log_std` to where `sigma = sigmoid(log_std) * scale` is at least `floor`, which is below `scale`.
+/// Raises `log_std` so that `sigma = sigmoid(log_std) * scale` is at least `floor`, which must be below `scale`.
 ///
 /// # Errors
 /// Passes on a tensor error.
-pub fn hold_sigma(log_std: &Var, floor: f64, scale: f64) -> Result<(), PolicyError> {
+pub fn project_sigma(log_std: &Var, floor: f64, scale: f64) -> Result<(), PolicyError> {
     let share = floor / scale;
     let lowest = libm::log(share / (1.0 - share));
     let values = log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
     if values.iter().any(|&value| value < lowest) {
-        let held: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
-        let width = held.len();
-        let held = Tensor::from_vec(held, width, &Device::Cpu)?;
-        log_std.set(&held.to_dtype(log_std.dtype())?)?;
+        let raised: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
+        let width = raised.len();
+        let raised = Tensor::from_vec(raised, width, &Device::Cpu)?;
+        log_std.set(&raised.to_dtype(log_std.dtype())?)?;
     }
     Ok(())
 }

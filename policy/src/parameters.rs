@@ -1,4 +1,4 @@
-//! A network's parameters: named, in the order in which they were declared.
+//! A network's named parameters.
 
 use core::ops::Range;
 
@@ -7,46 +7,46 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::arrays::{Array, NamedArrays};
 use crate::error::PolicyError;
 
-/// Named parameters. Their order is that of declaration and never that of a hash.
+/// Named parameters in the order of their declaration.
 #[derive(Debug, Default)]
 pub struct Parameters {
-    slots: Vec<Slot>,
+    spans: Vec<TensorSpan>,
     vars: Vec<Var>,
 }
 
-/// Where a parameter's numbers are.
+/// Location of a parameter in the flat variables.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Slot {
+pub struct TensorSpan {
     /// The parameter's name.
     pub name: String,
-    /// Its shape; numbers are row-major.
+    /// Its shape; elements are row-major.
     pub shape: Vec<usize>,
-    /// Index of the variable that holds it.
+    /// Index of its variable.
     pub var: usize,
-    /// Its numbers among those of the variable.
+    /// Range of its elements in the variable.
     pub range: Range<usize>,
 }
 
 impl Parameters {
-    /// No parameters yet.
+    /// No parameters.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Declares a parameter that starts as `value`, with a variable of its own.
+    /// Declares a parameter with the initial value `value` in a separate variable.
     ///
     /// # Errors
-    /// Passes on a tensor error; refuses a name that is taken.
+    /// If a name is already declared; passes on a tensor error.
     pub fn add(&mut self, name: &str, value: Tensor) -> Result<Var, PolicyError> {
         let shape = value.dims().to_vec();
         self.declare(vec![(name.to_owned(), shape)], Var::from_tensor(&value)?)
     }
 
-    /// Declares parameters that share one flat variable, their starts one after another.
+    /// Declares parameters that share one flat variable; `start` has their concatenated initial values.
     ///
     /// # Errors
-    /// Passes on a tensor error; refuses a name that is taken.
+    /// If a name is already declared; passes on a tensor error.
     pub fn add_all(
         &mut self,
         named: Vec<(String, Vec<usize>)>,
@@ -61,67 +61,49 @@ impl Parameters {
     fn declare(&mut self, named: Vec<(String, Vec<usize>)>, var: Var) -> Result<Var, PolicyError> {
         let mut end = 0;
         for (name, shape) in named {
-            if self.slots.iter().any(|slot| slot.name == name) {
+            if self.spans.iter().any(|span| span.name == name) {
                 return Err(PolicyError::Restore(format!("parameter {name} is declared twice")));
             }
             let range = end..end + shape.iter().product::<usize>();
             end = range.end;
-            self.slots.push(Slot { name, shape, var: self.vars.len(), range });
+            self.spans.push(TensorSpan { name, shape, var: self.vars.len(), range });
         }
         self.vars.push(var.clone());
         Ok(var)
     }
 
-    /// The parameters of `self` and then those of `other`, their names after `prefix`; the variables are the same.
+    /// The parameters of `self`, then those of `other` with `prefix` before their names. The variables are shared.
     #[must_use]
     pub fn with(&self, prefix: &str, other: &Self) -> Self {
         let first = self.vars.len();
-        let renamed = other.slots.iter().map(|slot| Slot {
-            name: format!("{prefix}{}", slot.name),
-            var: first + slot.var,
-            ..slot.clone()
+        let renamed = other.spans.iter().map(|span| TensorSpan {
+            name: format!("{prefix}{}", span.name),
+            var: first + span.var,
+            ..span.clone()
         });
         Self {
-            slots: self.slots.iter().cloned().chain(renamed).collect(),
+            spans: self.spans.iter().cloned().chain(renamed).collect(),
             vars: self.vars.iter().chain(&other.vars).cloned().collect(),
         }
     }
 
-    /// All parameters in their order.
+    /// The locations of all parameters, in order.
     #[must_use]
-    pub fn slots(&self) -> &[Slot] {
-        &self.slots
+    pub fn spans(&self) -> &[TensorSpan] {
+        &self.spans
     }
 
-    /// The variables that hold them, in their order.
+    /// All variables, in order.
     #[must_use]
     pub fn vars(&self) -> &[Var] {
         &self.vars
     }
 
-    /// Name of the first parameter that the variable `index` holds.
+    /// Name of the first parameter in the variable `index`.
     #[must_use]
     pub fn name_of(&self, index: usize) -> &str {
-        let slot = self.slots.iter().find(|slot| slot.var == index);
-        slot.map_or("", |slot| &slot.name)
-    }
-
-    /// Number of parameters.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.slots.len()
-    }
-
-    /// Whether there is none.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.slots.is_empty()
-    }
-
-    /// Number of scalars in all of them.
-    #[must_use]
-    pub fn scalars(&self) -> usize {
-        self.vars.iter().map(|var| var.elem_count()).sum()
+        let span = self.spans.iter().find(|span| span.var == index);
+        span.map_or("", |span| &span.name)
     }
 
     /// The parameters as arrays named `PREFIX` + name.
@@ -132,32 +114,32 @@ impl Parameters {
         let mut arrays = NamedArrays::new();
         for (index, var) in self.vars.iter().enumerate() {
             let flat = flat_array(var)?;
-            for slot in self.slots.iter().filter(|slot| slot.var == index) {
-                let part = flat.part(slot.range.clone(), slot.shape.clone());
-                arrays.insert(format!("{prefix}{}", slot.name), part);
+            for span in self.spans.iter().filter(|span| span.var == index) {
+                let part = flat.part(span.range.clone(), span.shape.clone());
+                arrays.insert(format!("{prefix}{}", span.name), part);
             }
         }
         Ok(arrays)
     }
 
-    /// Takes over the arrays named `PREFIX` + name.
+    /// Sets the parameters from the arrays named `PREFIX` + name.
     ///
     /// # Errors
-    /// Names an array that is missing, unknown under the prefix, or of another shape or type; then
-    /// no parameter has changed.
+    /// Names an array that is missing, unknown under the prefix, or of another shape or type. No
+    /// parameter has then changed.
     pub fn load(&self, prefix: &str, arrays: &NamedArrays) -> Result<(), PolicyError> {
-        let known = |name: &str| self.slots.iter().any(|slot| slot.name == name);
+        let known = |name: &str| self.spans.iter().any(|span| span.name == name);
         let extra = arrays.keys().filter_map(|name| name.strip_prefix(prefix)).find(|n| !known(n));
         if let Some(name) = extra {
             return Err(PolicyError::Restore(format!("{prefix}{name} belongs to no parameter")));
         }
         let parts = self
-            .slots
+            .spans
             .iter()
-            .map(|slot| stored(arrays, prefix, slot, self.vars[slot.var].dtype()))
+            .map(|span| stored(arrays, prefix, span, self.vars[span.var].dtype()))
             .collect::<Result<Vec<_>, _>>()?;
         for (index, var) in self.vars.iter().enumerate() {
-            let own = self.slots.iter().zip(&parts).filter(|(slot, _)| slot.var == index);
+            let own = self.spans.iter().zip(&parts).filter(|(span, _)| span.var == index);
             let flat: Vec<&Array> = own.map(|(_, part)| *part).collect();
             var.set(&joined(&flat, var)?)?;
         }
@@ -173,7 +155,7 @@ fn flat_array(var: &Var) -> Result<Array, PolicyError> {
     })
 }
 
-/// Arrays one after another as a tensor of `var`'s shape.
+/// The concatenated arrays as a tensor of `var`'s shape.
 fn joined(parts: &[&Array], var: &Var) -> Result<Tensor, PolicyError> {
     let (mut single, mut double) = (Vec::new(), Vec::new());
     for part in parts {
@@ -192,16 +174,16 @@ fn joined(parts: &[&Array], var: &Var) -> Result<Tensor, PolicyError> {
 fn stored<'a>(
     arrays: &'a NamedArrays,
     prefix: &str,
-    slot: &Slot,
+    span: &TensorSpan,
     dtype: DType,
 ) -> Result<&'a Array, PolicyError> {
-    let name = format!("{prefix}{}", slot.name);
+    let name = format!("{prefix}{}", span.name);
     let array =
         arrays.get(&name).ok_or_else(|| PolicyError::Restore(format!("{name} is missing")))?;
     let fits =
         matches!((array, dtype), (Array::F32 { .. }, DType::F32) | (Array::F64 { .. }, DType::F64));
-    if !fits || array.shape() != slot.shape {
-        let (found, expected) = (array.shape(), &slot.shape);
+    if !fits || array.shape() != span.shape {
+        let (found, expected) = (array.shape(), &span.shape);
         return Err(PolicyError::Restore(format!(
             "{name} has shape {found:?}, expected {expected:?} {dtype:?}"
         )));
@@ -225,13 +207,13 @@ mod tests {
     #[test]
     fn parameters_keep_the_order_of_their_declaration() {
         let names: Vec<String> =
-            parameters().slots().iter().map(|slot| slot.name.clone()).collect();
+            parameters().spans().iter().map(|span| span.name.clone()).collect();
         assert_eq!(names, ["z", "a"]);
-        assert_eq!((parameters().len(), parameters().scalars()), (2, 4));
+        assert_eq!(parameters().vars().len(), 2);
     }
 
     #[test]
-    fn loading_is_strict_and_names_what_is_wrong() {
+    fn loading_is_strict_and_an_error_names_the_array() {
         let source = parameters().to_arrays("p.").expect("f32 arrays");
         let target = parameters();
         assert!(target.load("p.", &source).is_ok());

@@ -1,13 +1,13 @@
-//! How exactly an update computes: single precision trains, double precision checks it.
+//! Precision of an update: single for training, double for checking it.
 
 use candle_core::DType;
 
-/// The floats of networks, of their optimisers and of what they say about a batch.
+/// Float type of networks, optimisers and the values computed from them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
-    /// 32-bit floats and the fast hyperbolic tangent; every run trains so.
+    /// 32-bit floats and the fast tanh. All runs use it.
     Single,
-    /// 64-bit floats and exact elementary functions, to be compared with reference values.
+    /// 64-bit floats and exact elementary functions, for comparison with reference values.
     Double,
 }
 
@@ -21,7 +21,7 @@ impl Precision {
         }
     }
 
-    /// The nearest number that this precision can hold.
+    /// `x` rounded to this precision.
     #[must_use]
     pub fn round(self, x: f64) -> f64 {
         match self {
@@ -30,7 +30,7 @@ impl Precision {
         }
     }
 
-    /// Every number rounded as [`Precision::round`] does.
+    /// [`Precision::round`] of every value.
     #[must_use]
     pub fn rounded(self, numbers: Vec<f64>) -> Vec<f64> {
         numbers.into_iter().map(|x| self.round(x)).collect()

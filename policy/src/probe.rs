@@ -1,4 +1,4 @@
-//! A fixed computation whose bits tell whether two machines act alike.
+//! A fixed computation whose hash shows whether two machines compute the same bits.
 
 use candle_core::DType;
 use sha2::{Digest, Sha256};
@@ -58,7 +58,7 @@ fn fixed_policy() -> Result<ActorPolicy, PolicyError> {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn the_probe_repeats_itself() {
+    fn the_probe_is_deterministic() {
         assert_eq!(super::probe(), super::probe());
     }
 }

@@ -1,14 +1,14 @@
-//! Every random draw of a run, keyed by what it is for: no draw depends on time, thread, process or
+//! Every random draw of a run. A draw has a key that states its purpose. It does not depend on time, thread, process or
 //! order of arrival.
 
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// The one seed of a run.
+/// Seed of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RunSeed(pub u64);
 
-/// What a draw is for. The numbers are part of a run's identity and never change.
+/// Purpose of a draw. The numbers are part of a run's identity and never change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Purpose {
@@ -36,28 +36,28 @@ pub enum Purpose {
     Recording = 11,
     /// The fixed computations of the numeric fingerprint.
     Probe = 12,
-    /// Transitions taken out of a replay to learn from.
+    /// Transitions sampled from a replay buffer.
     Replay = 13,
     /// Initial weights of a density.
     DensityInitialisation = 20,
     /// Order of a density's minibatches.
     DensityMinibatch = 21,
-    /// Latent noise of a density, at its fit and where it is asked.
+    /// Latent noise of a density, when it is fitted and evaluated.
     DensityNoise = 22,
-    /// Noise of an action for a world that somebody else steps.
+    /// Noise of a served action.
     ServedAction = 23,
-    /// Runs drawn again to say how certain a mean over runs is.
+    /// Bootstrap resampling of runs, for confidence intervals.
     Bootstrap = 30,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Draw {
-    /// What the draw is for.
+    /// Purpose of the draw.
     pub purpose: Purpose,
     /// Iteration; for resets and served actions the episode's index, for evaluation resets the evaluated iteration.
     pub iteration: u64,
-    /// Environment, counted over the whole run.
+    /// Environment index in the whole run.
     pub environment: u32,
     /// Step in the slot or episode, or epoch.
     pub step: u32,
@@ -109,7 +109,7 @@ impl Draw {
 pub struct Key(pub [u8; 32]);
 
 impl Key {
-    /// The key of `draw` in the run of `seed`.
+    /// The key of `draw` in the run with `seed`.
     #[must_use]
     pub fn of(seed: RunSeed, draw: Draw) -> Self {
         let mut key = [0_u8; 32];
@@ -122,28 +122,28 @@ impl Key {
         Self(key)
     }
 
-    /// Where evaluation episode `episode` of the policies after `iteration` begins.
+    /// The key of the initial state of evaluation episode `episode` after `iteration`.
     #[must_use]
     pub fn of_evaluation(seed: RunSeed, iteration: u64, episode: u32) -> Self {
         let draw = Draw::of(Purpose::EvaluationReset).iteration(iteration).environment(episode);
         Self::of(seed, draw)
     }
 
-    /// The generator with this key, from its beginning.
+    /// A new generator with this key.
     #[must_use]
     pub fn generator(self) -> ChaCha8Rng {
         ChaCha8Rng::from_seed(self.0)
     }
 }
 
-/// The generator of one draw, which [`Key::of`] keys.
+/// The generator of one draw, with the key [`Key::of`].
 #[must_use]
 pub fn generator(seed: RunSeed, draw: Draw) -> ChaCha8Rng {
     Key::of(seed, draw).generator()
 }
 
-/// One standard normal number by Box and Muller: `sqrt(-2 ln u) cos(2 pi v)` with two 32-bit draws,
-/// `u` in (0, 1] and `v` in [0, 1). Computed in f64 with `libm`, so that every machine agrees.
+/// One standard normal number (Box-Muller): `sqrt(-2 ln u) cos(2 pi v)` with two 32-bit draws,
+/// `u` in (0, 1] and `v` in [0, 1). Computed in f64 with `libm`, for the same bits on every machine.
 pub fn standard_normal(rng: &mut impl RngCore) -> f32 {
     const UNIT: f64 = 1.0 / 4_294_967_296.0;
     let u = (f64::from(rng.next_u32()) + 1.0) * UNIT;

@@ -1,4 +1,4 @@
-//! All agents' policies of one iteration as bytes: what the learner broadcasts and a checkpoint keeps.
+//! Encoding of all agents' policies of one iteration, as the learner publishes them and a checkpoint stores them.
 
 use std::collections::BTreeMap;
 
@@ -8,21 +8,21 @@ use crate::acting::{ActorPolicy, ActorSpec};
 use crate::arrays::{NamedArrays, from_safetensors, to_safetensors};
 use crate::error::PolicyError;
 
-/// The metadata entry that holds the agents' shapes as JSON.
+/// The metadata entry with the agents' specs as JSON.
 const SPEC_KEY: &str = "s2mia.policy";
-/// More agents than this are no policy of ours.
+/// Maximum number of agents.
 const MAX_AGENTS: usize = 1024;
 
 /// Every agent's policy, in the order of the agents.
 #[derive(Clone, Debug)]
 pub struct PolicySnapshot {
-    /// The policies.
+    /// One policy per agent.
     pub agents: Vec<ActorPolicy>,
 }
 
 impl PolicySnapshot {
-    /// A safetensors file: arrays `agent_I.NAME` with PyTorch's names and layout, shapes as JSON in
-    /// the metadata; `input.*` are what observations are standardised by, where they are. Equal policies give equal bytes.
+    /// A safetensors file: arrays `agent_I.NAME` with PyTorch's names and layout, specs as JSON in the metadata, and
+    /// `input.*` for the standardisation of observations, if any. Equal policies have equal bytes.
     ///
     /// # Errors
     /// Passes on an array error.
@@ -38,11 +38,11 @@ impl PolicySnapshot {
         Ok(to_safetensors(&arrays, &BTreeMap::from([(SPEC_KEY.to_owned(), json)]))?)
     }
 
-    /// Reads what [`PolicySnapshot::to_bytes`] wrote.
+    /// Decodes [`PolicySnapshot::to_bytes`].
     ///
     /// # Errors
-    /// Says what is wrong: not the format, no shapes, an array that is missing, too much, of another
-    /// shape or not finite.
+    /// If the format is wrong, the specs are missing, or an array is missing, unknown, of another shape or not
+    /// finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
         let (mut arrays, metadata) = from_safetensors(bytes)?;
         let json = metadata
@@ -67,7 +67,7 @@ impl PolicySnapshot {
     }
 }
 
-/// Moves the arrays of agent `index` out of `arrays`, their prefix taken off.
+/// Moves the arrays of agent `index` out of `arrays` and removes their prefix.
 fn take_agent(arrays: &mut NamedArrays, index: usize) -> NamedArrays {
     let prefix = format!("agent_{index}.");
     let names: Vec<String> =
@@ -76,7 +76,7 @@ fn take_agent(arrays: &mut NamedArrays, index: usize) -> NamedArrays {
     own.map(|(name, array)| (name[prefix.len()..].to_owned(), array)).collect()
 }
 
-/// SHA-256 of a snapshot's bytes, which names it on the wire.
+/// SHA-256 of a snapshot's bytes, its identity in messages.
 #[must_use]
 pub fn digest(bytes: &[u8]) -> [u8; 32] {
     Sha256::digest(bytes).into()

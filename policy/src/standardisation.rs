@@ -1,19 +1,19 @@
-//! Bringing features to mean 0 and deviation 1 by statistics that somebody else gathered.
+//! Standardisation of features to mean 0 and standard deviation 1, with given statistics.
 
 use crate::arrays::{Array, NamedArrays};
 
-/// Standardised features are held within `[-LIMIT, LIMIT]`, deviations.
+/// Standardised features are clamped to `[-LIMIT, LIMIT]`, in standard deviations.
 pub const LIMIT: f32 = 10.0;
 
 pub(crate) const MEAN: &str = "input.mean";
 pub(crate) const INVERSE: &str = "input.inverse_deviation";
 
-/// What every feature is standardised by.
+/// Mean and inverse standard deviation of every feature.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Standardisation {
     /// Subtracted from the feature, `[features]`.
     pub mean: Vec<f32>,
-    /// Multiplied with what is left, `[features]`: 1 / deviation.
+    /// Factor after the subtraction, 1 / standard deviation, `[features]`.
     pub inverse: Vec<f32>,
 }
 
@@ -27,7 +27,7 @@ impl Standardisation {
         }
     }
 
-    /// As a snapshot carries it.
+    /// The arrays in a snapshot.
     pub(crate) fn arrays(&self) -> NamedArrays {
         let vector = |name: &str, data: &[f32]| {
             (name.to_owned(), Array::F32 { shape: vec![data.len()], data: data.to_vec() })
@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn features_lose_their_mean_and_their_unit_and_are_held_at_ten_deviations() {
+    fn features_are_centred_scaled_and_clamped_at_ten_deviations() {
         let standardisation = Standardisation { mean: vec![1.0, -2.0], inverse: vec![0.5, 4.0] };
         let mut rows = [3.0, -1.0, -99.0, 1.0];
         standardisation.apply(&mut rows);

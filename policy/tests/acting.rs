@@ -1,4 +1,4 @@
-//! Acting agrees with training, and a row's bits do not depend on its company.
+//! Acting agrees with training, and a row's bits do not depend on the other rows.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use candle_core::{DType, Device, Tensor};
@@ -40,7 +40,7 @@ fn normals(seed: u64, count: usize) -> Vec<f32> {
     (0..count).map(|_| standard_normal(&mut rng)).collect()
 }
 
-/// The Gaussian that a network with a Gaussian head gives.
+/// The distribution of a network with a Gaussian head.
 fn gaussian_of(network: &ActorNetwork, input: &SequenceInput) -> Gaussian {
     match network.distribution(&network.weights().unwrap(), input).unwrap() {
         Distribution::Gaussian(gaussian) => gaussian,
@@ -158,9 +158,9 @@ fn projection_holds_sigma_at_its_floor_and_leaves_the_rest_alone() {
     let before = network.policy().unwrap().sigma().to_vec();
     network.project().unwrap();
     assert_eq!(network.policy().unwrap().sigma(), before);
-    let slots = network.parameters().slots();
-    let slot = slots.iter().find(|slot| slot.name == "head.log_std").unwrap();
-    let log_std = &network.parameters().vars()[slot.var];
+    let spans = network.parameters().spans();
+    let span = spans.iter().find(|span| span.name == "head.log_std").unwrap();
+    let log_std = &network.parameters().vars()[span.var];
     log_std.set(&Tensor::new(&[-9.0_f32, 0.0], &Device::Cpu).unwrap()).unwrap();
     network.project().unwrap();
     let sigma = network.policy().unwrap().sigma().to_vec();

@@ -1,4 +1,4 @@
-//! A categorical head acts as it is trained, whatever batch a row stands in, and survives a snapshot.
+//! A categorical head acts as it is trained, in every batch, and survives a snapshot.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use candle_core::{DType, Device, Tensor};
@@ -30,7 +30,7 @@ fn network(core: CoreKind) -> ActorNetwork {
     };
     let mut rng = generator(RunSeed(11), Draw::of(Purpose::Initialisation));
     let head = Head::Categorical { choices: CHOICES };
-    ActorNetwork::with_head(&config, OBSERVATION, (1, head), DType::F32, &mut rng).unwrap()
+    ActorNetwork::with_head(&config, OBSERVATION, 1, head, DType::F32, &mut rng).unwrap()
 }
 
 fn normals(seed: u64, count: usize) -> Vec<f32> {
@@ -110,8 +110,7 @@ fn every_parameter_has_a_gradient_and_none_is_a_deviation() {
         for var in network.parameters().vars() {
             assert!(gradients.by(var).unwrap().is_some());
         }
-        let named = |slot: &policy::parameters::Slot| slot.name == "head.log_std";
-        assert!(!network.parameters().slots().iter().any(named));
+        assert!(network.parameters().spans().iter().all(|span| span.name != "head.log_std"));
         network.project().unwrap();
     }
 }
@@ -125,7 +124,7 @@ fn a_snapshot_names_the_head_and_settles_on_the_likeliest_choice_after_a_round_t
     assert_eq!(back.agents[0].head(), Head::Categorical { choices: CHOICES });
     assert_eq!((back.agents[0].action_size(), back.agents[0].sigma().len()), (1, 0));
     let mut action = [9.0];
-    back.agents[0].settle(&[0.1, -2.0, 0.7, 0.7, 0.2], &mut action);
+    back.agents[0].mode(&[0.1, -2.0, 0.7, 0.7, 0.2], &mut action);
     assert_eq!(action, [2.0]);
 }
 
@@ -148,7 +147,7 @@ fn a_gaussian_snapshot_says_nothing_of_heads_and_a_head_that_does_not_fit_is_ref
             sigma_floor: 0.05,
             head_gain: 1.0,
         };
-        ActorNetwork::with_head(&config, 3, (action, head), DType::F32, &mut rng)
+        ActorNetwork::with_head(&config, 3, action, head, DType::F32, &mut rng)
     };
     let gaussian = build(2, Head::Gaussian).unwrap().policy().unwrap();
     let bytes = PolicySnapshot { agents: vec![gaussian] }.to_bytes().unwrap();

@@ -1,4 +1,4 @@
-//! Fused networks against their plain twins in double precision, and these against finite differences.
+//! Fused networks against their references in double precision, and these against finite differences.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use candle_core::{DType, Device, Result, Tensor};
@@ -18,7 +18,7 @@ fn normal(seed: u64, shape: &[usize]) -> Tensor {
     Tensor::from_vec(data, shape, &Device::Cpu).unwrap()
 }
 
-/// A network of these layers whose parameters are all drawn, biases too.
+/// A network of these layers with random parameters, including biases.
 fn stack(specs: &[LayerSpec], dtype: DType) -> (Parameters, LayerStack) {
     let mut parameters = Parameters::new();
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
@@ -29,7 +29,7 @@ fn stack(specs: &[LayerSpec], dtype: DType) -> (Parameters, LayerStack) {
     (parameters, stack)
 }
 
-/// Networks of every kind of layer, with and without a norm at the input, whose sizes fill no register.
+/// Networks of all kinds of layers, with and without a norm at the input, with sizes that do not fill registers.
 fn networks() -> Vec<(Vec<LayerSpec>, usize)> {
     let linear = |name: &str, shape, activation| LayerSpec::linear(name, shape, activation, 1.0);
     let mlp = |first: Vec<LayerSpec>, inputs: usize| {
@@ -44,7 +44,7 @@ fn networks() -> Vec<(Vec<LayerSpec>, usize)> {
     let gru = vec![
         LayerSpec::norm("n", 9),
         linear("e", (9, 20), Activation::Tanh),
-        LayerSpec::gru("gru", (20, 18)),
+        LayerSpec::gru("gru", 20, 18),
         LayerSpec::norm("o", 18),
         linear("h", (18, 2), Activation::Identity),
     ];
@@ -60,7 +60,7 @@ fn mask() -> Tensor {
     Tensor::from_vec(mask, (STEPS, SEQUENCES), &Device::Cpu).unwrap()
 }
 
-/// Output, gradient by the parameters and gradient by the input in double precision, from a pass in `dtype`; the scalar
+/// Output, gradient of the parameters and gradient of the input in double precision, from a pass in `dtype`. The scalar
 /// at its root weighs every output differently.
 fn pass(specs: &[LayerSpec], inputs: usize, dtype: DType) -> Result<[Tensor; 3]> {
     let (parameters, stack) = stack(specs, dtype);

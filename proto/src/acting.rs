@@ -1,44 +1,44 @@
-//! What trained policies are asked, and what they answer. How a received step is checked stands in `validate`.
+//! Requests to trained policies and their answers. `validate/acting.rs` checks received steps.
 
 use crate::read::{required, unknown};
 use crate::{AgentSpec, Reason, Refusal, WeightsName, tensor, wire};
 
-/// Who acts, on what and how.
+/// A team of served policies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicyDescription {
-    /// Names the run for people.
+    /// Human-readable name of the run.
     pub run_id: String,
     /// For example `halfcheetah-2x3`.
     pub task: String,
-    /// The weights by which a stream acts that begins now.
+    /// The weights that a new stream would use.
     pub weights: WeightsName,
-    /// The team.
+    /// The agents of the team.
     pub agents: Vec<PolicyAgent>,
-    /// Seconds from one observation to the next.
+    /// Seconds between observations.
     pub dt_secs: f64,
 }
 
 /// One agent and its policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicyAgent {
-    /// Its name, what it observes and what its actions are.
+    /// Its name, observations and actions.
     pub agent: AgentSpec,
-    /// Units of its recurrent state; 0 without one.
+    /// Units of its recurrent state, 0 without one.
     pub hidden_size: u32,
-    /// What its actions are drawn from.
+    /// Its action distribution.
     pub distribution: ActionDistribution,
 }
 
-/// What actions are drawn from.
+/// Kind of action distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActionDistribution {
-    /// A Gaussian with learnt deviations.
+    /// A Gaussian with learnt standard deviations.
     Gaussian,
-    /// One choice among a few.
+    /// A categorical distribution over choices.
     Categorical,
-    /// A Gaussian of fixed deviation around an action within its range, cut off at the range.
+    /// A Gaussian with fixed standard deviation, clamped to the action range.
     ClampedGaussian,
-    /// Every action of the range alike.
+    /// Uniform over the action range.
     Uniform,
 }
 
@@ -47,19 +47,19 @@ pub enum ActionDistribution {
 pub enum ActionChoice {
     /// The mean, or the likeliest choice.
     Mean,
-    /// Drawn.
+    /// Sampled from the distribution.
     Sampled {
-        /// Root of the draws.
+        /// Seed of the draws.
         seed: u64,
     },
 }
 
-/// What some of the agents observe.
+/// Observations of some agents.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActStep {
-    /// Whether an episode begins.
+    /// Whether a new episode starts.
     pub reset: bool,
-    /// Each agent's place in the team, at most once, and what it observes, `[obs]`.
+    /// Agent index and observation `[obs]`; each agent at most once.
     pub observations: Vec<(usize, Vec<f32>)>,
 }
 
@@ -68,12 +68,12 @@ pub struct ActStep {
 pub struct Acted {
     /// The weights that acted.
     pub weights: WeightsName,
-    /// Each agent's place in the team and what it does, `[act]`, before any clamp.
+    /// Agent index and action `[act]`, before clamping.
     pub actions: Vec<(usize, Vec<f32>)>,
 }
 
 impl PolicyDescription {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::DescribePolicyResponse {
         wire::DescribePolicyResponse {
@@ -88,7 +88,7 @@ impl PolicyDescription {
     /// Reads the message.
     ///
     /// # Errors
-    /// Refuses missing parts and unknown distributions.
+    /// If a part is missing or a distribution is unknown.
     pub fn from_wire(wire: wire::DescribePolicyResponse) -> Result<Self, Refusal> {
         let agents = wire.agents.into_iter().enumerate();
         let agents =
@@ -151,7 +151,7 @@ impl ActionChoice {
     /// Reads the first message of a stream.
     ///
     /// # Errors
-    /// Refuses any other message, and one that leaves open how to choose.
+    /// If it is another message, or the choice is missing.
     pub fn from_wire(wire: wire::ActRequest) -> Result<Self, Refusal> {
         let Some(wire::act_request::Content::Start(start)) = wire.content else {
             return Err(Refusal::new(Reason::MissingField, "start", "must come first"));
@@ -164,7 +164,7 @@ impl ActionChoice {
 }
 
 impl ActStep {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::ActRequest {
         let observation = |(agent, observation): &(usize, Vec<f32>)| wire::AgentObservation {
@@ -178,7 +178,7 @@ impl ActStep {
 }
 
 impl Acted {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::ActResponse {
         let action = |(agent, action): &(usize, Vec<f32>)| wire::AgentAction {

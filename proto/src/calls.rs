@@ -1,4 +1,4 @@
-//! What the calls carry besides work and results: registrations, answers, acknowledgements, signs of life.
+//! Contents of calls other than work and results: registrations, answers, acknowledgements, heartbeats.
 
 use bytes::Bytes;
 
@@ -8,21 +8,21 @@ use crate::{
     WeightsName, wire,
 };
 
-/// An actor's request for admission.
+/// An actor's registration request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Registration {
-    /// Names the program for people.
+    /// Human-readable name of the program.
     pub client: String,
-    /// The protocol version it speaks.
+    /// Its protocol version.
     pub protocol_version: u32,
-    /// What it offers.
+    /// Its environment.
     pub environment: EnvironmentSpec,
-    /// `None`: a client that is not this project's, so the run is not exactly repeatable.
+    /// `None` for third-party clients; the run is then not exactly repeatable.
     pub rollout_fingerprint: Option<Digest>,
 }
 
 impl Registration {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::RegisterRequest {
         let fingerprint = self.rollout_fingerprint.map(|digest| Bytes::copy_from_slice(&digest.0));
@@ -37,7 +37,7 @@ impl Registration {
     /// Reads the message.
     ///
     /// # Errors
-    /// Refuses a name that is no short line, missing parts and a fingerprint that is no SHA-256.
+    /// If the name is invalid, a part is missing, or the fingerprint is not a SHA-256.
     pub fn from_wire(wire: wire::RegisterRequest) -> Result<Self, Refusal> {
         short_line(&wire.client, "client")?;
         let environment = required(wire.environment, "environment")?;
@@ -51,16 +51,16 @@ impl Registration {
         })
     }
 
-    /// Whether the actor may work for `run`.
+    /// Checks that the actor matches `run`.
     ///
     /// # Errors
-    /// Refuses another protocol version, another environment (naming the first difference), and another
-    /// fingerprint if one is given.
+    /// If the protocol version, the environment (naming the first difference) or a given fingerprint
+    /// differs.
     pub fn check(&self, run: &RunDescription) -> Result<(), Refusal> {
         let refuse = |reason, field: &str, detail| Err(Refusal::new(reason, field, detail));
         let (found, expected) = (self.protocol_version, run.protocol_version);
         if found != expected {
-            let detail = format!("the actor speaks version {found}, the learner {expected}");
+            let detail = format!("the actor has version {found}, the learner {expected}");
             return refuse(Reason::OtherProtocol, "protocol_version", detail);
         }
         if let Some(difference) = run.environment.first_difference(&self.environment) {
@@ -81,17 +81,17 @@ impl Registration {
     }
 }
 
-/// An admitted actor.
+/// A registered actor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Registered {
-    /// Names it in later calls.
+    /// Id of the actor.
     pub actor: ActorId,
     /// This start of the learner.
     pub incarnation: Incarnation,
 }
 
 impl Registered {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::RegisterResponse {
         wire::RegisterResponse { actor_id: self.actor.0, incarnation: self.incarnation.0 }
@@ -104,14 +104,14 @@ impl Registered {
     }
 }
 
-/// The answer to a request for work.
+/// The answer to a lease request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LeaseAnswer {
-    /// Do this.
+    /// Work for the actor.
     Lease(Lease),
-    /// Nothing is free.
+    /// No work is available.
     Retry {
-        /// Ask again after this long.
+        /// Time before the next request.
         wait_millis: u32,
     },
     /// The run is over.
@@ -119,7 +119,7 @@ pub enum LeaseAnswer {
 }
 
 impl LeaseAnswer {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::LeaseSlotsResponse {
         use wire::lease_slots_response::Answer;
@@ -131,10 +131,10 @@ impl LeaseAnswer {
         wire::LeaseSlotsResponse { answer: Some(answer) }
     }
 
-    /// Reads the message, for the run it belongs to.
+    /// Reads the message of `run`.
     ///
     /// # Errors
-    /// Refuses what [`Lease::from_wire`] refuses.
+    /// If the answer is missing, or as [`Lease::from_wire`].
     pub fn from_wire(
         wire: wire::LeaseSlotsResponse,
         run: &RunDescription,
@@ -148,14 +148,14 @@ impl LeaseAnswer {
     }
 }
 
-/// What a pushed message says about itself; its content is read afterwards.
+/// Header of a pushed message; its content is read separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PushHeader {
-    /// The lease it belongs to.
+    /// The lease whose result it contains.
     pub lease: LeaseId,
-    /// The lease's.
+    /// Incarnation of the lease.
     pub incarnation: Incarnation,
-    /// The weights acted with.
+    /// The weights used for acting.
     pub weights: WeightsName,
     /// SHA-256 of the content.
     pub digest: Digest,
@@ -184,10 +184,10 @@ impl PushHeader {
         }
     }
 
-    /// Reads the header and hands the content back unread.
+    /// Reads the header and returns the content unread.
     ///
     /// # Errors
-    /// Refuses missing parts and digests that are no SHA-256.
+    /// If a part is missing or a digest is not a SHA-256.
     pub fn from_wire(
         wire: wire::PushTrajectoryRequest,
     ) -> Result<(Self, wire::push_trajectory_request::Content), Refusal> {
@@ -206,25 +206,25 @@ impl PushHeader {
 pub struct Ack {
     /// The lease.
     pub lease: LeaseId,
-    /// The chunk's; 0 for an evaluation.
+    /// Sequence number of the chunk; 0 for an evaluation.
     pub sequence: u32,
-    /// How it was taken in.
+    /// Whether the message was new.
     pub state: AckState,
     /// Whether the lease's result is complete.
     pub lease_finished: bool,
 }
 
-/// How a message was taken in.
+/// State of an acknowledged message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AckState {
     /// New.
     Accepted,
-    /// The learner had it already.
+    /// Already received before.
     Repeated,
 }
 
 impl Ack {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::PushTrajectoryResponse {
         let state = match self.state {
@@ -242,7 +242,7 @@ impl Ack {
     /// Reads the message.
     ///
     /// # Errors
-    /// Refuses an unknown state.
+    /// If the state is unknown.
     pub fn from_wire(wire: &wire::PushTrajectoryResponse) -> Result<Self, Refusal> {
         let state = match wire::AckState::try_from(wire.state) {
             Ok(wire::AckState::Accepted) => AckState::Accepted,
@@ -254,21 +254,21 @@ impl Ack {
     }
 }
 
-/// An actor's sign of life.
+/// An actor's heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Beat {
-    /// Who is alive.
+pub struct Heartbeat {
+    /// The sender.
     pub actor: ActorId,
-    /// The registration's.
+    /// Incarnation of the registration.
     pub incarnation: Incarnation,
-    /// The lease to keep.
+    /// The lease to keep alive.
     pub lease: LeaseId,
-    /// Steps done of it.
+    /// Completed steps of the lease.
     pub slot_step: u32,
 }
 
-impl Beat {
-    /// The message for it.
+impl Heartbeat {
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::HeartbeatRequest {
         wire::HeartbeatRequest {
@@ -291,10 +291,10 @@ impl Beat {
     }
 }
 
-/// What the run is doing.
+/// State of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunState {
-    /// Work comes.
+    /// More work follows.
     Running,
     /// The run is over.
     Done,
@@ -302,17 +302,17 @@ pub enum RunState {
     Draining,
 }
 
-/// Answers a sign of life.
+/// Answers a heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeartbeatAnswer {
-    /// False: drop the work and lease again.
+    /// If false: discard the work and request a new lease.
     pub lease_valid: bool,
-    /// What the run is doing.
+    /// State of the run.
     pub run_state: RunState,
 }
 
 impl HeartbeatAnswer {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::HeartbeatResponse {
         let state = match self.run_state {
@@ -326,7 +326,7 @@ impl HeartbeatAnswer {
     /// Reads the message.
     ///
     /// # Errors
-    /// Refuses an unknown run state.
+    /// If the run state is unknown.
     pub fn from_wire(wire: &wire::HeartbeatResponse) -> Result<Self, Refusal> {
         let run_state = match wire::RunState::try_from(wire.run_state) {
             Ok(wire::RunState::Running) => RunState::Running,

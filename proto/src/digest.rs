@@ -1,5 +1,5 @@
-//! SHA-256, the digest used everywhere, and the canonical bytes of what is pushed. The `.proto` comments
-//! give the same bytes in Python.
+//! SHA-256 digests, and the canonical bytes of pushed messages. The `.proto` comments document the same bytes in
+//! Python.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::{RolloutOrigin, ShareRewards, wire};
 
-/// A SHA-256. Shows as 64 hexadecimal digits.
+/// A SHA-256, displayed as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Digest(pub [u8; 32]);
 
@@ -70,7 +70,7 @@ pub(crate) fn of_evaluation(result: &wire::EvaluationResult, iteration: u64) -> 
     canonical.finish()
 }
 
-/// The digest that [`ShareRewards::checksum`] documents.
+/// The digest documented at [`ShareRewards::checksum`].
 pub(crate) fn of_share_rewards(line: &ShareRewards) -> Digest {
     let mut canonical = Canonical::new(b"s2mia.log.ShareRewards");
     canonical.blob(line.episode_id.as_bytes());
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn an_evaluation_hashes_to_what_python_gives_for_the_documented_bytes() {
+    fn an_evaluation_has_the_digest_that_python_computes() {
         // hashlib.sha256(b"s2mia.v1.EvaluationResult" + struct.pack("<QIdI", 7, 3, 1.5, 1000)).hexdigest()
         let result = wire::EvaluationResult { episode: 3, extrinsic_return: 1.5, steps: 1000 };
         let expected = "6b3a218eabaa94b37908a403c1bb829da0416b542b6fa0504df2cdf63abafa0c";
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_chunk_hashes_to_what_python_gives_for_the_documented_bytes() {
+    fn an_empty_chunk_has_the_digest_that_python_computes() {
         let chunk =
             wire::TrajectoryChunk { sequence: 1, first_step: 2, steps: 3, ..Default::default() };
         let expected = "515cee1f55e45a6f0b1d6a4bed53760d47aba14a10c4d88b55222eb2a0ba9b78";

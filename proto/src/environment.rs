@@ -1,29 +1,29 @@
-//! What the two sides must agree on about the environment.
+//! Description of an environment, which must be equal on both sides.
 
 use std::fmt::{Debug, Display};
 
 use prost::Message as _;
 
-use crate::read::{hold, positive, required, seconds, short_line};
-use crate::{Digest, Reason, Refusal, wire};
+use crate::read::{bad_value, positive, required, seconds, short_line};
+use crate::{Digest, Refusal, wire};
 
-/// Most choices of a discrete action.
-const MOST_CHOICES: u32 = 1 << 16;
+/// Maximum number of choices of a discrete action.
+const MAX_CHOICES: u32 = 1 << 16;
 
-/// Everything that the two sides must agree on about the environment.
+/// Description of an environment, which must be equal on both sides.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentSpec {
     /// For example `rapier/halfcheetah-2x3`.
     pub task: String,
-    /// The team; everything per agent comes in this order.
+    /// The agents; all per-agent data has this order.
     pub agents: Vec<AgentSpec>,
-    /// Layout of the global state, `[S]`, which only the critic sees.
+    /// Layout of the global state, `[S]`, which only the critic observes.
     pub state: Vec<FeatureSpec>,
     /// Simulated seconds of one step.
     pub dt_secs: f64,
     /// Steps after which an episode is truncated.
     pub episode_steps: u32,
-    /// Names the encoding of an environment's state bytes.
+    /// Name of the encoding of an environment's state.
     pub state_kind: String,
     /// Version of that encoding.
     pub state_version: u32,
@@ -36,19 +36,19 @@ pub struct EnvironmentSpec {
 pub struct AgentSpec {
     /// For example `agent_0`.
     pub name: String,
-    /// Joints it drives, in the order of its action.
+    /// Joints that it controls, in the order of its action.
     pub joints: Vec<String>,
     /// Layout of its observation, `[obs]`.
     pub observation: Vec<FeatureSpec>,
-    /// Places in the global state of what the observation shows, unscaled; empty if they are not there.
+    /// Indices in the global state of the observed features, unscaled; empty if the state lacks any of them.
     pub seen: Vec<u32>,
-    /// Places in the global state of what is near the agent; likewise.
+    /// Indices in the global state of features near the agent; likewise.
     pub near: Vec<u32>,
     /// Its action.
     pub action: ActionSpec,
 }
 
-/// An agent's action, `[size]`: continuous, which the world clamps to `low..=high`, or one choice.
+/// An agent's action, `[size]`: continuous, clamped by the world to `low..=high`, or one choice.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActionSpec {
     /// Number of dimensions.
@@ -57,34 +57,34 @@ pub struct ActionSpec {
     pub low: f32,
     /// Largest value that has an effect.
     pub high: f32,
-    /// Of a discrete action the number of choices: the action is one number, a choice's index. `None`:
+    /// Number of choices of a discrete action, which is one value, the index of a choice. `None`:
     /// continuous.
     pub choices: Option<u32>,
 }
 
-/// One number of an observation or state.
+/// One feature of an observation or state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FeatureSpec {
-    /// For people.
+    /// Human-readable name.
     pub name: String,
-    /// What it tells.
+    /// Its role.
     pub role: FeatureRole,
 }
 
-/// What a feature tells.
+/// Role of a feature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureRole {
     /// A measured quantity.
     Signal,
-    /// Part of a one-hot code that says whose observation it is.
+    /// Part of the agent's one-hot identity.
     Identity,
     /// A copy of another feature of the same vector.
     Duplicate,
-    /// Never changes.
+    /// Constant.
     Constant,
 }
 
-/// The first place where two descriptions differ.
+/// The first difference between two descriptions.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field} is {found}, expected {expected}")]
 pub struct Difference {
@@ -97,7 +97,7 @@ pub struct Difference {
 }
 
 impl EnvironmentSpec {
-    /// Where `found` first differs from this description, in the order of the fields; `None` if equal.
+    /// The first difference of `found` from this description, in field order; `None` if equal.
     #[must_use]
     pub fn first_difference(&self, found: &Self) -> Option<Difference> {
         differ("task", &found.task, &self.task)
@@ -110,29 +110,29 @@ impl EnvironmentSpec {
             .or_else(|| differ("max_state_bytes", &found.max_state_bytes, &self.max_state_bytes))
     }
 
-    /// SHA-256 of its message: descriptions with the same one are equal.
+    /// SHA-256 of its message. Descriptions with equal digests are equal.
     #[must_use]
     pub fn digest(&self) -> Digest {
         Digest::of(&self.to_wire().encode_to_vec())
     }
 
-    /// Refuses sizes of nothing, places outside the global state, and actions that nobody can choose.
+    /// Rejects sizes of 0, indices outside the global state, and invalid actions.
     pub(crate) fn check(&self, field: &str) -> Result<(), Refusal> {
         positive(self.agents.len() as u64, &format!("{field}.agents"))?;
         for (i, agent) in self.agents.iter().enumerate() {
-            hold(agent.action.check(), &format!("{field}.agents[{i}].action.choices"))?;
-            let places = agent.check_places(self.state.len());
-            hold(places, &format!("{field}.agents[{i}].seen or near"))?;
+            let agent_field = format!("{field}.agents[{i}]");
+            agent.action.check(&format!("{agent_field}.action.choices"))?;
+            agent.check_indices(self.state.len(), &format!("{agent_field}.seen or near"))?;
         }
         positive(self.episode_steps.into(), &format!("{field}.episode_steps"))?;
         seconds(self.dt_secs, &format!("{field}.dt_secs"))
     }
 
-    /// Reads what a program says of the environment that it offers, which nobody has vouched for.
+    /// Reads the description that an external program sent.
     ///
     /// # Errors
-    /// Refuses, by field, what [`Self::from_wire`] refuses, names that are no short lines, sizes of nothing, ranges of
-    /// actions that are none, and places outside the global state.
+    /// As [`Self::from_wire`]; also if a name or an action range is invalid, a size is 0, or an index is outside the
+    /// global state.
     pub fn from_service(wire: wire::DescribeEnvironmentResponse) -> Result<Self, Refusal> {
         let spec = Self::from_wire(required(wire.environment, "environment")?, "environment")?;
         short_line(&spec.task, "environment.task")?;
@@ -142,13 +142,13 @@ impl EnvironmentSpec {
             let field = format!("environment.agents[{i}]");
             positive(agent.observation.len() as u64, &format!("{field}.observation"))?;
             positive(agent.action.size.into(), &format!("{field}.action.size"))?;
-            hold(agent.action.check_range(), &format!("{field}.action.high"))?;
+            agent.action.check_range(&format!("{field}.action.high"))?;
         }
         spec.check("environment")?;
         Ok(spec)
     }
 
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::EnvironmentSpec {
         wire::EnvironmentSpec {
@@ -166,7 +166,7 @@ impl EnvironmentSpec {
     /// Reads the message at `field`.
     ///
     /// # Errors
-    /// Refuses missing parts and unknown roles.
+    /// If a part is missing or a role is unknown.
     pub fn from_wire(wire: wire::EnvironmentSpec, field: &str) -> Result<Self, Refusal> {
         let agents = wire.agents.into_iter().enumerate();
         let agents =
@@ -198,11 +198,14 @@ impl AgentSpec {
         }
     }
 
-    /// What is wrong with its places in a global state of `state` features, if anything.
-    pub(crate) fn check_places(&self, state: usize) -> Result<(), String> {
-        match self.seen.iter().chain(&self.near).find(|place| **place as usize >= state) {
+    /// Checks its indices into a global state of `state` features.
+    fn check_indices(&self, state: usize, field: &str) -> Result<(), Refusal> {
+        match self.seen.iter().chain(&self.near).find(|index| **index as usize >= state) {
             None => Ok(()),
-            Some(place) => Err(format!("place {place} in a global state of {state} features")),
+            Some(index) => {
+                let detail = format!("index {index} in a global state of {state} features");
+                Err(bad_value(field, detail))
+            }
         }
     }
 
@@ -225,24 +228,27 @@ impl ActionSpec {
         Self { size: wire.size, low: wire.low, high: wire.high, choices }
     }
 
-    /// What is wrong with its range, if anything.
-    fn check_range(&self) -> Result<(), String> {
+    /// Checks its range.
+    fn check_range(&self, field: &str) -> Result<(), Refusal> {
         let Self { low, high, .. } = self;
-        let good = low.is_finite() && high.is_finite() && low <= high;
-        good.then_some(()).ok_or_else(|| format!("{high}, above a lowest value of {low}"))
+        if low.is_finite() && high.is_finite() && low <= high {
+            return Ok(());
+        }
+        Err(bad_value(field, format!("the range {low} to {high} is invalid")))
     }
 
-    /// What is wrong with it, if anything: a choice is one number, and every index exact as an f32.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        match self.choices {
+    /// Checks its choices: a choice is one value, and every index is exact in an f32.
+    fn check(&self, field: &str) -> Result<(), Refusal> {
+        let detail = match self.choices {
             Some(choices) if self.size != 1 => {
-                Err(format!("{choices} choices with size {}, a choice has size 1", self.size))
+                format!("{choices} choices with size {}, a choice has size 1", self.size)
             }
-            Some(choices) if choices > MOST_CHOICES => {
-                Err(format!("{choices} choices, at most {MOST_CHOICES} are allowed"))
+            Some(choices) if choices > MAX_CHOICES => {
+                format!("{choices} choices, at most {MAX_CHOICES} are allowed")
             }
-            _ => Ok(()),
-        }
+            _ => return Ok(()),
+        };
+        Err(bad_value(field, detail))
     }
 }
 
@@ -276,10 +282,8 @@ impl FeatureRole {
 fn features(wire: Vec<wire::FeatureSpec>, field: &str) -> Result<Vec<FeatureSpec>, Refusal> {
     let feature = |(i, wire): (usize, wire::FeatureSpec)| {
         let role = wire::FeatureRole::try_from(wire.role).ok().and_then(FeatureRole::from_wire);
-        let unknown = || {
-            let detail = format!("unknown role {}", wire.role);
-            Refusal::new(Reason::BadValue, format!("{field}[{i}].role"), detail)
-        };
+        let unknown =
+            || bad_value(&format!("{field}[{i}].role"), format!("unknown role {}", wire.role));
         Ok(FeatureSpec { role: role.ok_or_else(unknown)?, name: wire.name })
     };
     wire.into_iter().enumerate().map(feature).collect()

@@ -1,34 +1,34 @@
-//! Which episodes the trajectory logs of actors and the reward log of the learner hold, and how they are named.
+//! Selection and ids of the episodes in the actors' trajectory logs and the learner's reward log.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::Deserialize;
 
-/// Which episodes are logged. What decides is an episode's place in the run, never who plays it or when.
+/// Selection of logged episodes. It depends only on an episode's indices in the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum Episodes {
-    /// No log.
+    /// No episodes.
     None,
-    /// Those of evaluations.
+    /// Evaluation episodes.
     Evaluation,
-    /// Every one.
+    /// All episodes.
     All,
-    /// One in so many, in each environment and in each evaluation; at least 1.
+    /// One of every `n` episodes in each environment and each evaluation; `n` is at least 1.
     Every(u64),
 }
 
 impl Episodes {
-    /// Whether any episode of training is logged.
+    /// Whether any training episodes are logged.
     #[must_use]
-    pub fn hold_rollouts(self) -> bool {
+    pub fn include_rollouts(self) -> bool {
         matches!(self, Self::All | Self::Every(_))
     }
 
-    /// Whether episode `episode` of environment `environment` is logged. Environments take turns.
+    /// Whether episode `episode` of environment `environment` is logged. The selected index differs between environments.
     #[must_use]
-    pub fn hold_rollout(self, environment: u32, episode: u64) -> bool {
+    pub fn include_rollout(self, environment: u32, episode: u64) -> bool {
         match self {
             Self::None | Self::Evaluation => false,
             Self::All => true,
@@ -38,7 +38,7 @@ impl Episodes {
 
     /// Whether episode `episode` of an evaluation is logged.
     #[must_use]
-    pub fn hold_evaluation(self, episode: u32) -> bool {
+    pub fn include_evaluation(self, episode: u32) -> bool {
         match self {
             Self::None => false,
             Self::All | Self::Evaluation => true,
@@ -57,7 +57,7 @@ impl FromStr for Episodes {
             ("all", _) => Ok(Self::All),
             (_, Ok(count)) if count > 0 => Ok(Self::Every(count)),
             _ => Err(format!(
-                "log.episodes must be none, evaluation, all or a whole number from 1, is {text}"
+                "log.episodes is {text}, expected none, evaluation, all or a whole number from 1"
             )),
         }
     }
@@ -82,7 +82,7 @@ impl fmt::Display for Episodes {
     }
 }
 
-/// Name of episode `episode` of environment `environment`, in training.
+/// Id of training episode `episode` of environment `environment`.
 #[must_use]
 pub fn rollout_episode_id(environment: u32, episode: u64) -> String {
     format!("rollout-{environment}-{episode}")
@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_what_is_read() {
+    fn a_selection_survives_the_round_trip_through_text() {
         for text in ["none", "evaluation", "all", "1", "25"] {
             assert_eq!(
                 text.parse::<Episodes>().map(|episodes| episodes.to_string()),
@@ -110,21 +110,26 @@ mod tests {
     fn one_in_three_is_one_in_three_in_each_environment_and_in_each_episode() {
         let three = Episodes::Every(3);
         for environment in 0..6 {
-            let held = (0..9).filter(|episode| three.hold_rollout(environment, *episode)).count();
+            let held =
+                (0..9).filter(|episode| three.include_rollout(environment, *episode)).count();
             assert_eq!(held, 3, "environment {environment}");
         }
-        let held = (0..9).filter(|environment| three.hold_rollout(*environment, 4)).count();
+        let held = (0..9).filter(|environment| three.include_rollout(*environment, 4)).count();
         assert_eq!(held, 3);
-        assert!(three.hold_rollout(0, 0) && three.hold_evaluation(0) && !three.hold_evaluation(2));
-        assert!(three.hold_rollout(u32::MAX, u64::MAX), "3 divides both");
+        assert!(
+            three.include_rollout(0, 0)
+                && three.include_evaluation(0)
+                && !three.include_evaluation(2)
+        );
+        assert!(three.include_rollout(u32::MAX, u64::MAX), "3 divides both");
     }
 
     #[test]
-    fn evaluations_alone_leave_rollouts_out() {
-        assert!(Episodes::Evaluation.hold_evaluation(7));
-        assert!(!Episodes::Evaluation.hold_rollout(0, 0));
-        assert!(!Episodes::None.hold_evaluation(0) && Episodes::All.hold_rollout(5, 1));
+    fn rollouts_are_only_logged_if_selected() {
+        assert!(Episodes::Evaluation.include_evaluation(7));
+        assert!(!Episodes::Evaluation.include_rollout(0, 0));
+        assert!(!Episodes::None.include_evaluation(0) && Episodes::All.include_rollout(5, 1));
         let holding = [Episodes::None, Episodes::Evaluation, Episodes::All, Episodes::Every(9)];
-        assert_eq!(holding.map(Episodes::hold_rollouts), [false, false, true, true]);
+        assert_eq!(holding.map(Episodes::include_rollouts), [false, false, true, true]);
     }
 }

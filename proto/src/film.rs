@@ -1,69 +1,69 @@
-//! What an evaluated episode looked like: for people alone, so it is checked for its size and form and for nothing else.
+//! Poses of a robot in an evaluation episode, for display only. Only size and format are validated.
 
-use crate::read::{hold, length};
+use crate::read::{bad_value, from_1_to, length};
 use crate::tensor::{Floats, floats};
 use crate::{Refusal, RunDescription, wire};
 
-/// Most frames of a film.
+/// Maximum number of frames.
 pub const MAX_FRAMES: usize = 400;
-/// Most capsules in one frame.
+/// Maximum number of capsules in a frame.
 pub const MAX_CAPSULES: usize = 64;
-/// Farthest from the world's origin that a capsule may be, metres.
-const FARTHEST: f32 = 1e5;
-/// Numbers of one capsule in one frame: two ends in the world.
-const NUMBERS: usize = 6;
+/// Maximum distance of a capsule from the world's origin along each axis, metres.
+const MAX_DISTANCE: f32 = 1e5;
+/// Coordinates of one capsule in one frame: two ends in the world.
+const COORDINATES: usize = 6;
 
-/// A robot in motion, as capsules in the world.
+/// Motion of a robot, as capsules in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Film {
-    /// Time from one frame to the next, seconds; more than 0.
+    /// Time between frames, seconds; greater than 0.
     pub frame_secs: f64,
-    /// For each capsule, metres.
+    /// Radius of each capsule, metres.
     pub radii: Vec<f32>,
-    /// For each capsule the agent that drives its joint, if any does.
+    /// For each capsule the agent that controls its joint, if any.
     pub drivers: Vec<Option<usize>>,
     /// `[frames, capsules, 6]`: x, y, z of one end, then of the other, metres.
     pub ends: Vec<f32>,
 }
 
 impl Film {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::Film {
         let capsules = self.radii.len();
-        let frames = self.ends.len() / (NUMBERS * capsules).max(1);
+        let frames = self.ends.len() / (COORDINATES * capsules).max(1);
         let driver = |agent: &Option<usize>| agent.map_or(0, |agent| agent as u32 + 1);
         wire::Film {
             frame_secs: self.frame_secs,
             radii: self.radii.clone(),
             drivers: self.drivers.iter().map(driver).collect(),
-            ends: Some(floats(&[frames, capsules, NUMBERS], &self.ends)),
+            ends: Some(floats(&[frames, capsules, COORDINATES], &self.ends)),
         }
     }
 
     /// Reads a film of an episode of `run`.
     ///
     /// # Errors
-    /// Refuses sizes over the limits, agents that the run has not, and what is no finite number.
+    /// If a size exceeds its limit, an agent is unknown, or a value is out of range.
     pub fn from_wire(wire: &wire::Film, run: &RunDescription) -> Result<Self, Refusal> {
         let shape = wire.ends.as_ref().map_or(&[][..], |ends| &ends.shape);
         let frames = shape.first().map_or(0, |frames| *frames as usize);
         let capsules = wire.radii.len();
-        between(frames, MAX_FRAMES, "film.ends.shape")?;
-        between(capsules, MAX_CAPSULES, "film.radii")?;
+        from_1_to(MAX_FRAMES, frames, "frames", "film.ends.shape")?;
+        from_1_to(MAX_CAPSULES, capsules, "capsules", "film.radii")?;
         length(wire.drivers.len(), capsules, "film.drivers")?;
-        let shape = [frames, capsules, NUMBERS];
+        let shape = [frames, capsules, COORDINATES];
         let ends = Floats::check(wire.ends.as_ref(), &shape, "film.ends".to_owned())?;
         let agents = run.environment.agents.len() as u32;
-        let known = wire.drivers.iter().all(|driver| *driver <= agents);
-        hold(known.then_some(()).ok_or_else(|| format!("of {agents} agents")), "film.drivers")?;
-        let sane = |radius: &f32| (0.0..=1e3).contains(radius);
-        let (radii, secs) = (wire.radii.iter().all(sane), (1e-6..=1e3).contains(&wire.frame_secs));
-        hold(
-            radii.then_some(()).ok_or_else(|| "a radius in 0 to 1000 m".to_owned()),
-            "film.radii",
-        )?;
-        hold(secs.then_some(()).ok_or_else(|| "1e-6 to 1000 s".to_owned()), "film.frame_secs")?;
+        if wire.drivers.iter().any(|driver| *driver > agents) {
+            return Err(bad_value("film.drivers", format!("expected 0 to {agents}")));
+        }
+        if !wire.radii.iter().all(|radius| (0.0..=1e3).contains(radius)) {
+            return Err(bad_value("film.radii", "expected 0 to 1000 m"));
+        }
+        if !(1e-6..=1e3).contains(&wire.frame_secs) {
+            return Err(bad_value("film.frame_secs", "expected 1e-6 to 1000 s"));
+        }
         Ok(Self {
             frame_secs: wire.frame_secs,
             radii: wire.radii.clone(),
@@ -72,19 +72,15 @@ impl Film {
                 .iter()
                 .map(|driver| driver.checked_sub(1).map(|i| i as usize))
                 .collect(),
-            ends: within_sight(ends.decode()?)?,
+            ends: within_distance(ends.decode()?)?,
         })
     }
 }
 
-/// Refuses capsules that no picture could show.
-fn within_sight(ends: Vec<f32>) -> Result<Vec<f32>, Refusal> {
-    let near = ends.iter().all(|metres| metres.abs() <= FARTHEST);
-    hold(near.then_some(()).ok_or_else(|| format!("within {FARTHEST} m")), "film.ends")?;
-    Ok(ends)
-}
-
-fn between(found: usize, most: usize, field: &str) -> Result<(), Refusal> {
-    let fits = (1..=most).contains(&found).then_some(());
-    hold(fits.ok_or_else(|| format!("{found} of them, allowed are 1 to {most}")), field)
+/// Rejects capsules too far away to be drawn.
+fn within_distance(ends: Vec<f32>) -> Result<Vec<f32>, Refusal> {
+    match ends.iter().all(|metres| metres.abs() <= MAX_DISTANCE) {
+        true => Ok(ends),
+        false => Err(bad_value("film.ends", format!("expected at most {MAX_DISTANCE} m"))),
+    }
 }

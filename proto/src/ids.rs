@@ -1,4 +1,4 @@
-//! Numbers with a meaning. Two ids of different meaning never meet in one signature.
+//! Id types, so that ids with different meanings cannot be confused.
 
 use std::fmt;
 
@@ -17,18 +17,18 @@ macro_rules! id {
 }
 
 id! {
-    /// One grant of one piece of work to one actor. Never used twice by one start of the learner.
+    /// Id of a lease, unique within an incarnation of the learner.
     LeaseId
 }
 id! {
-    /// One registration of an actor.
+    /// Id of an actor's registration.
     ActorId
 }
 id! {
-    /// One start of the learner. Leases of another one are void.
+    /// Id of one start of the learner. Leases of other incarnations are invalid.
     Incarnation
 }
 id! {
-    /// Learner updates behind a set of weights.
+    /// Number of learner updates in a set of weights.
     PolicyVersion
 }

@@ -1,9 +1,9 @@
-//! What actors and the learner say to each other: ids, domain types, the `.proto` files and their
-//! conversions, and the one place where a message is checked. No sockets, no clock, no learning.
+//! Protocol between actor and learner: the `.proto` files, ids, domain types, conversions, and all message validation.
+//! No sockets, no clock, no learning.
 //!
-//! Code outside speaks the domain types; the generated ones, under [`wire`], are for the two files that
-//! face the network. Every domain type has `to_wire`, which cannot fail, and `from_wire`, which refuses
-//! what is wrong with a [`Refusal`] that names the field.
+//! Other crates use the domain types. Only files that face the network use the generated types in [`wire`]. Every
+//! domain type has `to_wire`, which cannot fail, and `from_wire`, which rejects invalid messages with a [`Refusal`]
+//! that names the field.
 
 mod acting;
 pub mod calls;
@@ -30,7 +30,7 @@ pub use acting::{
     ActStep, Acted, ActionChoice, ActionDistribution, PolicyAgent, PolicyDescription,
 };
 pub use calls::{
-    Ack, AckState, Beat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,
+    Ack, AckState, Heartbeat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,
     RunState,
 };
 pub use digest::Digest;
@@ -42,7 +42,7 @@ pub use film::{Film, MAX_CAPSULES, MAX_FRAMES};
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
 pub use line::{EvaluationSummary, RunEnd, RunLine};
 pub use play::{PlayRequest, Steps, View, saved_state};
-pub use refusal::{ERROR_DOMAIN, Reason, Refusal, in_words};
+pub use refusal::{Reason, Refusal, in_words};
 pub use run::RunDescription;
 pub use share_rewards::{ShareRewards, is_reward_log_name, reward_log_name};
 pub use status::{LeaseStatus, LeasedWork, Status};
@@ -51,7 +51,7 @@ pub use work::{
     EnvironmentStart, EvaluationWork, Lease, RolloutOrigin, RolloutWork, Start, WeightsName, Work,
 };
 
-/// Bytes that a message takes on the wire.
+/// Encoded size of a message, bytes.
 #[must_use]
 pub fn wire_bytes(message: &impl prost::Message) -> usize {
     message.encoded_len()
@@ -61,9 +61,9 @@ pub fn wire_bytes(message: &impl prost::Message) -> usize {
 pub const PROTOCOL_VERSION: u32 = 3;
 /// Largest message in either direction, bytes.
 pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
-/// Largest piece of a policy snapshot, bytes.
+/// Largest part of a policy snapshot in one message, bytes.
 pub const MAX_WEIGHTS_PIECE_BYTES: usize = 1 << 20;
-/// Messages of one stream that may wait for their acknowledgement.
+/// Maximum number of unacknowledged messages of one stream.
 pub const MAX_UNACKNOWLEDGED: usize = 4;
-/// Longest wait for a lease that the learner grants, milliseconds.
+/// Longest time that the learner waits before it answers a lease request, milliseconds.
 pub const MAX_LEASE_WAIT_MILLIS: u32 = 30_000;

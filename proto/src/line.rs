@@ -1,58 +1,58 @@
-//! What is told of a run at the end of each iteration, to whoever watches it.
+//! Progress of a run, sent to watchers at the end of each iteration.
 
 use crate::read::unknown;
 use crate::{Refusal, wire};
 
-/// The end of an iteration, or of a learner.
+/// Progress at the end of an iteration, or of the learner.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunLine {
-    /// Names the run for people.
+    /// Human-readable name of the run.
     pub run_id: String,
     /// Finished iterations.
     pub iteration: u64,
-    /// Environment steps of all of them.
+    /// Environment steps of all finished iterations.
     pub env_steps: u64,
-    /// Environment steps per second of this iteration, over the time since the end of the one before.
+    /// Environment steps of this iteration per second since the end of the previous one.
     pub env_steps_per_sec: f64,
     /// Mean extrinsic return of the last finished episodes; `None` before the first.
     pub episode_return: Option<f64>,
-    /// The newest evaluation whose result is in.
+    /// The newest complete evaluation.
     pub evaluation: Option<EvaluationSummary>,
-    /// Why no more lines come; `None` while they do.
+    /// Why the learner ended; set only in the last message.
     pub end: Option<RunEnd>,
 }
 
-/// How evaluation episodes came out.
+/// Results of evaluation episodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EvaluationSummary {
-    /// Iterations after which these were the policies.
+    /// Number of iterations that trained the policies.
     pub iteration: u64,
     /// Mean extrinsic return.
     pub mean: f64,
-    /// Its standard deviation over the episodes.
+    /// Standard deviation of the return over the episodes.
     pub standard_deviation: f64,
-    /// Episodes.
+    /// Number of episodes.
     pub episodes: u32,
 }
 
 /// How a learner ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunEnd {
-    /// The run has had its last iteration.
+    /// The last iteration is complete.
     Finished,
-    /// Before that; another learner may go on with the run.
+    /// Stopped earlier; can be resumed.
     Stopped,
 }
 
 impl RunLine {
-    /// A run that stands after `iteration`, of which nothing else is known.
+    /// A run after `iteration` without other figures.
     #[must_use]
     pub fn without_figures(run_id: String, iteration: u64, env_steps: u64) -> Self {
         let (env_steps_per_sec, episode_return, evaluation, end) = (0.0, None, None, None);
         Self { run_id, iteration, env_steps, env_steps_per_sec, episode_return, evaluation, end }
     }
 
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::WatchRunResponse {
         let end = match self.end {
@@ -74,7 +74,7 @@ impl RunLine {
     /// Reads the message.
     ///
     /// # Errors
-    /// Refuses an unknown end.
+    /// If the end is unknown.
     pub fn from_wire(wire: wire::WatchRunResponse) -> Result<Self, Refusal> {
         let end = match wire::RunEnd::try_from(wire.end) {
             Ok(wire::RunEnd::Unspecified) => None,
@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_survives_the_round_trip_with_and_without_what_it_may_lack() {
+    fn a_line_survives_the_round_trip_with_and_without_optional_fields() {
         let evaluation =
             EvaluationSummary { iteration: 5, mean: 1.5, standard_deviation: 0.25, episodes: 10 };
         let bare = RunLine {

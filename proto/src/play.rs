@@ -1,36 +1,36 @@
-//! What is said to a program that offers an environment, and the one place where its answers are checked.
+//! Requests to an external environment program, and the validation of its answers.
 
 use bytes::Bytes;
 
-use crate::read::{hold, length, required};
+use crate::read::{bad_value, from_1_to, length, required};
 use crate::tensor::{self, Flags, Floats};
 use crate::wire::play_request::Request;
 use crate::wire::play_response::Answer;
 use crate::{EnvironmentSpec, Reason, Refusal, wire};
 
-/// What some environments are to do.
+/// A request to one or more environments.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PlayRequest {
-    /// Begin an episode.
+    /// Start an episode.
     Reset {
-        /// Which one.
+        /// Index of the environment.
         environment: u32,
-        /// Of which all the episode's chance is a function.
+        /// The only source of randomness of the episode.
         seed: [u8; 32],
     },
-    /// Go on from a saved state.
+    /// Continue from a saved state.
     Restore {
-        /// Which one.
+        /// Index of the environment.
         environment: u32,
-        /// As it was saved.
+        /// The saved state.
         state: Vec<u8>,
     },
     /// Save the state.
     Save {
-        /// Which one.
+        /// Index of the environment.
         environment: u32,
     },
-    /// One step each.
+    /// Step each environment once.
     Step {
         /// `[n]`.
         environments: Vec<u32>,
@@ -39,7 +39,7 @@ pub enum PlayRequest {
     },
 }
 
-/// How `n` environments look.
+/// Observations and states of `n` environments.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// For each agent `[n, obs]`.
@@ -48,21 +48,21 @@ pub struct View {
     pub state: Vec<f32>,
 }
 
-/// What came of a step of `n` environments.
+/// Result of a step of `n` environments.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Steps {
     /// After the step, before any reset.
     pub view: View,
     /// `[n]`.
     pub reward: Vec<f32>,
-    /// `[n]`: the episode ended for good.
+    /// `[n]`: the episode reached a terminal state.
     pub terminated: Vec<bool>,
-    /// `[n]`: the episode was cut; never together with `terminated`.
+    /// `[n]`: the episode was truncated; never together with `terminated`.
     pub truncated: Vec<bool>,
 }
 
 impl PlayRequest {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::PlayRequest {
         let request = match self {
@@ -85,15 +85,15 @@ impl PlayRequest {
         wire::PlayRequest { request: Some(request) }
     }
 
-    /// Reads the message, sent to the environment that `spec` describes.
+    /// Reads a message sent to the environment `spec`.
     ///
     /// # Errors
-    /// Refuses missing parts, a seed of another length, and actions of other shapes or that are not finite.
+    /// If a part is missing, the seed does not have 32 bytes, or actions have a wrong shape or are not finite.
     pub fn from_wire(wire: &wire::PlayRequest, spec: &EnvironmentSpec) -> Result<Self, Refusal> {
         Ok(match required(wire.request.as_ref(), "request")? {
             Request::Reset(reset) => {
                 let detail = format!("{} bytes, a seed has 32", reset.seed.len());
-                let wrong = |_| Refusal::new(Reason::BadValue, "reset.seed", detail);
+                let wrong = |_| bad_value("reset.seed", detail);
                 let seed = reset.seed.as_ref().try_into().map_err(wrong)?;
                 Self::Reset { environment: reset.environment, seed }
             }
@@ -112,7 +112,7 @@ impl PlayRequest {
 }
 
 impl View {
-    /// The answer that it is.
+    /// Converts to an answer.
     #[must_use]
     pub fn to_wire(&self, count: usize) -> wire::PlayResponse {
         wire::PlayResponse { answer: Some(Answer::View(self.message(count))) }
@@ -121,7 +121,7 @@ impl View {
     /// Reads the answer to a reset or a restore.
     ///
     /// # Errors
-    /// Refuses another answer, other shapes than `spec` says, and numbers that are not finite.
+    /// If it is another answer, a shape does not match `spec`, or a value is not finite.
     pub fn from_wire(wire: &wire::PlayResponse, spec: &EnvironmentSpec) -> Result<Self, Refusal> {
         match &wire.answer {
             Some(Answer::View(view)) => Self::read(view, spec, 1, "view"),
@@ -152,7 +152,7 @@ impl View {
 }
 
 impl Steps {
-    /// The answer that it is.
+    /// Converts to an answer.
     #[must_use]
     pub fn to_wire(&self) -> wire::PlayResponse {
         let count = self.reward.len();
@@ -168,8 +168,8 @@ impl Steps {
     /// Reads the answer to a step of `count` environments.
     ///
     /// # Errors
-    /// Refuses another answer, other shapes than `spec` says, numbers that are not finite, and an episode that ended in
-    /// both ways.
+    /// If it is another answer, a shape does not match `spec`, a value is not finite, or an episode is both terminated
+    /// and truncated.
     pub fn from_wire(
         wire: &wire::PlayResponse,
         spec: &EnvironmentSpec,
@@ -197,7 +197,7 @@ impl Steps {
         match flags.position(|(terminated, truncated)| *terminated && *truncated) {
             None => Ok(steps),
             Some(at) => {
-                let detail = format!("element {at} is terminated too");
+                let detail = format!("element {at} is also terminated");
                 Err(Refusal::new(Reason::Inconsistent, "steps.truncated", detail))
             }
         }
@@ -207,16 +207,13 @@ impl Steps {
 /// Reads the answer to a save.
 ///
 /// # Errors
-/// Refuses another answer, and a state of no bytes or of more than `spec` says.
+/// If it is another answer, or the state is empty or longer than `spec` allows.
 pub fn saved_state(wire: &wire::PlayResponse, spec: &EnvironmentSpec) -> Result<Vec<u8>, Refusal> {
     let state = match &wire.answer {
         Some(Answer::Saved(saved)) => &saved.state,
         other => return Err(other_answer(other.as_ref(), "saved")),
     };
-    let (found, most) = (state.len(), spec.max_state_bytes as usize);
-    let fits = (1..=most).contains(&found).then_some(());
-    let detail = || format!("{found} bytes, allowed are 1 to {most}");
-    hold(fits.ok_or_else(detail), "saved.state")?;
+    from_1_to(spec.max_state_bytes as usize, state.len(), "bytes", "saved.state")?;
     Ok(state.to_vec())
 }
 
@@ -227,7 +224,7 @@ fn other_answer(found: Option<&Answer>, expected: &str) -> Refusal {
         Some(Answer::Steps(_)) => "steps",
         Some(Answer::Saved(_)) => "saved",
     };
-    Refusal::new(Reason::BadValue, "answer", format!("{found}, expected {expected}"))
+    bad_value("answer", format!("{found}, expected {expected}"))
 }
 
 /// For each agent `[count, size]`.
@@ -244,7 +241,7 @@ fn columns(
     checked.collect()
 }
 
-/// `[count, width]` of equally long rows.
+/// A tensor `[count, width]` from concatenated rows of equal length.
 fn stacked(count: usize, rows: &[f32]) -> wire::Tensor {
     tensor::floats(&[count, rows.len() / count.max(1)], rows)
 }

@@ -1,32 +1,33 @@
-//! Small readers for fields of received messages, each of which names the field it refuses.
+//! Checks of single fields of received messages; errors name the field.
 
 use crate::{Digest, Reason, Refusal};
 
-/// A submessage that must be there.
+/// A required submessage.
 pub(crate) fn required<T>(value: Option<T>, field: &str) -> Result<T, Refusal> {
     value.ok_or_else(|| Refusal::new(Reason::MissingField, field, "must be set"))
 }
 
-/// Longest name by which a peer is called in logs, bytes.
+/// Longest name of a peer, bytes.
 const MAX_NAME_BYTES: usize = 128;
 
-/// A name that can be kept and stands in one line of a log.
+/// Checks that a name is short and without control characters, for logs.
 pub(crate) fn short_line(name: &str, field: &str) -> Result<(), Refusal> {
     let bytes = name.len();
-    let short = bytes <= MAX_NAME_BYTES && !name.contains(char::is_control);
-    let detail = || format!("{bytes} bytes; a name is one line of at most {MAX_NAME_BYTES}");
-    hold(short.then_some(()).ok_or_else(detail), field)
+    if bytes <= MAX_NAME_BYTES && !name.contains(char::is_control) {
+        return Ok(());
+    }
+    let detail = format!("{bytes} bytes, expected one line of at most {MAX_NAME_BYTES}");
+    Err(bad_value(field, detail))
 }
 
 /// Exactly 32 bytes.
 pub(crate) fn digest(bytes: &[u8], field: &str) -> Result<Digest, Refusal> {
     let found = bytes.len();
-    bytes.try_into().map(Digest).map_err(|_| {
-        Refusal::new(Reason::BadValue, field, format!("{found} bytes, a SHA-256 has 32"))
-    })
+    let wrong = |_| bad_value(field, format!("{found} bytes, a SHA-256 has 32"));
+    bytes.try_into().map(Digest).map_err(wrong)
 }
 
-/// A list of known length.
+/// Checks the length of a list.
 pub(crate) fn length(found: usize, expected: usize, field: &str) -> Result<(), Refusal> {
     if found == expected {
         return Ok(());
@@ -34,7 +35,7 @@ pub(crate) fn length(found: usize, expected: usize, field: &str) -> Result<(), R
     Err(Refusal::new(Reason::BadShape, field, format!("{found} entries, expected {expected}")))
 }
 
-/// A number that must equal another one.
+/// Checks that two numbers are equal.
 pub(crate) fn equal(reason: Reason, found: u64, expected: u64, field: &str) -> Result<(), Refusal> {
     if found == expected {
         return Ok(());
@@ -42,23 +43,33 @@ pub(crate) fn equal(reason: Reason, found: u64, expected: u64, field: &str) -> R
     Err(Refusal::new(reason, field, format!("{found}, expected {expected}")))
 }
 
-/// A value that must hold a condition, which `detail` describes.
-pub(crate) fn hold(condition: Result<(), String>, field: &str) -> Result<(), Refusal> {
-    condition.map_err(|detail| Refusal::new(Reason::BadValue, field, detail))
+/// A value outside its range.
+pub(crate) fn bad_value(field: &str, detail: impl Into<String>) -> Refusal {
+    Refusal::new(Reason::BadValue, field, detail)
 }
 
-/// A count that is not 0.
+/// Checks that a number of `unit` is from 1 to `max`.
+pub(crate) fn from_1_to(max: usize, found: usize, unit: &str, field: &str) -> Result<(), Refusal> {
+    if (1..=max).contains(&found) {
+        return Ok(());
+    }
+    Err(bad_value(field, format!("{found} {unit}, expected 1 to {max}")))
+}
+
+/// Checks that a count is not 0.
 pub(crate) fn positive(value: u64, field: &str) -> Result<(), Refusal> {
-    hold((value > 0).then_some(()).ok_or_else(|| "must be at least 1".to_owned()), field)
+    if value > 0 { Ok(()) } else { Err(bad_value(field, "must be at least 1")) }
 }
 
-/// A time that passes.
+/// Checks that a duration is finite and positive.
 pub(crate) fn seconds(value: f64, field: &str) -> Result<(), Refusal> {
-    let good = value.is_finite() && value > 0.0;
-    hold(good.then_some(()).ok_or_else(|| format!("{value} s is no positive time")), field)
+    if value.is_finite() && value > 0.0 {
+        return Ok(());
+    }
+    Err(bad_value(field, format!("{value} s, expected a finite time above 0")))
 }
 
-/// An enumeration's value that this version does not know.
+/// An unknown value of an enumeration.
 pub(crate) fn unknown(field: &str, value: i32) -> Refusal {
-    Refusal::new(Reason::BadValue, field, format!("unknown value {value}"))
+    bad_value(field, format!("unknown value {value}"))
 }

@@ -1,4 +1,4 @@
-//! Why a message was refused: a stable reason, the path of the field, and what is wrong with it.
+//! Why a message was rejected: a stable reason, the path of the field, and details.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -6,13 +6,13 @@ use std::fmt;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
-/// Stands in every `google.rpc.ErrorInfo` that we send.
-pub const ERROR_DOMAIN: &str = "s2mia";
+/// Domain of every `google.rpc.ErrorInfo` that this program sends.
+const ERROR_DOMAIN: &str = "s2mia";
 
-/// Longest text taken over from a peer, bytes: status details travel in a header, which has little room.
+/// Longest text from a peer, bytes. Status details are sent in a header, which has limited size.
 const MAX_TEXT_BYTES: usize = 400;
 
-/// A stable code for why a message was refused.
+/// A stable code for why a message was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum Reason {
@@ -20,45 +20,45 @@ pub enum Reason {
     MissingField,
     /// A value is unknown or outside its range.
     BadValue,
-    /// A tensor has another element type.
+    /// A tensor has the wrong element type.
     BadType,
-    /// A tensor's shape is not the expected one, overflows, or does not fit its bytes.
+    /// A tensor's shape is not the expected one, overflows, or does not match its bytes.
     BadShape,
-    /// A float is NaN, infinite or absurdly large.
+    /// A float is NaN, infinite or too large.
     NotFinite,
     /// Flags, final steps or counters contradict each other.
     Inconsistent,
-    /// A chunk does not follow the one before it.
+    /// A chunk does not follow the previous one.
     OutOfOrder,
     /// The learner computes other log-probabilities or recurrent states from the same observations.
     CanaryMismatch,
-    /// The bytes do not have the digest they came with.
+    /// The bytes do not match the digest in the message.
     DigestMismatch,
-    /// The same lease gave the same chunk twice, with different content.
+    /// A lease sent the same chunk twice with different content.
     DigestConflict,
-    /// The lease has ended or never was.
+    /// The lease ended or never existed.
     UnknownLease,
     /// The lease was given to an actor of another connection.
     OtherConnection,
     /// The message is for another start of the learner.
     OtherIncarnation,
-    /// The registration has ended or never was.
+    /// The registration ended or never existed.
     UnknownActor,
-    /// The weights are not held any more.
+    /// The learner no longer has the weights.
     UnknownWeights,
-    /// The work was done with other weights than the lease's.
+    /// The work was not done with the lease's weights.
     StaleWeights,
-    /// The actor offers another environment.
+    /// The actor's environment differs from the run's.
     OtherEnvironment,
-    /// The actor speaks another protocol version.
+    /// The actor's protocol version differs.
     OtherProtocol,
-    /// The actor's program or machine computes other numbers.
+    /// The actor's program or machine computes different results.
     OtherFingerprint,
     /// More leases than one actor may hold.
     TooManyLeases,
-    /// The message is larger than any may be.
+    /// The message exceeds the size limit.
     TooLarge,
-    /// The message is no message of ours.
+    /// The message cannot be decoded.
     Undecodable,
     /// No message came for too long.
     TooSlow,
@@ -108,7 +108,7 @@ impl Reason {
     }
 
     fn entry(self) -> &'static (Reason, &'static str, Code) {
-        REASONS.iter().find(|entry| entry.0 == self).expect("every reason stands in the table")
+        REASONS.iter().find(|entry| entry.0 == self).expect("every reason is in the table")
     }
 }
 
@@ -118,7 +118,7 @@ impl fmt::Display for Reason {
     }
 }
 
-/// Why a message was refused.
+/// Why a message was rejected.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{reason}: {field}: {detail}")]
 pub struct Refusal {
@@ -126,18 +126,18 @@ pub struct Refusal {
     pub reason: Reason,
     /// Path of the field, for example `chunk.agents[1].observation`.
     pub field: String,
-    /// What is wrong, with the figures.
+    /// What is wrong, with the values.
     pub detail: String,
 }
 
 impl Refusal {
-    /// A refusal of `field`.
+    /// A refusal because of `field`.
     #[must_use]
     pub fn new(reason: Reason, field: impl Into<String>, detail: impl Into<String>) -> Self {
-        Self { reason, field: cut(field.into()), detail: cut(detail.into()) }
+        Self { reason, field: truncated(field.into()), detail: truncated(detail.into()) }
     }
 
-    /// What a peer's status says, if it carries one of our refusals.
+    /// The refusal in a peer's status, if it contains one.
     #[must_use]
     pub fn from_status(status: &Status) -> Option<Self> {
         let info = status.get_details_error_info().filter(|info| info.domain == ERROR_DOMAIN)?;
@@ -148,19 +148,20 @@ impl Refusal {
     }
 }
 
-/// A status that carries no refusal of ours, as one line.
+/// A status without a refusal, as one line.
 #[must_use]
 pub fn in_words(status: &Status) -> String {
     match (status.code(), status.message()) {
         (Code::Unimplemented, "") => {
-            "another program listens there, which offers no such service".to_owned()
+            "the server at this address does not provide this service; it may be another program"
+                .to_owned()
         }
         (code, message) => format!("{code:?}: {message}"),
     }
 }
 
 impl From<Refusal> for Status {
-    /// `ErrorInfo` carries reason and domain, `BadRequest` the field and the detail.
+    /// `ErrorInfo` contains reason and domain, `BadRequest` the field and the detail.
     fn from(refusal: Refusal) -> Self {
         let mut details = ErrorDetails::new();
         details.set_error_info(refusal.reason.name(), ERROR_DOMAIN, HashMap::new());
@@ -169,8 +170,8 @@ impl From<Refusal> for Status {
     }
 }
 
-/// One line, and not too long a one: what a peer sent may stand in it.
-fn cut(text: String) -> String {
+/// Limits text that a peer may have sent to one short line.
+fn truncated(text: String) -> String {
     let mut text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     if text.len() > MAX_TEXT_BYTES {
         let end = (0..=MAX_TEXT_BYTES).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
@@ -185,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_reason_survives_the_way_through_a_status() {
+    fn every_reason_survives_the_round_trip_through_a_status() {
         for (reason, name, code) in REASONS {
             let refusal =
                 Refusal::new(reason, "chunk.agents[1].observation", "[2, 3], expected [2, 4]");
@@ -196,12 +197,12 @@ mod tests {
     }
 
     #[test]
-    fn a_status_of_somebody_else_is_no_refusal() {
+    fn a_status_of_another_program_is_not_a_refusal() {
         assert_eq!(Refusal::from_status(&Status::aborted("a proxy")), None);
     }
 
     #[test]
-    fn long_texts_of_a_peer_are_cut_between_characters() {
+    fn long_texts_of_a_peer_are_truncated_between_characters() {
         let refusal = Refusal::new(Reason::BadValue, "é".repeat(10_000), "");
         assert!(refusal.field.len() <= MAX_TEXT_BYTES + 3 && refusal.field.ends_with("é..."));
     }

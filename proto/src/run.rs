@@ -1,28 +1,28 @@
-//! What an actor must know before its first lease, and the sizes that follow from it.
+//! Description of a run for actors, and the sizes of its messages.
 
 use bytes::Bytes;
 
-use crate::read::{digest, hold, length, positive, required, seconds};
+use crate::read::{bad_value, digest, length, positive, required, seconds};
 use crate::{Digest, EnvironmentSpec, Incarnation, MAX_MESSAGE_BYTES, Refusal, wire};
 
-/// Room in a message for everything but tensors: headers, shapes, names of fields.
+/// Bytes of a message reserved for everything but tensors: headers, shapes, field names.
 const MESSAGE_OVERHEAD_BYTES: u64 = 16 << 10;
 
-/// Everything an actor must know before its first lease.
+/// Description of a run, which an actor needs before its first lease.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunDescription {
-    /// Names the run for people.
+    /// Human-readable name of the run.
     pub run_id: String,
     /// The learner's [`crate::PROTOCOL_VERSION`].
     pub protocol_version: u32,
     /// This start of the learner.
     pub incarnation: Incarnation,
-    /// Root of every random draw.
+    /// Seed of every random draw.
     pub seed: u64,
-    /// The task's settings as JSON, for actors that build the project's own environments; empty if another program
-    /// offers the environment.
+    /// The task's settings as JSON, for environments built into the actor; empty if an external program provides
+    /// the environment.
     pub task_settings: String,
-    /// What every actor must offer.
+    /// The environment that every actor must have.
     pub environment: EnvironmentSpec,
     /// `E`.
     pub environments_per_slot: u32,
@@ -30,13 +30,13 @@ pub struct RunDescription {
     pub slot_steps: u32,
     /// Steps of one chunk; divides `slot_steps`.
     pub chunk_steps: u32,
-    /// `H` of each agent; 0 without a recurrent state.
+    /// `H` of each agent, 0 without a recurrent state.
     pub hidden_sizes: Vec<u32>,
     /// Steps between two stored recurrent states; divides `chunk_steps`.
     pub hidden_every: u32,
-    /// SHA-256 over the probes of simulator and policy on the learner's machine.
+    /// SHA-256 of the probes of simulator and policy on the learner's machine.
     pub rollout_fingerprint: Digest,
-    /// SHA-256 of the run's semantic settings.
+    /// SHA-256 of the settings that affect results.
     pub config_sha256: Digest,
     /// Seconds between two heartbeats.
     pub heartbeat_secs: f64,
@@ -51,11 +51,11 @@ impl RunDescription {
         self.slot_steps / self.chunk_steps
     }
 
-    /// Refuses sizes that contradict each other, and chunks or leases that would not fit a message.
-    /// Everything past this check may multiply sizes without fear.
+    /// Checks that sizes are consistent and that chunks and leases fit in a message. After this check, products of sizes
+    /// cannot overflow.
     ///
     /// # Errors
-    /// Names the field that is wrong.
+    /// Names the invalid field.
     pub fn validate(&self) -> Result<(), Refusal> {
         let agents = self.environment.agents.len();
         self.environment.check("run.environment")?;
@@ -65,27 +65,27 @@ impl RunDescription {
         length(self.hidden_sizes.len(), agents, "run.hidden_sizes")?;
         divides(self.hidden_every, self.chunk_steps, "run.hidden_every")?;
         seconds(self.heartbeat_secs, "run.heartbeat_secs")?;
-        fits(self.most_chunk_bytes(), "run.chunk_steps")?;
-        fits(self.most_boundary_bytes(), "run.environments_per_slot")
+        fits(self.max_chunk_bytes(), "run.chunk_steps")?;
+        fits(self.max_boundary_bytes(), "run.environments_per_slot")
     }
 
     /// Bytes of the largest chunk: every step ends an episode.
-    fn most_chunk_bytes(&self) -> Option<u64> {
+    fn max_chunk_bytes(&self) -> Option<u64> {
         let [mut observed, mut acted] = [self.environment.state.len() as u64, 2];
         for agent in &self.environment.agents {
             observed = observed.checked_add(agent.observation.len() as u64)?;
             acted = acted.checked_add(u64::from(agent.action.size) + 1)?;
         }
-        // Observations and states stand in the rows and again in the final steps.
+        // Observations and states are in the rows and again in the final steps.
         let floats = observed.checked_mul(2)?.checked_add(acted)?;
         let rows = u64::from(self.chunk_steps).checked_mul(self.environments_per_slot.into())?;
         let stored = rows.div_ceil(self.hidden_every.into()).checked_mul(self.hidden())?;
         let total = rows.checked_mul(floats.checked_add(2)?)?.checked_add(stored)?;
-        total.checked_mul(4)?.checked_add(self.most_boundary_bytes()?)
+        total.checked_mul(4)?.checked_add(self.max_boundary_bytes()?)
     }
 
-    /// Bytes of the states that stand in a lease or at a slot's end.
-    fn most_boundary_bytes(&self) -> Option<u64> {
+    /// Bytes of the states in a lease or at a slot's end.
+    fn max_boundary_bytes(&self) -> Option<u64> {
         let state = u64::from(self.environment.max_state_bytes);
         let each = self.hidden().checked_mul(4)?.checked_add(state)?;
         each.checked_mul(self.environments_per_slot.into())
@@ -95,7 +95,7 @@ impl RunDescription {
         self.hidden_sizes.iter().map(|size| u64::from(*size)).sum()
     }
 
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::RunDescription {
         wire::RunDescription {
@@ -120,7 +120,7 @@ impl RunDescription {
     /// Reads the message.
     ///
     /// # Errors
-    /// Refuses missing parts and whatever [`Self::validate`] refuses.
+    /// If a part is missing, or as [`Self::validate`].
     pub fn from_wire(wire: Option<wire::RunDescription>) -> Result<Self, Refusal> {
         let wire = required(wire, "run")?;
         let environment = required(wire.environment, "run.environment")?;
@@ -147,20 +147,21 @@ impl RunDescription {
 }
 
 fn divides(part: u32, whole: u32, field: &str) -> Result<(), Refusal> {
-    let good = part > 0 && whole > 0 && whole.is_multiple_of(part);
-    hold(good.then_some(()).ok_or_else(|| format!("{part} does not divide {whole} steps")), field)
+    if part > 0 && whole > 0 && whole.is_multiple_of(part) {
+        return Ok(());
+    }
+    Err(bad_value(field, format!("{part} does not divide {whole} steps")))
 }
 
 fn fits(bytes: Option<u64>, field: &str) -> Result<(), Refusal> {
-    let most = MAX_MESSAGE_BYTES as u64 - MESSAGE_OVERHEAD_BYTES;
+    let max = MAX_MESSAGE_BYTES as u64 - MESSAGE_OVERHEAD_BYTES;
     match bytes {
-        Some(bytes) if bytes <= most => Ok(()),
-        Some(bytes) => hold(
-            Err(format!(
-                "a message could take {bytes} bytes, {most} are allowed: choose it smaller"
-            )),
-            field,
-        ),
-        None => hold(Err("a message would have more bytes than can be counted".to_owned()), field),
+        Some(bytes) if bytes <= max => Ok(()),
+        Some(bytes) => {
+            let detail =
+                format!("a message could have {bytes} bytes, the limit is {max}: reduce it");
+            Err(bad_value(field, detail))
+        }
+        None => Err(bad_value(field, "the size of a message overflows")),
     }
 }

@@ -1,54 +1,54 @@
-//! Where a run stands, as a learner tells people and scripts.
+//! Status of a run, for operators and scripts.
 
 use crate::{ActorId, Incarnation, LeaseId, wire};
 
-/// Where a run stands.
+/// Status of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Status {
-    /// Names the run for people.
+    /// Human-readable name of the run.
     pub run_id: String,
-    /// One start of the learner.
+    /// This start of the learner.
     pub incarnation: Incarnation,
     /// Finished iterations.
     pub iteration: u64,
-    /// Environment steps of all finished iterations and of the open one's complete slots.
+    /// Environment steps of all finished iterations and of the complete slots of the open one.
     pub env_steps: u64,
     /// Slots of the open iteration.
     pub slots: u64,
-    /// Those of them whose result is complete.
+    /// Complete slots of the open iteration.
     pub complete_slots: u64,
     /// Registered actors.
     pub actors: u64,
-    /// Over the last finished iteration, its update included; `None` before it.
+    /// Environment steps per second in the last finished iteration, including its update; `None` before the first.
     pub env_steps_per_sec: Option<f64>,
-    /// Messages refused since the learner started.
+    /// Messages rejected since the learner started.
     pub messages_refused: u64,
     /// Slots and episodes leased again since the learner started.
     pub leases_reissued: u64,
-    /// Whether the last checkpoint that was due could not be written.
+    /// Whether the last due checkpoint could not be written.
     pub storage_degraded: bool,
     /// Open leases, the oldest first.
     pub leases: Vec<LeaseStatus>,
-    /// Whether no work is handed out until somebody resumes.
+    /// Whether the run is paused: no new leases.
     pub paused: bool,
 }
 
 /// An open lease.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeaseStatus {
-    /// It.
+    /// Id of the lease.
     pub lease: LeaseId,
-    /// Who holds it.
+    /// The actor that holds it.
     pub actor: ActorId,
-    /// What it is for.
+    /// Its work.
     pub work: LeasedWork,
-    /// Chunks that came in under it.
+    /// Chunks received for it.
     pub chunks: u32,
-    /// Seconds since its work last moved on.
+    /// Seconds since its last progress.
     pub still_secs: f64,
 }
 
-/// What a lease is for.
+/// Work of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LeasedWork {
     /// A slot of the open iteration.
@@ -58,7 +58,7 @@ pub enum LeasedWork {
 }
 
 impl Status {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::GetStatusResponse {
         wire::GetStatusResponse {
@@ -78,7 +78,7 @@ impl Status {
         }
     }
 
-    /// Reads the message; leases for work of an unknown kind are left out.
+    /// Reads the message; leases for unknown kinds of work are omitted.
     #[must_use]
     pub fn from_wire(wire: wire::GetStatusResponse) -> Self {
         Self {

@@ -1,12 +1,11 @@
-//! Tensors on the wire: the check of a declared shape against the expected one and the bytes that came,
-//! and, only after that, decoding.
+//! Tensors in messages: checks of type, shape and length, and, only after that, decoding.
 
 use bytes::Bytes;
 
 use crate::{Reason, Refusal, wire};
 
-/// Largest magnitude of any float that is taken in. Squares and sums of such values stay finite in `f32`;
-/// nothing physical comes near it.
+/// Largest accepted magnitude of a float. Squares and sums of such values stay finite in `f32`; physical
+/// quantities are far smaller.
 pub(crate) const MAX_MAGNITUDE: f32 = 1e9;
 
 /// Floats as a tensor of `shape`.
@@ -28,14 +27,14 @@ fn tensor(data_type: wire::DataType, shape: &[usize], data: Vec<u8>) -> wire::Te
     wire::Tensor { data_type: data_type.into(), shape, data: Bytes::from(data) }
 }
 
-/// A float tensor whose type, shape and length are right, but whose values nobody has looked at.
+/// A float tensor with checked type, shape and length, and unchecked values.
 pub(crate) struct Floats<'a> {
     data: &'a [u8],
     field: String,
 }
 
 impl<'a> Floats<'a> {
-    /// Checks everything that can be checked without reading a value or allocating for one.
+    /// Checks type, shape and length, without allocating.
     pub(crate) fn check(
         tensor: Option<&'a wire::Tensor>,
         shape: &[usize],
@@ -45,7 +44,7 @@ impl<'a> Floats<'a> {
         Ok(Self { data, field })
     }
 
-    /// The values, all finite and of sane magnitude.
+    /// Decodes the values and checks that they are finite and at most [`MAX_MAGNITUDE`].
     pub(crate) fn decode(&self) -> Result<Vec<f32>, Refusal> {
         let bytes = self.data.as_chunks::<4>().0.iter();
         let values = bytes.map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
@@ -60,14 +59,14 @@ impl<'a> Floats<'a> {
     }
 }
 
-/// A flag tensor whose type, shape and length are right.
+/// A flag tensor with checked type, shape and length.
 pub(crate) struct Flags<'a> {
     data: &'a [u8],
     field: &'static str,
 }
 
 impl<'a> Flags<'a> {
-    /// Checks everything that can be checked without reading a value or allocating for one.
+    /// Checks type, shape and length, without allocating.
     pub(crate) fn check(
         tensor: Option<&'a wire::Tensor>,
         shape: &[usize],
@@ -76,7 +75,7 @@ impl<'a> Flags<'a> {
         Ok(Self { data: checked(tensor, wire::DataType::Bool, shape, field)?, field })
     }
 
-    /// The values, each byte 0 or 1.
+    /// Decodes the values and checks that each byte is 0 or 1.
     pub(crate) fn decode(&self) -> Result<Vec<bool>, Refusal> {
         if let Some(at) = self.data.iter().position(|byte| *byte > 1) {
             let detail = format!("element {at} is {}, a flag is 0 or 1", self.data[at]);
@@ -94,7 +93,7 @@ fn checked<'a>(
 ) -> Result<&'a [u8], Refusal> {
     let bad = |reason, detail| Err(Refusal::new(reason, field, detail));
     let Some(tensor) = tensor else {
-        // An array without elements may be left out, for example the state of a policy without memory.
+        // An empty array may be omitted, for example the state of a policy without recurrence.
         return match shape.contains(&0) {
             true => Ok(&[]),
             false => bad(Reason::MissingField, "must be set".to_owned()),
@@ -107,10 +106,10 @@ fn checked<'a>(
     let (declared, length) = (Declared(&tensor.shape), tensor.data.len());
     let width = if data_type == wire::DataType::F32 { 4 } else { 1 };
     let Some(bytes) = declared.elements().and_then(|elements| elements.checked_mul(width)) else {
-        return bad(Reason::BadShape, format!("{declared} has more elements than can be counted"));
+        return bad(Reason::BadShape, format!("{declared} has too many elements"));
     };
     if bytes != length as u64 {
-        return bad(Reason::BadShape, format!("{declared} takes {bytes} bytes, {length} came"));
+        return bad(Reason::BadShape, format!("{declared} requires {bytes} bytes, found {length}"));
     }
     if !tensor.shape.iter().map(|size| *size as usize).eq(shape.iter().copied()) {
         return bad(Reason::BadShape, format!("{declared}, expected {shape:?}"));
@@ -118,7 +117,7 @@ fn checked<'a>(
     Ok(&tensor.data)
 }
 
-/// A shape as a peer declares it: any length, any sizes.
+/// A shape declared by a peer: any length, any sizes.
 struct Declared<'a>(&'a [u32]);
 
 impl Declared<'_> {

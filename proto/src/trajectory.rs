@@ -1,5 +1,5 @@
-//! What an actor brings back: chunks of a slot, results of evaluation episodes. Rows are time-major,
-//! `row = t * E + e`; how a received chunk is checked stands in `validate.rs`.
+//! Results of actors: chunks of a slot, results of evaluation episodes. Rows are time-major, `row = t * E + e`.
+//! `validate.rs` checks received chunks.
 
 use bytes::Bytes;
 
@@ -8,9 +8,9 @@ use crate::{Digest, RolloutOrigin, RunDescription, digest, tensor, wire};
 /// Consecutive steps of one slot: `t` steps of `E` environments.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrajectoryChunk {
-    /// Counts from 0 in the slot.
+    /// Index of the chunk in the slot, from 0.
     pub sequence: u32,
-    /// First step, counted from the slot's first.
+    /// First step, relative to the slot's first.
     pub first_step: u32,
     /// `t`.
     pub steps: u32,
@@ -20,14 +20,14 @@ pub struct TrajectoryChunk {
     pub state: Vec<f32>,
     /// `[t, E]`, extrinsic, for the whole team.
     pub reward: Vec<f32>,
-    /// `[t, E]`: the episode ended for good.
+    /// `[t, E]`: the episode reached a terminal state.
     pub terminated: Vec<bool>,
-    /// `[t, E]`: the episode was cut; never together with `terminated`.
+    /// `[t, E]`: the episode was truncated; never together with `terminated`.
     pub truncated: Vec<bool>,
-    /// For every step that ended an episode, and for each environment's last step of the slot; ordered by
+    /// For every step that ends an episode, and each environment's last step of the slot; ordered by
     /// `(step, environment)`, without duplicates.
     pub finals: Vec<FinalStep>,
-    /// Exactly on the slot's last chunk.
+    /// Present only in the slot's last chunk.
     pub end: Option<SlotEnd>,
 }
 
@@ -38,18 +38,18 @@ pub struct AgentChunk {
     pub observation: Vec<f32>,
     /// `[t, E, act]`, before the world clamps it.
     pub action: Vec<f32>,
-    /// `[t, E]`, of the whole action.
+    /// `[t, E]`, summed over action dimensions.
     pub log_prob: Vec<f32>,
     /// `[t / hidden_every, E, H]`, before the step and after any reset.
     pub hidden: Vec<f32>,
 }
 
-/// What followed a step after which the next row does not tell.
+/// Result of a step whose next state is not in the following row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FinalStep {
-    /// Counted from the slot's first step.
+    /// Relative to the slot's first step.
     pub step: u32,
-    /// Position in the slot.
+    /// Index in the slot.
     pub environment: u32,
     /// True next state, `[S]`.
     pub state: Vec<f32>,
@@ -57,7 +57,7 @@ pub struct FinalStep {
     pub observation: Vec<Vec<f32>>,
 }
 
-/// Where the slot's environments stand after its last step.
+/// States of the slot's environments after its last step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotEnd {
     /// `[E]` encoded states, after any reset.
@@ -66,18 +66,18 @@ pub struct SlotEnd {
     pub recurrent: Vec<Vec<f32>>,
 }
 
-/// What came out of one evaluation episode.
+/// Result of one evaluation episode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EvaluationResult {
-    /// The episode.
+    /// Index of the episode.
     pub episode: u32,
     /// Sum of extrinsic rewards.
     pub extrinsic_return: f64,
-    /// Steps until it ended.
+    /// Length of the episode in steps.
     pub steps: u32,
 }
 
-/// Sizes of one chunk of a run. Whoever builds one has validated the run's description.
+/// Sizes of one chunk of a run with a validated description.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sizes<'a> {
     pub(crate) run: &'a RunDescription,
@@ -127,7 +127,7 @@ impl TrajectoryChunk {
     /// The message for it, and its digest as a chunk of the slot `origin`.
     ///
     /// # Panics
-    /// If the arrays do not have the run's sizes: the chunk was built wrongly on this side.
+    /// If the arrays do not have the run's sizes.
     #[must_use]
     pub fn to_wire(
         &self,
@@ -172,7 +172,7 @@ impl TrajectoryChunk {
     }
 }
 
-/// `[count, width]` of equally long rows. Without rows the width is nobody's business: `[0]`.
+/// A tensor `[count, width]` from rows of equal length; `[0]` without rows.
 fn stacked<'a>(count: usize, rows: impl Iterator<Item = &'a [f32]>) -> wire::Tensor {
     let values = rows.flatten().copied().collect::<Vec<_>>();
     match count {
@@ -215,7 +215,7 @@ impl EvaluationResult {
         digest::of_evaluation(&self.to_wire(), iteration)
     }
 
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::EvaluationResult {
         let Self { episode, extrinsic_return, steps } = *self;
@@ -223,7 +223,7 @@ impl EvaluationResult {
     }
 }
 
-/// Shapes of a chunk's tensors; of each agent: observation, action, hidden.
+/// Shapes of a chunk's tensors; for each agent: observation, action, hidden.
 struct Shapes {
     rows: Vec<usize>,
     state: Vec<usize>,
@@ -243,7 +243,7 @@ impl Shapes {
         Self { rows: vec![t, e], state: vec![t, e, sizes.state], agents }
     }
 
-    /// One axis each: enough for the digest, which covers values only.
+    /// One axis each, sufficient for the digest, which covers only values.
     fn unknown(chunk: &TrajectoryChunk) -> Self {
         let agent = |agent: &AgentChunk| {
             [vec![agent.observation.len()], vec![agent.action.len()], vec![agent.hidden.len()]]

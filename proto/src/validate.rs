@@ -1,11 +1,10 @@
-//! The one place where pushed results are checked, in a fixed order: counters, then types, shapes and
-//! lengths of every tensor, then the digest; only then is anything allocated and are values looked at:
-//! finite, choices among those there are, flags consistent, final steps and end states exactly where they must be. Past this point
-//! nobody checks again.
+//! The only validation of pushed results, in a fixed order: counters; types, shapes and lengths of every tensor; digest.
+//! Only then is memory allocated and are values checked: they are finite, choices exist, flags are consistent, and
+//! final steps and end states are exactly where required. Later code does not repeat these checks.
 
 mod acting;
 
-use crate::read::{equal, hold, length, required};
+use crate::read::{bad_value, equal, from_1_to, length, required};
 use crate::tensor::{Flags, Floats, MAX_MAGNITUDE};
 use crate::trajectory::Sizes;
 use crate::work::state_size;
@@ -19,7 +18,7 @@ impl TrajectoryChunk {
     /// has been validated.
     ///
     /// # Errors
-    /// Refuses whatever does not fit the run, by field, in the order that this file's head names.
+    /// Names the first invalid field, in the order above.
     pub fn from_wire(
         wire: &wire::TrajectoryChunk,
         run: &RunDescription,
@@ -43,7 +42,7 @@ impl EvaluationResult {
     /// `claimed`.
     ///
     /// # Errors
-    /// Refuses a wrong digest, a return that is not finite, and a length that no episode has.
+    /// If the digest is wrong, the return is not finite, or the number of steps is impossible.
     pub fn from_wire(
         wire: &wire::EvaluationResult,
         run: &RunDescription,
@@ -58,9 +57,7 @@ impl EvaluationResult {
             return Err(Refusal::new(Reason::NotFinite, field, format!("is {total}")));
         }
         let most = run.environment.episode_steps;
-        let possible = (1..=most).contains(&wire.steps).then_some(());
-        let detail = || format!("{} steps, an episode has 1 to {most}", wire.steps);
-        hold(possible.ok_or_else(detail), "evaluation.steps")?;
+        from_1_to(most as usize, wire.steps as usize, "steps", "evaluation.steps")?;
         Ok(Self { episode: wire.episode, extrinsic_return: total, steps: wire.steps })
     }
 }
@@ -74,9 +71,10 @@ enum Last {
 
 fn check_counters(wire: &wire::TrajectoryChunk, run: &RunDescription) -> Result<Last, Refusal> {
     let chunks = run.chunks_per_slot();
-    let possible = (wire.sequence < chunks).then_some(());
-    let detail = || format!("{}, a slot has {chunks} chunks", wire.sequence);
-    hold(possible.ok_or_else(detail), "chunk.sequence")?;
+    if wire.sequence >= chunks {
+        let detail = format!("{}, a slot has {chunks} chunks", wire.sequence);
+        return Err(bad_value("chunk.sequence", detail));
+    }
     let first = u64::from(wire.sequence) * u64::from(run.chunk_steps);
     equal(Reason::Inconsistent, wire.first_step.into(), first, "chunk.first_step")?;
     equal(Reason::BadValue, wire.steps.into(), run.chunk_steps.into(), "chunk.steps")?;
@@ -91,7 +89,7 @@ fn same_digest(found: Digest, claimed: Digest) -> Result<(), Refusal> {
     Err(Refusal::new(Reason::DigestMismatch, "digest", detail))
 }
 
-/// A chunk whose tensors all have the right type, shape and length, borrowed from the message.
+/// A chunk with checked types, shapes and lengths, borrowed from the message.
 struct Shaped<'a> {
     agents: Vec<[Floats<'a>; 4]>,
     state: Floats<'a>,
@@ -165,7 +163,7 @@ fn check_agent<'a>(
     ])
 }
 
-/// Final steps whose tensors all have the right shape; none at all have no shape to check.
+/// Final steps with checked shapes. Without final steps, tensors are not checked.
 struct ShapedFinals<'a> {
     keys: Vec<(u32, u32)>,
     values: Option<(Floats<'a>, Vec<Floats<'a>>)>,
@@ -177,11 +175,7 @@ impl<'a> ShapedFinals<'a> {
             return Ok(Self { keys: Vec::new(), values: None });
         };
         let (count, most) = (wire.steps.len(), sizes.steps * sizes.environments);
-        let possible = (count <= most).then_some(());
-        hold(
-            possible.ok_or_else(|| format!("{count} entries, {most} rows")),
-            "chunk.finals.steps",
-        )?;
+        from_1_to(most, count, "entries", "chunk.finals.steps")?;
         length(wire.environments.len(), count, "chunk.finals.environments")?;
         let state = [count, sizes.state];
         let state = Floats::check(wire.state.as_ref(), &state, "chunk.finals.state".into())?;
@@ -216,7 +210,7 @@ impl<'a> ShapedFinals<'a> {
     }
 }
 
-/// End states of the right number and sizes.
+/// End states with checked number and sizes.
 struct ShapedEnd<'a> {
     environments: &'a [bytes::Bytes],
     recurrent: Vec<Floats<'a>>,
@@ -229,7 +223,7 @@ impl<'a> ShapedEnd<'a> {
         last: Last,
     ) -> Result<Option<Self>, Refusal> {
         if last == Last::No {
-            let detail = "only the slot's last chunk has one";
+            let detail = "must be absent except in the slot's last chunk";
             let refusal = || Refusal::new(Reason::Inconsistent, "chunk.end", detail);
             return wire.map_or(Ok(None), |_| Err(refusal()));
         }
@@ -257,7 +251,7 @@ impl<'a> ShapedEnd<'a> {
     }
 }
 
-/// Every number of a discrete action is the index of one of its choices.
+/// Checks that every discrete action is the index of a choice.
 fn check_choices(chunk: &TrajectoryChunk, run: &RunDescription) -> Result<(), Refusal> {
     for (i, (rows, agent)) in chunk.agents.iter().zip(&run.environment.agents).enumerate() {
         let Some(choices) = agent.action.choices else { continue };
@@ -265,11 +259,7 @@ fn check_choices(chunk: &TrajectoryChunk, run: &RunDescription) -> Result<(), Re
         if let Some(at) = rows.action.iter().position(|a| !is_choice(a)) {
             let detail =
                 format!("element {at} is {}, a choice is 0 to {}", rows.action[at], choices - 1);
-            return Err(Refusal::new(
-                Reason::BadValue,
-                format!("chunk.agents[{i}].action"),
-                detail,
-            ));
+            return Err(bad_value(&format!("chunk.agents[{i}].action"), detail));
         }
     }
     Ok(())
@@ -281,11 +271,11 @@ fn check_flags(chunk: &TrajectoryChunk, environments: usize) -> Result<(), Refus
         return Ok(());
     };
     let (t, e) = (row / environments, row % environments);
-    let detail = format!("step {t} of environment {e} is terminated too");
+    let detail = format!("step {t} of environment {e} is also terminated");
     Err(Refusal::new(Reason::Inconsistent, "chunk.truncated", detail))
 }
 
-/// Every step that ended an episode and, in the slot's last chunk, each environment's last one, in order.
+/// Requires final steps for every step that ends an episode and, in the slot's last chunk, for each environment's last step.
 fn check_finals(chunk: &TrajectoryChunk, sizes: &Sizes<'_>, last: Last) -> Result<(), Refusal> {
     let e = sizes.environments;
     let slot_end = |row: usize| last == Last::Yes && row / e + 1 == sizes.steps;
@@ -305,7 +295,7 @@ fn check_finals(chunk: &TrajectoryChunk, sizes: &Sizes<'_>, last: Last) -> Resul
     }
     found.next().map_or(Ok(()), |(step, environment)| {
         let detail = format!(
-            "step {step} of environment {environment} neither ends an episode nor the slot"
+            "step {step} of environment {environment} ends neither an episode nor the slot"
         );
         Err(Refusal::new(Reason::Inconsistent, "chunk.finals", detail))
     })

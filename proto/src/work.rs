@@ -1,36 +1,36 @@
-//! What an actor is asked to do: leases, rollout slots, evaluation episodes.
+//! Work of an actor: leases, rollout slots, evaluation episodes.
 
 use bytes::Bytes;
 
-use crate::read::{digest, hold, length, required};
+use crate::read::{digest, from_1_to, length, required};
 use crate::tensor::{self, Floats};
 use crate::{Digest, Incarnation, LeaseId, PolicyVersion, Refusal, RunDescription, wire};
 
-/// A piece of work for one actor.
+/// Work for one actor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lease {
-    /// Names the lease.
+    /// Id of the lease.
     pub id: LeaseId,
-    /// The start of the learner that gave it.
+    /// The incarnation of the learner that issued it.
     pub incarnation: Incarnation,
-    /// The weights to act with.
+    /// The weights to use for acting.
     pub weights: WeightsName,
-    /// How often the same work had been leased before.
+    /// Number of earlier leases for the same work.
     pub attempt: u32,
-    /// What to do.
+    /// The work.
     pub work: Work,
 }
 
-/// A policy snapshot's name.
+/// Identity of a policy snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct WeightsName {
-    /// Updates behind the weights.
+    /// Number of updates in the weights.
     pub version: PolicyVersion,
     /// SHA-256 of the snapshot's bytes.
     pub digest: Digest,
 }
 
-/// What to do.
+/// Kind of work.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Work {
     /// Roll out a slot.
@@ -39,10 +39,10 @@ pub enum Work {
     Evaluation(EvaluationWork),
 }
 
-/// One slot: all its steps, always from the first one.
+/// One slot: all its steps, from the first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RolloutWork {
-    /// The iteration it belongs to.
+    /// Its iteration.
     pub iteration: u64,
     /// The slot's index.
     pub slot: u32,
@@ -64,13 +64,13 @@ pub struct RolloutOrigin {
 /// From where an environment goes on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentStart {
-    /// Index over the whole run; part of the key of random draws.
+    /// Index in the whole run; part of the key of random draws.
     pub environment: u32,
-    /// Its state.
+    /// Its initial state.
     pub start: Start,
 }
 
-/// From where an environment goes on.
+/// Initial state of an environment.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Start {
     /// A new episode; recurrent states are zero.
@@ -80,7 +80,7 @@ pub enum Start {
         /// Steps until this episode is truncated.
         limit: u32,
     },
-    /// Where an earlier slot ended.
+    /// The end of an earlier slot.
     Continue {
         /// The environment's encoded state.
         state: Vec<u8>,
@@ -89,7 +89,7 @@ pub enum Start {
     },
 }
 
-/// One whole episode with mean actions; its reset is keyed by the two fields.
+/// One whole episode with mean actions. Both fields are part of the key of its reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EvaluationWork {
     /// The iteration whose weights are evaluated.
@@ -99,7 +99,7 @@ pub struct EvaluationWork {
 }
 
 impl Lease {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::Lease {
         let work = match &self.work {
@@ -118,10 +118,10 @@ impl Lease {
         }
     }
 
-    /// Reads the message, for the run it belongs to.
+    /// Reads the message of `run`.
     ///
     /// # Errors
-    /// Refuses missing parts and start states of other sizes than the run's.
+    /// If a part is missing, or a start state has a wrong size.
     pub fn from_wire(wire: wire::Lease, run: &RunDescription) -> Result<Self, Refusal> {
         let work = match required(wire.work, "lease.work")? {
             wire::lease::Work::Rollout(work) => Work::Rollout(RolloutWork::from_wire(work, run)?),
@@ -141,7 +141,7 @@ impl Lease {
 }
 
 impl WeightsName {
-    /// The message for it.
+    /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::WeightsName {
         wire::WeightsName {
@@ -153,7 +153,7 @@ impl WeightsName {
     /// Reads the message at `field`.
     ///
     /// # Errors
-    /// Refuses a missing name and a digest that is no SHA-256.
+    /// If the name is missing or the digest is not a SHA-256.
     pub fn from_wire(wire: Option<wire::WeightsName>, field: &str) -> Result<Self, Refusal> {
         let wire = required(wire, field)?;
         let digest = digest(&wire.digest, &format!("{field}.digest"))?;
@@ -243,9 +243,7 @@ fn continued_from_wire(
     })
 }
 
-/// An encoded environment state is neither empty nor longer than the environment's description allows.
+/// Checks that an encoded environment state is neither empty nor longer than the description allows.
 pub(crate) fn state_size(found: usize, run: &RunDescription, field: &str) -> Result<(), Refusal> {
-    let most = run.environment.max_state_bytes as usize;
-    let fits = (1..=most).contains(&found);
-    hold(fits.then_some(()).ok_or_else(|| format!("{found} bytes, allowed are 1 to {most}")), field)
+    from_1_to(run.environment.max_state_bytes as usize, found, "bytes", field)
 }

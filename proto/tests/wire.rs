@@ -1,4 +1,4 @@
-//! What goes over the wire: every message survives the round trip, and one that lies is refused by name.
+//! Every message survives the round trip, and an invalid one is rejected with the name of the field.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "wire/acting.rs"]

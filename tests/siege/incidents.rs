@@ -1,4 +1,4 @@
-//! Whoever is lost, late or put in quarantine is one line of the log: who it was, what it was at, and what happens next.
+//! Each lost, late or quarantined actor is one line of the log: the actor, its work, and the consequence.
 
 use std::time::{Duration, Instant};
 

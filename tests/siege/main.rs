@@ -1,6 +1,6 @@
-//! A learner under siege, with real processes: rubbish, crowds, connections that stop in the middle of whatever they say, and
-//! actors that are lost. It keeps its memory and its descriptors, says what happened, and ends with the weights of a
-//! learner that was left in peace.
+//! A learner under attack, with real processes: invalid messages, many peers, connections that stall, and
+//! lost actors. Its memory and descriptors stay bounded, it logs each incident, and it ends with the weights of an
+//! undisturbed learner.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "../system/attackers.rs"]

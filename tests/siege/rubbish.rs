@@ -1,5 +1,5 @@
-//! A client that sends rubbish to a learner at work: each message is refused with a status that names
-//! the field, all are counted, and the run ends with the weights of a run that was left in peace.
+//! A client that sends invalid messages to a running learner: each is rejected with a status that names
+//! the field, all are counted, and the run ends with the weights of an undisturbed run.
 
 use std::io::Write as _;
 

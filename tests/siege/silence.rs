@@ -1,4 +1,4 @@
-//! Connections that stop in the middle of whatever they say, a hundred of each kind.
+//! Connections that stall within a message, a hundred of each kind.
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -10,13 +10,13 @@ use crate::learners::{Learner, inspect};
 use crate::usage::Usage;
 
 const EACH: usize = 100;
-/// What each silent connection may cost the learner in memory.
+/// Maximum memory of the learner per stalled connection.
 const MOST_MIB_EACH: f64 = 0.5;
 /// Ten seconds for whoever has not begun, thirty for whoever has: one sign of life is asked for after twenty, and
 /// waited for for ten. The rest is for a slow machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What is said before the silence.
+/// What is sent before the connection stalls.
 fn beginnings() -> [Vec<u8>; 4] {
     let half_a_preface = frames::BEGINNING[..11].to_vec();
     [Vec::new(), half_a_preface, frames::half_a_header_block(), frames::half_a_message()]

@@ -4,7 +4,7 @@
 use std::process::Command;
 
 use proto::wire::learner_service_client::LearnerServiceClient;
-use proto::{Beat, Reason, Refusal, wire};
+use proto::{Heartbeat, Reason, Refusal, wire};
 use tonic::transport::{Channel, Endpoint};
 
 use crate::attackers::{Attacker, invented, message, registration};
@@ -17,7 +17,7 @@ const MOST_MIB: u64 = 500;
 
 async fn is_valid(attacker: &mut Attacker, lease: proto::LeaseId) -> bool {
     let (actor, incarnation) = (attacker.own.actor, attacker.own.incarnation);
-    let beat = Beat { actor, incarnation, lease, slot_step: 0 };
+    let beat = Heartbeat { actor, incarnation, lease, slot_step: 0 };
     attacker.service.heartbeat(beat.to_wire()).await.unwrap().into_inner().lease_valid
 }
 

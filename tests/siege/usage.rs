@@ -1,4 +1,4 @@
-//! What a process holds, as the operating system counts it.
+//! Resource usage of a process, from the operating system.
 
 /// Memory and descriptors of a process.
 #[derive(Clone, Copy, Debug)]

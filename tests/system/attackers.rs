@@ -1,4 +1,4 @@
-//! A client that speaks the protocol and lies.
+//! A client that sends invalid messages.
 
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
@@ -8,7 +8,7 @@ use proto::{
 use tonic::Status;
 use tonic::transport::Channel;
 
-/// A connection of its own for every attack, so that one attack's consequences do not reach the next.
+/// A separate connection for every attack, so that attacks do not affect each other.
 pub(crate) struct Attacker {
     pub(crate) service: LearnerServiceClient<Channel>,
     pub(crate) run: RunDescription,
@@ -54,7 +54,7 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
     }
 }
 
-/// A first chunk of the right shape that nobody has computed.
+/// A first chunk of the right shape with arbitrary contents.
 pub(crate) fn invented(run: &RunDescription) -> TrajectoryChunk {
     let rows = (run.chunk_steps * run.environments_per_slot) as usize;
     let stored = (run.chunk_steps / run.hidden_every * run.environments_per_slot) as usize;

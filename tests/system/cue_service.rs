@@ -1,4 +1,4 @@
-//! The game `cue-2x1`, offered over gRPC by this process as any program might.
+//! The game `cue-2x1` as an environment service in this process.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::transport::Server;
 use tonic::{Request, Response, Status, Streaming};
 
-/// What the program does wrong, if anything.
+/// Faults of the program.
 #[derive(Clone)]
 pub(crate) struct Manners {
-    /// Changes what it says of itself.
+    /// Changes its description.
     pub(crate) description: fn(&mut wire::EnvironmentSpec),
     /// Changes an answer.
     pub(crate) answer: fn(&mut play_response::Answer),

@@ -1,4 +1,4 @@
-//! A learner process without actors, whose words are read as they come.
+//! A learner process without actors, with its output read as it is written.
 
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
@@ -64,7 +64,7 @@ impl Learner {
         Self { process, log, reader: Some(reader), url }
     }
 
-    /// Lets an honest actor do all the work; gives back the log.
+    /// Lets a valid actor do all the work; returns the log.
     pub(crate) fn finish(&mut self, actor: &[String]) -> String {
         let more = actor.iter().map(String::as_str);
         let arguments = ["actor", "--learner", &self.url].into_iter().chain(more);
@@ -73,7 +73,7 @@ impl Learner {
         self.wait()
     }
 
-    /// Waits until the run is done; gives back the log.
+    /// Waits until the run is done; returns the log.
     pub(crate) fn wait(&mut self) -> String {
         let status = self.process.wait().unwrap();
         self.reader.take().unwrap().join().unwrap();
@@ -82,7 +82,7 @@ impl Learner {
         log
     }
 
-    /// Asks for an early end; gives back the log.
+    /// Stops the learner early; returns the log.
     pub(crate) fn stop(&mut self) -> String {
         let asked = Command::new("kill").arg(self.process.id().to_string()).status().unwrap();
         assert!(asked.success());

@@ -1,4 +1,4 @@
-//! What the operating system knows of processes.
+//! Process information from the operating system.
 
 /// Processes started by `parent`, from the fourth field of their `stat`.
 pub(crate) fn children(parent: u32) -> Vec<u32> {

@@ -1,4 +1,4 @@
-//! A finished run that the tests of one file share, and the world in which its policies were trained.
+//! A finished run shared by the tests of one file, and its world.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

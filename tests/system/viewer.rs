@@ -1,4 +1,4 @@
-//! Whoever looks at a live view, speaking Foxglove's WebSocket protocol as its own application does.
+//! A live-view client that uses Foxglove's WebSocket protocol.
 
 use std::collections::BTreeMap;
 use std::net::TcpStream;

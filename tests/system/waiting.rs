@@ -1,4 +1,4 @@
-//! Waiting for what a process does in its own time.
+//! Waiting for conditions in other processes.
 
 use std::path::Path;
 use std::time::{Duration, Instant};

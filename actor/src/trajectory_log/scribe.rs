@@ -135,7 +135,7 @@ impl Desk {
         work: EvaluationWork,
         world: &Environments,
     ) -> Option<EvaluationWitness> {
-        let held = self.episodes.hold_evaluation(work.episode);
+        let held = self.episodes.include_evaluation(work.episode);
         held.then(|| EvaluationWitness::new(&self.run, lease, work, world))
     }
 

@@ -85,7 +85,7 @@ impl<'a> RolloutWitness<'a> {
     fn begin(&mut self, slot_step: u32, position: usize, world: &Environments) -> Option<usize> {
         let environment = self.work.environments[position].environment;
         let episode = world.episode(position);
-        if !self.episodes.hold_rollout(environment, episode) {
+        if !self.episodes.include_rollout(environment, episode) {
             return None;
         }
         let head = Share {

@@ -43,9 +43,9 @@ fn policy() -> PolicySnapshot {
     };
     let agent = |index: u32| {
         let mut rng = generator(RunSeed(5), Draw::of(Purpose::Initialisation).agent(index));
-        let action = (1, Head::Categorical { choices: OUT });
+        let head = Head::Categorical { choices: OUT };
         let dtype = candle_core::DType::F32;
-        ActorNetwork::with_head(&config, 9, action, dtype, &mut rng).unwrap().policy().unwrap()
+        ActorNetwork::with_head(&config, 9, 1, head, dtype, &mut rng).unwrap().policy().unwrap()
     };
     PolicySnapshot { agents: vec![agent(0), agent(1)] }
 }

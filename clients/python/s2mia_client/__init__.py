@@ -1,10 +1,10 @@
-"""Clients of s2mia in plain Python: gRPC and NumPy, made from the .proto files alone. First of all an actor.
+"""Clients of s2mia in Python with gRPC and NumPy, based only on the .proto files: an actor and a policy client.
 
-    learner.py  the connection: what the run is about, leases, weights, results
-    policy.py   the agents' policies as a snapshot carries them
-    actor.py    rolls out what is leased, in any environment with four methods
-    cue.py      such an environment: the game `cue-2x1`
-    team.py     acts by policies that are served, without computing them
+    learner.py  connection to a learner: run description, leases, weights, results
+    policy.py   the agents' policies in a snapshot
+    actor.py    computes leased work in any `Environment`
+    cue.py      an environment: the game `cue-2x1`
+    team.py     client of served policies
     wire.py     the messages
 """
 

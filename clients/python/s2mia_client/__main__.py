@@ -1,4 +1,4 @@
-"""`python -m s2mia_client HOST:PORT` plays `cue-2x1` for a learner until its run is done."""
+"""`python -m s2mia_client HOST:PORT` is an actor for runs of `cue-2x1`."""
 
 import sys
 
@@ -15,11 +15,11 @@ def main() -> int:
     learner = Learner(sys.argv[1])
     offered = learner.run.environment
     if offered.state_kind != KIND:
-        print(f"{offered.task} is another environment than cue-2x1, which is all that this one plays", file=sys.stderr)
+        print(f"{offered.task} is not supported; this actor supports only cue-2x1", file=sys.stderr)
         return 2
     print(f"run {learner.run.run_id}, actor {learner.actor_id}")
     done = act_for(learner, Cue, np.random.default_rng())
-    print(f"the run is over; {done} leases done")
+    print(f"the run is over; {done} leases completed")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What an actor does with a lease: one slot, or one evaluation episode."""
+"""Computes a lease: one slot, or one evaluation episode."""
 
 from typing import Protocol
 
@@ -14,19 +14,19 @@ class Environment(Protocol):
     """One environment of the run's task."""
 
     def reset(self, episode: int, limit: int, rng: np.random.Generator) -> None:
-        """Begins an episode that is truncated after `limit` steps."""
+        """Starts an episode that is truncated after `limit` steps."""
 
     def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
-        """One action `[act]` for each agent: reward, terminated, truncated."""
+        """Takes one action `[act]` per agent. Returns reward, terminated, truncated."""
 
     def observe(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Global state `[S]`, and one observation `[obs]` for each agent."""
+        """Returns the global state `[S]` and one observation `[obs]` per agent."""
 
     def save(self) -> bytes:
-        """From which `restore` goes on, in the encoding that the run's `state_kind` names."""
+        """Encodes the state for `restore`, in the encoding `state_kind` of the run."""
 
     def restore(self, state: bytes) -> int:
-        """Goes on from a saved state; its episode's index."""
+        """Continues from a saved state. Returns the index of its episode."""
 
 
 class Slot:
@@ -53,7 +53,7 @@ class Slot:
             hidden[row] = 0
 
     def chunks(self):
-        """The slot's chunks, each as soon as it is full."""
+        """Yields the slot's chunks as they are completed."""
         for sequence in range(self.run.slot_steps // self.run.chunk_steps):
             yield self._chunk(sequence)
 
@@ -79,7 +79,7 @@ class Slot:
         )
 
     def _step(self, step: int, rows: dict, agents: list[dict], finals: list) -> None:
-        """Observe, act, step, reset what is done."""
+        """Observes, acts, steps, and resets ended episodes."""
         seen = [environment.observe() for environment in self.environments]
         rows["state"].append(np.stack([state for state, _ in seen]))
         drawn = []
@@ -109,7 +109,7 @@ class Slot:
         return wire.AgentChunk(**{name: wire.tensor(np.stack(rows)) for name, rows in collected.items()})
 
     def _finals(self, finals: list):
-        """The true next states and observations where the following row does not hold them."""
+        """The true next states and observations that are not in the following row."""
         spec = self.run.environment
         states = [state for _, _, state, _ in finals]
         observations = [
@@ -131,7 +131,7 @@ class Slot:
 
 
 def evaluate(run, work, policy: Policy, environment: Environment, rng: np.random.Generator):
-    """One whole episode with mean actions, or the likeliest choices."""
+    """Computes one whole episode with mean actions, or the likeliest choices."""
     environment.reset(work.episode, run.environment.episode_steps, rng)
     hidden = [np.zeros((1, agent.hidden_size), np.float32) for agent in policy.agents]
     total, steps, ended = 0.0, 0, False
@@ -140,14 +140,14 @@ def evaluate(run, work, policy: Policy, environment: Environment, rng: np.random
         actions = []
         for index, agent in enumerate(policy.agents):
             output, hidden[index] = agent.forward(observations[index][None], hidden[index])
-            actions.append(agent.settle(output)[0])
+            actions.append(agent.mode(output)[0])
         reward, terminated, truncated = environment.step(actions)
         total, steps, ended = total + reward, steps + 1, terminated or truncated
     return wire.EvaluationResult(episode=work.episode, extrinsic_return=total, steps=steps)
 
 
 def act_for(learner: Learner, make, rng: np.random.Generator) -> int:
-    """Works for a learner until its run is over, in environments that `make()` returns; the leases done."""
+    """Works for a learner until its run is over, in environments from `make()`. Returns the number of leases."""
     held, policy, done = None, None, 0
     while (lease := learner.lease()) is not None:
         if lease.weights.digest != held:
@@ -159,7 +159,7 @@ def act_for(learner: Learner, make, rng: np.random.Generator) -> int:
         try:
             done += learner.push(lease, results)
         except grpc.RpcError as error:
-            # The lease is gone, to another actor perhaps; there is more work.
+            # The lease ended, for example because it was reissued; continue with another.
             if error.code() != grpc.StatusCode.ABORTED:
                 raise
     return done

@@ -1,7 +1,7 @@
-"""The game `cue-2x1` in Python, state for state the one that the project's own actors play.
+"""The game `cue-2x1` in Python, with the same states as the built-in game.
 
-Two agents see one of three cues and one of four places. Both are paid when both choose the cue; then the place
-goes on by one.
+Two agents observe one of three cues and one of four places. If both choose the cue, the reward is 1 and the place
+advances by one.
 """
 
 import struct
@@ -54,6 +54,6 @@ class Cue:
     def restore(self, state: bytes) -> int:
         mark, version, kind, self.episode, self.moves, self.limit = _HEADER.unpack_from(state)
         if (mark, version, kind) != (b"s2st", STATE_VERSION, _fnv1a(KIND)):
-            raise ValueError("these bytes are no state of cue-2x1")
+            raise ValueError("the bytes are not a state of cue-2x1")
         self.place, *self.cues = (int(number) for number in np.frombuffer(state[_HEADER.size :], "<f4"))
         return self.episode

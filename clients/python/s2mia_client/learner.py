@@ -1,4 +1,4 @@
-"""The learner as an actor calls it."""
+"""The client of a learner, for actors."""
 
 import contextlib
 import hashlib
@@ -9,11 +9,11 @@ import grpc
 
 from s2mia_client import wire
 
-# No message may be larger, in either direction.
+# Limit of every message, in both directions.
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
 CALL_SECS = 10.0
 LEASE_WAIT_MILLIS = 5_000
-# Results that may wait for their acknowledgement.
+# Maximum number of unacknowledged results.
 MAX_UNACKNOWLEDGED = 4
 
 
@@ -61,7 +61,7 @@ class Learner:
     def __init__(self, address: str, client: str = "s2mia_client") -> None:
         options = [
             ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
-            # A registration lives as long as its connection, so no other channel may share it.
+            # A registration ends with its connection, so channels must not share connections.
             ("grpc.use_local_subchannel_pool", 1),
         ]
         self.channel = grpc.insecure_channel(address, options=options)
@@ -79,7 +79,7 @@ class Learner:
         self.channel.close()
 
     def lease(self):
-        """The next piece of work; None when the run is over."""
+        """Returns the next lease, or None if the run is over."""
         request = wire.LeaseSlotsRequest(
             actor_id=self.actor_id, incarnation=self.incarnation, wait_millis=LEASE_WAIT_MILLIS
         )
@@ -92,22 +92,22 @@ class Learner:
                     return None
 
     def weights(self, name) -> bytes:
-        """The snapshot of this name."""
+        """Returns the snapshot `name`."""
         parts = list(self.service.GetWeights(wire.GetWeightsRequest(weights=name), timeout=60.0))
         snapshot = b"".join(part.data for part in parts[1:])
         if hashlib.sha256(snapshot).digest() != name.digest:
-            raise ValueError(f"weights {name.version} came with another digest than their name's")
+            raise ValueError(f"weights {name.version} do not match their digest")
         return snapshot
 
     def heartbeat(self, lease, step: int) -> bool:
-        """Keeps a lease alive; False if the work is no longer wanted."""
+        """Keeps a lease alive. Returns False if the lease ended."""
         request = wire.HeartbeatRequest(
             actor_id=self.actor_id, incarnation=self.incarnation, lease_id=lease.lease_id, slot_step=step
         )
         return self.service.Heartbeat(request, timeout=CALL_SECS).lease_valid
 
     def message(self, lease, content):
-        """A chunk or an evaluation's result, addressed to its lease."""
+        """The message with a chunk or evaluation result of a lease."""
         message = wire.PushTrajectoryRequest(
             lease_id=lease.lease_id, incarnation=lease.incarnation, weights=lease.weights
         )
@@ -120,7 +120,7 @@ class Learner:
         return message
 
     def push(self, lease, contents) -> bool:
-        """Sends a lease's results as they are made; True once the learner has the whole of it."""
+        """Sends a lease's results as they are computed. Returns True if the learner has the complete result."""
         free = threading.Semaphore(MAX_UNACKNOWLEDGED)
         begun = threading.Event()
         pushed = [0]
@@ -135,7 +135,7 @@ class Learner:
 
         call = self.service.PushTrajectory(messages())
         begun.set()
-        with self._beating(lease, lambda: pushed[0] * self.run.chunk_steps):
+        with self._heartbeats(lease, lambda: pushed[0] * self.run.chunk_steps):
             finished = False
             for acknowledgement in call:
                 free.release()
@@ -143,8 +143,8 @@ class Learner:
             return finished
 
     @contextlib.contextmanager
-    def _beating(self, lease, step):
-        """Signs of life for as long as this lasts; environments may be slow."""
+    def _heartbeats(self, lease, step):
+        """Sends heartbeats within the context, because environments may be slow."""
         over = threading.Event()
 
         def beat() -> None:

@@ -1,4 +1,4 @@
-"""The agents' policies: a snapshot is one safetensors file, its metadata says how to act with it.
+"""The agents' policies: a snapshot is a safetensors file with the policies' specs in its metadata.
 
 Shapes: `R` rows, `obs`, `act` and `H` as in trajectory.proto. Arrays have PyTorch's names and layout.
 """
@@ -10,9 +10,9 @@ import numpy as np
 
 SPEC_KEY = "s2mia.policy"
 EPSILON = 1e-5
-# Standardised features are held within this many deviations.
+# Standardised features are clamped to this many standard deviations.
 LIMIT = 10.0
-# What a snapshot says where it says nothing of the distribution.
+# Distribution of specs without a head.
 GAUSSIAN = "gaussian"
 
 
@@ -58,7 +58,7 @@ class Agent:
         return (1 - update) * new + update * hidden
 
     def forward(self, observation: np.ndarray, hidden: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Means or logits `[R, out]` and the next recurrent state `[R, H]`, for observations `[R, obs]`."""
+        """Returns means or logits `[R, out]` and the next recurrent state `[R, H]` for observations `[R, obs]`."""
         x = observation.astype(np.float32)
         if "input.mean" in self.arrays:
             x = np.clip((x - self.arrays["input.mean"]) * self.arrays["input.inverse_deviation"], -LIMIT, LIMIT)
@@ -77,7 +77,7 @@ class Agent:
         return output.astype(np.float32), hidden.astype(np.float32)
 
     def _range(self) -> tuple[float, float] | None:
-        """Into which the network's output is squashed, if it is."""
+        """The range to which the network's output is scaled, if any."""
         if isinstance(self.head, dict):
             (kind,) = self.head.values()
             if "low" in kind:
@@ -85,13 +85,13 @@ class Agent:
         return None
 
     def _sigma(self) -> np.ndarray:
-        """Deviations of the action noise `[act]`."""
+        """Standard deviations of the action noise `[act]`."""
         if self.head == GAUSSIAN:
             return _sigmoid(self.arrays["head.log_std"]) * np.float32(self.spec["sigma_scale"])
         return np.full(self.spec["action"], self.head["deterministic"]["noise_sigma"], np.float32)
 
     def draw(self, output: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Actions `[R, act]` drawn from outputs `[R, out]`."""
+        """Draws actions `[R, act]` from outputs `[R, out]`."""
         if "categorical" in self.head:
             gumbel = -np.log(-np.log(rng.random(output.shape)))
             return np.argmax(output + gumbel, -1)[:, None].astype(np.float32)
@@ -102,8 +102,8 @@ class Agent:
             action = np.clip(action, *low_high)
         return action.astype(np.float32)
 
-    def settle(self, output: np.ndarray) -> np.ndarray:
-        """What evaluation does: the mean action, or the likeliest choice, `[R, act]`."""
+    def mode(self, output: np.ndarray) -> np.ndarray:
+        """The mean action, or the likeliest choice, `[R, act]`. Evaluation uses it."""
         if "categorical" in self.head:
             return np.argmax(output, -1)[:, None].astype(np.float32)
         return output

@@ -1,4 +1,4 @@
-"""A team that acts by the trained policies that `s2mia serve` serves: observations in, actions out."""
+"""Client of the policies that `s2mia serve` serves: sends observations, receives actions."""
 
 import queue
 
@@ -11,10 +11,10 @@ CALL_SECS = 10.0
 
 
 class Team:
-    """One stream, which remembers the agents' recurrent states: one team in one world."""
+    """One stream: one team in one world. The server keeps the agents' recurrent states."""
 
     def __init__(self, address: str, seed: int | None = None) -> None:
-        """Mean actions, or the likeliest choices; with a `seed`, drawn ones."""
+        """Actions are means or likeliest choices; with a `seed`, they are sampled."""
         self.channel = grpc.insecure_channel(address)
         self.service = wire.PolicyServiceStub(self.channel)
         request = wire.DescribePolicyRequest()
@@ -27,7 +27,7 @@ class Team:
         self._answers = self.service.Act(iter(self._requests.get, None))
 
     def act(self, observations: dict[int, np.ndarray], reset: bool = False) -> dict[int, np.ndarray]:
-        """An action `[act]` for each agent that observes `[obs]`; `reset` begins an episode."""
+        """Returns an action `[act]` for each observation `[obs]`, by agent index. `reset` starts an episode."""
         rows = [
             wire.AgentObservation(agent=agent, observation=wire.tensor(np.asarray(row, np.float32)))
             for agent, row in observations.items()

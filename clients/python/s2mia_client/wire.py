@@ -1,6 +1,6 @@
-"""The messages and services of the .proto files, compiled when this module is first imported.
+"""The messages and services of the .proto files, compiled when this module is imported.
 
-Nothing generated is kept: the files in `proto/` are the only description of the wire.
+Generated code is not stored; the files in `proto/` are the only definition of the protocol.
 """
 
 import importlib
@@ -23,7 +23,7 @@ def _compile() -> None:
     names = [f"s2mia/v1/{name}.proto" for name in _FILES]
     missing = [name for name in names if not (PROTO / name).is_file()]
     if missing:
-        raise FileNotFoundError(f"{PROTO} does not hold {missing[0]}; set S2MIA_PROTO to the folder that does")
+        raise FileNotFoundError(f"{PROTO} does not contain {missing[0]}; set S2MIA_PROTO to the folder that does")
     generated = tempfile.TemporaryDirectory(prefix="s2mia-wire-")
     with generated as folder:
         own = str(pathlib.Path(grpc_tools.__file__).parent / "_proto")
@@ -47,12 +47,12 @@ _compile()
 
 
 def tensor(array: np.ndarray):
-    """A dense array as it travels: 32-bit floats, or booleans."""
+    """Encodes an array as a tensor of 32-bit floats or booleans."""
     kind, layout = (DATA_TYPE_BOOL, "u1") if array.dtype == bool else (DATA_TYPE_F32, "<f4")  # noqa: F821
     data = np.ascontiguousarray(array, dtype=layout).tobytes()
     return Tensor(data_type=kind, shape=array.shape, data=data)  # noqa: F821
 
 
 def array(tensor) -> np.ndarray:
-    """The floats of a tensor that came over the wire."""
+    """Decodes a tensor of floats."""
     return np.frombuffer(tensor.data, "<f4").reshape(tensor.shape)

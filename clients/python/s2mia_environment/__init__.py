@@ -1,4 +1,4 @@
-"""Offers an environment in Python to s2mia: any PettingZoo `ParallelEnv`, or a class with five methods.
+"""Server of Python environments for s2mia: any PettingZoo `ParallelEnv`, or a class with five methods.
 
     server.py    the service, for any `Environment`
     parallel.py  a PettingZoo `ParallelEnv` as an `Environment`

@@ -1,8 +1,8 @@
-"""Offers what FUNCTION makes to s2mia: a PettingZoo `ParallelEnv`, or an `Environment` of this package.
+"""Serves environments made by FUNCTION to s2mia: PettingZoo `ParallelEnv`s, or `Environment`s of this package.
 
     python -m s2mia_environment [--listen HOST:PORT] [--streams N] PACKAGE.module:FUNCTION [NAME=VALUE ...]
 
-Each NAME=VALUE is handed to FUNCTION; a VALUE that is JSON is read as such, anything else is text.
+Each NAME=VALUE is an argument of FUNCTION. A VALUE that is not JSON is a string.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from s2mia_environment.server import STREAMS, Environment, serve
 
 
 def value(text: str):
-    """JSON if it is, else text."""
+    """Parses JSON; other text is a string."""
     try:
         return json.loads(text)
     except json.JSONDecodeError:
@@ -23,7 +23,7 @@ def value(text: str):
 
 
 def make(function, settings: dict) -> Environment:
-    """One environment."""
+    """Makes one environment."""
     made = function(**settings)
     return made if isinstance(made, Environment) else Parallel(made)
 
@@ -31,13 +31,13 @@ def make(function, settings: dict) -> Environment:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="s2mia_environment", description=__doc__.splitlines()[0])
     parser.add_argument("--listen", default="127.0.0.1:50061", metavar="HOST:PORT")
-    parser.add_argument("--streams", type=int, default=STREAMS, metavar="N", help="most at a time; an actor has two")
+    parser.add_argument("--streams", type=int, default=STREAMS, metavar="N", help="stream limit; an actor has two")
     parser.add_argument("function", metavar="PACKAGE.module:FUNCTION")
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE")
     arguments = parser.parse_args()
     module, _, name = arguments.function.partition(":")
     if not name or not all("=" in setting for setting in arguments.settings):
-        parser.error("write PACKAGE.module:FUNCTION NAME=VALUE ...")
+        parser.error("expected PACKAGE.module:FUNCTION NAME=VALUE ...")
     if arguments.streams < 1:
         parser.error(f"--streams must be at least 1, is {arguments.streams}")
     settings = {key: value(text) for key, _, text in (setting.partition("=") for setting in arguments.settings)}

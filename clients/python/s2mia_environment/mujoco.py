@@ -1,4 +1,4 @@
-"""Multi-agent MuJoCo (MaMuJoCo) of gymnasium-robotics, whose states can be saved: a run in it is exact.
+"""Multi-agent MuJoCo (MaMuJoCo) of gymnasium-robotics with saved states, so that runs are exactly repeatable.
 
     python -m s2mia_environment s2mia_environment.mujoco:multi_agent scenario=HalfCheetah agent_conf=2x3
 """
@@ -13,20 +13,20 @@ from gymnasium_robotics import mamujoco_v1
 
 from s2mia_environment.parallel import Parallel
 
-# Everything from which the next step follows: time, positions, velocities, what the solver starts from.
+# The complete integration state: time, positions, velocities, warm start of the solver.
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 STATE_VERSION = 1
 _STEPS = struct.Struct("<q")
 
-# MuJoCo would also write each warning into a file where the program stands.
+# By default MuJoCo also writes each warning to a file in the working directory.
 mujoco.set_mju_user_warning(lambda warning: print(warning, file=sys.stderr))
 
 
 class MultiAgentMujoco(Parallel):
-    """One robot whose joints several agents drive.
+    """One robot whose joints several agents control.
 
-    A state is the steps done, MuJoCo's own integration state, and what rewards and observations read that is a
-    substep behind it: body positions and contact forces.
+    A state consists of the number of steps, MuJoCo's integration state, and the arrays that rewards and observations
+    read one substep late: body positions and contact forces.
     """
 
     def __init__(self, env, task: str) -> None:
@@ -51,8 +51,8 @@ class MultiAgentMujoco(Parallel):
     def save(self) -> bytes:
         numbers = np.empty(self.size)
         mujoco.mj_getState(self.model, self.data, numbers, STATE)
-        behind = (array.ravel() for array in self._behind())
-        return _STEPS.pack(self.clock._elapsed_steps) + np.concatenate([numbers, *behind]).astype("<f8").tobytes()
+        late = (array.ravel() for array in self._late_arrays())
+        return _STEPS.pack(self.clock._elapsed_steps) + np.concatenate([numbers, *late]).astype("<f8").tobytes()
 
     def restore(self, state: bytes) -> None:
         if len(state) != self.spec.max_state_bytes:
@@ -60,17 +60,17 @@ class MultiAgentMujoco(Parallel):
         numbers = np.frombuffer(state[_STEPS.size :], "<f8")
         mujoco.mj_setState(self.model, self.data, numbers[: self.size], STATE)
         mujoco.mj_forward(self.model, self.data)
-        # The line before has gone on with what the solver starts from, and brought up what was behind.
+        # mj_forward changed the solver's warm start and the late arrays, so set them again.
         mujoco.mj_setState(self.model, self.data, numbers[: self.size], STATE)
         at = self.size
-        for array in self._behind():
+        for array in self._late_arrays():
             array.flat = numbers[at : at + array.size]
             at += array.size
         (self.clock._elapsed_steps,) = _STEPS.unpack_from(state)
         self.env.unwrapped.agents = self.env.unwrapped.possible_agents
-        self._look(self.env.unwrapped._get_obs())
+        self._store(self.env.unwrapped._get_obs())
 
-    def _behind(self) -> list[np.ndarray]:
+    def _late_arrays(self) -> list[np.ndarray]:
         return [self.data.xpos, self.data.cfrc_ext]
 
 
@@ -82,6 +82,6 @@ def _time_limit(env) -> TimeLimit:
 
 
 def multi_agent(scenario: str, agent_conf: str, **more) -> MultiAgentMujoco:
-    """What `gymnasium_robotics.mamujoco_v1.parallel_env` makes of the same settings, with states."""
+    """`gymnasium_robotics.mamujoco_v1.parallel_env` with the same settings and saved states."""
     env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, **more)
     return MultiAgentMujoco(env, f"mamujoco/{scenario}-{agent_conf}")

@@ -8,25 +8,25 @@ from s2mia_client import wire
 
 from s2mia_environment.server import Environment
 
-# Where an environment says nothing of its length, or of the time that a step takes.
+# Defaults for environments that do not define their episode length or step time.
 EPISODE_STEPS = 1000
 STEP_SECS = 0.05
 
 
 class Box:
-    """A continuous action: ours lies in -1 to 1 unless all its numbers have one range."""
+    """A continuous action. Its range is -1 to 1 unless all dimensions have the same range."""
 
     def __init__(self, space: spaces.Box) -> None:
         low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
         if not np.all(np.isfinite([low, high])):
-            raise ValueError(f"an action without bounds, {space}, is nothing that policies can be taught")
+            raise ValueError(f"actions must have finite bounds, not {space}")
         self.space, self.low, self.high = space, low, high
         one_range = np.unique(low).size == np.unique(high).size == 1
         self.own = (low[0], high[0]) if one_range else (-1.0, 1.0)
         self.spec = wire.ActionSpec(size=low.size, low=self.own[0], high=self.own[1])
 
     def action(self, numbers: np.ndarray) -> np.ndarray:
-        """What the environment takes, clamped and in its own range."""
+        """The action of the environment: clamped and scaled to its range."""
         low, high = self.own
         clamped = np.clip(numbers.astype(np.float64), low, high)
         scaled = clamped if (low, high) == (self.low[0], self.high[0]) else self._scaled((clamped - low) / (high - low))
@@ -37,14 +37,14 @@ class Box:
 
 
 class Choice:
-    """One choice among a few."""
+    """A discrete action."""
 
     def __init__(self, space: spaces.Discrete) -> None:
         self.start = int(space.start)
         self.spec = wire.ActionSpec(size=1, low=0.0, high=float(space.n - 1), choices=int(space.n))
 
     def action(self, numbers: np.ndarray) -> int:
-        """The choice as the environment numbers it."""
+        """The choice in the environment's numbering."""
         return self.start + int(numbers[0])
 
 
@@ -52,14 +52,14 @@ ACTIONS = {spaces.Box: Box, spaces.Discrete: Choice}
 
 
 def action_of(space: spaces.Space):
-    """How an agent acts."""
+    """The action type of a space."""
     if type(space) not in ACTIONS:
-        raise ValueError(f"actions are one Box or one Discrete for each agent, not {space}")
+        raise ValueError(f"actions must be one Box or one Discrete per agent, not {space}")
     return ACTIONS[type(space)](space)
 
 
 def features(name: str, count: int) -> list:
-    """Numbers that are told apart by their place."""
+    """Features named by their index."""
     signal = wire.FEATURE_ROLE_SIGNAL
     return [wire.FeatureSpec(name=f"{name}.{index}", role=signal) for index in range(count)]
 
@@ -67,8 +67,8 @@ def features(name: str, count: int) -> list:
 class Parallel(Environment):
     """All agents step at once and share one reward, the mean of theirs; the first agent's end ends the episode.
 
-    The global state is the environment's `state()`, or all observations one behind the other if it has none. States are
-    not saved: an episode is brought back by playing it again.
+    The global state is the environment's `state()`, or the concatenated observations if it has none. States are
+    not saved: an episode is restored by replaying it.
     """
 
     def __init__(self, env) -> None:
@@ -91,25 +91,25 @@ class Parallel(Environment):
         )
 
     def step_secs(self) -> float:
-        """Seconds of a step, for whoever draws."""
+        """Seconds per step, for display."""
         return 1.0 / self.env.metadata["render_fps"] if "render_fps" in self.env.metadata else STEP_SECS
 
     def episode_steps(self) -> int:
-        """Steps after which the player cuts an episode, if the environment has not."""
+        """Steps after which the client truncates an episode."""
         known = (getattr(self.env.unwrapped, name, None) for name in ("max_cycles", "max_steps", "max_episode_steps"))
         return next((int(steps) for steps in known if steps), EPISODE_STEPS)
 
     def reset(self, seed: bytes) -> None:
         number = int.from_bytes(hashlib.sha256(seed).digest()[:4], "little")
         observations, _ = self.env.reset(seed=number)
-        self._look(observations)
+        self._store(observations)
 
     def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
         taken = {
             agent: kind.action(numbers) for agent, kind, numbers in zip(self.agents, self.actions, actions, strict=True)
         }
         observations, rewards, terminations, truncations, _ = self.env.step(taken)
-        self._look(observations)
+        self._store(observations)
         terminated = any(terminations.values())
         reward = float(np.mean([rewards[agent] for agent in self.agents]))
         return reward, terminated, not terminated and any(truncations.values())
@@ -124,7 +124,7 @@ class Parallel(Environment):
         except (AttributeError, NotImplementedError):
             return np.concatenate(self.seen)
 
-    def _look(self, observations: dict) -> None:
+    def _store(self, observations: dict) -> None:
         self.seen = [
             np.asarray(spaces.flatten(space, observations[agent]), np.float32)
             for agent, space in zip(self.agents, self.spaces, strict=True)

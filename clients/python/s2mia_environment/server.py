@@ -1,4 +1,4 @@
-"""The service `EnvironmentService`: one thread and environments of its own for each stream of a player."""
+"""The service `EnvironmentService`, with one thread and separate environments per stream."""
 
 import abc
 import traceback
@@ -10,38 +10,38 @@ import numpy as np
 from s2mia_client import wire
 
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
-# Each actor keeps two streams open: one for its slot, one for evaluations.
+# Each actor has two streams: one for its slot, one for evaluations.
 STREAMS = 64
 
 
 class Environment(abc.ABC):
-    """One environment. What it does must be a function of the seed, or of the restored state, and of the actions."""
+    """One environment. It must be a deterministic function of the seed, or the restored state, and the actions."""
 
     spec: "wire.EnvironmentSpec"
-    """What it is. With `max_state_bytes = 0` it is never asked to save."""
+    """Its description. With `max_state_bytes = 0`, `save` is never called."""
 
     @abc.abstractmethod
     def reset(self, seed: bytes) -> None:
-        """Begins an episode. All its chance comes from the 32 bytes of `seed`."""
+        """Starts an episode. The 32 bytes of `seed` are its only source of randomness."""
 
     @abc.abstractmethod
     def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
-        """One action `[act]` for each agent, not yet clamped: the team's reward, terminated, truncated."""
+        """Takes one unclamped action `[act]` per agent. Returns the team's reward, terminated, truncated."""
 
     @abc.abstractmethod
     def observe(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Global state `[S]`, and one observation `[obs]` for each agent."""
+        """Returns the global state `[S]` and one observation `[obs]` per agent."""
 
     def save(self) -> bytes:
-        """From which `restore` goes on, here or in another environment of this kind."""
+        """Encodes the state for `restore`, in this or another environment of the same kind."""
         raise NotImplementedError
 
     def restore(self, state: bytes) -> None:
-        """Goes on from a saved state."""
+        """Continues from a saved state."""
         raise NotImplementedError
 
 
-class Stage:
+class StreamEnvironments:
     """The environments of one stream."""
 
     def __init__(self, make: Callable[[], Environment]) -> None:
@@ -49,7 +49,7 @@ class Stage:
         self.environments: dict[int, Environment] = {}
 
     def answer(self, request) -> "wire.PlayResponse":
-        """What one request comes to."""
+        """Answers one request."""
         match request.WhichOneof("request"):
             case "reset":
                 self._begin(request.reset.environment).reset(request.reset.seed)
@@ -93,30 +93,30 @@ class Stage:
 
 
 class Service(wire.EnvironmentServiceServicer):
-    """Offers what `make` makes."""
+    """Serves environments made by `make`."""
 
     def __init__(self, make: Callable[[], Environment]) -> None:
         self.make, self.spec = make, make().spec
 
     def DescribeEnvironment(self, request, context):  # noqa: N802
-        """What it is."""
+        """Returns the description of the environment."""
         return wire.DescribeEnvironmentResponse(environment=self.spec)
 
     def Play(self, request_iterator, context) -> Iterator["wire.PlayResponse"]:  # noqa: N802
-        """Steps environments of this stream's own."""
-        stage = Stage(self.make)
+        """Steps the environments of one stream."""
+        environments = StreamEnvironments(self.make)
         for request in request_iterator:
             try:
-                answer = stage.answer(request)
+                answer = environments.answer(request)
             except Exception as error:
-                # Whatever an environment gets wrong, it would again: its player ends instead of asking for ever.
+                # The environment would fail again, so the client must not retry.
                 traceback.print_exc()
                 context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{type(error).__name__}: {error}")
             yield answer
 
 
 def serve(make: Callable[[], Environment], listen: str, streams: int = STREAMS) -> tuple[grpc.Server, int]:
-    """Starts the service; gives the server and its port back. Whoever opens a stream above `streams` is refused."""
+    """Starts the service. Returns the server and its port. Streams beyond `streams` are rejected."""
     options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)]
     server = grpc.server(futures.ThreadPoolExecutor(streams), options=options, maximum_concurrent_rpcs=streams)
     wire.add_EnvironmentServiceServicer_to_server(Service(make), server)

@@ -1,4 +1,4 @@
-//! Four registers of 128 bits; every aarch64 processor has them.
+//! Four registers of 128 bits, part of every aarch64 processor.
 
 use core::arch::aarch64::*;
 
@@ -8,7 +8,7 @@ use crate::product::{self, Product};
 #[derive(Clone, Copy)]
 pub(super) struct Neon;
 
-/// Runs `operation`.
+/// Runs `operation` with NEON.
 pub(super) fn run<O: Operation>(operation: O) -> O::Output {
     operation.run(Neon)
 }
@@ -25,7 +25,7 @@ fn each(one: impl Fn(usize) -> float32x4_t) -> Four {
     [one(0), one(1), one(2), one(3)]
 }
 
-// SAFETY of every block below: NEON belongs to the target's baseline; pointers are the callers'.
+// SAFETY of every block below: NEON is in the target's baseline; callers guarantee that pointers are valid.
 impl Simd for Neon {
     type Vector = Four;
 

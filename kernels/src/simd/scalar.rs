@@ -1,22 +1,22 @@
-//! Sixteen lanes as an array: the reference of the other widths.
+//! Sixteen lanes as an array: the reference for the other widths.
 
 use super::{LANES, Line, Operation, Simd};
 use crate::product::{self, Product};
 
-/// Fused multiply-adds are one instruction if the processor has it, else a slow call with the same result.
+/// A fused multiply-add is one instruction if the processor has it, otherwise a slow call with the same result.
 #[derive(Clone, Copy)]
 pub(super) struct Scalar {
     #[cfg(target_arch = "x86_64")]
     fma: bool,
 }
 
-/// Runs `operation` one number at a time.
+/// Runs `operation` without vector instructions.
 pub(super) fn run<O: Operation>(operation: O) -> O::Output {
     #[cfg(target_arch = "x86_64")]
     {
         let fma = std::arch::is_x86_feature_detected!("fma");
         match fma {
-            // SAFETY: the processor has it.
+            // SAFETY: the processor has FMA.
             true => unsafe { with_fma(operation) },
             false => operation.run(Scalar { fma }),
         }
@@ -68,13 +68,13 @@ impl Simd for Scalar {
 
     #[inline(always)]
     unsafe fn load_pointer(self, from: *const f32) -> Self::Vector {
-        // SAFETY: the caller's; an array of floats is aligned as a float is.
+        // SAFETY: guaranteed by the caller; an array of floats has the alignment of a float.
         unsafe { from.cast::<Self::Vector>().read() }
     }
 
     #[inline(always)]
     unsafe fn store_pointer(self, x: Self::Vector, to: *mut f32) {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe { to.cast::<Self::Vector>().write(x) }
     }
 
@@ -132,7 +132,7 @@ impl Simd for Scalar {
     fn product(self, product: &Product<'_>) {
         #[cfg(target_arch = "x86_64")]
         if self.fma {
-            // SAFETY: the processor has it.
+            // SAFETY: the processor has FMA.
             return unsafe { product_with_fma(self, product) };
         }
         product::run(self, product);

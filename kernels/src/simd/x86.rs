@@ -1,15 +1,15 @@
-//! Two registers of 256 bits, or one of 512.
+//! Two registers of 256 bits (AVX2) or one of 512 bits (AVX-512).
 
 use core::arch::x86_64::*;
 
 use super::{LANES, Line, Operation, Simd};
 use crate::product::{self, Product};
 
-/// Only made where [`has_avx2`] holds.
+/// Exists only if [`has_avx2`] is true.
 #[derive(Clone, Copy)]
 pub(super) struct Avx2(());
 
-/// Only made where [`has_avx512`] holds.
+/// Exists only if [`has_avx512`] is true.
 #[derive(Clone, Copy)]
 pub(super) struct Avx512(());
 
@@ -21,17 +21,17 @@ pub(super) fn has_avx512() -> bool {
     has_avx2() && std::arch::is_x86_feature_detected!("avx512f")
 }
 
-/// Runs `operation` where [`has_avx2`] holds.
+/// Runs `operation` with AVX2. Panics unless [`has_avx2`] is true.
 pub(super) fn run_avx2<O: Operation>(operation: O) -> O::Output {
     assert!(has_avx2(), "AVX2 and FMA are missing");
-    // SAFETY: the processor has them.
+    // SAFETY: just checked.
     unsafe { with_avx2(operation) }
 }
 
-/// Runs `operation` where [`has_avx512`] holds.
+/// Runs `operation` with AVX-512. Panics unless [`has_avx512`] is true.
 pub(super) fn run_avx512<O: Operation>(operation: O) -> O::Output {
     assert!(has_avx512(), "AVX-512F is missing");
-    // SAFETY: the processor has it.
+    // SAFETY: just checked.
     unsafe { with_avx512(operation) }
 }
 
@@ -77,25 +77,25 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn load(self, from: &Line) -> Self::Vector {
-        // SAFETY: a line is sixteen numbers.
+        // SAFETY: a line has sixteen values.
         unsafe { self.load_pointer(from.0.as_ptr()) }
     }
 
     #[inline(always)]
     fn store(self, x: Self::Vector, to: &mut Line) {
-        // SAFETY: a line is sixteen numbers.
+        // SAFETY: a line has sixteen values.
         unsafe { self.store_pointer(x, to.0.as_mut_ptr()) }
     }
 
     #[inline(always)]
     unsafe fn load_pointer(self, from: *const f32) -> Self::Vector {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe { [_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(LANES / 2))] }
     }
 
     #[inline(always)]
     unsafe fn store_pointer(self, x: Self::Vector, to: *mut f32) {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             _mm256_storeu_ps(to, x[0]);
             _mm256_storeu_ps(to.add(LANES / 2), x[1]);
@@ -134,13 +134,13 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn at_most(self, limit: Self::Vector, x: Self::Vector) -> Self::Vector {
-        // SAFETY: as in `splat`. The instruction gives its second operand where one is NaN.
+        // SAFETY: as in `splat`. The instruction returns its second operand if either is NaN.
         unsafe { [_mm256_min_ps(limit[0], x[0]), _mm256_min_ps(limit[1], x[1])] }
     }
 
     #[inline(always)]
     fn at_least(self, limit: Self::Vector, x: Self::Vector) -> Self::Vector {
-        // SAFETY: as in `splat`. The instruction gives its second operand where one is NaN.
+        // SAFETY: as in `splat`. The instruction returns its second operand if either is NaN.
         unsafe { [_mm256_max_ps(limit[0], x[0]), _mm256_max_ps(limit[1], x[1])] }
     }
 
@@ -182,25 +182,25 @@ impl Simd for Avx512 {
 
     #[inline(always)]
     fn load(self, from: &Line) -> Self::Vector {
-        // SAFETY: a line is sixteen numbers.
+        // SAFETY: a line has sixteen values.
         unsafe { self.load_pointer(from.0.as_ptr()) }
     }
 
     #[inline(always)]
     fn store(self, x: Self::Vector, to: &mut Line) {
-        // SAFETY: a line is sixteen numbers.
+        // SAFETY: a line has sixteen values.
         unsafe { self.store_pointer(x, to.0.as_mut_ptr()) }
     }
 
     #[inline(always)]
     unsafe fn load_pointer(self, from: *const f32) -> Self::Vector {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe { _mm512_loadu_ps(from) }
     }
 
     #[inline(always)]
     unsafe fn store_pointer(self, x: Self::Vector, to: *mut f32) {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe { _mm512_storeu_ps(to, x) }
     }
 
@@ -236,13 +236,13 @@ impl Simd for Avx512 {
 
     #[inline(always)]
     fn at_most(self, limit: Self::Vector, x: Self::Vector) -> Self::Vector {
-        // SAFETY: as in `splat`. The instruction gives its second operand where one is NaN.
+        // SAFETY: as in `splat`. The instruction returns its second operand if either is NaN.
         unsafe { _mm512_min_ps(limit, x) }
     }
 
     #[inline(always)]
     fn at_least(self, limit: Self::Vector, x: Self::Vector) -> Self::Vector {
-        // SAFETY: as in `splat`. The instruction gives its second operand where one is NaN.
+        // SAFETY: as in `splat`. The instruction returns its second operand if either is NaN.
         unsafe { _mm512_max_ps(limit, x) }
     }
 

@@ -8,7 +8,8 @@ use learner::slots::{
     AuditPlan, ConnectionId, Effect, Offer, SlotRollout, SlotRules, SlotTable, Trust,
 };
 use proto::{
-    ActorId, Beat, EvaluationResult, Incarnation, Lease, LeaseId, PushHeader, Reason, Refusal, Work,
+    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, LeaseId, PushHeader, Reason, Refusal,
+    Work,
 };
 
 use crate::disturbances::{Event, MOST_UNDER_WAY, SEATS};
@@ -27,7 +28,7 @@ enum Message {
     Ask(ActorId),
     Chunk(Lease, u32),
     Episode(Lease),
-    Beat(Beat),
+    Beat(Heartbeat),
     Offered(Offer),
     Taken { lease: Key, sequence: u32, finished: bool },
     Ended(Key),
@@ -165,7 +166,7 @@ impl Cluster {
             return;
         };
         let (lease, slot_step) = (doing.lease.id, doing.sent);
-        self.send(seat, Message::Beat(Beat { actor, incarnation, lease, slot_step }));
+        self.send(seat, Message::Beat(Heartbeat { actor, incarnation, lease, slot_step }));
     }
 
     fn kill(&mut self, seat: usize) {

@@ -11,7 +11,7 @@ pub(crate) enum Event {
     /// An actor takes its next step: it asks for work, or sends some.
     Act(usize),
     /// An actor gives a sign of life.
-    Beat(usize),
+    Heartbeat(usize),
     /// A message arrives; the first is the oldest.
     Arrive(usize),
     /// A message arrives, and will once more.

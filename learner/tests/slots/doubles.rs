@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use learner::slots::{AuditCounts, ConnectionId, Effect, Offer};
-use proto::{AckState, Beat, Digest, Reason};
+use proto::{AckState, Digest, Heartbeat, Reason};
 
 use crate::table::{
     Held, INCARNATION, TTL, actor, audited_table, complete, lease, push, push_as, slot, table,
@@ -29,7 +29,8 @@ fn messages_over_another_connection_end_no_lease_and_count_against_their_sender(
             table.refuse(connection, Some(held.id));
         }
     }
-    let beat = Beat { actor: honest.id, incarnation: INCARNATION, lease: held.id, slot_step: 1 };
+    let beat =
+        Heartbeat { actor: honest.id, incarnation: INCARNATION, lease: held.id, slot_step: 1 };
     let refusal = table.heartbeat(liar.connection, &beat).unwrap_err();
     assert_eq!(refusal.reason, Reason::UnknownActor);
     let asked = table.lease(liar.connection, honest.id, INCARNATION).unwrap_err();
@@ -70,7 +71,8 @@ fn a_slot_goes_on_when_one_of_its_two_leases_ends() {
     let mut table = table(1);
     let (slow, quick) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, slow);
-    let beat = Beat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
+    let beat =
+        Heartbeat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
     for time in [15, 30] {
         table.tick(second(time));
         assert_eq!(table.heartbeat(slow.connection, &beat), Ok(true));

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use learner::slots::{Effect, Offer, SlotTable};
 use proptest::prelude::*;
-use proto::{AckState, Beat};
+use proto::{AckState, Heartbeat};
 
 use crate::schedules::for_all;
 use crate::table::{
@@ -132,7 +132,7 @@ impl World {
             return;
         };
         let (actor, connection) = (actor.id, actor.connection);
-        let beat = Beat { actor, incarnation: INCARNATION, lease: lease.id, slot_step: *sent };
+        let beat = Heartbeat { actor, incarnation: INCARNATION, lease: lease.id, slot_step: *sent };
         let _ = self.table.heartbeat(connection, &beat);
     }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use learner::slots::{ConnectionId, Effect, Offer};
-use proto::{ActorId, Beat, EvaluationResult, Incarnation, PushHeader, Reason, Work};
+use proto::{ActorId, EvaluationResult, Heartbeat, Incarnation, PushHeader, Reason, Work};
 
 use crate::table::{
     Actor, CHUNKS, Held, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights,
@@ -67,7 +67,7 @@ fn heartbeats_extend_a_lease_until_no_chunk_came_for_long_whatever_steps_they_cl
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
     let beat =
-        |slot_step| Beat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
+        |slot_step| Heartbeat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
     push(&mut table, &lease, 0).unwrap();
     for time in 1..8 {
         table.tick(second(15 * time));
@@ -85,7 +85,7 @@ fn an_episode_is_played_on_while_its_steps_rise_but_no_lease_grows_older_than_ni
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
     let beat =
-        |slot_step| Beat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
+        |slot_step| Heartbeat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
     for time in 1..120 {
         table.tick(second(15 * time));
         assert_eq!(table.heartbeat(a.connection, &beat(time as u32)), Ok(true), "{time}");
@@ -99,7 +99,7 @@ fn more_steps_than_the_work_has_are_refused() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
-    let beat = Beat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step: 51 };
+    let beat = Heartbeat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step: 51 };
     let refusal = table.heartbeat(a.connection, &beat).unwrap_err();
     assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::BadValue, "slot_step"));
     assert_eq!(refusal.detail, "51, the work has 50 steps");

@@ -13,7 +13,7 @@ fn event() -> impl Strategy<Value = Event> {
     let message = || prop_oneof![3 => Just(0), 1 => 0..MOST_UNDER_WAY];
     prop_oneof![
         24 => seat().prop_map(Event::Act),
-        4 => seat().prop_map(Event::Beat),
+        4 => seat().prop_map(Event::Heartbeat),
         36 => message().prop_map(Event::Arrive),
         4 => message().prop_map(Event::ArriveTwice),
         2 => message().prop_map(Event::Lose),

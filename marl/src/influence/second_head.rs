@@ -6,7 +6,7 @@ use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{Distribution, Gaussian, PolicyConfig, Precision, hold_sigma};
+use policy::{Distribution, Gaussian, PolicyConfig, Precision, project_sigma};
 
 use crate::config::InfluenceConfig;
 use crate::error::MarlError;
@@ -111,6 +111,6 @@ impl SecondHead {
     /// # Errors
     /// Passes on a tensor error.
     pub fn project(&self) -> Result<(), MarlError> {
-        Ok(hold_sigma(&self.log_std, self.sigma_floor, self.sigma_scale)?)
+        Ok(project_sigma(&self.log_std, self.sigma_floor, self.sigma_scale)?)
     }
 }

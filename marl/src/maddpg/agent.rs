@@ -57,9 +57,8 @@ impl Agent {
         let head = Head::Deterministic { noise_sigma, low, high };
         let actor = || {
             let mut rng = draw(Purpose::Initialisation);
-            let action = (shape.action, head);
-            let dtype = precision.dtype();
-            ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)
+            let (observation, action) = (shape.observation, shape.action);
+            ActorNetwork::with_head(policy, observation, action, head, precision.dtype(), &mut rng)
         };
         let inputs = problem.state + problem.agents.iter().map(|agent| agent.action).sum::<usize>();
         let value = || {

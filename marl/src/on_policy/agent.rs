@@ -117,8 +117,9 @@ impl Agent {
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
-        let (action, dtype) = ((shape.action, shape.kind.head()), precision.dtype());
-        let network = ActorNetwork::with_head(policy, shape.observation, action, dtype, &mut rng)?;
+        let (head, dtype) = (shape.kind.head(), precision.dtype());
+        let (observation, action) = (shape.observation, shape.action);
+        let network = ActorNetwork::with_head(policy, observation, action, head, dtype, &mut rng)?;
         let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
         let total: usize = seen.sum();
         let (update, influence) = (&config.update, &config.influence);

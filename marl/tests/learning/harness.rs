@@ -43,7 +43,7 @@ impl Turn<'_> {
     /// The action that evaluation takes.
     pub(crate) fn settled(&self) -> f32 {
         let mut action = [0.0];
-        self.policy.settle(self.output, &mut action);
+        self.policy.mode(self.output, &mut action);
         action[0]
     }
 

@@ -1,11 +1,11 @@
-//! Reading a policy's layers from its arrays, with refusals that name the array.
+//! Reads a policy's layers from its arrays; errors name the array.
 
 use crate::arrays::{Array, NamedArrays};
 use crate::error::PolicyError;
 use crate::layers::LayerSpec;
 use crate::standardisation::{INVERSE, MEAN, Standardisation};
 
-/// Takes arrays out of their map, checking names and shapes.
+/// Reads arrays by name, checks their shapes and counts them.
 pub(super) struct Reader<'a> {
     pub(super) arrays: &'a NamedArrays,
     pub(super) used: usize,
@@ -17,14 +17,14 @@ impl Reader<'_> {
         match self.arrays.get(name) {
             Some(Array::F32 { shape, data }) if shape == expected => {
                 if data.iter().any(|x| !x.is_finite()) {
-                    return Err(wrong("holds a number that is not finite".to_owned()));
+                    return Err(wrong("has a value that is not finite".to_owned()));
                 }
                 self.used += 1;
                 Ok(data)
             }
             Some(other) => {
                 let found = other.shape();
-                Err(wrong(format!("has shape {found:?}, expected f32 numbers {expected:?}")))
+                Err(wrong(format!("has shape {found:?}, expected f32 {expected:?}")))
             }
             None => Err(wrong("is missing".to_owned())),
         }
@@ -34,7 +34,7 @@ impl Reader<'_> {
         Ok(self.array(name, &[length])?.to_vec())
     }
 
-    /// How observations are standardised, where they are.
+    /// The standardisation of observations, if present.
     pub(super) fn standardisation(
         &mut self,
         width: usize,
@@ -46,7 +46,7 @@ impl Reader<'_> {
         Ok(Some(Standardisation { mean, inverse }))
     }
 
-    /// All parameters of these layers, one after another.
+    /// The concatenated parameters of the layers.
     pub(super) fn layers(&mut self, layers: &[LayerSpec]) -> Result<Vec<f32>, PolicyError> {
         let mut all = Vec::new();
         for (name, shape) in layers.iter().flat_map(LayerSpec::parameters) {

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use candle_core::backend::BackendStorage as _;
 use candle_core::backprop::GradStore;
 use candle_core::{CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, TensorId, Var};
-use kernels::{Input, Memory, Network, Packed, Workspace};
+use kernels::{Input, Network, Packed, Sequences, Workspace};
 use rand::RngCore;
 
 use super::plain;
@@ -15,23 +15,23 @@ use crate::error::PolicyError;
 use crate::layers::{LayerSpec, network_of};
 use crate::parameters::Parameters;
 
-/// Layers with trainable parameters, which are one flat variable.
+/// Layers whose trainable parameters are one flat variable.
 #[derive(Clone, Debug)]
 pub struct LayerStack {
     network: Arc<Network>,
     flat: Var,
 }
 
-/// The weights of a [`LayerStack`] as they are now, ready to compute with; to be taken once per optimiser step.
+/// The current weights of a [`LayerStack`], packed for computation. Created once per optimiser step.
 #[derive(Clone, Debug)]
 pub struct Weights {
     network: Arc<Network>,
     flat: Tensor,
-    /// In single precision.
+    /// Only in single precision.
     packed: Option<Arc<Packed>>,
 }
 
-/// How the rows of a recurrent network follow each other: rows `t * B + b`.
+/// States and resets of a recurrent network, rows `t * B + b`.
 #[derive(Clone, Copy, Debug)]
 pub struct RecurrentInput<'a> {
     /// Recurrent state before the first step, `[B, H]`; a constant.
@@ -41,23 +41,23 @@ pub struct RecurrentInput<'a> {
 }
 
 impl LayerStack {
-    /// Declares the layers' parameters, their starts drawn in order.
+    /// Declares the layers' parameters; their initial values are drawn in order.
     ///
     /// # Errors
-    /// Passes on a tensor error; refuses a name that is taken.
+    /// If a name is already declared; passes on a tensor error.
     pub fn declare(
         parameters: &mut Parameters,
         specs: &[LayerSpec],
         dtype: DType,
         rng: &mut impl RngCore,
     ) -> core::result::Result<Self, PolicyError> {
-        let start: Vec<f32> = specs.iter().flat_map(|spec| spec.start(rng)).collect();
+        let start: Vec<f32> = specs.iter().flat_map(|spec| spec.initial_values(rng)).collect();
         let named = specs.iter().flat_map(LayerSpec::parameters).collect();
         let flat = parameters.add_all(named, start, dtype)?;
         Ok(Self { network: Arc::new(network_of(specs)), flat })
     }
 
-    /// The weights as they are now, by which gradients are known.
+    /// The current weights, differentiable.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -65,7 +65,7 @@ impl LayerStack {
         self.weights_of(self.flat.as_tensor().clone())
     }
 
-    /// As [`LayerStack::weights`], constants.
+    /// As [`LayerStack::weights`], but constant.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -73,8 +73,8 @@ impl LayerStack {
         self.weights_of(self.flat.as_tensor().detach())
     }
 
-    /// As [`LayerStack::weights`], those of all layers but the last and those of the last, for networks that share the
-    /// former. There are two layers or more.
+    /// As [`LayerStack::weights`], separately for all layers but the last and for the last, for networks that share the
+    /// former. There must be at least two layers.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -104,7 +104,7 @@ impl Weights {
     /// The network's output `[R, out]` for rows `x` `[R, in]`.
     ///
     /// # Errors
-    /// If shapes or element types do not fit.
+    /// If shapes or element types do not match.
     pub fn apply(&self, x: &Tensor, recurrent: Option<RecurrentInput<'_>>) -> Result<Tensor> {
         let x = &x.contiguous()?;
         match &self.packed {
@@ -116,10 +116,10 @@ impl Weights {
         }
     }
 
-    /// What the last layer is given, `[R, F]`, and the output, `[R, out]`; both constants.
+    /// The input of the last layer, `[R, F]`, and the output, `[R, out]`; both constant.
     ///
     /// # Errors
-    /// If shapes or element types do not fit.
+    /// If shapes or element types do not match.
     pub fn features_and_output(
         &self,
         x: &Tensor,
@@ -147,10 +147,10 @@ impl Weights {
         ))
     }
 
-    /// The recurrent state after the last step, `[B, H]`, a constant; nothing without a GRU.
+    /// The recurrent state after the last step, `[B, H]`, constant; `None` without a GRU.
     ///
     /// # Errors
-    /// If shapes or element types do not fit.
+    /// If shapes or element types do not match.
     pub fn last_states(&self, x: &Tensor, recurrent: RecurrentInput<'_>) -> Result<Option<Tensor>> {
         let Some((gru, hidden)) = self.network.gru() else { return Ok(None) };
         let (steps, sequences) = recurrent.mask.dims2()?;
@@ -172,15 +172,15 @@ impl Weights {
 }
 
 thread_local! {
-    /// Buffers that wait for the next pass on this thread.
-    static IDLE: RefCell<Vec<Workspace>> = const { RefCell::new(Vec::new()) };
-    /// Gradients by flat variables that the backward pass of this thread has found so far.
-    static FOUND: RefCell<Vec<(TensorId, Vec<f32>)>> = const { RefCell::new(Vec::new()) };
+    /// Unused buffers of this thread.
+    static POOL: RefCell<Vec<Workspace>> = const { RefCell::new(Vec::new()) };
+    /// Gradients of flat variables that the current backward pass of this thread has accumulated.
+    static GRADIENTS: RefCell<Vec<(TensorId, Vec<f32>)>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Gradients of a scalar by all variables that it was computed from.
+/// Gradients of a scalar with respect to all variables it depends on.
 ///
-/// Those by a fused network's parameters bypass candle's store, which would copy them three times.
+/// The gradients of a fused network's parameters bypass candle's store, which would copy them three times.
 pub struct Backward {
     store: GradStore,
     fused: Vec<(TensorId, Vec<f32>)>,
@@ -192,14 +192,14 @@ impl Backward {
     /// # Errors
     /// Passes on a tensor error.
     pub fn from(root: &Tensor) -> Result<Self> {
-        // A thread that waits inside one pass may take up another: each keeps to its own gradients.
-        let outer = FOUND.take();
+        // A thread that waits within one pass may start another: each pass has separate gradients.
+        let outer = GRADIENTS.take();
         let store = root.backward();
-        let fused = FOUND.replace(outer);
+        let fused = GRADIENTS.replace(outer);
         Ok(Self { store: store?, fused })
     }
 
-    /// The gradient by `variable`, if the root depends on it.
+    /// The gradient with respect to `variable`, if the root depends on it.
     ///
     /// # Errors
     /// Passes on a tensor error.
@@ -210,16 +210,16 @@ impl Backward {
         Ok(fused.transpose()?.or_else(|| self.store.get(variable).cloned()))
     }
 
-    /// The numbers of the gradient by `variable` where it is the parameters of a fused network; once.
+    /// Removes and returns the gradient of `variable` if it holds the parameters of a fused network.
     pub fn take_fused(&mut self, variable: &Tensor) -> Option<Vec<f32>> {
         let place = self.fused.iter().position(|(id, _)| *id == variable.id())?;
         Some(self.fused.swap_remove(place).1)
     }
 }
 
-/// The gradient by `variable` that this thread has found so far, or zeros.
-fn take_found(variable: &Tensor) -> Vec<f32> {
-    let found = FOUND.with_borrow_mut(|found| {
+/// Removes and returns the gradient of `variable` accumulated by this thread, or zeros.
+fn take_gradient(variable: &Tensor) -> Vec<f32> {
+    let found = GRADIENTS.with_borrow_mut(|found| {
         let place = found.iter().position(|(id, _)| *id == variable.id())?;
         Some(found.swap_remove(place).1)
     });
@@ -227,25 +227,25 @@ fn take_found(variable: &Tensor) -> Vec<f32> {
 }
 
 fn take_workspace() -> Workspace {
-    IDLE.with_borrow_mut(Vec::pop).unwrap_or_default()
+    POOL.with_borrow_mut(Vec::pop).unwrap_or_default()
 }
 
-fn give_back(workspace: Workspace) {
-    IDLE.with_borrow_mut(|idle| idle.push(workspace));
+fn return_workspace(workspace: Workspace) {
+    POOL.with_borrow_mut(|idle| idle.push(workspace));
 }
 
 fn with_workspace<T>(work: impl FnOnce(&mut Workspace) -> Result<T>) -> Result<T> {
     let mut workspace = take_workspace();
     let found = work(&mut workspace);
-    give_back(workspace);
+    return_workspace(workspace);
     found
 }
 
-/// A network's forward pass, and the backward pass that goes with it.
+/// A network's forward pass and its backward pass.
 struct Fused {
     packed: Arc<Packed>,
     recurrent: Option<Recurrent>,
-    /// From the forward to the backward pass.
+    /// Saved by the forward pass for the backward pass.
     workspace: Mutex<Option<Workspace>>,
 }
 
@@ -258,7 +258,7 @@ struct Recurrent {
 impl Drop for Fused {
     fn drop(&mut self) {
         let kept = self.workspace.get_mut().unwrap_or_else(PoisonError::into_inner).take();
-        kept.into_iter().for_each(give_back);
+        kept.into_iter().for_each(return_workspace);
     }
 }
 
@@ -272,7 +272,10 @@ impl Fused {
         let network = packed.network();
         if width != network.inputs() || x.dtype() != DType::F32 {
             let expected = network.inputs();
-            candle_core::bail!("a network for {expected} f32 numbers: x {:?}", x.layout())
+            candle_core::bail!(
+                "the network expects rows of {expected} f32 values: x is {:?}",
+                x.layout()
+            )
         }
         let recurrent = match (network.gru(), recurrent) {
             (Some((_, hidden)), Some(given)) => {
@@ -285,22 +288,22 @@ impl Fused {
                 let (start, mask) = (flat(given.start)?, flat(given.mask)?);
                 Some(Recurrent { start, mask, sequences })
             }
-            (Some(_), None) => candle_core::bail!("a recurrent network without states"),
+            (Some(_), None) => candle_core::bail!("a recurrent network needs states and a mask"),
             (None, _) => None,
         };
         Ok(Self { packed: Arc::clone(packed), recurrent, workspace: Mutex::default() })
     }
 
-    fn memory(&self) -> Option<Memory<'_>> {
-        self.recurrent.as_ref().map(|Recurrent { start, mask, sequences }| Memory {
+    fn sequences(&self) -> Option<Sequences<'_>> {
+        self.recurrent.as_ref().map(|Recurrent { start, mask, sequences }| Sequences {
             start,
             mask,
-            sequences: *sequences,
+            count: *sequences,
         })
     }
 
     fn forward(&self, rows: &[f32], workspace: &mut Workspace) {
-        self.packed.forward(Input { rows, memory: self.memory() }, workspace);
+        self.packed.forward(Input { rows, sequences: self.sequences() }, workspace);
     }
 }
 
@@ -341,16 +344,16 @@ impl CustomOp2 for Fused {
             candle_core::bail!("a second backward pass over one forward pass")
         };
         let g = g.contiguous()?;
-        let mut by_flat = flat.track_op().then(|| take_found(flat));
+        let mut by_flat = flat.track_op().then(|| take_gradient(flat));
         let mut by_x = x.track_op().then(Vec::new);
         let output = values::<f32>(&g)?;
         let (parameters, input) = (by_flat.as_deref_mut(), by_x.as_mut());
-        self.packed.backward(&output, self.memory(), &mut workspace, parameters, input);
-        give_back(workspace);
+        self.packed.backward(&output, self.sequences(), &mut workspace, parameters, input);
+        return_workspace(workspace);
         let by_x = by_x.map(|data| Tensor::from_vec(data, x.shape(), x.device())).transpose()?;
         let Some(data) = by_flat else { return Ok((by_x, None)) };
         if flat.is_variable() {
-            FOUND.with_borrow_mut(|found| found.push((flat.id(), data)));
+            GRADIENTS.with_borrow_mut(|found| found.push((flat.id(), data)));
             return Ok((by_x, None));
         }
         Ok((by_x, Some(Tensor::from_vec(data, flat.shape(), flat.device())?)))

@@ -1,14 +1,14 @@
-//! Layers out of candle's own operations: slower, differentiable by candle, in any precision.
+//! Layers from candle's own operations: slower, differentiated by candle, in any precision.
 
 use candle_core::{Result, Tensor};
 use kernels::{Activation, Layer, Network};
 
 use super::{LAYER_NORM_EPSILON, RecurrentInput};
 
-/// The input `x` `[R, in]` and every layer's result, of a network whose parameters are `flat`.
+/// The input `x` `[R, in]` and every layer's result, for a network with the parameters `flat`.
 ///
 /// # Errors
-/// If shapes or element types do not fit.
+/// If shapes or element types do not match.
 pub fn network(
     network: &Network,
     x: &Tensor,
@@ -34,7 +34,7 @@ pub fn network(
                 let gates = 3 * hidden;
                 let projected = linear(x, &next(&[gates, inputs])?, &next(&[gates])?, identity)?;
                 let Some(RecurrentInput { start, mask }) = recurrent else {
-                    candle_core::bail!("a recurrent network without states")
+                    candle_core::bail!("a recurrent network needs states and a mask")
                 };
                 let (w_hh, b_hh) = (next(&[gates, hidden])?, next(&[gates])?);
                 gru_sequence(&projected, &w_hh, &b_hh, start, mask)?
@@ -48,7 +48,7 @@ pub fn network(
 /// `activation(x W^T + b)`: `x` is `[R, in]`, `w` `[out, in]`, `b` `[out]`.
 ///
 /// # Errors
-/// If shapes or element types do not fit.
+/// If shapes or element types do not match.
 pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, activation: Activation) -> Result<Tensor> {
     let y = x.matmul(&w.t()?)?.broadcast_add(b)?;
     match activation {
@@ -62,7 +62,7 @@ pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, activation: Activation) -> Res
 /// `weight` and `bias` are `[F]`.
 ///
 /// # Errors
-/// If shapes or element types do not fit.
+/// If shapes or element types do not match.
 pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
     let centred = x.broadcast_sub(&x.mean_keepdim(1)?)?;
     let variance = centred.sqr()?.mean_keepdim(1)?;
@@ -70,11 +70,11 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> 
     normal.broadcast_mul(weight)?.broadcast_add(bias)
 }
 
-/// The recurrent part of [`Layer::Gru`]: `projected` is `x W_i^T + b_i`, `[T*B, 3H]`; the result is every `h_t`,
+/// The recurrent part of [`Layer::Gru`]: `projected` is `x W_i^T + b_i`, `[T*B, 3H]`. Returns every `h_t`,
 /// `[T*B, H]`.
 ///
 /// # Errors
-/// If shapes or element types do not fit.
+/// If shapes or element types do not match.
 pub fn gru_sequence(
     projected: &Tensor,
     w_hh: &Tensor,

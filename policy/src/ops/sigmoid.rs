@@ -1,4 +1,4 @@
-//! The logistic function with the bits of [`crate::math`], not the platform's.
+//! The logistic function as a tensor operation, with the bits of [`crate::math`].
 
 use candle_core::backend::BackendStorage as _;
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor};
@@ -6,10 +6,10 @@ use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor};
 use super::values::operand;
 use crate::math::Real;
 
-/// `1 / (1 + exp(-x))`, element by element.
+/// `1 / (1 + exp(-x))` of every element.
 ///
 /// # Errors
-/// If the element type is no float.
+/// If the element type is not a float.
 pub fn sigmoid(x: &Tensor) -> Result<Tensor> {
     x.contiguous()?.apply_op1(Sigmoid)
 }

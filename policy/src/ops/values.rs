@@ -1,4 +1,4 @@
-//! Reading tensors as slices without a copy.
+//! Tensors as slices, without a copy.
 
 use std::marker::PhantomData;
 use std::ops::{Deref, Range};
@@ -7,14 +7,14 @@ use candle_core::{CpuStorage, Layout, Result, Storage, Tensor};
 
 use crate::math::Real;
 
-/// The numbers of a contiguous CPU tensor, borrowed.
+/// The borrowed elements of a contiguous CPU tensor.
 pub(super) struct Values<T, G> {
     storage: G,
     range: Range<usize>,
     element: PhantomData<T>,
 }
 
-/// Borrows the numbers of `tensor`.
+/// Borrows the elements of `tensor`.
 pub(super) fn values<T: Real>(
     tensor: &Tensor,
 ) -> Result<Values<T, impl Deref<Target = Storage> + '_>> {
@@ -42,7 +42,7 @@ impl<T: Real, G: Deref<Target = Storage>> Deref for Values<T, G> {
     }
 }
 
-/// The numbers of a contiguous operand of a custom operation.
+/// The elements of a contiguous operand of a custom operation.
 pub(super) fn operand<'a, T: Real>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [T]> {
     let Some((start, end)) = layout.contiguous_offsets() else {
         candle_core::bail!("a fused operation needs contiguous tensors, got {layout:?}")

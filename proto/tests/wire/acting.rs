@@ -1,4 +1,4 @@
-//! What trained policies are asked and answer survives the way, and a step that lies is refused by name.
+//! Requests to trained policies and their answers survive the round trip, and an invalid step is rejected by name.
 
 use proto::{
     ActStep, Acted, ActionChoice, ActionDistribution, Digest, PolicyAgent, PolicyDescription,
@@ -7,7 +7,7 @@ use proto::{
 
 use crate::sample;
 
-/// What the sample run's agents observe and do.
+/// Observation and action sizes of the sample run's agents.
 const OBSERVATIONS: [usize; 2] = [3, 2];
 const ACTIONS: [usize; 2] = [2, 1];
 
@@ -47,7 +47,7 @@ fn descriptions_beginnings_steps_and_answers_survive_the_round_trip() {
     assert_eq!(Acted::from_wire(acted.to_wire(), &ACTIONS), Ok(acted));
 }
 
-/// Reason and field with which a step with these observations is refused.
+/// Reason and field of the refusal of a step with these observations.
 fn refused(observations: Vec<(usize, Vec<f32>)>) -> (Reason, String) {
     let wire = ActStep { reset: false, observations }.to_wire();
     let refusal = ActStep::from_wire(&wire, &OBSERVATIONS).unwrap_err();

@@ -1,10 +1,10 @@
-//! Discrete actions: what they look like, and that nothing but a choice's index passes for one.
+//! Discrete actions: only the index of a choice is valid.
 
 use proto::{ActionSpec, AgentChunk, Reason, Refusal, RunDescription, TrajectoryChunk};
 
 use crate::sample;
 
-/// The sample run, whose first agent has one choice among three.
+/// The sample run with three choices for the first agent.
 fn run() -> RunDescription {
     let mut run = sample::run();
     run.environment.agents[0].action =

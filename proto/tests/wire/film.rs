@@ -1,10 +1,10 @@
-//! Films of episodes: what survives the wire, and what is refused.
+//! Films of episodes survive the round trip, and invalid ones are rejected.
 
 use proto::{Film, MAX_FRAMES, Reason, wire};
 
 use crate::sample;
 
-/// Two frames of a ball and of a leg that agent 1 drives.
+/// Two frames of a ball and of a leg that agent 1 controls.
 fn film() -> Film {
     let ends = (0..2 * 2 * 6).map(|i| i as f32 * 0.125).collect();
     Film { frame_secs: 0.05, radii: vec![0.1, 0.05], drivers: vec![None, Some(1)], ends }

@@ -1,4 +1,4 @@
-//! Sizes that overflow, messages as large as allowed, and noise: an answer always, a panic never.
+//! Sizes that overflow, messages of the maximum size, and noise never cause a panic.
 
 use bytes::Bytes;
 use prost::Message;

@@ -1,11 +1,11 @@
-//! A chunk that lies is refused with the right reason and the right field, whatever it lies about.
+//! An invalid chunk is rejected with the right reason and field.
 
 use bytes::Bytes;
 use proto::{Digest, EvaluationResult, Reason, Refusal, TrajectoryChunk, wire};
 
 use crate::sample;
 
-/// What is done to an honest chunk 0 or 1, and how it must be refused.
+/// A change of a valid chunk 0 or 1, and the expected reason and field.
 struct Lie {
     sequence: u32,
     tell: fn(&mut wire::TrajectoryChunk),
@@ -52,7 +52,7 @@ fn end(chunk: &mut wire::TrajectoryChunk) -> &mut wire::SlotEnd {
     chunk.end.as_mut().unwrap()
 }
 
-/// The digest is honest: it is made after the lie.
+/// The digest is valid: it is computed after the change.
 fn verdict(lie: &Lie) -> Refusal {
     let run = sample::run();
     let (mut message, _) = sample::chunk(lie.sequence).to_wire(&run, &sample::origin());
@@ -61,7 +61,7 @@ fn verdict(lie: &Lie) -> Refusal {
     TrajectoryChunk::from_wire(&message, &run, &sample::origin(), digest).unwrap_err()
 }
 
-/// What the refusal of a wrong digest says that the right one is; any will do when that is not reached.
+/// The correct digest, from the refusal of a wrong one; any digest if an earlier check fails.
 fn honest_digest(message: &wire::TrajectoryChunk) -> Digest {
     let wrong = Digest([0; 32]);
     match TrajectoryChunk::from_wire(message, &sample::run(), &sample::origin(), wrong) {

@@ -1,5 +1,4 @@
-//! What is said to a program that offers an environment: every message survives the round trip, and an answer that
-//! does not fit is refused by name.
+//! Messages of an environment service survive the round trip, and an invalid answer is rejected by name.
 
 use bytes::Bytes;
 use proto::wire::play_response::Answer;
@@ -108,7 +107,7 @@ fn another_answer_than_the_one_asked_for_is_refused() {
 fn a_saved_state_has_bytes_and_not_more_than_it_may() {
     for bytes in [0, 65] {
         let refusal = saved_state(&saved(bytes), &environment()).unwrap_err();
-        let detail = format!("BAD_VALUE: saved.state: {bytes} bytes, allowed are 1 to 64");
+        let detail = format!("BAD_VALUE: saved.state: {bytes} bytes, expected 1 to 64");
         assert_eq!(refusal.to_string(), detail);
     }
 }

@@ -1,4 +1,4 @@
-//! Who may work for a run.
+//! Which actors may register.
 
 use proto::{
     Digest, EnvironmentSpec, FeatureRole, PROTOCOL_VERSION, Reason, Refusal, Registration,

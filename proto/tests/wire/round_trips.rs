@@ -3,10 +3,10 @@
 use prost::Message;
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    Ack, AckState, ActorId, Beat, Digest, EnvironmentSpec, EnvironmentStart, EvaluationResult,
-    EvaluationWork, HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId, PolicyVersion,
-    PushHeader, Registered, Registration, RolloutWork, RunDescription, RunState, Start,
-    TrajectoryChunk, WeightsName, Work, wire,
+    Ack, AckState, ActorId, Digest, EnvironmentSpec, EnvironmentStart, EvaluationResult,
+    EvaluationWork, Heartbeat, HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId,
+    PolicyVersion, PushHeader, Registered, Registration, RolloutWork, RunDescription, RunState,
+    Start, TrajectoryChunk, WeightsName, Work, wire,
 };
 
 use crate::sample;
@@ -114,9 +114,13 @@ fn acknowledgements_and_signs_of_life_survive_the_round_trip() {
         let ack = Ack { lease: LeaseId(4), sequence: 3, state, lease_finished: true };
         assert_eq!(Ack::from_wire(&sent(&ack.to_wire())), Ok(ack));
     }
-    let beat =
-        Beat { actor: ActorId(1), incarnation: Incarnation(2), lease: LeaseId(3), slot_step: 4 };
-    assert_eq!(Beat::from_wire(&sent(&beat.to_wire())), beat);
+    let beat = Heartbeat {
+        actor: ActorId(1),
+        incarnation: Incarnation(2),
+        lease: LeaseId(3),
+        slot_step: 4,
+    };
+    assert_eq!(Heartbeat::from_wire(&sent(&beat.to_wire())), beat);
     for run_state in [RunState::Running, RunState::Done, RunState::Draining] {
         let answer = HeartbeatAnswer { lease_valid: true, run_state };
         assert_eq!(HeartbeatAnswer::from_wire(&sent(&answer.to_wire())), Ok(answer));

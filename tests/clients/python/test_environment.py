@@ -151,6 +151,6 @@ def test_actions_that_no_policy_can_be_taught_are_refused_when_the_program_start
         def action_space(self, agent):
             return spaces.MultiDiscrete([2, 2])
 
-    for kind, why in ((Endless, "without bounds"), (Many, "one Box or one Discrete")):
+    for kind, why in ((Endless, "finite bounds"), (Many, "one Box or one Discrete")):
         with pytest.raises(ValueError, match=why):
             Parallel(kind())

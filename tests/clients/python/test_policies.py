@@ -60,7 +60,7 @@ def test_served_choices_are_those_that_the_snapshot_gives_and_are_paid(team, tra
         own = []
         for index, agent in enumerate(snapshot.agents):
             output, hidden[index] = agent.forward(observations[index][None], hidden[index])
-            own.append(agent.settle(output)[0])
+            own.append(agent.mode(output)[0])
         assert served == tuple(float(action[0]) for action in own)
         here.step(own)
 

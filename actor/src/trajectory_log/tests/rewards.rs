@@ -213,7 +213,7 @@ fn lines_that_are_damaged_are_passed_over_and_the_first_of_them_is_told() {
     for (wrong, why) in [
         ("{\"iteration\": 4}".to_owned(), "missing field `episode_id`"),
         ("\u{1}".to_owned(), "expected value"),
-        (lines(&[changed]), "its checksum is not that of its content"),
+        (lines(&[changed]), "the checksum does not match the content"),
         (
             lines(&rewards[..1]).replace("{\"ep", "{\"newer\":1,\"ep"),
             "unknown field `newer`, expected one of `episode_id`, `first_step`, `iteration`, \
