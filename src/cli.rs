@@ -17,7 +17,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub(crate) use control::{
     CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
-    WatchArguments,
+    WatchArguments, patience,
 };
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
@@ -26,7 +26,7 @@ pub(crate) use page::{PageAddress, PageArguments};
 pub(crate) use refusal::report;
 pub(crate) use serve::ServeArguments;
 pub(crate) use settings::SettingsArguments;
-pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
+pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments, credentials};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: a learner and rollout actors communicate over gRPC.
 #[derive(Debug, Parser)]

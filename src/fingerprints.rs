@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use proto::Digest;
 use sha2::{Digest as _, Sha256};
 
-use crate::commands::Usage;
+use crate::errors::Usage;
 use crate::run_path;
 
 /// Both hashes of this program.

@@ -11,11 +11,12 @@ use proto::Digest;
 use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
-use crate::commands::{Usage, config_file_of_run};
 use crate::config::{ConfigError, Request, keys, layers};
+use crate::errors::Usage;
 use crate::fingerprints::Fingerprints;
 use crate::offered::Offered;
 use crate::run_config::RunConfig;
+use crate::run_path::config_file_of_run;
 use crate::{resume, run_path};
 
 /// A run that is ready to start.

@@ -10,9 +10,10 @@ use anyhow::Context as _;
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
-use crate::commands::{Usage, config_file_of_run};
 use crate::config::{Request, layers};
+use crate::errors::Usage;
 use crate::run_path;
+use crate::run_path::config_file_of_run;
 use crate::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };

@@ -6,6 +6,7 @@ mod cli;
 mod commands;
 mod config;
 mod environment_section;
+mod errors;
 mod experiment;
 mod export;
 mod figures;
@@ -23,6 +24,7 @@ mod progress;
 mod resume;
 mod run_config;
 mod run_path;
+mod runtime;
 mod signals;
 mod statistics;
 mod supervisor;
@@ -31,8 +33,8 @@ use std::process::ExitCode;
 
 use clap::Parser as _;
 
-use crate::commands::{Incomplete, Usage};
 use crate::config::ConfigError;
+use crate::errors::{Incomplete, Usage};
 
 // The system's allocator holds the learner back.
 #[global_allocator]

@@ -5,9 +5,10 @@ use anyhow::Context as _;
 use proto::EnvironmentSpec;
 use tokio::runtime::Runtime;
 
-use crate::commands::{Usage, runtime};
 use crate::config::ConfigError;
+use crate::errors::Usage;
 use crate::run_config::RunConfig;
+use crate::runtime::runtime;
 
 /// The setting that names the program.
 const URL: &str = "environment_service.url";

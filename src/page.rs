@@ -4,7 +4,7 @@ use learner::{Hosts, Page};
 use tokio::net::TcpListener;
 
 use crate::cli::{PageAddress, PageArguments};
-use crate::commands::Usage;
+use crate::errors::Usage;
 use crate::output;
 
 /// Refuses a page that other machines could reach unless that is allowed.

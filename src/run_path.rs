@@ -4,9 +4,18 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use crate::errors::Usage;
+
 /// The resolved configuration.
 pub(crate) fn config_file(folder: &Path) -> PathBuf {
     folder.join("config.toml")
+}
+
+/// The settings of the run in `folder`; refuses a folder without any.
+pub(crate) fn config_file_of_run(folder: &Path) -> Result<PathBuf, Usage> {
+    let file = config_file(folder);
+    let lacking = || format!("{} is no run folder: it has no config.toml", folder.display());
+    if file.is_file() { Ok(file) } else { Err(Usage::new(lacking())) }
 }
 
 /// One JSON object per iteration or evaluation.

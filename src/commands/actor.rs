@@ -5,9 +5,10 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::{ActorArguments, ActorLogArguments};
-use crate::commands::{Usage, runtime};
 use crate::config::{ConfigError, Request, layers};
+use crate::errors::Usage;
 use crate::run_config::RunConfig;
+use crate::runtime::runtime;
 use crate::signals;
 
 /// Ends with status 0 when the learner says that the run is done, or when it is told to stop.

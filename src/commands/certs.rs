@@ -12,7 +12,7 @@ use security::Role;
 use security::development::{Issued, Issuer};
 
 use crate::cli::CertsArguments;
-use crate::commands::Usage;
+use crate::errors::Usage;
 use crate::output;
 
 /// Only the owner may read a private key.

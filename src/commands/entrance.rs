@@ -8,7 +8,7 @@ use security::ServerTls;
 use tokio::net::TcpListener;
 
 use crate::cli::ServerTlsArguments;
-use crate::commands::Usage;
+use crate::errors::Usage;
 
 /// An address, and the certificates that are asked for there.
 pub(super) struct Entrance {

@@ -4,7 +4,6 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::ExperimentArguments;
-use crate::commands::runtime;
 use crate::experiment::crew::{self, Tally};
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
@@ -12,6 +11,7 @@ use crate::experiment::plan::{PlannedRun, plan};
 use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
 use crate::experiment::report;
+use crate::runtime::runtime;
 use crate::{output, signals};
 
 /// Runs what is missing and reports; a stop leaves checkpoints and status 0, a run that failed or could not begin

@@ -10,9 +10,9 @@ use proto::ActionChoice;
 use sim::{Environments, Outcome};
 
 use crate::cli::FilmArguments;
-use crate::commands::Usage;
 use crate::commands::checkpointed::{self, Trained};
 use crate::commands::film::measures::{Measures, Moment};
+use crate::errors::Usage;
 use crate::film::{self, Cast, Frame};
 use crate::output;
 

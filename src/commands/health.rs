@@ -1,8 +1,9 @@
 //! `s2mia health`: for whoever watches a learner from outside, such as a container engine.
 
 use crate::cli::HealthArguments;
-use crate::commands::{credentials, patience, runtime};
+use crate::cli::{credentials, patience};
 use crate::output;
+use crate::runtime::runtime;
 
 /// Ends with status 0 if the learner serves, else with one line that says why not.
 pub(super) fn run(arguments: &HealthArguments) -> anyhow::Result<()> {

@@ -6,9 +6,9 @@ use tokio::sync::watch;
 
 use crate::cli::LearnerArguments;
 use crate::commands::entrance::{Entrance, demand_loopback};
-use crate::commands::runtime;
 use crate::launch::{self, Prepared};
 use crate::progress::Progress;
+use crate::runtime::runtime;
 use crate::{output, page, signals};
 
 /// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.

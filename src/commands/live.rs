@@ -12,9 +12,9 @@ use actor::{LiveError, LiveScene, LiveServer};
 use anyhow::Context as _;
 use policy::{Key, RunSeed};
 
-use crate::commands::Usage;
 use crate::commands::checkpointed::{self, Trained};
 use crate::commands::live::curves::Curves;
+use crate::errors::Usage;
 use crate::offered::Stage;
 use crate::output;
 use crate::run_config::RunConfig;

@@ -12,10 +12,11 @@ use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
 use crate::cli::ServeArguments;
+use crate::commands::checkpointed;
 use crate::commands::entrance::{Entrance, demand_loopback};
-use crate::commands::{checkpointed, runtime};
 use crate::offered::Stage;
 use crate::run_config::RunConfig;
+use crate::runtime::runtime;
 use crate::{output, run_path, signals};
 
 /// How often a run that is followed is looked at.

@@ -7,9 +7,11 @@ use serde_json::json;
 
 use crate::chart::thousands;
 use crate::cli::StatusArguments;
+use crate::cli::patience;
+use crate::commands::checkpointed;
 use crate::commands::control::{operator, url};
-use crate::commands::{checkpointed, patience, runtime};
 use crate::run_config::RunConfig;
+use crate::runtime::runtime;
 use crate::{output, run_path};
 
 /// Prints one line and a table of leases, or one JSON object.

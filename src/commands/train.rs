@@ -16,11 +16,11 @@ use tokio::sync::watch;
 use crate::chart;
 use crate::cli::{LiveArguments, PageArguments, TrainArguments};
 use crate::commands::live::{Place, Show};
-use crate::commands::runtime;
 use crate::commands::train::closing::Length;
 use crate::launch::{self, Prepared};
 use crate::progress::Progress;
 use crate::run_config::RunConfig;
+use crate::runtime::runtime;
 use crate::supervisor::{self, Crew, Surrender};
 use crate::{learning_curve, output, page, run_path, signals};
 

@@ -14,11 +14,13 @@ use tokio::sync::watch;
 
 use crate::chart::thousands;
 use crate::cli::WatchArguments;
+use crate::commands::checkpointed;
 use crate::commands::control::{operator, url};
 use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;
-use crate::commands::{Usage, checkpointed, runtime};
+use crate::errors::Usage;
 use crate::run_config::RunConfig;
+use crate::runtime::runtime;
 use crate::{output, run_path, signals};
 
 /// How long a learner may take to answer.

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use crate::commands::Usage;
 use crate::config::error::in_words;
+use crate::errors::Usage;
 
 /// Settings that an experiment decides by keys of its own.
 const DECIDED: [&str; 8] = [

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::file::{ExperimentFile, Variant, assignments};
-use crate::commands::Usage;
 use crate::config::{Request, layers};
+use crate::errors::Usage;
 use crate::run_config::RunConfig;
 
 /// One run of an experiment.

@@ -1,7 +1,7 @@
 //! After which steps of an episode its frames are taken.
 
 use crate::cli::FilmArguments;
-use crate::commands::Usage;
+use crate::errors::Usage;
 
 /// Where frames begin when nobody says, seconds: the robot has left its start behind.
 const UNDER_WAY: f64 = 5.0;

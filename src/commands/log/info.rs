@@ -6,7 +6,7 @@ use actor::trajectory_log::{Survey, read_bytes, survey};
 
 use crate::chart;
 use crate::cli::LogFiles;
-use crate::commands::log::{in_file, paths};
+use crate::commands::log::files::{in_file, paths};
 use crate::output;
 
 /// One block for each file.

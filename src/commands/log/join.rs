@@ -4,7 +4,8 @@ use actor::trajectory_log::join;
 
 use crate::chart::thousands;
 use crate::cli::JoinArguments;
-use crate::commands::log::{Incomplete, in_file, index, paid};
+use crate::commands::log::files::{in_file, index, paid};
+use crate::errors::Incomplete;
 use crate::output;
 
 /// Writes the file and says what is in it. Ends with status 3 if something of a reward log is damaged.

@@ -4,7 +4,8 @@ use actor::trajectory_log::{read_bytes, recover};
 
 use crate::chart::thousands;
 use crate::cli::RecoverArguments;
-use crate::commands::log::{Incomplete, in_file};
+use crate::commands::log::files::in_file;
+use crate::errors::Incomplete;
 use crate::output;
 
 /// Ends with status 3 if something was lost, and says what.

@@ -4,7 +4,7 @@ use actor::trajectory_log::{read_bytes, replay};
 
 use crate::chart::thousands;
 use crate::cli::LogFiles;
-use crate::commands::log::{in_file, paths};
+use crate::commands::log::files::{in_file, paths};
 use crate::output;
 
 /// Ends with status 1 at the first step that differs.

@@ -4,7 +4,8 @@ use actor::trajectory_log::Index;
 
 use crate::chart::thousands;
 use crate::cli::LogFiles;
-use crate::commands::log::{Incomplete, index, paid};
+use crate::commands::log::files::{index, paid};
+use crate::errors::Incomplete;
 use crate::output;
 
 /// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only something is missing.
