@@ -179,9 +179,6 @@ pub(crate) struct LearnerArguments {
     /// Address on which the learner listens for actors.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     pub(crate) listen: SocketAddr,
-    /// Allow a non-loopback --listen address without encryption and authentication.
-    #[arg(long, conflicts_with = "tls_certificate")]
-    pub(crate) insecure_allow_remote: bool,
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ServerTlsArguments,

@@ -5,7 +5,6 @@ mod certs;
 mod checkpointed;
 mod config;
 mod control;
-mod entrance;
 mod eval;
 mod experiment;
 mod export;

@@ -14,6 +14,7 @@ mod film;
 mod fingerprints;
 mod launch;
 mod learning_curve;
+mod listening;
 mod logging;
 mod offered;
 mod output;

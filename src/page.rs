@@ -5,18 +5,18 @@ use tokio::net::TcpListener;
 
 use crate::cli::{PageAddress, PageArguments};
 use crate::errors::Usage;
+use crate::listening::demand_loopback;
 use crate::output;
 
 /// Refuses a page that other machines could reach unless that is allowed.
 pub(crate) fn check(arguments: &PageArguments) -> Result<(), Usage> {
     let PageAddress::At(address) = arguments.page else { return Ok(()) };
-    if address.ip().is_loopback() || arguments.insecure_allow_remote_page {
+    if arguments.insecure_allow_remote_page {
         return Ok(());
     }
-    Err(Usage::new(format!(
-        "--page {address} would show this run to other machines without encryption or identity; \
-         pass --insecure-allow-remote-page to allow that, and --page-host with the names they use"
-    )))
+    let permission =
+        "pass --insecure-allow-remote-page to allow that, and --page-host with the names they use";
+    demand_loopback("--page", address, permission)
 }
 
 /// Opens the page and says where it is.

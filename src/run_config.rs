@@ -112,15 +112,7 @@ impl RunConfig {
             true => self.validate_actions()?,
             false => self.environment.validate(&self.task.observation, self.log)?,
         }
-        self.validate_burn_in()?;
-        let (chunk, through_time) =
-            (self.learner.environments.message_steps, self.policy.backpropagation_steps);
-        if !chunk.is_multiple_of(through_time) {
-            return Err(format!(
-                "environments.message_steps must be a multiple of policy.backpropagation_steps = {through_time}, is {chunk}"
-            ));
-        }
-        Ok(())
+        self.learner.suits(&self.policy).map_err(|error| error.to_string())
     }
 
     /// A task is built only where its actions decide; how it scales what it shows is another matter.
@@ -137,14 +129,6 @@ impl RunConfig {
             let kind = agent.action.choices.map_or(ActionKind::Continuous, of_choices);
             self.training.suits_actions(kind).map_err(|error| error.to_string())
         })
-    }
-
-    fn validate_burn_in(&self) -> Result<(), String> {
-        let (burn_in, steps) = (self.policy.burn_in, self.learner.environments.steps);
-        if burn_in < steps {
-            return Ok(());
-        }
-        Err(format!("policy.burn_in must be less than environments.steps = {steps}, is {burn_in}"))
     }
 
     fn validate_run(&self) -> Result<(), String> {
@@ -168,19 +152,14 @@ impl RunConfig {
     /// Iterations of the whole run.
     pub(crate) fn iterations(&self) -> u64 {
         match self.run.iterations {
-            0 => self.run.env_steps.div_ceil(self.steps_per_iteration()),
+            0 => self.run.env_steps.div_ceil(self.learner.environments.steps_per_iteration()),
             iterations => iterations,
         }
     }
 
     /// Environment steps of the whole run.
     pub(crate) fn env_steps(&self) -> u64 {
-        self.iterations().saturating_mul(self.steps_per_iteration())
-    }
-
-    fn steps_per_iteration(&self) -> u64 {
-        let environments = &self.learner.environments;
-        (environments.count * environments.steps) as u64
+        self.iterations().saturating_mul(self.learner.environments.steps_per_iteration())
     }
 
     /// Actor processes on this machine.

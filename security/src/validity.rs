@@ -4,6 +4,8 @@
 use std::fmt;
 use std::time::SystemTime;
 
+use time::OffsetDateTime;
+
 const SEQUENCE: u8 = 0x30;
 const VERSION: u8 = 0xa0;
 const UTC_TIME: u8 = 0x17;
@@ -76,22 +78,13 @@ fn moment(bytes: &[u8]) -> Option<Moment> {
 }
 
 impl From<SystemTime> for Moment {
-    /// Days to dates after Howard Hinnant, "chrono-compatible low-level date algorithms": years begin in
-    /// March, so that the leap day is the last one.
+    /// The time in UTC.
     fn from(time: SystemTime) -> Self {
-        let seconds =
-            time.duration_since(SystemTime::UNIX_EPOCH).map_or(0, |since| since.as_secs());
-        let (days, second) = (seconds / 86_400 + 719_468, seconds % 86_400);
-        let (era, day_of_era) = (days / 146_097, days % 146_097);
-        let year_of_era =
-            (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-        let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-        let shifted = (5 * day_of_year + 2) / 153;
-        let day = day_of_year - (153 * shifted + 2) / 5 + 1;
-        let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
-        let year = year_of_era + era * 400 + u64::from(month <= 2);
-        let fields = [year, month, day, second / 3600, second / 60 % 60, second % 60];
-        Self(fields.map(|field| field as u32))
+        let time = OffsetDateTime::from(time);
+        let ((year, month, day), (hour, minute, second)) = (time.to_calendar_date(), time.to_hms());
+        let fields = [month.into(), day, hour, minute, second].map(u32::from);
+        let [month, day, hour, minute, second] = fields;
+        Self([year.unsigned_abs(), month, day, hour, minute, second])
     }
 }
 

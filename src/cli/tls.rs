@@ -7,9 +7,12 @@ use security::{ClientFiles, IdentityFiles, ServerFiles};
 
 use crate::errors::Usage;
 
-/// TLS files of a server.
+/// TLS files of a server, or permission to do without.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ServerTlsArguments {
+    /// Allow a non-loopback --listen address without encryption and authentication.
+    #[arg(long, conflicts_with = "tls_certificate")]
+    pub(crate) insecure_allow_remote: bool,
     /// Use TLS with this certificate (PEM, followed by its chain) and require a certificate from every client.
     #[arg(long, value_name = "FILE", requires_all = ["tls_key", "tls_client_ca"])]
     tls_certificate: Option<PathBuf>,

@@ -5,27 +5,24 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::LearnerArguments;
-use crate::commands::entrance::{Entrance, demand_loopback};
 use crate::launch::{self, Prepared};
+use crate::listening::Listening;
 use crate::progress::Progress;
 use crate::runtime::runtime;
 use crate::{output, page, signals};
 
 /// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
-    if !arguments.insecure_allow_remote {
-        demand_loopback(arguments.listen, &arguments.tls)?;
-    }
+    let listening = Listening::new(arguments.listen, &arguments.tls)?;
     page::check(&arguments.page)?;
-    let entrance = Entrance::new(arguments.listen, &arguments.tls)?;
     let prepared =
         launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
-    runtime()?.block_on(serve(prepared, entrance, arguments))
+    runtime()?.block_on(serve(prepared, listening, arguments))
 }
 
 /// How far away an environment from outside may be.
 fn plain_text(arguments: &LearnerArguments) -> Transport {
-    match arguments.insecure_allow_remote {
+    match arguments.tls.insecure_allow_remote {
         true => Transport::PlainText,
         false => Transport::PlainTextOnLoopback,
     }
@@ -33,11 +30,11 @@ fn plain_text(arguments: &LearnerArguments) -> Transport {
 
 async fn serve(
     prepared: Prepared,
-    entrance: Entrance,
+    listening: Listening,
     arguments: &LearnerArguments,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let (door, url) = entrance.open().await?;
+    let (door, url) = listening.open().await?;
     output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = page::open(&arguments.page).await?;
     let (stop_sender, stop) = watch::channel(false);

@@ -13,7 +13,7 @@ use tokio::sync::watch;
 
 use crate::cli::ServeArguments;
 use crate::commands::checkpointed;
-use crate::commands::entrance::{Entrance, demand_loopback};
+use crate::listening::Listening;
 use crate::offered::Stage;
 use crate::run_config::RunConfig;
 use crate::runtime::runtime;
@@ -24,10 +24,7 @@ const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Serves until it is told to stop.
 pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {
-    if !arguments.insecure_allow_remote {
-        demand_loopback(arguments.listen, &arguments.tls)?;
-    }
-    let entrance = Entrance::new(arguments.listen, &arguments.tls)?;
+    let listening = Listening::new(arguments.listen, &arguments.tls)?;
     let loaded = checkpointed::load(&arguments.run)?;
     let folder = Folder::open(&arguments.run)?;
     let (sender, newest) = watch::channel(Arc::new(folder.policies(loaded)?));
@@ -41,11 +38,11 @@ pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {
         // It ends with the process; nobody waits for it.
         thread.spawn(move || follow(&folder, &sender)).context("cannot follow the run")?;
     }
-    runtime()?.block_on(serve(&arguments.run, served, entrance))
+    runtime()?.block_on(serve(&arguments.run, served, listening))
 }
 
-async fn serve(run: &Path, served: ServedPolicies, entrance: Entrance) -> anyhow::Result<()> {
-    let (door, url) = entrance.open().await?;
+async fn serve(run: &Path, served: ServedPolicies, listening: Listening) -> anyhow::Result<()> {
+    let (door, url) = listening.open().await?;
     let version = served.newest.borrow().name.version;
     output::line(format!(
         "{} acts by its policies after iteration {version} on {url}",
