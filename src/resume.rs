@@ -1,6 +1,6 @@
 //! What may differ between a run and its resumption.
 
-use crate::config::{ConfigError, Resolved, keys};
+use crate::config::{ConfigError, keys};
 use crate::run_config::RunConfig;
 
 const DECAYS: &str =
@@ -16,14 +16,25 @@ pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError>
         }
         if new.resolved.entries[key].value != *value {
             let allowed = if keys::is_length(key) { DECAYS.to_owned() } else { may_change() };
-            let values = (old.resolved.shown(key), new.resolved.shown(key));
-            return Err(fixed(&new.resolved, key, values, allowed));
+            return Err(ConfigError::FixedOnResume {
+                place: new.resolved.origin(key).to_owned(),
+                key: key.to_owned(),
+                old: old.resolved.shown(key),
+                new: new.resolved.shown(key),
+                allowed,
+            });
         }
     }
     if new.iterations() < old.iterations() {
         let lowered = |key: &&&str| new.resolved.shown(key) != old.resolved.shown(key);
         let key = keys::LENGTH.iter().find(lowered).unwrap_or(&keys::LENGTH[0]);
-        return Err(fixed(&new.resolved, key, (length(old), length(new)), MAY_RISE.to_owned()));
+        return Err(ConfigError::FixedOnResume {
+            place: new.resolved.origin(key).to_owned(),
+            key: (*key).to_owned(),
+            old: length(old),
+            new: length(new),
+            allowed: MAY_RISE.to_owned(),
+        });
     }
     Ok(())
 }
@@ -43,21 +54,6 @@ fn length(config: &RunConfig) -> String {
 fn may_change() -> String {
     let free = keys::free_on_resume();
     format!("a resume may change {free}, and raise run.iterations or run.env_steps")
-}
-
-fn fixed(
-    new: &Resolved,
-    key: &str,
-    (old, found): (String, String),
-    allowed: String,
-) -> ConfigError {
-    ConfigError::FixedOnResume {
-        place: new.origin(key).to_owned(),
-        key: key.to_owned(),
-        old,
-        new: found,
-        allowed,
-    }
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use tokio::sync::watch;
 use crate::chart;
 use crate::cli::{LiveArguments, PageArguments, TrainArguments};
 use crate::commands::live::{Place, Show};
-use crate::commands::train::closing::Length;
+use crate::commands::train::closing::{Closing, Length};
 use crate::launch::{self, Prepared};
 use crate::progress::Progress;
 use crate::run_config::RunConfig;
@@ -38,20 +38,20 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if let Some((show, server)) = live {
         show.start(server)?;
     }
-    let (stop_sender, stop) = watch::channel(false);
+    let stop_sender = watch::Sender::new(false);
     if arguments.stop_with_stdin {
         signals::stop_with_stdin(stop_sender.clone())?;
     }
-    runtime()?.block_on(train(prepared, &arguments.page, (stop_sender, stop)))
+    runtime()?.block_on(train(prepared, &arguments.page, stop_sender))
 }
 
 async fn train(
     prepared: Prepared,
     page: &PageArguments,
-    (stop_sender, stop): (watch::Sender<bool>, watch::Receiver<bool>),
+    stop_sender: watch::Sender<bool>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let page = page::open(page).await?;
+    let (page, stop) = (page::open(page).await?, stop_sender.subscribe());
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
     let crew = crew(&config, &folder, &listener)?;
@@ -68,11 +68,15 @@ async fn train(
     if config.log.episodes != Episodes::None {
         output::line(closing::logged(&run_path::logs(&folder)));
     }
+    let summary = ended_well(summary, &surrender)?;
     let length = match config.resolved.depends_on_length() {
         true => Length::Fixed,
         false => Length::MayRise,
     };
-    finish((&folder, length), summary, &surrender, begin)
+    let points = learning_curve::evaluations(&run_path::metrics_file(&folder))?;
+    let closing = Closing { folder: &folder, summary: &summary, length, elapsed: begin.elapsed() };
+    output::line(closing.text(&points));
+    Ok(())
 }
 
 /// The live view that is asked for; it listens already, so that a port that is taken stops nothing half-way.
@@ -117,21 +121,17 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
     })
 }
 
-fn finish(
-    (folder, length): (&Path, Length),
+/// The summary of a run that neither failed nor lost its actors.
+fn ended_well(
     summary: Result<Summary, LearnerError>,
     surrender: &Surrender,
-    begin: Instant,
-) -> anyhow::Result<()> {
-    let summary = match (summary.context("the learner failed"), surrender.reason()) {
-        (Ok(summary), None) => summary,
+) -> anyhow::Result<Summary> {
+    match (summary.context("the learner failed"), surrender.reason()) {
+        (Ok(summary), None) => Ok(summary),
         (Ok(summary), Some(reason)) => {
             anyhow::bail!("{reason}; the run is kept in {}", summary.checkpoint.display());
         }
-        (Err(error), None) => return Err(error),
-        (Err(error), Some(reason)) => return Err(error.context(reason)),
-    };
-    let points = learning_curve::evaluations(&run_path::metrics_file(folder))?;
-    output::line(closing::text(folder, (&summary, length), &points, begin.elapsed()));
-    Ok(())
+        (Err(error), None) => Err(error),
+        (Err(error), Some(reason)) => Err(error.context(reason)),
+    }
 }

@@ -78,7 +78,7 @@ pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share
         for variant in variants {
             let Some(curves) = of_task(variant) else { continue };
             let rivals = rivals.as_deref().filter(|_| variant != baseline);
-            rows.push(row((task, variant), curves, threshold, rivals));
+            rows.push(row(task, variant, curves, threshold, rivals));
         }
     }
     rows
@@ -105,7 +105,8 @@ pub(super) fn found<'a>(
 }
 
 fn row(
-    (task, variant): (&str, &str),
+    task: &str,
+    variant: &str,
     curves: &[&[(f64, f64)]],
     threshold: f64,
     baseline: Option<&[f64]>,
