@@ -2,7 +2,7 @@
 
 use sim::Pose;
 
-use crate::film::Cast;
+use crate::film::shapes::RobotShapes;
 
 /// Every point of the picture's plane that is no farther than the radius from the line between the ends: that is
 /// what a capsule looks like from any side, and with equal ends a ball.
@@ -46,11 +46,11 @@ impl View {
 }
 
 /// The solids of a pose, the farthest first.
-pub(super) fn of_pose(cast: &Cast, pose: &Pose, view: View) -> Vec<Solid> {
-    let links = pose.links.iter().zip(&cast.drivers);
+pub(super) fn of_pose(robot: &RobotShapes, pose: &Pose, view: View) -> Vec<Solid> {
+    let links = pose.links.iter().zip(&robot.drivers);
     let mut solids: Vec<Solid> = links
         .flat_map(|(link, &agent)| {
-            let shapes = cast.shapes.iter().filter(|shape| shape.link == link.name);
+            let shapes = robot.shapes.iter().filter(|shape| shape.link == link.name);
             shapes.map(move |shape| {
                 let ends = shape.ends(link);
                 let (radius, depth) = (shape.shape.radius(), ends.map(|end| view.depth(end)));

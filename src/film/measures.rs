@@ -5,8 +5,6 @@ use std::fmt;
 use actor::PlayedStep;
 use sim::{Environments, Pose};
 
-use crate::film::is_upside_down;
-
 /// How long a start may take to bring joints inside their limits, which frees energy.
 const SETTLING_SECS: f64 = 0.5;
 
@@ -93,6 +91,11 @@ impl Measures {
             created: risen(&moments[settled.min(steps.len())..]),
         }
     }
+}
+
+/// Whether the root's upper side points down.
+fn is_upside_down(pose: &Pose) -> bool {
+    sim::rotated(pose.links[0].quaternion, [0.0, 0.0, 1.0])[2] < 0.0
 }
 
 /// Most that energy rose in one step beyond the motors' work, joules.

@@ -1,0 +1,49 @@
+//! Places of a robot's joints that numbers can be written on.
+
+use anyhow::Context as _;
+use sim::{Environments, Outcome};
+
+/// Joints that are nearer to one another hide their numbers, metres.
+const APART: f32 = 0.08;
+/// Steps in which legs are driven apart.
+const MOST_STEPS: usize = 30;
+
+/// Where all joints are, as soon as no more than one stands where another does: legs one behind the other are driven
+/// apart, their hips stay in one place.
+pub(crate) fn distinct_joints(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
+    let anchors = sim::hinges(&world.description().task).context("cannot build the robot")?;
+    let mut joints = places(world, &anchors);
+    for _ in 0..MOST_STEPS {
+        let hidden: Vec<bool> =
+            (0..joints.len()).map(|index| hidden(&joints[index], &joints[..index])).collect();
+        if hidden.iter().filter(|hidden| **hidden).count() <= 1 {
+            break;
+        }
+        // Of two joints in one place the first turns one way, the second the other.
+        let actions: Vec<f32> =
+            hidden.iter().map(|hidden| if *hidden { -1.0 } else { 1.0 }).collect();
+        world.step(&actions, &mut [Outcome::default()]).context("the robot cannot be moved")?;
+        joints = places(world, &anchors);
+    }
+    Ok(joints)
+}
+
+/// Whether a joint is where one of the others is.
+fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
+    let near = |other: &[f32; 3]| {
+        let squares = joint.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
+        squares.sum::<f32>() < APART * APART
+    };
+    others.iter().any(near)
+}
+
+/// Where the joints are that the agents drive, in the order of their actions; `anchors` say where on its link each is.
+fn places(world: &Environments, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let (task, pose) = (world.description(), world.pose(0));
+    let links = &pose.links[pose.links.len() - anchors.len()..];
+    let place = |name: &String| {
+        let index = pose.joints.iter().position(|joint| joint.name == *name)?;
+        Some(links[index].in_world(anchors[index]))
+    };
+    task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect()
+}
