@@ -2,7 +2,6 @@
 
 mod actor;
 mod certs;
-mod checkpointed;
 mod config;
 mod control;
 mod eval;

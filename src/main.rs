@@ -2,9 +2,11 @@
 //! went wrong into one line and an exit status.
 
 mod chart;
+mod checkpointed;
 mod cli;
 mod commands;
 mod config;
+mod determinism;
 mod environment_section;
 mod errors;
 mod experiment;
@@ -26,6 +28,7 @@ mod resume;
 mod run_config;
 mod run_path;
 mod runtime;
+mod served_run;
 mod signals;
 mod statistics;
 mod supervisor;

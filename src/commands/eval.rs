@@ -7,8 +7,8 @@ use proto::ActionChoice;
 use serde_json::json;
 
 use crate::chart;
+use crate::checkpointed::{self, Trained};
 use crate::cli::EvalArguments;
-use crate::commands::checkpointed::{self, Trained};
 use crate::offered::Stage;
 use crate::output;
 

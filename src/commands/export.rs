@@ -1,7 +1,7 @@
 //! `s2mia export`: a trained policy for other programs.
 
+use crate::checkpointed;
 use crate::cli::ExportArguments;
-use crate::commands::checkpointed;
 use crate::offered::Stage;
 use crate::{export, output};
 

@@ -4,8 +4,8 @@ mod times;
 
 use std::path::Path;
 
+use crate::checkpointed::{self, Trained};
 use crate::cli::FilmArguments;
-use crate::commands::checkpointed::{self, Trained};
 use crate::errors::Usage;
 use crate::film::{self, Frame, PlayedEpisode};
 use crate::output;

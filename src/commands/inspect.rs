@@ -2,8 +2,8 @@
 
 use serde_json::json;
 
+use crate::checkpointed;
 use crate::cli::InspectArguments;
-use crate::commands::checkpointed;
 use crate::output;
 
 /// Iteration, env steps and both hashes.

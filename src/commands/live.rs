@@ -12,7 +12,7 @@ use actor::{LiveError, LiveScene, LiveServer};
 use anyhow::Context as _;
 use policy::{Key, RunSeed};
 
-use crate::commands::checkpointed::{self, Trained};
+use crate::checkpointed::{self, Trained};
 use crate::commands::live::curves::Curves;
 use crate::errors::Usage;
 use crate::offered::Stage;

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use policy::RunSeed;
 
+use crate::checkpointed;
 use crate::cli::RecordArguments;
-use crate::commands::checkpointed;
 use crate::offered::Stage;
 use crate::{chart, output, run_path};
 

@@ -6,9 +6,9 @@ use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
 use serde_json::json;
 
 use crate::chart::thousands;
+use crate::checkpointed;
 use crate::cli::StatusArguments;
 use crate::cli::patience;
-use crate::commands::checkpointed;
 use crate::commands::control::{operator, url};
 use crate::run_config::RunConfig;
 use crate::runtime::runtime;

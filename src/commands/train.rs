@@ -1,7 +1,6 @@
 //! `s2mia train`: a learner in this process and actors in their own, on this machine.
 
 mod closing;
-mod verify;
 
 use std::path::Path;
 use std::time::Instant;
@@ -22,7 +21,7 @@ use crate::progress::Progress;
 use crate::run_config::RunConfig;
 use crate::runtime::runtime;
 use crate::supervisor::{self, Crew, Surrender};
-use crate::{learning_curve, output, page, run_path, signals};
+use crate::{determinism, learning_curve, output, page, run_path, signals};
 
 /// Trains to the end of the run, or until told to stop; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
@@ -30,7 +29,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     let prepared =
         launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     if let Some(iterations) = arguments.verify_determinism {
-        return verify::run(&arguments.settings, &prepared.config.environment, iterations);
+        return determinism::verify(&arguments.settings, &prepared.config.environment, iterations);
     }
     let live = live(&arguments.live, &prepared)?;
     let Prepared { config, folder, launch } = &prepared;

@@ -13,8 +13,8 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use crate::chart::thousands;
+use crate::checkpointed;
 use crate::cli::WatchArguments;
-use crate::commands::checkpointed;
 use crate::commands::control::{operator, url};
 use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;

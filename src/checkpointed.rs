@@ -11,26 +11,26 @@ use crate::run_config::RunConfig;
 use crate::run_path::config_file_of_run;
 
 /// A trained policy with the settings of its run.
-pub(super) struct Trained {
+pub(crate) struct Trained {
     /// Settings of the run.
-    pub(super) config: RunConfig,
+    pub(crate) config: RunConfig,
     /// The checkpoint it comes from.
-    pub(super) iteration: u64,
+    pub(crate) iteration: u64,
     /// Environment steps until then.
-    pub(super) env_steps: u64,
+    pub(crate) env_steps: u64,
     /// All agents.
-    pub(super) policy: PolicySnapshot,
+    pub(crate) policy: PolicySnapshot,
 }
 
 impl Trained {
     /// Where the run's own evaluation of this policy begins its episode `episode`.
-    pub(super) fn start(&self, episode: u32) -> Key {
+    pub(crate) fn start(&self, episode: u32) -> Key {
         Key::of_evaluation(RunSeed(self.config.run.seed), self.iteration, episode)
     }
 }
 
 /// The newest checkpoint whose hashes are right; refuses a run that has none yet.
-pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
+pub(crate) fn load(run: &Path) -> anyhow::Result<Loaded> {
     let shown = run.display();
     load_if_any(run)?.with_context(|| {
         format!("{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {shown}` begins it again")
@@ -38,7 +38,7 @@ pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
 }
 
 /// The same, or `None` before the first; tells of every newer one that it had to pass over.
-pub(super) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
+pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
     config_file_of_run(run)?;
     let loaded = match learner::checkpoint::load_newest(run) {
         Err(CheckpointError::None { .. }) => return Ok(None),
@@ -51,7 +51,7 @@ pub(super) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
 }
 
 /// The newest policy of a run.
-pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
+pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     let loaded = load(run)?;
     let config = RunConfig::of_run(run)?;
     let policy = PolicySnapshot::from_bytes(&loaded.checkpoint.policy)
@@ -61,7 +61,7 @@ pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
 }
 
 /// What tells later from which run and policy something was made.
-pub(super) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String> {
+pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String> {
     let resolved = &trained.config.resolved;
     BTreeMap::from([
         ("task".to_owned(), task.to_owned()),

@@ -37,7 +37,7 @@ const TRIALS: [(&str, usize, Happening); 3] = [
 ///
 /// # Errors
 /// A trial failed, or the states differ.
-pub(super) fn run(
+pub(crate) fn verify(
     settings: &SettingsArguments,
     environment: &EnvironmentSection,
     iterations: u64,
