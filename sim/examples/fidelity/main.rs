@@ -20,7 +20,7 @@ fn main() {
     flight(&traces);
     ground(&traces);
     let held_out = HeldOut::read();
-    println!("\nReference of the next tables: {}.\n", held_out.source());
+    println!("\nReference: {}.\n", held_out.source());
     other_controls(&held_out);
     at_random(&held_out);
 }
