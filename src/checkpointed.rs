@@ -1,4 +1,4 @@
-//! A run's newest good checkpoint, as commands read it.
+//! The newest valid checkpoint of a run.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,22 +14,22 @@ use crate::run_path::config_file_of_run;
 pub(crate) struct Trained {
     /// Settings of the run.
     pub(crate) config: RunConfig,
-    /// The checkpoint it comes from.
+    /// Iteration of its checkpoint.
     pub(crate) iteration: u64,
-    /// Environment steps until then.
+    /// Environment steps before that checkpoint.
     pub(crate) env_steps: u64,
-    /// All agents.
+    /// The policies of all agents.
     pub(crate) policy: PolicySnapshot,
 }
 
 impl Trained {
-    /// Where the run's own evaluation of this policy begins its episode `episode`.
+    /// The random key with which the run's own evaluation of this policy starts episode `episode`.
     pub(crate) fn start(&self, episode: u32) -> Key {
         Key::of_evaluation(RunSeed(self.config.run.seed), self.iteration, episode)
     }
 }
 
-/// The newest checkpoint whose hashes are right; refuses a run that has none yet.
+/// Loads the newest checkpoint with correct hashes; refuses a run without any.
 pub(crate) fn load(run: &Path) -> anyhow::Result<Loaded> {
     let shown = run.display();
     load_if_any(run)?.with_context(|| {
@@ -37,7 +37,7 @@ pub(crate) fn load(run: &Path) -> anyhow::Result<Loaded> {
     })
 }
 
-/// The same, or `None` before the first; tells of every newer one that it had to pass over.
+/// As [`load`], but `None` before the first checkpoint. Logs every newer checkpoint that is damaged.
 pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
     config_file_of_run(run)?;
     let loaded = match learner::checkpoint::load_newest(run) {
@@ -60,7 +60,7 @@ pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     Ok(Trained { config, iteration, env_steps, policy })
 }
 
-/// What tells later from which run and policy something was made.
+/// Metadata that identifies the run and the policy of a file.
 pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String> {
     let resolved = &trained.config.resolved;
     BTreeMap::from([

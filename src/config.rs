@@ -1,5 +1,5 @@
-//! Where a run's settings come from: layers of TOML, environment variables and `key=value`, each value
-//! with its origin. What the values mean is decided in `run_config.rs` and by the crates they belong to.
+//! The settings of a run: layers of TOML, environment variables and `key=value`, each value with its origin.
+//! `run_config.rs` and the crates interpret the values.
 
 pub(crate) mod error;
 pub(crate) mod keys;

@@ -1,5 +1,4 @@
-//! `s2mia train --verify-determinism`: the same short run, three times, each disturbed in another way, must end
-//! in the same state.
+//! `s2mia train --verify-determinism`: three short runs with different disturbances must end in the same state.
 
 use std::io::{BufRead as _, BufReader, Lines};
 use std::path::{Path, PathBuf};
@@ -13,27 +12,27 @@ use crate::cli::SettingsArguments;
 use crate::environment_section::EnvironmentSection;
 use crate::{output, run_path};
 
-/// How often a running learner is looked at.
+/// Poll interval for a running learner.
 const GLANCE: Duration = Duration::from_millis(20);
 
-/// What happens to a trial.
+/// Disturbance of a trial.
 #[derive(Clone, Copy)]
 enum Happening {
     Nothing,
     /// One actor is killed after the first iteration.
     ActorKilled,
-    /// Stopped after the first iteration, and taken up again.
+    /// The run is stopped after the first iteration and resumed.
     Stopped,
 }
 
-/// By name, with the number of actors.
+/// Name, number of actors and disturbance.
 const TRIALS: [(&str, usize, Happening); 3] = [
     ("1 actor, undisturbed", 1, Happening::Nothing),
     ("2 actors, one killed", 2, Happening::ActorKilled),
     ("2 actors, stopped and resumed", 2, Happening::Stopped),
 ];
 
-/// Plays all trials for `iterations` and prints each one's state.
+/// Runs all trials for `iterations` and prints the final state of each.
 ///
 /// # Errors
 /// A trial failed, or the states differ.
@@ -92,7 +91,7 @@ impl Trial<'_> {
         }
     }
 
-    /// Starts the learner, which goes on with what the folder holds, and the actors.
+    /// Starts the learner, which resumes the run in the folder if there is one, and the actors.
     fn start(&self, iterations: u64) -> anyhow::Result<Crew> {
         let program = std::env::current_exe().context("cannot find this program")?;
         let mut command = Command::new(&program);
@@ -105,7 +104,7 @@ impl Trial<'_> {
         command.arg(format!("run.dir={}", self.folder.display()));
         command.arg(format!("run.iterations={iterations}")).arg("evaluation.every_steps=0");
         if std::env::var_os("RUST_LOG").is_none() {
-            // What a trial does to its actors is no news to whoever asked for it.
+            // The disturbances are intended; warnings about them would confuse the user.
             command.env("RUST_LOG", "error");
         }
         let mut learner = command.stdout(Stdio::piped()).spawn().context("no learner")?;
@@ -124,7 +123,7 @@ impl Trial<'_> {
     }
 }
 
-/// A learner and its actors; none outlives this.
+/// Processes of a learner and its actors; dropping this value ends them.
 struct Crew {
     learner: Child,
     lines: Lines<BufReader<ChildStdout>>,
@@ -154,14 +153,14 @@ impl Crew {
 impl Drop for Crew {
     fn drop(&mut self) {
         for process in self.actors.iter_mut().chain([&mut self.learner]) {
-            // Those that ended by themselves cannot be killed any more.
+            // Fails for a process that has already ended.
             let _ended = process.kill();
             let _reaped = process.wait();
         }
     }
 }
 
-/// A folder that goes with this value.
+/// A temporary folder that is removed with this value.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -175,7 +174,7 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // What cannot be removed is left to the system, which clears its temporary folder.
+        // The system clears its temporary folder if this fails.
         let _removed = std::fs::remove_dir_all(&self.0);
     }
 }

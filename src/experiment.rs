@@ -1,5 +1,4 @@
-//! Many runs from one file: tasks x variants x seeds. What stands in the file, which runs that means, how they are
-//! kept going, and what they say when they are done.
+//! Many runs from one file: tasks x variants x seeds. Reads the file, plans the runs, runs them and compares them.
 
 pub(crate) mod crew;
 pub(crate) mod file;

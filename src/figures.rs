@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use crate::learning_curve::{Curve, Panel, Quantity, panels};
 use crate::picture;
 
-/// Panels beside each other in a picture of many tasks.
+/// Panels in a row of a picture with many tasks.
 const MOST_COLUMNS: usize = 3;
 
 /// Writes `learning_curve.svg` and `.png`: the return on each task.
@@ -20,8 +20,8 @@ pub(crate) fn write_learning_curve(
     write(folder, "learning_curve", &panels, columns)
 }
 
-/// Writes `ablation.svg` and `.png`: tasks beside each other; returns, surprise and information below each other,
-/// each where some run has it.
+/// Writes `ablation.svg` and `.png`: a column for each task; a row for each of return, surprise and information that
+/// some run has.
 pub(crate) fn write_ablation(folder: &Path, curves: &[Curve]) -> anyhow::Result<Vec<PathBuf>> {
     let measured = |quantity: &Quantity| curves.iter().any(|curve| !curve.of(*quantity).is_empty());
     let quantities: Vec<Quantity> = Quantity::ALL.into_iter().filter(measured).collect();

@@ -1,5 +1,5 @@
-//! The s2mia command line: starts the allocator, reads the arguments, runs one command, and turns what
-//! went wrong into one line and an exit status.
+//! The s2mia command line: sets the allocator, parses the arguments, runs one command and reports an error as one line
+//! and an exit status.
 
 mod chart;
 mod checkpointed;
@@ -40,7 +40,7 @@ use clap::Parser as _;
 use crate::config::ConfigError;
 use crate::errors::{Incomplete, Usage};
 
-// The system's allocator holds the learner back.
+// The learner is slower with the system's allocator.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -56,7 +56,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Computes with the registers that `S2MIA_SIMD` names; without it with the widest of this processor.
+/// Selects the register width that `S2MIA_SIMD` names; the default is the processor's widest.
 fn choose_registers() -> anyhow::Result<()> {
     let Some(name) = std::env::var_os("S2MIA_SIMD") else { return Ok(()) };
     let chosen = name.to_str().and_then(kernels::Width::named);
@@ -69,7 +69,7 @@ fn choose_registers() -> anyhow::Result<()> {
     Err(Usage::new(format!("S2MIA_SIMD is {name}; this processor has {names}")).into())
 }
 
-/// One line on stderr; 2 for what the user wrote wrong, 3 for a log of which something is missing, 1 for what failed.
+/// Prints one line on stderr. The status is 2 for invalid arguments or settings, 3 for incomplete logs, else 1.
 fn failure(error: &anyhow::Error) -> ExitCode {
     let wrong_usage = error.is::<ConfigError>() || error.is::<Usage>();
     eprintln!("error: {}", actor::causes(error.as_ref()));

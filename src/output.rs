@@ -1,5 +1,5 @@
-//! Text on standard output, and files that a command was asked for. A reader that has left, such as `head`, must
-//! neither stop a run nor end in a panic, so a line that cannot be written is dropped.
+//! Lines on standard output, and files that a command writes. A reader that has closed the pipe, such as `head`, must
+//! neither stop a run nor cause a panic, so lines that cannot be written are dropped.
 
 use std::fmt::Display;
 use std::io::Write as _;
@@ -9,11 +9,11 @@ use anyhow::Context as _;
 
 /// Writes one line (or several) and its end.
 pub(crate) fn line(text: impl Display) {
-    // Nobody reads any more; there is no one to tell.
+    // The reader has closed the pipe.
     let _unread = writeln!(std::io::stdout().lock(), "{text}");
 }
 
-/// Writes a file, and makes its folder if there is none.
+/// Writes a file and creates its folder if necessary.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let folder = path.parent().unwrap_or(Path::new(""));
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;

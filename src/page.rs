@@ -1,4 +1,4 @@
-//! The run's page as `train` and `learner` open it: who may come in, and where it is.
+//! The address and the access check of the run's page for `train` and `learner`.
 
 use learner::{Hosts, Page};
 use tokio::net::TcpListener;
@@ -8,7 +8,7 @@ use crate::errors::Usage;
 use crate::listening::demand_loopback;
 use crate::output;
 
-/// Refuses a page that other machines could reach unless that is allowed.
+/// Refuses an address that other machines can reach unless that is allowed.
 pub(crate) fn check(arguments: &PageArguments) -> Result<(), Usage> {
     let PageAddress::At(address) = arguments.page else { return Ok(()) };
     if arguments.insecure_allow_remote_page {
@@ -19,10 +19,10 @@ pub(crate) fn check(arguments: &PageArguments) -> Result<(), Usage> {
     demand_loopback("--page", address, permission)
 }
 
-/// Opens the page and says where it is.
+/// Opens the page and prints its URL.
 ///
 /// # Errors
-/// If something else has the port.
+/// The address is in use or invalid.
 pub(crate) async fn open(arguments: &PageArguments) -> anyhow::Result<Option<Page>> {
     let PageAddress::At(address) = arguments.page else { return Ok(None) };
     let listener = TcpListener::bind(address).await.map_err(|error| {

@@ -1,4 +1,4 @@
-//! What may differ between a run and its resumption.
+//! The settings that a resume may change.
 
 use crate::config::{ConfigError, keys};
 use crate::run_config::RunConfig;
@@ -7,11 +7,11 @@ const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";
 const MAY_RISE: &str = "it may only be raised";
 
-/// Refuses, by name, the first setting of `new` that would make the run another one.
+/// Refuses the first setting of `new` that would change the result of the run, by name.
 pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError> {
     for (key, value) in old.resolved.semantic() {
         if keys::FILLED_IN == key && new.environment.description.is_empty() {
-            // The environment has not been asked yet; whoever asks compares.
+            // The environment's description is not known yet; `Offered` compares it later.
             continue;
         }
         if new.resolved.entries[key].value != *value {
@@ -39,7 +39,7 @@ pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError>
     Ok(())
 }
 
-/// How far a run goes, and what says so if that is not in iterations itself.
+/// Length of a run in iterations, with `run.env_steps` if that setting determines it.
 fn length(config: &RunConfig) -> String {
     let iterations = match config.iterations() {
         1 => "1 iteration".to_owned(),

@@ -1,4 +1,4 @@
-//! A run's configuration as the crates' own types, each section checked by the crate it belongs to.
+//! The configuration of a run as the crates' types; each crate checks its sections.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ const ACTORS_LIMIT: usize = 1024;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunSection {
-    /// Every random draw of the run comes from it.
+    /// Seed of every random draw.
     pub(crate) seed: u64,
     /// Environment steps after which the run ends, rounded up to whole iterations.
     pub(crate) env_steps: u64,
@@ -30,7 +30,7 @@ pub(crate) struct RunSection {
     pub(crate) dir: String,
 }
 
-/// Everything a run is started with.
+/// The whole configuration of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct RunConfig {
     /// All settings with their origins.
@@ -52,8 +52,8 @@ pub(crate) struct RunConfig {
 }
 
 impl RunConfig {
-    /// Checks all settings and sorts them into the crates' types. A refusal is laid at the setting whose
-    /// default would change it, so that it names the place where the user wrote that setting.
+    /// Checks all settings and converts them to the crates' types. An error is attributed to the setting whose default
+    /// would change the error, so that it names the place where the user wrote that setting.
     pub(crate) fn build(resolved: Resolved) -> Result<Self, ConfigError> {
         let detail = match Self::assemble(&resolved) {
             Ok(config) => return Ok(config),
@@ -81,7 +81,7 @@ impl RunConfig {
         Self::build(layers::resolve(&Request { resumed, ..Request::default() })?)
     }
 
-    /// The crates' types from the settings; the first thing that an owner refuses, in its words.
+    /// The crates' types from the settings, or the message of the first crate that refuses its part.
     fn assemble(resolved: &Resolved) -> Result<Self, String> {
         let config = Self {
             run: section(resolved, "run")?,
@@ -115,7 +115,8 @@ impl RunConfig {
         self.learner.suits(&self.policy).map_err(|error| error.to_string())
     }
 
-    /// A task is built only where its actions decide; how it scales what it shows is another matter.
+    /// Builds the task only if the algorithm depends on its actions; without its scaling of observations, which has its
+    /// own errors.
     fn validate_actions(&self) -> Result<(), String> {
         let kinds = [ActionKind::Continuous, ActionKind::Discrete { choices: 2 }];
         if kinds.iter().all(|&kind| self.training.suits_actions(kind).is_ok()) {
@@ -141,7 +142,7 @@ impl RunConfig {
         }
     }
 
-    /// How the learner scales what the simulation shows.
+    /// How the learner scales observations.
     pub(crate) fn observations(&self) -> ObservationScale {
         match self.task.observation.norm {
             ObservationNorm::Running => ObservationScale::Running,

@@ -1,4 +1,4 @@
-//! Where things stand in a run folder, and how a new one is named.
+//! Paths inside a run folder, and the names of new run folders.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -56,8 +56,8 @@ pub(crate) fn name(folder: &Path) -> String {
     resolved.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// `runs/<task>-<algorithm>-seed<seed>-<UTC time>`; a task's name may come from outside, so only letters, digits, dots
-/// and underscores of it are taken.
+/// `runs/<task>-<algorithm>-seed<seed>-<UTC time>`. An external program may name the task, so only its letters, digits,
+/// dots and underscores are kept.
 pub(crate) fn default_folder(task: &str, algorithm: &str, seed: u64, now: SystemTime) -> PathBuf {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._".contains(c) { c } else { '-' };
     let task = task.chars().map(plain).collect::<String>();

@@ -1,5 +1,5 @@
-//! The actor processes of `s2mia train`: starts them, replaces those that die, gives up when they die
-//! again and again, and sees that none outlives the run.
+//! The actor processes of `s2mia train`: starts them, replaces those that fail, gives up after repeated failures, and
+//! ends all with the run.
 
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
@@ -17,24 +17,24 @@ use tokio::task::JoinSet;
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
-/// The same for an actor that has a log to write out, close and read back.
+/// The same for an actor that has to finish and check a trajectory log.
 const LOG_PATIENCE: Duration = Duration::from_secs(60);
 
-/// Pause before a replacement, so that a broken program does not spin.
+/// Delay before a replacement, so that a broken program does not restart continuously.
 const REPLACEMENT_PAUSE: Duration = Duration::from_millis(200);
 
-/// What every actor process is started with.
+/// The actor processes of a run and their arguments.
 #[derive(Clone, Debug)]
 pub(crate) struct Crew {
     /// This program.
     pub(crate) program: PathBuf,
-    /// Where the learner listens.
+    /// URL of the learner.
     pub(crate) learner: String,
-    /// What tells actors that their environment comes from outside, if it does.
+    /// Arguments that name an external environment, if there is one.
     pub(crate) environment: Vec<String>,
     /// Folder of `actor_<index>.log` and of trajectory logs.
     pub(crate) logs: PathBuf,
-    /// What goes into trajectory logs.
+    /// Settings of trajectory logs.
     pub(crate) log: LogSettings,
     /// Number of processes.
     pub(crate) actors: usize,
@@ -60,12 +60,12 @@ impl DeathCount {
     }
 }
 
-/// Why a crew gave up; empty while it has not.
+/// Why the supervisor gave up, once it has.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Surrender(Arc<Mutex<Option<String>>>);
 
 impl Surrender {
-    /// The reason, if the crew gave up.
+    /// The reason, if the supervisor gave up.
     pub(crate) fn reason(&self) -> Option<String> {
         self.0.lock().expect("no thread panics while it holds this lock").clone()
     }
@@ -75,7 +75,7 @@ impl Surrender {
     }
 }
 
-/// Keeps the crew complete until `ended`. When too many die, sets `stop` and the reason.
+/// Keeps all processes running until `ended`. After too many failures, sets `stop` and the reason.
 pub(crate) async fn supervise(
     crew: Crew,
     ended: watch::Receiver<bool>,
@@ -97,7 +97,7 @@ pub(crate) async fn supervise(
     surrender
 }
 
-/// What the tasks of all posts share.
+/// State that the tasks of all processes share.
 #[derive(Clone)]
 struct Watchman {
     crew: Arc<Crew>,
@@ -108,7 +108,7 @@ struct Watchman {
 }
 
 impl Watchman {
-    /// One actor after the other in one place. An actor that leaves by itself was told that the run is done.
+    /// Runs one actor after the other under one index. An actor ends with success when the run is done.
     async fn hold_post(self, index: usize, mut ended: watch::Receiver<bool>) {
         while !*ended.borrow() && self.surrender.reason().is_none() {
             let death = match self.crew.start(index) {
@@ -141,7 +141,7 @@ impl Watchman {
 }
 
 impl Crew {
-    /// A process of its own group, so that Ctrl-C reaches it only through its learner.
+    /// Starts a process in its own group, so that Ctrl-C reaches it only through its learner.
     fn start(&self, index: usize) -> anyhow::Result<Child> {
         let log = self.log_path(index);
         let log: File = OpenOptions::new()
@@ -163,7 +163,7 @@ impl Crew {
             .with_context(|| format!("cannot start {}", self.program.display()))
     }
 
-    /// What tells an actor to log, if anything is logged.
+    /// Arguments for trajectory logging, if it is enabled.
     fn log_arguments(&self) -> Vec<OsString> {
         let LogSettings { episodes, max_file_mib } = self.log;
         if episodes == Episodes::None {
@@ -197,14 +197,14 @@ impl Crew {
     }
 }
 
-/// Waits for a process; after `ended` its standard input closes and it has a moment to leave.
-/// `None` if the run ended first.
+/// Waits for a process. After `ended`, closes its standard input and gives it the time `patience` to end. `None` if the
+/// run ended first.
 async fn until_exit(
     mut child: Child,
     ended: &mut watch::Receiver<bool>,
     patience: Duration,
 ) -> Option<ExitStatus> {
-    // `Child::wait` would close the pipe at once, and the actor would take that for the end of its run.
+    // `Child::wait` would close the pipe at once, which tells the actor to end.
     let stdin = child.stdin.take();
     tokio::select! {
         status = child.wait() => return status.ok(),
@@ -212,13 +212,13 @@ async fn until_exit(
     }
     drop(stdin);
     if tokio::time::timeout(patience, child.wait()).await.is_err() {
-        // The process ignores its closed input; nothing is lost by ending it.
+        // The process ignores its closed input; killing it loses nothing.
         let _killed = child.kill().await;
     }
     None
 }
 
-/// Last line of a log that says something.
+/// Last line of a log that is not blank.
 pub(crate) fn last_line(path: &Path) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
     text.lines().rev().find(|line| !line.trim().is_empty()).map(|line| line.trim().to_owned())

@@ -1,5 +1,5 @@
-//! From when and until when a certificate is valid, read from its DER bytes. Nothing else of it is looked
-//! at: rustls verifies certificates, but says of one's own only that the other side refused it.
+//! The validity period of a certificate, read from its DER bytes. rustls verifies certificates of peers; this check
+//! gives the reason before a peer refuses an expired certificate of this program.
 
 use std::fmt;
 use std::time::SystemTime;
@@ -11,11 +11,11 @@ const VERSION: u8 = 0xa0;
 const UTC_TIME: u8 = 0x17;
 const GENERALIZED_TIME: u8 = 0x18;
 
-/// A second of the calendar, UTC: year, month, day, hour, minute, second. Later ones compare as larger.
+/// A time in UTC: year, month, day, hour, minute, second. Later times compare as larger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Moment([u32; 6]);
 
-/// First and last moment of a certificate.
+/// Validity period of a certificate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Validity {
     pub(crate) from: Moment,
@@ -23,14 +23,14 @@ pub(crate) struct Validity {
 }
 
 impl Validity {
-    /// Of a certificate in DER form; `None` if it is none.
+    /// Validity of a certificate in DER form; `None` if it is invalid.
     pub(crate) fn of(certificate: &[u8]) -> Option<Self> {
         let (_, certificate, _) = element(certificate)?;
         let (_, mut rest, _) = element(certificate)?;
         if rest.first() == Some(&VERSION) {
             rest = element(rest)?.2;
         }
-        // Serial number, signature algorithm and issuer stand before it (RFC 5280, section 4.1).
+        // Serial number, signature algorithm and issuer precede it (RFC 5280, section 4.1).
         for _ in 0..3 {
             rest = element(rest)?.2;
         }
@@ -56,7 +56,7 @@ fn element(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     Some((tag, content, rest))
 }
 
-/// `YYMMDDHHMMSSZ`, in which years from 50 are of the last century, or `YYYYMMDDHHMMSSZ`.
+/// Parses `YYMMDDHHMMSSZ`, in which years from 50 are 19YY, or `YYYYMMDDHHMMSSZ`.
 fn moment(bytes: &[u8]) -> Option<Moment> {
     let (tag, text, _) = element(bytes)?;
     let digits = std::str::from_utf8(text.strip_suffix(b"Z")?).ok()?;

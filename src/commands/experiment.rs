@@ -1,4 +1,4 @@
-//! `s2mia experiment`: many runs from one file, then what they say.
+//! `s2mia experiment`: runs all trainings that a file describes and reports their results.
 
 use anyhow::Context as _;
 use tokio::sync::watch;
@@ -14,8 +14,8 @@ use crate::experiment::report;
 use crate::runtime::runtime;
 use crate::{output, signals};
 
-/// Runs what is missing and reports; a stop leaves checkpoints and status 0, a run that failed or could not begin
-/// status 1.
+/// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed or
+/// could not start.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let file = ExperimentFile::read(&arguments.file)?;
     let runs = plan(&file)?;

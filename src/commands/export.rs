@@ -5,7 +5,7 @@ use crate::cli::ExportArguments;
 use crate::offered::Stage;
 use crate::{export, output};
 
-/// Writes the files and says what is in each.
+/// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let mut stage = Stage::of(&trained.config)?;

@@ -1,4 +1,5 @@
-//! `s2mia film`: a trained policy's episode as a strip of pictures, and what tells running from cheating.
+//! `s2mia film`: an episode of a trained policy as a strip of pictures, with its speed and signs of simulator
+//! artefacts.
 
 mod times;
 
@@ -10,7 +11,7 @@ use crate::errors::Usage;
 use crate::film::{self, Frame, PlayedEpisode};
 use crate::output;
 
-/// Writes the strip and says what the whole episode came to.
+/// Writes the strip and prints the measures of the whole episode.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     demand_simulator(&trained, &arguments.run)?;
@@ -27,7 +28,7 @@ pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Which moments the strip shows.
+/// The times that the strip shows.
 fn times_shown(frames: &[Frame<'_>], every_secs: f64) -> String {
     let (first, last) = (frames[0].time_secs, frames[frames.len() - 1].time_secs);
     match frames.len() {

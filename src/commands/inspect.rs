@@ -1,4 +1,4 @@
-//! `s2mia inspect`: what the newest good checkpoint of a run holds.
+//! `s2mia inspect`: contents of the newest valid checkpoint of a run.
 
 use serde_json::json;
 

@@ -1,4 +1,4 @@
-//! `s2mia learner`: one run, served to actors that come from anywhere.
+//! `s2mia learner`: the learner of one run, for actors on any machine.
 
 use actor::Transport;
 use anyhow::Context as _;
@@ -11,7 +11,7 @@ use crate::progress::Progress;
 use crate::runtime::runtime;
 use crate::{output, page, signals};
 
-/// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.
+/// Serves until the run is done or a stop signal; the newest state is then in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
     page::check(&arguments.page)?;
@@ -20,7 +20,7 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     runtime()?.block_on(serve(prepared, listening, arguments))
 }
 
-/// How far away an environment from outside may be.
+/// The machines on which an external environment may run.
 fn plain_text(arguments: &LearnerArguments) -> Transport {
     match arguments.tls.insecure_allow_remote {
         true => Transport::PlainText,

@@ -10,7 +10,7 @@ use crate::cli::RecordArguments;
 use crate::offered::Stage;
 use crate::{chart, output, run_path};
 
-/// Writes the file and says what is in it.
+/// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let path = path(arguments, trained.iteration);

@@ -1,4 +1,4 @@
-//! `s2mia tasks`: what can be trained.
+//! `s2mia tasks`: the tasks that can be trained.
 
 use std::path::Path;
 
@@ -38,7 +38,7 @@ fn world(task: &str) -> anyhow::Result<Environments> {
     Environments::new(&config.task, 1).with_context(|| format!("cannot build {task}"))
 }
 
-/// One picture, and whose each number is; nothing of a game.
+/// Draws one picture and prints the names of its numbered joints; a game has no picture.
 fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
     let shapes = sim::shapes(&world.description().task).context("cannot build the robot")?;
     if shapes.is_empty() {

@@ -23,7 +23,7 @@ use crate::runtime::runtime;
 use crate::supervisor::{self, Crew, Surrender};
 use crate::{determinism, learning_curve, output, page, run_path, signals};
 
-/// Trains to the end of the run, or until told to stop; both leave a checkpoint and end with status 0.
+/// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     page::check(&arguments.page)?;
     let prepared =
@@ -78,7 +78,7 @@ async fn train(
     Ok(())
 }
 
-/// The live view that is asked for; it listens already, so that a port that is taken stops nothing half-way.
+/// The requested live view. It already listens, so an occupied port is reported before the run starts.
 fn live(
     arguments: &LiveArguments,
     prepared: &Prepared,
@@ -95,7 +95,7 @@ fn live(
     Ok(Some((show, server)))
 }
 
-/// The first line: what runs, and where it is kept.
+/// The first line: the folder and the settings of the run.
 fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
     format!(
         "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps",
@@ -120,7 +120,7 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
     })
 }
 
-/// The summary of a run that neither failed nor lost its actors.
+/// The summary; an error if the learner failed or the supervisor gave up on the actors.
 fn ended_well(
     summary: Result<Summary, LearnerError>,
     surrender: &Surrender,

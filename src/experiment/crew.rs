@@ -1,5 +1,5 @@
-//! Keeps an experiment's runs going, several at once, each in a process of its own: begins those that are new,
-//! goes on with half ones, passes finished ones over. A run that fails does not stop the others.
+//! Runs an experiment's trainings, several at once, each in its own process: starts new ones, resumes stopped ones,
+//! skips finished ones. A run that fails does not stop the others.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
@@ -16,34 +16,34 @@ use super::progress::Progress;
 use super::standing::{Standing, mismatch, standing};
 use crate::supervisor::last_line;
 
-/// Time between two looks at how far the runs are, and at whether a log is free.
+/// Poll interval for the progress of runs and for a locked log.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// How one run ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Ending {
-    /// It is finished.
+    /// The run has finished.
     Finished,
-    /// It was asked to stop, and can be gone on with.
+    /// The run was stopped and can be resumed.
     Stopped,
-    /// It failed, for this reason.
+    /// The run failed, with the reason.
     Failed(String),
-    /// Its folder holds another run, as this says.
+    /// The folder holds another run, with the difference.
     Misplaced(String),
 }
 
-/// How many runs ended how.
+/// Numbers of runs by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
-    /// Finished ones, also those that were before.
+    /// Finished runs, including those that were finished before.
     pub(crate) finished: usize,
-    /// Failed ones.
+    /// Failed runs.
     pub(crate) failed: usize,
-    /// Those whose folders hold other runs.
+    /// Runs whose folders hold other runs.
     pub(crate) misplaced: usize,
 }
 
-/// Brings all runs to their end, at most `at_once` at a time, or stops them in good order.
+/// Runs all to their end, at most `at_once` at a time, or stops them with checkpoints.
 pub(crate) async fn run_all(
     runs: &[PlannedRun],
     at_once: usize,
@@ -76,7 +76,7 @@ pub(crate) async fn run_all(
     }
 }
 
-/// One run from wherever it stands to its end.
+/// Starts or resumes one run and waits for its end.
 async fn finish(
     program: PathBuf,
     run: PlannedRun,
@@ -116,8 +116,8 @@ async fn train(
     })
 }
 
-/// The run's log, locked. The process that writes to it keeps the lock as long as it lives, so a run of an
-/// experiment that was killed is waited for while it writes its last checkpoint. `None` if told to stop first.
+/// The run's log, locked. The process that writes to it holds the lock until it ends. A run of an experiment that was
+/// killed may therefore still write its last checkpoint. `None` if stopped while waiting.
 async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result<Option<File>> {
     let log = OpenOptions::new().create(true).append(true).open(path);
     let log = log.with_context(|| format!("cannot write {}", path.display()))?;

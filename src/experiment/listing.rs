@@ -1,4 +1,4 @@
-//! The runs of an experiment as lines: what each is, and how far.
+//! The runs of an experiment as lines: name, length and progress.
 
 use super::plan::PlannedRun;
 use super::record::Record;

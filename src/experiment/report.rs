@@ -14,7 +14,7 @@ use super::verdict::{Verdict, verdicts};
 use crate::learning_curve::{self, Curve, Quantity};
 use crate::{chart, figures};
 
-/// Writes `results.md`, `results.csv` and the figures of what is there. Returns the table and where all of it is.
+/// Writes `results.md`, `results.csv` and the figures of the runs that exist. Returns the table and the paths.
 pub(crate) fn write(
     file: &ExperimentFile,
     runs: &[PlannedRun],
@@ -38,8 +38,8 @@ pub(crate) fn write(
     Ok((table, written))
 }
 
-/// The curves of all runs that have begun, by the names of their variants, and the places among them of those that are
-/// finished: only these are compared, and stand in the experiment's record afterwards.
+/// The curves of all started runs, labelled with their variants, and the indices of the finished ones. Only finished
+/// runs are compared and added to the experiment's record.
 fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Curve>, Vec<usize>)> {
     let recorded = Record::read(&file.record)?;
     let (mut record, kept) = (recorded.clone(), !file.record.as_os_str().is_empty());
@@ -112,7 +112,7 @@ fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, us
     text
 }
 
-/// Every variant against the baseline, over all tasks that both have; nothing where there is none.
+/// Every variant against the baseline, over all tasks that both have; empty if there is none.
 fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
     if verdicts.is_empty() {
         return String::new();
@@ -138,7 +138,7 @@ fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
     )
 }
 
-/// `86 (20 to 100)`, or `-` of what does not exist.
+/// `86 (20 to 100)`, or `-` for a missing value.
 fn shown(estimate: Estimate, decimals: usize) -> String {
     let Estimate { value, interval } = estimate;
     if value.is_nan() {
@@ -151,7 +151,7 @@ const CSV_HEADER: &str = "task,variant,runs,final_return,final_return_low,final_
     area,area_low,area_high,threshold,steps_to_threshold,runs_at_threshold,\
     improvement,improvement_low,improvement_high";
 
-/// What does not exist is empty.
+/// A number, or an empty field for a missing value.
 fn csv(rows: &[Row]) -> String {
     let three = |e: Estimate| format!("{},{},{}", e.value, e.interval.low, e.interval.high);
     let line = |row: &Row| {

@@ -1,4 +1,4 @@
-//! How far a run of an experiment is, as its folder tells.
+//! The state of an experiment's run, read from its folder.
 
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
@@ -10,20 +10,20 @@ use super::plan::PlannedRun;
 use crate::run_config::RunConfig;
 use crate::{resume, run_path};
 
-/// Enough of a `metrics.jsonl` to hold its last lines.
+/// Number of bytes that contains the last lines of a `metrics.jsonl`.
 const TAIL_BYTES: u64 = 64 << 10;
 
-/// How far a run is.
+/// State of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Standing {
-    /// There is nothing of it.
+    /// The folder contains no run.
     New,
-    /// It goes on, or can be gone on with.
+    /// The run is in progress or can be resumed.
     Begun {
         /// Environment steps of its finished iterations.
         env_steps: u64,
     },
-    /// Its last evaluation is in, and so is the checkpoint before it.
+    /// The last evaluation and the checkpoint before it are written.
     Finished,
 }
 
@@ -38,7 +38,7 @@ impl Standing {
     }
 }
 
-/// How far the run is; what its folder holds is not questioned.
+/// The state of the run; does not check whether the folder holds this run.
 pub(crate) fn standing(run: &PlannedRun) -> Standing {
     if !run_path::config_file(&run.folder).is_file() {
         return Standing::New;
@@ -55,7 +55,7 @@ pub(crate) fn standing(run: &PlannedRun) -> Standing {
     }
 }
 
-/// Why the folder's run cannot be the planned one; `None` if it can, or if there is none.
+/// How the run in the folder differs from the planned one; `None` if it does not, or if there is none.
 pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     if !run_path::config_file(&run.folder).is_file() {
         return None;
@@ -64,7 +64,7 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     same.err().map(|error| format!("{} holds another run: {error}", run.folder.display()))
 }
 
-/// The lines at the end of a file of JSON lines; what cannot be read is left out.
+/// The last lines of a file of JSON lines, without those that cannot be parsed.
 pub(super) fn last_lines(path: &Path) -> Vec<Value> {
     let tail = || -> std::io::Result<Vec<u8>> {
         let mut file = File::open(path)?;

@@ -1,5 +1,5 @@
-//! What an experiment says of each variant over all tasks together, as Agarwal et al. (NeurIPS 2021) aggregate runs: in
-//! the probability of improvement every task counts alike, and only runs of the same task are exchanged. Pure.
+//! Comparison of each variant with the baseline over all tasks, aggregated as in Agarwal et al. (NeurIPS 2021): every
+//! task has the same weight in the probability of improvement, and runs are exchanged within a task only. Pure.
 
 use policy::{Draw, Purpose};
 
@@ -22,16 +22,16 @@ pub(crate) struct Verdict {
     pub(crate) score: Estimate,
     /// Probability that a run of the variant ends higher than one of the baseline, mean over tasks.
     pub(crate) improvement: Estimate,
-    /// Of a two-sided permutation test of that probability.
+    /// P-value of a two-sided permutation test of that probability.
     pub(crate) p_value: f64,
-    /// The same after Holm's correction for all variants.
+    /// The p-value after Holm's correction for all variants.
     pub(crate) adjusted_p_value: f64,
 }
 
 /// Final returns of a variant's and of the baseline's runs on each task.
 type Pairs = Vec<(Vec<f64>, Vec<f64>)>;
 
-/// A verdict on each of `variants` but the baseline itself that shares a task with it.
+/// A comparison for each of `variants` that shares a task with the baseline, without the baseline itself.
 pub(crate) fn verdicts(runs: &[Measured], variants: &[String], baseline: &str) -> Vec<Verdict> {
     let groups = grouped(runs);
     let pairs = |variant: &String| -> Pairs {
@@ -51,7 +51,7 @@ pub(crate) fn verdicts(runs: &[Measured], variants: &[String], baseline: &str) -
     judged.map(|((variant, pairs), p_values)| verdict(variant, pairs, p_values)).collect()
 }
 
-/// `p_values`: as it is, and adjusted.
+/// `p_values`: raw and adjusted.
 fn verdict(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Verdict {
     let samples: Vec<&[f64]> =
         pairs.iter().flat_map(|(own, rivals)| [own.as_slice(), rivals.as_slice()]).collect();
@@ -67,7 +67,7 @@ fn verdict(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Verdict {
     }
 }
 
-/// Of a variant's runs and the baseline's on every task, `[own, rivals, own, rivals, ..]`.
+/// Interquartile mean of normalised returns; the samples are `[own, rivals, own, rivals, ..]`, a pair for each task.
 fn normalised_score(samples: &[Vec<f64>]) -> f64 {
     let scores = samples.chunks_exact(2).flat_map(|pair| {
         let unit = interquartile_mean(&pair[1]);

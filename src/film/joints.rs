@@ -1,15 +1,15 @@
-//! Places of a robot's joints that numbers can be written on.
+//! Joint positions for the numbers in a robot's portrait.
 
 use anyhow::Context as _;
 use sim::{Environments, Outcome};
 
-/// Joints that are nearer to one another hide their numbers, metres.
+/// Joints closer than this hide each other's numbers, metres.
 const APART: f32 = 0.08;
-/// Steps in which legs are driven apart.
+/// Limit of the steps that move legs apart.
 const MOST_STEPS: usize = 30;
 
-/// Where all joints are, as soon as no more than one stands where another does: legs one behind the other are driven
-/// apart, their hips stay in one place.
+/// Steps the robot until at most one joint hides another, and returns the positions of all joints. Legs that are one
+/// behind the other move apart; their hips stay in one place.
 pub(crate) fn distinct_joints(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
     let anchors = sim::hinges(&world.description().task).context("cannot build the robot")?;
     let mut joints = places(world, &anchors);
@@ -28,7 +28,7 @@ pub(crate) fn distinct_joints(world: &mut Environments) -> anyhow::Result<Vec<[f
     Ok(joints)
 }
 
-/// Whether a joint is where one of the others is.
+/// Whether a joint is at the position of one of the others.
 fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
     let near = |other: &[f32; 3]| {
         let squares = joint.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
@@ -37,7 +37,8 @@ fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
     others.iter().any(near)
 }
 
-/// Where the joints are that the agents drive, in the order of their actions; `anchors` say where on its link each is.
+/// Positions of the joints that agents drive, in the order of their actions; `anchors` are their positions on their
+/// links.
 fn places(world: &Environments, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let (task, pose) = (world.description(), world.pose(0));
     let links = &pose.links[pose.links.len() - anchors.len()..];

@@ -11,8 +11,8 @@ use crate::film::shapes::RobotShapes;
 use crate::film::sheet::{GAP, legend, paste, size};
 use crate::film::solids::{self, Solid, View};
 
-/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. `joints` are the places in
-/// the world, metres, that get the numbers from 1 on.
+/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. `joints` are the places
+/// in the world, metres, that get the numbers from 1 on.
 ///
 /// # Errors
 /// If the picture cannot be encoded.
@@ -55,7 +55,7 @@ pub(crate) fn portrait(
     sheet.encode_png().context("cannot encode the picture")
 }
 
-/// From above where the robot is wider than it is high.
+/// From above if the robot is wider than high.
 fn view(robot: &RobotShapes, pose: &Pose) -> View {
     let extent = |view| {
         let (low, high) = edges(&solids::of_pose(robot, pose, view));

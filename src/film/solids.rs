@@ -4,21 +4,21 @@ use sim::Pose;
 
 use crate::film::shapes::RobotShapes;
 
-/// Every point of the picture's plane that is no farther than the radius from the line between the ends: that is
-/// what a capsule looks like from any side, and with equal ends a ball.
+/// All points of the picture's plane within the radius of the line between the ends: a capsule from any side, or a ball
+/// if the ends are equal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Solid {
     /// In the picture's plane, metres: x, and z or y.
     pub(super) ends: [[f32; 2]; 2],
     /// Metres.
     pub(super) radius: f32,
-    /// How far behind the plane the middle is, metres.
+    /// Distance of the middle behind the plane, metres.
     pub(super) depth: f32,
-    /// Who drives the joint of its link.
+    /// The agent that drives the joint of its link.
     pub(super) agent: Option<usize>,
 }
 
-/// From where a robot is seen.
+/// Direction of view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum View {
     /// Along y.
@@ -36,7 +36,7 @@ impl View {
         }
     }
 
-    /// How far behind the plane it is, metres.
+    /// Distance of a point behind the plane, metres.
     fn depth(self, [_, y, z]: [f32; 3]) -> f32 {
         match self {
             Self::Side => y,

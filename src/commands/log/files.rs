@@ -12,7 +12,7 @@ use crate::cli::LogFiles;
 use crate::errors::Usage;
 use crate::run_path;
 
-/// The trajectory logs that are meant, each once, in the order of their names within a folder.
+/// The trajectory logs that the arguments name, each once, ordered by name within a folder.
 pub(super) fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
     let paths = paths_of(logs, is_log_name)?;
     let is_reward_log = |path: &&PathBuf| run_path::file_name(path).is_some_and(is_reward_log_name);
@@ -26,7 +26,7 @@ pub(super) fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
     }
 }
 
-/// All shares of the logs that are meant, and their intrinsic rewards, which learners log.
+/// All shares of the logs that the arguments name, with the intrinsic rewards that learners log.
 pub(super) fn index(logs: &LogFiles) -> anyhow::Result<Index> {
     let mut index = Index::default();
     for path in paths_of(logs, |name| is_log_name(name) || is_reward_log_name(name))? {
@@ -39,13 +39,13 @@ pub(super) fn index(logs: &LogFiles) -> anyhow::Result<Index> {
     Ok(index)
 }
 
-/// For how many shares an agent's intrinsic rewards are known.
+/// Number of shares with intrinsic rewards, as text.
 pub(super) fn paid(index: &Index) -> String {
     let (paid, all) = index.paid();
     format!("intrinsic rewards of {} of {} training shares", thousands(paid), thousands(all))
 }
 
-/// Of folders, the files whose names `belong`.
+/// The named files; for a folder, its files whose names `belong`.
 fn paths_of(logs: &LogFiles, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
     let mut paths: Vec<PathBuf> = Vec::new();
     for given in &logs.files {
@@ -59,7 +59,7 @@ fn paths_of(logs: &LogFiles, belong: fn(&str) -> bool) -> anyhow::Result<Vec<Pat
     Ok(paths)
 }
 
-/// Of a run folder, those of its logs.
+/// The files of a folder whose names `belong`; for a run folder, those of its logs.
 fn in_folder(folder: &Path, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
     let logs = run_path::logs(folder);
     let is_run = run_path::config_file(folder).is_file() && logs.is_dir();
@@ -74,7 +74,7 @@ fn in_folder(folder: &Path, belong: fn(&str) -> bool) -> anyhow::Result<Vec<Path
     Ok(paths)
 }
 
-/// The same with the file's name before it.
+/// Adds the path of the file to an error.
 pub(super) fn in_file<T>(path: &Path, result: Result<T, LogError>) -> anyhow::Result<T> {
     result.with_context(|| path.display().to_string())
 }

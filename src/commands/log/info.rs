@@ -1,4 +1,4 @@
-//! `s2mia log info`: what files hold.
+//! `s2mia log info`: contents of log files.
 
 use std::path::Path;
 

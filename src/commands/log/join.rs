@@ -8,7 +8,7 @@ use crate::commands::log::files::{in_file, index, paid};
 use crate::errors::Incomplete;
 use crate::output;
 
-/// Writes the file and says what is in it. Ends with status 3 if something of a reward log is damaged.
+/// Writes the file and prints its contents. Ends with status 3 if part of a reward log is damaged.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
     let index = index(&arguments.logs)?;
     let joined = in_file(&arguments.out, join(&index, &arguments.out))?;

@@ -1,4 +1,4 @@
-//! `s2mia log recover`: a new file with what is whole in a damaged one.
+//! `s2mia log recover`: copies the undamaged part of a log into a new file.
 
 use actor::trajectory_log::{read_bytes, recover};
 
@@ -8,7 +8,7 @@ use crate::commands::log::files::in_file;
 use crate::errors::Incomplete;
 use crate::output;
 
-/// Ends with status 3 if something was lost, and says what.
+/// Ends with status 3 and a list of losses if data was lost.
 pub(super) fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let RecoverArguments { file, out } = arguments;
     let bytes = in_file(file, read_bytes(file))?;

@@ -1,4 +1,4 @@
-//! `s2mia log replay`: whether the simulator repeats what was logged.
+//! `s2mia log replay`: checks that the simulator reproduces the logged steps.
 
 use actor::trajectory_log::{read_bytes, replay};
 

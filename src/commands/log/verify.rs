@@ -1,4 +1,4 @@
-//! `s2mia log verify`: whether logs are sound and whole.
+//! `s2mia log verify`: checks that logs are undamaged and complete.
 
 use actor::trajectory_log::Index;
 
@@ -8,7 +8,7 @@ use crate::commands::log::files::{index, paid};
 use crate::errors::Incomplete;
 use crate::output;
 
-/// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only something is missing.
+/// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only data is missing.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
     let index = index(logs)?;
     let damaged = index.damaged();

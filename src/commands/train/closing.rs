@@ -1,4 +1,4 @@
-//! The last words of `s2mia train`: what was reached, where it is, what can be done with it.
+//! The last lines of `s2mia train`: results, checkpoint and possible next commands.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader};
@@ -21,7 +21,7 @@ const ROWS: usize = 8;
 pub(super) enum Length {
     /// By a resume.
     MayRise,
-    /// Every step depended on it: more steps are another run.
+    /// Every step depends on the length, so a longer run is a different run.
     Fixed,
 }
 
@@ -74,7 +74,7 @@ impl Closing<'_> {
     }
 }
 
-/// What actors logged, in this session and before, by their own account, and what the learner added.
+/// Totals of all trajectory logs of the run, and of the learner's reward logs.
 pub(super) fn logged(logs: &Path) -> String {
     let files = |belong| run_path::files(logs, belong).unwrap_or_default();
     let logged = files(is_log_name);
