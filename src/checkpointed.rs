@@ -42,10 +42,10 @@ pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
     config_file_of_run(run)?;
     let loaded = match learner::checkpoint::load_newest(run) {
         Err(CheckpointError::None { .. }) => return Ok(None),
-        loaded => loaded.with_context(|| format!("{} has no good checkpoint", run.display()))?,
+        loaded => loaded.with_context(|| format!("{} has no valid checkpoint", run.display()))?,
     };
     for (path, why) in &loaded.skipped {
-        tracing::warn!("{} is damaged and passed over: {why}", path.display());
+        tracing::warn!("{} is damaged and skipped: {why}", path.display());
     }
     Ok(Some(loaded))
 }

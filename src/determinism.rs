@@ -13,11 +13,11 @@ use crate::environment_section::EnvironmentSection;
 use crate::{output, run_path};
 
 /// Poll interval for a running learner.
-const GLANCE: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Disturbance of a trial.
 #[derive(Clone, Copy)]
-enum Happening {
+enum Disturbance {
     Nothing,
     /// One actor is killed after the first iteration.
     ActorKilled,
@@ -26,10 +26,10 @@ enum Happening {
 }
 
 /// Name, number of actors and disturbance.
-const TRIALS: [(&str, usize, Happening); 3] = [
-    ("1 actor, undisturbed", 1, Happening::Nothing),
-    ("2 actors, one killed", 2, Happening::ActorKilled),
-    ("2 actors, stopped and resumed", 2, Happening::Stopped),
+const TRIALS: [(&str, usize, Disturbance); 3] = [
+    ("1 actor, undisturbed", 1, Disturbance::Nothing),
+    ("2 actors, one killed", 2, Disturbance::ActorKilled),
+    ("2 actors, stopped and resumed", 2, Disturbance::Stopped),
 ];
 
 /// Runs all trials for `iterations` and prints the final state of each.
@@ -43,20 +43,20 @@ pub(crate) fn verify(
 ) -> anyhow::Result<()> {
     let place = Scratch::make()?;
     let mut states = Vec::new();
-    for (index, (name, actors, happening)) in TRIALS.into_iter().enumerate() {
+    for (index, (name, actors, disturbance)) in TRIALS.into_iter().enumerate() {
         let folder = place.0.join(index.to_string());
         let trial = Trial { settings, environment, folder: &folder, actors };
-        trial.play(happening, iterations).with_context(|| format!("trial `{name}` failed"))?;
+        trial.play(disturbance, iterations).with_context(|| format!("trial `{name}` failed"))?;
         let state = checkpoint::load_newest(&folder)?.saved().state_sha256;
         output::line(format!("{name:<31} {state}"));
         states.push(state);
     }
-    verdict(&states)?;
+    check_equal(&states)?;
     output::line(format!("deterministic over {iterations} iterations: all states are equal"));
     Ok(())
 }
 
-fn verdict(states: &[String]) -> anyhow::Result<()> {
+fn check_equal(states: &[String]) -> anyhow::Result<()> {
     match states.iter().position(|state| *state != states[0]) {
         None => Ok(()),
         Some(index) => anyhow::bail!(
@@ -75,16 +75,16 @@ struct Trial<'a> {
 }
 
 impl Trial<'_> {
-    fn play(&self, happening: Happening, iterations: u64) -> anyhow::Result<()> {
-        match happening {
-            Happening::Nothing => self.start(iterations)?.end(),
-            Happening::ActorKilled => {
-                let mut crew = self.start(iterations)?;
-                crew.wait_for_an_iteration(self.folder)?;
-                crew.actors[0].kill().context("cannot kill an actor")?;
-                crew.end()
+    fn play(&self, disturbance: Disturbance, iterations: u64) -> anyhow::Result<()> {
+        match disturbance {
+            Disturbance::Nothing => self.start(iterations)?.end(),
+            Disturbance::ActorKilled => {
+                let mut processes = self.start(iterations)?;
+                processes.wait_for_an_iteration(self.folder)?;
+                processes.actors[0].kill().context("cannot kill an actor")?;
+                processes.end()
             }
-            Happening::Stopped => {
+            Disturbance::Stopped => {
                 self.start(1)?.end()?;
                 self.start(iterations)?.end()
             }
@@ -92,7 +92,7 @@ impl Trial<'_> {
     }
 
     /// Starts the learner, which resumes the run in the folder if there is one, and the actors.
-    fn start(&self, iterations: u64) -> anyhow::Result<Crew> {
+    fn start(&self, iterations: u64) -> anyhow::Result<TrialProcesses> {
         let program = std::env::current_exe().context("cannot find this program")?;
         let mut command = Command::new(&program);
         command
@@ -109,35 +109,35 @@ impl Trial<'_> {
         }
         let mut learner = command.stdout(Stdio::piped()).spawn().context("no learner")?;
         let lines = learner.stdout.take().map(BufReader::new).context("no output")?.lines();
-        let mut crew = Crew { learner, lines, actors: Vec::new() };
-        let opening = crew.lines.next().context("the learner did not start")??;
+        let mut processes = TrialProcesses { learner, lines, actors: Vec::new() };
+        let opening = processes.lines.next().context("the learner did not start")??;
         let url = opening.split_whitespace().last().unwrap_or_default();
         for _ in 0..self.actors {
             let mut actor = Command::new(&program);
             actor.args(["actor", "--exit-with-stdin", "--learner", url]);
             actor.args(self.environment.arguments());
             actor.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-            crew.actors.push(actor.spawn().context("no actor")?);
+            processes.actors.push(actor.spawn().context("no actor")?);
         }
-        Ok(crew)
+        Ok(processes)
     }
 }
 
 /// Processes of a learner and its actors; dropping this value ends them.
-struct Crew {
+struct TrialProcesses {
     learner: Child,
     lines: Lines<BufReader<ChildStdout>>,
     actors: Vec<Child>,
 }
 
-impl Crew {
+impl TrialProcesses {
     fn wait_for_an_iteration(&mut self, folder: &Path) -> anyhow::Result<()> {
         let metrics = run_path::metrics_file(folder);
         while !std::fs::metadata(&metrics).is_ok_and(|file| file.len() > 0) {
             if self.learner.try_wait()?.is_some() {
                 return Ok(());
             }
-            std::thread::sleep(GLANCE);
+            std::thread::sleep(POLL_INTERVAL);
         }
         Ok(())
     }
@@ -150,7 +150,7 @@ impl Crew {
     }
 }
 
-impl Drop for Crew {
+impl Drop for TrialProcesses {
     fn drop(&mut self) {
         for process in self.actors.iter_mut().chain([&mut self.learner]) {
             // Fails for a process that has already ended.
@@ -184,10 +184,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn states_that_differ_are_told_by_the_trials_they_come_from() {
+    fn different_states_are_reported_with_their_trials() {
         let states = |texts: [&str; 3]| texts.map(str::to_owned);
-        assert!(verdict(&states(["a", "a", "a"])).is_ok());
-        let told = verdict(&states(["a", "a", "b"])).unwrap_err().to_string();
-        assert!(told.contains("`2 actors, stopped and resumed`"), "{told}");
+        assert!(check_equal(&states(["a", "a", "a"])).is_ok());
+        let message = check_equal(&states(["a", "a", "b"])).unwrap_err().to_string();
+        assert!(message.contains("`2 actors, stopped and resumed`"), "{message}");
     }
 }

@@ -119,8 +119,9 @@ fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
     };
     if run_path::config_file(&folder).exists() {
         let shown = folder.display();
-        let why =
-            format!("{shown} holds a run already; go on with it by `s2mia train --resume {shown}`");
+        let why = format!(
+            "{shown} already contains a run; resume it with `s2mia train --resume {shown}`"
+        );
         return Err(Usage::new(why).into());
     }
     Ok(folder)

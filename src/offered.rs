@@ -62,7 +62,8 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
 
 async fn outside(url: &str, transport: &Transport) -> anyhow::Result<Offered> {
     demand_allowed(url, transport)?;
-    let service = EnvironmentService::connect(url).await.context("no environment to train in")?;
+    let service =
+        EnvironmentService::connect(url).await.context("cannot use the training environment")?;
     Ok(offered_by(&service))
 }
 
@@ -101,7 +102,7 @@ impl Stage {
             offered_by(&service).demand_that_of(config)?;
             anyhow::Ok(service.environments(1))
         });
-        let environment = Box::new(environment.context("no environment to play in")?);
+        let environment = Box::new(environment.context("cannot use the environment of the run")?);
         Ok(Self { environment, _network: Some(network) })
     }
 }

@@ -72,12 +72,10 @@ impl ServedRun {
             match loaded.and_then(|of| policies(of, &self.environment, &self.hidden_sizes)) {
                 Ok(policies) => {
                     let version = policies.name.version;
-                    tracing::info!(
-                        "episodes that begin now act by the policies after iteration {version}"
-                    );
+                    tracing::info!("new episodes use the policies of iteration {version}");
                     self.newest.send_replace(Arc::new(policies));
                 }
-                Err(error) => tracing::warn!("the policies before are kept: {error:#}"),
+                Err(error) => tracing::warn!("the previous policies stay in use: {error:#}"),
             }
         }
     }

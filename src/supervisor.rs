@@ -25,7 +25,7 @@ const REPLACEMENT_PAUSE: Duration = Duration::from_millis(200);
 
 /// The actor processes of a run and their arguments.
 #[derive(Clone, Debug)]
-pub(crate) struct Crew {
+pub(crate) struct ActorProcesses {
     /// This program.
     pub(crate) program: PathBuf,
     /// URL of the learner.
@@ -62,9 +62,9 @@ impl DeathCount {
 
 /// Why the supervisor gave up, once it has.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Surrender(Arc<Mutex<Option<String>>>);
+pub(crate) struct ActorFailure(Arc<Mutex<Option<String>>>);
 
-impl Surrender {
+impl ActorFailure {
     /// The reason, if the supervisor gave up.
     pub(crate) fn reason(&self) -> Option<String> {
         self.0.lock().expect("no thread panics while it holds this lock").clone()
@@ -77,43 +77,45 @@ impl Surrender {
 
 /// Keeps all processes running until `ended`. After too many failures, sets `stop` and the reason.
 pub(crate) async fn supervise(
-    crew: Crew,
+    processes: ActorProcesses,
     ended: watch::Receiver<bool>,
     stop: watch::Sender<bool>,
-) -> Surrender {
-    let surrender = Surrender::default();
-    let watchman = Watchman {
-        crew: Arc::new(crew),
+) -> ActorFailure {
+    let failure = ActorFailure::default();
+    let supervisor = Supervisor {
+        processes: Arc::new(processes),
         deaths: Arc::default(),
         start: Instant::now(),
-        surrender: surrender.clone(),
+        failure: failure.clone(),
         stop,
     };
-    let mut posts = JoinSet::new();
-    for index in 0..watchman.crew.actors {
-        posts.spawn(watchman.clone().hold_post(index, ended.clone()));
+    let mut tasks = JoinSet::new();
+    for index in 0..supervisor.processes.actors {
+        tasks.spawn(supervisor.clone().keep_running(index, ended.clone()));
     }
-    posts.join_all().await;
-    surrender
+    tasks.join_all().await;
+    failure
 }
 
 /// State that the tasks of all processes share.
 #[derive(Clone)]
-struct Watchman {
-    crew: Arc<Crew>,
+struct Supervisor {
+    processes: Arc<ActorProcesses>,
     deaths: Arc<Mutex<DeathCount>>,
     start: Instant,
-    surrender: Surrender,
+    failure: ActorFailure,
     stop: watch::Sender<bool>,
 }
 
-impl Watchman {
+impl Supervisor {
     /// Runs one actor after the other under one index. An actor ends with success when the run is done.
-    async fn hold_post(self, index: usize, mut ended: watch::Receiver<bool>) {
-        while !*ended.borrow() && self.surrender.reason().is_none() {
-            let death = match self.crew.start(index) {
-                Ok(child) => match until_exit(child, &mut ended, self.crew.patience()).await {
-                    Some(status) if !status.success() => self.crew.death_notice(index, status),
+    async fn keep_running(self, index: usize, mut ended: watch::Receiver<bool>) {
+        while !*ended.borrow() && self.failure.reason().is_none() {
+            let death = match self.processes.start(index) {
+                Ok(child) => match until_exit(child, &mut ended, self.processes.patience()).await {
+                    Some(status) if !status.success() => {
+                        self.processes.failure_message(index, status)
+                    }
                     _ => return,
                 },
                 Err(error) => format!("actor {index} did not start: {error:#}"),
@@ -135,12 +137,12 @@ impl Watchman {
             tracing::warn!("{death}; starting another in its place");
             return;
         }
-        self.surrender.set(format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
+        self.failure.set(format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
         self.stop.send_replace(true);
     }
 }
 
-impl Crew {
+impl ActorProcesses {
     /// Starts a process in its own group, so that Ctrl-C reaches it only through its learner.
     fn start(&self, index: usize) -> anyhow::Result<Child> {
         let log = self.log_path(index);
@@ -190,7 +192,7 @@ impl Crew {
         self.logs.join(format!("actor_{index}.log"))
     }
 
-    fn death_notice(&self, index: usize, status: ExitStatus) -> String {
+    fn failure_message(&self, index: usize, status: ExitStatus) -> String {
         let log = self.log_path(index);
         let last = last_line(&log).map_or_else(String::new, |line| format!(": {line}"));
         format!("actor {index} died ({status}{last}); its log is {}", log.display())
@@ -229,11 +231,11 @@ mod tests {
     use super::*;
     use std::os::unix::fs::PermissionsExt as _;
 
-    fn crew_of(folder: &tempfile::TempDir, script: &str) -> Crew {
+    fn processes_of(folder: &tempfile::TempDir, script: &str) -> ActorProcesses {
         let program = folder.path().join("actor.sh");
         std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
         std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
-        Crew {
+        ActorProcesses {
             program,
             learner: "http://127.0.0.1:1".into(),
             environment: Vec::new(),
@@ -257,12 +259,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_crew_that_keeps_dying_gives_up_and_says_why() {
+    async fn actors_that_keep_failing_end_the_run_with_the_reason() {
         let folder = tempfile::tempdir().unwrap();
-        let crew = crew_of(&folder, "echo no rapier today >&2; exit 3");
+        let processes = processes_of(&folder, "echo no rapier today >&2; exit 3");
         let (stop, stopped) = watch::channel(false);
         let (_end, ended) = watch::channel(false);
-        let reason = supervise(crew, ended, stop).await.reason().unwrap();
+        let reason = supervise(processes, ended, stop).await.reason().unwrap();
         assert!(
             reason.contains("5 actor deaths") && reason.contains("no rapier today"),
             "{reason}"
@@ -273,14 +275,14 @@ mod tests {
     #[tokio::test]
     async fn actors_leave_when_the_run_ends() {
         let folder = tempfile::tempdir().unwrap();
-        let crew = crew_of(&folder, "cat > /dev/null");
+        let processes = processes_of(&folder, "cat > /dev/null");
         let (stop, _stopped) = watch::channel(false);
         let (end, ended) = watch::channel(false);
-        let supervised = tokio::spawn(supervise(crew, ended, stop));
+        let supervised = tokio::spawn(supervise(processes, ended, stop));
         tokio::time::sleep(Duration::from_millis(100)).await;
         assert!(!supervised.is_finished());
         end.send_replace(true);
-        let surrender = tokio::time::timeout(Duration::from_secs(5), supervised).await.unwrap();
-        assert_eq!(surrender.unwrap().reason(), None);
+        let failure = tokio::time::timeout(Duration::from_secs(5), supervised).await.unwrap();
+        assert_eq!(failure.unwrap().reason(), None);
     }
 }

@@ -21,7 +21,7 @@ fn tls_error<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> 
 fn words(error: &rustls::Error) -> Option<String> {
     use rustls::Error::{AlertReceived, InvalidCertificate, InvalidMessage};
     match error {
-        InvalidMessage(_) => Some("the learner speaks no TLS there; use an http:// URL".to_owned()),
+        InvalidMessage(_) => Some("the learner does not use TLS; use an http:// URL".to_owned()),
         InvalidCertificate(why) => {
             Some(format!("the learner's certificate is refused: {}", reason(why)))
         }
@@ -43,7 +43,7 @@ fn reason(why: &CertificateError) -> String {
 
 fn told(alert: AlertDescription) -> Option<&'static str> {
     match alert {
-        AlertDescription::CertificateRequired => Some("it wants one and got none"),
+        AlertDescription::CertificateRequired => Some("it requires one and received none"),
         AlertDescription::UnknownCA | AlertDescription::DecryptError => {
             Some("another authority has signed it")
         }

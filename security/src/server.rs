@@ -93,7 +93,7 @@ impl State {
                 self.config = config;
                 tracing::info!("new connections are served with the changed certificates");
             }
-            Err(error) => tracing::warn!("the certificates before are kept: {error}"),
+            Err(error) => tracing::warn!("the previous certificates stay in use: {error}"),
         }
         self.seen = found;
     }

@@ -42,7 +42,7 @@ fn play(
             None => ActionChoice::Mean,
         };
         let start = (trained.start(episode), choice);
-        actor::play_episode(world, &trained.policy, start, |_| {}).context("the episode broke off")
+        actor::play_episode(world, &trained.policy, start, |_| {}).context("the episode failed")
     };
     (0..arguments.episodes).map(episode).collect()
 }

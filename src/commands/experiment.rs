@@ -4,13 +4,13 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::ExperimentArguments;
-use crate::experiment::crew::{self, Tally};
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
 use crate::experiment::plan::{PlannedRun, plan};
 use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
 use crate::experiment::report;
+use crate::experiment::scheduler::{self, Tally};
 use crate::runtime::runtime;
 use crate::{output, signals};
 
@@ -45,7 +45,7 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
         output::line("stopping after a checkpoint of each run; Ctrl-C again ends at once");
     })?;
     let mut progress = Progress::new(runs);
-    let tally = crew::run_all(runs, at_once, stop.clone(), &mut progress).await?;
+    let tally = scheduler::run_all(runs, at_once, stop.clone(), &mut progress).await?;
     let stopped = *stop.borrow();
     Ok((tally, stopped))
 }
@@ -66,14 +66,14 @@ fn finish(
     if let Some(arguments) = stopped {
         let file = arguments.file.display();
         output::line(format!(
-            "stopped with {finished} of {planned} runs finished; go on by `s2mia experiment {file}`"
+            "stopped with {finished} of {planned} runs finished; resume with `s2mia experiment {file}`"
         ));
     }
     let refused = format!(
         "the folders of {misplaced} of {planned} runs hold other runs; \
          remove those, or give the experiment another `folder`"
     );
-    let tried = format!("{failed} of {planned} runs failed; the same command tries them again");
+    let tried = format!("{failed} of {planned} runs failed; the same command retries them");
     match (failed, misplaced) {
         (0, 0) => Ok(()),
         (_, 0) => anyhow::bail!(tried),

@@ -20,7 +20,7 @@ use crate::launch::{self, Prepared};
 use crate::progress::Progress;
 use crate::run_config::RunConfig;
 use crate::runtime::runtime;
-use crate::supervisor::{self, Crew, Surrender};
+use crate::supervisor::{self, ActorFailure, ActorProcesses};
 use crate::{determinism, learning_curve, output, page, run_path, signals};
 
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
@@ -53,21 +53,21 @@ async fn train(
     let (page, stop) = (page::open(page).await?, stop_sender.subscribe());
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
-    let crew = crew(&config, &folder, &listener)?;
+    let processes = processes(&config, &folder, &listener)?;
     let (end, ended) = watch::channel(false);
     signals::stop_on_signal(stop_sender.clone(), || {
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
     })?;
-    let actors = tokio::spawn(supervisor::supervise(crew, ended, stop_sender));
+    let actors = tokio::spawn(supervisor::supervise(processes, ended, stop_sender));
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary = learner::run(launch, listener, page, observer, stop).await;
     end.send_replace(true);
-    let surrender = actors.await.context("the watch over the actors failed")?;
+    let failure = actors.await.context("the supervisor of the actors failed")?;
     if config.log.episodes != Episodes::None {
         output::line(closing::logged(&run_path::logs(&folder)));
     }
-    let summary = ended_well(summary, &surrender)?;
+    let summary = ended_well(summary, &failure)?;
     let length = match config.resolved.depends_on_length() {
         true => Length::Fixed,
         false => Length::MayRise,
@@ -107,10 +107,14 @@ fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
     )
 }
 
-fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Result<Crew> {
+fn processes(
+    config: &RunConfig,
+    folder: &Path,
+    listener: &TcpListener,
+) -> anyhow::Result<ActorProcesses> {
     let logs = run_path::logs(folder);
     std::fs::create_dir_all(&logs).with_context(|| format!("cannot make {}", logs.display()))?;
-    Ok(Crew {
+    Ok(ActorProcesses {
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),
         environment: config.environment.arguments(),
@@ -123,9 +127,9 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
 /// The summary; an error if the learner failed or the supervisor gave up on the actors.
 fn ended_well(
     summary: Result<Summary, LearnerError>,
-    surrender: &Surrender,
+    failure: &ActorFailure,
 ) -> anyhow::Result<Summary> {
-    match (summary.context("the learner failed"), surrender.reason()) {
+    match (summary.context("the learner failed"), failure.reason()) {
         (Ok(summary), None) => Ok(summary),
         (Ok(summary), Some(reason)) => {
             anyhow::bail!("{reason}; the run is kept in {}", summary.checkpoint.display());

@@ -2,7 +2,7 @@
 
 use super::plan::PlannedRun;
 use super::record::Record;
-use super::standing::{Standing, mismatch, standing};
+use super::run_state::{RunState, mismatch, run_state};
 use crate::chart;
 
 /// One line per run, and one for all.
@@ -21,10 +21,10 @@ fn how_far(run: &PlannedRun, record: &Record) -> String {
     if record.holds(run) {
         return "recorded".to_owned();
     }
-    match (mismatch(run), standing(run)) {
+    match (mismatch(run), run_state(run)) {
         (Some(why), _) => why,
-        (None, Standing::New) => "new".to_owned(),
-        (None, Standing::Begun { env_steps }) => format!("at {}", chart::thousands(env_steps)),
-        (None, Standing::Finished) => "finished".to_owned(),
+        (None, RunState::New) => "new".to_owned(),
+        (None, RunState::Begun { env_steps }) => format!("at {}", chart::thousands(env_steps)),
+        (None, RunState::Finished) => "finished".to_owned(),
     }
 }

@@ -12,7 +12,7 @@ use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
 use super::plan::PlannedRun;
-use super::standing::last_lines;
+use super::run_state::last_lines;
 use crate::fingerprints;
 use crate::learning_curve::{Curve, Quantity};
 

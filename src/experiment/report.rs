@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
+use super::comparison::{Comparison, comparisons};
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
 use super::record::{Record, at_evaluations};
 use super::results::{Estimate, Measured, Row, rows};
-use super::standing::{Standing, mismatch, standing};
-use super::verdict::{Verdict, verdicts};
+use super::run_state::{RunState, mismatch, run_state};
 use crate::learning_curve::{self, Curve, Quantity};
 use crate::{chart, figures};
 
@@ -23,7 +23,7 @@ pub(crate) fn write(
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
     let rows = rows(&measured, &variants, &file.baseline, file.threshold);
-    let together = verdicts(&measured, &variants, &file.baseline);
+    let together = comparisons(&measured, &variants, &file.baseline);
     let counts = (measured.len(), runs.len());
     let table = markdown(&rows, file, counts) + &over_all_tasks(&together, &file.baseline);
     let mut written = vec![
@@ -48,7 +48,7 @@ fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Cur
         let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
             None if is_there(run) => {
-                let (curve, done) = (of_folder(run)?, standing(run) == Standing::Finished);
+                let (curve, done) = (of_folder(run)?, run_state(run) == RunState::Finished);
                 if kept && done {
                     record.add(run, &curve)?;
                 }
@@ -71,7 +71,7 @@ fn of_folder(run: &PlannedRun) -> anyhow::Result<Curve> {
 }
 
 fn is_there(run: &PlannedRun) -> bool {
-    standing(run) != Standing::New && mismatch(run).is_none()
+    run_state(run) != RunState::New && mismatch(run).is_none()
 }
 
 fn measured(curve: &Curve) -> Measured {
@@ -113,20 +113,20 @@ fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, us
 }
 
 /// Every variant against the baseline, over all tasks that both have; empty if there is none.
-fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
-    if verdicts.is_empty() {
+fn over_all_tasks(comparisons: &[Comparison], baseline: &str) -> String {
+    if comparisons.is_empty() {
         return String::new();
     }
-    let line = |verdict: &Verdict| {
+    let line = |comparison: &Comparison| {
         format!(
             "| {} | {} | {} | {} | {} | {:.3} | {:.3} |\n",
-            verdict.variant,
-            verdict.tasks,
-            verdict.runs,
-            shown(verdict.score, 2),
-            shown(verdict.improvement, 2),
-            verdict.p_value,
-            verdict.adjusted_p_value,
+            comparison.variant,
+            comparison.tasks,
+            comparison.runs,
+            shown(comparison.score, 2),
+            shown(comparison.improvement, 2),
+            comparison.p_value,
+            comparison.adjusted_p_value,
         )
     };
     format!(
@@ -134,7 +134,7 @@ fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
          intervals by bootstrap within each task; p by permutation within each task, adjusted by Holm.\n\n\
          | variant | tasks | runs | score | P(better than {baseline}) | p | p, adjusted |\n\
          | --- | --- | --- | --- | --- | --- | --- |\n{}",
-        verdicts.iter().map(line).collect::<String>()
+        comparisons.iter().map(line).collect::<String>()
     )
 }
 

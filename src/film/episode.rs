@@ -46,7 +46,7 @@ impl PlayedEpisode {
             moments.push(now);
             end = step.outcome;
         })
-        .context("the episode broke off")?;
+        .context("the episode failed")?;
         Ok(Self { robot, dt_secs, moments, end })
     }
 
@@ -63,7 +63,7 @@ impl PlayedEpisode {
     /// One line with the measures of the episode and the reason of an early end.
     pub(crate) fn summary(&self) -> String {
         let end = match self.end {
-            Outcome { fault: true, .. } => "; the physics broke down and ended it early",
+            Outcome { fault: true, .. } => "; a physics fault ended it early",
             Outcome { terminated: true, .. } => "; the task's rules ended it early",
             _ => "",
         };

@@ -110,8 +110,8 @@ impl fmt::Display for Measures {
         let (speed, millimetres) = (distance / secs, 1000.0 * deepest);
         let (airborne, upside_down) = (100.0 * airborne, 100.0 * upside_down);
         write!(f, "{distance:.2} m in {secs:.2} s, {speed:.2} m/s; in the air {airborne:.0} %, ")?;
-        write!(f, "upside down {upside_down:.0} %, into the floor {millimetres:.1} mm at most, ")?;
-        write!(f, "energy from nowhere {created:.1} J in a step at most")
+        write!(f, "upside down {upside_down:.0} %, at most {millimetres:.1} mm in the floor, ")?;
+        write!(f, "largest unexplained rise of energy {created:.1} J in a step")
     }
 }
 
@@ -146,8 +146,8 @@ mod tests {
         assert_eq!(measures, by_hand);
         assert_eq!(
             measures.to_string(),
-            "3.00 m in 2.00 s, 1.50 m/s; in the air 25 %, upside down 25 %, into the floor \
-             250.0 mm at most, energy from nowhere 0.2 J in a step at most"
+            "3.00 m in 2.00 s, 1.50 m/s; in the air 25 %, upside down 25 %, at most 250.0 mm in \
+             the floor, largest unexplained rise of energy 0.2 J in a step"
         );
     }
 }

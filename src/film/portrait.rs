@@ -34,7 +34,7 @@ pub(crate) fn portrait(
     let pixels_per_metre = camera::scale(std::slice::from_ref(&solids), &[middle]);
     let camera = Camera { middle, pixels_per_metre };
     let (width, height) = size(1, robot.agents);
-    let mut sheet = Pixmap::new(width, height).context("a picture of this size has no room")?;
+    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
     sheet.fill(Color::WHITE);
     let mut panel = match view {
         View::Side => drawing::panel(&solids, &camera),

@@ -29,7 +29,7 @@ pub(crate) fn strip(robot: &RobotShapes, frames: &[Frame<'_>]) -> anyhow::Result
     let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.links[0].position[0]).collect();
     let pixels_per_metre = camera::scale(&seen, &roots);
     let (width, height) = size(frames.len(), robot.agents);
-    let mut sheet = Pixmap::new(width, height).context("a picture of this size has no room")?;
+    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
     sheet.fill(Color::WHITE);
     let mut captions = Captions::new(width, height);
     for (index, frame) in frames.iter().enumerate() {

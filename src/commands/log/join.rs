@@ -24,6 +24,6 @@ pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
     index.remarks().iter().for_each(output::line);
     match index.damaged() {
         [] => Ok(()),
-        damaged => Err(Incomplete(format!("passed over: {}", damaged.join("; "))).into()),
+        damaged => Err(Incomplete(format!("skipped: {}", damaged.join("; "))).into()),
     }
 }

@@ -15,7 +15,7 @@ const TAIL_BYTES: u64 = 64 << 10;
 
 /// State of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Standing {
+pub(crate) enum RunState {
     /// The folder contains no run.
     New,
     /// The run is in progress or can be resumed.
@@ -27,7 +27,7 @@ pub(crate) enum Standing {
     Finished,
 }
 
-impl Standing {
+impl RunState {
     /// Environment steps done, of a run that has `total`.
     pub(crate) fn env_steps(self, total: u64) -> u64 {
         match self {
@@ -39,18 +39,18 @@ impl Standing {
 }
 
 /// The state of the run; does not check whether the folder holds this run.
-pub(crate) fn standing(run: &PlannedRun) -> Standing {
+pub(crate) fn run_state(run: &PlannedRun) -> RunState {
     if !run_path::config_file(&run.folder).is_file() {
-        return Standing::New;
+        return RunState::New;
     }
     let last = last_lines(&run_path::metrics_file(&run.folder));
     let finished =
         |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
     match last.iter().any(finished) {
-        true => Standing::Finished,
+        true => RunState::Finished,
         false => {
             let steps = last.iter().filter_map(|line| line["env_steps"].as_u64());
-            Standing::Begun { env_steps: steps.max().unwrap_or(0) }
+            RunState::Begun { env_steps: steps.max().unwrap_or(0) }
         }
     }
 }
@@ -97,18 +97,18 @@ mod tests {
     fn a_run_is_finished_when_the_evaluation_of_its_last_iteration_is_in() {
         let folder = tempfile::tempdir().unwrap();
         let run = run_in(folder.path());
-        assert_eq!(standing(&run), Standing::New);
+        assert_eq!(run_state(&run), RunState::New);
         std::fs::create_dir(&run.folder).unwrap();
         std::fs::write(run.folder.join("config.toml"), "").unwrap();
-        assert_eq!(standing(&run), Standing::Begun { env_steps: 0 });
+        assert_eq!(run_state(&run), RunState::Begun { env_steps: 0 });
         let metrics = run.folder.join("metrics.jsonl");
         let begun = "{\"kind\": \"iteration\", \"iteration\": 8, \"env_steps\": 8000}\n{\"ki";
         std::fs::write(&metrics, begun).unwrap();
-        assert_eq!(standing(&run), Standing::Begun { env_steps: 8000 });
+        assert_eq!(run_state(&run), RunState::Begun { env_steps: 8000 });
         let last =
             "{\"kind\": \"evaluation\", \"iteration\": 8, \"env_steps\": 8000, \"mean\": 1}\n";
         std::fs::write(&metrics, last).unwrap();
-        assert_eq!(standing(&run), Standing::Finished);
+        assert_eq!(run_state(&run), RunState::Finished);
     }
 
     #[test]

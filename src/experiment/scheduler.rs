@@ -13,11 +13,11 @@ use tokio::task::JoinSet;
 
 use super::plan::PlannedRun;
 use super::progress::Progress;
-use super::standing::{Standing, mismatch, standing};
+use super::run_state::{RunState, mismatch, run_state};
 use crate::supervisor::last_line;
 
 /// Poll interval for the progress of runs and for a locked log.
-const LOOK: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// How one run ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,21 +57,21 @@ pub(crate) async fn run_all(
     loop {
         while going.len() < at_once && !*stop.borrow() {
             let Some(run) = waiting.next() else { break };
-            match standing(run) {
-                Standing::Finished if mismatch(run).is_none() => tally.finished += 1,
+            match run_state(run) {
+                RunState::Finished if mismatch(run).is_none() => tally.finished += 1,
                 _ => drop(going.spawn(finish(program.clone(), run.clone(), stop.clone()))),
             }
         }
         tokio::select! {
             ended = going.join_next() => {
                 let Some(ended) = ended else { return Ok(tally) };
-                let (run, ending) = ended.context("the watch over a run failed")?;
+                let (run, ending) = ended.context("the task of a run failed")?;
                 tally.finished += usize::from(ending == Ending::Finished);
                 tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
                 tally.misplaced += usize::from(matches!(ending, Ending::Misplaced(_)));
                 progress.ended(&run, &ending);
             }
-            () = tokio::time::sleep(LOOK) => progress.show(runs, going.len()),
+            () = tokio::time::sleep(POLL_INTERVAL) => progress.show(runs, going.len()),
         }
     }
 }
@@ -106,8 +106,8 @@ async fn train(
         drop(stdin);
     }
     let status = child.wait().await.context("cannot wait for a run")?;
-    Ok(match (status.success(), standing(run)) {
-        (true, Standing::Finished) => Ending::Finished,
+    Ok(match (status.success(), run_state(run)) {
+        (true, RunState::Finished) => Ending::Finished,
         (true, _) => Ending::Stopped,
         (false, _) => {
             let last = last_line(&run.log()).map_or_else(String::new, |line| format!(": {line}"));
@@ -125,7 +125,7 @@ async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Resul
         match log.try_lock() {
             Ok(()) => return Ok(Some(log)),
             Err(TryLockError::WouldBlock) if *stop.borrow() => return Ok(None),
-            Err(TryLockError::WouldBlock) => tokio::time::sleep(LOOK).await,
+            Err(TryLockError::WouldBlock) => tokio::time::sleep(POLL_INTERVAL).await,
             Err(TryLockError::Error(error)) => {
                 return Err(error).with_context(|| format!("cannot lock {}", path.display()));
             }
@@ -137,8 +137,8 @@ async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Resul
 fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     let mut command = Command::new(program);
     command.args(["train", "--stop-with-stdin", "--page", "off"]).args(&run.settings);
-    match standing(run) {
-        Standing::New => command.arg(format!("run.dir={}", run.folder.display())),
+    match run_state(run) {
+        RunState::New => command.arg(format!("run.dir={}", run.folder.display())),
         _ => command.arg("--resume").arg(&run.folder),
     };
     let started = command
