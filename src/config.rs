@@ -1,11 +1,13 @@
 //! The settings of a run: layers of TOML, environment variables and `key=value`, each value with its origin.
-//! `run_config.rs` and the crates interpret the values.
+//! `config/run_config.rs` and the crates interpret the values.
 
+pub(crate) mod environment_section;
 pub(crate) mod error;
 pub(crate) mod keys;
 pub(crate) mod layers;
 pub(crate) mod presets;
 pub(crate) mod resolved;
+pub(crate) mod run_config;
 pub(crate) mod scalar;
 
 pub(crate) use error::ConfigError;

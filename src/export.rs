@@ -10,7 +10,7 @@ use std::path::Path;
 use actor::EnvironmentBatch;
 use policy::{ActorPolicy, Key, PolicySnapshot};
 
-use crate::output;
+use crate::process::output;
 
 /// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`. Returns the
 /// name and the contents of each file.

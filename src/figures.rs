@@ -1,11 +1,16 @@
 //! Pictures of learning curves as files: one panel per task, or the ablation with its terms below.
 
+pub(crate) mod chart;
+pub(crate) mod learning_curve;
+pub(crate) mod palette;
+pub(crate) mod picture;
+pub(crate) mod statistics;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
-use crate::learning_curve::{Curve, Panel, Quantity, panels};
-use crate::picture;
+use crate::figures::learning_curve::{Curve, Panel, Quantity, panels};
 
 /// Panels in a row of a picture with many tasks.
 const MOST_COLUMNS: usize = 3;

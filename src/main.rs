@@ -1,37 +1,19 @@
 //! The s2mia command line: sets the allocator, parses the arguments, runs one command and reports an error as one line
 //! and an exit status.
 
-mod chart;
-mod checkpointed;
 mod cli;
 mod commands;
 mod config;
-mod determinism;
-mod environment_section;
 mod errors;
 mod experiment;
 mod export;
 mod figures;
 mod film;
-mod fingerprints;
-mod launch;
-mod learning_curve;
 mod listening;
-mod logging;
-mod offered;
-mod output;
 mod page;
-mod palette;
-mod picture;
+mod process;
 mod progress;
-mod resume;
-mod run_config;
-mod run_path;
-mod runtime;
-mod served_run;
-mod signals;
-mod statistics;
-mod supervisor;
+mod run;
 
 use std::process::ExitCode;
 
@@ -49,7 +31,7 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => return cli::report(&error),
     };
-    logging::start(&arguments);
+    process::logging::start(&arguments);
     match choose_registers().and_then(|()| commands::run(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failure(&error),

@@ -6,7 +6,7 @@ use tokio::net::TcpListener;
 use crate::cli::{PageAddress, PageArguments};
 use crate::errors::Usage;
 use crate::listening::demand_loopback;
-use crate::output;
+use crate::process::output;
 
 /// Refuses an address that other machines can reach unless that is allowed.
 pub(crate) fn check(arguments: &PageArguments) -> Result<(), Usage> {

@@ -5,11 +5,11 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::{ActorArguments, ActorLogArguments};
+use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, layers};
 use crate::errors::Usage;
-use crate::run_config::RunConfig;
-use crate::runtime::runtime;
-use crate::signals;
+use crate::process::runtime::runtime;
+use crate::process::signals;
 
 /// Ends with status 0 when the learner reports that the run is done, or after a stop signal.
 pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {

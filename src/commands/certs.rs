@@ -13,7 +13,7 @@ use security::development::{Issued, Issuer};
 
 use crate::cli::CertsArguments;
 use crate::errors::Usage;
-use crate::output;
+use crate::process::output;
 
 /// Only the owner may read a private key.
 const SECRET: u32 = 0o600;

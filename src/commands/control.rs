@@ -9,8 +9,8 @@ use learner::service::Operator;
 use crate::cli::{CheckpointArguments, LearnerArgument, OrderArguments};
 use crate::cli::{credentials, patience};
 use crate::errors::Usage;
-use crate::output;
-use crate::runtime::runtime;
+use crate::process::output;
+use crate::process::runtime::runtime;
 
 /// Hands out no more work.
 pub(super) fn pause(arguments: &OrderArguments) -> anyhow::Result<()> {

@@ -6,11 +6,11 @@ use learner::evaluation::Spread;
 use proto::ActionChoice;
 use serde_json::json;
 
-use crate::chart;
-use crate::checkpointed::{self, Trained};
 use crate::cli::EvalArguments;
-use crate::offered::Stage;
-use crate::output;
+use crate::figures::chart;
+use crate::process::output;
+use crate::run::checkpointed::{self, Trained};
+use crate::run::offered::Stage;
 
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {

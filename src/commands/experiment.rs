@@ -11,8 +11,8 @@ use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
 use crate::experiment::report;
 use crate::experiment::scheduler::{self, Tally};
-use crate::runtime::runtime;
-use crate::{output, signals};
+use crate::process::runtime::runtime;
+use crate::process::{output, signals};
 
 /// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed or
 /// could not start.

@@ -1,9 +1,10 @@
 //! `s2mia export`: a trained policy for other programs.
 
-use crate::checkpointed;
 use crate::cli::ExportArguments;
-use crate::offered::Stage;
-use crate::{export, output};
+use crate::export;
+use crate::process::output;
+use crate::run::checkpointed;
+use crate::run::offered::Stage;
 
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {

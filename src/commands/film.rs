@@ -5,11 +5,11 @@ mod times;
 
 use std::path::Path;
 
-use crate::checkpointed::{self, Trained};
 use crate::cli::FilmArguments;
 use crate::errors::Usage;
 use crate::film::{self, Frame, PlayedEpisode};
-use crate::output;
+use crate::process::output;
+use crate::run::checkpointed::{self, Trained};
 
 /// Writes the strip and prints the measures of the whole episode.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {

@@ -2,9 +2,9 @@
 
 use serde_json::json;
 
-use crate::checkpointed;
 use crate::cli::InspectArguments;
-use crate::output;
+use crate::process::output;
+use crate::run::checkpointed;
 
 /// Iteration, env steps and both hashes.
 pub(super) fn run(arguments: &InspectArguments) -> anyhow::Result<()> {

@@ -5,11 +5,12 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::LearnerArguments;
-use crate::launch::{self, Prepared};
 use crate::listening::Listening;
+use crate::page;
+use crate::process::runtime::runtime;
+use crate::process::{output, signals};
 use crate::progress::Progress;
-use crate::runtime::runtime;
-use crate::{output, page, signals};
+use crate::run::launch::{self, Prepared};
 
 /// Serves until the run is done or a stop signal; the newest state is then in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use crate::cli::PlotArguments;
-use crate::{figures, learning_curve, output};
+use crate::figures;
+use crate::figures::learning_curve;
+use crate::process::output;
 
 /// Writes both files and prints their paths.
 pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {

@@ -5,10 +5,12 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use policy::RunSeed;
 
-use crate::checkpointed;
 use crate::cli::RecordArguments;
-use crate::offered::Stage;
-use crate::{chart, output, run_path};
+use crate::figures::chart;
+use crate::process::output;
+use crate::run::checkpointed;
+use crate::run::offered::Stage;
+use crate::run::run_path;
 
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {

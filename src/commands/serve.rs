@@ -8,9 +8,9 @@ use tokio::sync::watch;
 
 use crate::cli::ServeArguments;
 use crate::listening::Listening;
-use crate::runtime::runtime;
-use crate::served_run::ServedRun;
-use crate::{output, signals};
+use crate::process::runtime::runtime;
+use crate::process::{output, signals};
+use crate::run::served_run::ServedRun;
 
 /// Serves until a signal stops it.
 pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {

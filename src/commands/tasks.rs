@@ -7,10 +7,10 @@ use serde_json::json;
 use sim::{Description, Environments};
 
 use crate::cli::TasksArguments;
+use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
 use crate::film::{self, RobotShapes};
-use crate::output;
-use crate::run_config::RunConfig;
+use crate::process::output;
 
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {

@@ -12,16 +12,19 @@ use proto::Episodes;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::chart;
 use crate::cli::{LiveArguments, PageArguments, TrainArguments};
 use crate::commands::live::{Place, Show};
 use crate::commands::train::closing::{Closing, Length};
-use crate::launch::{self, Prepared};
+use crate::config::run_config::RunConfig;
+use crate::figures::chart;
+use crate::figures::learning_curve;
+use crate::page;
+use crate::process::runtime::runtime;
+use crate::process::{output, signals};
 use crate::progress::Progress;
-use crate::run_config::RunConfig;
-use crate::runtime::runtime;
-use crate::supervisor::{self, ActorFailure, ActorProcesses};
-use crate::{determinism, learning_curve, output, page, run_path, signals};
+use crate::run::launch::{self, Prepared};
+use crate::run::supervisor::{self, ActorFailure, ActorProcesses};
+use crate::run::{determinism, run_path};
 
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {

@@ -12,16 +12,17 @@ use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use crate::chart::thousands;
-use crate::checkpointed;
 use crate::cli::WatchArguments;
 use crate::commands::control::{operator, url};
 use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;
+use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::run_config::RunConfig;
-use crate::runtime::runtime;
-use crate::{output, run_path, signals};
+use crate::figures::chart::thousands;
+use crate::process::runtime::runtime;
+use crate::process::{output, signals};
+use crate::run::checkpointed;
+use crate::run::run_path;
 
 /// How long a learner may take to answer.
 const ANSWER: Duration = Duration::from_secs(3);

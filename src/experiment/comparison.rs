@@ -4,7 +4,7 @@
 use policy::{Draw, Purpose};
 
 use super::results::{Estimate, Measured, finals, found, grouped, tasks};
-use crate::statistics::{
+use crate::figures::statistics::{
     holm_adjusted, interquartile_mean, permutation_p_value, probability_of_improvement,
 };
 

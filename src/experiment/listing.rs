@@ -3,7 +3,7 @@
 use super::plan::PlannedRun;
 use super::record::Record;
 use super::run_state::{RunState, mismatch, run_state};
-use crate::chart;
+use crate::figures::chart;
 
 /// One line per run, and one for all.
 pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> String {

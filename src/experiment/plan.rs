@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use super::file::{ExperimentFile, Variant, assignments};
+use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
 use crate::errors::Usage;
-use crate::run_config::RunConfig;
 
 /// One run of an experiment.
 #[derive(Clone, Debug)]

@@ -9,7 +9,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use super::plan::PlannedRun;
 use super::run_state::{RunState, run_state};
 use super::scheduler::Ending;
-use crate::{chart, logging, output};
+use crate::figures::chart;
+use crate::process::{logging, output};
 
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(30);

@@ -13,8 +13,8 @@ use sha2::{Digest as _, Sha256};
 
 use super::plan::PlannedRun;
 use super::run_state::last_lines;
-use crate::fingerprints;
-use crate::learning_curve::{Curve, Quantity};
+use crate::figures::learning_curve::{Curve, Quantity};
+use crate::run::fingerprints;
 
 const HEADER: &str =
     "task,variant,seed,env_steps,return,surprise,information,settings_sha256,weights_sha256,commit";

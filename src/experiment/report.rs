@@ -11,8 +11,9 @@ use super::plan::PlannedRun;
 use super::record::{Record, at_evaluations};
 use super::results::{Estimate, Measured, Row, rows};
 use super::run_state::{RunState, mismatch, run_state};
-use crate::learning_curve::{self, Curve, Quantity};
-use crate::{chart, figures};
+use crate::figures;
+use crate::figures::chart;
+use crate::figures::learning_curve::{self, Curve, Quantity};
 
 /// Writes `results.md`, `results.csv` and the figures of the runs that exist. Returns the table and the paths.
 pub(crate) fn write(
@@ -175,7 +176,7 @@ fn csv(rows: &[Row]) -> String {
 mod tests {
     use super::*;
     use crate::experiment::file::tests::SAMPLE;
-    use crate::statistics::Interval;
+    use crate::figures::statistics::Interval;
 
     fn sample() -> Row {
         let estimate = |value: f64| Estimate {

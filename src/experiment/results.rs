@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use policy::{Draw, Purpose};
 
-use crate::statistics::{
+use crate::figures::statistics::{
     Interval, area_under_curve, bootstrap_interval, first_reaching, interquartile_mean,
     interquartile_mean_interval, probability_of_improvement, quantile,
 };

@@ -7,8 +7,8 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::plan::PlannedRun;
-use crate::run_config::RunConfig;
-use crate::{resume, run_path};
+use crate::config::run_config::RunConfig;
+use crate::run::{resume, run_path};
 
 /// Number of bytes that contains the last lines of a `metrics.jsonl`.
 const TAIL_BYTES: u64 = 64 << 10;

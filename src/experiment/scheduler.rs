@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use super::plan::PlannedRun;
 use super::progress::Progress;
 use super::run_state::{RunState, mismatch, run_state};
-use crate::supervisor::last_line;
+use crate::run::supervisor::last_line;
 
 /// Poll interval for the progress of runs and for a locked log.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);

@@ -2,9 +2,9 @@
 
 use tiny_skia::{Color, FillRule, LineCap, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
 
+use crate::figures::palette::{OKABE_ITO, Rgb};
 use crate::film::camera::{Camera, GROUND, HEIGHT, WIDTH};
 use crate::film::solids::Solid;
-use crate::palette::{OKABE_ITO, Rgb};
 
 const SKY: Rgb = [244, 246, 248];
 const EARTH: Rgb = [222, 226, 230];

@@ -4,12 +4,12 @@ use sim::{JointPose, LinkPose, LinkShape, Pose, Shape};
 use tiny_skia::{Pixmap, PremultipliedColorU8};
 
 use super::*;
+use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
+use crate::figures::palette::Rgb;
 use crate::film::camera::Camera;
 use crate::film::sheet::size;
 use crate::film::solids::View;
-use crate::palette::Rgb;
-use crate::run_config::RunConfig;
 
 const UPRIGHT: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 

@@ -7,10 +7,10 @@ use actor::trajectory_log::{Index, is_log_name};
 use anyhow::Context as _;
 use proto::is_reward_log_name;
 
-use crate::chart::thousands;
 use crate::cli::LogFiles;
 use crate::errors::Usage;
-use crate::run_path;
+use crate::figures::chart::thousands;
+use crate::run::run_path;
 
 /// The trajectory logs that the arguments name, each once, ordered by name within a folder.
 pub(super) fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {

@@ -2,11 +2,11 @@
 
 use actor::trajectory_log::join;
 
-use crate::chart::thousands;
 use crate::cli::JoinArguments;
 use crate::commands::log::files::{in_file, index, paid};
 use crate::errors::Incomplete;
-use crate::output;
+use crate::figures::chart::thousands;
+use crate::process::output;
 
 /// Writes the file and prints its contents. Ends with status 3 if part of a reward log is damaged.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {

@@ -2,11 +2,11 @@
 
 use actor::trajectory_log::{read_bytes, recover};
 
-use crate::chart::thousands;
 use crate::cli::RecoverArguments;
 use crate::commands::log::files::in_file;
 use crate::errors::Incomplete;
-use crate::output;
+use crate::figures::chart::thousands;
+use crate::process::output;
 
 /// Ends with status 3 and a list of losses if data was lost.
 pub(super) fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {

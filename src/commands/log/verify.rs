@@ -2,11 +2,11 @@
 
 use actor::trajectory_log::Index;
 
-use crate::chart::thousands;
 use crate::cli::LogFiles;
 use crate::commands::log::files::{index, paid};
 use crate::errors::Incomplete;
-use crate::output;
+use crate::figures::chart::thousands;
+use crate::process::output;
 
 /// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only data is missing.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {

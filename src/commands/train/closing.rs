@@ -9,8 +9,8 @@ use actor::trajectory_log::{is_log_name, totals};
 use learner::Summary;
 use proto::is_reward_log_name;
 
-use crate::chart;
-use crate::run_path::{self, config_file};
+use crate::figures::chart;
+use crate::run::run_path::{self, config_file};
 
 /// Size of the curve in characters.
 const WIDTH: usize = 60;

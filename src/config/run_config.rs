@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
+use learner::run_folder::CONFIG;
 use marl::{ActionKind, ObservationScale};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
 
+use crate::config::environment_section::EnvironmentSection;
 use crate::config::{ConfigError, Request, Resolved, layers};
-use crate::environment_section::EnvironmentSection;
-use crate::run_path;
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -77,7 +77,7 @@ impl RunConfig {
 
     /// The configuration of an existing run.
     pub(crate) fn of_run(folder: &Path) -> Result<Self, ConfigError> {
-        let resumed = Some(run_path::config_file(folder));
+        let resumed = Some(folder.join(CONFIG));
         Self::build(layers::resolve(&Request { resumed, ..Request::default() })?)
     }
 

@@ -11,10 +11,10 @@ use learner::service::ServedPolicies;
 use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
-use crate::checkpointed;
-use crate::offered::Stage;
-use crate::run_config::RunConfig;
-use crate::run_path;
+use crate::config::run_config::RunConfig;
+use crate::run::checkpointed;
+use crate::run::offered::Stage;
+use crate::run::run_path;
 
 /// Interval between checks for a new checkpoint.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);

@@ -9,8 +9,9 @@ use anyhow::Context as _;
 use learner::checkpoint;
 
 use crate::cli::SettingsArguments;
-use crate::environment_section::EnvironmentSection;
-use crate::{output, run_path};
+use crate::config::environment_section::EnvironmentSection;
+use crate::process::output;
+use crate::run::run_path;
 
 /// Poll interval for a running learner.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);

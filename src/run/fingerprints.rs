@@ -7,7 +7,7 @@ use proto::Digest;
 use sha2::{Digest as _, Sha256};
 
 use crate::errors::Usage;
-use crate::run_path;
+use crate::run::run_path;
 
 /// Both hashes of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,8 +7,8 @@ use anyhow::Context as _;
 use learner::checkpoint::{CheckpointError, Loaded};
 use policy::{Key, PolicySnapshot, RunSeed};
 
-use crate::run_config::RunConfig;
-use crate::run_path::config_file_of_run;
+use crate::config::run_config::RunConfig;
+use crate::run::run_path::config_file_of_run;
 
 /// A trained policy with the settings of its run.
 pub(crate) struct Trained {

@@ -12,11 +12,10 @@ use serde_json::Value;
 
 use crate::config::{Request, layers};
 use crate::errors::Usage;
-use crate::run_path;
-use crate::run_path::config_file_of_run;
-use crate::statistics::{
+use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
+use crate::run::run_path::{self, config_file_of_run};
 
 pub(crate) use quantity::Quantity;
 

@@ -6,9 +6,9 @@ use proto::EnvironmentSpec;
 use tokio::runtime::Runtime;
 
 use crate::config::ConfigError;
+use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::run_config::RunConfig;
-use crate::runtime::runtime;
+use crate::process::runtime::runtime;
 
 /// The setting that names the program.
 const URL: &str = "environment_service.url";

@@ -1,7 +1,7 @@
 //! The settings that a resume may change.
 
+use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, keys};
-use crate::run_config::RunConfig;
 
 const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";

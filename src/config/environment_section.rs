@@ -48,8 +48,8 @@ impl EnvironmentSection {
 
 #[cfg(test)]
 mod tests {
+    use crate::config::run_config::RunConfig;
     use crate::config::{Request, layers};
-    use crate::run_config::RunConfig;
 
     fn refused(more: &str) -> Option<String> {
         let settings =

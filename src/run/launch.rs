@@ -11,13 +11,13 @@ use proto::Digest;
 use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
+use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, keys, layers};
 use crate::errors::Usage;
-use crate::fingerprints::Fingerprints;
-use crate::offered::Offered;
-use crate::run_config::RunConfig;
-use crate::run_path::config_file_of_run;
-use crate::{resume, run_path};
+use crate::run::fingerprints::Fingerprints;
+use crate::run::offered::Offered;
+use crate::run::run_path::config_file_of_run;
+use crate::run::{resume, run_path};
 
 /// A run that is ready to start.
 pub(crate) struct Prepared {
