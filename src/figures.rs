@@ -8,9 +8,8 @@ pub(crate) mod statistics;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
-
 use crate::figures::learning_curve::{Curve, Panel, Quantity, panels};
+use crate::process::output;
 
 /// Panels in a row of a picture with many tasks.
 const MOST_COLUMNS: usize = 3;
@@ -42,11 +41,10 @@ fn write(
     columns: usize,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let picture = picture::draw(panels, columns)?;
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let files = [("svg", picture.svg.into_bytes()), ("png", picture.png)];
     let written = files.map(|(ending, bytes)| {
         let path = folder.join(format!("{name}.{ending}"));
-        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        output::file(&path, &bytes)?;
         Ok(path)
     });
     written.into_iter().collect()

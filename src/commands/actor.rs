@@ -8,7 +8,7 @@ use crate::cli::{ActorArguments, ActorLogArguments};
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, layers};
 use crate::errors::Usage;
-use crate::process::runtime::runtime;
+use crate::process::runtime;
 use crate::process::signals;
 
 /// Ends with status 0 when the learner reports that the run is done, or after a stop signal.

@@ -9,8 +9,7 @@ use learner::service::Operator;
 use crate::cli::{CheckpointArguments, LearnerArgument, OrderArguments};
 use crate::cli::{credentials, patience};
 use crate::errors::Usage;
-use crate::process::output;
-use crate::process::runtime::runtime;
+use crate::process::{output, runtime};
 
 /// Hands out no more work.
 pub(super) fn pause(arguments: &OrderArguments) -> anyhow::Result<()> {

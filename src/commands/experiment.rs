@@ -1,6 +1,5 @@
 //! `s2mia experiment`: runs all trainings that a file describes and reports their results.
 
-use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::ExperimentArguments;
@@ -11,8 +10,7 @@ use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
 use crate::experiment::report;
 use crate::experiment::scheduler::{self, Tally};
-use crate::process::runtime::runtime;
-use crate::process::{output, signals};
+use crate::process::{output, runtime, signals};
 
 /// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed or
 /// could not start.
@@ -28,8 +26,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     if arguments.report {
         return tell(&file, &runs);
     }
-    std::fs::create_dir_all(&file.folder)
-        .with_context(|| format!("cannot make {}", file.folder.display()))?;
+    output::folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         runs.iter().cloned().partition(|run| record.holds(run));

@@ -2,8 +2,7 @@
 
 use crate::cli::HealthArguments;
 use crate::cli::{credentials, patience};
-use crate::process::output;
-use crate::process::runtime::runtime;
+use crate::process::{output, runtime};
 
 /// Ends with status 0 if the learner serves, else with a one-line reason.
 pub(super) fn run(arguments: &HealthArguments) -> anyhow::Result<()> {

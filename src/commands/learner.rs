@@ -7,8 +7,7 @@ use tokio::sync::watch;
 use crate::cli::LearnerArguments;
 use crate::listening::Listening;
 use crate::page;
-use crate::process::runtime::runtime;
-use crate::process::{output, signals};
+use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
 use crate::run::launch::{self, Prepared};
 

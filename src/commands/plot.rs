@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 
 use crate::cli::PlotArguments;
-use crate::figures;
-use crate::figures::learning_curve;
+use crate::figures::{self, learning_curve};
 use crate::process::output;
 
 /// Writes both files and prints their paths.

@@ -17,8 +17,7 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let path = path(arguments, trained.iteration);
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make {}", folder.display()))?;
+        output::folder(folder)?;
     }
     let seed = RunSeed(trained.config.run.seed);
     let mut stage = Stage::of(&trained.config)?;

@@ -8,8 +8,7 @@ use tokio::sync::watch;
 
 use crate::cli::ServeArguments;
 use crate::listening::Listening;
-use crate::process::runtime::runtime;
-use crate::process::{output, signals};
+use crate::process::{output, runtime, signals};
 use crate::run::served_run::ServedRun;
 
 /// Serves until a signal stops it.

@@ -10,8 +10,7 @@ use crate::cli::patience;
 use crate::commands::control::{operator, url};
 use crate::config::run_config::RunConfig;
 use crate::figures::chart::thousands;
-use crate::process::output;
-use crate::process::runtime::runtime;
+use crate::process::{output, runtime};
 use crate::run::checkpointed;
 use crate::run::run_path;
 

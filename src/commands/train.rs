@@ -16,14 +16,12 @@ use crate::cli::{LiveArguments, PageArguments, TrainArguments};
 use crate::commands::live::{Place, Show};
 use crate::commands::train::closing::{Closing, Length};
 use crate::config::run_config::RunConfig;
-use crate::figures::chart;
-use crate::figures::learning_curve;
+use crate::figures::{chart, learning_curve};
 use crate::page;
-use crate::process::runtime::runtime;
-use crate::process::{output, signals};
+use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
 use crate::run::launch::{self, Prepared};
-use crate::run::supervisor::{self, ActorFailure, ActorProcesses};
+use crate::run::supervisor::{self, ActorProcesses};
 use crate::run::{determinism, run_path};
 
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
@@ -40,20 +38,21 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if let Some((show, server)) = live {
         show.start(server)?;
     }
-    let stop_sender = watch::Sender::new(false);
+    let (stop_sender, stop) = watch::channel(false);
     if arguments.stop_with_stdin {
         signals::stop_with_stdin(stop_sender.clone())?;
     }
-    runtime()?.block_on(train(prepared, &arguments.page, stop_sender))
+    runtime()?.block_on(train(prepared, &arguments.page, stop_sender, stop))
 }
 
 async fn train(
     prepared: Prepared,
     page: &PageArguments,
     stop_sender: watch::Sender<bool>,
+    stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let (page, stop) = (page::open(page).await?, stop_sender.subscribe());
+    let page = page::open(page).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
     let processes = processes(&config, &folder, &listener)?;
@@ -70,7 +69,7 @@ async fn train(
     if config.log.episodes != Episodes::None {
         output::line(closing::logged(&run_path::logs(&folder)));
     }
-    let summary = ended_well(summary, &failure)?;
+    let summary = ended_well(summary, failure)?;
     let length = match config.resolved.depends_on_length() {
         true => Length::Fixed,
         false => Length::MayRise,
@@ -116,7 +115,7 @@ fn processes(
     listener: &TcpListener,
 ) -> anyhow::Result<ActorProcesses> {
     let logs = run_path::logs(folder);
-    std::fs::create_dir_all(&logs).with_context(|| format!("cannot make {}", logs.display()))?;
+    output::folder(&logs)?;
     Ok(ActorProcesses {
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),
@@ -130,9 +129,9 @@ fn processes(
 /// The summary; an error if the learner failed or the supervisor gave up on the actors.
 fn ended_well(
     summary: Result<Summary, LearnerError>,
-    failure: &ActorFailure,
+    failure: Option<String>,
 ) -> anyhow::Result<Summary> {
-    match (summary.context("the learner failed"), failure.reason()) {
+    match (summary.context("the learner failed"), failure) {
         (Ok(summary), None) => Ok(summary),
         (Ok(summary), Some(reason)) => {
             anyhow::bail!("{reason}; the run is kept in {}", summary.checkpoint.display());

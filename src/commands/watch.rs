@@ -19,8 +19,7 @@ use crate::commands::status::AtRest;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
-use crate::process::runtime::runtime;
-use crate::process::{output, signals};
+use crate::process::{output, runtime, signals};
 use crate::run::checkpointed;
 use crate::run::run_path;
 

@@ -7,8 +7,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::plan::PlannedRun;
-use super::run_state::{RunState, run_state};
-use super::scheduler::Ending;
+use super::run_state::{Ending, RunState, run_state};
 use crate::figures::chart;
 use crate::process::{logging, output};
 

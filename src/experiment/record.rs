@@ -14,6 +14,7 @@ use sha2::{Digest as _, Sha256};
 use super::plan::PlannedRun;
 use super::run_state::last_lines;
 use crate::figures::learning_curve::{Curve, Quantity};
+use crate::process::output;
 use crate::run::fingerprints;
 
 const HEADER: &str =
@@ -156,8 +157,7 @@ impl Record {
     /// Names the file if it cannot be written.
     pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
         if let Some(folder) = path.parent() {
-            let made = std::fs::create_dir_all(folder);
-            made.with_context(|| format!("cannot make {}", folder.display()))?;
+            output::folder(folder)?;
         }
         Ok(learner::durable::replace(path, self.text().as_bytes())?)
     }

@@ -3,17 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
-
 use super::comparison::{Comparison, comparisons};
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
 use super::record::{Record, at_evaluations};
 use super::results::{Estimate, Measured, Row, rows};
 use super::run_state::{RunState, mismatch, run_state};
-use crate::figures;
-use crate::figures::chart;
 use crate::figures::learning_curve::{self, Curve, Quantity};
+use crate::figures::{self, chart};
+use crate::process::output;
 
 /// Writes `results.md`, `results.csv` and the figures of the runs that exist. Returns the table and the paths.
 pub(crate) fn write(
@@ -82,8 +80,7 @@ fn measured(curve: &Curve) -> Measured {
 
 fn put(folder: &Path, name: &str, text: &str) -> anyhow::Result<PathBuf> {
     let path = folder.join(name);
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    output::file(&path, text.as_bytes())?;
     Ok(path)
 }
 

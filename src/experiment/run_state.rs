@@ -38,6 +38,19 @@ impl RunState {
     }
 }
 
+/// How one run ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// The run has finished.
+    Finished,
+    /// The run was stopped and can be resumed.
+    Stopped,
+    /// The run failed, with the reason.
+    Failed(String),
+    /// The folder holds another run, with the difference.
+    Misplaced(String),
+}
+
 /// The state of the run; does not check whether the folder holds this run.
 pub(crate) fn run_state(run: &PlannedRun) -> RunState {
     if !run_path::config_file(&run.folder).is_file() {

@@ -13,24 +13,11 @@ use tokio::task::JoinSet;
 
 use super::plan::PlannedRun;
 use super::progress::Progress;
-use super::run_state::{RunState, mismatch, run_state};
+use super::run_state::{Ending, RunState, mismatch, run_state};
 use crate::run::supervisor::last_line;
 
 /// Poll interval for the progress of runs and for a locked log.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-
-/// How one run ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Ending {
-    /// The run has finished.
-    Finished,
-    /// The run was stopped and can be resumed.
-    Stopped,
-    /// The run failed, with the reason.
-    Failed(String),
-    /// The folder holds another run, with the difference.
-    Misplaced(String),
-}
 
 /// Numbers of runs by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

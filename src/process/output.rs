@@ -7,7 +7,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 
-/// Writes one line (or several) and its end.
+/// Writes the text and a line break.
 pub(crate) fn line(text: impl Display) {
     // The reader has closed the pipe.
     let _unread = writeln!(std::io::stdout().lock(), "{text}");
@@ -15,7 +15,11 @@ pub(crate) fn line(text: impl Display) {
 
 /// Writes a file and creates its folder if necessary.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    folder(path.parent().unwrap_or(Path::new("")))?;
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Creates a folder and its parents if necessary.
+pub(crate) fn folder(path: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))
 }

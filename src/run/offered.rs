@@ -8,7 +8,7 @@ use tokio::runtime::Runtime;
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::process::runtime::runtime;
+use crate::process::runtime;
 
 /// The setting that names the program.
 const URL: &str = "environment_service.url";

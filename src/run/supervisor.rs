@@ -5,7 +5,7 @@ use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use actor::LogSettings;
@@ -60,57 +60,37 @@ impl DeathCount {
     }
 }
 
-/// Why the supervisor gave up, once it has.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct ActorFailure(Arc<Mutex<Option<String>>>);
-
-impl ActorFailure {
-    /// The reason, if the supervisor gave up.
-    pub(crate) fn reason(&self) -> Option<String> {
-        self.0.lock().expect("no thread panics while it holds this lock").clone()
-    }
-
-    fn set(&self, reason: String) {
-        *self.0.lock().expect("no thread panics while it holds this lock") = Some(reason);
-    }
-}
-
-/// Keeps all processes running until `ended`. After too many failures, sets `stop` and the reason.
+/// Keeps all processes running until `ended`. After too many failures, sets `stop` and returns the reason.
 pub(crate) async fn supervise(
     processes: ActorProcesses,
     ended: watch::Receiver<bool>,
     stop: watch::Sender<bool>,
-) -> ActorFailure {
-    let failure = ActorFailure::default();
-    let supervisor = Supervisor {
-        processes: Arc::new(processes),
-        deaths: Arc::default(),
-        start: Instant::now(),
-        failure: failure.clone(),
-        stop,
-    };
+) -> Option<String> {
+    let (deaths, failure) = (Mutex::default(), OnceLock::new());
+    let supervisor =
+        Arc::new(Supervisor { processes, deaths, start: Instant::now(), failure, stop });
     let mut tasks = JoinSet::new();
     for index in 0..supervisor.processes.actors {
-        tasks.spawn(supervisor.clone().keep_running(index, ended.clone()));
+        tasks.spawn(Arc::clone(&supervisor).keep_running(index, ended.clone()));
     }
     tasks.join_all().await;
-    failure
+    supervisor.failure.get().cloned()
 }
 
 /// State that the tasks of all processes share.
-#[derive(Clone)]
 struct Supervisor {
-    processes: Arc<ActorProcesses>,
-    deaths: Arc<Mutex<DeathCount>>,
+    processes: ActorProcesses,
+    deaths: Mutex<DeathCount>,
     start: Instant,
-    failure: ActorFailure,
+    /// Why the supervisor gave up, once it has.
+    failure: OnceLock<String>,
     stop: watch::Sender<bool>,
 }
 
 impl Supervisor {
     /// Runs one actor after the other under one index. An actor ends with success when the run is done.
-    async fn keep_running(self, index: usize, mut ended: watch::Receiver<bool>) {
-        while !*ended.borrow() && self.failure.reason().is_none() {
+    async fn keep_running(self: Arc<Self>, index: usize, mut ended: watch::Receiver<bool>) {
+        while !*ended.borrow() && self.failure.get().is_none() {
             let death = match self.processes.start(index) {
                 Ok(child) => match until_exit(child, &mut ended, self.processes.patience()).await {
                     Some(status) if !status.success() => {
@@ -137,7 +117,8 @@ impl Supervisor {
             tracing::warn!("{death}; starting another in its place");
             return;
         }
-        self.failure.set(format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
+        self.failure
+            .get_or_init(|| format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
         self.stop.send_replace(true);
     }
 }
@@ -264,7 +245,7 @@ mod tests {
         let processes = processes_of(&folder, "echo no rapier today >&2; exit 3");
         let (stop, stopped) = watch::channel(false);
         let (_end, ended) = watch::channel(false);
-        let reason = supervise(processes, ended, stop).await.reason().unwrap();
+        let reason = supervise(processes, ended, stop).await.unwrap();
         assert!(
             reason.contains("5 actor deaths") && reason.contains("no rapier today"),
             "{reason}"
@@ -282,7 +263,7 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(100)).await;
         assert!(!supervised.is_finished());
         end.send_replace(true);
-        let failure = tokio::time::timeout(Duration::from_secs(5), supervised).await.unwrap();
-        assert_eq!(failure.unwrap().reason(), None);
+        let reason = tokio::time::timeout(Duration::from_secs(5), supervised).await.unwrap();
+        assert_eq!(reason.unwrap(), None);
     }
 }
