@@ -17,7 +17,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub(crate) use control::{
     CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
-    WatchArguments,
+    WatchArguments, patience,
 };
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
@@ -26,7 +26,7 @@ pub(crate) use page::{PageAddress, PageArguments};
 pub(crate) use refusal::report;
 pub(crate) use serve::ServeArguments;
 pub(crate) use settings::SettingsArguments;
-pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments};
+pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments, credentials};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: a learner and rollout actors communicate over gRPC.
 #[derive(Debug, Parser)]
@@ -179,9 +179,6 @@ pub(crate) struct LearnerArguments {
     /// Address on which the learner listens for actors.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     pub(crate) listen: SocketAddr,
-    /// Allow a non-loopback --listen address without encryption and authentication.
-    #[arg(long, conflicts_with = "tls_certificate")]
-    pub(crate) insecure_allow_remote: bool,
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ServerTlsArguments,

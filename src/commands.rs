@@ -1,11 +1,9 @@
-//! One file per command; here only the choice between them.
+//! Selects and runs a command; each has its own file.
 
 mod actor;
 mod certs;
-mod checkpointed;
 mod config;
 mod control;
-mod entrance;
 mod eval;
 mod experiment;
 mod export;
@@ -23,36 +21,7 @@ mod tasks;
 mod train;
 mod watch;
 
-use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-use anyhow::Context as _;
-use tokio::runtime::Runtime;
-
-use security::ClientFiles;
-
-use crate::cli::{ClientTlsArguments, Command};
-pub(crate) use crate::commands::log::Incomplete;
-use crate::run_path;
-
-/// Arguments that cannot be followed; the program ends with status 2.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Usage(String);
-
-impl Usage {
-    /// One line that says what is wrong and what to do.
-    pub(crate) fn new(message: impl Into<String>) -> Self {
-        Self(message.into())
-    }
-}
-
-/// The settings of the run in `folder`; refuses a folder that holds none.
-pub(crate) fn config_file_of_run(folder: &Path) -> Result<PathBuf, Usage> {
-    let file = run_path::config_file(folder);
-    let lacking = || format!("{} is no run folder: it has no config.toml", folder.display());
-    if file.is_file() { Ok(file) } else { Err(Usage::new(lacking())) }
-}
+use crate::cli::Command;
 
 /// Runs one command to its end.
 pub(crate) fn run(command: Command) -> anyhow::Result<()> {
@@ -80,38 +49,4 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Config(arguments) => config::run(&arguments),
         Command::Certs(arguments) => certs::run(&arguments),
     }
-}
-
-/// How long an argument says to wait.
-fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
-    Duration::try_from_secs_f64(timeout_secs)
-        .map_err(|_| Usage::new(format!("--timeout-secs must be at least 0, is {timeout_secs}")))
-}
-
-/// The files for a question to the learner at `url`, which is asked in plain text without any.
-fn credentials(url: &str, tls: &ClientTlsArguments) -> Result<Option<ClientFiles>, Usage> {
-    let files = tls.files();
-    match (&files, url.starts_with("https://")) {
-        (None, true) => Err(Usage::new(format!(
-            "{url}: https:// needs --tls-ca, --tls-certificate and --tls-key"
-        ))),
-        (Some(_), false) => {
-            Err(Usage::new(format!("{url}: with --tls-ca it begins with https://")))
-        }
-        (Some(own), true) => match own.read() {
-            Ok(_) => Ok(files),
-            Err(why) => Err(Usage::new(why.to_string())),
-        },
-        (None, false) => Ok(None),
-    }
-}
-
-/// Threads for sockets, signals and child processes; stepping and training have their own.
-pub(crate) fn runtime() -> anyhow::Result<Runtime> {
-    tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(2)
-        .thread_name("network")
-        .enable_all()
-        .build()
-        .context("cannot start the network threads")
 }

@@ -1,11 +1,13 @@
-//! Where a run's settings come from: layers of TOML, environment variables and `key=value`, each value
-//! with its origin. What the values mean is decided in `run_config.rs` and by the crates they belong to.
+//! The settings of a run: layers of TOML, environment variables and `key=value`, each value with its origin.
+//! `config/run_config.rs` and the crates interpret the values.
 
+pub(crate) mod environment_section;
 pub(crate) mod error;
 pub(crate) mod keys;
 pub(crate) mod layers;
 pub(crate) mod presets;
 pub(crate) mod resolved;
+pub(crate) mod run_config;
 pub(crate) mod scalar;
 
 pub(crate) use error::ConfigError;

@@ -1,7 +1,6 @@
-//! Many runs from one file: tasks x variants x seeds. What stands in the file, which runs that means, how they are
-//! kept going, and what they say when they are done.
+//! Many runs from one file: tasks x variants x seeds. Reads the file, plans the runs, runs them and compares them.
 
-pub(crate) mod crew;
+pub(crate) mod comparison;
 pub(crate) mod file;
 pub(crate) mod listing;
 pub(crate) mod plan;
@@ -9,5 +8,5 @@ pub(crate) mod progress;
 pub(crate) mod record;
 pub(crate) mod report;
 pub(crate) mod results;
-pub(crate) mod standing;
-pub(crate) mod verdict;
+pub(crate) mod run_state;
+pub(crate) mod scheduler;

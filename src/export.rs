@@ -1,5 +1,4 @@
-//! Trained policies for programs that know nothing of this one: ONNX for each agent, the weights, and an episode to
-//! compare with.
+//! Trained policies for other programs: ONNX for each agent, the weights, and an episode for comparison.
 
 mod episode;
 mod graph;
@@ -11,10 +10,10 @@ use std::path::Path;
 use actor::EnvironmentBatch;
 use policy::{ActorPolicy, Key, PolicySnapshot};
 
-use crate::output;
+use crate::process::output;
 
-/// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`; gives each
-/// file's name and what is in it.
+/// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`. Returns the
+/// name and the contents of each file.
 pub(crate) fn export(
     folder: &Path,
     snapshot: &PolicySnapshot,

@@ -1,13 +1,17 @@
 //! Pictures of learning curves as files: one panel per task, or the ablation with its terms below.
 
+pub(crate) mod chart;
+pub(crate) mod learning_curve;
+pub(crate) mod palette;
+pub(crate) mod picture;
+pub(crate) mod statistics;
+
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use crate::figures::learning_curve::{Curve, Panel, Quantity, panels};
+use crate::process::output;
 
-use crate::learning_curve::{Curve, Panel, Quantity, panels};
-use crate::picture;
-
-/// Panels beside each other in a picture of many tasks.
+/// Panels in a row of a picture with many tasks.
 const MOST_COLUMNS: usize = 3;
 
 /// Writes `learning_curve.svg` and `.png`: the return on each task.
@@ -20,8 +24,8 @@ pub(crate) fn write_learning_curve(
     write(folder, "learning_curve", &panels, columns)
 }
 
-/// Writes `ablation.svg` and `.png`: tasks beside each other; returns, surprise and information below each other,
-/// each where some run has it.
+/// Writes `ablation.svg` and `.png`: a column for each task; a row for each of return, surprise and information that
+/// some run has.
 pub(crate) fn write_ablation(folder: &Path, curves: &[Curve]) -> anyhow::Result<Vec<PathBuf>> {
     let measured = |quantity: &Quantity| curves.iter().any(|curve| !curve.of(*quantity).is_empty());
     let quantities: Vec<Quantity> = Quantity::ALL.into_iter().filter(measured).collect();
@@ -37,11 +41,10 @@ fn write(
     columns: usize,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let picture = picture::draw(panels, columns)?;
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let files = [("svg", picture.svg.into_bytes()), ("png", picture.png)];
     let written = files.map(|(ending, bytes)| {
         let path = folder.join(format!("{name}.{ending}"));
-        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        output::file(&path, &bytes)?;
         Ok(path)
     });
     written.into_iter().collect()

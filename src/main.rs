@@ -1,40 +1,28 @@
-//! The s2mia command line: starts the allocator, reads the arguments, runs one command, and turns what
-//! went wrong into one line and an exit status.
+//! The s2mia command line: sets the allocator, parses the arguments, runs one command and reports an error as one line
+//! and an exit status.
 
-mod chart;
 mod cli;
 mod commands;
 mod config;
-mod environment_section;
+mod errors;
 mod experiment;
 mod export;
 mod figures;
 mod film;
-mod fingerprints;
-mod launch;
-mod learning_curve;
-mod logging;
-mod offered;
-mod output;
+mod listening;
 mod page;
-mod palette;
-mod picture;
+mod process;
 mod progress;
-mod resume;
-mod run_config;
-mod run_path;
-mod signals;
-mod statistics;
-mod supervisor;
+mod run;
 
 use std::process::ExitCode;
 
 use clap::Parser as _;
 
-use crate::commands::{Incomplete, Usage};
 use crate::config::ConfigError;
+use crate::errors::{Incomplete, Usage};
 
-// The system's allocator holds the learner back.
+// The learner is slower with the system's allocator.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -43,14 +31,14 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => return cli::report(&error),
     };
-    logging::start(&arguments);
+    process::logging::start(&arguments);
     match choose_registers().and_then(|()| commands::run(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failure(&error),
     }
 }
 
-/// Computes with the registers that `S2MIA_SIMD` names; without it with the widest of this processor.
+/// Selects the register width that `S2MIA_SIMD` names; the default is the processor's widest.
 fn choose_registers() -> anyhow::Result<()> {
     let Some(name) = std::env::var_os("S2MIA_SIMD") else { return Ok(()) };
     let chosen = name.to_str().and_then(kernels::Width::named);
@@ -63,7 +51,7 @@ fn choose_registers() -> anyhow::Result<()> {
     Err(Usage::new(format!("S2MIA_SIMD is {name}; this processor has {names}")).into())
 }
 
-/// One line on stderr; 2 for what the user wrote wrong, 3 for a log of which something is missing, 1 for what failed.
+/// Prints one line on stderr. The status is 2 for invalid arguments or settings, 3 for incomplete logs, else 1.
 fn failure(error: &anyhow::Error) -> ExitCode {
     let wrong_usage = error.is::<ConfigError>() || error.is::<Usage>();
     eprintln!("error: {}", actor::causes(error.as_ref()));

@@ -1,28 +1,28 @@
-//! The run's page as `train` and `learner` open it: who may come in, and where it is.
+//! The address and the access check of the run's page for `train` and `learner`.
 
 use learner::{Hosts, Page};
 use tokio::net::TcpListener;
 
 use crate::cli::{PageAddress, PageArguments};
-use crate::commands::Usage;
-use crate::output;
+use crate::errors::Usage;
+use crate::listening::demand_loopback;
+use crate::process::output;
 
-/// Refuses a page that other machines could reach unless that is allowed.
+/// Refuses an address that other machines can reach unless that is allowed.
 pub(crate) fn check(arguments: &PageArguments) -> Result<(), Usage> {
     let PageAddress::At(address) = arguments.page else { return Ok(()) };
-    if address.ip().is_loopback() || arguments.insecure_allow_remote_page {
+    if arguments.insecure_allow_remote_page {
         return Ok(());
     }
-    Err(Usage::new(format!(
-        "--page {address} would show this run to other machines without encryption or identity; \
-         pass --insecure-allow-remote-page to allow that, and --page-host with the names they use"
-    )))
+    let permission =
+        "pass --insecure-allow-remote-page to allow that, and --page-host with the names they use";
+    demand_loopback("--page", address, permission)
 }
 
-/// Opens the page and says where it is.
+/// Opens the page and prints its URL.
 ///
 /// # Errors
-/// If something else has the port.
+/// The address is in use or invalid.
 pub(crate) async fn open(arguments: &PageArguments) -> anyhow::Result<Option<Page>> {
     let PageAddress::At(address) = arguments.page else { return Ok(None) };
     let listener = TcpListener::bind(address).await.map_err(|error| {

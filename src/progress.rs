@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use learner::Event;
 
-use crate::{logging, output};
+use crate::process::{logging, output};
 use wording::Standing;
 
 /// Time between two plain lines.

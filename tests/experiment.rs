@@ -67,7 +67,7 @@ fn an_experiment_that_was_stopped_or_killed_ends_in_the_same_weights() {
         let experiment = Experiment::new();
         let (status, told) = experiment.end_after_its_first_run(signal);
         assert_eq!(status, (signal == "TERM").then_some(0), "{told}");
-        assert_eq!(told.contains("go on by `s2mia experiment"), signal == "TERM", "{told}");
+        assert_eq!(told.contains("resume with `s2mia experiment"), signal == "TERM", "{told}");
         let told = experiment.run();
         assert!(told.contains("3 of 3 runs are finished"), "{told}");
         assert_eq!(experiment.hashes(), whole.hashes(), "{signal}");
@@ -89,7 +89,7 @@ fn a_run_whose_folder_holds_another_is_told_with_what_to_do_and_the_others_go_on
     assert!(told.contains("2 of 3 runs are finished"), "{told}");
     let what_to_do = "the folders of 1 of 3 runs hold other runs; remove those, or give the \
                       experiment another `folder`";
-    assert!(told.contains(what_to_do) && !told.contains("tries them again"), "{told}");
+    assert!(told.contains(what_to_do) && !told.contains("retries them"), "{told}");
 }
 
 #[test]

@@ -233,7 +233,7 @@ async fn changed_certificates_are_served_without_a_restart_and_broken_ones_are_n
     std::fs::write(own.file("server.pem"), "half a file").unwrap();
     until(async || {
         call(&url, &before, Some(client())).await.unwrap();
-        learner.log().contains("the certificates before are kept")
+        learner.log().contains("the previous certificates stay in use")
     })
     .await;
 

@@ -1,6 +1,7 @@
 //! The learner's settings: environments, leases, evaluation, checkpoints, threads. Defaults stand in
 //! the binary's configuration files, never here.
 
+use policy::PolicyConfig;
 use serde::{Deserialize, Serialize};
 
 /// Everything the learner is told besides the algorithm.
@@ -185,6 +186,26 @@ impl Config {
         self.checkpoint.validate()?;
         within("learner.threads", self.learner.threads as u64, 0, 1024)?;
         within("learner.connections", self.learner.connections as u64, 1, 65_536)
+    }
+
+    /// Refuses messages that split a window of backpropagation of `policy`, and a burn-in that leaves no step to
+    /// train on.
+    ///
+    /// # Errors
+    /// Names the first key that does not fit and its range.
+    pub fn suits(&self, policy: &PolicyConfig) -> Result<(), ConfigError> {
+        let (window, environments) = (policy.backpropagation_steps, &self.environments);
+        if !environments.message_steps.is_multiple_of(window) {
+            let range = format!("a multiple of policy.backpropagation_steps = {window}");
+            let found = environments.message_steps.to_string();
+            return Err(ConfigError { key: "environments.message_steps", found, range });
+        }
+        if policy.burn_in >= environments.steps {
+            let range = format!("less than environments.steps = {}", environments.steps);
+            let found = policy.burn_in.to_string();
+            return Err(ConfigError { key: "policy.burn_in", found, range });
+        }
+        Ok(())
     }
 }
 

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::assemble::{Layout, problem};
 use crate::checkpoint::{self, CheckpointError, Loaded};
-use crate::config::{Config, ConfigError};
+use crate::config::Config;
 use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::Evaluations;
@@ -72,13 +72,7 @@ impl Launch {
         self.training.suits(&self.policy)?;
         self.training.suits_observations(self.observations)?;
         self.training.suits_agents(&problem(&self.environment))?;
-        let (chunk, through_time) =
-            (self.config.environments.message_steps, self.policy.backpropagation_steps);
-        if !chunk.is_multiple_of(through_time) {
-            let range = format!("a multiple of policy.backpropagation_steps = {through_time}");
-            let (key, found) = ("environments.message_steps", chunk.to_string());
-            return Err(ConfigError { key, found, range }.into());
-        }
+        self.config.suits(&self.policy)?;
         self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
     }
 

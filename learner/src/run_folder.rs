@@ -9,10 +9,13 @@ use serde_json::Value;
 
 use crate::durable::{self, FileError};
 
-const CONFIG: &str = "config.toml";
-const MANIFEST: &str = "manifest.json";
+/// The resolved configuration.
+pub const CONFIG: &str = "config.toml";
+/// Versions, hashes and fingerprints.
+pub const MANIFEST: &str = "manifest.json";
+/// Logs and recordings of actors.
+pub const LOGS: &str = "logs";
 const LOCK: &str = "learner.lock";
-const LOGS: &str = "logs";
 /// Where the learner of the latest start listened.
 const ADDRESS: &str = "address";
 /// Manifest field: whether an actor without a fingerprint ever took part, so that the run is not

@@ -1,9 +1,9 @@
-//! Where plain text is allowed: on this machine, and elsewhere only on request.
+//! The hosts with which plain text is permitted by default.
 
 use std::net::IpAddr;
 
-/// Whether `host`, as it stands in a URL, is this machine beyond doubt: a loopback address, or the one name
-/// that stands for it by definition (RFC 6761, section 6.3). Any other name may lead anywhere.
+/// Whether `host` of a URL is certainly this machine: a loopback address, or `localhost` (RFC 6761, section 6.3). Any
+/// other name may resolve to another machine.
 #[must_use]
 pub fn is_loopback(host: &str) -> bool {
     let bare = host.trim_start_matches('[').trim_end_matches(']');

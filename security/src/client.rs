@@ -1,5 +1,5 @@
-//! What an actor shows and whom it trusts. The files are read for every new connection, so that renewed
-//! ones are used from the next connection on.
+//! The TLS files of clients. They are read for every new connection, so that renewed files take effect with the next
+//! connection.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use rustls::sign::SingleCertAndKey;
 use crate::error::SecurityError;
 use crate::files::{IdentityFiles, authorities, certified_key, provider, read, unusable};
 
-/// Where a client's certificates are, and whom it expects to find.
+/// Certificate files of a client, and the server name that it expects.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClientFiles {
     /// PEM file of the authority that signed the learner's certificate.
@@ -23,7 +23,7 @@ pub struct ClientFiles {
     pub server_name: Option<String>,
 }
 
-/// The contents of those files, in PEM form, good at the moment they were read.
+/// The contents of those files in PEM form, valid when they were read.
 pub struct ClientCredentials {
     /// Authority of the learner's certificate.
     pub authority: Vec<u8>,
@@ -34,10 +34,10 @@ pub struct ClientCredentials {
 }
 
 impl ClientFiles {
-    /// Reads and checks all of them.
+    /// Reads and checks all files.
     ///
     /// # Errors
-    /// Names the first file that is wrong.
+    /// Names the first invalid file.
     pub fn read(&self) -> Result<ClientCredentials, SecurityError> {
         let credentials = ClientCredentials {
             authority: read(&self.authority)?,
@@ -48,10 +48,10 @@ impl ClientFiles {
         Ok(credentials)
     }
 
-    /// What a handshake with the learner on `host` takes: the settings, and the name expected there.
+    /// The TLS settings and the expected server name for a handshake with the learner on `host`.
     ///
     /// # Errors
-    /// Names the first file that is wrong, or the name if it is none.
+    /// Names the first invalid file, or the invalid server name.
     pub fn handshake(
         &self,
         host: &str,

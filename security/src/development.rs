@@ -1,5 +1,5 @@
-//! An authority for one's own machines, and the certificates it signs: enough to begin with, and for tests.
-//! Where an authority exists already, its certificates do, as long as they carry a role.
+//! A certificate authority for development and tests, and the certificates that it signs. An existing authority can be
+//! used instead if its certificates carry a role.
 
 use std::time::{Duration, SystemTime};
 
@@ -22,7 +22,7 @@ pub struct Issued {
     pub key: String,
 }
 
-/// An authority that exists only as long as this value: its key is never written anywhere.
+/// A certificate authority. Its key exists in memory only.
 pub struct Issuer {
     authority: CertifiedIssuer<'static, KeyPair>,
     from: SystemTime,
@@ -30,10 +30,10 @@ pub struct Issuer {
 }
 
 impl Issuer {
-    /// A new authority; it and what it signs is valid for `duration` after `from`.
+    /// A new authority; its certificate and those that it signs are valid for `duration` after `from`.
     ///
     /// # Errors
-    /// If no certificate can be made.
+    /// The certificate cannot be created.
     pub fn new(from: SystemTime, duration: Duration) -> Result<Self, SecurityError> {
         let mut params = params("s2mia development authority", from, duration);
         params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
@@ -52,7 +52,7 @@ impl Issuer {
     /// A learner's certificate for these host names and IP addresses.
     ///
     /// # Errors
-    /// If a name is none.
+    /// A name is invalid.
     pub fn server(&self, names: &[String]) -> Result<Issued, SecurityError> {
         let mut params = params("s2mia learner", self.from, self.duration);
         let named = CertificateParams::new(names).map_err(unmakeable)?;
@@ -63,7 +63,7 @@ impl Issuer {
     /// A certificate that carries one role.
     ///
     /// # Errors
-    /// If no certificate can be made.
+    /// The certificate cannot be created.
     pub fn client(&self, role: Role) -> Result<Issued, SecurityError> {
         let mut params = params(&format!("s2mia {role}"), self.from, self.duration);
         let uri = role.uri().try_into().map_err(unmakeable)?;
@@ -71,10 +71,10 @@ impl Issuer {
         self.issue(params, ExtendedKeyUsagePurpose::ClientAuth)
     }
 
-    /// A client's certificate that carries no role, and so allows nothing.
+    /// A client's certificate without a role, which permits nothing.
     ///
     /// # Errors
-    /// If no certificate can be made.
+    /// The certificate cannot be created.
     pub fn nobody(&self) -> Result<Issued, SecurityError> {
         let params = params("s2mia client", self.from, self.duration);
         self.issue(params, ExtendedKeyUsagePurpose::ClientAuth)

@@ -1,11 +1,11 @@
-//! What is wrong with a file that the wire's security rests on. Nothing here ever shows a file's content.
+//! Errors of certificate files. No message contains the contents of a file.
 
 use std::path::PathBuf;
 
-/// What is wrong with a certificate, a key or an authority.
+/// An invalid certificate, key or authority.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SecurityError {
-    /// The file is not there, or may not be read.
+    /// The file cannot be read.
     #[error("cannot read {path}: {why}")]
     Unreadable {
         /// The file.
@@ -13,25 +13,25 @@ pub enum SecurityError {
         /// The system's reason.
         why: String,
     },
-    /// The file holds something else.
+    /// The file does not contain the expected PEM section.
     #[error("{path} holds no {expected} in PEM form")]
     NotPem {
         /// The file.
         path: PathBuf,
-        /// What should be in it.
+        /// The expected section.
         expected: &'static str,
     },
-    /// What is between the PEM lines cannot be used.
+    /// The contents of the PEM section are invalid.
     #[error("{path} holds a {what} that cannot be used: {why}")]
     Unusable {
         /// The file.
         path: PathBuf,
         /// Certificate or private key.
         what: &'static str,
-        /// Why not.
+        /// Reason.
         why: String,
     },
-    /// Certificate and key are of two pairs.
+    /// Certificate and key do not belong together.
     #[error("the private key {key} does not fit the certificate {certificate}")]
     OtherKey {
         /// The certificate's file.
@@ -39,33 +39,33 @@ pub enum SecurityError {
         /// The key's file.
         key: PathBuf,
     },
-    /// The certificate's time is over.
+    /// The certificate has expired.
     #[error("the certificate {path} expired at {at} (it is {now})")]
     Expired {
         /// The file.
         path: PathBuf,
-        /// Its last moment.
+        /// End of its validity.
         at: String,
-        /// This machine's clock.
+        /// Time of this machine.
         now: String,
     },
-    /// The certificate's time has not come.
+    /// The certificate is not valid yet.
     #[error("the certificate {path} is valid from {at} only (it is {now})")]
     NotYetValid {
         /// The file.
         path: PathBuf,
-        /// Its first moment.
+        /// Start of its validity.
         at: String,
-        /// This machine's clock.
+        /// Time of this machine.
         now: String,
     },
-    /// A server name is none.
+    /// A server name is invalid.
     #[error("`{name}` is neither a host name nor an IP address")]
     NoName {
-        /// What was given.
+        /// The name.
         name: String,
     },
-    /// New certificates could not be made.
+    /// A certificate could not be created.
     #[error("cannot make a certificate: {0}")]
     Unmakeable(String),
 }

@@ -1,19 +1,19 @@
-//! A failed TLS handshake in words that say what to do.
+//! Explanations of failed TLS handshakes.
 
 use std::error::Error;
 use std::io;
 
 use rustls::{AlertDescription, CertificateError};
 
-/// What a client should know about the TLS error that `error` is or comes from. `None` if none is behind it, and
-/// if it is one of those, such as a byte that was lost, after which another try may do better.
+/// Explanation, for the user of a client, of the TLS error that `error` is or comes from. `None` if there is no TLS
+/// error, and for transient ones, such as corrupted data, after which a retry may succeed.
 #[must_use]
 pub fn explain(error: &(dyn Error + 'static)) -> Option<String> {
     tls_error(error).and_then(words).or_else(|| explain(error.source()?))
 }
 
 fn tls_error<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> {
-    // An `io::Error` is no source of itself: what it wraps has to be asked for.
+    // The source of an `io::Error` is not the error that it wraps.
     let inner = error.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
     error.downcast_ref().or_else(|| inner.and_then(|inner| inner.downcast_ref()))
 }
@@ -21,7 +21,7 @@ fn tls_error<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> 
 fn words(error: &rustls::Error) -> Option<String> {
     use rustls::Error::{AlertReceived, InvalidCertificate, InvalidMessage};
     match error {
-        InvalidMessage(_) => Some("the learner speaks no TLS there; use an http:// URL".to_owned()),
+        InvalidMessage(_) => Some("the learner does not use TLS; use an http:// URL".to_owned()),
         InvalidCertificate(why) => {
             Some(format!("the learner's certificate is refused: {}", reason(why)))
         }
@@ -43,7 +43,7 @@ fn reason(why: &CertificateError) -> String {
 
 fn told(alert: AlertDescription) -> Option<&'static str> {
     match alert {
-        AlertDescription::CertificateRequired => Some("it wants one and got none"),
+        AlertDescription::CertificateRequired => Some("it requires one and received none"),
         AlertDescription::UnknownCA | AlertDescription::DecryptError => {
             Some("another authority has signed it")
         }

@@ -1,4 +1,4 @@
-//! Certificates, keys and authorities as they stand in PEM files, each checked as it is read.
+//! Reads and checks certificates, keys and authorities in PEM files.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -15,7 +15,7 @@ use crate::validity::{Moment, Validity};
 const CERTIFICATE: &str = "certificate";
 const PRIVATE_KEY: &str = "private key";
 
-/// Where a certificate, with the chain that leads to its authority, and its private key are.
+/// Files of a certificate with its chain, and of its private key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IdentityFiles {
     /// PEM file of the certificate, then the rest of its chain.
@@ -24,7 +24,7 @@ pub struct IdentityFiles {
     pub key: PathBuf,
 }
 
-/// The one provider of cryptography.
+/// The provider of all cryptography.
 pub(crate) fn provider() -> CryptoProvider {
     ring::default_provider()
 }
@@ -36,7 +36,7 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SecurityError> {
     })
 }
 
-/// The certificates in `pem`, which was read from `path`: at least one, the first of them valid at `now`.
+/// The certificates in `pem`, which was read from `path`: at least one; the first is valid at `now`.
 pub(crate) fn certificates(
     path: &Path,
     pem: &[u8],
@@ -89,7 +89,7 @@ pub(crate) fn certified_key(
     now: SystemTime,
 ) -> Result<CertifiedKey, SecurityError> {
     let chain = certificates(&files.certificate, certificate_pem, now)?;
-    // What the parser says of a broken file may quote it, so its words stay here.
+    // The parser's message may quote the file, so it is not passed on.
     let key =
         PrivateKeyDer::from_pem_slice(key_pem).map_err(|_| not_pem(&files.key, PRIVATE_KEY))?;
     CertifiedKey::from_der(chain, key, &provider()).map_err(|error| match error {

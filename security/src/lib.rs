@@ -1,5 +1,5 @@
-//! Who may talk to whom: certificates and the roles they carry, TLS for both ends, and where plain text is
-//! allowed. It reads files and knows no socket and no call; [`development`] makes certificates to begin with.
+//! Authentication and authorisation: certificates and their roles, TLS for both ends, and the rules for plain text. The
+//! crate reads files and uses no sockets; [`development`] creates certificates.
 
 pub mod addresses;
 pub mod client;

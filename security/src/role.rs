@@ -1,14 +1,14 @@
-//! What a peer may do: roles, read from the certificate that it showed, and what each of them allows.
+//! Roles in certificates, and the calls that each role permits.
 
 use std::fmt;
 
 use rustls::pki_types::CertificateDer;
 use webpki::EndEntityCert;
 
-/// How a role's name begins as an alternative name (URI) of a certificate.
+/// Prefix of a role in an alternative name (URI) of a certificate.
 const URI_PREFIX: &str = "s2mia://role/";
 
-/// What a certificate is for.
+/// The role of a certificate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Rolls out: all calls of `LearnerService`.
@@ -20,10 +20,10 @@ pub enum Role {
 }
 
 impl Role {
-    /// All of them.
+    /// All roles.
     pub const ALL: [Self; 3] = [Self::Actor, Self::Viewer, Self::Admin];
 
-    /// Its name.
+    /// Name of the role.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -33,13 +33,13 @@ impl Role {
         }
     }
 
-    /// Its name as an alternative name (URI) of a certificate.
+    /// The role as an alternative name (URI) of a certificate.
     #[must_use]
     pub fn uri(self) -> String {
         format!("{URI_PREFIX}{}", self.name())
     }
 
-    /// The roles in a verified certificate; none if it carries none.
+    /// The roles in a verified certificate.
     fn in_certificate(certificate: &CertificateDer<'_>) -> Vec<Self> {
         let Ok(certificate) = EndEntityCert::try_from(certificate) else { return Vec::new() };
         let names = certificate.valid_uri_names().collect::<Vec<_>>();
@@ -53,22 +53,22 @@ impl fmt::Display for Role {
     }
 }
 
-/// What the peer of a connection may do.
+/// Permissions of the peer of a connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// Everything: nobody is asked who they are, because only this machine is let in.
+    /// All calls: the connection is not authenticated.
     Unasked,
-    /// What these roles allow.
+    /// The calls that these roles permit.
     Roles(Vec<Role>),
 }
 
-/// A call that the peer's roles do not allow.
+/// A call that the peer's roles do not permit.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("this call needs the role {needed}; the certificate carries {}", listed(.held))]
 pub struct Denied {
-    /// The role that would do.
+    /// The required role.
     pub needed: Role,
-    /// The roles that were shown.
+    /// The roles of the certificate.
     pub held: Vec<Role>,
 }
 
@@ -80,17 +80,17 @@ fn listed(roles: &[Role]) -> String {
 }
 
 impl Standing {
-    /// Of a peer that showed this chain of certificates, its own first.
+    /// Permissions of a peer with this chain of certificates, its own first.
     #[must_use]
     pub fn of_chain(chain: Option<&[CertificateDer<'_>]>) -> Self {
         let own = chain.and_then(|chain| chain.first());
         Self::Roles(own.map(Role::in_certificate).unwrap_or_default())
     }
 
-    /// Refuses a call that needs a role which the peer has not.
+    /// Refuses a call that requires a role that the peer does not have.
     ///
     /// # Errors
-    /// Names the role needed and those held.
+    /// Names the required role and the peer's roles.
     pub fn demand(&self, needed: Role) -> Result<(), Denied> {
         match self {
             Self::Unasked => Ok(()),

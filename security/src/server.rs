@@ -1,5 +1,5 @@
-//! TLS as the learner speaks it: version 1.3, with a certificate asked of every client. Changed files are
-//! taken up without a restart.
+//! TLS of the learner: version 1.3, with a certificate required from every client. Changed files are reloaded without a
+//! restart.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -12,13 +12,13 @@ use rustls::sign::SingleCertAndKey;
 use crate::error::SecurityError;
 use crate::files::{IdentityFiles, authorities, certified_key, provider, read, unusable};
 
-/// Files are looked at again at most this often.
+/// Shortest interval between two checks of the files.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
-/// The one protocol that is spoken, as ALPN names it.
+/// ALPN name of the only supported protocol.
 const HTTP_2: &[u8] = b"h2";
 
-/// Where a learner's certificates are.
+/// Certificate files of a learner.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServerFiles {
     /// The learner's own certificate and key.
@@ -27,7 +27,7 @@ pub struct ServerFiles {
     pub client_authority: PathBuf,
 }
 
-/// The newest good certificates of a learner.
+/// The newest valid certificates of a learner.
 #[derive(Debug)]
 pub struct ServerTls {
     files: ServerFiles,
@@ -41,7 +41,7 @@ struct State {
     looked: Instant,
 }
 
-/// What stood in the files.
+/// Contents of the files.
 #[derive(PartialEq, Eq)]
 struct Contents {
     certificate: Vec<u8>,
@@ -59,7 +59,7 @@ impl ServerTls {
     /// Reads and checks the files.
     ///
     /// # Errors
-    /// Names the first file that is wrong.
+    /// Names the first invalid file.
     pub fn open(files: ServerFiles) -> Result<Self, SecurityError> {
         let contents = Contents::read(&files)?;
         let config = configure(&files, &contents)?;
@@ -67,8 +67,8 @@ impl ServerTls {
         Ok(Self { files, state: Mutex::new(state) })
     }
 
-    /// What a connection that begins at `now` is served with. Reads the files if that was not done within
-    /// the last two seconds; broken ones are logged, once, and change nothing.
+    /// The TLS settings of a connection that starts at `now`. Reads the files unless they were read within the last two
+    /// seconds. Invalid files are logged once and change nothing.
     pub fn config(&self, now: Instant) -> Arc<ServerConfig> {
         let mut state = self.state.lock().expect("no thread panics while it holds this lock");
         if now.saturating_duration_since(state.looked) >= LOOK_AGAIN {
@@ -93,7 +93,7 @@ impl State {
                 self.config = config;
                 tracing::info!("new connections are served with the changed certificates");
             }
-            Err(error) => tracing::warn!("the certificates before are kept: {error}"),
+            Err(error) => tracing::warn!("the previous certificates stay in use: {error}"),
         }
         self.seen = found;
     }
@@ -127,7 +127,7 @@ fn configure(files: &ServerFiles, contents: &Contents) -> Result<Arc<ServerConfi
         .with_client_cert_verifier(verifier)
         .with_cert_resolver(Arc::new(SingleCertAndKey::from(own)));
     config.alpn_protocols = vec![HTTP_2.to_vec()];
-    // A resumed session would outlive the authority that admitted it.
+    // A resumed session would remain valid after its authority was removed.
     config.session_storage = Arc::new(NoServerSessionStorage {});
     config.send_tls13_tickets = 0;
     Ok(Arc::new(config))

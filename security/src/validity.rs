@@ -1,19 +1,21 @@
-//! From when and until when a certificate is valid, read from its DER bytes. Nothing else of it is looked
-//! at: rustls verifies certificates, but says of one's own only that the other side refused it.
+//! The validity period of a certificate, read from its DER bytes. rustls verifies certificates of peers; this check
+//! gives the reason before a peer refuses an expired certificate of this program.
 
 use std::fmt;
 use std::time::SystemTime;
+
+use time::OffsetDateTime;
 
 const SEQUENCE: u8 = 0x30;
 const VERSION: u8 = 0xa0;
 const UTC_TIME: u8 = 0x17;
 const GENERALIZED_TIME: u8 = 0x18;
 
-/// A second of the calendar, UTC: year, month, day, hour, minute, second. Later ones compare as larger.
+/// A time in UTC: year, month, day, hour, minute, second. Later times compare as larger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Moment([u32; 6]);
 
-/// First and last moment of a certificate.
+/// Validity period of a certificate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Validity {
     pub(crate) from: Moment,
@@ -21,14 +23,14 @@ pub(crate) struct Validity {
 }
 
 impl Validity {
-    /// Of a certificate in DER form; `None` if it is none.
+    /// Validity of a certificate in DER form; `None` if it is invalid.
     pub(crate) fn of(certificate: &[u8]) -> Option<Self> {
         let (_, certificate, _) = element(certificate)?;
         let (_, mut rest, _) = element(certificate)?;
         if rest.first() == Some(&VERSION) {
             rest = element(rest)?.2;
         }
-        // Serial number, signature algorithm and issuer stand before it (RFC 5280, section 4.1).
+        // Serial number, signature algorithm and issuer precede it (RFC 5280, section 4.1).
         for _ in 0..3 {
             rest = element(rest)?.2;
         }
@@ -54,7 +56,7 @@ fn element(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     Some((tag, content, rest))
 }
 
-/// `YYMMDDHHMMSSZ`, in which years from 50 are of the last century, or `YYYYMMDDHHMMSSZ`.
+/// Parses `YYMMDDHHMMSSZ`, in which years from 50 are 19YY, or `YYYYMMDDHHMMSSZ`.
 fn moment(bytes: &[u8]) -> Option<Moment> {
     let (tag, text, _) = element(bytes)?;
     let digits = std::str::from_utf8(text.strip_suffix(b"Z")?).ok()?;
@@ -76,22 +78,13 @@ fn moment(bytes: &[u8]) -> Option<Moment> {
 }
 
 impl From<SystemTime> for Moment {
-    /// Days to dates after Howard Hinnant, "chrono-compatible low-level date algorithms": years begin in
-    /// March, so that the leap day is the last one.
+    /// The time in UTC.
     fn from(time: SystemTime) -> Self {
-        let seconds =
-            time.duration_since(SystemTime::UNIX_EPOCH).map_or(0, |since| since.as_secs());
-        let (days, second) = (seconds / 86_400 + 719_468, seconds % 86_400);
-        let (era, day_of_era) = (days / 146_097, days % 146_097);
-        let year_of_era =
-            (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-        let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-        let shifted = (5 * day_of_year + 2) / 153;
-        let day = day_of_year - (153 * shifted + 2) / 5 + 1;
-        let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
-        let year = year_of_era + era * 400 + u64::from(month <= 2);
-        let fields = [year, month, day, second / 3600, second / 60 % 60, second % 60];
-        Self(fields.map(|field| field as u32))
+        let time = OffsetDateTime::from(time);
+        let ((year, month, day), (hour, minute, second)) = (time.to_calendar_date(), time.to_hms());
+        let fields = [month.into(), day, hour, minute, second].map(u32::from);
+        let [month, day, hour, minute, second] = fields;
+        Self([year.unsigned_abs(), month, day, hour, minute, second])
     }
 }
 

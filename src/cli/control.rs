@@ -1,10 +1,12 @@
 //! The arguments of commands that query or control a running learner.
 
 use std::net::SocketAddr;
+use std::time::Duration;
 
 use clap::Args;
 
-use super::ClientTlsArguments;
+use crate::cli::tls::ClientTlsArguments;
+use crate::errors::Usage;
 
 /// Selects the learner.
 #[derive(Args, Debug)]
@@ -104,4 +106,10 @@ pub(crate) struct LiveArguments {
     /// Allow a non-loopback --watch address without encryption and authentication.
     #[arg(long, requires = "watch")]
     pub(crate) insecure_allow_remote_watch: bool,
+}
+
+/// The timeout that `--timeout-secs` gives; refuses a negative or infinite one.
+pub(crate) fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
+    Duration::try_from_secs_f64(timeout_secs)
+        .map_err(|_| Usage::new(format!("--timeout-secs must be at least 0, is {timeout_secs}")))
 }

@@ -18,9 +18,6 @@ pub(crate) struct ServeArguments {
     /// Load newer checkpoints of the run as they are written. An episode keeps the checkpoint that it started with.
     #[arg(long)]
     pub(crate) follow: bool,
-    /// Allow a non-loopback --listen address without encryption and authentication.
-    #[arg(long, conflicts_with = "tls_certificate")]
-    pub(crate) insecure_allow_remote: bool,
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ServerTlsArguments,

@@ -5,9 +5,14 @@ use std::path::PathBuf;
 use clap::Args;
 use security::{ClientFiles, IdentityFiles, ServerFiles};
 
-/// TLS files of a server.
+use crate::errors::Usage;
+
+/// TLS files of a server, or permission to do without.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ServerTlsArguments {
+    /// Allow a non-loopback --listen address without encryption and authentication.
+    #[arg(long, conflicts_with = "tls_certificate")]
+    pub(crate) insecure_allow_remote: bool,
     /// Use TLS with this certificate (PEM, followed by its chain) and require a certificate from every client.
     #[arg(long, value_name = "FILE", requires_all = ["tls_key", "tls_client_ca"])]
     tls_certificate: Option<PathBuf>,
@@ -50,6 +55,30 @@ impl ClientTlsArguments {
         let identity = identity(self.tls_certificate.as_ref(), self.tls_key.as_ref())?;
         let server_name = self.tls_server_name.clone();
         Some(ClientFiles { authority: self.tls_ca.clone()?, identity, server_name })
+    }
+}
+
+/// The TLS files for a request to the learner at `url`; none for plain text.
+///
+/// # Errors
+/// The scheme of `url` and the arguments disagree, or a file is invalid.
+pub(crate) fn credentials(
+    url: &str,
+    tls: &ClientTlsArguments,
+) -> Result<Option<ClientFiles>, Usage> {
+    let files = tls.files();
+    match (&files, url.starts_with("https://")) {
+        (None, true) => Err(Usage::new(format!(
+            "{url}: https:// needs --tls-ca, --tls-certificate and --tls-key"
+        ))),
+        (Some(_), false) => {
+            Err(Usage::new(format!("{url}: with --tls-ca it begins with https://")))
+        }
+        (Some(own), true) => match own.read() {
+            Ok(_) => Ok(files),
+            Err(why) => Err(Usage::new(why.to_string())),
+        },
+        (None, false) => Ok(None),
     }
 }
 

@@ -5,12 +5,13 @@ use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::{ActorArguments, ActorLogArguments};
-use crate::commands::{Usage, runtime};
+use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, layers};
-use crate::run_config::RunConfig;
-use crate::signals;
+use crate::errors::Usage;
+use crate::process::runtime;
+use crate::process::signals;
 
-/// Ends with status 0 when the learner says that the run is done, or when it is told to stop.
+/// Ends with status 0 when the learner reports that the run is done, or after a stop signal.
 pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
     let with_stdin = arguments.exit_with_stdin;
     let config = configure(arguments)?;
@@ -52,7 +53,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
     Ok(config)
 }
 
-/// What is logged, if anything: the arguments laid over the settings' defaults.
+/// Trajectory logging, if enabled: the arguments override the defaults of the settings.
 fn log(arguments: ActorLogArguments) -> Result<Option<actor::LogConfig>, ConfigError> {
     let (Some(folder), Some(episodes)) = (arguments.log_dir, arguments.log_episodes) else {
         return Ok(None);

@@ -1,4 +1,4 @@
-//! `s2mia certs`: an authority of one's own and a certificate for each role, to begin with.
+//! `s2mia certs`: writes a new certificate authority and a certificate for each role.
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::Write as _;
@@ -12,19 +12,19 @@ use security::Role;
 use security::development::{Issued, Issuer};
 
 use crate::cli::CertsArguments;
-use crate::commands::Usage;
-use crate::output;
+use crate::errors::Usage;
+use crate::process::output;
 
 /// Only the owner may read a private key.
 const SECRET: u32 = 0o600;
 /// Everyone may read a certificate.
 const PUBLIC: u32 = 0o644;
-/// Only the owner may look into the folder.
+/// Only the owner may list the folder.
 const PRIVATE_FOLDER: u32 = 0o700;
 
 const DAY: Duration = Duration::from_secs(86_400);
 
-/// Writes all files into a new or empty folder, and says how they are used.
+/// Writes all files into a new or empty folder and prints how to use them.
 pub(super) fn run(arguments: &CertsArguments) -> anyhow::Result<()> {
     let folder = &arguments.folder;
     let issuer = Issuer::new(SystemTime::now(), DAY * arguments.days)?;
@@ -61,7 +61,7 @@ fn write_pair(folder: &Path, name: &str, issued: &Issued) -> anyhow::Result<()> 
     write(&folder.join(format!("{name}.key")), &issued.key, SECRET)
 }
 
-/// A new file, never an old one with new content.
+/// Writes a new file; never overwrites one.
 fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
     let written = OpenOptions::new()
         .write(true)

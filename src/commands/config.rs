@@ -1,9 +1,9 @@
 //! `s2mia config`: the settings a run would have, each with its origin.
 
 use crate::cli::SettingsArguments;
+use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
-use crate::output;
-use crate::run_config::RunConfig;
+use crate::process::output;
 
 /// Prints TOML that `--config` can read again.
 pub(super) fn run(arguments: &SettingsArguments) -> anyhow::Result<()> {

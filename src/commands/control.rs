@@ -7,8 +7,9 @@ use learner::run_folder::RunFolder;
 use learner::service::Operator;
 
 use crate::cli::{CheckpointArguments, LearnerArgument, OrderArguments};
-use crate::commands::{Usage, credentials, patience, runtime};
-use crate::output;
+use crate::cli::{credentials, patience};
+use crate::errors::Usage;
+use crate::process::{output, runtime};
 
 /// Hands out no more work.
 pub(super) fn pause(arguments: &OrderArguments) -> anyhow::Result<()> {

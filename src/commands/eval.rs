@@ -1,66 +1,61 @@
 //! `s2mia eval`: whole episodes of a trained policy, mean or drawn actions, extrinsic return only.
 
-use std::path::Path;
-
-use actor::EnvironmentBatch;
+use actor::{EnvironmentBatch, Episode};
 use anyhow::Context as _;
 use learner::evaluation::Spread;
 use proto::ActionChoice;
 use serde_json::json;
 
-use crate::chart;
 use crate::cli::EvalArguments;
-use crate::commands::checkpointed::{self, Trained};
-use crate::offered::Stage;
-use crate::output;
+use crate::figures::chart;
+use crate::process::output;
+use crate::run::checkpointed::{self, Trained};
+use crate::run::offered::Stage;
 
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let mut stage = Stage::of(&trained.config)?;
-    let returns = play(stage.environment.as_mut(), &trained, arguments)?;
+    let episodes = play(stage.environment.as_mut(), &trained, arguments)?;
     let task = &stage.environment.description().task;
-    let world = if stage.environment.simulated().is_some() { "rapier/" } else { "" };
-    let spread = Spread::of(returns.iter().map(|episode| episode.0));
+    let spread = Spread::of(episodes.iter().map(|episode| episode.extrinsic_return));
     if arguments.json {
-        output::line(as_json(task, &trained, &returns, &spread));
-    } else {
-        output::line(
-            as_table((&arguments.run, &format!("{world}{task}")), &trained, &returns, &spread)
-                .trim_end(),
-        );
+        output::line(as_json(task, &trained, &episodes, &spread));
+        return Ok(());
     }
+    let simulator = if stage.environment.simulated().is_some() { "rapier/" } else { "" };
+    let (run, steps) = (arguments.run.display(), chart::thousands(trained.env_steps));
+    output::line(format!("{run}: {simulator}{task} after {steps} env steps\n"));
+    output::line(as_table(&episodes, &spread));
     Ok(())
 }
 
-/// Extrinsic return and length of each episode.
+/// Plays the episodes one after the other.
 fn play(
     world: &mut dyn EnvironmentBatch,
     trained: &Trained,
     arguments: &EvalArguments,
-) -> anyhow::Result<Vec<(f64, u32)>> {
-    let mut returns = Vec::new();
-    for episode in 0..arguments.episodes {
+) -> anyhow::Result<Vec<Episode>> {
+    let episode = |episode: u32| {
         let choice = match arguments.sampled {
             Some(seed) => ActionChoice::Sampled { seed: seed.wrapping_add(episode.into()) },
             None => ActionChoice::Mean,
         };
         let start = (trained.start(episode), choice);
-        let played = actor::play_episode(world, &trained.policy, start, |_| {})
-            .context("the episode broke off")?;
-        returns.push((played.extrinsic_return, played.steps));
-    }
-    Ok(returns)
+        actor::play_episode(world, &trained.policy, start, |_| {}).context("the episode failed")
+    };
+    (0..arguments.episodes).map(episode).collect()
 }
 
 fn as_json(
     task: &str,
     trained: &Trained,
-    returns: &[(f64, u32)],
+    episodes: &[Episode],
     spread: &Spread,
 ) -> serde_json::Value {
-    let episodes: Vec<serde_json::Value> =
-        returns.iter().map(|(value, steps)| json!({ "return": value, "steps": steps })).collect();
+    let as_json =
+        |episode: &Episode| json!({ "return": episode.extrinsic_return, "steps": episode.steps });
+    let episodes: Vec<serde_json::Value> = episodes.iter().map(as_json).collect();
     json!({
         "task": task,
         "iteration": trained.iteration,
@@ -73,20 +68,11 @@ fn as_json(
     })
 }
 
-fn as_table(
-    (run, task): (&Path, &str),
-    trained: &Trained,
-    returns: &[(f64, u32)],
-    spread: &Spread,
-) -> String {
-    let mut text = format!(
-        "{}: {task} after {} env steps\n\nepisode      return   steps\n",
-        run.display(),
-        chart::thousands(trained.env_steps)
-    );
-    for (episode, (value, steps)) in returns.iter().enumerate() {
-        text += &format!("{episode:>7} {value:>11.2} {steps:>7}\n");
+fn as_table(episodes: &[Episode], spread: &Spread) -> String {
+    let mut text = "episode      return   steps\n".to_owned();
+    for (index, Episode { extrinsic_return, steps, .. }) in episodes.iter().enumerate() {
+        text += &format!("{index:>7} {extrinsic_return:>11.2} {steps:>7}\n");
     }
     let Spread { mean, standard_deviation, minimum, maximum } = spread;
-    text + &format!("\nreturn {mean:.2} ± {standard_deviation:.2} ({minimum:.2} to {maximum:.2})\n")
+    text + &format!("\nreturn {mean:.2} ± {standard_deviation:.2} ({minimum:.2} to {maximum:.2})")
 }

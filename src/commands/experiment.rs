@@ -1,21 +1,19 @@
-//! `s2mia experiment`: many runs from one file, then what they say.
+//! `s2mia experiment`: runs all trainings that a file describes and reports their results.
 
-use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::ExperimentArguments;
-use crate::commands::runtime;
-use crate::experiment::crew::{self, Tally};
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
 use crate::experiment::plan::{PlannedRun, plan};
 use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
 use crate::experiment::report;
-use crate::{output, signals};
+use crate::experiment::scheduler::{self, Tally};
+use crate::process::{output, runtime, signals};
 
-/// Runs what is missing and reports; a stop leaves checkpoints and status 0, a run that failed or could not begin
-/// status 1.
+/// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed or
+/// could not start.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let file = ExperimentFile::read(&arguments.file)?;
     let runs = plan(&file)?;
@@ -28,8 +26,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     if arguments.report {
         return tell(&file, &runs);
     }
-    std::fs::create_dir_all(&file.folder)
-        .with_context(|| format!("cannot make {}", file.folder.display()))?;
+    output::folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         runs.iter().cloned().partition(|run| record.holds(run));
@@ -45,7 +42,7 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
         output::line("stopping after a checkpoint of each run; Ctrl-C again ends at once");
     })?;
     let mut progress = Progress::new(runs);
-    let tally = crew::run_all(runs, at_once, stop.clone(), &mut progress).await?;
+    let tally = scheduler::run_all(runs, at_once, stop.clone(), &mut progress).await?;
     let stopped = *stop.borrow();
     Ok((tally, stopped))
 }
@@ -66,14 +63,14 @@ fn finish(
     if let Some(arguments) = stopped {
         let file = arguments.file.display();
         output::line(format!(
-            "stopped with {finished} of {planned} runs finished; go on by `s2mia experiment {file}`"
+            "stopped with {finished} of {planned} runs finished; resume with `s2mia experiment {file}`"
         ));
     }
     let refused = format!(
         "the folders of {misplaced} of {planned} runs hold other runs; \
          remove those, or give the experiment another `folder`"
     );
-    let tried = format!("{failed} of {planned} runs failed; the same command tries them again");
+    let tried = format!("{failed} of {planned} runs failed; the same command retries them");
     match (failed, misplaced) {
         (0, 0) => Ok(()),
         (_, 0) => anyhow::bail!(tried),

@@ -1,11 +1,12 @@
 //! `s2mia export`: a trained policy for other programs.
 
 use crate::cli::ExportArguments;
-use crate::commands::checkpointed;
-use crate::offered::Stage;
-use crate::{export, output};
+use crate::export;
+use crate::process::output;
+use crate::run::checkpointed;
+use crate::run::offered::Stage;
 
-/// Writes the files and says what is in each.
+/// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let mut stage = Stage::of(&trained.config)?;

@@ -1,10 +1,10 @@
-//! `s2mia health`: for whoever watches a learner from outside, such as a container engine.
+//! `s2mia health`: a health check of a learner, for example for a container engine.
 
 use crate::cli::HealthArguments;
-use crate::commands::{credentials, patience, runtime};
-use crate::output;
+use crate::cli::{credentials, patience};
+use crate::process::{output, runtime};
 
-/// Ends with status 0 if the learner serves, else with one line that says why not.
+/// Ends with status 0 if the learner serves, else with a one-line reason.
 pub(super) fn run(arguments: &HealthArguments) -> anyhow::Result<()> {
     let patience = patience(arguments.timeout_secs)?;
     let tls = credentials(&arguments.learner, &arguments.tls)?;

@@ -1,10 +1,10 @@
-//! `s2mia inspect`: what the newest good checkpoint of a run holds.
+//! `s2mia inspect`: contents of the newest valid checkpoint of a run.
 
 use serde_json::json;
 
 use crate::cli::InspectArguments;
-use crate::commands::checkpointed;
-use crate::output;
+use crate::process::output;
+use crate::run::checkpointed;
 
 /// Iteration, env steps and both hashes.
 pub(super) fn run(arguments: &InspectArguments) -> anyhow::Result<()> {

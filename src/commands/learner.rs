@@ -1,31 +1,28 @@
-//! `s2mia learner`: one run, served to actors that come from anywhere.
+//! `s2mia learner`: the learner of one run, for actors on any machine.
 
 use actor::Transport;
 use anyhow::Context as _;
 use tokio::sync::watch;
 
 use crate::cli::LearnerArguments;
-use crate::commands::entrance::{Entrance, demand_loopback};
-use crate::commands::runtime;
-use crate::launch::{self, Prepared};
+use crate::listening::Listening;
+use crate::page;
+use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
-use crate::{output, page, signals};
+use crate::run::launch::{self, Prepared};
 
-/// Serves until the run is done, or it is told to stop; then the newest state is in a checkpoint.
+/// Serves until the run is done or a stop signal; the newest state is then in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
-    if !arguments.insecure_allow_remote {
-        demand_loopback(arguments.listen, &arguments.tls)?;
-    }
+    let listening = Listening::new(arguments.listen, &arguments.tls)?;
     page::check(&arguments.page)?;
-    let entrance = Entrance::new(arguments.listen, &arguments.tls)?;
     let prepared =
         launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
-    runtime()?.block_on(serve(prepared, entrance, arguments))
+    runtime()?.block_on(serve(prepared, listening, arguments))
 }
 
-/// How far away an environment from outside may be.
+/// The machines on which an external environment may run.
 fn plain_text(arguments: &LearnerArguments) -> Transport {
-    match arguments.insecure_allow_remote {
+    match arguments.tls.insecure_allow_remote {
         true => Transport::PlainText,
         false => Transport::PlainTextOnLoopback,
     }
@@ -33,11 +30,11 @@ fn plain_text(arguments: &LearnerArguments) -> Transport {
 
 async fn serve(
     prepared: Prepared,
-    entrance: Entrance,
+    listening: Listening,
     arguments: &LearnerArguments,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let (door, url) = entrance.open().await?;
+    let (door, url) = listening.open().await?;
     output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = page::open(&arguments.page).await?;
     let (stop_sender, stop) = watch::channel(false);

@@ -12,12 +12,12 @@ use actor::{LiveError, LiveScene, LiveServer};
 use anyhow::Context as _;
 use policy::{Key, RunSeed};
 
-use crate::commands::Usage;
-use crate::commands::checkpointed::{self, Trained};
 use crate::commands::live::curves::Curves;
-use crate::offered::Stage;
-use crate::output;
-use crate::run_config::RunConfig;
+use crate::config::run_config::RunConfig;
+use crate::errors::Usage;
+use crate::process::output;
+use crate::run::checkpointed::{self, Trained};
+use crate::run::offered::Stage;
 
 /// How often is looked whether somebody has come.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);

@@ -1,27 +1,13 @@
 //! `s2mia log`: tools for trajectory logs, one file each.
 
+mod files;
 mod info;
 mod join;
 mod recover;
 mod replay;
 mod verify;
 
-use std::path::{Path, PathBuf};
-
-use actor::LogError;
-use actor::trajectory_log::{Index, is_log_name};
-use anyhow::Context as _;
-use proto::is_reward_log_name;
-
-use crate::chart::thousands;
-use crate::cli::{LogCommand, LogFiles};
-use crate::commands::Usage;
-use crate::run_path;
-
-/// What is left is sound, but something is missing; the program ends with status 3.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Incomplete(String);
+use crate::cli::LogCommand;
 
 /// Runs one tool.
 pub(super) fn run(command: &LogCommand) -> anyhow::Result<()> {
@@ -32,71 +18,4 @@ pub(super) fn run(command: &LogCommand) -> anyhow::Result<()> {
         LogCommand::Replay(files) => replay::run(files),
         LogCommand::Join(arguments) => join::run(arguments),
     }
-}
-
-/// The trajectory logs that are meant, each once, in the order of their names within a folder.
-fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
-    let paths = paths_of(logs, is_log_name)?;
-    let is_reward_log = |path: &&PathBuf| run_path::file_name(path).is_some_and(is_reward_log_name);
-    match paths.iter().find(is_reward_log) {
-        None => Ok(paths),
-        Some(path) => {
-            let shown = path.display();
-            let why = format!("{shown} is a reward log, which `s2mia log verify` and `join` read");
-            Err(Usage::new(why).into())
-        }
-    }
-}
-
-/// All shares of the logs that are meant, and their intrinsic rewards, which learners log.
-fn index(logs: &LogFiles) -> anyhow::Result<Index> {
-    let mut index = Index::default();
-    for path in paths_of(logs, |name| is_log_name(name) || is_reward_log_name(name))? {
-        in_file(&path, index.add(&path))?;
-    }
-    if index.logs() == 0 {
-        let why = "reward logs alone; name the trajectory logs that they belong to, too";
-        return Err(Usage::new(why).into());
-    }
-    Ok(index)
-}
-
-/// For how many shares an agent's intrinsic rewards are known.
-fn paid(index: &Index) -> String {
-    let (paid, all) = index.paid();
-    format!("intrinsic rewards of {} of {} training shares", thousands(paid), thousands(all))
-}
-
-/// Of folders, the files whose names `belong`.
-fn paths_of(logs: &LogFiles, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
-    let mut paths: Vec<PathBuf> = Vec::new();
-    for given in &logs.files {
-        let found = if given.is_dir() { in_folder(given, belong)? } else { vec![given.clone()] };
-        for path in found {
-            if !paths.contains(&path) {
-                paths.push(path);
-            }
-        }
-    }
-    Ok(paths)
-}
-
-/// Of a run folder, those of its logs.
-fn in_folder(folder: &Path, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
-    let logs = run_path::logs(folder);
-    let is_run = run_path::config_file(folder).is_file() && logs.is_dir();
-    let folder = if is_run { &logs } else { folder };
-    let paths = run_path::files(folder, belong);
-    let paths = paths.with_context(|| format!("cannot read {}", folder.display()))?;
-    if paths.is_empty() {
-        let why =
-            format!("no trajectories-*.mcap in {}; log.episodes makes some", folder.display());
-        return Err(Usage::new(why).into());
-    }
-    Ok(paths)
-}
-
-/// The same with the file's name before it.
-fn in_file<T>(path: &Path, result: Result<T, LogError>) -> anyhow::Result<T> {
-    result.with_context(|| path.display().to_string())
 }

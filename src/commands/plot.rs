@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use crate::cli::PlotArguments;
-use crate::{figures, learning_curve, output};
+use crate::figures::{self, learning_curve};
+use crate::process::output;
 
-/// Writes both files and says where they are.
+/// Writes both files and prints their paths.
 pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {
     let curves = learning_curve::read_all(&arguments.runs)?;
     let folder = folder(arguments);

@@ -6,17 +6,18 @@ use anyhow::Context as _;
 use policy::RunSeed;
 
 use crate::cli::RecordArguments;
-use crate::commands::checkpointed;
-use crate::offered::Stage;
-use crate::{chart, output, run_path};
+use crate::figures::chart;
+use crate::process::output;
+use crate::run::checkpointed;
+use crate::run::offered::Stage;
+use crate::run::run_path;
 
-/// Writes the file and says what is in it.
+/// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let path = path(arguments, trained.iteration);
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make {}", folder.display()))?;
+        output::folder(folder)?;
     }
     let seed = RunSeed(trained.config.run.seed);
     let mut stage = Stage::of(&trained.config)?;

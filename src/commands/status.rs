@@ -5,12 +5,14 @@ use std::path::Path;
 use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
 use serde_json::json;
 
-use crate::chart::thousands;
 use crate::cli::StatusArguments;
+use crate::cli::patience;
 use crate::commands::control::{operator, url};
-use crate::commands::{checkpointed, patience, runtime};
-use crate::run_config::RunConfig;
-use crate::{output, run_path};
+use crate::config::run_config::RunConfig;
+use crate::figures::chart::thousands;
+use crate::process::{output, runtime};
+use crate::run::checkpointed;
+use crate::run::run_path;
 
 /// Prints one line and a table of leases, or one JSON object.
 pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {

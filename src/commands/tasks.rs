@@ -1,21 +1,16 @@
-//! `s2mia tasks`: what can be trained.
+//! `s2mia tasks`: the tasks that can be trained.
 
 use std::path::Path;
 
 use anyhow::Context as _;
 use serde_json::json;
-use sim::{Description, Environments, Outcome};
+use sim::{Description, Environments};
 
 use crate::cli::TasksArguments;
+use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
-use crate::film::{self, Cast};
-use crate::output;
-use crate::run_config::RunConfig;
-
-/// Joints that are nearer to one another hide their numbers, metres.
-const APART: f32 = 0.08;
-/// Steps in which legs are driven apart.
-const MOST_STEPS: usize = 30;
+use crate::film::{self, RobotShapes};
+use crate::process::output;
 
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
@@ -43,62 +38,22 @@ fn world(task: &str) -> anyhow::Result<Environments> {
     Environments::new(&config.task, 1).with_context(|| format!("cannot build {task}"))
 }
 
-/// One picture, and whose each number is; nothing of a game.
+/// Draws one picture and prints the names of its numbered joints; a game has no picture.
 fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
     let shapes = sim::shapes(&world.description().task).context("cannot build the robot")?;
     if shapes.is_empty() {
         return Ok(());
     }
-    let joints = spread(world)?;
+    let joints = film::distinct_joints(world)?;
     let (task, pose) = (world.description(), world.pose(0));
-    let cast = Cast::new(task, shapes, &pose);
+    let robot = RobotShapes::new(task, shapes, &pose);
     let path = folder.join(format!("{}.png", task.task));
-    output::file(&path, &film::portrait(&cast, &joints, &pose)?)?;
+    output::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
     let names = task.agents.iter().flat_map(|agent| &agent.joints);
     let numbers: Vec<String> =
         (1..).zip(names).map(|(number, name)| format!("{number} {name}")).collect();
     output::line(format!("{}: {}", path.display(), numbers.join(", ")));
     Ok(())
-}
-
-/// Where all joints are, as soon as no more than one stands where another does: legs one behind the other are driven
-/// apart, their hips stay in one place.
-fn spread(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
-    let anchors = sim::hinges(&world.description().task).context("cannot build the robot")?;
-    let mut joints = joints(world, &anchors);
-    for _ in 0..MOST_STEPS {
-        let hidden: Vec<bool> =
-            (0..joints.len()).map(|index| hidden(&joints[index], &joints[..index])).collect();
-        if hidden.iter().filter(|hidden| **hidden).count() <= 1 {
-            break;
-        }
-        // Of two joints in one place the first turns one way, the second the other.
-        let actions: Vec<f32> =
-            hidden.iter().map(|hidden| if *hidden { -1.0 } else { 1.0 }).collect();
-        world.step(&actions, &mut [Outcome::default()]).context("the robot cannot be moved")?;
-        joints = self::joints(world, &anchors);
-    }
-    Ok(joints)
-}
-
-/// Whether a joint is where one of the others is.
-fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
-    let near = |other: &[f32; 3]| {
-        let squares = joint.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
-        squares.sum::<f32>() < APART * APART
-    };
-    others.iter().any(near)
-}
-
-/// Where the joints are that the agents drive, in the order of their actions; `anchors` say where on its link each is.
-fn joints(world: &Environments, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let (task, pose) = (world.description(), world.pose(0));
-    let links = &pose.links[pose.links.len() - anchors.len()..];
-    let place = |name: &String| {
-        let index = pose.joints.iter().position(|joint| joint.name == *name)?;
-        Some(links[index].in_world(anchors[index]))
-    };
-    task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect()
 }
 
 fn as_table(task: &Description) -> String {

@@ -1,7 +1,6 @@
 //! `s2mia train`: a learner in this process and actors in their own, on this machine.
 
 mod closing;
-mod verify;
 
 use std::path::Path;
 use std::time::Instant;
@@ -13,24 +12,25 @@ use proto::Episodes;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::chart;
 use crate::cli::{LiveArguments, PageArguments, TrainArguments};
 use crate::commands::live::{Place, Show};
-use crate::commands::runtime;
-use crate::commands::train::closing::Length;
-use crate::launch::{self, Prepared};
+use crate::commands::train::closing::{Closing, Length};
+use crate::config::run_config::RunConfig;
+use crate::figures::{chart, learning_curve};
+use crate::page;
+use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
-use crate::run_config::RunConfig;
-use crate::supervisor::{self, Crew, Surrender};
-use crate::{learning_curve, output, page, run_path, signals};
+use crate::run::launch::{self, Prepared};
+use crate::run::supervisor::{self, ActorProcesses};
+use crate::run::{determinism, run_path};
 
-/// Trains to the end of the run, or until told to stop; both leave a checkpoint and end with status 0.
+/// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     page::check(&arguments.page)?;
     let prepared =
         launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     if let Some(iterations) = arguments.verify_determinism {
-        return verify::run(&arguments.settings, &prepared.config.environment, iterations);
+        return determinism::verify(&arguments.settings, &prepared.config.environment, iterations);
     }
     let live = live(&arguments.live, &prepared)?;
     let Prepared { config, folder, launch } = &prepared;
@@ -42,40 +42,45 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if arguments.stop_with_stdin {
         signals::stop_with_stdin(stop_sender.clone())?;
     }
-    runtime()?.block_on(train(prepared, &arguments.page, (stop_sender, stop)))
+    runtime()?.block_on(train(prepared, &arguments.page, stop_sender, stop))
 }
 
 async fn train(
     prepared: Prepared,
     page: &PageArguments,
-    (stop_sender, stop): (watch::Sender<bool>, watch::Receiver<bool>),
+    stop_sender: watch::Sender<bool>,
+    stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
     let page = page::open(page).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
-    let crew = crew(&config, &folder, &listener)?;
+    let processes = processes(&config, &folder, &listener)?;
     let (end, ended) = watch::channel(false);
     signals::stop_on_signal(stop_sender.clone(), || {
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
     })?;
-    let actors = tokio::spawn(supervisor::supervise(crew, ended, stop_sender));
+    let actors = tokio::spawn(supervisor::supervise(processes, ended, stop_sender));
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary = learner::run(launch, listener, page, observer, stop).await;
     end.send_replace(true);
-    let surrender = actors.await.context("the watch over the actors failed")?;
+    let failure = actors.await.context("the supervisor of the actors failed")?;
     if config.log.episodes != Episodes::None {
         output::line(closing::logged(&run_path::logs(&folder)));
     }
+    let summary = ended_well(summary, failure)?;
     let length = match config.resolved.depends_on_length() {
         true => Length::Fixed,
         false => Length::MayRise,
     };
-    finish((&folder, length), summary, &surrender, begin)
+    let points = learning_curve::evaluations(&run_path::metrics_file(&folder))?;
+    let closing = Closing { folder: &folder, summary: &summary, length, elapsed: begin.elapsed() };
+    output::line(closing.text(&points));
+    Ok(())
 }
 
-/// The live view that is asked for; it listens already, so that a port that is taken stops nothing half-way.
+/// The requested live view. It already listens, so an occupied port is reported before the run starts.
 fn live(
     arguments: &LiveArguments,
     prepared: &Prepared,
@@ -92,7 +97,7 @@ fn live(
     Ok(Some((show, server)))
 }
 
-/// The first line: what runs, and where it is kept.
+/// The first line: the folder and the settings of the run.
 fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
     format!(
         "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps",
@@ -104,10 +109,14 @@ fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
     )
 }
 
-fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Result<Crew> {
+fn processes(
+    config: &RunConfig,
+    folder: &Path,
+    listener: &TcpListener,
+) -> anyhow::Result<ActorProcesses> {
     let logs = run_path::logs(folder);
-    std::fs::create_dir_all(&logs).with_context(|| format!("cannot make {}", logs.display()))?;
-    Ok(Crew {
+    output::folder(&logs)?;
+    Ok(ActorProcesses {
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),
         environment: config.environment.arguments(),
@@ -117,21 +126,17 @@ fn crew(config: &RunConfig, folder: &Path, listener: &TcpListener) -> anyhow::Re
     })
 }
 
-fn finish(
-    (folder, length): (&Path, Length),
+/// The summary; an error if the learner failed or the supervisor gave up on the actors.
+fn ended_well(
     summary: Result<Summary, LearnerError>,
-    surrender: &Surrender,
-    begin: Instant,
-) -> anyhow::Result<()> {
-    let summary = match (summary.context("the learner failed"), surrender.reason()) {
-        (Ok(summary), None) => summary,
+    failure: Option<String>,
+) -> anyhow::Result<Summary> {
+    match (summary.context("the learner failed"), failure) {
+        (Ok(summary), None) => Ok(summary),
         (Ok(summary), Some(reason)) => {
             anyhow::bail!("{reason}; the run is kept in {}", summary.checkpoint.display());
         }
-        (Err(error), None) => return Err(error),
-        (Err(error), Some(reason)) => return Err(error.context(reason)),
-    };
-    let points = learning_curve::evaluations(&run_path::metrics_file(folder))?;
-    output::line(closing::text(folder, (&summary, length), &points, begin.elapsed()));
-    Ok(())
+        (Err(error), None) => Err(error),
+        (Err(error), Some(reason)) => Err(error.context(reason)),
+    }
 }

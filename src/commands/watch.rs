@@ -12,14 +12,16 @@ use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use crate::chart::thousands;
 use crate::cli::WatchArguments;
 use crate::commands::control::{operator, url};
 use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;
-use crate::commands::{Usage, checkpointed, runtime};
-use crate::run_config::RunConfig;
-use crate::{output, run_path, signals};
+use crate::config::run_config::RunConfig;
+use crate::errors::Usage;
+use crate::figures::chart::thousands;
+use crate::process::{output, runtime, signals};
+use crate::run::checkpointed;
+use crate::run::run_path;
 
 /// How long a learner may take to answer.
 const ANSWER: Duration = Duration::from_secs(3);

@@ -1,4 +1,4 @@
-//! What can be wrong with a configuration, always with the place where the user wrote it.
+//! Configuration errors, each with the place where the user wrote the setting.
 
 use super::keys;
 
@@ -10,7 +10,7 @@ pub(crate) enum ConfigError {
     Unreadable {
         /// File, with the line where that is known.
         place: String,
-        /// What is wrong with it.
+        /// Reason.
         detail: String,
     },
     /// A key that no part of the program reads.
@@ -30,7 +30,7 @@ pub(crate) enum ConfigError {
         place: String,
         /// Dotted path.
         key: String,
-        /// What it is called now.
+        /// Its new name.
         now: &'static str,
     },
     /// A value of another kind than the default's.
@@ -45,14 +45,14 @@ pub(crate) enum ConfigError {
         /// The value that was found.
         found: String,
     },
-    /// A value of the right kind that its owner refuses: out of range, or an unknown choice.
+    /// A value of the right kind that its crate refuses: out of range, or an unknown choice.
     #[error("{place}: {}", named(.key, .detail))]
     Refused {
         /// Layer that sets the key.
         place: String,
         /// Dotted path.
         key: String,
-        /// The owner's reason, with the allowed values.
+        /// Reason, with the allowed values.
         detail: String,
     },
     /// An unknown name of a task, an algorithm or a preset.
@@ -69,13 +69,13 @@ pub(crate) enum ConfigError {
         /// All known names.
         known: String,
     },
-    /// An argument that is no `key.path=value`.
+    /// An argument that is not `key.path=value`.
     #[error("`{0}` is no setting; write key.path=value, for example run.seed=7")]
     NoSetting(String),
     /// A task that follows a setting.
     #[error("`{0}` is a task, and the task comes first, before all settings")]
     TaskNotFirst(String),
-    /// An environment variable that is meant as a setting and is none.
+    /// An environment variable with the prefix of settings that names no setting.
     #[error("environment variable {name} is no setting; write {meant}")]
     NoVariable {
         /// The variable.
@@ -92,27 +92,27 @@ pub(crate) enum ConfigError {
         key: String,
         /// Value of the run, or its length.
         old: String,
-        /// Value asked for, or the length that comes of it.
+        /// Requested value, or the resulting length.
         new: String,
         /// What a resume may change.
         allowed: String,
     },
 }
 
-/// How serde calls numbers that are refused, and how people do.
+/// Serde's names of number types and the words for users.
 const NUMBERS: [(&str, &str); 3] = [
     ("expected u32", "expected a whole number from 0 to 4294967295"),
     ("expected u64", "expected a whole number from 0"),
     ("expected usize", "expected a whole number from 0"),
 ];
 
-/// Owners name the key themselves where they refuse a range; serde does not where it refuses a choice or a type.
+/// Adds the key to messages that lack it: crates name the key in an error of range, serde does not name it.
 fn named(key: &str, detail: &str) -> String {
     let detail = in_words(detail);
     if detail.contains(key) { detail } else { format!("`{key}`: {detail}") }
 }
 
-/// What serde says, without Rust's names of types.
+/// Serde's message without Rust's type names.
 pub(crate) fn in_words(detail: &str) -> String {
     let told = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
     NUMBERS.into_iter().fold(detail.to_owned(), told)

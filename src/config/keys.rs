@@ -1,9 +1,9 @@
-//! What is known of keys: which take part in the result of a run, and which are spelled alike.
+//! Properties of keys: which affect the result of a run, and which are spelled alike.
 
-/// Where a run is kept.
+/// Key of the run folder.
 const FOLDER: &str = "run.dir";
 
-/// Keys and sections that decide who computes and when, never what.
+/// Keys and sections that affect where and when a run computes, never its result.
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     FOLDER,
@@ -33,12 +33,12 @@ const RENAMED: &[(&str, &str)] = &[
     ("influence.sigma_floor", "influence.posterior_sigma_floor"),
 ];
 
-/// What a key of an earlier version is called now.
+/// The new name of a key of an earlier version.
 pub(crate) fn renamed(key: &str) -> Option<&'static str> {
     RENAMED.iter().find(|(old, _)| *old == key).map(|(_, now)| *now)
 }
 
-/// What the new name of a key does not say: how its value differs.
+/// How the value of a renamed key differs from the old one, for messages.
 pub(crate) fn other_meaning(now: &str) -> &'static str {
     match now {
         "policy.initial_sigma" => ", and is sigma itself: sigmoid(initial_log_std) * sigma_scale",
@@ -49,13 +49,13 @@ pub(crate) fn other_meaning(now: &str) -> &'static str {
 /// The semantic key that the program fills in when a run starts.
 pub(crate) const FILLED_IN: &str = "environment_service.description";
 
-/// Keys that only say how far a run goes; a resume may raise them.
+/// Keys that set only the length of a run; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 
-/// The setting, and its value, with which how far a run goes changes every step on the way.
+/// The setting and its value with which the length of a run changes every step.
 pub(crate) const DEPENDS_ON_LENGTH: (&str, &str) = ("update.learning_rate_decay", "linear");
 
-/// The operational keys and sections that a resume may change, as messages name them: a run stays in its folder.
+/// The operational keys and sections that a resume may change, for messages. The run folder cannot change.
 pub(crate) fn free_on_resume() -> String {
     let named = OPERATIONAL.iter().filter(|key| **key != FOLDER);
     let named = named.map(|key| match key.strip_suffix('.') {
@@ -71,12 +71,12 @@ pub(crate) fn is_semantic(key: &str) -> bool {
         && !OPERATIONAL.iter().any(|o| *o == key || (o.ends_with('.') && key.starts_with(o)))
 }
 
-/// Whether a key only says how far the run goes.
+/// Whether a key sets only the length of the run.
 pub(crate) fn is_length(key: &str) -> bool {
     LENGTH.contains(&key)
 }
 
-/// The keys that `word` spells with other marks between its words, with or without their section.
+/// The keys that equal `word` apart from separators, with or without their section.
 pub(crate) fn spelled<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
     let plain = |text: &str| text.replace(['.', '-'], "_").replace("__", "_");
     let word = plain(word);
@@ -84,7 +84,7 @@ pub(crate) fn spelled<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) 
     known.into_iter().filter(|key| plain(key) == word || last(key) == word).collect()
 }
 
-/// The candidate spelled most like `word`, if one is near enough to be meant.
+/// The candidate most similar to `word`, if it is similar enough.
 pub(crate) fn nearest<'a>(
     word: &str,
     candidates: impl IntoIterator<Item = &'a str>,

@@ -1,4 +1,4 @@
-//! The configuration files that stand inside the program, so that it runs from any folder.
+//! The configuration files that are compiled into the program, so that it runs from any folder.
 
 /// A file of `configs/`.
 #[derive(Clone, Copy, Debug)]
@@ -28,14 +28,14 @@ pub(crate) const BASE: Preset = Preset {
     text: include_str!("../../configs/base.toml"),
 };
 
-/// What an environment from outside changes.
+/// Settings for an external environment.
 pub(crate) const OUTSIDE: Preset = Preset {
     name: "outside",
     path: "configs/outside.toml",
     text: include_str!("../../configs/outside.toml"),
 };
 
-/// What is set per task.
+/// Settings per task.
 pub(crate) const TASKS: &[Preset] = presets!(
     "tasks":
     "cue-2x1",
@@ -44,7 +44,7 @@ pub(crate) const TASKS: &[Preset] = presets!(
     "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",
 );
 
-/// What is set per algorithm.
+/// Settings per algorithm.
 pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "algorithms":
     "happo-s2mia",
@@ -57,10 +57,10 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "maddpg",
 );
 
-/// Published hyper-parameters, to be laid over what is set per task.
+/// Published hyper-parameters, which override the settings of a task.
 pub(crate) const PRESETS: &[Preset] = presets!("presets": "tuned", "harl", "paper");
 
-/// The file of that name.
+/// The file with that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
 }

@@ -1,4 +1,4 @@
-//! The settings of one run after all layers: every key with its value and where that came from.
+//! The settings of one run after all layers: every key with its value and origin.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -25,7 +25,7 @@ pub(crate) struct Resolved {
 }
 
 impl Resolved {
-    /// Text under `key`; empty where the key holds no text.
+    /// Text under `key`; empty if the value is not text.
     pub(crate) fn text(&self, key: &str) -> &str {
         match self.entries.get(key) {
             Some(Entry { value: Scalar::Text(text), .. }) => text,
@@ -38,14 +38,14 @@ impl Resolved {
         self.entries.get(key).map_or_else(String::new, |entry| entry.value.to_string())
     }
 
-    /// The keys that decide what a run computes; those of its length too where the way depends on the end.
+    /// The keys that affect the result; includes the length if every step depends on it.
     pub(crate) fn semantic(&self) -> impl Iterator<Item = (&str, &Scalar)> {
         let depends = self.depends_on_length();
         let all = self.entries.iter().map(|(key, entry)| (key.as_str(), &entry.value));
         all.filter(move |(key, _)| keys::is_semantic(key) || (depends && keys::is_length(key)))
     }
 
-    /// Whether a longer run would already differ at its beginning.
+    /// Whether every step depends on the length of the run.
     pub(crate) fn depends_on_length(&self) -> bool {
         let (key, value) = keys::DEPENDS_ON_LENGTH;
         self.text(key) == value
@@ -56,13 +56,13 @@ impl Resolved {
         self.entries.get(key).map_or("configs/base.toml", |entry| &entry.origin)
     }
 
-    /// Sets a value that the program works out itself, such as the run folder's name.
+    /// Sets a value that the program determines, such as the name of the run folder.
     pub(crate) fn set_text(&mut self, key: &str, value: &str, origin: &str) {
         let entry = Entry { value: Scalar::Text(value.to_owned()), origin: origin.to_owned() };
         self.entries.insert(key.to_owned(), entry);
     }
 
-    /// SHA-256 over `key = value` lines of the semantic keys: what a run computes, not how far or where.
+    /// SHA-256 over `key = value` lines of the semantic keys. Length and run folder are excluded.
     pub(crate) fn sha256(&self) -> [u8; 32] {
         let mut hasher = Sha256::new();
         for (key, value) in self.semantic() {

@@ -40,7 +40,7 @@ impl Scalar {
         }
     }
 
-    /// What fits in the place of this default, for messages.
+    /// The kind of value that can replace this default, for messages.
     pub(crate) fn kind(&self) -> &'static str {
         match self {
             Self::Boolean(_) => "true or false",
@@ -68,7 +68,7 @@ impl Scalar {
         }
     }
 
-    /// Reads the right side of `key=value`: text may stand without quotes.
+    /// Parses the right side of `key=value`; quotes around text are optional.
     pub(crate) fn parse(text: &str, default: &Self) -> Option<Self> {
         let written = written_value(text);
         match default {

@@ -1,5 +1,4 @@
-//! The file that describes an experiment. Which settings exist and which are valid is known elsewhere; here only
-//! what belongs to the experiment itself.
+//! The file that describes an experiment: its own keys only. `config` checks the settings of the runs.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -7,10 +6,10 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use crate::commands::Usage;
 use crate::config::error::in_words;
+use crate::errors::Usage;
 
-/// Settings that an experiment decides by keys of its own.
+/// Settings that keys of the experiment file replace.
 const DECIDED: [&str; 8] = [
     "task",
     "algorithm",
@@ -25,20 +24,20 @@ const DECIDED: [&str; 8] = [
 /// An experiment file larger than this is a mistake.
 const LIMIT_BYTES: usize = 1 << 20;
 
-/// The algorithm that is compared with, if a variant runs it and the file names none.
+/// Algorithm of the default baseline.
 const BASELINE: &str = "happo";
 
 /// The whole file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ExperimentFile {
-    /// Where it was read.
+    /// Path of the file.
     #[serde(skip)]
     pub(crate) path: PathBuf,
-    /// Where run folders, tables and figures go; empty: `runs/` and the file's name.
+    /// Folder of run folders, tables and figures; empty: `runs/` and the file's name.
     #[serde(default)]
     pub(crate) folder: PathBuf,
-    /// CSV file of the finished runs, which are not run again; empty: none is kept.
+    /// CSV file of the finished runs, which are not run again; empty: no file.
     #[serde(default)]
     pub(crate) record: PathBuf,
     /// Environment steps of each run.
@@ -61,26 +60,26 @@ pub(crate) struct ExperimentFile {
     pub(crate) threshold: f64,
     /// Settings of all runs.
     pub(crate) settings: Option<Table>,
-    /// What is compared.
+    /// The variants that are compared.
     pub(crate) variants: Vec<Variant>,
 }
 
-/// One kind of run.
+/// A variant: an algorithm with settings.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Variant {
-    /// How tables, figures and run folders call it; empty: as its algorithm.
+    /// Name in tables, figures and run folders; empty: the algorithm's name.
     #[serde(default)]
     pub(crate) name: String,
     /// Algorithm.
     pub(crate) algorithm: String,
-    /// Its tasks, if not all.
+    /// Its tasks, if it does not run on all.
     pub(crate) tasks: Option<Vec<String>>,
-    /// Its seeds, if others.
+    /// Its seeds, if they differ from the experiment's.
     pub(crate) seeds: Option<Vec<u64>>,
-    /// Its environment steps, if others.
+    /// Its environment steps, if they differ from the experiment's.
     pub(crate) env_steps: Option<u64>,
-    /// Its settings, above those of all runs.
+    /// Its settings, which override those of all runs.
     pub(crate) settings: Option<Table>,
 }
 
@@ -103,7 +102,7 @@ impl ExperimentFile {
         Ok(file)
     }
 
-    /// With names for what the file leaves without one.
+    /// Fills in the names and the folder that the file omits.
     fn completed(mut self) -> Self {
         for variant in self.variants.iter_mut().filter(|variant| variant.name.is_empty()) {
             variant.name.clone_from(&variant.algorithm);
@@ -139,7 +138,7 @@ impl ExperimentFile {
         }
     }
 
-    /// Runs that a machine with `cores` holds at once: a run's actors and its learner's threads take turns.
+    /// Number of simultaneous runs on `cores`: the actors and the learner threads of a run work alternately.
     pub(crate) fn runs_at_once(&self, cores: usize) -> usize {
         (cores / self.actors.max(self.threads)).max(1)
     }

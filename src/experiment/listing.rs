@@ -1,9 +1,9 @@
-//! The runs of an experiment as lines: what each is, and how far.
+//! The runs of an experiment as lines: name, length and progress.
 
 use super::plan::PlannedRun;
 use super::record::Record;
-use super::standing::{Standing, mismatch, standing};
-use crate::chart;
+use super::run_state::{RunState, mismatch, run_state};
+use crate::figures::chart;
 
 /// One line per run, and one for all.
 pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> String {
@@ -21,10 +21,10 @@ fn how_far(run: &PlannedRun, record: &Record) -> String {
     if record.holds(run) {
         return "recorded".to_owned();
     }
-    match (mismatch(run), standing(run)) {
+    match (mismatch(run), run_state(run)) {
         (Some(why), _) => why,
-        (None, Standing::New) => "new".to_owned(),
-        (None, Standing::Begun { env_steps }) => format!("at {}", chart::thousands(env_steps)),
-        (None, Standing::Finished) => "finished".to_owned(),
+        (None, RunState::New) => "new".to_owned(),
+        (None, RunState::Begun { env_steps }) => format!("at {}", chart::thousands(env_steps)),
+        (None, RunState::Finished) => "finished".to_owned(),
     }
 }

@@ -1,11 +1,11 @@
-//! The runs that an experiment's file means, each with its settings checked before anything starts.
+//! The runs that an experiment file describes. All settings are checked before the first run starts.
 
 use std::path::PathBuf;
 
 use super::file::{ExperimentFile, Variant, assignments};
-use crate::commands::Usage;
+use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
-use crate::run_config::RunConfig;
+use crate::errors::Usage;
 
 /// One run of an experiment.
 #[derive(Clone, Debug)]
@@ -18,9 +18,9 @@ pub(crate) struct PlannedRun {
     pub(crate) seed: u64,
     /// Its folder.
     pub(crate) folder: PathBuf,
-    /// Everything that `s2mia train` is told besides the folder.
+    /// Arguments of `s2mia train` besides the folder.
     pub(crate) settings: Vec<String>,
-    /// What that resolves to.
+    /// The configuration that they resolve to.
     pub(crate) config: RunConfig,
 }
 
@@ -30,14 +30,14 @@ impl PlannedRun {
         self.folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// Where the run's words go.
+    /// Path of the run's log.
     pub(crate) fn log(&self) -> PathBuf {
         self.folder.with_file_name(format!("{}.log", self.name()))
     }
 }
 
-/// All runs: first every variant on every task with its first seed, then with its second, so that an experiment
-/// which is cut short has compared something.
+/// All runs: every variant on every task with its first seed, then with its second, and so on. An experiment that is
+/// stopped early can therefore already compare variants.
 pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
     let seeds = |variant: &Variant| variant.seeds.as_ref().unwrap_or(&file.seeds).clone();
     let most = file.variants.iter().map(|variant| seeds(variant).len()).max().unwrap_or(0);

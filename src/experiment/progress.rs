@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::crew::Ending;
 use super::plan::PlannedRun;
-use super::standing::{Standing, standing};
-use crate::{chart, logging, output};
+use super::run_state::{Ending, RunState, run_state};
+use crate::figures::chart;
+use crate::process::{logging, output};
 
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(30);
@@ -18,7 +18,7 @@ const LINE_PERIOD: Duration = Duration::from_secs(30);
 pub(crate) struct Progress {
     begin: Instant,
     /// How far each run was when last looked at; a finished one needs no other look.
-    known: Vec<Standing>,
+    known: Vec<RunState>,
     /// Environment steps that were done before.
     steps_before: u64,
     screen: Screen,
@@ -46,7 +46,7 @@ impl Progress {
     /// Before the first run goes on; a bar if stdout is a terminal.
     pub(crate) fn new(runs: &[PlannedRun]) -> Self {
         let begin = Instant::now();
-        let known: Vec<Standing> = runs.iter().map(standing).collect();
+        let known: Vec<RunState> = runs.iter().map(run_state).collect();
         let (done, total) = steps(runs, &known);
         let screen = match std::io::stdout().is_terminal() {
             true => Screen::Bar(bar(total)),
@@ -64,13 +64,13 @@ impl Progress {
             Screen::Bar(_) => {}
         }
         for (known, run) in self.known.iter_mut().zip(runs) {
-            if *known != Standing::Finished {
-                *known = standing(run);
+            if *known != RunState::Finished {
+                *known = run_state(run);
             }
         }
         let (env_steps, total) = steps(runs, &self.known);
         let figures = Figures {
-            finished: self.known.iter().filter(|known| **known == Standing::Finished).count(),
+            finished: self.known.iter().filter(|known| **known == RunState::Finished).count(),
             runs: runs.len(),
             going,
             env_steps,
@@ -131,7 +131,7 @@ impl Figures {
 }
 
 /// Environment steps that are done, and all of them.
-fn steps(runs: &[PlannedRun], known: &[Standing]) -> (u64, u64) {
+fn steps(runs: &[PlannedRun], known: &[RunState]) -> (u64, u64) {
     let total = |run: &PlannedRun| run.config.env_steps();
     let done = runs.iter().zip(known).map(|(run, known)| known.env_steps(total(run))).sum();
     (done, runs.iter().map(total).sum())

@@ -1,5 +1,5 @@
-//! The record of an experiment: the evaluations of its finished runs, as one CSV file that outlives the run folders. A
-//! run that stands in it is not run again.
+//! The record of an experiment: the evaluations of its finished runs in one CSV file, independent of the run folders.
+//! A run in the record is not run again.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,9 +12,10 @@ use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
 use super::plan::PlannedRun;
-use super::standing::last_lines;
-use crate::fingerprints;
-use crate::learning_curve::{Curve, Quantity};
+use super::run_state::last_lines;
+use crate::figures::learning_curve::{Curve, Quantity};
+use crate::process::output;
+use crate::run::fingerprints;
 
 const HEADER: &str =
     "task,variant,seed,env_steps,return,surprise,information,settings_sha256,weights_sha256,commit";
@@ -31,22 +32,22 @@ pub(crate) struct Record(BTreeMap<RunName, RecordedRun>);
 struct RecordedRun {
     /// In order of environment steps; at least one.
     evaluations: Vec<Evaluation>,
-    /// What stands in the run's last line only.
+    /// Fields that only the last line of the run contains.
     origin: Origin,
 }
 
-/// What a run was made by, and what came out.
+/// Settings, program and final weights of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Origin {
-    /// Of the settings that decide what a run computes, and how it is evaluated.
+    /// SHA-256 of the settings that affect the result and the evaluations.
     settings_sha256: String,
-    /// Of the last weights.
+    /// SHA-256 of the final weights.
     weights_sha256: String,
-    /// Of the program that began the run.
+    /// Commit of the program that started the run.
     commit: String,
 }
 
-/// One evaluation, with the means of what the iterations since the one before it reported.
+/// One evaluation, with means over the iterations since the previous one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Evaluation {
     env_steps: u64,
@@ -59,7 +60,7 @@ impl Record {
     /// Reads the file. The record is empty if there is no file, or no path.
     ///
     /// # Errors
-    /// Names the file and the line that is no such record.
+    /// Names the file and the invalid line.
     pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
         if !path.exists() {
             return Ok(Self::default());
@@ -78,7 +79,7 @@ impl Record {
         Ok(record)
     }
 
-    /// Takes over one line.
+    /// Adds one line.
     fn take(&mut self, line: &str) -> anyhow::Result<()> {
         let fields: Vec<&str> = line.split(',').collect();
         let [
@@ -115,7 +116,7 @@ impl Record {
         Ok(())
     }
 
-    /// Whether the planned run stands in it, with its settings and its length.
+    /// Whether the record contains the planned run with the same settings and length.
     pub(crate) fn holds(&self, run: &PlannedRun) -> bool {
         self.0.get(&name(run)).is_some_and(|known| {
             let last = known.evaluations.last().map(|last| last.env_steps);
@@ -124,7 +125,7 @@ impl Record {
         })
     }
 
-    /// The curve of the planned run, if it stands in it.
+    /// The curve of the planned run, if the record contains it.
     pub(crate) fn curve(&self, run: &PlannedRun) -> Option<Curve> {
         let known = self.0.get(&name(run)).filter(|_| self.holds(run))?;
         let (task, algorithm, seed) = (run.task.clone(), run.variant.clone(), run.seed.to_string());
@@ -132,7 +133,7 @@ impl Record {
         Some(Curve { task, algorithm, seed, settings: BTreeMap::new(), points })
     }
 
-    /// Takes over a finished run from its folder, with its curve.
+    /// Adds a finished run from its folder, with its curve.
     ///
     /// # Errors
     /// Names the file of the folder that cannot be read.
@@ -150,14 +151,13 @@ impl Record {
         Ok(())
     }
 
-    /// Writes the file, in the order of tasks, variants and seeds. It is there whole or as it was before.
+    /// Replaces the file atomically; runs are ordered by task, variant and seed.
     ///
     /// # Errors
     /// Names the file if it cannot be written.
     pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
         if let Some(folder) = path.parent() {
-            let made = std::fs::create_dir_all(folder);
-            made.with_context(|| format!("cannot make {}", folder.display()))?;
+            output::folder(folder)?;
         }
         Ok(learner::durable::replace(path, self.text().as_bytes())?)
     }
@@ -184,7 +184,7 @@ impl Record {
     }
 }
 
-/// The curve with all its quantities where it was evaluated, as a record keeps them.
+/// All quantities of the curve at its evaluations.
 pub(crate) fn at_evaluations(curve: Curve) -> Curve {
     let points = points(&evaluations(&curve));
     Curve { points, ..curve }

@@ -3,18 +3,17 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
-
+use super::comparison::{Comparison, comparisons};
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
 use super::record::{Record, at_evaluations};
 use super::results::{Estimate, Measured, Row, rows};
-use super::standing::{Standing, mismatch, standing};
-use super::verdict::{Verdict, verdicts};
-use crate::learning_curve::{self, Curve, Quantity};
-use crate::{chart, figures};
+use super::run_state::{RunState, mismatch, run_state};
+use crate::figures::learning_curve::{self, Curve, Quantity};
+use crate::figures::{self, chart};
+use crate::process::output;
 
-/// Writes `results.md`, `results.csv` and the figures of what is there. Returns the table and where all of it is.
+/// Writes `results.md`, `results.csv` and the figures of the runs that exist. Returns the table and the paths.
 pub(crate) fn write(
     file: &ExperimentFile,
     runs: &[PlannedRun],
@@ -23,7 +22,7 @@ pub(crate) fn write(
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
     let rows = rows(&measured, &variants, &file.baseline, file.threshold);
-    let together = verdicts(&measured, &variants, &file.baseline);
+    let together = comparisons(&measured, &variants, &file.baseline);
     let counts = (measured.len(), runs.len());
     let table = markdown(&rows, file, counts) + &over_all_tasks(&together, &file.baseline);
     let mut written = vec![
@@ -38,8 +37,8 @@ pub(crate) fn write(
     Ok((table, written))
 }
 
-/// The curves of all runs that have begun, by the names of their variants, and the places among them of those that are
-/// finished: only these are compared, and stand in the experiment's record afterwards.
+/// The curves of all started runs, labelled with their variants, and the indices of the finished ones. Only finished
+/// runs are compared and added to the experiment's record.
 fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Curve>, Vec<usize>)> {
     let recorded = Record::read(&file.record)?;
     let (mut record, kept) = (recorded.clone(), !file.record.as_os_str().is_empty());
@@ -48,7 +47,7 @@ fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Cur
         let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
             None if is_there(run) => {
-                let (curve, done) = (of_folder(run)?, standing(run) == Standing::Finished);
+                let (curve, done) = (of_folder(run)?, run_state(run) == RunState::Finished);
                 if kept && done {
                     record.add(run, &curve)?;
                 }
@@ -71,7 +70,7 @@ fn of_folder(run: &PlannedRun) -> anyhow::Result<Curve> {
 }
 
 fn is_there(run: &PlannedRun) -> bool {
-    standing(run) != Standing::New && mismatch(run).is_none()
+    run_state(run) != RunState::New && mismatch(run).is_none()
 }
 
 fn measured(curve: &Curve) -> Measured {
@@ -81,8 +80,7 @@ fn measured(curve: &Curve) -> Measured {
 
 fn put(folder: &Path, name: &str, text: &str) -> anyhow::Result<PathBuf> {
     let path = folder.join(name);
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    output::file(&path, text.as_bytes())?;
     Ok(path)
 }
 
@@ -112,21 +110,21 @@ fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, us
     text
 }
 
-/// Every variant against the baseline, over all tasks that both have; nothing where there is none.
-fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
-    if verdicts.is_empty() {
+/// Every variant against the baseline, over all tasks that both have; empty if there is none.
+fn over_all_tasks(comparisons: &[Comparison], baseline: &str) -> String {
+    if comparisons.is_empty() {
         return String::new();
     }
-    let line = |verdict: &Verdict| {
+    let line = |comparison: &Comparison| {
         format!(
             "| {} | {} | {} | {} | {} | {:.3} | {:.3} |\n",
-            verdict.variant,
-            verdict.tasks,
-            verdict.runs,
-            shown(verdict.score, 2),
-            shown(verdict.improvement, 2),
-            verdict.p_value,
-            verdict.adjusted_p_value,
+            comparison.variant,
+            comparison.tasks,
+            comparison.runs,
+            shown(comparison.score, 2),
+            shown(comparison.improvement, 2),
+            comparison.p_value,
+            comparison.adjusted_p_value,
         )
     };
     format!(
@@ -134,11 +132,11 @@ fn over_all_tasks(verdicts: &[Verdict], baseline: &str) -> String {
          intervals by bootstrap within each task; p by permutation within each task, adjusted by Holm.\n\n\
          | variant | tasks | runs | score | P(better than {baseline}) | p | p, adjusted |\n\
          | --- | --- | --- | --- | --- | --- | --- |\n{}",
-        verdicts.iter().map(line).collect::<String>()
+        comparisons.iter().map(line).collect::<String>()
     )
 }
 
-/// `86 (20 to 100)`, or `-` of what does not exist.
+/// `86 (20 to 100)`, or `-` for a missing value.
 fn shown(estimate: Estimate, decimals: usize) -> String {
     let Estimate { value, interval } = estimate;
     if value.is_nan() {
@@ -151,7 +149,7 @@ const CSV_HEADER: &str = "task,variant,runs,final_return,final_return_low,final_
     area,area_low,area_high,threshold,steps_to_threshold,runs_at_threshold,\
     improvement,improvement_low,improvement_high";
 
-/// What does not exist is empty.
+/// A number, or an empty field for a missing value.
 fn csv(rows: &[Row]) -> String {
     let three = |e: Estimate| format!("{},{},{}", e.value, e.interval.low, e.interval.high);
     let line = |row: &Row| {
@@ -175,7 +173,7 @@ fn csv(rows: &[Row]) -> String {
 mod tests {
     use super::*;
     use crate::experiment::file::tests::SAMPLE;
-    use crate::statistics::Interval;
+    use crate::figures::statistics::Interval;
 
     fn sample() -> Row {
         let estimate = |value: f64| Estimate {

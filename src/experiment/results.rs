@@ -1,10 +1,10 @@
-//! What the finished runs of an experiment say: a row for each variant on each task. Pure.
+//! The results of an experiment's finished runs: a row for each variant on each task. Pure.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use policy::{Draw, Purpose};
 
-use crate::statistics::{
+use crate::figures::statistics::{
     Interval, area_under_curve, bootstrap_interval, first_reaching, interquartile_mean,
     interquartile_mean_interval, probability_of_improvement, quantile,
 };
@@ -19,8 +19,8 @@ pub(crate) struct Estimate {
 }
 
 impl Estimate {
-    /// `of` the samples, each drawn again by itself for the interval; `figure` tells the draws of different figures
-    /// apart.
+    /// The statistic `of` the samples, with an interval from resampling each sample; `figure` separates the draws of
+    /// different figures.
     pub(super) fn of(samples: &[&[f64]], figure: u32, of: impl Fn(&[Vec<f64>]) -> f64) -> Self {
         let whole: Vec<Vec<f64>> = samples.iter().map(|sample| sample.to_vec()).collect();
         let key = Draw::of(Purpose::Bootstrap).step(figure);
@@ -52,21 +52,21 @@ pub(crate) struct Row {
     pub(crate) final_return: Estimate,
     /// Interquartile mean of the areas under the curves, per environment step: the mean return over training.
     pub(crate) area: Estimate,
-    /// The return that counts as learnt.
+    /// The return that the variants have to reach.
     pub(crate) threshold: f64,
-    /// Median over the runs of the environment steps until it is reached; none if half of them never do.
+    /// Median over the runs of the environment steps to the threshold; `None` if half of the runs never reach it.
     pub(crate) steps_to_threshold: Option<f64>,
-    /// Runs that reach it.
+    /// Runs that reach the threshold.
     pub(crate) runs_at_threshold: usize,
-    /// Probability that a run of the variant ends higher than one of the baseline; none for the baseline itself.
+    /// Probability that a run of the variant ends higher than one of the baseline; `None` for the baseline itself.
     pub(crate) improvement: Option<Estimate>,
 }
 
 /// The curves of each variant on each task, by task and variant.
 pub(super) type Groups<'a> = BTreeMap<(&'a str, &'a str), Vec<&'a [(f64, f64)]>>;
 
-/// A row for each variant on each task, in the order of `variants` within a task. What counts as learnt is
-/// `share` of the highest final return among the task's variants.
+/// A row for each variant on each task, in the order of `variants` within a task. The threshold is `share` of the
+/// highest final return among the task's variants.
 pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share: f64) -> Vec<Row> {
     let groups = grouped(runs);
     let mut rows = Vec::new();
@@ -78,7 +78,7 @@ pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share
         for variant in variants {
             let Some(curves) = of_task(variant) else { continue };
             let rivals = rivals.as_deref().filter(|_| variant != baseline);
-            rows.push(row((task, variant), curves, threshold, rivals));
+            rows.push(row(task, variant, curves, threshold, rivals));
         }
     }
     rows
@@ -105,7 +105,8 @@ pub(super) fn found<'a>(
 }
 
 fn row(
-    (task, variant): (&str, &str),
+    task: &str,
+    variant: &str,
     curves: &[&[(f64, f64)]],
     threshold: f64,
     baseline: Option<&[f64]>,
@@ -153,7 +154,7 @@ fn improvement(runs: &[f64], baseline: &[f64]) -> Estimate {
     Estimate::of(&[runs, baseline], 2, of)
 }
 
-/// The median, in which a run that never reaches the threshold takes for ever.
+/// The median, in which a run that never reaches the threshold counts as infinity.
 fn median_steps(reached: &[Option<f64>]) -> Option<f64> {
     let steps: Vec<f64> = reached.iter().map(|steps| steps.unwrap_or(f64::INFINITY)).collect();
     let median = quantile(&steps, 0.5);

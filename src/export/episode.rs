@@ -1,4 +1,4 @@
-//! One evaluation episode, step by step, so that another runtime can be held against it.
+//! One evaluation episode, step by step, with which another runtime can be compared.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
 use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
 
-/// What every agent saw, remembered and did.
+/// Observations, hidden states and actions of every agent.
 pub(super) struct Episode {
     pub(super) steps: usize,
     agents: Vec<Track>,
@@ -39,7 +39,7 @@ pub(super) fn play(
             track.action.extend(&step.actions[index]);
         }
     })?;
-    // The state behind the last step is nobody's.
+    // No step uses the hidden state after the last one.
     for (track, agent) in agents.iter_mut().zip(&policy.agents) {
         track.hidden.truncate(episode.steps as usize * agent.hidden_size());
     }

@@ -1,7 +1,7 @@
 //! A policy's network as an ONNX graph: `observation` and `hidden` in, `action` and `next_hidden` out.
 //!
-//! `action` is what evaluation takes: the mean, or the index of the likeliest choice. `output` is what the network
-//! gives: means before they are squashed, or logits. Standard deviations, for whoever wants to draw, are in the metadata.
+//! `action` is the action of an evaluation: the mean, or the index of the likeliest choice. `output` is the output of
+//! the network: means before squashing, or logits. The metadata contains the standard deviations, for sampling.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use super::onnx::{Element, Graph, Model, float, integer};
 /// The model of one agent; `about` goes into its metadata.
 pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Model {
     let mut graph = Graph::new("policy".to_owned());
-    // No node takes the deviations of actions: `sigma` tells them.
+    // No node uses the deviations of actions; the metadata contains them as `sigma`.
     for (name, array) in agent.arrays().iter().filter(|(name, _)| *name != "head.log_std") {
         let Array::F32 { shape, data } = array else { unreachable!("{name}: policies are f32") };
         graph.constant(name, shape, data);
@@ -93,7 +93,7 @@ fn feed_forward(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
     below
 }
 
-/// What the first layer sees.
+/// Input of the first layer.
 fn input_norm(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
     match agent.spec().input_norm() {
         InputNorm::None => seen.to_owned(),
@@ -104,7 +104,7 @@ fn input_norm(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
     }
 }
 
-/// What evaluation takes of the network's output.
+/// The action of an evaluation, from the network's output.
 fn action(graph: &mut Graph, agent: &ActorPolicy) {
     match agent.head() {
         Head::Gaussian => graph.node("Identity", &["output"], &["action"], []),

@@ -1,4 +1,4 @@
-//! As much of ONNX's file format as a policy needs. Field numbers are those of `onnx.proto` 1.16, IR version 8.
+//! The part of ONNX's file format that a policy needs. Field numbers are those of `onnx.proto` 1.16, IR version 8.
 
 use std::collections::BTreeMap;
 

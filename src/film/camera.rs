@@ -9,7 +9,7 @@ pub(super) const HEIGHT: u32 = 270;
 pub(super) const GROUND: u32 = 34;
 /// Pixels that stay free between a robot and the frame's edge.
 const MARGIN: f32 = 16.0;
-/// Nothing is drawn larger than this, however small it is.
+/// Largest scale, for small robots.
 const LARGEST: f32 = 400.0;
 
 /// One frame's view.

@@ -1,4 +1,4 @@
-//! The words of a strip: times, metres, agents. They are set by kuva, which brings its own font.
+//! The captions of a strip: times, metres, agents. kuva renders them with its own font.
 
 use anyhow::Context as _;
 use kuva::backend::png::PngBackend;
@@ -10,15 +10,15 @@ use crate::film::camera::{Camera, HEIGHT, WIDTH};
 /// Height of letters, pixels.
 const TIME: u32 = 17;
 const METRE: u32 = 13;
-/// How near a frame's edge the middle of a metre's number may be, pixels.
+/// Smallest distance between a frame's edge and the middle of a number, pixels.
 const HALF_NUMBER: f32 = 22.0;
 const GREY: &str = "#3a4148";
 
-/// Words on a white sheet of their own.
+/// Captions on their own white sheet.
 pub(super) struct Captions(Scene);
 
 impl Captions {
-    /// Nothing written yet; the sheet's size is in pixels.
+    /// An empty sheet; the size is in pixels.
     pub(super) fn new(width: u32, height: u32) -> Self {
         Self(Scene::new(f64::from(width), f64::from(height)))
     }
@@ -47,7 +47,7 @@ impl Captions {
         self.write(number.to_string(), f64::from(x), baseline, METRE, TextAnchor::Middle);
     }
 
-    /// Darkens the sheet where words stand.
+    /// Draws the captions onto the sheet.
     pub(super) fn print_on(self, sheet: &mut Pixmap) -> anyhow::Result<()> {
         let backend = PngBackend::new().with_scale(1.0);
         let png = backend.render_scene(&self.0).map_err(anyhow::Error::msg)?;

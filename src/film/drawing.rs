@@ -2,14 +2,14 @@
 
 use tiny_skia::{Color, FillRule, LineCap, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
 
+use crate::figures::palette::{OKABE_ITO, Rgb};
 use crate::film::camera::{Camera, GROUND, HEIGHT, WIDTH};
 use crate::film::solids::Solid;
-use crate::palette::{OKABE_ITO, Rgb};
 
 const SKY: Rgb = [244, 246, 248];
 const EARTH: Rgb = [222, 226, 230];
 const FLOOR: Rgb = [90, 98, 106];
-/// Of links that nobody drives.
+/// Colour of links that no agent drives.
 const UNDRIVEN: Rgb = [152, 158, 164];
 /// Width of the edge around a solid, pixels.
 const EDGE: f32 = 1.5;
@@ -33,7 +33,7 @@ pub(super) fn panel_without_floor(solids: &[Solid], camera: &Camera) -> Pixmap {
     pixmap
 }
 
-/// A white disc with room for a number.
+/// A white disc for a number.
 pub(super) fn sign(pixmap: &mut Pixmap, x: f32, y: f32) {
     rounded(pixmap, [(x, y); 2], SIGN, FLOOR);
     rounded(pixmap, [(x, y); 2], SIGN - EDGE, [255; 3]);
@@ -46,7 +46,7 @@ pub(super) fn mark(pixmap: &mut Pixmap, x: f32, y: f32, agent: usize) {
     rounded(pixmap, [(x, y); 2], 8.0 - EDGE, fill);
 }
 
-/// What a link looks like whose joint this agent drives.
+/// Colour of a link whose joint this agent drives.
 pub(super) fn colour(agent: Option<usize>) -> Rgb {
     agent.map_or(UNDRIVEN, |agent| OKABE_ITO[agent % OKABE_ITO.len()])
 }
@@ -85,7 +85,7 @@ fn darker(colour: Rgb) -> Rgb {
     if colour == [0; 3] { [96; 3] } else { colour.map(|part| (f32::from(part) * 0.6) as u8) }
 }
 
-/// Everything within the radius of a line, pixels.
+/// Fills everything within the radius of a line, pixels.
 fn rounded(pixmap: &mut Pixmap, [from, to]: [(f32, f32); 2], radius: f32, colour: Rgb) {
     let (paint, still) = (paint(colour), Transform::identity());
     // Lines that end where they begin may be left out by a stroke.

@@ -6,17 +6,23 @@ use tiny_skia::{Color, Pixmap};
 
 use crate::film::camera::{self, Camera};
 use crate::film::captions::Captions;
+use crate::film::drawing;
+use crate::film::shapes::RobotShapes;
+use crate::film::sheet::{GAP, legend, paste, size};
 use crate::film::solids::{self, Solid, View};
-use crate::film::{Cast, GAP, drawing, legend, paste, size};
 
-/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. `joints` are the places in
-/// the world, metres, that get the numbers from 1 on.
+/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. `joints` are the places
+/// in the world, metres, that get the numbers from 1 on.
 ///
 /// # Errors
 /// If the picture cannot be encoded.
-pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow::Result<Vec<u8>> {
-    let view = view(cast, pose);
-    let mut solids = solids::of_pose(cast, pose, view);
+pub(crate) fn portrait(
+    robot: &RobotShapes,
+    joints: &[[f32; 3]],
+    pose: &Pose,
+) -> anyhow::Result<Vec<u8>> {
+    let view = view(robot, pose);
+    let mut solids = solids::of_pose(robot, pose, view);
     let lift = match view {
         View::Side => 0.0,
         View::Above => -edges(&solids).0,
@@ -27,8 +33,8 @@ pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow:
     let middle = pose.links[0].position[0];
     let pixels_per_metre = camera::scale(std::slice::from_ref(&solids), &[middle]);
     let camera = Camera { middle, pixels_per_metre };
-    let (width, height) = size(1, cast.agents);
-    let mut sheet = Pixmap::new(width, height).context("a picture of this size has no room")?;
+    let (width, height) = size(1, robot.agents);
+    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
     sheet.fill(Color::WHITE);
     let mut panel = match view {
         View::Side => drawing::panel(&solids, &camera),
@@ -44,15 +50,15 @@ pub(crate) fn portrait(cast: &Cast, joints: &[[f32; 3]], pose: &Pose) -> anyhow:
         captions.number(number, GAP as f32 + x, GAP as f32 + y);
     }
     paste(&mut sheet, &panel, GAP, GAP);
-    legend(&mut sheet, &mut captions, cast.agents);
+    legend(&mut sheet, &mut captions, robot.agents);
     captions.print_on(&mut sheet)?;
     sheet.encode_png().context("cannot encode the picture")
 }
 
-/// From above where the robot is wider than it is high.
-fn view(cast: &Cast, pose: &Pose) -> View {
+/// From above if the robot is wider than high.
+fn view(robot: &RobotShapes, pose: &Pose) -> View {
     let extent = |view| {
-        let (low, high) = edges(&solids::of_pose(cast, pose, view));
+        let (low, high) = edges(&solids::of_pose(robot, pose, view));
         high - low
     };
     if extent(View::Above) > extent(View::Side) { View::Above } else { View::Side }

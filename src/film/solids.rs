@@ -2,23 +2,23 @@
 
 use sim::Pose;
 
-use crate::film::Cast;
+use crate::film::shapes::RobotShapes;
 
-/// Every point of the picture's plane that is no farther than the radius from the line between the ends: that is
-/// what a capsule looks like from any side, and with equal ends a ball.
+/// All points of the picture's plane within the radius of the line between the ends: a capsule from any side, or a ball
+/// if the ends are equal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Solid {
     /// In the picture's plane, metres: x, and z or y.
     pub(super) ends: [[f32; 2]; 2],
     /// Metres.
     pub(super) radius: f32,
-    /// How far behind the plane the middle is, metres.
+    /// Distance of the middle behind the plane, metres.
     pub(super) depth: f32,
-    /// Who drives the joint of its link.
+    /// The agent that drives the joint of its link.
     pub(super) agent: Option<usize>,
 }
 
-/// From where a robot is seen.
+/// Direction of view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum View {
     /// Along y.
@@ -36,7 +36,7 @@ impl View {
         }
     }
 
-    /// How far behind the plane it is, metres.
+    /// Distance of a point behind the plane, metres.
     fn depth(self, [_, y, z]: [f32; 3]) -> f32 {
         match self {
             Self::Side => y,
@@ -46,11 +46,11 @@ impl View {
 }
 
 /// The solids of a pose, the farthest first.
-pub(super) fn of_pose(cast: &Cast, pose: &Pose, view: View) -> Vec<Solid> {
-    let links = pose.links.iter().zip(&cast.drivers);
+pub(super) fn of_pose(robot: &RobotShapes, pose: &Pose, view: View) -> Vec<Solid> {
+    let links = pose.links.iter().zip(&robot.drivers);
     let mut solids: Vec<Solid> = links
         .flat_map(|(link, &agent)| {
-            let shapes = cast.shapes.iter().filter(|shape| shape.link == link.name);
+            let shapes = robot.shapes.iter().filter(|shape| shape.link == link.name);
             shapes.map(move |shape| {
                 let ends = shape.ends(link);
                 let (radius, depth) = (shape.shape.radius(), ends.map(|end| view.depth(end)));

@@ -1,17 +1,20 @@
 //! What is drawn where, of robots made up for it.
 
-use sim::{JointPose, LinkPose, Shape};
-use tiny_skia::PremultipliedColorU8;
+use sim::{JointPose, LinkPose, LinkShape, Pose, Shape};
+use tiny_skia::{Pixmap, PremultipliedColorU8};
 
 use super::*;
+use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
-use crate::palette::Rgb;
-use crate::run_config::RunConfig;
+use crate::figures::palette::Rgb;
+use crate::film::camera::Camera;
+use crate::film::sheet::size;
+use crate::film::solids::View;
 
 const UPRIGHT: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
 /// A ball as root and two legs, each driven by an agent of its own.
-fn two_legs() -> (Cast, Pose) {
+fn two_legs() -> (RobotShapes, Pose) {
     let capsule = Shape::Capsule { half_length: 0.3, radius: 0.1 };
     let shape = |link: &str, shape| LinkShape {
         link: link.to_owned(),
@@ -34,7 +37,7 @@ fn two_legs() -> (Cast, Pose) {
         links: vec![link("root", 7.0, 1.0), link("left", 6.5, 0.5), link("right", 7.5, 0.5)],
         joints: vec![joint("hip_left"), joint("hip_right")],
     };
-    (Cast { shapes, drivers: vec![None, Some(0), Some(1)], agents: 2 }, pose)
+    (RobotShapes { shapes, drivers: vec![None, Some(0), Some(1)], agents: 2 }, pose)
 }
 
 fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
@@ -45,9 +48,9 @@ fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
 
 #[test]
 fn a_link_is_drawn_where_it_is_and_nothing_far_from_it() {
-    let (cast, pose) = two_legs();
+    let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&solids::of_pose(&cast, &pose, View::Side), &camera);
+    let picture = drawing::panel(&solids::of_pose(&robot, &pose, View::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     // The ends of the left leg's middle line, then a point within its round upper end.
     for point in [[6.5, 0.2], [6.5, 0.8], [6.5, 0.88]] {
@@ -63,29 +66,29 @@ fn a_link_is_drawn_where_it_is_and_nothing_far_from_it() {
 fn two_agents_have_two_colours_and_an_idle_link_a_third() {
     let colours = [drawing::colour(Some(0)), drawing::colour(Some(1)), drawing::colour(None)];
     assert!(colours[0] != colours[1] && colours[1] != colours[2] && colours[0] != colours[2]);
-    let (cast, pose) = two_legs();
+    let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&solids::of_pose(&cast, &pose, View::Side), &camera);
+    let picture = drawing::panel(&solids::of_pose(&robot, &pose, View::Side), &camera);
     assert_eq!(seen(&picture, &camera, [6.5, 0.5]), colours[0]);
     assert_eq!(seen(&picture, &camera, [7.5, 0.5]), colours[1]);
 }
 
 #[test]
 fn what_is_nearer_to_the_viewer_is_painted_later() {
-    let (cast, mut pose) = two_legs();
+    let (robot, mut pose) = two_legs();
     pose.links[1].position = [7.0, -1.0, 1.0];
     let order: Vec<_> =
-        solids::of_pose(&cast, &pose, View::Side).iter().map(|solid| solid.agent).collect();
+        solids::of_pose(&robot, &pose, View::Side).iter().map(|solid| solid.agent).collect();
     assert_eq!(order, [None, Some(1), Some(0)]);
 }
 
 #[test]
 fn a_capsule_that_points_at_the_viewer_is_a_disc() {
-    let (mut cast, pose) = two_legs();
+    let (mut robot, pose) = two_legs();
     let half = core::f32::consts::FRAC_1_SQRT_2;
-    cast.shapes[1].quaternion = [half, 0.0, 0.0, half];
+    robot.shapes[1].quaternion = [half, 0.0, 0.0, half];
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&solids::of_pose(&cast, &pose, View::Side), &camera);
+    let picture = drawing::panel(&solids::of_pose(&robot, &pose, View::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     assert_eq!(seen(&picture, &camera, [6.5, 0.5]), drawing::colour(Some(0)));
     assert_eq!(seen(&picture, &camera, [6.5, 0.8]), seen(&empty, &camera, [6.5, 0.8]));
@@ -93,9 +96,9 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
 
 #[test]
 fn a_strip_is_as_large_as_it_says_and_shows_every_agent() {
-    let (cast, pose) = two_legs();
+    let (robot, pose) = two_legs();
     let frames: Vec<_> = (0..5).map(|k| Frame { time_secs: f64::from(k), pose: &pose }).collect();
-    let picture = Pixmap::decode_png(&strip(&cast, &frames).unwrap()).unwrap();
+    let picture = Pixmap::decode_png(&strip(&robot, &frames).unwrap()).unwrap();
     assert_eq!((picture.width(), picture.height()), size(5, 2));
     for agent in [Some(0), Some(1), None] {
         let [red, green, blue] = drawing::colour(agent);
@@ -114,11 +117,11 @@ fn of_every_task_each_agent_drives_as_many_links_as_it_has_joints() {
         if pose.links.is_empty() {
             continue; // a game has nothing to draw
         }
-        let cast = Cast::new(world.description(), sim::shapes(task).unwrap(), &pose);
-        assert_eq!(cast.drivers.len(), pose.links.len(), "{task}");
+        let robot = RobotShapes::new(world.description(), sim::shapes(task).unwrap(), &pose);
+        assert_eq!(robot.drivers.len(), pose.links.len(), "{task}");
         assert_eq!(pose.links.len(), pose.joints.len() + 1, "{task}");
         for (index, agent) in world.description().agents.iter().enumerate() {
-            let driven = cast.drivers.iter().filter(|driver| **driver == Some(index)).count();
+            let driven = robot.drivers.iter().filter(|driver| **driver == Some(index)).count();
             assert_eq!(driven, agent.joints.len(), "{task} {}", agent.name);
         }
     }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use learner::evaluation::Spread;
 use learner::{Event, IterationReport};
 
-use crate::chart;
+use crate::figures::chart;
 
 /// Iterations over which speed and phase shares are averaged.
 const WINDOW: usize = 20;

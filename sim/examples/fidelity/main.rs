@@ -1,4 +1,4 @@
-//! Prints docs/FIDELITY.md's tables: `cargo run --release -p sim --example fidelity`.
+//! Prints the tables of docs/FIDELITY.md: `cargo run --release -p sim --example fidelity`.
 
 mod compare;
 mod held_out;
@@ -8,10 +8,10 @@ use compare::{Difference, ROBOTS, Traces};
 use held_out::{DRIVES, Errors, HeldOut};
 use random::Statistics;
 
-/// Ways to drive robots on the ground.
+/// Controls of the robots on the ground.
 const GROUND: [&str; 3] = ["passive", "tenth", "full"];
 
-/// A row's name and the number of it that is shown.
+/// Name of a row and the quantity that it shows.
 type Row<T> = (&'static str, fn(&T) -> f64);
 
 fn main() {
@@ -20,14 +20,14 @@ fn main() {
     flight(&traces);
     ground(&traces);
     let held_out = HeldOut::read();
-    println!("\nReference of what follows: {}.\n", held_out.source());
-    judged(&held_out);
+    println!("\nReference: {}.\n", held_out.source());
+    other_controls(&held_out);
     at_random(&held_out);
 }
 
 fn flight(traces: &Traces) {
     println!(
-        "In free flight, largest difference of any coordinate (m or rad) from the exact motion:\n"
+        "Free flight, largest difference of any coordinate (m or rad) from the exact motion:\n"
     );
     println!("| robot | steps | {} |", heads(traces, ""));
     println!("| --- | --- |{}", " --- |".repeat(traces.times_secs().len()));
@@ -41,9 +41,7 @@ fn flight(traces: &Traces) {
 }
 
 fn ground(traces: &Traces) {
-    println!(
-        "On the ground, mean difference; beside it MuJoCo's own from itself at a quarter of its step:\n"
-    );
+    println!("On the ground, mean difference:\n");
     let times = traces.times_secs().len();
     println!(
         "| robot | torque | who | {} | {} |",
@@ -61,8 +59,8 @@ fn ground(traces: &Traces) {
     }
 }
 
-/// One cell for each robot and drive: ours / MuJoCo's own from itself at a quarter of its step.
-fn judged(held_out: &HeldOut) {
+/// One cell for each robot and drive: difference from MuJoCo / of MuJoCo from itself at a quarter of its step.
+fn other_controls(held_out: &HeldOut) {
     println!(
         "Other controls and starts, mean difference (x in m; hinge in rad), ours / MuJoCo's own:\n"
     );

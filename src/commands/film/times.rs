@@ -1,15 +1,14 @@
-//! After which steps of an episode its frames are taken.
+//! The steps of an episode at which frames are taken.
 
 use crate::cli::FilmArguments;
-use crate::commands::Usage;
+use crate::errors::Usage;
 
-/// Where frames begin when nobody says, seconds: the robot has left its start behind.
+/// Default time of the first frame, seconds; the start of the episode is over by then.
 const UNDER_WAY: f64 = 5.0;
-/// What is lost when seconds become steps, in steps.
+/// Tolerance of the conversion from seconds to steps, in steps.
 const ROUNDING: f64 = 1e-6;
 
-/// Steps in rising order, in an episode of `length` steps of `dt_secs` seconds each. Each is the one nearest to its
-/// time.
+/// The steps nearest to the frames' times, in rising order, in an episode of `length` steps of `dt_secs` seconds.
 pub(super) fn steps(
     arguments: &FilmArguments,
     dt_secs: f64,
@@ -38,7 +37,7 @@ pub(super) fn steps(
         .collect())
 }
 
-/// In steps. An episode that is too short is shown from its middle, or from where the frames still fit.
+/// Default first frame, in steps. A short episode is shown from its middle, or earlier if the frames then fit.
 fn usual_start(dt_secs: f64, length: usize, span: f64) -> f64 {
     let (usual, length) = (UNDER_WAY / dt_secs, length as f64);
     if usual + span <= length { usual } else { (length / 2.0).min(length - span).max(0.0) }

@@ -10,7 +10,7 @@ use actor::{LiveServer, LiveTopic};
 use anyhow::Context as _;
 use serde_json::{Map, Value, json};
 
-use crate::run_path;
+use crate::run::run_path;
 
 /// How often the metrics are looked at.
 const LOOK_AGAIN: Duration = Duration::from_secs(1);

@@ -1,13 +1,13 @@
-//! `s2mia log info`: what files hold.
+//! `s2mia log info`: contents of log files.
 
 use std::path::Path;
 
 use actor::trajectory_log::{Survey, read_bytes, survey};
 
-use crate::chart;
 use crate::cli::LogFiles;
-use crate::commands::log::{in_file, paths};
-use crate::output;
+use crate::commands::log::files::{in_file, paths};
+use crate::figures::chart;
+use crate::process::output;
 
 /// One block for each file.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {

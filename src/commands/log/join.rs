@@ -2,12 +2,13 @@
 
 use actor::trajectory_log::join;
 
-use crate::chart::thousands;
 use crate::cli::JoinArguments;
-use crate::commands::log::{Incomplete, in_file, index, paid};
-use crate::output;
+use crate::commands::log::files::{in_file, index, paid};
+use crate::errors::Incomplete;
+use crate::figures::chart::thousands;
+use crate::process::output;
 
-/// Writes the file and says what is in it. Ends with status 3 if something of a reward log is damaged.
+/// Writes the file and prints its contents. Ends with status 3 if part of a reward log is damaged.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
     let index = index(&arguments.logs)?;
     let joined = in_file(&arguments.out, join(&index, &arguments.out))?;
@@ -23,6 +24,6 @@ pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
     index.remarks().iter().for_each(output::line);
     match index.damaged() {
         [] => Ok(()),
-        damaged => Err(Incomplete(format!("passed over: {}", damaged.join("; "))).into()),
+        damaged => Err(Incomplete(format!("skipped: {}", damaged.join("; "))).into()),
     }
 }

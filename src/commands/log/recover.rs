@@ -1,13 +1,14 @@
-//! `s2mia log recover`: a new file with what is whole in a damaged one.
+//! `s2mia log recover`: copies the undamaged part of a log into a new file.
 
 use actor::trajectory_log::{read_bytes, recover};
 
-use crate::chart::thousands;
 use crate::cli::RecoverArguments;
-use crate::commands::log::{Incomplete, in_file};
-use crate::output;
+use crate::commands::log::files::in_file;
+use crate::errors::Incomplete;
+use crate::figures::chart::thousands;
+use crate::process::output;
 
-/// Ends with status 3 if something was lost, and says what.
+/// Ends with status 3 and a list of losses if data was lost.
 pub(super) fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let RecoverArguments { file, out } = arguments;
     let bytes = in_file(file, read_bytes(file))?;

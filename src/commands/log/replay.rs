@@ -1,11 +1,11 @@
-//! `s2mia log replay`: whether the simulator repeats what was logged.
+//! `s2mia log replay`: checks that the simulator reproduces the logged steps.
 
 use actor::trajectory_log::{read_bytes, replay};
 
-use crate::chart::thousands;
 use crate::cli::LogFiles;
-use crate::commands::log::{in_file, paths};
-use crate::output;
+use crate::commands::log::files::{in_file, paths};
+use crate::figures::chart::thousands;
+use crate::process::output;
 
 /// Ends with status 1 at the first step that differs.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {

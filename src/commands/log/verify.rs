@@ -1,13 +1,14 @@
-//! `s2mia log verify`: whether logs are sound and whole.
+//! `s2mia log verify`: checks that logs are undamaged and complete.
 
 use actor::trajectory_log::Index;
 
-use crate::chart::thousands;
 use crate::cli::LogFiles;
-use crate::commands::log::{Incomplete, index, paid};
-use crate::output;
+use crate::commands::log::files::{index, paid};
+use crate::errors::Incomplete;
+use crate::figures::chart::thousands;
+use crate::process::output;
 
-/// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only something is missing.
+/// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only data is missing.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
     let index = index(logs)?;
     let damaged = index.damaged();

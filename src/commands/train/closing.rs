@@ -1,4 +1,4 @@
-//! The last words of `s2mia train`: what was reached, where it is, what can be done with it.
+//! The last lines of `s2mia train`: results, checkpoint and possible next commands.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader};
@@ -9,8 +9,8 @@ use actor::trajectory_log::{is_log_name, totals};
 use learner::Summary;
 use proto::is_reward_log_name;
 
-use crate::chart;
-use crate::run_path::{self, config_file};
+use crate::figures::chart;
+use crate::run::run_path::{self, config_file};
 
 /// Size of the curve in characters.
 const WIDTH: usize = 60;
@@ -21,25 +21,60 @@ const ROWS: usize = 8;
 pub(super) enum Length {
     /// By a resume.
     MayRise,
-    /// Every step depended on it: more steps are another run.
+    /// Every step depends on the length, so a longer run is a different run.
     Fixed,
 }
 
-/// All lines for a run that stands at `summary`, with its evaluations as (env steps, mean return).
-pub(super) fn text(
-    folder: &Path,
-    (summary, length): (&Summary, Length),
-    evaluations: &[(f64, f64)],
-    elapsed: Duration,
-) -> String {
-    let mut parts = vec![reached(summary, elapsed)];
-    parts.extend(improvement(evaluations));
-    parts.push(format!("checkpoint: {}", summary.checkpoint.display()));
-    parts.push(next(folder, summary, length));
-    parts.join("\n")
+/// A run of `s2mia train` that has ended.
+pub(super) struct Closing<'a> {
+    /// Run folder.
+    pub(super) folder: &'a Path,
+    /// How far the run is.
+    pub(super) summary: &'a Summary,
+    /// Whether it may be made longer.
+    pub(super) length: Length,
+    /// Duration of this session.
+    pub(super) elapsed: Duration,
 }
 
-/// What actors logged, in this session and before, by their own account, and what the learner added.
+impl Closing<'_> {
+    /// All lines; `evaluations` are pairs of environment steps and mean return.
+    pub(super) fn text(&self, evaluations: &[(f64, f64)]) -> String {
+        let mut parts = vec![self.reached()];
+        parts.extend(improvement(evaluations));
+        parts.push(format!("checkpoint: {}", self.summary.checkpoint.display()));
+        parts.push(self.next());
+        parts.join("\n")
+    }
+
+    fn reached(&self) -> String {
+        let done = if self.summary.stopped_early { "stopped" } else { "finished" };
+        format!(
+            "\n{done}: {} env steps, {} iterations, {} in this session",
+            chart::thousands(self.summary.env_steps),
+            chart::thousands(self.summary.iteration),
+            chart::duration(self.elapsed.as_secs_f64()),
+        )
+    }
+
+    fn next(&self) -> String {
+        let run = self.folder.display();
+        let twice = format!("run.iterations={}", self.summary.iteration * 2);
+        let train = match (self.summary.stopped_early, self.length) {
+            (true, _) => format!("--resume {run}"),
+            (false, Length::MayRise) => format!("--resume {run} {twice}"),
+            (false, Length::Fixed) => {
+                let config = config_file(self.folder);
+                format!("--config {} run.dir={run}-longer {twice}", config.display())
+            }
+        };
+        format!(
+            "next:\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
+        )
+    }
+}
+
+/// Totals of all trajectory logs of the run, and of the learner's reward logs.
 pub(super) fn logged(logs: &Path) -> String {
     let files = |belong| run_path::files(logs, belong).unwrap_or_default();
     let logged = files(is_log_name);
@@ -63,16 +98,6 @@ fn lines(path: &Path) -> u64 {
     File::open(path).map_or(0, |file| BufReader::new(file).split(b'\n').count() as u64)
 }
 
-fn reached(summary: &Summary, elapsed: Duration) -> String {
-    let done = if summary.stopped_early { "stopped" } else { "finished" };
-    format!(
-        "\n{done}: {} env steps, {} iterations, {} in this session",
-        chart::thousands(summary.env_steps),
-        chart::thousands(summary.iteration),
-        chart::duration(elapsed.as_secs_f64()),
-    )
-}
-
 /// First and last evaluation, and the curve between them.
 fn improvement(evaluations: &[(f64, f64)]) -> Option<String> {
     let (first, last) = (evaluations.first()?, evaluations.last()?);
@@ -82,21 +107,6 @@ fn improvement(evaluations: &[(f64, f64)]) -> Option<String> {
     }
     let change = format!("evaluation return {:.1} -> {:.1}", first.1, last.1);
     Some(format!("{change}\n\n{}\n", chart::area(evaluations, WIDTH, ROWS, "env steps")))
-}
-
-fn next(folder: &Path, summary: &Summary, length: Length) -> String {
-    let run = folder.display();
-    let twice = format!("run.iterations={}", summary.iteration * 2);
-    let train = match (summary.stopped_early, length) {
-        (true, _) => format!("--resume {run}"),
-        (false, Length::MayRise) => format!("--resume {run} {twice}"),
-        (false, Length::Fixed) => {
-            format!("--config {} run.dir={run}-longer {twice}", config_file(folder).display())
-        }
-    };
-    format!(
-        "next:\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
-    )
 }
 
 #[cfg(test)]
@@ -114,12 +124,15 @@ mod tests {
         }
     }
 
+    fn text(summary: &Summary, length: Length, evaluations: &[(f64, f64)]) -> String {
+        let (folder, elapsed) = (Path::new("runs/a"), Duration::from_secs(723));
+        Closing { folder, summary, length, elapsed }.text(evaluations)
+    }
+
     #[test]
     fn a_finished_run_tells_return_checkpoint_and_next_commands() {
         let evaluations = [(0.0, -3.25), (1_000_000.0, 2345.62)];
-        let (run, length) = (summary(), Length::MayRise);
-        let text =
-            text(Path::new("runs/a"), (&run, length), &evaluations, Duration::from_secs(723));
+        let text = text(&summary(), Length::MayRise, &evaluations);
         for part in [
             "finished: 1,000,000 env steps, 250 iterations, 12m03s",
             "evaluation return -3.2 -> 2345.6",
@@ -136,16 +149,14 @@ mod tests {
     #[test]
     fn a_stopped_run_is_resumed_as_it_was() {
         let stopped = Summary { stopped_early: true, ..summary() };
-        let length = Length::MayRise;
-        let text = text(Path::new("runs/a"), (&stopped, length), &[], Duration::from_secs(1));
+        let text = text(&stopped, Length::MayRise, &[]);
         assert!(text.ends_with("s2mia train --resume runs/a"), "{text}");
         assert!(text.contains("stopped: "), "{text}");
     }
 
     #[test]
     fn a_run_whose_steps_depended_on_its_length_is_made_longer_as_a_new_one() {
-        let run = (&summary(), Length::Fixed);
-        let text = text(Path::new("runs/a"), run, &[], Duration::from_secs(1));
+        let text = text(&summary(), Length::Fixed, &[]);
         let last =
             "s2mia train --config runs/a/config.toml run.dir=runs/a-longer run.iterations=500";
         assert!(text.ends_with(last), "{text}");

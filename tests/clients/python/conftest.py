@@ -64,7 +64,7 @@ class Serving:
         arguments = command("serve", folder, "--listen", "127.0.0.1:0")
         self.process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         first = self.process.stdout.readline()
-        assert "acts by its policies" in first, first
+        assert "serves its policies" in first, first
         self.address = first.split()[-1].removeprefix("http://")
 
 

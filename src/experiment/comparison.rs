@@ -1,16 +1,16 @@
-//! What an experiment says of each variant over all tasks together, as Agarwal et al. (NeurIPS 2021) aggregate runs: in
-//! the probability of improvement every task counts alike, and only runs of the same task are exchanged. Pure.
+//! Comparison of each variant with the baseline over all tasks, aggregated as in Agarwal et al. (NeurIPS 2021): every
+//! task has the same weight in the probability of improvement, and runs are exchanged within a task only. Pure.
 
 use policy::{Draw, Purpose};
 
 use super::results::{Estimate, Measured, finals, found, grouped, tasks};
-use crate::statistics::{
+use crate::figures::statistics::{
     holm_adjusted, interquartile_mean, permutation_p_value, probability_of_improvement,
 };
 
 /// A variant against the baseline, over the tasks that both have finished runs of.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Verdict {
+pub(crate) struct Comparison {
     /// Variant.
     pub(crate) variant: String,
     /// Tasks.
@@ -22,17 +22,21 @@ pub(crate) struct Verdict {
     pub(crate) score: Estimate,
     /// Probability that a run of the variant ends higher than one of the baseline, mean over tasks.
     pub(crate) improvement: Estimate,
-    /// Of a two-sided permutation test of that probability.
+    /// P-value of a two-sided permutation test of that probability.
     pub(crate) p_value: f64,
-    /// The same after Holm's correction for all variants.
+    /// The p-value after Holm's correction for all variants.
     pub(crate) adjusted_p_value: f64,
 }
 
 /// Final returns of a variant's and of the baseline's runs on each task.
 type Pairs = Vec<(Vec<f64>, Vec<f64>)>;
 
-/// A verdict on each of `variants` but the baseline itself that shares a task with it.
-pub(crate) fn verdicts(runs: &[Measured], variants: &[String], baseline: &str) -> Vec<Verdict> {
+/// A comparison for each of `variants` that shares a task with the baseline, without the baseline itself.
+pub(crate) fn comparisons(
+    runs: &[Measured],
+    variants: &[String],
+    baseline: &str,
+) -> Vec<Comparison> {
     let groups = grouped(runs);
     let pairs = |variant: &String| -> Pairs {
         let of = |task, name| found(&groups, task, name).map(finals);
@@ -48,15 +52,15 @@ pub(crate) fn verdicts(runs: &[Measured], variants: &[String], baseline: &str) -
     let raw: Vec<f64> = compared.iter().map(|(_, pairs)| permutation_p_value(pairs, key)).collect();
     let p_values = raw.iter().copied().zip(holm_adjusted(&raw));
     let judged = compared.iter().zip(p_values);
-    judged.map(|((variant, pairs), p_values)| verdict(variant, pairs, p_values)).collect()
+    judged.map(|((variant, pairs), p_values)| comparison(variant, pairs, p_values)).collect()
 }
 
-/// `p_values`: as it is, and adjusted.
-fn verdict(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Verdict {
+/// `p_values`: raw and adjusted.
+fn comparison(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Comparison {
     let samples: Vec<&[f64]> =
         pairs.iter().flat_map(|(own, rivals)| [own.as_slice(), rivals.as_slice()]).collect();
     let (p_value, adjusted_p_value) = p_values;
-    Verdict {
+    Comparison {
         variant: variant.to_owned(),
         tasks: pairs.len(),
         runs: pairs.iter().map(|(own, _)| own.len()).sum(),
@@ -67,7 +71,7 @@ fn verdict(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Verdict {
     }
 }
 
-/// Of a variant's runs and the baseline's on every task, `[own, rivals, own, rivals, ..]`.
+/// Interquartile mean of normalised returns; the samples are `[own, rivals, own, rivals, ..]`, a pair for each task.
 fn normalised_score(samples: &[Vec<f64>]) -> f64 {
     let scores = samples.chunks_exact(2).flat_map(|pair| {
         let unit = interquartile_mean(&pair[1]);
@@ -105,7 +109,7 @@ mod tests {
         }
         runs.push(run("halfcheetah-2x3", "new", 5.0));
         let variants = ["new".to_owned(), "happo".to_owned(), "absent".to_owned()];
-        let found = verdicts(&runs, &variants, "happo");
+        let found = comparisons(&runs, &variants, "happo");
         let [new] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((new.tasks, new.runs), (2, 5));
         // All of four on one task, none of one on the other.
@@ -118,7 +122,7 @@ mod tests {
     #[test]
     fn a_baseline_that_earns_nothing_is_no_unit_for_a_score() {
         let runs = [run("ant-4x2", "happo", -1.0), run("ant-4x2", "new", 5.0)];
-        let found = verdicts(&runs, &["new".to_owned()], "happo");
+        let found = comparisons(&runs, &["new".to_owned()], "happo");
         assert!(found[0].score.value.is_nan() && found[0].improvement.value == 1.0, "{found:?}");
     }
 
@@ -133,7 +137,7 @@ mod tests {
                 runs.push(run(task, "better", plain + 10.0));
             }
         }
-        let found = verdicts(&runs, &["same".to_owned(), "better".to_owned()], "happo");
+        let found = comparisons(&runs, &["same".to_owned(), "better".to_owned()], "happo");
         let [same, better] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((same.improvement.value, better.improvement.value), (0.5, 1.0));
         assert!(same.p_value > 0.9 && better.p_value < 0.005, "{found:?}");

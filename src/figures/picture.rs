@@ -11,10 +11,10 @@ use kuva::render::layout::{Layout, TickFormat};
 use kuva::render::plots::Plot;
 use kuva::render::render::{Scene, render_multiple};
 
-use crate::chart;
-use crate::learning_curve::{Panel, Point, Series};
-use crate::palette::{OKABE_ITO, Rgb, hex};
-use crate::statistics::Interval;
+use crate::figures::chart;
+use crate::figures::learning_curve::{Panel, Point, Series};
+use crate::figures::palette::{OKABE_ITO, Rgb, hex};
+use crate::figures::statistics::Interval;
 
 /// Colours that a thin line on white can have: the palette's but its pale last one, and grey.
 const COLOURS: [Rgb; 8] = {
@@ -189,7 +189,7 @@ fn short_count(count: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learning_curve::Quantity;
+    use crate::figures::learning_curve::Quantity;
 
     fn rising(label: &str, rank: usize, runs: usize) -> Series {
         let point = |k: u32| {

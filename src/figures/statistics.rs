@@ -1,5 +1,5 @@
-//! What runs with several seeds say together: robust means, their uncertainty, how fast they learn, which of two
-//! variants is better. Pure functions of the runs' numbers; resampling draws from a keyed generator.
+//! Statistics of runs with several seeds: robust means, their uncertainty, learning speed, comparison of variants. Pure
+//! functions of the runs' numbers; resampling draws from a keyed generator.
 
 use policy::randomness::uniform;
 use policy::{Draw, Purpose, RunSeed, generator};
@@ -10,7 +10,7 @@ const RESAMPLES: usize = 2000;
 /// Random exchanges of a permutation test.
 const PERMUTATIONS: usize = 10_000;
 
-/// Share of a bootstrap's resamplings that its interval holds.
+/// Share of a bootstrap's resamplings inside its interval.
 const CONFIDENCE: f64 = 0.95;
 
 /// From one value to another.
@@ -54,8 +54,8 @@ pub(crate) fn interquartile_range(values: &[f64]) -> Interval {
     Interval { low: quantile(values, 0.25), high: quantile(values, 0.75) }
 }
 
-/// The 95 % interval of `statistic` by the percentile bootstrap: every sample is drawn again from its own values,
-/// with replacement, 2,000 times. What is drawn depends on `key` alone.
+/// The 95 % interval of `statistic` by the percentile bootstrap: every sample is resampled 2,000 times with
+/// replacement. The draws depend on `key` alone.
 pub(crate) fn bootstrap_interval(
     samples: &[&[f64]],
     key: Draw,
@@ -109,9 +109,9 @@ pub(crate) fn probability_of_improvement(runs: &[f64], baseline: &[f64]) -> f64 
     scores.sum::<f64>() / (runs.len() * baseline.len()) as f64
 }
 
-/// Two-sided p-value of the mean over strata of [`probability_of_improvement`], under the hypothesis that within a
-/// stratum both samples come from one distribution: the share of 10,000 random exchanges within strata (and of what is
-/// there) whose mean lies at least as far from 1/2. What is drawn depends on `key` alone.
+/// Two-sided p-value of the mean over strata of [`probability_of_improvement`]. The hypothesis is that both samples of
+/// a stratum have one distribution. The p-value is the share of the observed assignment and 10,000 random exchanges
+/// within strata whose mean is at least as far from 1/2. The draws depend on `key` alone.
 pub(crate) fn permutation_p_value(strata: &[(Vec<f64>, Vec<f64>)], key: Draw) -> f64 {
     let mut rng = generator(RunSeed(0), Draw { purpose: Purpose::Bootstrap, ..key });
     let improvement =
@@ -136,8 +136,8 @@ pub(crate) fn permutation_p_value(strata: &[(Vec<f64>, Vec<f64>)], key: Draw) ->
     (as_far + 1) as f64 / (PERMUTATIONS + 1) as f64
 }
 
-/// Holm's correction: p-values of several tests, each made larger so that the chance of any false rejection stays below
-/// the level at which they are read. In the order given.
+/// Holm's correction of the p-values of several tests, which bounds the probability of any false rejection by the level
+/// of the tests. In the order given.
 pub(crate) fn holm_adjusted(p_values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..p_values.len()).collect();
     order.sort_by(|&left, &right| p_values[left].total_cmp(&p_values[right]));

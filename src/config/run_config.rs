@@ -1,15 +1,15 @@
-//! A run's configuration as the crates' own types, each section checked by the crate it belongs to.
+//! The configuration of a run as the crates' types; each crate checks its sections.
 
 use std::path::Path;
 
+use learner::run_folder::CONFIG;
 use marl::{ActionKind, ObservationScale};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
 
+use crate::config::environment_section::EnvironmentSection;
 use crate::config::{ConfigError, Request, Resolved, layers};
-use crate::environment_section::EnvironmentSection;
-use crate::run_path;
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -18,7 +18,7 @@ const ACTORS_LIMIT: usize = 1024;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunSection {
-    /// Every random draw of the run comes from it.
+    /// Seed of every random draw.
     pub(crate) seed: u64,
     /// Environment steps after which the run ends, rounded up to whole iterations.
     pub(crate) env_steps: u64,
@@ -30,7 +30,7 @@ pub(crate) struct RunSection {
     pub(crate) dir: String,
 }
 
-/// Everything a run is started with.
+/// The whole configuration of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct RunConfig {
     /// All settings with their origins.
@@ -52,8 +52,8 @@ pub(crate) struct RunConfig {
 }
 
 impl RunConfig {
-    /// Checks all settings and sorts them into the crates' types. A refusal is laid at the setting whose
-    /// default would change it, so that it names the place where the user wrote that setting.
+    /// Checks all settings and converts them to the crates' types. An error is attributed to the setting whose default
+    /// would change the error, so that it names the place where the user wrote that setting.
     pub(crate) fn build(resolved: Resolved) -> Result<Self, ConfigError> {
         let detail = match Self::assemble(&resolved) {
             Ok(config) => return Ok(config),
@@ -77,11 +77,11 @@ impl RunConfig {
 
     /// The configuration of an existing run.
     pub(crate) fn of_run(folder: &Path) -> Result<Self, ConfigError> {
-        let resumed = Some(run_path::config_file(folder));
+        let resumed = Some(folder.join(CONFIG));
         Self::build(layers::resolve(&Request { resumed, ..Request::default() })?)
     }
 
-    /// The crates' types from the settings; the first thing that an owner refuses, in its words.
+    /// The crates' types from the settings, or the message of the first crate that refuses its part.
     fn assemble(resolved: &Resolved) -> Result<Self, String> {
         let config = Self {
             run: section(resolved, "run")?,
@@ -120,18 +120,11 @@ impl RunConfig {
             true => self.validate_actions()?,
             false => self.environment.validate(&self.task.observation, self.log)?,
         }
-        self.validate_burn_in()?;
-        let (chunk, through_time) =
-            (self.learner.environments.message_steps, self.policy.backpropagation_steps);
-        if !chunk.is_multiple_of(through_time) {
-            return Err(format!(
-                "environments.message_steps must be a multiple of policy.backpropagation_steps = {through_time}, is {chunk}"
-            ));
-        }
-        Ok(())
+        self.learner.suits(&self.policy).map_err(|error| error.to_string())
     }
 
-    /// A task is built only where its actions decide; how it scales what it shows is another matter.
+    /// Builds the task only if the algorithm depends on its actions; without its scaling of observations, which has its
+    /// own errors.
     fn validate_actions(&self) -> Result<(), String> {
         let kinds = [ActionKind::Continuous, ActionKind::Discrete { choices: 2 }];
         if kinds.iter().all(|&kind| self.training.suits_actions(kind).is_ok()) {
@@ -147,14 +140,6 @@ impl RunConfig {
         })
     }
 
-    fn validate_burn_in(&self) -> Result<(), String> {
-        let (burn_in, steps) = (self.policy.burn_in, self.learner.environments.steps);
-        if burn_in < steps {
-            return Ok(());
-        }
-        Err(format!("policy.burn_in must be less than environments.steps = {steps}, is {burn_in}"))
-    }
-
     fn validate_run(&self) -> Result<(), String> {
         if self.run.iterations == 0 && self.run.env_steps == 0 {
             return Err("one of run.env_steps and run.iterations must be at least 1".to_owned());
@@ -165,7 +150,7 @@ impl RunConfig {
         }
     }
 
-    /// How the learner scales what the simulation shows.
+    /// How the learner scales observations.
     pub(crate) fn observations(&self) -> ObservationScale {
         match self.task.observation.norm {
             ObservationNorm::Running => ObservationScale::Running,
@@ -176,19 +161,14 @@ impl RunConfig {
     /// Iterations of the whole run.
     pub(crate) fn iterations(&self) -> u64 {
         match self.run.iterations {
-            0 => self.run.env_steps.div_ceil(self.steps_per_iteration()),
+            0 => self.run.env_steps.div_ceil(self.learner.environments.steps_per_iteration()),
             iterations => iterations,
         }
     }
 
     /// Environment steps of the whole run.
     pub(crate) fn env_steps(&self) -> u64 {
-        self.iterations().saturating_mul(self.steps_per_iteration())
-    }
-
-    fn steps_per_iteration(&self) -> u64 {
-        let environments = &self.learner.environments;
-        (environments.count * environments.steps) as u64
+        self.iterations().saturating_mul(self.learner.environments.steps_per_iteration())
     }
 
     /// Actor processes on this machine.

@@ -1,26 +1,26 @@
-//! What can be drawn over environment steps, and how it is taken from the lines of `metrics.jsonl`.
+//! The quantities that can be drawn over environment steps, read from the lines of `metrics.jsonl`.
 
 use serde_json::Value;
 
-/// More points than this say nothing more in a picture; figures of iterations are averaged to fewer.
+/// Largest number of points of a curve; neighbouring iterations are averaged above it.
 const MOST_POINTS: usize = 100;
 
-/// Something that changes while a run learns.
+/// A quantity that changes during training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Quantity {
     /// Mean extrinsic return of an evaluation.
     Return,
-    /// Bound of the entropy of what agents see (Eq. 2), mean over agents, nats.
+    /// Bound of the entropy of observations (Eq. 2), mean over agents, nats.
     Surprise,
     /// Estimate of the information between an agent's action and the others' (Eq. 6 to 8), mean over agents, nats.
     Information,
 }
 
 impl Quantity {
-    /// All of them, in the order in which they are drawn below each other.
+    /// All quantities, in the order of their rows in a picture.
     pub(crate) const ALL: [Self; 3] = [Self::Return, Self::Surprise, Self::Information];
 
-    /// For the y-axis.
+    /// Label of the y-axis.
     pub(crate) fn label(self) -> &'static str {
         match self {
             Self::Return => "evaluation return",
@@ -46,14 +46,14 @@ impl Quantity {
     }
 }
 
-/// Mean of `agent0/NAME`, `agent1/NAME` and so on; nothing where no agent has it.
+/// Mean of `agent0/NAME`, `agent1/NAME` and so on; `None` if no agent has it.
 fn mean_over_agents(line: &Value, name: &str) -> Option<f64> {
     let of = |agent: usize| line.get(format!("agent{agent}/{name}"))?.as_f64();
     let values: Vec<f64> = (0..).map_while(of).collect();
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Means of equally many neighbours, so that few enough points are left.
+/// Means of equally many neighbours, so that at most `MOST_POINTS` remain.
 fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let together = points.len().div_ceil(MOST_POINTS).max(1);
     let mean = |part: &[(f64, f64)], of: fn(&(f64, f64)) -> f64| {

@@ -1,5 +1,5 @@
-//! What asks a process to end: Ctrl-C and SIGTERM, the first for a clean end, the second at once, with 128 and its
-//! number as the status; and the end of the process that started it.
+//! Stop requests: the first Ctrl-C or SIGTERM ends a process cleanly, the second immediately with status 128 plus its
+//! number. The end of the parent process is also a stop request.
 
 use std::io::Read as _;
 
@@ -21,7 +21,8 @@ pub(crate) fn stop_on_signal(
     Ok(())
 }
 
-/// Sets `stop` when standard input closes. The pipe closes when the process at its other end ends, however that happens.
+/// Sets `stop` when standard input closes. The pipe closes when the process at its other end ends, however that
+/// happens.
 pub(crate) fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
     let until_closed = move || {
         let mut ignored = [0; 256];
@@ -29,7 +30,7 @@ pub(crate) fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
         stop.send_replace(true);
     };
     let watcher = std::thread::Builder::new().name("stdin".to_owned()).spawn(until_closed);
-    // The thread ends with the process; nobody waits for it.
+    // No thread waits for it; it ends with the process.
     watcher.map(drop).context("cannot watch standard input")
 }
 
@@ -46,7 +47,7 @@ async fn watch_signals(
     std::process::exit(ENDED_BY_SIGNAL + second.as_raw_value());
 }
 
-/// Which of the two came.
+/// The first of the two signals.
 async fn either(interrupt: &mut Signal, terminate: &mut Signal) -> SignalKind {
     tokio::select! {
         _ = interrupt.recv() => SignalKind::interrupt(),

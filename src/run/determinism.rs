@@ -1,5 +1,4 @@
-//! `s2mia train --verify-determinism`: the same short run, three times, each disturbed in another way, must end
-//! in the same state.
+//! `s2mia train --verify-determinism`: three short runs with different disturbances must end in the same state.
 
 use std::io::{BufRead as _, BufReader, Lines};
 use std::path::{Path, PathBuf};
@@ -10,54 +9,55 @@ use anyhow::Context as _;
 use learner::checkpoint;
 
 use crate::cli::SettingsArguments;
-use crate::environment_section::EnvironmentSection;
-use crate::{output, run_path};
+use crate::config::environment_section::EnvironmentSection;
+use crate::process::output;
+use crate::run::run_path;
 
-/// How often a running learner is looked at.
-const GLANCE: Duration = Duration::from_millis(20);
+/// Poll interval for a running learner.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// What happens to a trial.
+/// Disturbance of a trial.
 #[derive(Clone, Copy)]
-enum Happening {
+enum Disturbance {
     Nothing,
     /// One actor is killed after the first iteration.
     ActorKilled,
-    /// Stopped after the first iteration, and taken up again.
+    /// The run is stopped after the first iteration and resumed.
     Stopped,
 }
 
-/// By name, with the number of actors.
-const TRIALS: [(&str, usize, Happening); 3] = [
-    ("1 actor, undisturbed", 1, Happening::Nothing),
-    ("2 actors, one killed", 2, Happening::ActorKilled),
-    ("2 actors, stopped and resumed", 2, Happening::Stopped),
+/// Name, number of actors and disturbance.
+const TRIALS: [(&str, usize, Disturbance); 3] = [
+    ("1 actor, undisturbed", 1, Disturbance::Nothing),
+    ("2 actors, one killed", 2, Disturbance::ActorKilled),
+    ("2 actors, stopped and resumed", 2, Disturbance::Stopped),
 ];
 
-/// Plays all trials for `iterations` and prints each one's state.
+/// Runs all trials for `iterations` and prints the final state of each.
 ///
 /// # Errors
 /// A trial failed, or the states differ.
-pub(super) fn run(
+pub(crate) fn verify(
     settings: &SettingsArguments,
     environment: &EnvironmentSection,
     iterations: u64,
 ) -> anyhow::Result<()> {
     let place = Scratch::make()?;
     let mut states = Vec::new();
-    for (index, (name, actors, happening)) in TRIALS.into_iter().enumerate() {
+    for (index, (name, actors, disturbance)) in TRIALS.into_iter().enumerate() {
         let folder = place.0.join(index.to_string());
         let trial = Trial { settings, environment, folder: &folder, actors };
-        trial.play(happening, iterations).with_context(|| format!("trial `{name}` failed"))?;
+        trial.play(disturbance, iterations).with_context(|| format!("trial `{name}` failed"))?;
         let state = checkpoint::load_newest(&folder)?.saved().state_sha256;
         output::line(format!("{name:<31} {state}"));
         states.push(state);
     }
-    verdict(&states)?;
+    check_equal(&states)?;
     output::line(format!("deterministic over {iterations} iterations: all states are equal"));
     Ok(())
 }
 
-fn verdict(states: &[String]) -> anyhow::Result<()> {
+fn check_equal(states: &[String]) -> anyhow::Result<()> {
     match states.iter().position(|state| *state != states[0]) {
         None => Ok(()),
         Some(index) => anyhow::bail!(
@@ -76,24 +76,24 @@ struct Trial<'a> {
 }
 
 impl Trial<'_> {
-    fn play(&self, happening: Happening, iterations: u64) -> anyhow::Result<()> {
-        match happening {
-            Happening::Nothing => self.start(iterations)?.end(),
-            Happening::ActorKilled => {
-                let mut crew = self.start(iterations)?;
-                crew.wait_for_an_iteration(self.folder)?;
-                crew.actors[0].kill().context("cannot kill an actor")?;
-                crew.end()
+    fn play(&self, disturbance: Disturbance, iterations: u64) -> anyhow::Result<()> {
+        match disturbance {
+            Disturbance::Nothing => self.start(iterations)?.end(),
+            Disturbance::ActorKilled => {
+                let mut processes = self.start(iterations)?;
+                processes.wait_for_an_iteration(self.folder)?;
+                processes.actors[0].kill().context("cannot kill an actor")?;
+                processes.end()
             }
-            Happening::Stopped => {
+            Disturbance::Stopped => {
                 self.start(1)?.end()?;
                 self.start(iterations)?.end()
             }
         }
     }
 
-    /// Starts the learner, which goes on with what the folder holds, and the actors.
-    fn start(&self, iterations: u64) -> anyhow::Result<Crew> {
+    /// Starts the learner, which resumes the run in the folder if there is one, and the actors.
+    fn start(&self, iterations: u64) -> anyhow::Result<TrialProcesses> {
         let program = std::env::current_exe().context("cannot find this program")?;
         let mut command = Command::new(&program);
         command
@@ -105,40 +105,40 @@ impl Trial<'_> {
         command.arg(format!("run.dir={}", self.folder.display()));
         command.arg(format!("run.iterations={iterations}")).arg("evaluation.every_steps=0");
         if std::env::var_os("RUST_LOG").is_none() {
-            // What a trial does to its actors is no news to whoever asked for it.
+            // The disturbances are intended; warnings about them would confuse the user.
             command.env("RUST_LOG", "error");
         }
         let mut learner = command.stdout(Stdio::piped()).spawn().context("no learner")?;
         let lines = learner.stdout.take().map(BufReader::new).context("no output")?.lines();
-        let mut crew = Crew { learner, lines, actors: Vec::new() };
-        let opening = crew.lines.next().context("the learner did not start")??;
+        let mut processes = TrialProcesses { learner, lines, actors: Vec::new() };
+        let opening = processes.lines.next().context("the learner did not start")??;
         let url = opening.split_whitespace().last().unwrap_or_default();
         for _ in 0..self.actors {
             let mut actor = Command::new(&program);
             actor.args(["actor", "--exit-with-stdin", "--learner", url]);
             actor.args(self.environment.arguments());
             actor.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-            crew.actors.push(actor.spawn().context("no actor")?);
+            processes.actors.push(actor.spawn().context("no actor")?);
         }
-        Ok(crew)
+        Ok(processes)
     }
 }
 
-/// A learner and its actors; none outlives this.
-struct Crew {
+/// Processes of a learner and its actors; dropping this value ends them.
+struct TrialProcesses {
     learner: Child,
     lines: Lines<BufReader<ChildStdout>>,
     actors: Vec<Child>,
 }
 
-impl Crew {
+impl TrialProcesses {
     fn wait_for_an_iteration(&mut self, folder: &Path) -> anyhow::Result<()> {
         let metrics = run_path::metrics_file(folder);
         while !std::fs::metadata(&metrics).is_ok_and(|file| file.len() > 0) {
             if self.learner.try_wait()?.is_some() {
                 return Ok(());
             }
-            std::thread::sleep(GLANCE);
+            std::thread::sleep(POLL_INTERVAL);
         }
         Ok(())
     }
@@ -151,17 +151,17 @@ impl Crew {
     }
 }
 
-impl Drop for Crew {
+impl Drop for TrialProcesses {
     fn drop(&mut self) {
         for process in self.actors.iter_mut().chain([&mut self.learner]) {
-            // Those that ended by themselves cannot be killed any more.
+            // Fails for a process that has already ended.
             let _ended = process.kill();
             let _reaped = process.wait();
         }
     }
 }
 
-/// A folder that goes with this value.
+/// A temporary folder that is removed with this value.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -175,7 +175,7 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // What cannot be removed is left to the system, which clears its temporary folder.
+        // The system clears its temporary folder if this fails.
         let _removed = std::fs::remove_dir_all(&self.0);
     }
 }
@@ -185,10 +185,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn states_that_differ_are_told_by_the_trials_they_come_from() {
+    fn different_states_are_reported_with_their_trials() {
         let states = |texts: [&str; 3]| texts.map(str::to_owned);
-        assert!(verdict(&states(["a", "a", "a"])).is_ok());
-        let told = verdict(&states(["a", "a", "b"])).unwrap_err().to_string();
-        assert!(told.contains("`2 actors, stopped and resumed`"), "{told}");
+        assert!(check_equal(&states(["a", "a", "a"])).is_ok());
+        let message = check_equal(&states(["a", "a", "b"])).unwrap_err().to_string();
+        assert!(message.contains("`2 actors, stopped and resumed`"), "{message}");
     }
 }

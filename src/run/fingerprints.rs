@@ -6,8 +6,8 @@ use anyhow::Context as _;
 use proto::Digest;
 use sha2::{Digest as _, Sha256};
 
-use crate::commands::Usage;
-use crate::run_path;
+use crate::errors::Usage;
+use crate::run::run_path;
 
 /// Both hashes of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,8 +28,8 @@ impl Fingerprints {
         Self { rollout, learner: Digest(hasher.finalize().into()) }
     }
 
-    /// Refuses to resume the run in `folder` with a program that computes other bits, or to which its settings, which
-    /// hash to `config` here, say something else.
+    /// Refuses to resume the run in `folder` if this program computes other bits or resolves its settings to another
+    /// hash than `config`.
     pub(crate) fn demand_those_of(&self, folder: &Path, config: Digest) -> anyhow::Result<()> {
         let manifest = manifest(folder)?;
         let told = |key: &str| manifest[key].as_str().unwrap_or("unknown").to_owned();

@@ -1,4 +1,4 @@
-//! A run's newest good checkpoint, as commands read it.
+//! The newest valid checkpoint of a run.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -7,51 +7,51 @@ use anyhow::Context as _;
 use learner::checkpoint::{CheckpointError, Loaded};
 use policy::{Key, PolicySnapshot, RunSeed};
 
-use crate::commands::config_file_of_run;
-use crate::run_config::RunConfig;
+use crate::config::run_config::RunConfig;
+use crate::run::run_path::config_file_of_run;
 
 /// A trained policy with the settings of its run.
-pub(super) struct Trained {
+pub(crate) struct Trained {
     /// Settings of the run.
-    pub(super) config: RunConfig,
-    /// The checkpoint it comes from.
-    pub(super) iteration: u64,
-    /// Environment steps until then.
-    pub(super) env_steps: u64,
-    /// All agents.
-    pub(super) policy: PolicySnapshot,
+    pub(crate) config: RunConfig,
+    /// Iteration of its checkpoint.
+    pub(crate) iteration: u64,
+    /// Environment steps before that checkpoint.
+    pub(crate) env_steps: u64,
+    /// The policies of all agents.
+    pub(crate) policy: PolicySnapshot,
 }
 
 impl Trained {
-    /// Where the run's own evaluation of this policy begins its episode `episode`.
-    pub(super) fn start(&self, episode: u32) -> Key {
+    /// The random key with which the run's own evaluation of this policy starts episode `episode`.
+    pub(crate) fn start(&self, episode: u32) -> Key {
         Key::of_evaluation(RunSeed(self.config.run.seed), self.iteration, episode)
     }
 }
 
-/// The newest checkpoint whose hashes are right; refuses a run that has none yet.
-pub(super) fn load(run: &Path) -> anyhow::Result<Loaded> {
+/// Loads the newest checkpoint with correct hashes; refuses a run without any.
+pub(crate) fn load(run: &Path) -> anyhow::Result<Loaded> {
     let shown = run.display();
     load_if_any(run)?.with_context(|| {
         format!("{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {shown}` begins it again")
     })
 }
 
-/// The same, or `None` before the first; tells of every newer one that it had to pass over.
-pub(super) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
+/// As [`load`], but `None` before the first checkpoint. Logs every newer checkpoint that is damaged.
+pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
     config_file_of_run(run)?;
     let loaded = match learner::checkpoint::load_newest(run) {
         Err(CheckpointError::None { .. }) => return Ok(None),
-        loaded => loaded.with_context(|| format!("{} has no good checkpoint", run.display()))?,
+        loaded => loaded.with_context(|| format!("{} has no valid checkpoint", run.display()))?,
     };
     for (path, why) in &loaded.skipped {
-        tracing::warn!("{} is damaged and passed over: {why}", path.display());
+        tracing::warn!("{} is damaged and skipped: {why}", path.display());
     }
     Ok(Some(loaded))
 }
 
 /// The newest policy of a run.
-pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
+pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     let loaded = load(run)?;
     let config = RunConfig::of_run(run)?;
     let policy = PolicySnapshot::from_bytes(&loaded.checkpoint.policy)
@@ -60,8 +60,8 @@ pub(super) fn trained(run: &Path) -> anyhow::Result<Trained> {
     Ok(Trained { config, iteration, env_steps, policy })
 }
 
-/// What tells later from which run and policy something was made.
-pub(super) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String> {
+/// Metadata that identifies the run and the policy of a file.
+pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String> {
     let resolved = &trained.config.resolved;
     BTreeMap::from([
         ("task".to_owned(), task.to_owned()),

@@ -1,4 +1,4 @@
-//! Log lines on stderr, as text or JSON, kept apart from a progress bar that stands on the same screen.
+//! Log lines on stderr, as text or JSON, printed above the progress bars.
 
 use std::io;
 use std::sync::OnceLock;
@@ -13,16 +13,16 @@ use crate::cli::{Arguments, Command, LogFormat};
 /// The bars of this process; log lines are written above them.
 static BARS: OnceLock<MultiProgress> = OnceLock::new();
 
-/// The bars that log lines must not break.
+/// The progress bars of this process.
 pub(crate) fn bars() -> &'static MultiProgress {
     BARS.get_or_init(MultiProgress::new)
 }
 
-/// Starts logging; the filter is `--log`, then RUST_LOG, then the command's own level.
+/// Starts logging with the filter of `--log`, else of RUST_LOG, else the default of the command.
 pub(crate) fn start(arguments: &Arguments) {
     let default = match arguments.command {
         Command::Learner(_) | Command::Actor(_) => "info",
-        // A stranger at the live view's port is no trouble of the run's.
+        // Invalid connections to the live view's port are not reported.
         _ => "warn,foxglove=off",
     };
     let filter = match &arguments.log {
@@ -37,7 +37,7 @@ pub(crate) fn start(arguments: &Arguments) {
     tracing_subscriber::registry().with(lines.with_filter(filter)).init();
 }
 
-/// Writes to stderr while no bar is drawn.
+/// Writes to stderr with the bars suspended.
 struct AboveBars;
 
 impl io::Write for AboveBars {

@@ -1,5 +1,5 @@
-//! Runs that are finished or still going on, read from their folders, and what is drawn of them: one curve per
-//! task and variant, over the seeds.
+//! Learning curves of finished or unfinished runs, read from their folders and aggregated over seeds: one curve per
+//! task and variant.
 
 mod quantity;
 
@@ -10,28 +10,28 @@ use anyhow::Context as _;
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
-use crate::commands::{Usage, config_file_of_run};
 use crate::config::{Request, layers};
-use crate::run_path;
-use crate::statistics::{
+use crate::errors::Usage;
+use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
+use crate::run::run_path::{self, config_file_of_run};
 
 pub(crate) use quantity::Quantity;
 
-/// Settings that have a place of their own in a picture.
+/// Settings that pictures show separately.
 const SHOWN_ELSEWHERE: [&str; 3] = ["task", "algorithm", "run.seed"];
 
-/// What one run says over environment steps.
+/// The curves of one run over environment steps.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Curve {
     /// Task.
     pub(crate) task: String,
-    /// Algorithm, or what a picture calls the variant.
+    /// Algorithm, or the variant's name in pictures.
     pub(crate) algorithm: String,
     /// Seed.
     pub(crate) seed: String,
-    /// Every other semantic setting; runs that differ in one are never joined.
+    /// Every other semantic setting; runs that differ in one are never aggregated.
     pub(crate) settings: BTreeMap<String, String>,
     /// Env steps and value, in order of env steps.
     pub(crate) points: BTreeMap<Quantity, Vec<(f64, f64)>>,
@@ -44,14 +44,14 @@ impl Curve {
     }
 }
 
-/// One line of a panel: what the runs of one variant say together.
+/// One line of a panel: the runs of one variant.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Series {
     /// Variant, for the legend; the same in every panel.
     pub(crate) label: String,
-    /// What decides its colour, its marks and its kind of line.
+    /// Rank, which determines its colour, marks and line style.
     pub(crate) rank: usize,
-    /// Runs in it.
+    /// Number of runs.
     pub(crate) runs: usize,
     /// In order of env steps.
     pub(crate) points: Vec<Point>,
@@ -75,7 +75,7 @@ pub(crate) struct Point {
 pub(crate) struct Panel {
     /// Task.
     pub(crate) task: String,
-    /// What the y-axis shows.
+    /// Quantity of the y-axis.
     pub(crate) quantity: Quantity,
     /// In order of rank.
     pub(crate) series: Vec<Series>,
@@ -97,7 +97,7 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     })
 }
 
-/// Reads all runs; refuses folders without any evaluation, since there is nothing to draw.
+/// Reads all runs; refuses folders without any evaluation.
 pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
     let mut curves = Vec::new();
     for folder in folders {
@@ -117,7 +117,7 @@ pub(crate) fn evaluations(metrics: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
     Ok(Quantity::Return.points(&lines(metrics)?))
 }
 
-/// A run that still writes may end in half a line, which counts for nothing.
+/// Ignores an incomplete last line, which a run may be writing.
 fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
     if !metrics.exists() {
         return Ok(Vec::new());
@@ -127,14 +127,14 @@ fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
-/// Runs that differ in nothing but their seed, by task and by the name that tells them from the task's others.
+/// Runs that differ only in their seed, by task and by the name that distinguishes them from the task's other runs.
 type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
 
-/// The shipped algorithms, in the order of their ranks: each is drawn alike in every picture.
+/// The shipped algorithms, in the order of their ranks: each has the same style in every picture.
 const ALGORITHMS: [&str; 8] =
     ["happo-s2mia", "happo", "mappo", "maddpg", "happo-sm", "happo-smh", "happo-mi", "happo-0"];
 
-/// How the variant `name` of those in a picture is drawn: shipped algorithms have a rank of their own, others follow them.
+/// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others follow them.
 fn rank(name: &str, names: &[&str]) -> usize {
     let shipped = |name: &str| ALGORITHMS.iter().position(|known| *known == name);
     let first = match names.iter().any(|name| shipped(name).is_some()) {
@@ -146,7 +146,8 @@ fn rank(name: &str, names: &[&str]) -> usize {
     shipped(name).unwrap_or_else(follows)
 }
 
-/// A panel for each quantity and task, quantity by quantity, tasks in the order of the curves; the same variant has the same label in all.
+/// A panel for each quantity and task, quantity by quantity, tasks in the order of the curves; the same variant has the
+/// same label in all.
 pub(crate) fn panels(curves: &[Curve], quantities: &[Quantity]) -> Vec<Panel> {
     let groups = grouped(curves);
     let mut tasks: Vec<&str> = Vec::new();
@@ -196,7 +197,7 @@ fn variant(curve: &Curve, rivals: &[&Curve]) -> String {
     format!("{}{}", curve.algorithm, shown.collect::<String>())
 }
 
-/// What the legend says of each variant: its name, and its seed or how many it has.
+/// Text of each variant in the legend: its name, and its seed or the number of seeds.
 fn labels(groups: &Groups<'_>) -> BTreeMap<String, String> {
     let names: BTreeSet<&String> = groups.keys().map(|(_, name)| name).collect();
     let label = |name: &String| {
@@ -216,7 +217,7 @@ fn labels(groups: &Groups<'_>) -> BTreeMap<String, String> {
     names.into_iter().map(|name| (name.clone(), label(name))).collect()
 }
 
-/// What the group's runs say together where every one of them has a value.
+/// The points of a group's runs where every run has a value.
 fn joined(group: &[&Curve], quantity: Quantity) -> Vec<Point> {
     let at = |curve: &Curve, env_steps: f64| {
         curve.of(quantity).iter().find(|point| point.0 == env_steps).map(|point| point.1)

@@ -1,31 +1,32 @@
-//! A run's environment: what the simulator builds from its settings, or what another program offers.
+//! The environment of a run: the simulator's, or one that an external program offers.
 
 use actor::{EnvironmentBatch, EnvironmentService, Transport};
 use anyhow::Context as _;
 use proto::EnvironmentSpec;
 use tokio::runtime::Runtime;
 
-use crate::commands::{Usage, runtime};
 use crate::config::ConfigError;
-use crate::run_config::RunConfig;
+use crate::config::run_config::RunConfig;
+use crate::errors::Usage;
+use crate::process::runtime;
 
 /// The setting that names the program.
 const URL: &str = "environment_service.url";
 
-/// What every actor of a run must step.
+/// The environment that every actor of a run must step.
 pub(crate) struct Offered {
-    /// As learner and actors agree on it.
+    /// Description that learner and actors compare.
     pub(crate) spec: EnvironmentSpec,
-    /// JSON from which actors build it; empty if another program steps it.
+    /// JSON from which actors build the environment; empty for an external program.
     pub(crate) task_settings: String,
-    /// The setting `environment_service.description`: empty for the simulator, whose settings say everything.
+    /// The setting `environment_service.description`; empty for the simulator, which its settings describe.
     pub(crate) description: String,
-    /// How an episode is brought back in another slot: `encoded` by the simulator, or as that program can.
+    /// How an episode continues in another slot: `encoded` for the simulator, else as the external program supports.
     pub(crate) states: &'static str,
 }
 
 impl Offered {
-    /// Builds the simulator's, or asks the program that offers it over what `transport` allows.
+    /// Builds the simulator's environment, or queries the external program over what `transport` permits.
     pub(crate) fn of(config: &RunConfig, transport: &Transport) -> anyhow::Result<Self> {
         match config.environment.url.as_str() {
             "" => simulated(config),
@@ -33,7 +34,7 @@ impl Offered {
         }
     }
 
-    /// Refuses another environment than the one with which the run of `config` began.
+    /// Refuses another environment than the one with which the run of `config` started.
     pub(crate) fn demand_that_of(&self, config: &RunConfig) -> Result<(), ConfigError> {
         let (before, now) = (&config.environment.description, &self.description);
         if before == now {
@@ -61,11 +62,12 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
 
 async fn outside(url: &str, transport: &Transport) -> anyhow::Result<Offered> {
     demand_allowed(url, transport)?;
-    let service = EnvironmentService::connect(url).await.context("no environment to train in")?;
+    let service =
+        EnvironmentService::connect(url).await.context("cannot use the training environment")?;
     Ok(offered_by(&service))
 }
 
-/// Nothing is encrypted on the way to that program.
+/// Checks that `transport` permits the connection, which is not encrypted.
 fn demand_allowed(url: &str, transport: &Transport) -> Result<(), Usage> {
     let allowed = actor::config::check_environment(url, transport);
     allowed.map_err(|error| Usage::new(format!("{URL}: {error}")))
@@ -77,16 +79,16 @@ fn offered_by(service: &EnvironmentService) -> Offered {
     Offered { spec, task_settings: String::new(), description, states }
 }
 
-/// One environment of a run, to be played here.
+/// One environment of a run in this process.
 pub(crate) struct Stage {
-    /// It.
+    /// The environment.
     pub(crate) environment: Box<dyn EnvironmentBatch>,
-    /// The network's threads, if it needs any.
+    /// The network threads of an external environment.
     _network: Option<Runtime>,
 }
 
 impl Stage {
-    /// Builds it, or connects to the program that offers it; refuses another one than the run's.
+    /// Builds the environment or connects to the external program; refuses another environment than the run's.
     pub(crate) fn of(config: &RunConfig) -> anyhow::Result<Self> {
         let url = config.environment.url.as_str();
         if url.is_empty() {
@@ -100,7 +102,7 @@ impl Stage {
             offered_by(&service).demand_that_of(config)?;
             anyhow::Ok(service.environments(1))
         });
-        let environment = Box::new(environment.context("no environment to play in")?);
+        let environment = Box::new(environment.context("cannot use the environment of the run")?);
         Ok(Self { environment, _network: Some(network) })
     }
 }

@@ -1,34 +1,45 @@
-//! What may differ between a run and its resumption.
+//! The settings that a resume may change.
 
-use crate::config::{ConfigError, Resolved, keys};
-use crate::run_config::RunConfig;
+use crate::config::run_config::RunConfig;
+use crate::config::{ConfigError, keys};
 
 const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";
 const MAY_RISE: &str = "it may only be raised";
 
-/// Refuses, by name, the first setting of `new` that would make the run another one.
+/// Refuses the first setting of `new` that would change the result of the run, by name.
 pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError> {
     for (key, value) in old.resolved.semantic() {
         if keys::FILLED_IN == key && new.environment.description.is_empty() {
-            // The environment has not been asked yet; whoever asks compares.
+            // The environment's description is not known yet; `Offered` compares it later.
             continue;
         }
         if new.resolved.entries[key].value != *value {
             let allowed = if keys::is_length(key) { DECAYS.to_owned() } else { may_change() };
-            let values = (old.resolved.shown(key), new.resolved.shown(key));
-            return Err(fixed(&new.resolved, key, values, allowed));
+            return Err(ConfigError::FixedOnResume {
+                place: new.resolved.origin(key).to_owned(),
+                key: key.to_owned(),
+                old: old.resolved.shown(key),
+                new: new.resolved.shown(key),
+                allowed,
+            });
         }
     }
     if new.iterations() < old.iterations() {
         let lowered = |key: &&&str| new.resolved.shown(key) != old.resolved.shown(key);
         let key = keys::LENGTH.iter().find(lowered).unwrap_or(&keys::LENGTH[0]);
-        return Err(fixed(&new.resolved, key, (length(old), length(new)), MAY_RISE.to_owned()));
+        return Err(ConfigError::FixedOnResume {
+            place: new.resolved.origin(key).to_owned(),
+            key: (*key).to_owned(),
+            old: length(old),
+            new: length(new),
+            allowed: MAY_RISE.to_owned(),
+        });
     }
     Ok(())
 }
 
-/// How far a run goes, and what says so if that is not in iterations itself.
+/// Length of a run in iterations, with `run.env_steps` if that setting determines it.
 fn length(config: &RunConfig) -> String {
     let iterations = match config.iterations() {
         1 => "1 iteration".to_owned(),
@@ -43,21 +54,6 @@ fn length(config: &RunConfig) -> String {
 fn may_change() -> String {
     let free = keys::free_on_resume();
     format!("a resume may change {free}, and raise run.iterations or run.env_steps")
-}
-
-fn fixed(
-    new: &Resolved,
-    key: &str,
-    (old, found): (String, String),
-    allowed: String,
-) -> ConfigError {
-    ConfigError::FixedOnResume {
-        place: new.origin(key).to_owned(),
-        key: key.to_owned(),
-        old,
-        new: found,
-        allowed,
-    }
 }
 
 #[cfg(test)]

@@ -1,31 +1,29 @@
-//! What an episode came to in metres, and signs of a policy that lives off the simulator's weaknesses.
+//! Measures of an episode: its distance, and signs of a policy that exploits weaknesses of the simulator.
 
 use std::fmt;
 
 use actor::PlayedStep;
 use sim::{Environments, Pose};
 
-use crate::film::is_upside_down;
-
-/// How long a start may take to bring joints inside their limits, which frees energy.
+/// Time after the start in which joints may move inside their limits, which frees energy.
 const SETTLING_SECS: f64 = 0.5;
 
 /// A robot after a step.
 pub(super) struct Moment {
     /// Where its links are.
     pub(super) pose: Pose,
-    /// With which the floor pushed it in the last physics step, N s.
+    /// Impulse of the floor in the last physics step, N s.
     impulse: f32,
     /// Height of its lowest point over the floor, metres; negative is penetration.
     lowest: f32,
-    /// Kinetic and potential, springs included, joules.
+    /// Kinetic and potential energy, including springs, joules.
     energy: f64,
-    /// What the motors put in during the step, joules.
+    /// Work of the motors during the step, joules.
     work: f64,
 }
 
 impl Moment {
-    /// Environment 0 as it stands.
+    /// The current state of environment 0.
     pub(super) fn of(world: &Environments) -> Self {
         let (pose, world) = (world.pose(0), world.world(0));
         Self {
@@ -54,7 +52,7 @@ impl Moment {
         Self { work, ..now }
     }
 
-    /// The root's, metres.
+    /// Position of the root along x, metres.
     fn x(&self) -> f64 {
         f64::from(self.pose.links[0].position[0])
     }
@@ -63,7 +61,7 @@ impl Moment {
 /// Figures of one episode.
 #[derive(Debug, PartialEq)]
 pub(super) struct Measures {
-    /// Of the root along x, metres.
+    /// Distance of the root along x, metres.
     distance: f64,
     secs: f64,
     /// Share of steps after which nothing touched the floor.
@@ -72,7 +70,7 @@ pub(super) struct Measures {
     upside_down: f64,
     /// Deepest penetration of the floor, metres.
     deepest: f64,
-    /// Most that a step's energy rose beyond the motors' work after the start, joules.
+    /// Largest rise of energy in a step beyond the motors' work, after the start, joules.
     created: f64,
 }
 
@@ -95,7 +93,12 @@ impl Measures {
     }
 }
 
-/// Most that energy rose in one step beyond the motors' work, joules.
+/// Whether the root's upper side points down.
+fn is_upside_down(pose: &Pose) -> bool {
+    sim::rotated(pose.links[0].quaternion, [0.0, 0.0, 1.0])[2] < 0.0
+}
+
+/// Largest rise of energy in one step beyond the motors' work, joules.
 fn risen(moments: &[Moment]) -> f64 {
     let pairs = moments.windows(2);
     pairs.map(|pair| pair[1].energy - pair[0].energy - pair[1].work).fold(0.0, f64::max)
@@ -107,8 +110,8 @@ impl fmt::Display for Measures {
         let (speed, millimetres) = (distance / secs, 1000.0 * deepest);
         let (airborne, upside_down) = (100.0 * airborne, 100.0 * upside_down);
         write!(f, "{distance:.2} m in {secs:.2} s, {speed:.2} m/s; in the air {airborne:.0} %, ")?;
-        write!(f, "upside down {upside_down:.0} %, into the floor {millimetres:.1} mm at most, ")?;
-        write!(f, "energy from nowhere {created:.1} J in a step at most")
+        write!(f, "upside down {upside_down:.0} %, at most {millimetres:.1} mm in the floor, ")?;
+        write!(f, "largest unexplained rise of energy {created:.1} J in a step")
     }
 }
 
@@ -143,8 +146,8 @@ mod tests {
         assert_eq!(measures, by_hand);
         assert_eq!(
             measures.to_string(),
-            "3.00 m in 2.00 s, 1.50 m/s; in the air 25 %, upside down 25 %, into the floor \
-             250.0 mm at most, energy from nowhere 0.2 J in a step at most"
+            "3.00 m in 2.00 s, 1.50 m/s; in the air 25 %, upside down 25 %, at most 250.0 mm in \
+             the floor, largest unexplained rise of energy 0.2 J in a step"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! The section `environment_service`: who offers it, if not the simulator.
+//! The section `environment_service`: the external program that offers the environment.
 
 use actor::LogSettings;
 use proto::Episodes;
@@ -9,14 +9,14 @@ use sim::{ObservationConfig, ObservationNorm};
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EnvironmentSection {
-    /// Of the program that offers the environment; empty: the simulator does.
+    /// URL of the program that offers the environment; empty: the simulator.
     pub(crate) url: String,
-    /// SHA-256 of what that program says of it; empty without one, and before the run has started.
+    /// SHA-256 of that program's description of the environment; empty without a program and before the start.
     pub(crate) description: String,
 }
 
 impl EnvironmentSection {
-    /// What tells an actor process where its environment comes from.
+    /// Arguments that give an actor process the URL.
     pub(crate) fn arguments(&self) -> Vec<String> {
         match self.url.as_str() {
             "" => Vec::new(),
@@ -24,7 +24,7 @@ impl EnvironmentSection {
         }
     }
 
-    /// Refuses, for an environment from outside, what the simulator alone can do.
+    /// Refuses settings that only the simulator supports.
     pub(crate) fn validate(
         &self,
         observation: &ObservationConfig,
@@ -48,8 +48,8 @@ impl EnvironmentSection {
 
 #[cfg(test)]
 mod tests {
+    use crate::config::run_config::RunConfig;
     use crate::config::{Request, layers};
-    use crate::run_config::RunConfig;
 
     fn refused(more: &str) -> Option<String> {
         let settings =

@@ -1,4 +1,4 @@
-//! How far a run of an experiment is, as its folder tells.
+//! The state of an experiment's run, read from its folder.
 
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
@@ -7,27 +7,27 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::plan::PlannedRun;
-use crate::run_config::RunConfig;
-use crate::{resume, run_path};
+use crate::config::run_config::RunConfig;
+use crate::run::{resume, run_path};
 
-/// Enough of a `metrics.jsonl` to hold its last lines.
+/// Number of bytes that contains the last lines of a `metrics.jsonl`.
 const TAIL_BYTES: u64 = 64 << 10;
 
-/// How far a run is.
+/// State of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Standing {
-    /// There is nothing of it.
+pub(crate) enum RunState {
+    /// The folder contains no run.
     New,
-    /// It goes on, or can be gone on with.
+    /// The run is in progress or can be resumed.
     Begun {
         /// Environment steps of its finished iterations.
         env_steps: u64,
     },
-    /// Its last evaluation is in, and so is the checkpoint before it.
+    /// The last evaluation and the checkpoint before it are written.
     Finished,
 }
 
-impl Standing {
+impl RunState {
     /// Environment steps done, of a run that has `total`.
     pub(crate) fn env_steps(self, total: u64) -> u64 {
         match self {
@@ -38,24 +38,37 @@ impl Standing {
     }
 }
 
-/// How far the run is; what its folder holds is not questioned.
-pub(crate) fn standing(run: &PlannedRun) -> Standing {
+/// How one run ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// The run has finished.
+    Finished,
+    /// The run was stopped and can be resumed.
+    Stopped,
+    /// The run failed, with the reason.
+    Failed(String),
+    /// The folder holds another run, with the difference.
+    Misplaced(String),
+}
+
+/// The state of the run; does not check whether the folder holds this run.
+pub(crate) fn run_state(run: &PlannedRun) -> RunState {
     if !run_path::config_file(&run.folder).is_file() {
-        return Standing::New;
+        return RunState::New;
     }
     let last = last_lines(&run_path::metrics_file(&run.folder));
     let finished =
         |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
     match last.iter().any(finished) {
-        true => Standing::Finished,
+        true => RunState::Finished,
         false => {
             let steps = last.iter().filter_map(|line| line["env_steps"].as_u64());
-            Standing::Begun { env_steps: steps.max().unwrap_or(0) }
+            RunState::Begun { env_steps: steps.max().unwrap_or(0) }
         }
     }
 }
 
-/// Why the folder's run cannot be the planned one; `None` if it can, or if there is none.
+/// How the run in the folder differs from the planned one; `None` if it does not, or if there is none.
 pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     if !run_path::config_file(&run.folder).is_file() {
         return None;
@@ -64,7 +77,7 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     same.err().map(|error| format!("{} holds another run: {error}", run.folder.display()))
 }
 
-/// The lines at the end of a file of JSON lines; what cannot be read is left out.
+/// The last lines of a file of JSON lines, without those that cannot be parsed.
 pub(super) fn last_lines(path: &Path) -> Vec<Value> {
     let tail = || -> std::io::Result<Vec<u8>> {
         let mut file = File::open(path)?;
@@ -97,18 +110,18 @@ mod tests {
     fn a_run_is_finished_when_the_evaluation_of_its_last_iteration_is_in() {
         let folder = tempfile::tempdir().unwrap();
         let run = run_in(folder.path());
-        assert_eq!(standing(&run), Standing::New);
+        assert_eq!(run_state(&run), RunState::New);
         std::fs::create_dir(&run.folder).unwrap();
         std::fs::write(run.folder.join("config.toml"), "").unwrap();
-        assert_eq!(standing(&run), Standing::Begun { env_steps: 0 });
+        assert_eq!(run_state(&run), RunState::Begun { env_steps: 0 });
         let metrics = run.folder.join("metrics.jsonl");
         let begun = "{\"kind\": \"iteration\", \"iteration\": 8, \"env_steps\": 8000}\n{\"ki";
         std::fs::write(&metrics, begun).unwrap();
-        assert_eq!(standing(&run), Standing::Begun { env_steps: 8000 });
+        assert_eq!(run_state(&run), RunState::Begun { env_steps: 8000 });
         let last =
             "{\"kind\": \"evaluation\", \"iteration\": 8, \"env_steps\": 8000, \"mean\": 1}\n";
         std::fs::write(&metrics, last).unwrap();
-        assert_eq!(standing(&run), Standing::Finished);
+        assert_eq!(run_state(&run), RunState::Finished);
     }
 
     #[test]

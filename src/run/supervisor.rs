@@ -1,11 +1,11 @@
-//! The actor processes of `s2mia train`: starts them, replaces those that die, gives up when they die
-//! again and again, and sees that none outlives the run.
+//! The actor processes of `s2mia train`: starts them, replaces those that fail, gives up after repeated failures, and
+//! ends all with the run.
 
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use actor::LogSettings;
@@ -17,24 +17,24 @@ use tokio::task::JoinSet;
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
-/// The same for an actor that has a log to write out, close and read back.
+/// The same for an actor that has to finish and check a trajectory log.
 const LOG_PATIENCE: Duration = Duration::from_secs(60);
 
-/// Pause before a replacement, so that a broken program does not spin.
+/// Delay before a replacement, so that a broken program does not restart continuously.
 const REPLACEMENT_PAUSE: Duration = Duration::from_millis(200);
 
-/// What every actor process is started with.
+/// The actor processes of a run and their arguments.
 #[derive(Clone, Debug)]
-pub(crate) struct Crew {
+pub(crate) struct ActorProcesses {
     /// This program.
     pub(crate) program: PathBuf,
-    /// Where the learner listens.
+    /// URL of the learner.
     pub(crate) learner: String,
-    /// What tells actors that their environment comes from outside, if it does.
+    /// Arguments that name an external environment, if there is one.
     pub(crate) environment: Vec<String>,
     /// Folder of `actor_<index>.log` and of trajectory logs.
     pub(crate) logs: PathBuf,
-    /// What goes into trajectory logs.
+    /// Settings of trajectory logs.
     pub(crate) log: LogSettings,
     /// Number of processes.
     pub(crate) actors: usize,
@@ -60,60 +60,42 @@ impl DeathCount {
     }
 }
 
-/// Why a crew gave up; empty while it has not.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Surrender(Arc<Mutex<Option<String>>>);
-
-impl Surrender {
-    /// The reason, if the crew gave up.
-    pub(crate) fn reason(&self) -> Option<String> {
-        self.0.lock().expect("no thread panics while it holds this lock").clone()
-    }
-
-    fn set(&self, reason: String) {
-        *self.0.lock().expect("no thread panics while it holds this lock") = Some(reason);
-    }
-}
-
-/// Keeps the crew complete until `ended`. When too many die, sets `stop` and the reason.
+/// Keeps all processes running until `ended`. After too many failures, sets `stop` and returns the reason.
 pub(crate) async fn supervise(
-    crew: Crew,
+    processes: ActorProcesses,
     ended: watch::Receiver<bool>,
     stop: watch::Sender<bool>,
-) -> Surrender {
-    let surrender = Surrender::default();
-    let watchman = Watchman {
-        crew: Arc::new(crew),
-        deaths: Arc::default(),
-        start: Instant::now(),
-        surrender: surrender.clone(),
-        stop,
-    };
-    let mut posts = JoinSet::new();
-    for index in 0..watchman.crew.actors {
-        posts.spawn(watchman.clone().hold_post(index, ended.clone()));
+) -> Option<String> {
+    let (deaths, failure) = (Mutex::default(), OnceLock::new());
+    let supervisor =
+        Arc::new(Supervisor { processes, deaths, start: Instant::now(), failure, stop });
+    let mut tasks = JoinSet::new();
+    for index in 0..supervisor.processes.actors {
+        tasks.spawn(Arc::clone(&supervisor).keep_running(index, ended.clone()));
     }
-    posts.join_all().await;
-    surrender
+    tasks.join_all().await;
+    supervisor.failure.get().cloned()
 }
 
-/// What the tasks of all posts share.
-#[derive(Clone)]
-struct Watchman {
-    crew: Arc<Crew>,
-    deaths: Arc<Mutex<DeathCount>>,
+/// State that the tasks of all processes share.
+struct Supervisor {
+    processes: ActorProcesses,
+    deaths: Mutex<DeathCount>,
     start: Instant,
-    surrender: Surrender,
+    /// Why the supervisor gave up, once it has.
+    failure: OnceLock<String>,
     stop: watch::Sender<bool>,
 }
 
-impl Watchman {
-    /// One actor after the other in one place. An actor that leaves by itself was told that the run is done.
-    async fn hold_post(self, index: usize, mut ended: watch::Receiver<bool>) {
-        while !*ended.borrow() && self.surrender.reason().is_none() {
-            let death = match self.crew.start(index) {
-                Ok(child) => match until_exit(child, &mut ended, self.crew.patience()).await {
-                    Some(status) if !status.success() => self.crew.death_notice(index, status),
+impl Supervisor {
+    /// Runs one actor after the other under one index. An actor ends with success when the run is done.
+    async fn keep_running(self: Arc<Self>, index: usize, mut ended: watch::Receiver<bool>) {
+        while !*ended.borrow() && self.failure.get().is_none() {
+            let death = match self.processes.start(index) {
+                Ok(child) => match until_exit(child, &mut ended, self.processes.patience()).await {
+                    Some(status) if !status.success() => {
+                        self.processes.failure_message(index, status)
+                    }
                     _ => return,
                 },
                 Err(error) => format!("actor {index} did not start: {error:#}"),
@@ -135,13 +117,14 @@ impl Watchman {
             tracing::warn!("{death}; starting another in its place");
             return;
         }
-        self.surrender.set(format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
+        self.failure
+            .get_or_init(|| format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
         self.stop.send_replace(true);
     }
 }
 
-impl Crew {
-    /// A process of its own group, so that Ctrl-C reaches it only through its learner.
+impl ActorProcesses {
+    /// Starts a process in its own group, so that Ctrl-C reaches it only through its learner.
     fn start(&self, index: usize) -> anyhow::Result<Child> {
         let log = self.log_path(index);
         let log: File = OpenOptions::new()
@@ -163,7 +146,7 @@ impl Crew {
             .with_context(|| format!("cannot start {}", self.program.display()))
     }
 
-    /// What tells an actor to log, if anything is logged.
+    /// Arguments for trajectory logging, if it is enabled.
     fn log_arguments(&self) -> Vec<OsString> {
         let LogSettings { episodes, max_file_mib } = self.log;
         if episodes == Episodes::None {
@@ -190,21 +173,21 @@ impl Crew {
         self.logs.join(format!("actor_{index}.log"))
     }
 
-    fn death_notice(&self, index: usize, status: ExitStatus) -> String {
+    fn failure_message(&self, index: usize, status: ExitStatus) -> String {
         let log = self.log_path(index);
         let last = last_line(&log).map_or_else(String::new, |line| format!(": {line}"));
         format!("actor {index} died ({status}{last}); its log is {}", log.display())
     }
 }
 
-/// Waits for a process; after `ended` its standard input closes and it has a moment to leave.
-/// `None` if the run ended first.
+/// Waits for a process. After `ended`, closes its standard input and gives it the time `patience` to end. `None` if the
+/// run ended first.
 async fn until_exit(
     mut child: Child,
     ended: &mut watch::Receiver<bool>,
     patience: Duration,
 ) -> Option<ExitStatus> {
-    // `Child::wait` would close the pipe at once, and the actor would take that for the end of its run.
+    // `Child::wait` would close the pipe at once, which tells the actor to end.
     let stdin = child.stdin.take();
     tokio::select! {
         status = child.wait() => return status.ok(),
@@ -212,13 +195,13 @@ async fn until_exit(
     }
     drop(stdin);
     if tokio::time::timeout(patience, child.wait()).await.is_err() {
-        // The process ignores its closed input; nothing is lost by ending it.
+        // The process ignores its closed input; killing it loses nothing.
         let _killed = child.kill().await;
     }
     None
 }
 
-/// Last line of a log that says something.
+/// Last line of a log that is not blank.
 pub(crate) fn last_line(path: &Path) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
     text.lines().rev().find(|line| !line.trim().is_empty()).map(|line| line.trim().to_owned())
@@ -229,11 +212,11 @@ mod tests {
     use super::*;
     use std::os::unix::fs::PermissionsExt as _;
 
-    fn crew_of(folder: &tempfile::TempDir, script: &str) -> Crew {
+    fn processes_of(folder: &tempfile::TempDir, script: &str) -> ActorProcesses {
         let program = folder.path().join("actor.sh");
         std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
         std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
-        Crew {
+        ActorProcesses {
             program,
             learner: "http://127.0.0.1:1".into(),
             environment: Vec::new(),
@@ -257,12 +240,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_crew_that_keeps_dying_gives_up_and_says_why() {
+    async fn actors_that_keep_failing_end_the_run_with_the_reason() {
         let folder = tempfile::tempdir().unwrap();
-        let crew = crew_of(&folder, "echo no rapier today >&2; exit 3");
+        let processes = processes_of(&folder, "echo no rapier today >&2; exit 3");
         let (stop, stopped) = watch::channel(false);
         let (_end, ended) = watch::channel(false);
-        let reason = supervise(crew, ended, stop).await.reason().unwrap();
+        let reason = supervise(processes, ended, stop).await.unwrap();
         assert!(
             reason.contains("5 actor deaths") && reason.contains("no rapier today"),
             "{reason}"
@@ -273,14 +256,14 @@ mod tests {
     #[tokio::test]
     async fn actors_leave_when_the_run_ends() {
         let folder = tempfile::tempdir().unwrap();
-        let crew = crew_of(&folder, "cat > /dev/null");
+        let processes = processes_of(&folder, "cat > /dev/null");
         let (stop, _stopped) = watch::channel(false);
         let (end, ended) = watch::channel(false);
-        let supervised = tokio::spawn(supervise(crew, ended, stop));
+        let supervised = tokio::spawn(supervise(processes, ended, stop));
         tokio::time::sleep(Duration::from_millis(100)).await;
         assert!(!supervised.is_finished());
         end.send_replace(true);
-        let surrender = tokio::time::timeout(Duration::from_secs(5), supervised).await.unwrap();
-        assert_eq!(surrender.unwrap().reason(), None);
+        let reason = tokio::time::timeout(Duration::from_secs(5), supervised).await.unwrap();
+        assert_eq!(reason.unwrap(), None);
     }
 }

@@ -1,4 +1,4 @@
-//! From the arguments of `train` and `learner` to everything the learner needs.
+//! Prepares the start of a learner from the arguments of `train` and `learner`.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -11,12 +11,13 @@ use proto::Digest;
 use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
-use crate::commands::{Usage, config_file_of_run};
+use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, keys, layers};
-use crate::fingerprints::Fingerprints;
-use crate::offered::Offered;
-use crate::run_config::RunConfig;
-use crate::{resume, run_path};
+use crate::errors::Usage;
+use crate::run::fingerprints::Fingerprints;
+use crate::run::offered::Offered;
+use crate::run::run_path::config_file_of_run;
+use crate::run::{resume, run_path};
 
 /// A run that is ready to start.
 pub(crate) struct Prepared {
@@ -24,12 +25,12 @@ pub(crate) struct Prepared {
     pub(crate) config: RunConfig,
     /// Its folder.
     pub(crate) folder: PathBuf,
-    /// What the learner is started with.
+    /// Everything that the learner starts with.
     pub(crate) launch: Launch,
 }
 
-/// Checks the settings and the run folder; starts and writes nothing. An environment from outside is asked for over
-/// what `transport` allows.
+/// Checks the settings and the run folder; starts and writes nothing. `transport` limits the connection to an external
+/// environment.
 pub(crate) fn prepare(
     settings: &SettingsArguments,
     resumed: &ResumeArguments,
@@ -44,7 +45,7 @@ pub(crate) fn prepare(
         }
         None => new_folder(&config, &offered.spec.task)?,
     };
-    // Claiming it comes later, when actors are there already.
+    // The learner claims the folder later, after the actors have started.
     RunFolder::demand_free(&folder)?;
     config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment_service.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
@@ -58,8 +59,8 @@ pub(crate) fn prepare(
     Ok(Prepared { config, folder, launch })
 }
 
-/// As [`prepare`], but a run that stands in the configured folder already is gone on with, so that
-/// whoever restarts a learner need not know how far it came.
+/// As [`prepare`], but resumes the run in the configured folder if there is one, so that a learner can be restarted
+/// with the same command.
 pub(crate) fn prepare_or_resume(
     settings: &SettingsArguments,
     resumed: &ResumeArguments,
@@ -72,14 +73,14 @@ pub(crate) fn prepare_or_resume(
     prepare(settings, &ResumeArguments { resume, ..resumed.clone() }, transport)
 }
 
-/// The run that stands in the configured folder.
+/// The configured folder, if it contains a run.
 fn run_in_place(config: &RunConfig) -> Option<PathBuf> {
     let folder = Path::new(&config.run.dir);
     let there = !config.run.dir.is_empty() && run_path::config_file(folder).is_file();
     there.then(|| folder.to_path_buf())
 }
 
-/// The settings of a new run, or those of `resumed` with what may change.
+/// The settings of a new run, or those of `resumed` with permitted changes.
 fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Result<RunConfig> {
     let mut request = Request::from_process(settings.files.clone(), settings.written());
     let Some(folder) = resumed else {
@@ -93,7 +94,7 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     Ok(new)
 }
 
-/// The folder is the one that is resumed, also when it has been moved since.
+/// Refuses another `run.dir` than that of the resumed run.
 fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigError> {
     if new.run.dir == old.run.dir {
         return Ok(());
@@ -118,14 +119,15 @@ fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
     };
     if run_path::config_file(&folder).exists() {
         let shown = folder.display();
-        let why =
-            format!("{shown} holds a run already; go on with it by `s2mia train --resume {shown}`");
+        let why = format!(
+            "{shown} already contains a run; resume it with `s2mia train --resume {shown}`"
+        );
         return Err(Usage::new(why).into());
     }
     Ok(folder)
 }
 
-/// How a new run of `config` is started.
+/// The start of a new run of `config`.
 fn launch(
     config: &RunConfig,
     offered: Offered,
@@ -154,7 +156,7 @@ fn launch(
     }
 }
 
-/// What the manifest says besides the learner's own fields.
+/// The fields of the manifest besides the learner's own.
 fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
     json!({
         "program": "s2mia",

@@ -1,5 +1,5 @@
-//! Keeps an experiment's runs going, several at once, each in a process of its own: begins those that are new,
-//! goes on with half ones, passes finished ones over. A run that fails does not stop the others.
+//! Runs an experiment's trainings, several at once, each in its own process: starts new ones, resumes stopped ones,
+//! skips finished ones. A run that fails does not stop the others.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
@@ -13,37 +13,24 @@ use tokio::task::JoinSet;
 
 use super::plan::PlannedRun;
 use super::progress::Progress;
-use super::standing::{Standing, mismatch, standing};
-use crate::supervisor::last_line;
+use super::run_state::{Ending, RunState, mismatch, run_state};
+use crate::run::supervisor::last_line;
 
-/// Time between two looks at how far the runs are, and at whether a log is free.
-const LOOK: Duration = Duration::from_millis(500);
+/// Poll interval for the progress of runs and for a locked log.
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
-/// How one run ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Ending {
-    /// It is finished.
-    Finished,
-    /// It was asked to stop, and can be gone on with.
-    Stopped,
-    /// It failed, for this reason.
-    Failed(String),
-    /// Its folder holds another run, as this says.
-    Misplaced(String),
-}
-
-/// How many runs ended how.
+/// Numbers of runs by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
-    /// Finished ones, also those that were before.
+    /// Finished runs, including those that were finished before.
     pub(crate) finished: usize,
-    /// Failed ones.
+    /// Failed runs.
     pub(crate) failed: usize,
-    /// Those whose folders hold other runs.
+    /// Runs whose folders hold other runs.
     pub(crate) misplaced: usize,
 }
 
-/// Brings all runs to their end, at most `at_once` at a time, or stops them in good order.
+/// Runs all to their end, at most `at_once` at a time, or stops them with checkpoints.
 pub(crate) async fn run_all(
     runs: &[PlannedRun],
     at_once: usize,
@@ -57,26 +44,26 @@ pub(crate) async fn run_all(
     loop {
         while going.len() < at_once && !*stop.borrow() {
             let Some(run) = waiting.next() else { break };
-            match standing(run) {
-                Standing::Finished if mismatch(run).is_none() => tally.finished += 1,
+            match run_state(run) {
+                RunState::Finished if mismatch(run).is_none() => tally.finished += 1,
                 _ => drop(going.spawn(finish(program.clone(), run.clone(), stop.clone()))),
             }
         }
         tokio::select! {
             ended = going.join_next() => {
                 let Some(ended) = ended else { return Ok(tally) };
-                let (run, ending) = ended.context("the watch over a run failed")?;
+                let (run, ending) = ended.context("the task of a run failed")?;
                 tally.finished += usize::from(ending == Ending::Finished);
                 tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
                 tally.misplaced += usize::from(matches!(ending, Ending::Misplaced(_)));
                 progress.ended(&run, &ending);
             }
-            () = tokio::time::sleep(LOOK) => progress.show(runs, going.len()),
+            () = tokio::time::sleep(POLL_INTERVAL) => progress.show(runs, going.len()),
         }
     }
 }
 
-/// One run from wherever it stands to its end.
+/// Starts or resumes one run and waits for its end.
 async fn finish(
     program: PathBuf,
     run: PlannedRun,
@@ -106,8 +93,8 @@ async fn train(
         drop(stdin);
     }
     let status = child.wait().await.context("cannot wait for a run")?;
-    Ok(match (status.success(), standing(run)) {
-        (true, Standing::Finished) => Ending::Finished,
+    Ok(match (status.success(), run_state(run)) {
+        (true, RunState::Finished) => Ending::Finished,
         (true, _) => Ending::Stopped,
         (false, _) => {
             let last = last_line(&run.log()).map_or_else(String::new, |line| format!(": {line}"));
@@ -116,8 +103,8 @@ async fn train(
     })
 }
 
-/// The run's log, locked. The process that writes to it keeps the lock as long as it lives, so a run of an
-/// experiment that was killed is waited for while it writes its last checkpoint. `None` if told to stop first.
+/// The run's log, locked. The process that writes to it holds the lock until it ends. A run of an experiment that was
+/// killed may therefore still write its last checkpoint. `None` if stopped while waiting.
 async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result<Option<File>> {
     let log = OpenOptions::new().create(true).append(true).open(path);
     let log = log.with_context(|| format!("cannot write {}", path.display()))?;
@@ -125,7 +112,7 @@ async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Resul
         match log.try_lock() {
             Ok(()) => return Ok(Some(log)),
             Err(TryLockError::WouldBlock) if *stop.borrow() => return Ok(None),
-            Err(TryLockError::WouldBlock) => tokio::time::sleep(LOOK).await,
+            Err(TryLockError::WouldBlock) => tokio::time::sleep(POLL_INTERVAL).await,
             Err(TryLockError::Error(error)) => {
                 return Err(error).with_context(|| format!("cannot lock {}", path.display()));
             }
@@ -137,8 +124,8 @@ async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Resul
 fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     let mut command = Command::new(program);
     command.args(["train", "--stop-with-stdin", "--page", "off"]).args(&run.settings);
-    match standing(run) {
-        Standing::New => command.arg(format!("run.dir={}", run.folder.display())),
+    match run_state(run) {
+        RunState::New => command.arg(format!("run.dir={}", run.folder.display())),
         _ => command.arg("--resume").arg(&run.folder),
     };
     let started = command

@@ -1,0 +1,72 @@
+//! A whole episode of a trained policy in the simulator, for pictures and measures.
+
+use anyhow::Context as _;
+use policy::{Key, PolicySnapshot};
+use proto::ActionChoice;
+use sim::{Environments, Outcome, TaskConfig};
+
+use crate::errors::Usage;
+use crate::film::measures::{Measures, Moment};
+use crate::film::shapes::RobotShapes;
+use crate::film::strip::Frame;
+
+/// A whole episode.
+pub(crate) struct PlayedEpisode {
+    /// The robot.
+    pub(crate) robot: RobotShapes,
+    /// Duration of a step.
+    pub(crate) dt_secs: f64,
+    /// The start, then the state after every step.
+    moments: Vec<Moment>,
+    end: Outcome,
+}
+
+impl PlayedEpisode {
+    /// Plays the episode that starts with `key`, with mean actions; refuses a game, which has no robot.
+    pub(crate) fn play(
+        task: &TaskConfig,
+        policy: &PolicySnapshot,
+        key: Key,
+    ) -> anyhow::Result<Self> {
+        let mut world = Environments::new(task, 1).context("cannot build the task")?;
+        let shapes = sim::shapes(&task.task).context("cannot build the robot")?;
+        if shapes.is_empty() {
+            let why = format!("{} is a game: there is nothing to draw", task.task);
+            return Err(Usage::new(why).into());
+        }
+        let robot = RobotShapes::new(world.description(), shapes, &world.pose(0));
+        let dt_secs = world.description().dt_secs;
+        // The same draw as the episode's own, to see where it starts.
+        world.reset(0, 0, world.description().episode_steps, &mut key.generator());
+        let mut moments = vec![Moment::of(&world)];
+        let mut end = Outcome::default();
+        actor::play_episode(&mut world, policy, (key, ActionChoice::Mean), |step| {
+            let before = moments.last().expect("the start is there");
+            let now = Moment::after(step, before);
+            moments.push(now);
+            end = step.outcome;
+        })
+        .context("the episode failed")?;
+        Ok(Self { robot, dt_secs, moments, end })
+    }
+
+    /// Number of steps.
+    pub(crate) fn steps(&self) -> usize {
+        self.moments.len() - 1
+    }
+
+    /// The pose after `step` steps.
+    pub(crate) fn frame(&self, step: usize) -> Frame<'_> {
+        Frame { time_secs: step as f64 * self.dt_secs, pose: &self.moments[step].pose }
+    }
+
+    /// One line with the measures of the episode and the reason of an early end.
+    pub(crate) fn summary(&self) -> String {
+        let end = match self.end {
+            Outcome { fault: true, .. } => "; a physics fault ended it early",
+            Outcome { terminated: true, .. } => "; the task's rules ended it early",
+            _ => "",
+        };
+        format!("{}{end}", Measures::of(&self.moments, self.dt_secs))
+    }
+}

@@ -1,0 +1,74 @@
+//! Addresses on which this program accepts connections.
+
+use std::net::SocketAddr;
+
+use anyhow::Context as _;
+use learner::Door;
+use security::ServerTls;
+use tokio::net::TcpListener;
+
+use crate::cli::ServerTlsArguments;
+use crate::errors::Usage;
+
+/// Refuses `address`, given by `flag`, if other machines can reach it; `permission` says how to allow that.
+pub(crate) fn demand_loopback(
+    flag: &str,
+    address: SocketAddr,
+    permission: &str,
+) -> Result<(), Usage> {
+    if address.ip().is_loopback() {
+        return Ok(());
+    }
+    Err(Usage::new(format!(
+        "{flag} {address} would accept other machines without encryption and authentication; {permission}"
+    )))
+}
+
+/// The address of `--listen` and the certificates that it requires.
+pub(crate) struct Listening {
+    address: SocketAddr,
+    tls: Option<ServerTls>,
+}
+
+impl Listening {
+    /// Reads and checks the certificates. Without any, refuses an address that other machines can reach unless
+    /// `--insecure-allow-remote` is given.
+    pub(crate) fn new(address: SocketAddr, arguments: &ServerTlsArguments) -> Result<Self, Usage> {
+        let tls = arguments.files().map(ServerTls::open).transpose();
+        let tls = tls.map_err(|why| Usage::new(why.to_string()))?;
+        if tls.is_none() && !arguments.insecure_allow_remote {
+            let permission = "give --tls-certificate, --tls-key and --tls-client-ca \
+                 (`s2mia certs DIR` makes them), or pass --insecure-allow-remote to allow that";
+            demand_loopback("--listen", address, permission)?;
+        }
+        Ok(Self { address, tls })
+    }
+
+    /// Binds the address; returns the listener and its URL.
+    pub(crate) async fn open(self) -> anyhow::Result<(Door, String)> {
+        let address = self.address;
+        let listener = TcpListener::bind(address)
+            .await
+            .with_context(|| format!("cannot listen on {address}"))?;
+        let bound = listener.local_addr()?;
+        Ok(match self.tls {
+            Some(tls) => (Door::guarded(listener, tls), format!("https://{bound}")),
+            None => (Door::from(listener), format!("http://{bound}")),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plain_text_is_accepted_from_loopback_only() {
+        for address in ["127.0.0.1:50051", "[::1]:0"] {
+            assert!(demand_loopback("--listen", address.parse().unwrap(), "").is_ok());
+        }
+        for address in ["0.0.0.0:50051", "192.168.1.2:1", "[::]:0"] {
+            assert!(demand_loopback("--listen", address.parse().unwrap(), "").is_err());
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! Runs on this machine: starting, resuming, supervising, serving and checking them.
+
+pub(crate) mod checkpointed;
+pub(crate) mod determinism;
+pub(crate) mod fingerprints;
+pub(crate) mod launch;
+pub(crate) mod offered;
+pub(crate) mod resume;
+pub(crate) mod run_path;
+pub(crate) mod served_run;
+pub(crate) mod supervisor;

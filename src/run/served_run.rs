@@ -1,0 +1,100 @@
+//! The policies of a run's newest checkpoint, for `s2mia serve`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use learner::checkpoint::Loaded;
+use learner::published::Published;
+use learner::service::ServedPolicies;
+use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
+use tokio::sync::watch;
+
+use crate::config::run_config::RunConfig;
+use crate::run::checkpointed;
+use crate::run::offered::Stage;
+use crate::run::run_path;
+
+/// Interval between checks for a new checkpoint.
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
+
+/// A run whose policies are served.
+pub(crate) struct ServedRun {
+    path: PathBuf,
+    environment: EnvironmentSpec,
+    /// Of each agent.
+    hidden_sizes: Vec<u32>,
+    newest: watch::Sender<Arc<Published>>,
+}
+
+impl ServedRun {
+    /// Loads the newest checkpoint of the run in `folder`.
+    ///
+    /// # Errors
+    /// The run has no valid checkpoint, or its environment cannot be reached.
+    pub(crate) fn open(folder: &Path) -> anyhow::Result<Self> {
+        let loaded = checkpointed::load(folder)?;
+        let config = RunConfig::of_run(folder)?;
+        let stage = Stage::of(&config)?;
+        let environment = actor::environment_spec(stage.environment.description());
+        let hidden = |_: &AgentSpec| config.policy.hidden_size() as u32;
+        let hidden_sizes: Vec<u32> = environment.agents.iter().map(hidden).collect();
+        let newest = Arc::new(policies(loaded, &environment, &hidden_sizes)?);
+        let newest = watch::Sender::new(newest);
+        Ok(Self { path: folder.to_path_buf(), environment, hidden_sizes, newest })
+    }
+
+    /// The policies that the service hands out, always the newest loaded ones.
+    pub(crate) fn policies(&self) -> ServedPolicies {
+        ServedPolicies {
+            run_id: run_path::name(&self.path),
+            environment: self.environment.clone(),
+            newest: self.newest.subscribe(),
+        }
+    }
+
+    /// Loads each new checkpoint on a thread of its own until the process ends.
+    pub(crate) fn follow(self) -> anyhow::Result<()> {
+        let thread = std::thread::Builder::new().name("follow".to_owned());
+        thread.spawn(move || self.load_newer()).map(drop).context("cannot follow the run")
+    }
+
+    /// Loads each new checkpoint; logs one that is invalid and keeps the policies before it.
+    fn load_newer(&self) {
+        let mut seen = self.newest.borrow().name.version.0;
+        while !self.newest.is_closed() {
+            std::thread::sleep(POLL_INTERVAL);
+            let found = learner::checkpoint::newest_iteration(&self.path).ok().flatten();
+            let Some(iteration) = found.filter(|iteration| *iteration > seen) else { continue };
+            seen = iteration;
+            let loaded = checkpointed::load(&self.path);
+            match loaded.and_then(|of| policies(of, &self.environment, &self.hidden_sizes)) {
+                Ok(policies) => {
+                    let version = policies.name.version;
+                    tracing::info!("new episodes use the policies of iteration {version}");
+                    self.newest.send_replace(Arc::new(policies));
+                }
+                Err(error) => tracing::warn!("the previous policies stay in use: {error:#}"),
+            }
+        }
+    }
+}
+
+/// The policies in a checkpoint of the run.
+fn policies(
+    loaded: Loaded,
+    environment: &EnvironmentSpec,
+    hidden_sizes: &[u32],
+) -> anyhow::Result<Published> {
+    let version = PolicyVersion(loaded.checkpoint.iteration);
+    let parsed = Published::parse(
+        version,
+        loaded.checkpoint.policy.into(),
+        &environment.agents,
+        hidden_sizes,
+    );
+    parsed.map_err(|why| {
+        anyhow::anyhow!("cannot serve the policy in {}: {why}", loaded.path.display())
+    })
+}
