@@ -28,6 +28,7 @@ pub mod run;
 pub mod run_folder;
 pub mod service;
 pub mod slots;
+pub mod snapshot;
 mod team;
 pub mod trainer;
 
@@ -43,4 +44,5 @@ pub use fault::Fault;
 pub use launch::Launch;
 pub use page::{Hosts, Page};
 pub use run::run;
+pub use snapshot::RunSnapshot;
 pub use trainer::Summary;
