@@ -1,5 +1,5 @@
-//! What `s2mia train` and `s2mia learner` show of a run while it goes on: a bar on a terminal, plain lines
-//! elsewhere. The words of both come from `progress/wording.rs`.
+//! The progress that `s2mia train` and `s2mia learner` print: a bar on a terminal, plain lines elsewhere.
+//! `progress/wording.rs` writes the text of both.
 
 mod wording;
 
@@ -10,14 +10,14 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use learner::Event;
 
 use crate::process::{logging, output};
-use wording::Standing;
+use wording::RecentIterations;
 
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(10);
 
 /// Shows the events of one run.
 pub(crate) struct Progress {
-    standing: Standing,
+    recent: RecentIterations,
     screen: Screen,
 }
 
@@ -33,12 +33,12 @@ impl Progress {
             true => Screen::Bar(bar(total)),
             false => Screen::Lines { last: None },
         };
-        Self { standing: Standing::new(total), screen }
+        Self { recent: RecentIterations::new(total), screen }
     }
 
-    /// Takes in one event and shows it.
+    /// Shows one event.
     pub(crate) fn observe(&mut self, event: &Event) {
-        self.standing.take_in(event, Instant::now());
+        self.recent.observe(event, Instant::now());
         match event {
             Event::Iteration(_) => self.iteration(),
             Event::Collecting { env_steps, .. } => self.collecting(*env_steps),
@@ -49,7 +49,7 @@ impl Progress {
             Event::Resumed => self.resumed(),
             Event::Stage(_) | Event::Checkpoint { .. } | Event::CheckpointFailed { .. } => {}
         }
-        if self.standing.is_complete() {
+        if self.recent.is_complete() {
             self.clear();
         }
     }
@@ -58,14 +58,14 @@ impl Progress {
         let now = Instant::now();
         match &mut self.screen {
             Screen::Bar(bar) => {
-                bar.set_position(self.standing.env_steps());
-                bar.set_message(self.standing.figures());
+                bar.set_position(self.recent.env_steps());
+                bar.set_message(self.recent.figures());
             }
             Screen::Lines { last } => {
                 let due = last.is_none_or(|last| now.duration_since(last) >= LINE_PERIOD);
-                if due || self.standing.is_complete() {
+                if due || self.recent.is_complete() {
                     *last = Some(now);
-                    output::line(self.standing.line());
+                    output::line(self.recent.line());
                 }
             }
         }
@@ -87,7 +87,7 @@ impl Progress {
 
     fn resumed(&self) {
         match &self.screen {
-            Screen::Bar(bar) => bar.set_message(self.standing.figures()),
+            Screen::Bar(bar) => bar.set_message(self.recent.figures()),
             Screen::Lines { .. } => output::line("resumed"),
         }
     }

@@ -55,7 +55,7 @@ fn event(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<Event> {
     let (seat, message) = (number % SEATS, number % MOST_UNDER_WAY);
     Ok(match kind {
         0 => Event::Act(seat),
-        1 => Event::Beat(seat),
+        1 => Event::Heartbeat(seat),
         2 => Event::Arrive(message),
         3 => Event::ArriveTwice(message),
         4 => Event::Lose(message),

@@ -1,35 +1,18 @@
-//! The learner: it hands out slots of environment steps, trains on what comes back, and keeps the run.
+//! The learner: it leases slots of environment steps to actors, trains on the results, and writes the run folder.
 //!
-//! [`trainer`] holds the loop that shows the whole data flow. [`service`] faces the network, and
-//! [`exchange`] is where the two meet. Work, its states and its results are in [`slots`]; what a run
-//! leaves on disk is in [`checkpoint`], [`metrics`], [`provenance`] and [`reward_log`]. The learner never steps a world.
+//! The modules follow the data. [`service`] receives messages. [`exchange`] passes them to the table of [`slots`]
+//! and complete slots to the [`trainer`], whose loop shows the whole data flow. [`checkpoint`], [`provenance`] and
+//! [`reward_log`] write to disk. [`snapshot`], [`metrics`] and [`page`] report. The learner never steps a world.
 
-pub mod assemble;
-pub mod canary;
-pub mod checkpoint;
 pub mod config;
-pub mod door;
-pub mod durable;
-pub mod environments;
 pub mod error;
-pub mod evaluation;
-pub mod event;
-pub mod exchange;
-pub mod fault;
-pub mod health;
-pub mod json_lines;
 pub mod launch;
-pub mod metrics;
-pub mod page;
-pub mod provenance;
-pub mod published;
-pub mod reward_log;
+mod lease;
+mod observe;
 pub mod run;
-pub mod run_folder;
-pub mod service;
-pub mod slots;
-mod team;
-pub mod trainer;
+mod serve;
+mod store;
+mod train;
 
 pub use config::{
     AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, LeaseConfig,
@@ -41,6 +24,13 @@ pub use event::{Event, IterationReport, Stage};
 pub use exchange::Exchange;
 pub use fault::Fault;
 pub use launch::Launch;
+pub use lease::{canary, exchange, published, slots};
+pub use observe::{event, metrics, page, snapshot};
 pub use page::{Hosts, Page};
 pub use run::run;
+use serve::team;
+pub use serve::{door, health, service};
+pub use snapshot::RunSnapshot;
+pub use store::{checkpoint, durable, json_lines, provenance, reward_log, run_folder};
+pub use train::{assemble, environments, evaluation, fault, trainer};
 pub use trainer::Summary;

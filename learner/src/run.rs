@@ -5,16 +5,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use proto::RunEnd;
 use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 
 use crate::door::Door;
 use crate::error::LearnerError;
-use crate::event::Event;
 use crate::exchange::Exchange;
 use crate::launch::{Launch, prepare};
-use crate::page::{self, Board, Facts, Page};
+use crate::page::{self, Facts, Page, RunView};
 use crate::service;
 use crate::trainer::{Observer, Outside, Summary, Trainer};
 
@@ -48,25 +46,17 @@ pub async fn run(
     let address = address.map_err(|error| LearnerError::Service(error.to_string()))?;
     trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease, audit);
-    let (observer, _shown) = match page {
-        Some(page) => show(page, facts, &trainer, &exchange, observer),
-        None => (observer, None),
-    };
+    let _shown = page.map(|page| show(page, facts, &trainer, &exchange));
     let server = Server::start(door, connections, &exchange);
     let broken = Arc::clone(&server.broken);
-    let (asked, watched) = (Arc::clone(&exchange), Arc::clone(&exchange));
+    let asked = Arc::clone(&exchange);
     let stop =
         move || *stop.borrow() || asked.orders().is_stopped() || broken.load(Ordering::Relaxed);
-    let outside = Outside {
-        exchange: Arc::clone(&exchange),
-        observer: heard_first(observer, move |event| watched.show(event)),
-        stop: Box::new(stop),
-    };
+    let outside = Outside { exchange: Arc::clone(&exchange), observer, stop: Box::new(stop) };
     let result = on_own_thread(trainer, outside).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
     exchange.orders().end();
-    let reached = result.as_ref().ok().map(|summary| (summary.iteration, summary.env_steps));
-    exchange.show_end(if complete { RunEnd::Finished } else { RunEnd::Stopped }, reached);
+    exchange.show_end(result.as_ref().ok());
     let served = match complete {
         true => server.bid_farewell(&exchange).await.close().await,
         false => server.close().await,
@@ -74,28 +64,13 @@ pub async fn run(
     result.and_then(|summary| served.map(|()| summary))
 }
 
-/// Shows the run on `page` for as long as the second value lives; the first observes in place of `observer`, which
-/// goes on hearing everything.
-fn show(
-    page: Page,
-    facts: Facts,
-    trainer: &Trainer,
-    exchange: &Arc<Exchange>,
-    observer: Observer,
-) -> (Observer, Option<JoinSet<()>>) {
-    let (facts, curves) = (facts.taken_up_at(trainer.iteration), trainer.metrics.curves());
-    let board = Arc::new(Board::new(facts, Arc::clone(exchange), curves));
+/// Serves the run's page until the returned task set is dropped.
+fn show(page: Page, facts: Facts, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
+    let (facts, exchange) = (facts.taken_up_at(trainer.iteration), Arc::clone(exchange));
+    let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();
-    serving.spawn(page::serve(page, Arc::clone(&board)));
-    (heard_first(observer, move |event| board.observe(event)), Some(serving))
-}
-
-/// The same observer, after somebody else has heard.
-fn heard_first(mut observer: Observer, mut first: impl FnMut(&Event) + Send + 'static) -> Observer {
-    Box::new(move |event| {
-        first(event);
-        observer(event);
-    })
+    serving.spawn(page::serve(page, Arc::new(view)));
+    serving
 }
 
 /// The service while the trainer works.
@@ -127,7 +102,7 @@ impl Server {
     async fn bid_farewell(self, exchange: &Exchange) -> Self {
         exchange.finish();
         let farewell = async {
-            while exchange.progress().actors > 0 {
+            while exchange.run_snapshot().status.actors > 0 {
                 tokio::time::sleep(Duration::from_millis(20)).await;
             }
         };

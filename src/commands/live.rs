@@ -19,16 +19,16 @@ use crate::process::output;
 use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::Stage;
 
-/// How often is looked whether somebody has come.
+/// Poll interval for viewers.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);
 
-/// Where a run is shown, and the flags that say so.
+/// The address of the live view, and its flags.
 pub(super) struct Place {
-    /// Where viewers come in.
+    /// Address that viewers connect to.
     pub(super) address: SocketAddr,
     /// The flag that names the address.
     pub(super) flag: &'static str,
-    /// The flag that lets other machines in.
+    /// The flag that permits other machines.
     pub(super) permission: &'static str,
     /// Whether it was given.
     pub(super) permitted: bool,
@@ -80,7 +80,7 @@ impl Show {
         thread.map(drop).context("cannot start the live view")
     }
 
-    /// What there is not to see, yet or at all.
+    /// What the live view cannot show (yet).
     fn missing(&self) -> Option<&'static str> {
         if !self.config.environment.url.is_empty() {
             return Some("only the learning curves; the environment is another program's");
@@ -190,7 +190,7 @@ impl Robot {
     }
 }
 
-/// The newest checkpoint; none if it cannot be told.
+/// Iteration of the newest checkpoint; none if it cannot be determined.
 fn newest_iteration(show: &Show) -> Option<u64> {
     learner::checkpoint::newest_iteration(&show.folder).ok().flatten()
 }

@@ -1,4 +1,4 @@
-//! `s2mia status`: where a run stands. A learner at work is asked; a folder without one tells of its newest checkpoint.
+//! `s2mia status`: the state of a run, from its learner or, if none is running, from its newest checkpoint.
 
 use std::path::Path;
 
@@ -29,50 +29,60 @@ pub(super) fn run(arguments: &StatusArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A run on which no learner works: finished, stopped or dead.
+/// A run without a learner process: finished, stopped or crashed.
 pub(super) struct AtRest {
     run_id: String,
-    /// Iteration and environment steps of the newest checkpoint, if there is one.
-    newest: Option<(u64, u64)>,
+    /// The newest checkpoint, if there is one.
+    newest: Option<Reached>,
     iterations: u64,
 }
 
+/// How far a checkpoint is.
+#[derive(Clone, Copy, Default)]
+struct Reached {
+    iteration: u64,
+    env_steps: u64,
+}
+
 impl AtRest {
-    /// What the newest checkpoint and the settings of the run in this folder say.
+    /// Reads the newest checkpoint and the settings of the run in this folder.
     pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
         let loaded = checkpointed::load_if_any(run)?;
-        let newest =
-            loaded.map(|loaded| (loaded.checkpoint.iteration, loaded.checkpoint.env_steps));
+        let newest = loaded.map(|loaded| Reached {
+            iteration: loaded.checkpoint.iteration,
+            env_steps: loaded.checkpoint.env_steps,
+        });
         let (run_id, iterations) = (run_path::name(run), RunConfig::of_run(run)?.iterations());
         Ok(Self { run_id, newest, iterations })
     }
 
-    /// How a run that is finished is told to whoever watches it.
+    /// The last line of a finished run.
     pub(super) fn last_line(&self) -> RunLine {
-        let (iteration, env_steps) = self.newest.unwrap_or_default();
+        let Reached { iteration, env_steps } = self.newest.unwrap_or_default();
         let line = RunLine::without_figures(self.run_id.clone(), iteration, env_steps);
         RunLine { end: Some(RunEnd::Finished), ..line }
     }
 
     /// Whether the run has had its last iteration.
     pub(super) fn is_finished(&self) -> bool {
-        self.newest.is_some_and(|(iteration, _)| iteration >= self.iterations)
+        self.newest.is_some_and(|newest| newest.iteration >= self.iterations)
     }
 }
 
 fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let run = Path::new(&arguments.learner.of);
     let rest = AtRest::of(run)?;
-    let (iterations, (iteration, env_steps)) = (rest.iterations, rest.newest.unwrap_or_default());
+    let (iterations, newest) = (rest.iterations, rest.newest.unwrap_or_default());
+    let Reached { iteration, env_steps } = newest;
     let state = if rest.is_finished() { "finished" } else { "stopped" };
     if arguments.json {
-        let told = json!({
+        let object = json!({
             "state": state,
             "iteration": iteration,
             "iterations": iterations,
             "env_steps": env_steps,
         });
-        output::line(told);
+        output::line(object);
         return Ok(());
     }
     let (run, steps) = (run.display(), thousands(env_steps));

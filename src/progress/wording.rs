@@ -1,4 +1,4 @@
-//! How far a run is, in words. Pure: time comes in from outside, text goes out.
+//! A run's progress as text. Pure: the caller passes the time.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -17,59 +17,45 @@ const HISTORY: usize = 40;
 /// Characters of the sparkline.
 const SPARKLINE: usize = 12;
 
-/// What the last iterations were like.
-pub(super) struct Standing {
+/// The last iterations of a run.
+pub(super) struct RecentIterations {
     total: u64,
-    env_steps: u64,
-    /// Moment and env steps at the end of the last iterations.
-    marks: VecDeque<(Instant, u64)>,
-    rollout_secs: VecDeque<f64>,
-    update_secs: VecDeque<f64>,
+    /// When the first message of the run arrived, and the environment steps before it.
+    begun: Option<(Instant, u64)>,
+    /// When each iteration ended, and its report.
+    reports: VecDeque<(Instant, IterationReport)>,
     returns: VecDeque<f64>,
 }
 
-impl Standing {
-    /// Before the first iteration of a run of `total` env steps.
+impl RecentIterations {
+    /// Before the first iteration of a run of `total` environment steps.
     pub(super) fn new(total: u64) -> Self {
-        Self {
-            total,
-            env_steps: 0,
-            marks: VecDeque::new(),
-            rollout_secs: VecDeque::new(),
-            update_secs: VecDeque::new(),
-            returns: VecDeque::new(),
-        }
+        Self { total, begun: None, reports: VecDeque::new(), returns: VecDeque::new() }
     }
 
-    /// Env steps of finished iterations.
+    /// Environment steps of finished iterations.
     pub(super) fn env_steps(&self) -> u64 {
-        self.env_steps
+        self.reports.back().map_or(0, |(_, report)| report.env_steps)
     }
 
     /// Whether the last iteration is done.
     pub(super) fn is_complete(&self) -> bool {
-        self.env_steps >= self.total
+        self.env_steps() >= self.total
     }
 
-    /// Keeps what an event says.
-    pub(super) fn take_in(&mut self, event: &Event, now: Instant) {
+    /// Keeps an iteration, or the start of the run.
+    pub(super) fn observe(&mut self, event: &Event, now: Instant) {
         match event {
-            Event::Iteration(report) => self.iteration(report, now),
-            // The first message of a run, before any iteration: speed counts from here.
-            Event::Collecting { env_steps, .. } if self.marks.is_empty() => {
-                self.marks.push_back((now, *env_steps));
+            Event::Iteration(report) => {
+                keep(&mut self.reports, (now, report.clone()), WINDOW);
+                report.episode_return.into_iter().for_each(|found| {
+                    keep(&mut self.returns, found, HISTORY);
+                });
+            }
+            Event::Collecting { env_steps, .. } if self.reports.is_empty() => {
+                self.begun.get_or_insert((now, *env_steps));
             }
             _ => {}
-        }
-    }
-
-    fn iteration(&mut self, report: &IterationReport, now: Instant) {
-        self.env_steps = report.env_steps;
-        keep(&mut self.marks, (now, report.env_steps), WINDOW);
-        keep(&mut self.rollout_secs, report.rollout_secs, WINDOW);
-        keep(&mut self.update_secs, report.update_secs, WINDOW);
-        if let Some(episode_return) = report.episode_return {
-            keep(&mut self.returns, episode_return, HISTORY);
         }
     }
 
@@ -87,25 +73,31 @@ impl Standing {
 
     /// The same as one plain line.
     pub(super) fn line(&self) -> String {
-        let percent = 100.0 * self.env_steps as f64 / self.total.max(1) as f64;
-        let (done, total) = (chart::thousands(self.env_steps), chart::thousands(self.total));
+        let percent = 100.0 * self.env_steps() as f64 / self.total.max(1) as f64;
+        let (done, total) = (chart::thousands(self.env_steps()), chart::thousands(self.total));
         format!("{done}/{total} steps ({percent:.1} %)  {}", self.figures())
     }
 
     fn steps_per_sec(&self) -> Option<f64> {
-        let (first, last) = (self.marks.front()?, self.marks.back()?);
+        let mut ends = self.reports.iter().map(|(end, report)| (*end, report.env_steps));
+        let last = ends.next_back()?;
+        let begun = self.begun.filter(|_| self.reports.len() < WINDOW);
+        let first = begun.or_else(|| ends.next())?;
         let secs = last.0.duration_since(first.0).as_secs_f64();
         (secs > 0.0).then(|| last.1.saturating_sub(first.1) as f64 / secs)
     }
 
     fn secs_left(&self) -> Option<f64> {
         let speed = self.steps_per_sec()?;
-        let left = self.total.saturating_sub(self.env_steps);
+        let left = self.total.saturating_sub(self.env_steps());
         (left > 0 && speed > 0.0).then(|| left as f64 / speed)
     }
 
     fn phases(&self) -> String {
-        let (rollout, update) = (sum(&self.rollout_secs), sum(&self.update_secs));
+        let sum = |secs: fn(&IterationReport) -> f64| {
+            self.reports.iter().map(|(_, report)| secs(report)).sum::<f64>()
+        };
+        let (rollout, update) = (sum(|it| it.rollout_secs), sum(|it| it.update_secs));
         let share = 100.0 * rollout / (rollout + update).max(f64::MIN_POSITIVE);
         format!("roll out {share:.0} % update {:.0} %", 100.0 - share)
     }
@@ -122,7 +114,7 @@ impl Standing {
     }
 }
 
-/// The line of an event that is told at once.
+/// The line of an event that is printed at once.
 pub(super) fn notice(event: &Event) -> Option<String> {
     match event {
         Event::Evaluation { env_steps, spread, episodes, .. } => {
@@ -145,10 +137,6 @@ fn keep<T>(values: &mut VecDeque<T>, value: T, limit: usize) {
     while values.len() > limit {
         values.pop_front();
     }
-}
-
-fn sum(values: &VecDeque<f64>) -> f64 {
-    values.iter().sum()
 }
 
 #[cfg(test)]
@@ -175,13 +163,13 @@ mod tests {
     #[test]
     fn a_line_tells_steps_speed_phases_return_and_time_left() {
         let start = Instant::now();
-        let mut standing = Standing::new(40_000);
+        let mut recent = RecentIterations::new(40_000);
         for k in 1..=4 {
             let event = iteration(k, Some(k as f64));
-            standing.take_in(&event, start + Duration::from_secs(4 * k));
+            recent.observe(&event, start + Duration::from_secs(4 * k));
         }
         assert_eq!(
-            standing.line(),
+            recent.line(),
             "16,000/40,000 steps (40.0 %)  1,000 steps/s  return 4.0 ↗ ▁▃▆█  24s left  \
              roll out 25 % update 75 %"
         );
@@ -189,9 +177,9 @@ mod tests {
 
     #[test]
     fn before_any_episode_has_ended_there_is_no_return() {
-        let mut standing = Standing::new(40_000);
-        standing.take_in(&iteration(1, None), Instant::now());
-        assert!(standing.line().contains("return -"), "{}", standing.line());
+        let mut recent = RecentIterations::new(40_000);
+        recent.observe(&iteration(1, None), Instant::now());
+        assert!(recent.line().contains("return -"), "{}", recent.line());
     }
 
     #[test]

@@ -105,7 +105,7 @@ impl Cluster {
     pub(crate) fn happen(&mut self, event: Event) {
         match event {
             Event::Act(seat) => self.act(seat),
-            Event::Beat(seat) => self.beat(seat),
+            Event::Heartbeat(seat) => self.beat(seat),
             Event::Arrive(at) => self.arrive(at),
             Event::ArriveTwice(at) => {
                 let again = self.network.get(at).cloned();

@@ -14,7 +14,7 @@ fn a_film_of_older_policies_that_comes_late_does_not_replace_a_newer_one() {
     let launch = launch_in(folder.path(), 1);
     let (lease, audit) = (launch.config.lease, launch.config.audit);
     let exchange = Exchange::new(launch::prepare(launch).unwrap().1, lease, audit);
-    assert_eq!(exchange.film(), None);
+    assert_eq!(exchange.run_snapshot().film, None);
     let film = Film { frame_secs: 0.05, radii: vec![0.1], drivers: vec![None], ends: vec![0.0; 6] };
     let result = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps: 5 };
     for (version, shown) in [(2, 2), (1, 2), (2, 2), (4, 4)] {
@@ -22,7 +22,8 @@ fn a_film_of_older_policies_that_comes_late_does_not_replace_a_newer_one() {
         let (incarnation, digest) = (Incarnation(1), result.digest(1));
         let header = PushHeader { lease: LeaseId(1), incarnation, weights, digest };
         exchange.keep_film(&header, result, film.clone());
-        let found = exchange.film().map(|episode| FilmedEpisode::clone(&episode));
+        let found =
+            exchange.run_snapshot().film.as_deref().map(|episode| FilmedEpisode::clone(&episode));
         let version = PolicyVersion(shown);
         assert_eq!(found, Some(FilmedEpisode { version, result, film: film.clone() }));
     }

@@ -7,7 +7,8 @@ use proto::WeightsName;
 use crate::error::LearnerError;
 use crate::evaluation::Spread;
 use crate::event::{Event, Stage};
-use crate::exchange::{EvaluationOutcome, Progress, SlotRollout, Wake};
+use crate::exchange::{EvaluationOutcome, SlotRollout, Wake};
+use crate::snapshot::RunSnapshot;
 use crate::trainer::Work;
 
 /// How long the trainer waits before it looks whether it should stop.
@@ -81,14 +82,14 @@ impl Work {
     }
 
     fn report_progress(&mut self) {
-        let progress = self.outside.exchange.progress();
-        let told = self.patience.look(Instant::now(), &progress);
+        let now = self.outside.exchange.run_snapshot();
+        let told = self.patience.look(Instant::now(), &now);
         if let Some(change) = told.change {
             self.tell(&change);
         }
         if told.moved && self.arrived.is_none() {
             let iteration = self.trainer.iteration;
-            let env_steps = self.trainer.env_steps() + progress.steps_collected;
+            let env_steps = self.trainer.env_steps() + now.steps_collected;
             self.tell(&Event::Collecting { iteration, env_steps });
         }
         if let Some(waiting) = told.waiting {
@@ -126,25 +127,27 @@ impl Patience {
         (self.moved, self.told) = (now, now);
     }
 
-    /// Compares the progress with that of the last look.
-    pub(super) fn look(&mut self, now: Instant, progress: &Progress) -> Look {
-        let moved = progress.steps_collected != self.steps;
-        let event = if progress.paused { Event::Paused } else { Event::Resumed };
-        let change = (progress.paused != self.paused).then_some(event);
-        (self.steps, self.paused) = (progress.steps_collected, progress.paused);
-        if moved || progress.paused {
+    /// Compares the run's figures with those of the last look.
+    pub(super) fn look(&mut self, now: Instant, run: &RunSnapshot) -> Look {
+        let (steps, paused) = (run.steps_collected, run.status.paused);
+        let moved = steps != self.steps;
+        let event = if paused { Event::Paused } else { Event::Resumed };
+        let change = (paused != self.paused).then_some(event);
+        (self.steps, self.paused) = (steps, paused);
+        if moved || paused {
             // A pause is no stillness.
             self.begin(now);
         }
-        let waiting = (now.duration_since(self.told) >= STILL).then(|| self.missing(now, progress));
+        let waiting =
+            (now.duration_since(self.told) >= STILL).then(|| self.missing(now, run.status.actors));
         Look { moved, waiting, change }
     }
 
     /// What is missing; it is told again after as long a time.
-    fn missing(&mut self, now: Instant, progress: &Progress) -> Event {
+    fn missing(&mut self, now: Instant, actors: u64) -> Event {
         self.told = now;
         let seconds = now.duration_since(self.moved).as_secs_f64();
-        let reason = match progress.actors {
+        let reason = match actors {
             0 => "no actor is connected".to_owned(),
             1 => "the one actor has sent nothing".to_owned(),
             actors => format!("none of {actors} actors has sent anything"),
@@ -156,9 +159,12 @@ impl Patience {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proto::Incarnation;
 
-    fn progress(steps_collected: u64, actors: usize) -> Progress {
-        Progress { steps_collected, actors, ..Progress::default() }
+    fn progress(steps_collected: u64, actors: u64) -> RunSnapshot {
+        let mut run = RunSnapshot::new("a run".to_owned(), Incarnation(1));
+        (run.steps_collected, run.status.actors) = (steps_collected, actors);
+        run
     }
 
     #[test]
@@ -187,8 +193,9 @@ mod tests {
         let start = Instant::now();
         let mut patience = Patience::new(start);
         let mut look = |secs, paused| {
-            let told = patience
-                .look(start + Duration::from_secs(secs), &Progress { paused, ..progress(0, 2) });
+            let mut run = progress(0, 2);
+            run.status.paused = paused;
+            let told = patience.look(start + Duration::from_secs(secs), &run);
             (told.change, told.waiting.is_some())
         };
         assert_eq!(look(1, true), (Some(Event::Paused), false));

@@ -10,10 +10,11 @@ use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::registry::Registry;
 use proto::LeasedWork;
 
-use super::Board;
-use super::board::Told;
+use super::RunView;
 use super::memory::resident_bytes;
+use super::view::Facts;
 use crate::event::Stage;
+use crate::snapshot::RunSnapshot;
 
 /// What [`text`] is written in.
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -22,16 +23,16 @@ pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0
 type Labels = Vec<(&'static str, String)>;
 
 /// Every figure, as it is now.
-pub(super) fn text(board: &Board) -> String {
+pub(super) fn text(view: &RunView) -> String {
     let mut sheet = Sheet(Registry::with_prefix("s2mia"));
-    let told = board.told();
-    sheet.run(board);
-    sheet.progress(board, &told);
-    sheet.returns(board);
-    sheet.work(board);
-    sheet.intake(board);
-    sheet.checkpoints(board, &told);
-    sheet.faults(&told);
+    let (facts, run) = (&view.facts, view.exchange.run_snapshot());
+    sheet.run(facts);
+    sheet.progress(facts, &run);
+    sheet.returns(view);
+    sheet.work(&run);
+    sheet.intake(&run);
+    sheet.checkpoints(facts, &run);
+    sheet.faults(&run);
     let mut process = Sheet(Registry::with_prefix("process"));
     process.memory();
     let mut text = String::new();
@@ -44,44 +45,44 @@ pub(super) fn text(board: &Board) -> String {
 struct Sheet(Registry);
 
 impl Sheet {
-    fn run(&mut self, board: &Board) {
-        let manifest = &board.facts.manifest;
+    fn run(&mut self, facts: &Facts) {
+        let manifest = &facts.manifest;
         let text = |name| (name, manifest[name].as_str().unwrap_or_default().to_owned());
         let info = Family::<Labels, Gauge>::default();
         info.get_or_create(&["run_id", "task", "algorithm", "version"].map(text).into()).set(1);
         self.0.register("run_info", "What is trained; always 1", info);
     }
 
-    fn progress(&mut self, board: &Board, told: &Told) {
-        let (status, facts) = (board.exchange.status(), &board.facts);
+    fn progress(&mut self, facts: &Facts, run: &RunSnapshot) {
+        let status = &run.status;
         self.counter("env_steps", "Environment steps of complete slots", status.env_steps);
         self.gauge("iteration", "Finished iterations", status.iteration as f64);
         let planned = facts.iterations as f64;
         self.gauge("iterations_planned", "Iterations of the whole run", planned);
         let help = "Times that an environment step goes into an optimiser step of an agent";
         self.gauge("sample_reuse_ratio", help, facts.sample_reuse);
-        let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == told.stage)));
+        let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == run.stage)));
         self.gauges("phase", "1 for what the trainer is at", "phase", Stage::ALL.map(at));
         let paused = f64::from(u8::from(status.paused));
         self.gauge("paused", "1 while no work is handed out until somebody resumes", paused);
-        let secs = told.secs().into_iter().flatten();
+        let secs = run.phase_secs().into_iter().flatten();
         self.gauges("phase_seconds", "How long the last iteration's parts took", "phase", secs);
     }
 
-    fn returns(&mut self, board: &Board) {
+    fn returns(&mut self, view: &RunView) {
         for (name, help, figure) in [
             ("episode_return", "Mean return of the last training episodes", "episode_return"),
             ("evaluation_return", "Mean return of the last evaluation", "evaluation/mean"),
         ] {
-            if let Some(value) = board.newest(figure) {
+            if let Some(value) = view.curves().newest(figure) {
                 self.gauge(name, help, value);
             }
         }
     }
 
     /// Who is at what.
-    fn work(&mut self, board: &Board) {
-        let status = board.exchange.status();
+    fn work(&mut self, run: &RunSnapshot) {
+        let status = &run.status;
         let on_slots = status.leases.iter().filter(|l| matches!(l.work, LeasedWork::Slot(_)));
         let (complete, leased) = (status.complete_slots, on_slots.count() as u64);
         let free = status.slots.saturating_sub(complete + leased);
@@ -97,42 +98,40 @@ impl Sheet {
     }
 
     /// What came from actors.
-    fn intake(&mut self, board: &Board) {
-        let progress = board.exchange.progress();
-        let chunks = [(vec![("result", "accepted".to_owned())], progress.chunks_accepted)];
+    fn intake(&mut self, run: &RunSnapshot) {
+        let chunks = [(vec![("result", "accepted".to_owned())], run.chunks_accepted)];
         self.counters("chunks", "Chunks of trajectories", chunks);
         let help = "Size of all messages with trajectories and evaluations";
-        self.counter("ingest_bytes", help, progress.bytes_taken_in);
+        self.counter("ingest_bytes", help, run.bytes_received);
         let help = "Steps of episodes that trajectory and reward logs lost";
-        self.counter("log_dropped", help, progress.log_steps_lost);
-        let refusals = progress.refusals.into_iter();
-        let refusals = refusals.map(|(reason, count)| (vec![("reason", reason)], count));
+        self.counter("log_dropped", help, run.log_steps_lost);
+        let refusals = run.refusals.iter();
+        let refusals = refusals.map(|(reason, count)| (vec![("reason", reason.clone())], *count));
         self.counters("messages_refused", "Messages that did not fit, by reason", refusals);
         let help =
             "Registrations without a fingerprint: with any, the run is not exactly repeatable";
-        self.counter("foreign_actors", help, progress.foreign_actors);
-        self.gauge("weights_bytes", "Size of the newest weights", progress.weights_bytes as f64);
+        self.counter("foreign_actors", help, run.foreign_actors);
+        self.gauge("weights_bytes", "Size of the newest weights", run.weights_bytes as f64);
     }
 
-    fn checkpoints(&mut self, board: &Board, told: &Told) {
-        if let Some(written) = told.checkpoint {
+    fn checkpoints(&mut self, facts: &Facts, run: &RunSnapshot) {
+        if let Some(written) = run.checkpoint {
             self.gauge("checkpoint_seconds", "How long the last checkpoint took", written.secs);
             self.gauge("checkpoint_bytes", "Size of the last checkpoint", written.bytes as f64);
         }
-        let facts = &board.facts;
-        let newest = told.checkpoint.map_or(facts.taken_up_at, |written| written.iteration);
+        let newest = run.checkpoint.map_or(facts.taken_up_at, |written| written.iteration);
         self.gauge("checkpoint_iteration", "Iteration of the last checkpoint", newest as f64);
         let help = "Iterations from one checkpoint to the next";
         self.gauge("checkpoint_every_iterations", help, facts.checkpoint_every as f64);
         let help = "Checkpoints that could not be written";
-        self.counter("checkpoint_failures", help, told.checkpoint_failures);
+        self.counter("checkpoint_failures", help, run.checkpoint_failures);
     }
 
-    fn faults(&mut self, told: &Told) {
+    fn faults(&mut self, run: &RunSnapshot) {
         let help = "Episodes that a fault of their world cut";
-        self.counter("env_faults", help, told.environment_faults);
+        self.counter("env_faults", help, run.environment_faults);
         let help = "Updates left out because returns were no finite numbers";
-        self.counter("nonfinite_updates", help, told.updates_skipped);
+        self.counter("nonfinite_updates", help, run.updates_skipped);
     }
 
     fn memory(&mut self) {

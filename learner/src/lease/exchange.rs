@@ -22,24 +22,19 @@ use crate::slots::{
     SlotRules, SlotTable, Trust,
 };
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
+pub use crate::snapshot::FilmedEpisode;
+use crate::snapshot::RunSnapshot;
 
 mod control;
-mod film;
 mod incidents;
-mod intake;
-mod lines;
-mod reports;
-mod status;
+mod reporting;
 mod weights;
 
 pub use control::{Orders, SaveError};
-pub use film::FilmedEpisode;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
-pub use lines::Lines;
-pub use reports::{Progress, Storage, Wake};
-use status::Pace;
-pub use status::status_json;
+use reporting::Pace;
+pub use reporting::{Storage, status_json};
 use weights::Weights;
 
 /// What an actor that finds nothing to do is told to wait before it asks again.
@@ -61,11 +56,31 @@ pub enum ExchangeError {
     Disagreement(Box<Disagreement>),
 }
 
-/// Where service and trainer meet.
+/// Why the trainer woke up.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wake {
+    /// The open iteration is complete.
+    Iteration {
+        /// Every slot, in order.
+        rollouts: Vec<SlotRollout>,
+        /// From the opening of its slots to the last chunk.
+        secs: f64,
+    },
+    /// An evaluation is complete.
+    Evaluation(EvaluationOutcome),
+    /// The run cannot go on.
+    Failed(ExchangeError),
+    /// Nothing happened for as long as it was willing to wait.
+    Patience,
+}
+
+/// Connects the service to the trainer.
 #[derive(Debug)]
 pub struct Exchange {
     run: RunDescription,
     begun: Instant,
+    /// A blocking lock: calls from tokio tasks and from the trainer's thread hold it for microseconds and never
+    /// across an await. Where the snapshot is written under it, this lock is taken first.
     shared: Mutex<Shared>,
     /// Wakes the trainer: `Shared::wakes` is no longer empty.
     trainer: Condvar,
@@ -73,9 +88,11 @@ pub struct Exchange {
     work: Notify,
     storage: watch::Sender<Storage>,
     orders: Orders,
-    lines: watch::Sender<Lines>,
+    /// Shared with readers, who then hold no lock; it is copied if a reader still has it when it changes.
+    snapshot: watch::Sender<Arc<RunSnapshot>>,
 }
 
+/// What must change together: a lease names weights that are held, and a complete iteration wakes the trainer.
 #[derive(Debug)]
 struct Shared {
     table: SlotTable,
@@ -84,9 +101,6 @@ struct Shared {
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
     chunks_accepted: u64,
-    bytes_taken_in: u64,
-    log_steps_lost: u64,
-    film: Option<Arc<FilmedEpisode>>,
     names: Names,
     pace: Pace,
 }
@@ -109,14 +123,12 @@ impl Exchange {
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
             chunks_accepted: 0,
-            bytes_taken_in: 0,
-            log_steps_lost: 0,
-            film: None,
             names: Names::default(),
             pace: Pace::default(),
         };
+        let snapshot = RunSnapshot::new(run.run_id.clone(), run.incarnation);
         Arc::new(Self {
-            lines: watch::Sender::new(Lines::new(run.run_id.clone())),
+            snapshot: watch::Sender::new(Arc::new(snapshot)),
             orders: Orders::default(),
             run,
             begun: Instant::now(),

@@ -102,7 +102,7 @@ pub struct IterationReport {
     /// Mean extrinsic return of the last finished episodes, at most 20; `None` before the first.
     pub episode_return: Option<f64>,
     /// Actors connected.
-    pub actors: usize,
+    pub actors: u64,
     /// Messages refused since the learner started.
     pub messages_refused: u64,
     /// Slots and episodes leased again since the learner started.

@@ -2,17 +2,17 @@
 //! asked here can change a run, and a run waits for no viewer.
 
 mod answers;
-mod board;
 mod exposition;
 mod hosts;
 mod memory;
 mod server;
+mod view;
 
 use tokio::net::TcpListener;
 
-pub(crate) use board::{Board, Facts};
 pub use hosts::Hosts;
 pub(crate) use server::serve;
+pub(crate) use view::{Facts, RunView};
 
 /// Where the page is shown, and to whom.
 #[derive(Debug)]

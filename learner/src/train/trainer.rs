@@ -28,7 +28,7 @@ use crate::reward_log::{Paid, RewardLog};
 use crate::run_folder::RunFolder;
 use crate::trainer::collect::{Collected, Patience};
 
-/// Takes in what a run tells.
+/// Receives a run's events.
 pub type Observer = Box<dyn FnMut(&Event) + Send>;
 
 /// How a run ended.
@@ -78,7 +78,7 @@ pub struct Trainer {
 pub struct Outside {
     /// Where actors' work is handed out and comes back.
     pub exchange: Arc<Exchange>,
-    /// Takes in what the run tells.
+    /// Receives the run's events, after the exchange.
     pub observer: Observer,
     /// Says whether to stop after the last finished iteration.
     pub stop: Box<dyn Fn() -> bool + Send>,
@@ -214,10 +214,10 @@ impl Work {
 
     /// Metrics and provenance of the iteration that has just been finished.
     fn record(&mut self, collected: &Collected, learnt: &Learnt) -> Result<(), LearnerError> {
-        let progress = self.outside.exchange.progress();
+        let now = self.outside.exchange.run_snapshot();
         let begun = std::mem::replace(&mut self.ended, Instant::now());
         let trainer = &mut self.trainer;
-        if progress.foreign_actors > 0 {
+        if now.foreign_actors > 0 {
             // Tried again after every iteration until the manifest says it.
             if let Err(error) = trainer.folder.note_foreign_actors() {
                 tracing::error!("the manifest does not name foreign actors yet: {error}");
@@ -238,9 +238,9 @@ impl Work {
             update_secs: learnt.update_secs,
             density_secs: learnt.density_secs,
             episode_return: trainer.environments.mean_return(),
-            actors: progress.actors,
-            messages_refused: progress.refusals.values().sum(),
-            leases_reissued: progress.leases_reissued,
+            actors: now.status.actors,
+            messages_refused: now.status.messages_refused,
+            leases_reissued: now.status.leases_reissued,
             metrics,
         };
         trainer.metrics.iteration(&report)?;
@@ -291,6 +291,7 @@ impl Work {
     }
 
     fn tell(&mut self, event: &Event) {
+        self.outside.exchange.observe(event);
         (self.outside.observer)(event);
     }
 }

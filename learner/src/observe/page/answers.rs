@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-use super::Board;
+use super::RunView;
 use crate::exchange::status_json;
 
 /// What does not change while the learner works.
-pub(super) fn run(board: &Board) -> Value {
-    let facts = &board.facts;
+pub(super) fn run(view: &RunView) -> Value {
+    let facts = &view.facts;
     json!({
         "manifest": facts.manifest,
         "iterations": facts.iterations,
@@ -18,23 +18,23 @@ pub(super) fn run(board: &Board) -> Value {
 }
 
 /// Where the run stands.
-pub(super) fn status(board: &Board) -> Value {
-    let told = board.told();
+pub(super) fn status(view: &RunView) -> Value {
+    let run = view.exchange.run_snapshot();
     json!({
-        "status": status_json(&board.exchange.status()),
-        "stage": told.stage.name(),
-        "waiting": told.waiting,
-        "secs": told.secs().map(BTreeMap::from),
-        "checkpoint": told.checkpoint.map(|written| written.iteration),
-        "checkpoint_failures": told.checkpoint_failures,
-        "lines": board.lines(),
-        "film": board.exchange.film().map(|episode| episode.version.0),
+        "status": status_json(&run.status),
+        "stage": run.stage.name(),
+        "waiting": run.waiting,
+        "secs": run.phase_secs().map(BTreeMap::from),
+        "checkpoint": run.checkpoint.map(|written| written.iteration),
+        "checkpoint_failures": run.checkpoint_failures,
+        "lines": view.curves().lines(),
+        "film": run.film.as_ref().map(|episode| episode.version.0),
     })
 }
 
 /// Every curve from the start of the run: environment steps, and as many figures.
-pub(super) fn curves(board: &Board) -> Value {
-    let curves = board.curves();
+pub(super) fn curves(view: &RunView) -> Value {
+    let curves = view.curves().clone();
     let all = curves.iter().map(|(name, curve)| {
         let (steps, figures): (Vec<u64>, Vec<f64>) =
             curve.points().map(|(steps, figure)| (steps, short(figure))).unzip();
@@ -49,8 +49,9 @@ fn short(figure: f64) -> f64 {
 }
 
 /// The newest film of an evaluated episode, or null. Ends are told in millimetres.
-pub(super) fn film(board: &Board) -> Value {
-    let Some(episode) = board.exchange.film() else { return Value::Null };
+pub(super) fn film(view: &RunView) -> Value {
+    let run = view.exchange.run_snapshot();
+    let Some(episode) = &run.film else { return Value::Null };
     let film = &episode.film;
     let millimetres = film.ends.iter().map(|metres| (metres * 1e3).round() as i64);
     json!({

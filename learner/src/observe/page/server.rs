@@ -25,7 +25,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-use super::{Board, Hosts, Page, answers, exposition};
+use super::{Hosts, Page, RunView, answers, exposition};
 
 /// The page, with its script and its style.
 const PAGE: &str = include_str!("page.html");
@@ -44,14 +44,14 @@ const EMBEDDING: HeaderName = HeaderName::from_static("cross-origin-resource-pol
 /// What every connection needs.
 #[derive(Debug)]
 struct Site {
-    board: Arc<Board>,
+    view: Arc<RunView>,
     hosts: Hosts,
     policy: HeaderValue,
 }
 
-/// Shows `board` on `page` until dropped.
-pub(crate) async fn serve(page: Page, board: Arc<Board>) {
-    let site = Site { board, hosts: page.hosts, policy: content_policy(PAGE) };
+/// Shows `view` on `page` until dropped.
+pub(crate) async fn serve(page: Page, view: Arc<RunView>) {
+    let site = Site { view, hosts: page.hosts, policy: content_policy(PAGE) };
     accept(&page.listener, &routes(Arc::new(site))).await;
 }
 
@@ -123,12 +123,12 @@ async fn guard(State(site): Shared, request: Request, next: Next) -> Response {
     response
 }
 
-async fn json(site: Arc<Site>, answer: fn(&Board) -> Value) -> Response<Body> {
-    written("application/json", move || answer(&site.board).to_string()).await
+async fn json(site: Arc<Site>, answer: fn(&RunView) -> Value) -> Response<Body> {
+    written("application/json", move || answer(&site.view).to_string()).await
 }
 
 async fn metrics(site: Arc<Site>) -> Response<Body> {
-    written(exposition::CONTENT_TYPE, move || exposition::text(&site.board)).await
+    written(exposition::CONTENT_TYPE, move || exposition::text(&site.view)).await
 }
 
 /// Answers what `write` writes, on a thread that may compute: the network's threads are there for actors.

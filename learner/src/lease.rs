@@ -1,0 +1,6 @@
+//! Work leased to actors: slots and leases, published weights, and the exchange between service and trainer.
+
+pub mod canary;
+pub mod exchange;
+pub mod published;
+pub mod slots;

@@ -1,0 +1,272 @@
+//! The current figures of a run: one value that the exchange publishes and that status, page, metrics and watchers read.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use proto::{
+    EvaluationResult, EvaluationSummary, Film, Incarnation, PolicyVersion, RunEnd, RunLine, Status,
+};
+
+use crate::event::{Event, IterationReport, Stage};
+
+/// Lines kept for watchers that are slow or connect late; the oldest is dropped.
+const KEPT_LINES: usize = 256;
+
+/// The figures of a run. Counts start with the learner's process.
+#[derive(Clone, Debug)]
+pub struct RunSnapshot {
+    /// Figures that the control service reports, open leases included.
+    pub status: Status,
+    /// The trainer's current stage.
+    pub stage: Stage,
+    /// What is missing while no results arrive.
+    pub waiting: Option<String>,
+    /// Environment steps accepted in the open iteration, those of incomplete slots included.
+    pub steps_collected: u64,
+    /// Chunks accepted.
+    pub chunks_accepted: u64,
+    /// Size of all messages with results, bytes.
+    pub bytes_received: u64,
+    /// Steps that the actors' trajectory logs and the learner's reward log lost.
+    pub log_steps_lost: u64,
+    /// Size of the newest weights, bytes.
+    pub weights_bytes: u64,
+    /// Registrations without a fingerprint: with any, the run is not exactly repeatable.
+    pub foreign_actors: u64,
+    /// Refused messages by reason.
+    pub refusals: BTreeMap<String, u64>,
+    /// The last finished iteration.
+    pub report: Option<IterationReport>,
+    /// The last finished evaluation.
+    pub evaluation: Option<EvaluationSummary>,
+    /// The last checkpoint.
+    pub checkpoint: Option<WrittenCheckpoint>,
+    /// Checkpoints that could not be written.
+    pub checkpoint_failures: u64,
+    /// Episodes that were cut because of a fault of their world.
+    pub environment_faults: u64,
+    /// Updates that were skipped because returns were not finite.
+    pub updates_skipped: u64,
+    /// The film of the newest policies.
+    pub film: Option<Arc<FilmedEpisode>>,
+    lines: VecDeque<RunLine>,
+}
+
+/// A checkpoint on disk.
+#[derive(Clone, Copy, Debug)]
+pub struct WrittenCheckpoint {
+    /// Its iteration.
+    pub iteration: u64,
+    /// How long it took to write, seconds.
+    pub secs: f64,
+    /// Size of its files, bytes.
+    pub bytes: u64,
+}
+
+/// A film of an evaluation episode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FilmedEpisode {
+    /// The policies that acted.
+    pub version: PolicyVersion,
+    /// The episode's result.
+    pub result: EvaluationResult,
+    /// Its first frames.
+    pub film: Film,
+}
+
+impl RunSnapshot {
+    /// A run whose trainer has not started.
+    #[must_use]
+    pub fn new(run_id: String, incarnation: Incarnation) -> Self {
+        let status = Status {
+            run_id,
+            incarnation,
+            iteration: 0,
+            env_steps: 0,
+            slots: 0,
+            complete_slots: 0,
+            actors: 0,
+            env_steps_per_sec: None,
+            messages_refused: 0,
+            leases_reissued: 0,
+            storage_degraded: false,
+            leases: Vec::new(),
+            paused: false,
+        };
+        Self {
+            status,
+            stage: Stage::Collect,
+            waiting: None,
+            steps_collected: 0,
+            chunks_accepted: 0,
+            bytes_received: 0,
+            log_steps_lost: 0,
+            weights_bytes: 0,
+            foreign_actors: 0,
+            refusals: BTreeMap::new(),
+            report: None,
+            evaluation: None,
+            checkpoint: None,
+            checkpoint_failures: 0,
+            environment_faults: 0,
+            updates_skipped: 0,
+            film: None,
+            lines: VecDeque::new(),
+        }
+    }
+
+    /// Lines of iterations after `iteration`, and the run's last line in any case.
+    #[must_use]
+    pub fn after(&self, iteration: u64) -> Vec<RunLine> {
+        let new = |line: &&RunLine| line.iteration > iteration || line.end.is_some();
+        self.lines.iter().filter(new).cloned().collect()
+    }
+
+    /// Duration of each part of the last iteration, seconds. A checkpoint belongs to the iteration that it saves.
+    #[must_use]
+    pub fn phase_secs(&self) -> Option<[(&'static str, f64); 4]> {
+        let report = self.report.as_ref()?;
+        let saved = self.checkpoint.filter(|written| written.iteration == report.iteration);
+        Some([
+            ("collect", report.rollout_secs),
+            ("refit", report.density_secs),
+            ("update", report.update_secs - report.density_secs),
+            ("save", saved.map_or(0.0, |written| written.secs)),
+        ])
+    }
+
+    /// Updates the figures that `event` reports.
+    pub(crate) fn observe(&mut self, event: &Event) {
+        match event {
+            Event::Stage(stage) => self.stage = *stage,
+            Event::Iteration(report) => self.iteration(report),
+            Event::Collecting { .. } | Event::Paused => self.waiting = None,
+            Event::Waiting { reason, .. } => self.waiting = Some(reason.clone()),
+            Event::Checkpoint { iteration, secs, bytes, .. } => {
+                let (iteration, secs, bytes) = (*iteration, *secs, *bytes);
+                self.checkpoint = Some(WrittenCheckpoint { iteration, secs, bytes });
+            }
+            Event::CheckpointFailed { .. } => self.checkpoint_failures += 1,
+            Event::Evaluation { iteration, spread, episodes, .. } => {
+                self.evaluation = Some(EvaluationSummary {
+                    iteration: *iteration,
+                    mean: spread.mean,
+                    standard_deviation: spread.standard_deviation,
+                    episodes: *episodes as u32,
+                });
+            }
+            Event::Resumed => {}
+        }
+    }
+
+    /// Adds the run's last line: the newest one, or `first` if there is none, with the last evaluation.
+    pub(crate) fn end(&mut self, end: RunEnd, first: RunLine) {
+        let newest = self.lines.back().cloned().unwrap_or(first);
+        self.push(RunLine { evaluation: self.evaluation, end: Some(end), ..newest });
+    }
+
+    /// Keeps the film of an accepted episode, unless newer policies have been filmed.
+    pub(crate) fn show_film(&mut self, filmed: FilmedEpisode) {
+        if self.film.as_ref().is_none_or(|shown| shown.version <= filmed.version) {
+            self.film = Some(Arc::new(filmed));
+        }
+    }
+
+    fn iteration(&mut self, report: &IterationReport) {
+        self.waiting = None;
+        self.environment_faults += count(report, "environment_faults");
+        self.updates_skipped += count(report, "losses/update_skipped");
+        self.push(RunLine {
+            run_id: self.status.run_id.clone(),
+            iteration: report.iteration,
+            env_steps: report.env_steps,
+            env_steps_per_sec: report.env_steps_per_sec(),
+            episode_return: report.episode_return,
+            evaluation: self.evaluation,
+            end: None,
+        });
+        self.report = Some(report.clone());
+    }
+
+    fn push(&mut self, line: RunLine) {
+        self.lines.push_back(line);
+        if self.lines.len() > KEPT_LINES {
+            self.lines.pop_front();
+        }
+    }
+}
+
+/// A figure of an iteration that counts something; 0 where it is missing.
+fn count(report: &IterationReport, name: &str) -> u64 {
+    let found = report.metrics.iter().find(|(figure, _)| figure == name);
+    found.map_or(0, |(_, value)| *value as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::Spread;
+
+    fn run() -> RunSnapshot {
+        RunSnapshot::new("a run".to_owned(), Incarnation(1))
+    }
+
+    fn iteration(iteration: u64) -> Event {
+        Event::Iteration(IterationReport {
+            iteration,
+            env_steps: iteration * 4000,
+            // An evaluation was waited for, too.
+            iteration_secs: 2.0,
+            rollout_secs: 1.0,
+            update_secs: 0.5,
+            density_secs: 0.1,
+            episode_return: Some(iteration as f64),
+            actors: 2,
+            messages_refused: 0,
+            leases_reissued: 0,
+            metrics: Vec::new(),
+        })
+    }
+
+    fn evaluation(iteration: u64) -> Event {
+        let spread = Spread { mean: 10.0, standard_deviation: 1.0, minimum: 9.0, maximum: 11.0 };
+        Event::Evaluation { iteration, env_steps: iteration * 4000, spread, episodes: 2 }
+    }
+
+    fn iterations(lines: &[RunLine]) -> Vec<u64> {
+        lines.iter().map(|line| line.iteration).collect()
+    }
+
+    #[test]
+    fn a_watcher_that_returns_gets_each_new_line_and_the_last_line_in_any_case() {
+        let mut run = run();
+        let events = [iteration(1), evaluation(1), iteration(2), iteration(3)];
+        events.iter().for_each(|event| run.observe(event));
+        assert_eq!(iterations(&run.after(1)), [2, 3]);
+        assert_eq!(run.after(2)[0].env_steps_per_sec, 2000.0, "4,000 steps in two seconds");
+        assert_eq!(
+            run.after(0).iter().map(|line| line.evaluation.is_some()).collect::<Vec<_>>(),
+            [false, true, true]
+        );
+        run.observe(&evaluation(3));
+        run.end(RunEnd::Finished, RunLine::without_figures("a run".to_owned(), 0, 0));
+        let last = &run.after(3)[0];
+        assert_eq!((last.iteration, last.end), (3, Some(RunEnd::Finished)));
+        assert_eq!(last.evaluation.map(|found| found.iteration), Some(3));
+    }
+
+    #[test]
+    fn the_oldest_lines_are_dropped() {
+        let mut run = run();
+        (1..=300).for_each(|k| run.observe(&iteration(k)));
+        let kept = iterations(&run.after(0));
+        assert_eq!((kept.len(), kept[0], kept[255]), (KEPT_LINES, 45, 300));
+    }
+
+    #[test]
+    fn a_learner_that_ends_before_its_first_iteration_has_a_last_line() {
+        let mut run = run();
+        run.end(RunEnd::Stopped, RunLine::without_figures("a run".to_owned(), 5, 20_000));
+        assert_eq!(iterations(&run.after(7)), [5]);
+    }
+}

@@ -1,0 +1,8 @@
+//! The files of a run folder: checkpoints, provenance, reward logs, and how they are written.
+
+pub mod checkpoint;
+pub mod durable;
+pub mod json_lines;
+pub mod provenance;
+pub mod reward_log;
+pub mod run_folder;
