@@ -15,7 +15,6 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{InputNorm, Precision};
 use rayon::prelude::*;
 
-use crate::advantage::next_values;
 use crate::batch::Batch;
 use crate::config::CriticConfig;
 pub(crate) use crate::critic::state_scale::StateScale;
@@ -24,9 +23,10 @@ use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::layers::{Normalisation, rectified_layers, rows};
 use crate::minibatch::minibatches;
+use crate::objective::advantage::next_values;
+use crate::objective::surrogate::mean_and_deviation;
 use crate::optimizer::{Adam, AdamConfig};
 use crate::shards::{self, shards};
-use crate::surrogate::mean_and_deviation;
 use crate::value_normalizer::ValueNormalizer;
 
 /// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then `V` values, each in units of its own

@@ -6,11 +6,11 @@ use crate::algorithm::Report;
 use crate::config::Sharing;
 use crate::error::MarlError;
 use crate::minibatch::permutation;
+use crate::objective::surrogate::{factor_limits, sequential_factor};
 use crate::on_policy::agent::Agent;
 use crate::on_policy::ascent::{maximise, moved};
 use crate::on_policy::kl_budget::KlBudget;
 use crate::on_policy::{Climb, Prepared, agent_report};
-use crate::surrogate::{factor_limits, sequential_factor};
 
 /// HAPPO and, by configuration alone, all its variants.
 pub(crate) struct Happo;

@@ -5,25 +5,22 @@
 //! the relabelled batch into better policies (Eq. 10). Nothing here reads a file, a clock or a
 //! socket, and no result depends on the number of threads.
 
-pub mod actor_loss;
-pub mod advantage;
 pub mod algorithm;
 pub mod batch;
-pub mod categorical;
 pub mod config;
 pub mod critic;
 pub mod density;
+pub mod distribution;
 pub mod error;
-pub mod gaussian;
 pub mod gradient;
 mod happo;
-pub mod head_rows;
 pub mod influence;
 mod layers;
 pub mod learning_rate;
 pub mod maddpg;
 mod mappo;
 pub mod minibatch;
+pub mod objective;
 pub mod observation;
 mod on_policy;
 pub mod optimizer;
@@ -32,9 +29,9 @@ pub mod reals;
 mod rule;
 pub mod running;
 pub mod sequence;
+mod shape;
 mod shards;
 pub mod surprise;
-pub mod surrogate;
 pub mod value_normalizer;
 
 pub use algorithm::{Algorithm, Report};

@@ -14,18 +14,18 @@ use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use crate::actor_loss::Figures;
-use crate::advantage::{Horizon, advantage};
 use crate::algorithm::{Algorithm, Report, refuse_strange};
 use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Config, CriticMode, Sharing};
 use crate::critic::{CriticFigures, Critics, Values, explained_variance};
+use crate::distribution::gaussian;
 use crate::error::MarlError;
-use crate::gaussian;
+use crate::objective::actor_loss::Figures;
+use crate::objective::advantage::{Horizon, advantage};
+use crate::objective::surrogate::normalized_advantage;
 use crate::on_policy::agent::{Agent, Experience, Influence};
 use crate::on_policy::ascent::{Moved, PerAgent, Trained};
 use crate::sequence::Layout;
-use crate::surrogate::normalized_advantage;
 
 /// How a rule improves the policies; all else of an update is the same for all on-policy rules.
 pub(crate) trait Climb: Send + Sync {

@@ -175,7 +175,7 @@ mod tests {
     use super::*;
     use crate::batch::{ActionKind, AgentBatch, AgentShape};
     use crate::config::Constant;
-    use crate::gaussian::entropy;
+    use crate::distribution::gaussian::entropy;
 
     const ROWS: usize = 20_000;
 
@@ -247,7 +247,10 @@ mod tests {
         // Means 2 and 6, variances 8/3 and 2.
         let by_hand = |x: f64, mean: f64, variance: f64| {
             let z = (x - mean) * (x - mean) / variance;
-            2.0 + 0.1 * (-0.5 * z - 0.5 * libm::log(variance) - 0.5 * crate::gaussian::LOG_TWO_PI)
+            2.0 + 0.1
+                * (-0.5 * z
+                    - 0.5 * libm::log(variance)
+                    - 0.5 * crate::distribution::gaussian::LOG_TWO_PI)
         };
         for (row, &observation) in [0.0, 2.0, 4.0].iter().enumerate() {
             assert!(

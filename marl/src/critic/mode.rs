@@ -53,8 +53,8 @@ fn mean(agents: &Rewards, row: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::advantage::{Horizon, advantage, next_values};
     use crate::batch::{Batch, Final};
+    use crate::objective::advantage::{Horizon, advantage, next_values};
 
     const MODES: [CriticMode; 3] =
         [CriticMode::PerAgent, CriticMode::SharedExtrinsicPlusIntrinsic, CriticMode::TeamMean];

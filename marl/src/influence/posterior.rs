@@ -12,9 +12,9 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use crate::batch::ActionKind;
 use crate::config::InfluenceConfig;
+use crate::distribution::HeadRows;
 use crate::error::MarlError;
 use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::head_rows::HeadRows;
 use crate::layers::rows;
 use crate::minibatch::minibatches;
 use crate::optimizer::{Adam, AdamConfig};
@@ -83,7 +83,7 @@ impl Corrected {
     }
 
     /// A scalar with the given gradient by the posterior's numbers.
-    fn root(&self, gradient: &HeadRows) -> Result<Tensor, MarlError> {
+    fn root(&self, gradient: HeadRows) -> Result<Tensor, MarlError> {
         let (by_shift, by_factor) = self.policy.correction_gradient(gradient);
         let mut outputs = vec![OutputGradient { output: &self.shift, gradient: &by_shift }];
         outputs.extend(
@@ -203,7 +203,7 @@ impl Posterior {
                 likelihood += share * q.log_prob_of(place, action);
                 gradient.add_log_prob_gradient(-share, place, action, q);
             }
-            Ok((likelihood, Gradients::of(&self.parameters, &corrected.root(&gradient)?)?))
+            Ok((likelihood, Gradients::of(&self.parameters, &corrected.root(gradient)?)?))
         };
         let (likelihood, gradients) = shards::sum(&shards(part.len(), 1), &one)?;
         self.descend(&gradients, data.policy)?;
@@ -214,17 +214,16 @@ impl Posterior {
     /// where that is lower.
     fn descend(&mut self, gradients: &Gradients, policy: &HeadRows) -> Result<(), MarlError> {
         self.adam.step(&self.parameters, gradients)?;
-        let (Some(correction), HeadRows::Gaussian { sigma, .. }) = (&self.sigma_correction, policy)
-        else {
+        let Some(correction) = &self.sigma_correction else {
             return Ok(());
         };
         let lowest = |sigma: &f64| {
             let half = (0.5 * self.config.posterior_sigma_floor / sigma).min(0.5);
             self.precision.round(libm::log(half / (1.0 - half)))
         };
-        let held = numbers(correction.as_tensor())?.into_iter().zip(sigma);
+        let held = numbers(correction.as_tensor())?.into_iter().zip(&policy.sigma);
         let held: Vec<f64> = held.map(|(c, sigma)| c.max(lowest(sigma))).collect();
-        let held = Tensor::from_vec(held, sigma.len(), &Device::Cpu)?;
+        let held = Tensor::from_vec(held, policy.sigma.len(), &Device::Cpu)?;
         Ok(correction.set(&held.to_dtype(self.precision.dtype())?)?)
     }
 

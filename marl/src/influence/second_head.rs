@@ -9,8 +9,8 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{Distribution, Gaussian, PolicyConfig, Precision, hold_sigma};
 
 use crate::config::InfluenceConfig;
+use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::head_rows::HeadRows;
 use crate::influence::posterior::{Conditions, PosteriorShape};
 use crate::layers::rows;
 

@@ -9,16 +9,16 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
 use rayon::prelude::*;
 
-use crate::actor_loss::Coefficients;
 use crate::algorithm::Report;
 use crate::batch::{ActionKind, Batch, Problem};
 use crate::config::{Config, CountedState, Estimator, QTraining, UpdateConfig};
+use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::head_rows::HeadRows;
 use crate::influence::count::JointSample;
 use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
 use crate::influence::second_head::SecondHead;
 use crate::influence::{Term, mutual_information};
+use crate::objective::actor_loss::Coefficients;
 use crate::on_policy::counted;
 use crate::on_policy::memory::Memory;
 use crate::optimizer::{Adam, AdamConfig};

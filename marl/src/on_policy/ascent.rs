@@ -8,11 +8,11 @@ use rayon::prelude::*;
 
 use super::agent::{Agent, Experience, Influence};
 use super::heads::StepWeights;
-use crate::actor_loss::{Coefficients, Figures, Rows};
+use crate::distribution::HeadRows;
 use crate::error::MarlError;
 use crate::gradient::Gradients;
-use crate::head_rows::HeadRows;
 use crate::minibatch::minibatches;
+use crate::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
 use crate::shards::{self, Share, shards};
 
 /// What is held constant while one agent climbs, all in chunked order.
@@ -157,20 +157,19 @@ fn shard(
     let p = HeadRows::of(&head)?;
     let q = second.as_ref().map(HeadRows::of).transpose()?;
     let known = || influence.conditional.as_ref().map(|q| q.columns(layout, columns));
-    let posterior = q.clone().or_else(known).map(HeadRows::into_numbers);
     let rows = Rows {
         action: layout.columns(&sequences.action, p.action_size(), columns),
         log_prob_old: layout.columns(&experience.log_prob, 1, columns),
         advantage: layout.columns(&experience.advantage, 1, columns),
         factor: layout.columns(factor, 1, columns),
-        posterior: posterior.unwrap_or_default(),
+        posterior: q.clone().or_else(known),
     };
     let total = layout.steps * total;
-    let (figures, gradient) = p.loss(&rows, total, &agent.coefficients);
+    let (figures, gradient) = actor_loss(&p, &rows, total, &agent.coefficients);
     let mut root = gradient.root(&head)?;
     if let (Some(second), Some(q)) = (&second, &q) {
         let Coefficients { lambda, term, .. } = agent.coefficients;
-        let gradient = q.influence_gradient(-lambda / total as f64, &p, term);
+        let gradient = term.posterior_gradient(-lambda / total as f64, q, &p);
         root = (root + gradient.root(second)?)?;
     }
     Ok((figures, Gradients::of(&agent.trainable, &root)?))

@@ -3,7 +3,7 @@
 use super::agent::{Experience, Influence, mean};
 use crate::batch::{ActionKind, Batch};
 use crate::config::CountedState;
-use crate::head_rows::HeadRows;
+use crate::distribution::HeadRows;
 use crate::influence::count::{JointSample, counted_conditional, counted_information, numbered};
 use crate::sequence::Sequences;
 
@@ -32,8 +32,7 @@ pub(super) fn influence(
     let ActionKind::Discrete { choices } = kind else {
         unreachable!("the configuration refuses to count continuous actions")
     };
-    let logits = counted_conditional(samples, choices);
-    let conditional = HeadRows::Categorical { logits, choices };
+    let conditional = HeadRows::categorical(counted_conditional(samples, choices), choices);
     let all: Vec<usize> = (0..samples.len()).collect();
     Influence {
         log_likelihood: mean(&conditional.log_prob(&experience.sequences.action, &all)),

@@ -7,11 +7,11 @@ use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch}
 use super::agent::{Agent, Experience, Influence, gather};
 use super::ascent::{gradient, moved};
 use crate::batch::{AgentBatch, Batch, Problem};
-use crate::head_rows::HeadRows;
+use crate::distribution::HeadRows;
 use crate::minibatch::minibatches;
+use crate::objective::surrogate::sequential_factor;
 use crate::probe;
 use crate::sequence::{Layout, Sequences};
-use crate::surrogate::sequential_factor;
 
 const STEPS: usize = 20;
 const ENVIRONMENTS: usize = 7;

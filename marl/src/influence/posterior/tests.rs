@@ -57,7 +57,7 @@ fn features() -> Tensor {
 
 /// The policy whose actions these are, if nobody looks at the others'.
 fn marginal() -> HeadRows {
-    HeadRows::Gaussian { mean: vec![0.0; ROWS], sigma: vec![SIGMA] }
+    HeadRows::gaussian(vec![0.0; ROWS], vec![SIGMA])
 }
 
 /// Rows that are held out, one of five, and the others.
@@ -117,7 +117,7 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
         kind.see(&[(row % 3) as f32], &mut others);
     }
     let features = features();
-    let even = HeadRows::Categorical { logits: vec![0.0; 3 * ROWS], choices: 3 };
+    let even = HeadRows::categorical(vec![0.0; 3 * ROWS], 3);
     let data = Conditions { features: &features, others: &others, action: &action, policy: &even };
     let mut posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
     fitted(&mut posterior, &data);
