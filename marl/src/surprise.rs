@@ -11,11 +11,11 @@ use policy::arrays::NamedArrays;
 use policy::randomness::RunSeed;
 use rayon::prelude::*;
 
-use crate::algorithm::Report;
-use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Scored, Space, SurpriseConfig};
+use crate::data::batch::{Batch, Problem, Rewards};
 use crate::density::{self, Observations, Occasion};
 use crate::error::MarlError;
+use crate::rules::algorithm::Report;
 use crate::surprise::agent::{AgentSurprise, Rule};
 
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`, the right-hand side per step: minus the mean
@@ -60,7 +60,7 @@ impl Surprise {
         problem: &Problem,
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
-        let agent = |(index, shape): (usize, &crate::batch::AgentShape)| {
+        let agent = |(index, shape): (usize, &crate::data::batch::AgentShape)| {
             let signal = scored::features(shape, config.space);
             Ok(AgentSurprise::new(density::build(config, signal, (seed, index as u32))?))
         };
@@ -173,8 +173,8 @@ mod tests {
     use policy::randomness::{Draw, Purpose, generator, standard_normal};
 
     use super::*;
-    use crate::batch::{ActionKind, AgentBatch, AgentShape};
     use crate::config::Constant;
+    use crate::data::batch::{ActionKind, AgentBatch, AgentShape};
     use crate::distribution::gaussian::entropy;
 
     const ROWS: usize = 20_000;

@@ -6,10 +6,10 @@ use candle_core::Tensor;
 use policy::Distribution;
 
 use super::{CategoricalRow, GaussianRow, Row, RowDistribution, RowGradient};
-use crate::batch::ActionKind;
+use crate::data::batch::ActionKind;
+use crate::data::sequence::Layout;
 use crate::error::MarlError;
-use crate::gradient::{self, OutputGradient, numbers};
-use crate::sequence::Layout;
+use crate::optimisation::gradient::{self, OutputGradient, numbers};
 use crate::shape::assert_shape;
 
 /// A distribution for each of `R` rows, or a gradient by its parameters.

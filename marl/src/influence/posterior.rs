@@ -10,15 +10,15 @@ use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
-use crate::batch::ActionKind;
 use crate::config::InfluenceConfig;
+use crate::data::batch::ActionKind;
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::layers::rows;
-use crate::minibatch::minibatches;
-use crate::optimizer::{Adam, AdamConfig};
-use crate::shards::{self, shards};
+use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::optimisation::layers::rows;
+use crate::optimisation::minibatch::minibatches;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::shards::{self, shards};
 
 /// Sizes around one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -159,7 +159,8 @@ impl Posterior {
     pub fn fit(
         &mut self,
         data: &Conditions<'_>,
-        (trained, held_out): (&[usize], &[usize]),
+        trained: &[usize],
+        held_out: &[usize],
         (seed, draw): (RunSeed, Draw),
     ) -> Result<f64, MarlError> {
         let (mut reached, mut counted) = (self.log_likelihood(data, held_out)?, None);

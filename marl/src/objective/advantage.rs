@@ -6,7 +6,7 @@
 //! of the true next state. The trace of advantages is cut at all three: the next row belongs to
 //! another episode or is not there.
 
-use crate::batch::Batch;
+use crate::data::batch::Batch;
 
 /// Discount and trace of the advantage.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,7 +68,7 @@ pub fn advantage(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::Final;
+    use crate::data::batch::Final;
 
     const HALF: Horizon = Horizon { gamma: 0.5, lambda: 0.5 };
 

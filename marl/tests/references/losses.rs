@@ -2,12 +2,12 @@
 
 use marl::config::{Divergence, Estimator};
 use marl::critic::value_loss;
+use marl::critic::value_normalizer::ValueNormalizer;
 use marl::distribution::HeadRows;
 use marl::influence::Term;
 use marl::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
 use marl::objective::advantage::{Horizon, advantage, next_values};
 use marl::objective::surrogate::normalized_advantage;
-use marl::value_normalizer::ValueNormalizer;
 use marl::{Batch, Final};
 
 use crate::file::Reference;
@@ -101,12 +101,12 @@ fn the_posteriors_loss_and_its_gradient_agree_with_pytorch() {
 #[test]
 fn the_clipped_huber_loss_of_values_agrees_with_pytorch() {
     let reference = values();
-    let bounds = (reference.setting("critic.clip"), reference.setting("critic.huber_delta"));
+    let (clip, delta) = (reference.setting("critic.clip"), reference.setting("critic.huber_delta"));
     let (old, target) = (reference.numbers("input/old"), reference.numbers("input/target"));
     let value = reference.numbers("input/value");
     let each = value.iter().zip(old).zip(target);
     let (loss, slope): (Vec<f64>, Vec<f64>) =
-        each.map(|((&value, old), target)| value_loss(value, old, target, bounds)).unzip();
+        each.map(|((&value, old), target)| value_loss(value, old, target, clip, delta)).unzip();
     reference.expects("value_loss", &loss);
     reference.expects("d_value", &slope);
 }

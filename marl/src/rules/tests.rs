@@ -5,10 +5,10 @@ use policy::arrays::Array;
 use policy::{CoreKind, NamedArrays, PolicyConfig, RunSeed};
 
 use super::*;
-use crate::algorithm::Report;
-use crate::batch::{Batch, Final, Rewards};
 use crate::config::{DensityKind, Sharing};
+use crate::data::batch::{Batch, Final, Rewards};
 use crate::probe;
+use crate::rules::algorithm::Report;
 use crate::surprise::Surprise;
 
 const RULES: [(Rule, Sharing); 3] = [
@@ -59,7 +59,7 @@ fn narrowed(environments: usize) -> Batch {
         (0..rows).flat_map(row).copied().collect()
     };
     let steps = whole.steps;
-    let agents = whole.agents.iter().map(|agent| crate::batch::AgentBatch {
+    let agents = whole.agents.iter().map(|agent| crate::data::batch::AgentBatch {
         observation: of(&agent.observation, steps),
         action: of(&agent.action, steps),
         log_prob: of(&agent.log_prob, steps),

@@ -8,7 +8,7 @@ use std::ops::Range;
 use candle_core::{DType, Device, Tensor};
 use policy::network::SequenceInput;
 
-use crate::batch::Batch;
+use crate::data::batch::Batch;
 use crate::error::MarlError;
 
 /// How `T x B` rows map to `L x C` chunked rows.
@@ -205,7 +205,7 @@ fn mask(batch: &Batch, layout: Layout) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::AgentBatch;
+    use crate::data::batch::AgentBatch;
 
     fn numbered() -> Batch {
         // 4 steps, 2 environments, chunks of 2: chunks (k0, b0) (k0, b1) (k1, b0) (k1, b1).

@@ -7,8 +7,8 @@ use policy::network::SequenceInput;
 use policy::{PolicyConfig, RefreshHidden};
 
 use super::agent::Agent;
+use crate::data::sequence::Sequences;
 use crate::error::MarlError;
-use crate::sequence::Sequences;
 
 /// How an agent's recurrent states are computed again.
 #[derive(Clone, Debug)]

@@ -10,13 +10,17 @@ use super::agent::{Agent, Experience, Influence};
 use super::heads::StepWeights;
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::gradient::Gradients;
-use crate::minibatch::minibatches;
 use crate::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
-use crate::shards::{self, Share, shards};
+use crate::optimisation::gradient::Gradients;
+use crate::optimisation::minibatch::minibatches;
+use crate::optimisation::shards::{self, Share, shards};
 
-/// What is held constant while one agent climbs, all in chunked order.
-pub(crate) type PerAgent<'a> = (&'a Experience, &'a Influence);
+/// What is constant during the update of one agent, all in chunked order.
+#[derive(Clone, Copy)]
+pub(crate) struct PerAgent<'a> {
+    pub(crate) experience: &'a Experience,
+    pub(crate) influence: &'a Influence,
+}
 
 /// What an agent's optimiser steps came to.
 #[derive(Clone, Copy, Default)]
@@ -64,16 +68,17 @@ impl Trained {
 pub(crate) fn maximise(
     agent: &mut Agent,
     known: PerAgent<'_>,
-    (factor, kl_limit): (&[f64], f64),
+    factor: &[f64],
+    kl_limit: f64,
     (seed, draw): (RunSeed, Draw),
 ) -> Result<Trained, MarlError> {
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
     let mut trained = Trained::default();
     for epoch in 0..epochs {
         let mut done = Trained::default();
-        agent.refresh_states(&known.0.sequences, epoch)?;
+        agent.refresh_states(&known.experience.sequences, epoch)?;
         let draw = draw.step(epoch as u32);
-        for columns in minibatches(known.0.sequences.layout.chunks, parts, seed, draw) {
+        for columns in minibatches(known.experience.sequences.layout.chunks, parts, seed, draw) {
             let (figures, gradients) = gradient(agent, known, factor, &columns)?;
             let norm = agent.adam.step(&agent.trainable, &gradients)?;
             agent.project()?;
@@ -93,7 +98,8 @@ pub(crate) fn maximise(
 pub(crate) fn maximise_together(
     agents: &mut [Agent],
     known: &[PerAgent<'_>],
-    (factor, kl_limit): (&[f64], f64),
+    factor: &[f64],
+    kl_limit: f64,
     (seed, draws): (RunSeed, &[Draw]),
 ) -> Result<Vec<Trained>, MarlError> {
     let (epochs, parts) = (agents[0].update.epochs, agents[0].update.minibatches);
@@ -101,10 +107,15 @@ pub(crate) fn maximise_together(
     for epoch in 0..epochs {
         let mut done = vec![Trained::default(); agents.len()];
         for (agent, known) in agents.iter_mut().zip(known) {
-            agent.refresh_states(&known.0.sequences, epoch)?;
+            agent.refresh_states(&known.experience.sequences, epoch)?;
         }
         let deal = |(draw, known): (&Draw, &PerAgent<'_>)| {
-            minibatches(known.0.sequences.layout.chunks, parts, seed, draw.step(epoch as u32))
+            minibatches(
+                known.experience.sequences.layout.chunks,
+                parts,
+                seed,
+                draw.step(epoch as u32),
+            )
         };
         let dealt: Vec<_> = draws.iter().zip(known).map(deal).collect();
         for part in 0..dealt[0].len() {
@@ -140,17 +151,18 @@ pub(super) fn gradient(
     columns: &[usize],
 ) -> Result<(Figures, Gradients), MarlError> {
     let (weights, total) = (agent.step_weights()?, columns.len());
-    let shards = shards(total, known.0.sequences.layout.steps);
-    let one =
-        |range: Range<usize>| shard((agent, &weights), known, factor, (&columns[range], total));
+    let shards = shards(total, known.experience.sequences.layout.steps);
+    let one = |range: Range<usize>| shard(agent, &weights, known, factor, &columns[range], total);
     shards::sum(&shards, &one)
 }
 
 fn shard(
-    (agent, weights): (&Agent, &StepWeights<'_>),
-    (experience, influence): PerAgent<'_>,
+    agent: &Agent,
+    weights: &StepWeights<'_>,
+    PerAgent { experience, influence }: PerAgent<'_>,
     factor: &[f64],
-    (columns, total): (&[usize], usize),
+    columns: &[usize],
+    total: usize,
 ) -> Result<(Figures, Gradients), MarlError> {
     let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
     let (head, second) = agent.heads(weights, experience, columns)?;

@@ -57,13 +57,13 @@ mod tests {
     use policy::{Draw, Precision, Purpose, RunSeed};
 
     use super::super::agent::{Influence, fit_posteriors, gather};
-    use super::super::ascent::{gradient, maximise};
+    use super::super::ascent::{PerAgent, gradient, maximise};
     use super::*;
     use crate::config::QTraining;
-    use crate::gradient::numbers;
+    use crate::data::sequence::Layout;
     use crate::influence::mutual_information;
+    use crate::optimisation::gradient::numbers;
     use crate::probe;
-    use crate::sequence::Layout;
 
     /// Two agents, what they have experienced, and what is said of the others' influence on it.
     fn prepared(
@@ -73,9 +73,8 @@ mod tests {
         let (problem, policy, batch, mut config) =
             (probe::problem(), probe::policy(), probe::batch(), probe::config());
         config.influence.q_training = q_training;
-        let agent = |index| {
-            Agent::new(&config, &policy, &problem, ((RunSeed(0), precision), index)).unwrap()
-        };
+        let agent =
+            |index| Agent::new(&config, &policy, &problem, (RunSeed(0), precision), index).unwrap();
         let mut agents = vec![agent(0), agent(1)];
         let layout = Layout::of(&batch, policy.backpropagation_steps);
         let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();
@@ -100,7 +99,8 @@ mod tests {
     #[test]
     fn both_heads_and_their_trunk_climb_equation_10_by_its_gradient() {
         let (agents, experience, influence) = prepared(QTraining::Shared, Precision::Double);
-        let (agent, known) = (&agents[0], (&experience[0], &influence[0]));
+        let agent = &agents[0];
+        let known = PerAgent { experience: &experience[0], influence: &influence[0] };
         let factor = vec![1.0; experience[0].log_prob.len()];
         let columns: Vec<usize> = (0..experience[0].sequences.layout.chunks).collect();
         let loss = || gradient(agent, known, &factor, &columns).unwrap().0.loss;
@@ -129,8 +129,9 @@ mod tests {
             let (mut agents, experience, influence) = prepared(q_training, Precision::Single);
             let before = agents[0].posterior_arrays(0).unwrap();
             let factor = vec![1.0; experience[0].log_prob.len()];
-            let (draw, known) = (Draw::of(Purpose::Minibatch), (&experience[0], &influence[0]));
-            maximise(&mut agents[0], known, (&factor, f64::INFINITY), (RunSeed(0), draw)).unwrap();
+            let occasion = (RunSeed(0), Draw::of(Purpose::Minibatch));
+            let known = PerAgent { experience: &experience[0], influence: &influence[0] };
+            maximise(&mut agents[0], known, &factor, f64::INFINITY, occasion).unwrap();
             assert_eq!(agents[0].posterior_arrays(0).unwrap() != before, touched);
         }
     }

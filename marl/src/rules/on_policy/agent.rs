@@ -9,9 +9,9 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
 use rayon::prelude::*;
 
-use crate::algorithm::Report;
-use crate::batch::{ActionKind, Batch, Problem};
 use crate::config::{Config, CountedState, Estimator, QTraining, UpdateConfig};
+use crate::data::batch::{ActionKind, Batch, Problem};
+use crate::data::sequence::{Layout, Sequences};
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
 use crate::influence::count::JointSample;
@@ -19,11 +19,11 @@ use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
 use crate::influence::second_head::SecondHead;
 use crate::influence::{Term, mutual_information};
 use crate::objective::actor_loss::Coefficients;
-use crate::on_policy::counted;
-use crate::on_policy::memory::Memory;
-use crate::optimizer::{Adam, AdamConfig};
-use crate::sequence::{Layout, Sequences};
-use crate::shards::{self, shards};
+use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::shards::{self, shards};
+use crate::rules::algorithm::Report;
+use crate::rules::on_policy::counted;
+use crate::rules::on_policy::memory::Memory;
 use crate::surprise::entropy_bound;
 
 /// A network in training. Its posterior or its second head is there if the influence term has a weight and there are
@@ -113,7 +113,8 @@ impl Agent {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        ((seed, precision), index): ((RunSeed, Precision), usize),
+        (seed, precision): (RunSeed, Precision),
+        index: usize,
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
@@ -265,7 +266,7 @@ impl Agent {
             (Some(posterior), _) => {
                 let (holdout, trained): (Vec<usize>, Vec<usize>) =
                     all.iter().copied().partition(held_out);
-                let likelihood = posterior.fit(&data, (&trained, &holdout), (seed, draw))?;
+                let likelihood = posterior.fit(&data, &trained, &holdout, (seed, draw))?;
                 (
                     posterior.conditional(&data, &all)?,
                     holdout,

@@ -1,11 +1,11 @@
 //! Influence by counting (Eq. 7): a table of `D_k` in the place of a learnt posterior, for choices.
 
 use super::agent::{Experience, Influence, mean};
-use crate::batch::{ActionKind, Batch};
 use crate::config::CountedState;
+use crate::data::batch::{ActionKind, Batch};
+use crate::data::sequence::Sequences;
 use crate::distribution::HeadRows;
 use crate::influence::count::{JointSample, counted_conditional, counted_information, numbered};
-use crate::sequence::Sequences;
 
 /// One agent's rows as names to count, `[L, C]`; `others` is `[L, C, others]`.
 pub(super) fn samples(
@@ -50,11 +50,11 @@ mod tests {
     use rand::RngCore;
 
     use super::*;
-    use crate::algorithm::Report;
-    use crate::batch::{AgentBatch, AgentShape, Final, Problem};
     use crate::config::{Config, Divergence, Estimator};
+    use crate::data::batch::{AgentBatch, AgentShape, Final, Problem};
     use crate::probe;
-    use crate::rule::build;
+    use crate::rules::algorithm::Report;
+    use crate::rules::build;
 
     const STEPS: usize = 20;
     const ENVIRONMENTS: usize = 300;

@@ -8,7 +8,7 @@ use rand::RngCore;
 
 use crate::config::CriticConfig;
 use crate::error::MarlError;
-use crate::layers::{Normalisation, rectified_layers};
+use crate::optimisation::layers::{Normalisation, rectified_layers};
 
 /// Layers of Linear, ReLU, then one value.
 pub(super) struct ActionValue {

@@ -5,9 +5,9 @@ use std::borrow::Cow;
 use policy::{NamedArrays, PolicySnapshot};
 use rayon::prelude::*;
 
-use crate::batch::{Batch, Problem};
+use crate::data::batch::{Batch, Problem};
+use crate::data::running::RunningMoments;
 use crate::error::MarlError;
-use crate::running::RunningMoments;
 
 /// How the learner scales observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,7 +6,7 @@ use policy::ops::Backward;
 use policy::parameters::Parameters;
 
 use crate::error::MarlError;
-use crate::reals::Reals;
+use crate::optimisation::reals::Reals;
 
 /// Gradients in the order of a network's variables, in their precision.
 #[derive(Clone, Debug, PartialEq)]

@@ -9,16 +9,16 @@ use policy::{
     SequenceInput,
 };
 
-use crate::batch::Problem;
 use crate::config::Config;
 use crate::critic::StateScale;
+use crate::data::batch::Problem;
 use crate::error::MarlError;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::layers::rows;
-use crate::maddpg::q::ActionValue;
-use crate::maddpg::replay::Sample;
-use crate::optimizer::{Adam, AdamConfig};
-use crate::reals::Reals;
+use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::optimisation::layers::rows;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::reals::Reals;
+use crate::rules::maddpg::q::ActionValue;
+use crate::rules::maddpg::replay::Sample;
 
 /// An agent in training.
 pub(super) struct Agent {
@@ -48,7 +48,8 @@ impl Agent {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        ((seed, precision), index): ((RunSeed, Precision), usize),
+        (seed, precision): (RunSeed, Precision),
+        index: usize,
     ) -> Result<Self, MarlError> {
         let draw = |purpose| generator(seed, Draw::of(purpose).agent(index as u32));
         let shape = &problem.agents[index];
@@ -257,7 +258,7 @@ mod tests {
         let seen = |norm, config: &mut Config| {
             config.critic.state_norm = norm;
             let start = (RunSeed(0), Precision::Single);
-            let agent = Agent::new(config, &probe::policy(), &problem, (start, 0)).unwrap();
+            let agent = Agent::new(config, &probe::policy(), &problem, start, 0).unwrap();
             let action = Tensor::new(&[[9.0_f32]], &Device::Cpu).unwrap();
             agent.beside(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
         };

@@ -5,13 +5,13 @@ use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
 
 use super::agent::{Agent, Experience, Influence, gather};
-use super::ascent::{gradient, moved};
-use crate::batch::{AgentBatch, Batch, Problem};
+use super::ascent::{PerAgent, gradient, moved};
+use crate::data::batch::{AgentBatch, Batch, Problem};
+use crate::data::sequence::{Layout, Sequences};
 use crate::distribution::HeadRows;
-use crate::minibatch::minibatches;
 use crate::objective::surrogate::sequential_factor;
+use crate::optimisation::minibatch::minibatches;
 use crate::probe;
-use crate::sequence::{Layout, Sequences};
 
 const STEPS: usize = 20;
 const ENVIRONMENTS: usize = 7;
@@ -41,8 +41,8 @@ fn policies() -> [PolicyConfig; 5] {
 }
 
 fn agents(policy: &PolicyConfig) -> Vec<Agent> {
-    let start = |index| ((RunSeed(3), Precision::Single), index);
-    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), start(index));
+    let start = (RunSeed(3), Precision::Single);
+    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), start, index);
     (0..2).map(|index| agent(index).unwrap()).collect()
 }
 
@@ -156,7 +156,7 @@ fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize
     let layout = experience.sequences.layout;
     let mut factor = vec![0.0; layout.rows()];
     factor[row] = 1.0;
-    let known = (experience, &Influence::default());
+    let known = PerAgent { experience, influence: &Influence::default() };
     let (figures, _) = gradient(agent, known, &factor, columns).unwrap();
     -figures.policy_loss * (columns.len() * layout.steps) as f64
 }

@@ -5,8 +5,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::error::MarlError;
-use crate::gradient::Gradients;
-use crate::minibatch::split;
+use crate::optimisation::gradient::Gradients;
+use crate::optimisation::minibatch::split;
 
 /// The most shards of a minibatch. With [`ROWS`] it decides the order of sums, and so the bits of every run.
 const MOST: usize = 16;
@@ -65,7 +65,7 @@ pub(crate) fn sum<F: Share>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reals::Reals;
+    use crate::optimisation::reals::Reals;
 
     #[test]
     fn shards_have_sixty_four_rows_on_average_and_are_at_most_sixteen() {

@@ -12,15 +12,15 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
 use rayon::prelude::*;
 
-use crate::algorithm::{Algorithm, Report, refuse_strange};
-use crate::batch::{Batch, Problem, Rewards, check_rewards};
 use crate::config::{Config, MaddpgConfig};
+use crate::data::batch::{Batch, Problem, Rewards, check_rewards};
 use crate::error::MarlError;
-use crate::maddpg::agent::{Agent, Figures};
-use crate::maddpg::replay::{Horizon, Replay};
+use crate::rules::algorithm::{Algorithm, Report, refuse_strange};
+use crate::rules::maddpg::agent::{Agent, Figures};
+use crate::rules::maddpg::replay::{Horizon, Replay};
 
 /// MADDPG with one action value per agent.
-pub struct Maddpg {
+pub(crate) struct Maddpg {
     config: MaddpgConfig,
     gamma: f64,
     problem: Problem,
@@ -35,14 +35,14 @@ impl Maddpg {
     ///
     /// # Errors
     /// Passes on a tensor error.
-    pub fn new(
+    pub(crate) fn new(
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
         start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
         let agents = (0..problem.agents.len())
-            .map(|index| Agent::new(config, policy, problem, (start, index)))
+            .map(|index| Agent::new(config, policy, problem, start, index))
             .collect::<Result<_, _>>()?;
         Ok(Self {
             replay: Replay::new(problem, config.maddpg.replay),

@@ -7,9 +7,9 @@ use policy::math::Real;
 use policy::parameters::{Parameters, Slot};
 
 use crate::error::MarlError;
-use crate::gradient::Gradients;
-use crate::learning_rate::adapted;
-use crate::reals::Reals;
+use crate::optimisation::gradient::Gradients;
+use crate::optimisation::learning_rate::adapted;
+use crate::optimisation::reals::Reals;
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;

@@ -2,7 +2,7 @@
 
 use policy::{NamedArrays, PolicySnapshot};
 
-use crate::batch::{Batch, Rewards};
+use crate::data::batch::{Batch, Rewards};
 use crate::error::MarlError;
 
 /// Figures of an update by name, in a fixed order.

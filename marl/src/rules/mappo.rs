@@ -4,13 +4,15 @@
 use policy::randomness::{Draw, Purpose, RunSeed};
 use rayon::prelude::*;
 
-use crate::algorithm::Report;
 use crate::config::Sharing;
 use crate::error::MarlError;
-use crate::on_policy::agent::Agent;
-use crate::on_policy::ascent::{Moved, PerAgent, Trained, maximise, maximise_together, moved};
-use crate::on_policy::kl_budget::KlBudget;
-use crate::on_policy::{Climb, Prepared, agent_report};
+use crate::rules::algorithm::Report;
+use crate::rules::on_policy::agent::Agent;
+use crate::rules::on_policy::ascent::{
+    Moved, PerAgent, Trained, maximise, maximise_together, moved,
+};
+use crate::rules::on_policy::kl_budget::KlBudget;
+use crate::rules::on_policy::{Climb, Prepared, agent_report};
 
 /// MAPPO; its surrogate is HAPPO's with a factor of 1.
 pub(crate) struct Mappo;
@@ -63,12 +65,12 @@ fn climb_together(
             let known: Vec<PerAgent<'_>> = (0..agents.len()).map(|i| prepared.of(i)).collect();
             let draws: Vec<Draw> = (0..agents.len()).map(draw).collect();
             let together = KlBudget::new(target_kl, 1).share();
-            maximise_together(agents, &known, (&factor, together), (seed, &draws))
+            maximise_together(agents, &known, &factor, together, (seed, &draws))
         }
         Sharing::Separate => {
             let share = KlBudget::new(target_kl, agents.len()).share();
             let one = |(index, agent): (usize, &mut Agent)| {
-                maximise(agent, prepared.of(index), (&factor, share), (seed, draw(index)))
+                maximise(agent, prepared.of(index), &factor, share, (seed, draw(index)))
             };
             agents.par_iter_mut().enumerate().map(one).collect()
         }

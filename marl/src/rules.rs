@@ -1,15 +1,21 @@
-//! The one place that chooses a learning rule.
+//! The learning rules, and the function that builds the configured one.
+
+pub mod algorithm;
+mod happo;
+mod maddpg;
+mod mappo;
+mod on_policy;
 
 use policy::{PolicyConfig, Precision, RunSeed};
 
-use crate::algorithm::Algorithm;
-use crate::batch::Problem;
 use crate::config::{Config, Rule};
+use crate::data::batch::Problem;
 use crate::error::MarlError;
-use crate::happo::Happo;
-use crate::maddpg::Maddpg;
-use crate::mappo::Mappo;
-use crate::on_policy::OnPolicy;
+use algorithm::Algorithm;
+use happo::Happo;
+use maddpg::Maddpg;
+use mappo::Mappo;
+use on_policy::OnPolicy;
 
 /// The configured learning rule, its weights drawn with `seed`.
 ///

@@ -10,9 +10,9 @@ use std::collections::BTreeMap;
 use policy::arrays::{Array, NamedArrays};
 use rand::RngCore;
 
-use crate::batch::{Batch, Problem};
+use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
-use crate::minibatch::below;
+use crate::optimisation::minibatch::below;
 
 /// Nothing ended with the step.
 const GOES_ON: u8 = 0;

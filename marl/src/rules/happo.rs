@@ -2,15 +2,15 @@
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
-use crate::algorithm::Report;
 use crate::config::Sharing;
 use crate::error::MarlError;
-use crate::minibatch::permutation;
 use crate::objective::surrogate::{factor_limits, sequential_factor};
-use crate::on_policy::agent::Agent;
-use crate::on_policy::ascent::{maximise, moved};
-use crate::on_policy::kl_budget::KlBudget;
-use crate::on_policy::{Climb, Prepared, agent_report};
+use crate::optimisation::minibatch::permutation;
+use crate::rules::algorithm::Report;
+use crate::rules::on_policy::agent::Agent;
+use crate::rules::on_policy::ascent::{maximise, moved};
+use crate::rules::on_policy::kl_budget::KlBudget;
+use crate::rules::on_policy::{Climb, Prepared, agent_report};
 
 /// HAPPO and, by configuration alone, all its variants.
 pub(crate) struct Happo;
@@ -43,13 +43,13 @@ fn sweep(
         pass_optimiser(agents, index);
         let (agent, known) = (&mut agents[index], prepared.of(index));
         let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
-        let trained = maximise(agent, known, (&factor, budget.share()), (seed, draw))?;
-        let moved = moved(agent, known.0)?;
+        let trained = maximise(agent, known, &factor, budget.share(), (seed, draw))?;
+        let moved = moved(agent, known.experience)?;
         budget.spend(moved.kl);
         agent.adam.adapt(moved.kl, agent.update.desired_kl);
-        reports[index] = agent_report(agent, index, known.0, &trained, &moved)?;
+        reports[index] = agent_report(agent, index, known.experience, &trained, &moved)?;
         reports[index].extend(place_in_the_sweep(index, position, &factor));
-        factor = sequential_factor(&factor, &moved.log_prob, &known.0.log_prob);
+        factor = sequential_factor(&factor, &moved.log_prob, &known.experience.log_prob);
         pass_optimiser(agents, index);
     }
     Ok(reports.concat())

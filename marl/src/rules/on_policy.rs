@@ -14,18 +14,18 @@ use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use crate::algorithm::{Algorithm, Report, refuse_strange};
-use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Config, CriticMode, Sharing};
 use crate::critic::{CriticFigures, Critics, Values, explained_variance};
+use crate::data::batch::{Batch, Problem, Rewards};
+use crate::data::sequence::Layout;
 use crate::distribution::gaussian;
 use crate::error::MarlError;
 use crate::objective::actor_loss::Figures;
 use crate::objective::advantage::{Horizon, advantage};
 use crate::objective::surrogate::normalized_advantage;
-use crate::on_policy::agent::{Agent, Experience, Influence};
-use crate::on_policy::ascent::{Moved, PerAgent, Trained};
-use crate::sequence::Layout;
+use crate::rules::algorithm::{Algorithm, Report, refuse_strange};
+use crate::rules::on_policy::agent::{Agent, Experience, Influence};
+use crate::rules::on_policy::ascent::{Moved, PerAgent, Trained};
 
 /// How a rule improves the policies; all else of an update is the same for all on-policy rules.
 pub(crate) trait Climb: Send + Sync {
@@ -126,7 +126,7 @@ pub(crate) struct Prepared {
 impl Prepared {
     /// What one agent knows.
     pub(crate) fn of(&self, agent: usize) -> PerAgent<'_> {
-        (&self.experience[agent], &self.influence[agent])
+        PerAgent { experience: &self.experience[agent], influence: &self.influence[agent] }
     }
 
     /// How well every agent's returns were known, and what its posterior came to.
@@ -157,7 +157,7 @@ impl Team {
         start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
         let mut agents = (0..problem.agents.len())
-            .map(|index| Agent::new(config, policy, problem, (start, index)))
+            .map(|index| Agent::new(config, policy, problem, start, index))
             .collect::<Result<Vec<_>, _>>()?;
         if config.update.parameters == Sharing::Shared {
             let network = Arc::clone(&agents[0].network);

@@ -3,7 +3,7 @@
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use super::*;
-use crate::batch::{ActionKind, AgentBatch, AgentShape, Final};
+use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Final};
 
 const HALF: Horizon = Horizon { gamma: 0.5, steps: 3 };
 
