@@ -29,6 +29,7 @@ use crate::optimisation::layers::{Normalisation, rectified_layers, rows};
 use crate::optimisation::minibatch::minibatches;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
+use crate::shape::assert_shape;
 
 /// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then `V` values, each in units of its own
 /// normalised return. [`CriticMode`](crate::config::CriticMode) says of what: one per agent, or of
@@ -327,8 +328,12 @@ impl Critic {
 }
 
 /// `1 - Var(R - V) / Var(R)` of values and returns `[T, B]`; 0 where returns do not vary.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn explained_variance(precision: Precision, values: &[f64], returns: &[f64]) -> f64 {
+    assert_shape("values", values.len(), returns.len());
     let rest = precision.rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
     let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
     if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }

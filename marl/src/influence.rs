@@ -12,6 +12,7 @@ pub mod second_head;
 
 use crate::config::{Divergence, Estimator, InfluenceConfig};
 use crate::distribution::HeadRows;
+use crate::shape::assert_shape;
 
 /// How one row of the influence term is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,9 +74,13 @@ pub fn regularized_objective(objective: f64, lambda: f64, influence: f64) -> f64
 /// Eq. (6): `I = E[log p(a^i | a^-i, s) - log p(a^i | s)]`, its first line as a mean over rows, with
 /// `q_xi` in the conditional's place: a lower bound of the mutual information on rows that `q_xi`
 /// was not trained on. Both slices are `[R]`, nats; `None` of no rows.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Option<f64> {
     let count = log_conditional.len();
+    assert_shape("log_marginal", log_marginal.len(), count);
     let difference = |(conditional, marginal): (&f64, &f64)| conditional - marginal;
     let sum: f64 = log_conditional.iter().zip(log_marginal).map(difference).sum();
     (count > 0).then(|| sum / count as f64)

@@ -16,6 +16,7 @@ use crate::data::batch::{Batch, Problem, Rewards};
 use crate::density::{self, Observations, Occasion};
 use crate::error::MarlError;
 use crate::rules::algorithm::Report;
+use crate::shape::assert_shape;
 use crate::surprise::agent::{AgentSurprise, Rule};
 
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`, the right-hand side per step: minus the mean
@@ -34,8 +35,12 @@ pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
 
 /// `sum |alpha s_t| / (sum |r_t| + sum |alpha s_t|)`: how much of what an agent is paid, in magnitude, is for its
 /// scores `s`, `[R]`, and not by the task, `r`, `[R]`; 0 where nothing is paid.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
+    assert_shape("scores", scores.len(), reward.len());
     let task: f64 = reward.iter().map(|&reward| f64::from(reward).abs()).sum();
     let bonus: f64 = scores.iter().map(|score| (alpha * score).abs()).sum();
     if bonus > 0.0 { bonus / (task + bonus) } else { 0.0 }
@@ -93,12 +98,12 @@ impl Surprise {
     /// `surprise.obs` asks for the one after it.
     ///
     /// # Panics
-    /// If `batch` is not the one that the last [`Surprise::refit`] has scored.
+    /// If `batch` is not of the shape of the one that the last [`Surprise::refit`] has scored.
     #[must_use]
     pub fn relabel(&self, batch: &Batch) -> Rewards {
         let agent = |agent: &AgentSurprise| {
             let scores = agent.scores();
-            assert_eq!(scores.len(), batch.rows(), "relabel is for the batch that was refitted on");
+            assert_shape("the batch that was refitted on", scores.len(), batch.rows());
             let reward = batch.reward.iter().zip(scores).map(|(&reward, &score)| {
                 reward_with_surprise(f64::from(reward), self.rule.alpha, score) as f32
             });

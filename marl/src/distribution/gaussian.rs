@@ -34,8 +34,8 @@ impl RowDistribution for GaussianRow {
         p: Row<'_>,
         gradient: RowGradient<'_>,
     ) {
-        for i in 0..action.len() {
-            let z = (action[i] - p.outputs[i]) / p.sigma[i];
+        for (i, x) in action.iter().enumerate() {
+            let z = (x - p.outputs[i]) / p.sigma[i];
             gradient.outputs[i] += weight * z / p.sigma[i];
             gradient.sigma[i] += weight * (z * z - 1.0) / p.sigma[i];
         }

@@ -151,8 +151,13 @@ impl HeadRows {
     }
 
     /// This policy with `shift` `[R, out]` added to its outputs and its sigma times `factor`, `[act]`.
+    ///
+    /// # Panics
+    /// If the shapes differ.
     #[must_use]
     pub fn corrected(&self, shift: &[f64], factor: &[f64]) -> Self {
+        assert_shape("shift", shift.len(), self.outputs.len());
+        assert_shape("factor", factor.len(), self.sigma.len());
         Self {
             kind: self.kind,
             outputs: self.outputs.iter().zip(shift).map(|(x, by)| x + by).collect(),

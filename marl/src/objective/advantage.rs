@@ -7,6 +7,7 @@
 //! another episode or is not there.
 
 use crate::data::batch::Batch;
+use crate::shape::assert_shape;
 
 /// Discount and trace of the advantage.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,8 +27,13 @@ pub fn discounted_return(reward: &[f32], gamma: f64) -> f64 {
 /// Value of each row's true next state, `[T, B]`: the next row's value, but after a done step and
 /// after the last one the value of the stored final state (`final_values`, one per
 /// `batch.finals`), and 0 after a termination.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn next_values(batch: &Batch, values: &[f64], final_values: &[f64]) -> Vec<f64> {
+    assert_shape("values", values.len(), batch.rows());
+    assert_shape("final_values", final_values.len(), batch.finals.len());
     let mut next: Vec<f64> = values[batch.environments..].to_vec();
     next.resize(batch.rows(), 0.0);
     for (last, &value) in batch.finals.iter().zip(final_values) {
@@ -40,6 +46,9 @@ pub fn next_values(batch: &Batch, values: &[f64], final_values: &[f64]) -> Vec<f
 /// Generalised advantage estimation: `delta_t = r_t + gamma V'_t - V_t`, `A_t = delta_t + gamma
 /// lambda A_(t+1)`, where `A_(t+1)` counts only if step `t` ended no episode and is not the slot's
 /// last. `reward`, `values` and `next` (from [`next_values`]) are `[T, B]`; so is the result.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn advantage(
     batch: &Batch,
@@ -48,6 +57,9 @@ pub fn advantage(
     next: &[f64],
     horizon: Horizon,
 ) -> Vec<f64> {
+    assert_shape("reward", reward.len(), batch.rows());
+    assert_shape("values", values.len(), batch.rows());
+    assert_shape("next", next.len(), batch.rows());
     let width = batch.environments;
     let mut advantage = vec![0.0; batch.rows()];
     for environment in 0..width {

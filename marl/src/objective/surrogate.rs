@@ -3,6 +3,8 @@
 
 use libm::{exp, sqrt};
 
+use crate::shape::assert_shape;
+
 /// Log-ratios are held within this many nats before `exp`, so that no ratio and no product of a
 /// dozen of them overflows f32. A ratio of `e^10` is far outside any trust region.
 pub const LOG_RATIO_LIMIT: f64 = 10.0;
@@ -40,8 +42,13 @@ pub fn factor_limits() -> (f64, f64) {
 ///
 /// `M` is held within [`factor_limits`]. A ratio that is no number counts as 1: such a row
 /// moves no policy, so that what one agent cannot weigh does not spoil the next one's update.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn sequential_factor(factor: &[f64], log_prob_new: &[f64], log_prob_old: &[f64]) -> Vec<f64> {
+    assert_shape("log_prob_new", log_prob_new.len(), factor.len());
+    assert_shape("log_prob_old", log_prob_old.len(), factor.len());
     let (lowest, highest) = factor_limits();
     let ratios = log_prob_new.iter().zip(log_prob_old).map(|(new, old)| ratio(new - old));
     let ratios = ratios.map(|ratio| if ratio.is_nan() { 1.0 } else { ratio });
