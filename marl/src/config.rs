@@ -13,10 +13,10 @@ pub use self::maddpg::MaddpgConfig;
 pub use self::surprise::{
     Constant, DensityKind, Fit, Reduce, Scored, Space, SurpriseConfig, VaeConfig,
 };
-use crate::batch::{ActionKind, Problem};
+use crate::data::batch::{ActionKind, Problem};
+use crate::data::observation::ObservationScale;
 use crate::error::MarlError;
-use crate::learning_rate::LearningRateDecay;
-use crate::observation::ObservationScale;
+use crate::optimisation::learning_rate::LearningRateDecay;
 
 /// What MADDPG says to running statistics.
 const STALE_STATISTICS: &str = "feature_z or none with update.rule = maddpg: what the replay holds would be of older \
@@ -65,7 +65,7 @@ pub struct UpdateConfig {
     /// Joint `KL[old || new]` of all agents' policies, nats; an agent makes no further pass once it has used its
     /// share. 0: no limit.
     pub target_kl: f64,
-    /// Nats of `KL[old || new]` to which the step size of each agent is adapted ([`crate::learning_rate::adapted`]).
+    /// Nats of `KL[old || new]` to which the step size of each agent is adapted (`optimisation::learning_rate::adapted`).
     /// 0: step sizes are not adapted.
     pub desired_kl: f64,
     /// Weight of the entropy bonus.

@@ -3,6 +3,7 @@
 mod mode;
 mod state_scale;
 mod team;
+pub mod value_normalizer;
 
 use std::ops::Range;
 
@@ -15,19 +16,20 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{InputNorm, Precision};
 use rayon::prelude::*;
 
-use crate::advantage::next_values;
-use crate::batch::Batch;
 use crate::config::CriticConfig;
 pub(crate) use crate::critic::state_scale::StateScale;
 pub(crate) use crate::critic::team::Critics;
+use crate::critic::value_normalizer::ValueNormalizer;
+use crate::data::batch::Batch;
 use crate::error::MarlError;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::layers::{Normalisation, rectified_layers, rows};
-use crate::minibatch::minibatches;
-use crate::optimizer::{Adam, AdamConfig};
-use crate::shards::{self, shards};
-use crate::surrogate::mean_and_deviation;
-use crate::value_normalizer::ValueNormalizer;
+use crate::objective::advantage::next_values;
+use crate::objective::surrogate::mean_and_deviation;
+use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::optimisation::layers::{Normalisation, rectified_layers, rows};
+use crate::optimisation::minibatch::minibatches;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::shards::{self, shards};
+use crate::shape::assert_shape;
 
 /// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then `V` values, each in units of its own
 /// normalised return. [`CriticMode`](crate::config::CriticMode) says of what: one per agent, or of
@@ -96,7 +98,7 @@ pub fn huber(error: f64, delta: f64) -> (f64, f64) {
 /// The clipped value loss of one element, `max(huber(v - R), huber(v_clip - R))` with `v_clip = v_old
 /// + clamp(v - v_old, +-clip)`, and its slope by `v`; all in normalised units. A clip of 0 means none: `huber(v - R)`.
 #[must_use]
-pub fn value_loss(value: f64, old: f64, target: f64, (clip, delta): (f64, f64)) -> (f64, f64) {
+pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (f64, f64) {
     let moved = value - old;
     let free = huber(value - target, delta);
     if clip == 0.0 {
@@ -107,6 +109,17 @@ pub fn value_loss(value: f64, old: f64, target: f64, (clip, delta): (f64, f64)) 
         true => (held.0, if moved.abs() <= clip { held.1 } else { 0.0 }),
         false => free,
     }
+}
+
+/// Constants of a fit, all rows.
+#[derive(Clone, Copy)]
+struct Known<'a> {
+    /// Inputs, `[T * B, S]`.
+    rows: &'a [f32],
+    /// Normalised values before the fit, `[T * B, V]`.
+    old: &'a [f64],
+    /// Normalised returns, `[T * B, V]`.
+    target: &'a [f64],
 }
 
 impl Critic {
@@ -247,9 +260,8 @@ impl Critic {
         part: &[usize],
     ) -> Result<(f64, f64), MarlError> {
         let weights = self.layers.weights()?;
-        let known = (rows, old, target);
-        let total = part.len();
-        let one = |range: Range<usize>| self.gradient(&weights, known, (&part[range], total));
+        let (total, known) = (part.len(), Known { rows, old, target });
+        let one = |range: Range<usize>| self.gradient(&weights, known, &part[range], total);
         let (loss, gradients) = shards::sum(&shards(total, 1), &one)?;
         Ok((loss, self.adam.step(&self.parameters, &gradients)?))
     }
@@ -258,19 +270,20 @@ impl Critic {
     fn gradient(
         &self,
         weights: &Weights,
-        (rows, old, target): (&[f32], &[f64], &[f64]),
-        (part, total): (&[usize], usize),
+        Known { rows, old, target }: Known<'_>,
+        part: &[usize],
+        total: usize,
     ) -> Result<(f64, Gradients), MarlError> {
         let width = self.inputs;
         let states = part.iter().flat_map(|&row| &rows[row * width..(row + 1) * width]);
         let output = self.forward(weights, states.copied().collect())?;
         let found = numbers(&output)?;
         let share = 1.0 / (total * self.count) as f64;
-        let bounds = (self.config.clip, self.config.huber_delta);
+        let CriticConfig { clip, huber_delta, .. } = self.config;
         let places = part.iter().flat_map(|&row| row * self.count..(row + 1) * self.count);
         let (mut loss, mut gradient) = (0.0, Vec::with_capacity(found.len()));
         for (&value, place) in found.iter().zip(places) {
-            let (own, slope) = value_loss(value, old[place], target[place], bounds);
+            let (own, slope) = value_loss(value, old[place], target[place], clip, huber_delta);
             loss += share * own;
             gradient.push(share * slope);
         }
@@ -315,8 +328,12 @@ impl Critic {
 }
 
 /// `1 - Var(R - V) / Var(R)` of values and returns `[T, B]`; 0 where returns do not vary.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn explained_variance(precision: Precision, values: &[f64], returns: &[f64]) -> f64 {
+    assert_shape("values", values.len(), returns.len());
     let rest = precision.rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
     let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
     if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
@@ -343,16 +360,15 @@ mod tests {
 
     #[test]
     fn the_clipped_value_loss_takes_the_larger_of_the_two() {
-        let bounds = (0.2, 10.0);
         // Not moved: plain squared error.
-        assert_eq!(value_loss(1.0, 1.0, 3.0, bounds), (2.0, -2.0));
+        assert_eq!(value_loss(1.0, 1.0, 3.0, 0.2, 10.0), (2.0, -2.0));
         // Moved past the clip towards the target: held at .2, its loss is larger, no slope.
-        let (loss, slope) = value_loss(2.0, 1.0, 3.0, bounds);
+        let (loss, slope) = value_loss(2.0, 1.0, 3.0, 0.2, 10.0);
         assert!((loss - 0.5 * 1.8 * 1.8).abs() < 1e-12 && slope == 0.0);
         // Moved past the clip away from the target: the free loss is larger and pulls back.
-        assert_eq!(value_loss(0.0, 1.0, 3.0, bounds), (4.5, -3.0));
+        assert_eq!(value_loss(0.0, 1.0, 3.0, 0.2, 10.0), (4.5, -3.0));
         // Without a clip the distance from the old value does not matter.
-        assert_eq!(value_loss(2.0, 1.0, 3.0, (0.0, 10.0)), (0.5, -1.0));
+        assert_eq!(value_loss(2.0, 1.0, 3.0, 0.0, 10.0), (0.5, -1.0));
     }
 
     #[test]

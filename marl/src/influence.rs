@@ -7,14 +7,12 @@
 //! to the cap. `mutual_information` on held-out environments says how near to 0 the estimate is.
 
 pub mod count;
-pub mod divergence;
 pub mod posterior;
 pub mod second_head;
 
 use crate::config::{Divergence, Estimator, InfluenceConfig};
-use divergence::divergence;
-
-use crate::categorical;
+use crate::distribution::HeadRows;
+use crate::shape::assert_shape;
 
 /// How one row of the influence term is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,29 +35,33 @@ impl Term {
 
     /// One row of the term, nats, and its slope by the divergence: Eq. (8)'s capped divergence, or
     /// Barber and Agakov's `E_p[log q + H[p]] = -KL[p || q]`. The latter is a lower bound of the
-    /// information and needs no cap: it is at most 0, and highest where the policy is the posterior.
-    /// `q` and `p` are `(mean, sigma)`, all `[act]`.
+    /// information and needs no cap: it is at most 0, and highest where the policy equals the posterior.
     #[must_use]
-    pub fn row(&self, q: (&[f64], &[f64]), p: (&[f64], &[f64])) -> (f64, f64) {
+    pub fn row(&self, row: usize, q: &HeadRows, p: &HeadRows) -> (f64, f64) {
+        let divergence = p.distribution().divergence(self.divergence, q.row(row), p.row(row));
         match self.estimator {
             Estimator::VariationalKl | Estimator::Count => {
-                capped_divergence(self.divergence, q, p, self.kappa)
+                capped_divergence(divergence, self.kappa, p.action_size())
             }
-            Estimator::BarberAgakov => (-divergence(self.divergence, q, p), -1.0),
+            Estimator::BarberAgakov => (-divergence, -1.0),
         }
     }
 
-    /// As [`Term::row`] for a choice; `q` and `p` are logits `[K]`.
+    /// `weight` times the gradient of the sum of the term over all rows by the parameters of the posterior `q`; the
+    /// policy `p` is a constant.
+    ///
+    /// # Panics
+    /// If the shapes differ.
     #[must_use]
-    pub fn row_of_choices(&self, q: &[f64], p: &[f64]) -> (f64, f64) {
-        match self.estimator {
-            Estimator::VariationalKl | Estimator::Count => {
-                categorical::capped_divergence(self.divergence, q, p, self.kappa)
-            }
-            Estimator::BarberAgakov => {
-                (-divergence::categorical::divergence(self.divergence, q, p), -1.0)
-            }
+    pub fn posterior_gradient(&self, weight: f64, q: &HeadRows, p: &HeadRows) -> HeadRows {
+        q.assert_same_shape(p);
+        let (distribution, mut gradient) = (q.distribution(), q.zeros());
+        for row in 0..q.count() {
+            let (weight, to) = (weight * self.row(row, q, p).1, gradient.row_gradient(row));
+            let (q, p) = (q.row(row), p.row(row));
+            distribution.add_divergence_gradient_by_q(self.divergence, weight, q, p, to);
         }
+        gradient
     }
 }
 
@@ -72,28 +74,25 @@ pub fn regularized_objective(objective: f64, lambda: f64, influence: f64) -> f64
 /// Eq. (6): `I = E[log p(a^i | a^-i, s) - log p(a^i | s)]`, its first line as a mean over rows, with
 /// `q_xi` in the conditional's place: a lower bound of the mutual information on rows that `q_xi`
 /// was not trained on. Both slices are `[R]`, nats; `None` of no rows.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Option<f64> {
     let count = log_conditional.len();
+    assert_shape("log_marginal", log_marginal.len(), count);
     let difference = |(conditional, marginal): (&f64, &f64)| conditional - marginal;
     let sum: f64 = log_conditional.iter().zip(log_marginal).map(difference).sum();
     (count > 0).then(|| sum / count as f64)
 }
 
 /// Eq. (8): one row of the influence term, `min(KL[q_xi(. | a^-i, s) || p(. | s)], kappa act)`, nats,
-/// and its slope by the divergence (0 at the cap), with `kind` for the divergence's kind: the paper's
-/// is `KlQp`. Without the cap the divergence has no upper end. `q` and `p` are `(mean, sigma)`, all
-/// `[act]`.
+/// and its slope by the divergence (0 at the cap). `dimensions` is `act`. The paper's divergence is
+/// `KL[q || p]`; without the cap it has no upper bound.
 #[must_use]
-pub fn capped_divergence(
-    kind: Divergence,
-    q: (&[f64], &[f64]),
-    p: (&[f64], &[f64]),
-    kappa: f64,
-) -> (f64, f64) {
-    let divergence = divergence(kind, q, p);
-    let cap = kappa * p.1.len() as f64;
-    // Written so that a divergence that is no number stays one, and is noticed.
+pub fn capped_divergence(divergence: f64, kappa: f64, dimensions: usize) -> (f64, f64) {
+    let cap = kappa * dimensions as f64;
+    // Written so that a divergence that is not a number stays one and is reported.
     if divergence >= cap { (cap, 0.0) } else { (divergence, 1.0) }
 }
 
@@ -101,22 +100,34 @@ pub fn capped_divergence(
 mod tests {
     use super::*;
 
+    const TERM: Term =
+        Term { estimator: Estimator::VariationalKl, divergence: Divergence::KlQp, kappa: 1.0 };
+
+    fn gaussian(mean: f64) -> HeadRows {
+        HeadRows::gaussian(vec![mean, 0.0], vec![0.5, 0.5])
+    }
+
     #[test]
     fn at_the_cap_the_divergence_stands_still() {
-        let p: (&[f64], &[f64]) = (&[0.0, 0.0], &[0.5, 0.5]);
-        let near: (&[f64], &[f64]) = (&[0.5, 0.0], &[0.5, 0.5]); // KL = 1/2
-        let far: (&[f64], &[f64]) = (&[5.0, 0.0], &[0.5, 0.5]); // KL = 50
-        assert_eq!(capped_divergence(Divergence::KlQp, near, p, 1.0), (0.5, 1.0));
-        assert_eq!(capped_divergence(Divergence::KlQp, far, p, 1.0), (2.0, 0.0));
+        assert_eq!(TERM.row(0, &gaussian(0.5), &gaussian(0.0)), (0.5, 1.0));
+        assert_eq!(TERM.row(0, &gaussian(5.0), &gaussian(0.0)), (2.0, 0.0)); // KL = 50
+    }
+
+    #[test]
+    fn at_the_cap_the_divergence_of_choices_stands_still() {
+        let of = |logits: [f64; 2]| HeadRows::categorical(logits.to_vec(), 2);
+        let (q, p) = (of([libm::log(3.0), 0.0]), of([0.0, 0.0]));
+        let divergence = p.distribution().kl_divergence(q.row(0), p.row(0));
+        assert_eq!(TERM.row(0, &q, &p), (divergence, 1.0));
+        assert_eq!(TERM.row(0, &of([40.0, 0.0]), &of([0.0, 40.0])), (1.0, 0.0));
     }
 
     #[test]
     fn barber_and_agakovs_bound_is_highest_where_the_policy_is_the_posterior() {
         let (estimator, divergence) = (Estimator::BarberAgakov, Divergence::KlPq);
         let term = Term { estimator, divergence, kappa: 1.0 };
-        let p: (&[f64], &[f64]) = (&[0.0, 0.0], &[0.5, 0.5]);
-        assert_eq!(term.row(p, p), (0.0, -1.0));
-        assert_eq!(term.row((&[5.0, 0.0], &[0.5, 0.5]), p), (-50.0, -1.0));
+        assert_eq!(term.row(0, &gaussian(0.0), &gaussian(0.0)), (0.0, -1.0));
+        assert_eq!(term.row(0, &gaussian(5.0), &gaussian(0.0)), (-50.0, -1.0));
     }
 
     #[test]

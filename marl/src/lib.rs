@@ -5,46 +5,28 @@
 //! the relabelled batch into better policies (Eq. 10). Nothing here reads a file, a clock or a
 //! socket, and no result depends on the number of threads.
 
-pub mod actor_loss;
-pub mod advantage;
-pub mod algorithm;
-pub mod batch;
-pub mod categorical;
 pub mod config;
 pub mod critic;
+pub mod data;
 pub mod density;
+pub mod distribution;
 pub mod error;
-pub mod gaussian;
-pub mod gradient;
-mod happo;
-pub mod head_rows;
 pub mod influence;
-mod layers;
-pub mod learning_rate;
-pub mod maddpg;
-mod mappo;
-pub mod minibatch;
-pub mod observation;
-mod on_policy;
-pub mod optimizer;
+pub mod objective;
+pub mod optimisation;
 pub mod probe;
-pub mod reals;
-mod rule;
-pub mod running;
-pub mod sequence;
-mod shards;
+pub mod rules;
+mod shape;
 pub mod surprise;
-pub mod surrogate;
-pub mod value_normalizer;
 
-pub use algorithm::{Algorithm, Report};
-pub use batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use config::{
     Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig, VaeConfig,
 };
+pub use data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
+pub use data::observation::{ObservationMoments, ObservationScale};
 pub use error::MarlError;
-pub use learning_rate::LearningRateDecay;
-pub use observation::{ObservationMoments, ObservationScale};
+pub use optimisation::learning_rate::LearningRateDecay;
 pub use probe::probe;
-pub use rule::{build, build_in};
+pub use rules::algorithm::{self, Algorithm, Report};
+pub use rules::{build, build_in};
 pub use surprise::Surprise;

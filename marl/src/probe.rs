@@ -3,15 +3,15 @@
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, arrays};
 
-use crate::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::config::{
     Config, Constant, CountedState, CriticConfig, CriticInput, CriticMode, DensityKind, Divergence,
     Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored, Sharing, Space,
     StateNorm, SurpriseConfig, UpdateConfig, VaeConfig,
 };
+use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::error::MarlError;
-use crate::learning_rate::LearningRateDecay;
-use crate::rule::build;
+use crate::optimisation::learning_rate::LearningRateDecay;
+use crate::rules::build;
 use crate::surprise::Surprise;
 
 const OBSERVATION: usize = 19;
@@ -82,7 +82,9 @@ pub(crate) fn batch() -> Batch {
     }
 }
 
-pub(crate) fn policy() -> PolicyConfig {
+/// Settings of the probe's actors.
+#[must_use]
+pub fn policy() -> PolicyConfig {
     PolicyConfig {
         core: CoreKind::Gru,
         input_norm: InputNorm::LayerNorm,
@@ -100,7 +102,9 @@ pub(crate) fn policy() -> PolicyConfig {
     }
 }
 
-pub(crate) fn config() -> Config {
+/// Settings of the probe's update; tests derive theirs from them.
+#[must_use]
+pub fn config() -> Config {
     Config {
         update: update(),
         critic: critic(),
@@ -183,7 +187,7 @@ fn influence() -> InfluenceConfig {
     }
 }
 
-/// Not read by the probe's rule.
+/// The probe's rule does not read these.
 fn maddpg() -> MaddpgConfig {
     MaddpgConfig {
         replay: 1000,

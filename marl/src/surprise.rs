@@ -11,11 +11,12 @@ use policy::arrays::NamedArrays;
 use policy::randomness::RunSeed;
 use rayon::prelude::*;
 
-use crate::algorithm::Report;
-use crate::batch::{Batch, Problem, Rewards};
 use crate::config::{Scored, Space, SurpriseConfig};
+use crate::data::batch::{Batch, Problem, Rewards};
 use crate::density::{self, Observations, Occasion};
 use crate::error::MarlError;
+use crate::rules::algorithm::Report;
+use crate::shape::assert_shape;
 use crate::surprise::agent::{AgentSurprise, Rule};
 
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`, the right-hand side per step: minus the mean
@@ -34,8 +35,12 @@ pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
 
 /// `sum |alpha s_t| / (sum |r_t| + sum |alpha s_t|)`: how much of what an agent is paid, in magnitude, is for its
 /// scores `s`, `[R]`, and not by the task, `r`, `[R]`; 0 where nothing is paid.
+///
+/// # Panics
+/// If the shapes differ.
 #[must_use]
 pub fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
+    assert_shape("scores", scores.len(), reward.len());
     let task: f64 = reward.iter().map(|&reward| f64::from(reward).abs()).sum();
     let bonus: f64 = scores.iter().map(|score| (alpha * score).abs()).sum();
     if bonus > 0.0 { bonus / (task + bonus) } else { 0.0 }
@@ -60,7 +65,7 @@ impl Surprise {
         problem: &Problem,
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
-        let agent = |(index, shape): (usize, &crate::batch::AgentShape)| {
+        let agent = |(index, shape): (usize, &crate::data::batch::AgentShape)| {
             let signal = scored::features(shape, config.space);
             Ok(AgentSurprise::new(density::build(config, signal, (seed, index as u32))?))
         };
@@ -93,12 +98,12 @@ impl Surprise {
     /// `surprise.obs` asks for the one after it.
     ///
     /// # Panics
-    /// If `batch` is not the one that the last [`Surprise::refit`] has scored.
+    /// If `batch` is not of the shape of the one that the last [`Surprise::refit`] has scored.
     #[must_use]
     pub fn relabel(&self, batch: &Batch) -> Rewards {
         let agent = |agent: &AgentSurprise| {
             let scores = agent.scores();
-            assert_eq!(scores.len(), batch.rows(), "relabel is for the batch that was refitted on");
+            assert_shape("the batch that was refitted on", scores.len(), batch.rows());
             let reward = batch.reward.iter().zip(scores).map(|(&reward, &score)| {
                 reward_with_surprise(f64::from(reward), self.rule.alpha, score) as f32
             });
@@ -173,9 +178,9 @@ mod tests {
     use policy::randomness::{Draw, Purpose, generator, standard_normal};
 
     use super::*;
-    use crate::batch::{ActionKind, AgentBatch, AgentShape};
     use crate::config::Constant;
-    use crate::gaussian::entropy;
+    use crate::data::batch::{ActionKind, AgentBatch, AgentShape};
+    use crate::distribution::gaussian::entropy;
 
     const ROWS: usize = 20_000;
 
@@ -247,7 +252,10 @@ mod tests {
         // Means 2 and 6, variances 8/3 and 2.
         let by_hand = |x: f64, mean: f64, variance: f64| {
             let z = (x - mean) * (x - mean) / variance;
-            2.0 + 0.1 * (-0.5 * z - 0.5 * libm::log(variance) - 0.5 * crate::gaussian::LOG_TWO_PI)
+            2.0 + 0.1
+                * (-0.5 * z
+                    - 0.5 * libm::log(variance)
+                    - 0.5 * crate::distribution::gaussian::LOG_TWO_PI)
         };
         for (row, &observation) in [0.0, 2.0, 4.0].iter().enumerate() {
             assert!(

@@ -144,8 +144,8 @@ impl InfluenceConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::ActionKind;
     use crate::config::Config;
+    use crate::data::batch::ActionKind;
     use crate::probe;
 
     /// Why the settings are refused for actions of this kind.

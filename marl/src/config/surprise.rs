@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{count, not_negative, positive, refuse, within};
-use crate::batch::AgentShape;
+use crate::data::batch::AgentShape;
 use crate::error::MarlError;
 
 /// Surprise minimisation (Eq. 2-4, 9).

@@ -1,7 +1,7 @@
 //! Whose rewards the critic values, and how an agent's advantage comes of them.
 
-use crate::batch::Rewards;
 use crate::config::CriticMode;
+use crate::data::batch::Rewards;
 
 impl CriticMode {
     /// `V`, how many values the critic gives for `agents` agents.
@@ -53,8 +53,8 @@ fn mean(agents: &Rewards, row: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::advantage::{Horizon, advantage, next_values};
-    use crate::batch::{Batch, Final};
+    use crate::data::batch::{Batch, Final};
+    use crate::objective::advantage::{Horizon, advantage, next_values};
 
     const MODES: [CriticMode; 3] =
         [CriticMode::PerAgent, CriticMode::SharedExtrinsicPlusIntrinsic, CriticMode::TeamMean];

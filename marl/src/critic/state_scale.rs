@@ -5,8 +5,8 @@ use policy::NamedArrays;
 use policy::standardisation::LIMIT;
 
 use crate::config::StateNorm;
+use crate::data::running::RunningMoments;
 use crate::error::MarlError;
-use crate::running::RunningMoments;
 
 /// Below this deviation a state's features count as equal and are only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;

@@ -6,8 +6,8 @@ use policy::{Precision, RunSeed};
 use rayon::prelude::*;
 
 use super::{Critic, CriticFigures, Seen, Values};
-use crate::batch::{AgentShape, Batch, Final, Problem};
 use crate::config::{Config, CriticInput};
+use crate::data::batch::{AgentShape, Batch, Final, Problem};
 use crate::error::MarlError;
 
 /// One critic, or one for each agent.

@@ -5,8 +5,8 @@ use policy::arrays::NamedArrays;
 
 use super::moments::Moments;
 use crate::density::{Density, Observations, Occasion};
+use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
-use crate::gaussian::LOG_TWO_PI;
 
 /// Mean and deviation of every signal feature that varies.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use rand::RngCore;
 
 use super::*;
-use crate::gaussian::entropy;
+use crate::distribution::gaussian::entropy;
 use crate::probe;
 use crate::surprise::entropy_bound;
 

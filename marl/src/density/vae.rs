@@ -13,12 +13,12 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use super::moments::Moments;
 use crate::config::VaeConfig;
 use crate::density::{Density, Observations, Occasion};
+use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
-use crate::gaussian::LOG_TWO_PI;
-use crate::gradient::{Gradients, OutputGradient, by, numbers, root};
-use crate::layers::rows;
-use crate::minibatch::minibatches;
-use crate::optimizer::{Adam, AdamConfig};
+use crate::optimisation::gradient::{Gradients, OutputGradient, by, numbers, root};
+use crate::optimisation::layers::rows;
+use crate::optimisation::minibatch::minibatches;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
 
 /// Gain of the decoder's output: its means differ from the start, so that the latent has a use.
 const DECODER_GAIN: f64 = 1.0;

@@ -10,15 +10,15 @@ use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
-use crate::batch::ActionKind;
 use crate::config::InfluenceConfig;
+use crate::data::batch::ActionKind;
+use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::gradient::{Gradients, OutputGradient, numbers, root};
-use crate::head_rows::HeadRows;
-use crate::layers::rows;
-use crate::minibatch::minibatches;
-use crate::optimizer::{Adam, AdamConfig};
-use crate::shards::{self, shards};
+use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::optimisation::layers::rows;
+use crate::optimisation::minibatch::minibatches;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::shards::{self, shards};
 
 /// Sizes around one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,7 +83,7 @@ impl Corrected {
     }
 
     /// A scalar with the given gradient by the posterior's numbers.
-    fn root(&self, gradient: &HeadRows) -> Result<Tensor, MarlError> {
+    fn root(&self, gradient: HeadRows) -> Result<Tensor, MarlError> {
         let (by_shift, by_factor) = self.policy.correction_gradient(gradient);
         let mut outputs = vec![OutputGradient { output: &self.shift, gradient: &by_shift }];
         outputs.extend(
@@ -159,7 +159,8 @@ impl Posterior {
     pub fn fit(
         &mut self,
         data: &Conditions<'_>,
-        (trained, held_out): (&[usize], &[usize]),
+        trained: &[usize],
+        held_out: &[usize],
         (seed, draw): (RunSeed, Draw),
     ) -> Result<f64, MarlError> {
         let (mut reached, mut counted) = (self.log_likelihood(data, held_out)?, None);
@@ -203,7 +204,7 @@ impl Posterior {
                 likelihood += share * q.log_prob_of(place, action);
                 gradient.add_log_prob_gradient(-share, place, action, q);
             }
-            Ok((likelihood, Gradients::of(&self.parameters, &corrected.root(&gradient)?)?))
+            Ok((likelihood, Gradients::of(&self.parameters, &corrected.root(gradient)?)?))
         };
         let (likelihood, gradients) = shards::sum(&shards(part.len(), 1), &one)?;
         self.descend(&gradients, data.policy)?;
@@ -214,17 +215,16 @@ impl Posterior {
     /// where that is lower.
     fn descend(&mut self, gradients: &Gradients, policy: &HeadRows) -> Result<(), MarlError> {
         self.adam.step(&self.parameters, gradients)?;
-        let (Some(correction), HeadRows::Gaussian { sigma, .. }) = (&self.sigma_correction, policy)
-        else {
+        let Some(correction) = &self.sigma_correction else {
             return Ok(());
         };
         let lowest = |sigma: &f64| {
             let half = (0.5 * self.config.posterior_sigma_floor / sigma).min(0.5);
             self.precision.round(libm::log(half / (1.0 - half)))
         };
-        let held = numbers(correction.as_tensor())?.into_iter().zip(sigma);
+        let held = numbers(correction.as_tensor())?.into_iter().zip(&policy.sigma);
         let held: Vec<f64> = held.map(|(c, sigma)| c.max(lowest(sigma))).collect();
-        let held = Tensor::from_vec(held, sigma.len(), &Device::Cpu)?;
+        let held = Tensor::from_vec(held, policy.sigma.len(), &Device::Cpu)?;
         Ok(correction.set(&held.to_dtype(self.precision.dtype())?)?)
     }
 

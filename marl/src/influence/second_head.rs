@@ -9,10 +9,10 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{Distribution, Gaussian, PolicyConfig, Precision, project_sigma};
 
 use crate::config::InfluenceConfig;
+use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::head_rows::HeadRows;
 use crate::influence::posterior::{Conditions, PosteriorShape};
-use crate::layers::rows;
+use crate::optimisation::layers::rows;
 
 /// A Gaussian over the own action: `a^-i` encoded (Linear, tanh) and joined with the trunk's features, then Linear,
 /// tanh, and the mean; sigma as in the policy's head, a parameter of its own.

@@ -5,8 +5,8 @@ use policy::arrays::{Array, NamedArrays};
 
 use crate::config::{Constant, Fit, Reduce, SurpriseConfig};
 use crate::density::{Density, Observations, Occasion};
+use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
-use crate::gaussian::LOG_TWO_PI;
 use crate::surprise::entropy_bound;
 
 /// How log-densities become scores.

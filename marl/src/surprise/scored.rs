@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
-use crate::batch::{AgentShape, Batch, Final};
 use crate::config::{Scored, Space};
+use crate::data::batch::{AgentShape, Batch, Final};
 
 /// Places of the features that surprise looks at, in the rows that [`rows`] gives.
 pub(super) fn features(shape: &AgentShape, space: Space) -> &[usize] {
@@ -46,7 +46,7 @@ fn next(batch: &Batch, now: &[f32], after: impl Fn(&Final) -> Vec<f32>) -> Vec<f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::AgentBatch;
+    use crate::data::batch::AgentBatch;
 
     /// Two environments, two steps; the first environment's episode ends with step 0.
     fn batch() -> Batch {

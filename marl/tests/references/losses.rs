@@ -1,14 +1,13 @@
 //! Each loss by itself: its value and its gradient.
 
-use marl::actor_loss::categorical::categorical_loss;
-use marl::actor_loss::{Coefficients, Figures, Rows, actor_loss};
-use marl::advantage::{Horizon, advantage, next_values};
 use marl::config::{Divergence, Estimator};
 use marl::critic::value_loss;
-use marl::head_rows::HeadRows;
+use marl::critic::value_normalizer::ValueNormalizer;
+use marl::distribution::HeadRows;
 use marl::influence::Term;
-use marl::surrogate::normalized_advantage;
-use marl::value_normalizer::ValueNormalizer;
+use marl::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
+use marl::objective::advantage::{Horizon, advantage, next_values};
+use marl::objective::surrogate::normalized_advantage;
 use marl::{Batch, Final};
 
 use crate::file::Reference;
@@ -34,13 +33,13 @@ fn coefficients(reference: &Reference) -> Coefficients {
     }
 }
 
-fn rows(reference: &Reference, posterior: (Vec<f64>, Vec<f64>)) -> Rows {
+fn rows(reference: &Reference, posterior: HeadRows) -> Rows {
     Rows {
         action: reference.numbers("input/action"),
         log_prob_old: reference.numbers("input/log_prob_old"),
         advantage: reference.numbers("input/advantage"),
         factor: reference.numbers("input/factor"),
-        posterior,
+        posterior: Some(posterior),
     }
 }
 
@@ -60,51 +59,54 @@ fn figures_agree(reference: &Reference, figures: &Figures) {
 #[test]
 fn the_actors_loss_and_its_gradient_agree_with_pytorch() {
     let reference = gaussian();
-    let (mean, sigma) = (reference.numbers("input/mean"), reference.numbers("input/sigma"));
-    let posterior = (reference.numbers("input/q_mean"), reference.numbers("input/q_sigma"));
-    let rows = rows(&reference, posterior);
-    let loss = actor_loss(&mean, &sigma, &rows, rows.advantage.len(), &coefficients(&reference));
-    figures_agree(&reference, &loss.figures);
-    reference.expects("d_mean", &loss.d_mean);
-    reference.expects("d_sigma", &loss.d_sigma);
+    let of = |name: &str| reference.numbers(&format!("input/{name}"));
+    let (p, q) = (
+        HeadRows::gaussian(of("mean"), of("sigma")),
+        HeadRows::gaussian(of("q_mean"), of("q_sigma")),
+    );
+    let (figures, gradient) =
+        actor_loss(&p, &rows(&reference, q), p.count(), &coefficients(&reference));
+    figures_agree(&reference, &figures);
+    reference.expects("d_mean", &gradient.outputs);
+    reference.expects("d_sigma", &gradient.sigma);
 }
 
 #[test]
 fn the_actors_loss_for_choices_and_its_gradient_agree_with_pytorch() {
     let reference = Reference::of(include_bytes!("categorical_loss.safetensors"));
-    let (logits, q) = (reference.numbers("input/logits"), reference.numbers("input/q_logits"));
-    let rows = rows(&reference, (q, Vec::new()));
-    let loss = categorical_loss(&logits, 4, &rows, rows.advantage.len(), &coefficients(&reference));
-    figures_agree(&reference, &loss.figures);
-    reference.expects("d_logits", &loss.d_logits);
+    let of = |name: &str| HeadRows::categorical(reference.numbers(name), 4);
+    let (p, q) = (of("input/logits"), of("input/q_logits"));
+    let (figures, gradient) =
+        actor_loss(&p, &rows(&reference, q), p.count(), &coefficients(&reference));
+    figures_agree(&reference, &figures);
+    reference.expects("d_logits", &gradient.outputs);
 }
 
 #[test]
 fn the_posteriors_loss_and_its_gradient_agree_with_pytorch() {
     let reference = gaussian();
     let (mean, sigma) = (reference.numbers("input/q_mean"), reference.numbers("input/q_sigma"));
-    let (action, q) = (reference.numbers("input/action"), HeadRows::Gaussian { mean, sigma });
+    let (action, q) = (reference.numbers("input/action"), HeadRows::gaussian(mean, sigma));
     let (mut gradient, count) = (q.zeros(), action.len() / 2);
     let mut loss = 0.0;
     for (row, action) in action.chunks_exact(2).enumerate() {
         loss -= q.log_prob_of(row, action) / count as f64;
         gradient.add_log_prob_gradient(-1.0 / count as f64, row, action, &q);
     }
-    let HeadRows::Gaussian { mean, sigma } = gradient else { panic!("a Gaussian's gradient") };
     reference.expects("posterior_loss", &[loss]);
-    reference.expects("d_q_mean", &mean);
-    reference.expects("d_q_sigma", &sigma);
+    reference.expects("d_q_mean", &gradient.outputs);
+    reference.expects("d_q_sigma", &gradient.sigma);
 }
 
 #[test]
 fn the_clipped_huber_loss_of_values_agrees_with_pytorch() {
     let reference = values();
-    let bounds = (reference.setting("critic.clip"), reference.setting("critic.huber_delta"));
+    let (clip, delta) = (reference.setting("critic.clip"), reference.setting("critic.huber_delta"));
     let (old, target) = (reference.numbers("input/old"), reference.numbers("input/target"));
     let value = reference.numbers("input/value");
     let each = value.iter().zip(old).zip(target);
     let (loss, slope): (Vec<f64>, Vec<f64>) =
-        each.map(|((&value, old), target)| value_loss(value, old, target, bounds)).unzip();
+        each.map(|((&value, old), target)| value_loss(value, old, target, clip, delta)).unzip();
     reference.expects("value_loss", &loss);
     reference.expects("d_value", &slope);
 }

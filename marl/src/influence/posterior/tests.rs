@@ -57,7 +57,7 @@ fn features() -> Tensor {
 
 /// The policy whose actions these are, if nobody looks at the others'.
 fn marginal() -> HeadRows {
-    HeadRows::Gaussian { mean: vec![0.0; ROWS], sigma: vec![SIGMA] }
+    HeadRows::gaussian(vec![0.0; ROWS], vec![SIGMA])
 }
 
 /// Rows that are held out, one of five, and the others.
@@ -67,7 +67,7 @@ fn parts() -> (Vec<usize>, Vec<usize>) {
 
 fn fitted(posterior: &mut Posterior, data: &Conditions<'_>) {
     let ((held_out, trained), draw) = (parts(), Draw::of(Purpose::PosteriorMinibatch));
-    posterior.fit(data, (&trained, &held_out), (RunSeed(3), draw)).unwrap();
+    posterior.fit(data, &trained, &held_out, (RunSeed(3), draw)).unwrap();
 }
 
 /// The mean gain in log-density over the policy in the rows that are held out.
@@ -117,7 +117,7 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
         kind.see(&[(row % 3) as f32], &mut others);
     }
     let features = features();
-    let even = HeadRows::Categorical { logits: vec![0.0; 3 * ROWS], choices: 3 };
+    let even = HeadRows::categorical(vec![0.0; 3 * ROWS], 3);
     let data = Conditions { features: &features, others: &others, action: &action, policy: &even };
     let mut posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
     fitted(&mut posterior, &data);
@@ -135,7 +135,7 @@ fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
     let all: Vec<usize> = (0..ROWS).collect();
     let fit = |posterior: &mut Posterior, iteration| {
         let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration);
-        posterior.fit(&data, (&all, &[]), (RunSeed(3), draw)).unwrap();
+        posterior.fit(&data, &all, &[], (RunSeed(3), draw)).unwrap();
     };
     let (mut kept, mut other) = (posterior(), posterior());
     fit(&mut kept, 0);
@@ -168,7 +168,7 @@ fn training_never_lowers_the_likelihood_of_the_rows_that_are_held_out() {
     let draw = Draw::of(Purpose::PosteriorMinibatch);
     // Forty rows teach ten epochs nothing that holds elsewhere.
     let (trained, held_out): (Vec<usize>, Vec<usize>) = ((0..40).collect(), (40..2000).collect());
-    posterior.fit(&data, (&trained, &held_out), (RunSeed(3), draw)).unwrap();
+    posterior.fit(&data, &trained, &held_out, (RunSeed(3), draw)).unwrap();
     let log_q = posterior.log_likelihood(&data, &held_out).unwrap();
     let log_p = policy.log_prob(&action, &held_out).iter().sum::<f64>() / held_out.len() as f64;
     assert!(log_q >= log_p, "{log_q} {log_p}");

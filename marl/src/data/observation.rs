@@ -1,0 +1,166 @@
+//! How agents' observations are scaled on the learner's side, where statistics of a run are known.
+
+use std::borrow::Cow;
+
+use policy::{NamedArrays, PolicySnapshot};
+use rayon::prelude::*;
+
+use crate::data::batch::{Batch, Problem};
+use crate::data::running::RunningMoments;
+use crate::error::MarlError;
+
+/// How the learner scales observations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ObservationScale {
+    /// Not at all: they stay as the environment shows them.
+    AsShown,
+    /// By their running mean and deviation, feature by feature and agent by agent.
+    Running,
+}
+
+/// What observations are scaled by. The statistics are those of all iterations before: policies of version `k` play and
+/// learn iteration `k` with the same ones.
+#[derive(Clone, Debug)]
+pub struct ObservationMoments {
+    /// `[N]`, or none where observations stay as they are.
+    agents: Vec<RunningMoments>,
+}
+
+impl ObservationMoments {
+    /// Of nothing yet.
+    #[must_use]
+    pub fn new(scale: ObservationScale, problem: &Problem) -> Self {
+        let moments = || problem.agents.iter().map(|agent| RunningMoments::new(agent.observation));
+        let agents = match scale {
+            ObservationScale::AsShown => Vec::new(),
+            ObservationScale::Running => moments().collect(),
+        };
+        Self { agents }
+    }
+
+    /// `D_k` as policies see it.
+    #[must_use]
+    pub fn seen<'a>(&self, batch: &'a Batch) -> Cow<'a, Batch> {
+        let mut seen = Cow::Borrowed(batch);
+        for (index, moments) in self.agents.iter().enumerate() {
+            let (standardisation, seen) = (moments.standardisation(), seen.to_mut());
+            standardisation.apply(&mut seen.agents[index].observation);
+            seen.finals
+                .iter_mut()
+                .for_each(|last| standardisation.apply(&mut last.observation[index]));
+        }
+        seen
+    }
+
+    /// Takes in `D_k` as the environment showed it, for the iterations after it.
+    pub fn take_in(&mut self, batch: &Batch) {
+        let agents = self.agents.par_iter_mut().zip(&batch.agents);
+        agents.for_each(|(moments, agent)| moments.take_in(&agent.observation));
+    }
+
+    /// Policies that scale what they are shown by what is known now.
+    #[must_use]
+    pub fn snapshot(&self, mut policies: PolicySnapshot) -> PolicySnapshot {
+        if !self.agents.is_empty() {
+            let agents = policies.agents.into_iter().zip(&self.agents);
+            let scaled = agents.map(|(policy, own)| policy.standardised(own.standardisation()));
+            policies.agents = scaled.collect();
+        }
+        policies
+    }
+
+    /// `observation/agent_I.NAME`.
+    #[must_use]
+    pub fn arrays(&self) -> NamedArrays {
+        let agents = self.agents.iter().enumerate();
+        agents.flat_map(|(index, moments)| moments.arrays(&prefix(index))).collect()
+    }
+
+    /// Takes over kept statistics.
+    ///
+    /// # Errors
+    /// Names the array that is missing, unknown, or of another shape.
+    pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        let known = self.arrays();
+        let mut stored = arrays.keys().filter(|name| name.starts_with("observation/"));
+        if let Some(name) = stored.find(|name| !known.contains_key(*name)) {
+            return Err(MarlError::Restore(format!("{name} belongs to no agent of this run")));
+        }
+        let mut agents = self.agents.iter_mut().enumerate();
+        agents.try_for_each(|(index, moments)| moments.restore(&prefix(index), arrays))
+    }
+}
+
+fn prefix(agent: usize) -> String {
+    format!("observation/agent_{agent}.")
+}
+
+#[cfg(test)]
+mod tests {
+    use policy::{RunSeed, Scratch};
+
+    use super::*;
+    use crate::probe;
+
+    fn known() -> ObservationMoments {
+        let mut known = ObservationMoments::new(ObservationScale::Running, &probe::problem());
+        known.take_in(&probe::batch());
+        known
+    }
+
+    #[test]
+    fn a_snapshot_makes_of_what_it_is_shown_what_the_learner_makes_of_what_was_seen() {
+        let (config, policy, batch) = (probe::config(), probe::policy(), probe::batch());
+        let algorithm =
+            crate::build(&config, &policy, &probe::problem(), RunSeed(0)).unwrap().snapshot();
+        let (plain, known) = (algorithm.unwrap(), known());
+        let (scaled, seen) = (known.snapshot(plain.clone()), known.seen(&batch));
+        let scaled = PolicySnapshot::from_bytes(&scaled.to_bytes().unwrap()).unwrap();
+        let log_prob = |policies: &PolicySnapshot, batch: &Batch, index: usize| {
+            let (policy, own) = (&policies.agents[index], &batch.agents[index]);
+            let mut hidden = vec![0.0; policy.hidden_size() * batch.rows()];
+            let mut output = vec![0.0; policy.output_size() * batch.rows()];
+            let (rows, scratch) = (batch.rows(), &mut Scratch::default());
+            policy.forward(rows, &own.observation, &mut hidden, &mut output, scratch);
+            let actions = own.action.chunks_exact(policy.action_size());
+            let outputs = output.chunks_exact(policy.output_size());
+            outputs.zip(actions).map(|(o, a)| policy.log_prob(o, a)).collect::<Vec<f32>>()
+        };
+        for index in 0..plain.agents.len() {
+            let acted = log_prob(&scaled, &batch, index);
+            assert_eq!(acted, log_prob(&plain, &seen, index));
+            assert_ne!(acted, log_prob(&plain, &batch, index));
+        }
+    }
+
+    #[test]
+    fn observations_that_are_as_shown_are_not_even_copied() {
+        let (batch, problem) = (probe::batch(), probe::problem());
+        let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
+        plain.take_in(&batch);
+        assert!(matches!(plain.seen(&batch), Cow::Borrowed(_)));
+        assert!(plain.arrays().is_empty());
+    }
+
+    #[test]
+    fn final_observations_are_scaled_like_all_others() {
+        let (mut batch, known) = (probe::batch(), known());
+        let first = batch.agents[1].observation[..batch.finals[0].observation[1].len()].to_vec();
+        batch.finals[0].observation[1].clone_from(&first);
+        let seen = known.seen(&batch);
+        let last = &seen.finals[0].observation[1];
+        assert_eq!(last, &seen.agents[1].observation[..first.len()]);
+        assert_ne!(last, &first);
+    }
+
+    #[test]
+    fn kept_statistics_are_taken_over_and_refused_where_there_are_none() {
+        let (known, problem) = (known(), probe::problem());
+        let mut other = ObservationMoments::new(ObservationScale::Running, &problem);
+        other.restore(&known.arrays()).unwrap();
+        assert_eq!(other.arrays(), known.arrays());
+        let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
+        let error = plain.restore(&known.arrays()).unwrap_err().to_string();
+        assert!(error.contains("observation/agent_0"), "{error}");
+    }
+}

@@ -1,0 +1,269 @@
+//! `D_k` cut into chunks: the sequences through which a recurrent policy is trained.
+//!
+//! Chunk `c = k * B + b` holds steps `k * L .. (k + 1) * L` of environment `b`. Chunked rows are
+//! time-major again: row `l * C + c`. Everything inside an update is in this order.
+
+use std::ops::Range;
+
+use candle_core::{DType, Device, Tensor};
+use policy::network::SequenceInput;
+
+use crate::data::batch::Batch;
+use crate::error::MarlError;
+
+/// How `T x B` rows map to `L x C` chunked rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Layout {
+    /// `L`, steps per chunk.
+    pub steps: usize,
+    /// `C`, chunks.
+    pub chunks: usize,
+    /// `B`, environments.
+    pub environments: usize,
+}
+
+impl Layout {
+    /// The layout of `batch` in chunks of `chunk_steps` steps, which divides its steps.
+    #[must_use]
+    pub fn of(batch: &Batch, chunk_steps: usize) -> Self {
+        let chunks = batch.steps / chunk_steps * batch.environments;
+        Self { steps: chunk_steps, chunks, environments: batch.environments }
+    }
+
+    /// Rows, `L * C = T * B`.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.steps * self.chunks
+    }
+
+    /// The environment of a chunk.
+    #[must_use]
+    pub fn environment(&self, chunk: usize) -> usize {
+        chunk % self.environments
+    }
+
+    /// The chunk before a chunk in the same environment, unless it is `D_k`'s first.
+    #[must_use]
+    pub fn before(&self, chunk: usize) -> Option<usize> {
+        chunk.checked_sub(self.environments)
+    }
+
+    /// The time-major row `t * B + b` of step `step` of chunk `chunk`.
+    #[must_use]
+    pub fn source(&self, step: usize, chunk: usize) -> usize {
+        let (k, environment) = (chunk / self.environments, chunk % self.environments);
+        (k * self.steps + step) * self.environments + environment
+    }
+
+    /// `[T, B, width]` data in chunked order, `[L, C, width]`.
+    #[must_use]
+    pub fn chunked<V: Copy>(&self, data: &[V], width: usize) -> Vec<V> {
+        let mut out = Vec::with_capacity(data.len());
+        for step in 0..self.steps {
+            for chunk in 0..self.chunks {
+                let row = self.source(step, chunk);
+                out.extend_from_slice(&data[row * width..(row + 1) * width]);
+            }
+        }
+        out
+    }
+
+    /// Rows of chunked data `[L, C, width]` that belong to `columns`, `[L, columns, width]`.
+    #[must_use]
+    pub fn columns<V: Copy>(&self, data: &[V], width: usize, columns: &[usize]) -> Vec<V> {
+        let mut out = Vec::with_capacity(self.steps * columns.len() * width);
+        for step in 0..self.steps {
+            for &column in columns {
+                let row = step * self.chunks + column;
+                out.extend_from_slice(&data[row * width..(row + 1) * width]);
+            }
+        }
+        out
+    }
+
+    /// For every row of chunked data, its place where parts of the chunks `[L, chunks]` follow each other.
+    #[must_use]
+    pub fn order(&self, parts: &[Range<usize>]) -> Vec<u32> {
+        let mut order = vec![0; self.rows()];
+        for chunks in parts {
+            for step in 0..self.steps {
+                for chunk in chunks.clone() {
+                    let within = step * chunks.len() + chunk - chunks.start;
+                    let place = chunks.start * self.steps + within;
+                    order[step * self.chunks + chunk] = place as u32;
+                }
+            }
+        }
+        order
+    }
+
+    /// Puts `[L, columns, width]` data back to its place in chunked data `[L, C, width]`.
+    pub fn scatter<V: Copy>(&self, from: &[V], to: &mut [V], width: usize, columns: &[usize]) {
+        for step in 0..self.steps {
+            for (place, &column) in columns.iter().enumerate() {
+                let source = (step * columns.len() + place) * width;
+                let target = (step * self.chunks + column) * width;
+                to[target..target + width].copy_from_slice(&from[source..source + width]);
+            }
+        }
+    }
+}
+
+/// One agent's experience in chunked order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sequences {
+    /// How rows map to chunks.
+    pub layout: Layout,
+    /// Observations, `[L, C, obs]`.
+    pub observation: Vec<f32>,
+    /// Actions taken, `[L, C, act]`.
+    pub action: Vec<f64>,
+    /// Recurrent state at each chunk's start, `[C, H]`.
+    pub hidden: Vec<f32>,
+    /// 0 where an episode has just begun, so that the recurrent state is reset, `[L, C]`. A chunk's
+    /// first step has 1: its stored state is already the one after a reset.
+    pub mask: Vec<f32>,
+    /// Whether an episode ends with the chunk's last step, so that the next chunk starts at zero, `[C]`.
+    pub ends: Vec<bool>,
+    widths: (usize, usize),
+}
+
+impl Sequences {
+    /// Agent `agent` of `batch` in chunks; `hidden` is the width `H` of its recurrent state.
+    #[must_use]
+    pub fn of(batch: &Batch, agent: usize, layout: Layout, hidden: usize) -> Self {
+        let data = &batch.agents[agent];
+        let observation = data.observation.len() / batch.rows();
+        let action: Vec<f64> = data.action.iter().map(|&a| f64::from(a)).collect();
+        let width = action.len() / batch.rows();
+        Self {
+            layout,
+            observation: layout.chunked(&data.observation, observation),
+            action: layout.chunked(&action, width),
+            hidden: data.hidden.clone(),
+            mask: mask(batch, layout),
+            ends: (0..layout.chunks)
+                .map(|chunk| batch.done(layout.source(layout.steps - 1, chunk)))
+                .collect(),
+            widths: (observation, hidden),
+        }
+    }
+
+    /// The network's input for some chunks from their stored states.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn input(&self, columns: &[usize], dtype: DType) -> Result<SequenceInput, MarlError> {
+        self.input_from(columns, self.states(&self.hidden, columns), dtype)
+    }
+
+    /// Of states at every chunk's start `[C, H]`, those of some chunks, `[columns, H]`.
+    #[must_use]
+    pub fn states(&self, all: &[f32], columns: &[usize]) -> Vec<f32> {
+        let hidden = self.widths.1;
+        columns.iter().flat_map(|&c| &all[c * hidden..(c + 1) * hidden]).copied().collect()
+    }
+
+    /// The network's input for some chunks from `start`, `[columns, H]`.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn input_from(
+        &self,
+        columns: &[usize],
+        start: Vec<f32>,
+        dtype: DType,
+    ) -> Result<SequenceInput, MarlError> {
+        let (steps, count) = (self.layout.steps, columns.len());
+        let (observation, hidden) = self.widths;
+        let tensor = |data: Vec<f32>, shape: (usize, usize)| {
+            Tensor::from_vec(data, shape, &Device::Cpu)?.to_dtype(dtype)
+        };
+        Ok(SequenceInput {
+            observation: tensor(
+                self.layout.columns(&self.observation, observation, columns),
+                (steps * count, observation),
+            )?,
+            hidden: tensor(start, (count, hidden))?,
+            mask: tensor(self.layout.columns(&self.mask, 1, columns), (steps, count))?,
+        })
+    }
+}
+
+fn mask(batch: &Batch, layout: Layout) -> Vec<f32> {
+    let mut mask = vec![1.0; layout.rows()];
+    for step in 1..layout.steps {
+        for chunk in 0..layout.chunks {
+            if batch.done(layout.source(step - 1, chunk)) {
+                mask[step * layout.chunks + chunk] = 0.0;
+            }
+        }
+    }
+    mask
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::batch::AgentBatch;
+
+    fn numbered() -> Batch {
+        // 4 steps, 2 environments, chunks of 2: chunks (k0, b0) (k0, b1) (k1, b0) (k1, b1).
+        let data: Vec<f32> = (0..8_u8).map(f32::from).collect();
+        let agent = AgentBatch {
+            observation: data.clone(),
+            action: data.clone(),
+            log_prob: data,
+            hidden: vec![10.0, 11.0, 12.0, 13.0],
+        };
+        let mut batch =
+            Batch { steps: 4, environments: 2, agents: vec![agent], ..Batch::default() };
+        batch.terminated = vec![false; 8];
+        batch.truncated = vec![false; 8];
+        batch.terminated[0] = true; // step 0 of environment 0: inside chunk 0
+        batch.truncated[3] = true; // step 1 of environment 1: at the edge of chunks 1 and 3
+        batch
+    }
+
+    #[test]
+    fn chunks_hold_their_environments_steps_in_order() {
+        let batch = numbered();
+        let sequences = Sequences::of(&batch, 0, Layout::of(&batch, 2), 1);
+        assert_eq!(sequences.observation, vec![0., 1., 4., 5., 2., 3., 6., 7.]);
+        let input = sequences.input(&[1, 2], DType::F32).expect("shapes fit");
+        let rows = input.observation.to_vec2::<f32>().expect("two axes");
+        assert_eq!(rows, vec![vec![1.], vec![4.], vec![3.], vec![6.]]);
+        assert_eq!(input.hidden.to_vec2::<f32>().expect("two axes"), vec![vec![11.], vec![12.]]);
+    }
+
+    #[test]
+    fn the_recurrent_state_is_reset_inside_a_chunk_and_never_at_its_start() {
+        let batch = numbered();
+        let sequences = Sequences::of(&batch, 0, Layout::of(&batch, 2), 1);
+        assert_eq!(sequences.mask, vec![1., 1., 1., 1., 0., 1., 1., 1.]);
+    }
+
+    #[test]
+    fn rows_of_uneven_parts_are_found_in_their_order() {
+        let layout = Layout { steps: 3, chunks: 6, environments: 2 };
+        let data: Vec<usize> = (0..18).collect();
+        let parts = [0..1, 1..4, 4..6];
+        let part =
+            |part: &Range<usize>| layout.columns(&data, 1, &part.clone().collect::<Vec<usize>>());
+        let following: Vec<usize> = parts.iter().flat_map(part).collect();
+        let found = layout.order(&parts).into_iter().map(|place| following[place as usize]);
+        assert_eq!(found.collect::<Vec<usize>>(), data);
+    }
+
+    #[test]
+    fn scattered_columns_return_to_their_place() {
+        let batch = numbered();
+        let layout = Layout::of(&batch, 2);
+        let data = layout.chunked(&(0..8).collect::<Vec<i32>>(), 1);
+        let mut back = vec![-1; 8];
+        for columns in [vec![3, 0], vec![1, 2]] {
+            layout.scatter(&layout.columns(&data, 1, &columns), &mut back, 1, &columns);
+        }
+        assert_eq!(back, data);
+    }
+}

@@ -1,0 +1,217 @@
+//! Parameters of the action distributions of many rows in f64: the link between a head's tensors and the formulas.
+
+use std::ops::Range;
+
+use candle_core::Tensor;
+use policy::Distribution;
+
+use super::{CategoricalRow, GaussianRow, Row, RowDistribution, RowGradient};
+use crate::data::batch::ActionKind;
+use crate::data::sequence::Layout;
+use crate::error::MarlError;
+use crate::optimisation::gradient::{self, OutputGradient, numbers};
+use crate::shape::assert_shape;
+
+/// A distribution for each of `R` rows, or a gradient by its parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeadRows {
+    /// The kind of action.
+    pub kind: ActionKind,
+    /// Means, `[R, act]`, or logits, `[R, K]`.
+    pub outputs: Vec<f64>,
+    /// Standard deviations of all rows, `[act]`; empty for a discrete action.
+    pub sigma: Vec<f64>,
+}
+
+impl HeadRows {
+    /// Gaussians with means `[R, act]` and deviations `[act]`.
+    #[must_use]
+    pub fn gaussian(mean: Vec<f64>, sigma: Vec<f64>) -> Self {
+        Self { kind: ActionKind::Continuous, outputs: mean, sigma }
+    }
+
+    /// Categorical distributions with logits `[R, choices]`.
+    #[must_use]
+    pub fn categorical(logits: Vec<f64>, choices: usize) -> Self {
+        Self { kind: ActionKind::Discrete { choices }, outputs: logits, sigma: Vec::new() }
+    }
+
+    /// The numbers of a head's tensors.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn of(distribution: &Distribution) -> Result<Self, MarlError> {
+        Ok(match distribution {
+            Distribution::Gaussian(own) => {
+                Self::gaussian(numbers(&own.mean)?, numbers(&own.sigma)?)
+            }
+            Distribution::Categorical(own) => {
+                Self::categorical(numbers(&own.logits)?, own.logits.dim(1)?)
+            }
+        })
+    }
+
+    /// These parameters with other outputs.
+    fn with_outputs(&self, outputs: Vec<f64>) -> Self {
+        Self { kind: self.kind, outputs, sigma: self.sigma.clone() }
+    }
+
+    /// The formulas of this kind of distribution.
+    #[must_use]
+    pub fn distribution(&self) -> &'static dyn RowDistribution {
+        match self.kind {
+            ActionKind::Continuous => &GaussianRow,
+            ActionKind::Discrete { .. } => &CategoricalRow,
+        }
+    }
+
+    /// Numbers in an action, `act`.
+    #[must_use]
+    pub fn action_size(&self) -> usize {
+        match self.kind {
+            ActionKind::Continuous => self.sigma.len(),
+            ActionKind::Discrete { .. } => 1,
+        }
+    }
+
+    /// Outputs of a row, `act` or `K`.
+    fn width(&self) -> usize {
+        match self.kind {
+            ActionKind::Continuous => self.sigma.len(),
+            ActionKind::Discrete { choices } => choices,
+        }
+    }
+
+    /// `R`.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.outputs.len() / self.width()
+    }
+
+    /// The parameters of row `row`.
+    #[must_use]
+    pub fn row(&self, row: usize) -> Row<'_> {
+        Row { outputs: &self.outputs[row * self.width()..][..self.width()], sigma: &self.sigma }
+    }
+
+    /// The gradient by the parameters of row `row`.
+    pub fn row_gradient(&mut self, row: usize) -> RowGradient<'_> {
+        let width = self.width();
+        RowGradient { outputs: &mut self.outputs[row * width..][..width], sigma: &mut self.sigma }
+    }
+
+    /// A gradient of zeros by these parameters.
+    #[must_use]
+    pub fn zeros(&self) -> Self {
+        let (outputs, sigma) = (vec![0.0; self.outputs.len()], vec![0.0; self.sigma.len()]);
+        Self { kind: self.kind, outputs, sigma }
+    }
+
+    /// `log p(a)` of the given rows' actions; `action` is `[R, act]`; nats.
+    #[must_use]
+    pub fn log_prob(&self, action: &[f64], of: &[usize]) -> Vec<f64> {
+        let width = self.action_size();
+        let row = |&row: &usize| self.log_prob_of(row, &action[row * width..(row + 1) * width]);
+        of.iter().map(row).collect()
+    }
+
+    /// `log p(a)` of an action `[act]` in row `row`, nats.
+    #[must_use]
+    pub fn log_prob_of(&self, row: usize, action: &[f64]) -> f64 {
+        self.distribution().log_prob(action, self.row(row))
+    }
+
+    /// Adds `weight` times the gradient of [`HeadRows::log_prob_of`] by the parameters of `p` to this gradient.
+    pub fn add_log_prob_gradient(&mut self, weight: f64, row: usize, action: &[f64], p: &Self) {
+        let gradient = self.row_gradient(row);
+        p.distribution().add_log_prob_gradient(weight, action, p.row(row), gradient);
+    }
+
+    /// `KL[self || p]` of every row, `[R]`, nats.
+    ///
+    /// # Panics
+    /// If the shapes differ.
+    #[must_use]
+    pub fn kl_divergences(&self, p: &Self) -> Vec<f64> {
+        self.assert_same_shape(p);
+        let distribution = self.distribution();
+        (0..self.count()).map(|row| distribution.kl_divergence(self.row(row), p.row(row))).collect()
+    }
+
+    /// Panics if the kinds of action or the numbers of rows differ.
+    pub(crate) fn assert_same_shape(&self, other: &Self) {
+        let shape = |rows: &Self| (rows.kind, rows.outputs.len(), rows.sigma.len());
+        assert_shape("distributions (kind, outputs, sigma)", shape(other), shape(self));
+    }
+
+    /// The given rows.
+    #[must_use]
+    pub fn of_rows(&self, rows: &[usize]) -> Self {
+        self.with_outputs(rows.iter().flat_map(|&row| self.row(row).outputs).copied().collect())
+    }
+
+    /// This policy with `shift` `[R, out]` added to its outputs and its sigma times `factor`, `[act]`.
+    ///
+    /// # Panics
+    /// If the shapes differ.
+    #[must_use]
+    pub fn corrected(&self, shift: &[f64], factor: &[f64]) -> Self {
+        assert_shape("shift", shift.len(), self.outputs.len());
+        assert_shape("factor", factor.len(), self.sigma.len());
+        Self {
+            kind: self.kind,
+            outputs: self.outputs.iter().zip(shift).map(|(x, by)| x + by).collect(),
+            sigma: self.sigma.iter().zip(factor).map(|(x, by)| x * by).collect(),
+        }
+    }
+
+    /// From a gradient by the parameters that [`HeadRows::corrected`] gives: that by its `shift` and by its `factor`.
+    #[must_use]
+    pub fn correction_gradient(&self, gradient: Self) -> (Vec<f64>, Vec<f64>) {
+        let by_factor = gradient.sigma.iter().zip(&self.sigma).map(|(slope, sigma)| slope * sigma);
+        (gradient.outputs, by_factor.collect())
+    }
+
+    /// The rows of `parts`, of this kind each, one after another; no rows without parts.
+    #[must_use]
+    pub fn joined(&self, parts: &[Self]) -> Self {
+        let all = parts.iter().flat_map(|part| &part.outputs).copied().collect();
+        parts.first().unwrap_or(self).with_outputs(all)
+    }
+
+    /// Chunked rows `[L, C]` of some chunks, `[L, columns]`.
+    #[must_use]
+    pub fn columns(&self, layout: Layout, columns: &[usize]) -> Self {
+        self.with_outputs(layout.columns(&self.outputs, self.width(), columns))
+    }
+
+    /// Of parts that hold some chunks `[L, chunks]` each, all rows `[L, C]`.
+    ///
+    /// # Panics
+    /// Without a part.
+    #[must_use]
+    pub fn gathered(parts: &[Self], layout: Layout, chunks: &[Range<usize>]) -> Self {
+        let width = parts[0].width();
+        let mut all = vec![0.0; layout.rows() * width];
+        for (part, chunks) in parts.iter().zip(chunks) {
+            let columns: Vec<usize> = chunks.clone().collect();
+            layout.scatter(&part.outputs, &mut all, width, &columns);
+        }
+        parts[0].with_outputs(all)
+    }
+
+    /// A scalar whose gradient by the tensors of `head` is this one; see [`gradient::root`].
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn root(&self, head: &Distribution) -> Result<Tensor, MarlError> {
+        let outputs = match head {
+            Distribution::Gaussian(own) => vec![&own.mean, &own.sigma],
+            Distribution::Categorical(own) => vec![&own.logits],
+        };
+        let outputs = outputs.into_iter().zip([&self.outputs, &self.sigma]);
+        let outputs: Vec<OutputGradient<'_>> =
+            outputs.map(|(output, gradient)| OutputGradient { output, gradient }).collect();
+        gradient::root(&outputs)
+    }
+}

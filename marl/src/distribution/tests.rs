@@ -1,0 +1,168 @@
+//! Both kinds of distribution: cases worked by hand, limits, and gradients by finite differences.
+
+use libm::{exp, log};
+use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+
+use super::*;
+
+const KINDS: [Divergence; 3] = [Divergence::KlQp, Divergence::KlPq, Divergence::CauchySchwarz];
+const Q: Row<'_> = Row { outputs: &[0.3, -0.2], sigma: &[0.4, 0.25] };
+const P: Row<'_> = Row { outputs: &[0.1, 0.5], sigma: &[0.3, 0.5] };
+
+fn logits(outputs: &[f64]) -> Row<'_> {
+    Row { outputs, sigma: &[] }
+}
+
+#[test]
+fn the_divergence_meets_a_hand_worked_case() {
+    // log(.3/.4) + (.16+.04)/.18 - .5 = .323429 ; log(.5/.25) + (.0625+.49)/.5 - .5 = 1.298147
+    let found = GaussianRow.kl_divergence(Q, P);
+    assert!((found - (0.323_429_038 + 1.298_147_181)).abs() < 1e-8);
+    assert!(GaussianRow.kl_divergence(Q, Q).abs() < 1e-15);
+}
+
+#[test]
+fn the_entropy_is_minus_the_mean_log_density() {
+    // E[z^2] = 1 in each dimension, so the mean log-density is that of z = 1 in all of them.
+    let x = [P.outputs[0] + P.sigma[0], P.outputs[1] - P.sigma[1]];
+    assert!((gaussian::entropy(P.sigma) + GaussianRow.log_prob(&x, P)).abs() < 1e-12);
+}
+
+/// Mean of `value` over rows drawn from the Gaussian `of`.
+fn mean_over(of: Row<'_>, value: impl Fn(&[f64]) -> f64) -> f64 {
+    const ROWS: usize = 200_000;
+    let mut rng = generator(RunSeed(8), Draw::of(Purpose::Probe));
+    let mut row = || -> Vec<f64> {
+        let draw = |(mean, sigma)| mean + sigma * f64::from(standard_normal(&mut rng));
+        of.outputs.iter().zip(of.sigma).map(draw).collect()
+    };
+    (0..ROWS).map(|_| value(&row())).sum::<f64>() / ROWS as f64
+}
+
+#[test]
+fn the_closed_forms_meet_monte_carlo() {
+    let difference = |x: &[f64]| GaussianRow.log_prob(x, Q) - GaussianRow.log_prob(x, P);
+    let density = |of: Row<'_>, x: &[f64]| exp(GaussianRow.log_prob(x, of));
+    let (q_p, q_q, p_p) = (
+        mean_over(Q, |x| density(P, x)),
+        mean_over(Q, |x| density(Q, x)),
+        mean_over(P, |x| density(P, x)),
+    );
+    let sampled = [mean_over(Q, difference), -mean_over(P, difference)];
+    let found = KINDS.map(|kind| GaussianRow.divergence(kind, Q, P));
+    assert!((found[0] - sampled[0]).abs() < 0.01, "{found:?} {sampled:?}");
+    assert!((found[1] - sampled[1]).abs() < 0.02, "{found:?} {sampled:?}");
+    assert!((found[2] + log(q_p * q_p / (q_q * p_p))).abs() < 0.02, "{found:?}");
+}
+
+#[test]
+fn nothing_diverges_from_itself_and_only_cauchy_schwarz_is_symmetric() {
+    for kind in KINDS {
+        assert!(GaussianRow.divergence(kind, P, P).abs() < 1e-12);
+    }
+    let both = |kind| (GaussianRow.divergence(kind, Q, P), GaussianRow.divergence(kind, P, Q));
+    let (there, back) = both(Divergence::CauchySchwarz);
+    assert!((there - back).abs() < 1e-12);
+    assert_eq!(both(Divergence::KlQp).0, both(Divergence::KlPq).1);
+    assert!((both(Divergence::KlQp).0 - both(Divergence::KlQp).1).abs() > 0.1);
+}
+
+#[test]
+fn a_categorical_case_worked_by_hand_is_met() {
+    // Probabilities 1/2, 1/4, 1/4 and 1/4, 1/4, 1/2, each moved by a constant.
+    let moved = |p: [f64; 3], by: f64| p.map(|p| log(p) + by);
+    let (q, p) = (moved([0.5, 0.25, 0.25], 3.0), moved([0.25, 0.25, 0.5], -2.0));
+    assert!((CategoricalRow.log_prob(&[2.0], logits(&p)) - log(0.5)).abs() < 1e-14);
+    assert!((CategoricalRow.row_entropy(&q) - 1.5 * log(2.0)).abs() < 1e-14);
+    // 1/2 log 2 + 0 - 1/4 log 2
+    let found = CategoricalRow.kl_divergence(logits(&q), logits(&p));
+    assert!((found - 0.25 * log(2.0)).abs() < 1e-14);
+    assert!(CategoricalRow.kl_divergence(logits(&q), logits(&q)).abs() < 1e-15);
+    assert!((CategoricalRow.row_entropy(&[7.0; 5]) - log(5.0)).abs() < 1e-14);
+}
+
+#[test]
+fn categorical_divergences_meet_a_case_worked_by_hand() {
+    // q = (1/2, 1/2), p = (1/4, 3/4), each moved by a constant.
+    let (q, p) = ([2.0, 2.0], [log(0.25) - 1.0, log(0.75) - 1.0]);
+    let found = KINDS.map(|kind| CategoricalRow.divergence(kind, logits(&q), logits(&p)));
+    // 1/2 log 2 + 1/2 log 2/3; 1/4 log 1/2 + 3/4 log 3/2; -log((1/2)^2 / (1/2 5/8)) = log 5/4
+    let by_hand =
+        [0.5 * log(2.0) + 0.5 * log(2.0 / 3.0), 0.25 * log(0.5) + 0.75 * log(1.5), log(1.25)];
+    for (found, by_hand) in found.into_iter().zip(by_hand) {
+        assert!((found - by_hand).abs() < 1e-14, "{found} {by_hand}");
+    }
+}
+
+#[test]
+fn categorical_distributions_without_overlap_are_far_apart_with_finite_gradients() {
+    let (q, p) = ([0.0, -700.0], [-700.0, 0.0]);
+    for kind in KINDS {
+        let mut slopes = [0.0; 2];
+        let gradient = RowGradient { outputs: &mut slopes, sigma: &mut [] };
+        let (q, p) = (logits(&q), logits(&p));
+        CategoricalRow.add_divergence_gradient_by_p(kind, 1.0, q, p, gradient);
+        let far = CategoricalRow.divergence(kind, q, p);
+        assert!(far > 600.0 && far.is_finite(), "{kind:?} {far}");
+        assert!(slopes.iter().all(|slope| slope.is_finite()), "{kind:?} {slopes:?}");
+    }
+    let (q, p) = ([900.0, 0.0, -900.0], [-900.0, 0.0, 900.0]);
+    assert!(CategoricalRow.row_entropy(&q).is_finite());
+    assert!(CategoricalRow.kl_divergence(logits(&q), logits(&p)).is_finite());
+    assert!(CategoricalRow.log_prob(&[2.0], logits(&q)).is_finite());
+}
+
+/// Compares the gradient that `add` gives at `at` with the finite differences of `value`.
+fn meets_differences(
+    at: Row<'_>,
+    value: impl Fn(Row<'_>) -> f64,
+    add: impl Fn(Row<'_>, RowGradient<'_>),
+) {
+    let width = at.outputs.len();
+    let all = [at.outputs, at.sigma].concat();
+    let of = |all: &[f64]| value(Row { outputs: &all[..width], sigma: &all[width..] });
+    let mut found = vec![0.0; all.len()];
+    let (outputs, sigma) = found.split_at_mut(width);
+    add(at, RowGradient { outputs, sigma });
+    for i in 0..all.len() {
+        let moved = |by: f64| {
+            let mut to = all.clone();
+            to[i] += by;
+            of(&to)
+        };
+        let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+        assert!((slope - found[i]).abs() < 1e-7 * (1.0 + slope.abs()), "{i}: {slope} {found:?}");
+    }
+}
+
+#[test]
+fn the_gradients_of_both_kinds_meet_finite_differences() {
+    let (q, p) = ([0.3, -1.2, 0.8], [-0.4, 0.9, 0.2]);
+    let gaussian: (&dyn RowDistribution, _, _, &[f64]) = (&GaussianRow, Q, P, &[0.7, -0.1]);
+    let categorical: (&dyn RowDistribution, _, _, &[f64]) =
+        (&CategoricalRow, logits(&q), logits(&p), &[1.0]);
+    for (of, q, p, action) in [gaussian, categorical] {
+        meets_differences(
+            p,
+            |p| 2.0 * of.log_prob(action, p),
+            |p, to| of.add_log_prob_gradient(2.0, action, p, to),
+        );
+        meets_differences(
+            p,
+            |p| -3.0 * of.row_entropy(p.outputs),
+            |p, to| of.add_row_entropy_gradient(-3.0, p.outputs, to.outputs),
+        );
+        for kind in KINDS {
+            meets_differences(
+                p,
+                |p| 1.3 * of.divergence(kind, q, p),
+                |p, to| of.add_divergence_gradient_by_p(kind, 1.3, q, p, to),
+            );
+            meets_differences(
+                q,
+                |q| 1.3 * of.divergence(kind, q, p),
+                |q, to| of.add_divergence_gradient_by_q(kind, 1.3, q, p, to),
+            );
+        }
+    }
+}

@@ -1,0 +1,5 @@
+//! The objective of the actors: advantages, HAPPO's surrogate, and the loss of Eq. (10).
+
+pub mod actor_loss;
+pub mod advantage;
+pub mod surrogate;

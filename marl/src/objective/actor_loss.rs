@@ -1,0 +1,297 @@
+//! Eq. (10): the actor's loss over the rows of a minibatch, and its gradient by the policy's parameters. Written by
+//! hand in f64, because it runs once per optimiser step over every row.
+
+use super::surrogate::{clipped_surrogate, is_held, ratio};
+use crate::distribution::{HeadRows, gaussian};
+use crate::influence::{Term, regularized_objective};
+use crate::shape::assert_shape;
+
+/// Weights of the loss's terms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Coefficients {
+    /// Half width of the ratio's trust region.
+    pub clip: f64,
+    /// Weight of the entropy bonus.
+    pub entropy: f64,
+    /// Weight of the influence term.
+    pub lambda: f64,
+    /// How the influence term is computed.
+    pub term: Term,
+}
+
+/// What the loss needs to know about its rows and holds constant; `R` rows of `A` actions.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rows {
+    /// Actions taken, `[R, A]`.
+    pub action: Vec<f64>,
+    /// Log-densities of the actions under the behaviour weights, `[R]`.
+    pub log_prob_old: Vec<f64>,
+    /// Normalised advantages, `[R]`.
+    pub advantage: Vec<f64>,
+    /// Sequential factor `M`, `[R]`.
+    pub factor: Vec<f64>,
+    /// The posterior `q` of every row, with an influence term.
+    pub posterior: Option<HeadRows>,
+}
+
+/// Figures of a minibatch. All are means over its rows, and shares of them add up.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Figures {
+    /// The whole loss: what is minimised.
+    pub loss: f64,
+    /// Minus the weighted clipped surrogate.
+    pub policy_loss: f64,
+    /// Mean of `ratio - 1 - log ratio`, an estimate of `KL[old || new]`, nats.
+    pub approx_kl: f64,
+    /// Share of rows whose ratio is outside the trust region.
+    pub clip_fraction: f64,
+    /// Share of rows whose log-ratio is so far off that the ratio is held.
+    pub held_fraction: f64,
+    /// Mean influence term: the paper's is the capped `KL[q || p]`, nats.
+    pub influence: f64,
+    /// Share of rows whose divergence has reached its cap.
+    pub capped_fraction: f64,
+    /// Mean entropy of the policy, nats.
+    pub entropy: f64,
+}
+
+impl Figures {
+    /// Adds `weight` times `other`.
+    pub fn add(&mut self, weight: f64, other: &Self) {
+        self.loss += weight * other.loss;
+        self.policy_loss += weight * other.policy_loss;
+        self.approx_kl += weight * other.approx_kl;
+        self.clip_fraction += weight * other.clip_fraction;
+        self.held_fraction += weight * other.held_fraction;
+        self.influence += weight * other.influence;
+        self.capped_fraction += weight * other.capped_fraction;
+        self.entropy += weight * other.entropy;
+    }
+}
+
+/// Eq. (10): `-mean_R [ M min(ratio A, clip(ratio) A) + lambda min(KL[q || p], kappa act) + c_entropy H[p] ]`, and
+/// its gradient by the parameters of the policy `p`, for rows that are `R` of the minibatch's `total` rows: every mean
+/// is divided by `total`, so that the results of all parts of a minibatch add up to those of the whole.
+///
+/// # Panics
+/// If the shapes of `p` and `rows` differ.
+#[must_use]
+pub fn actor_loss(
+    p: &HeadRows,
+    rows: &Rows,
+    total: usize,
+    coefficients: &Coefficients,
+) -> (Figures, HeadRows) {
+    rows.assert_shapes(p);
+    let (share, distribution, width) = (1.0 / total as f64, p.distribution(), p.action_size());
+    let (mut figures, mut gradient) = (Figures::default(), p.zeros());
+    for row in 0..p.count() {
+        let action = &rows.action[row * width..(row + 1) * width];
+        let log_prob = distribution.log_prob(action, p.row(row));
+        let slope = surrogate_slope(row, log_prob, rows, share, coefficients.clip, &mut figures);
+        gradient.add_log_prob_gradient(slope, row, action, p);
+        let (weight, outputs) = (-coefficients.entropy * share, p.row(row).outputs);
+        figures.entropy += share * distribution.row_entropy(outputs);
+        let d_outputs = gradient.row_gradient(row).outputs;
+        distribution.add_row_entropy_gradient(weight, outputs, d_outputs);
+    }
+    if let Some(q) = &rows.posterior {
+        add_influence(p, q, share, coefficients, &mut figures, &mut gradient);
+    }
+    let share = p.count() as f64 * share;
+    figures.entropy += share * gaussian::entropy(&p.sigma);
+    for (d_sigma, sigma) in gradient.sigma.iter_mut().zip(&p.sigma) {
+        *d_sigma -= coefficients.entropy * share / sigma;
+    }
+    let Figures { policy_loss, influence, entropy, .. } = figures;
+    figures.loss -= coefficients.entropy * entropy;
+    figures.loss -= regularized_objective(-policy_loss, coefficients.lambda, influence);
+    (figures, gradient)
+}
+
+impl Rows {
+    fn assert_shapes(&self, p: &HeadRows) {
+        let rows = p.count();
+        assert_shape("action", self.action.len(), rows * p.action_size());
+        assert_shape("log_prob_old", self.log_prob_old.len(), rows);
+        assert_shape("advantage", self.advantage.len(), rows);
+        assert_shape("factor", self.factor.len(), rows);
+        self.posterior.iter().for_each(|q| p.assert_same_shape(q));
+    }
+}
+
+/// Adds one row's surrogate to the figures; the loss's slope by the row's new log-probability.
+fn surrogate_slope(
+    row: usize,
+    log_prob: f64,
+    rows: &Rows,
+    share: f64,
+    clip: f64,
+    figures: &mut Figures,
+) -> f64 {
+    let log_ratio = log_prob - rows.log_prob_old[row];
+    let ratio_now = ratio(log_ratio);
+    let (value, slope) = clipped_surrogate(ratio_now, rows.advantage[row], clip);
+    let weight = rows.factor[row] * share;
+    // Beyond the guard the ratio is constant: its slope by the log-ratio is 0, not the ratio.
+    let held = is_held(log_ratio);
+    let ratio_slope = if held { 0.0 } else { ratio_now };
+    figures.policy_loss -= weight * value;
+    figures.approx_kl += share * (ratio_now - 1.0 - log_ratio);
+    figures.clip_fraction += if (ratio_now - 1.0).abs() > clip { share } else { 0.0 };
+    figures.held_fraction += if held { share } else { 0.0 };
+    -weight * slope * ratio_slope
+}
+
+/// Adds the influence term of all rows to the figures, and its gradient by `p`.
+fn add_influence(
+    p: &HeadRows,
+    q: &HeadRows,
+    share: f64,
+    coefficients: &Coefficients,
+    figures: &mut Figures,
+    gradient: &mut HeadRows,
+) {
+    let Coefficients { lambda, term, .. } = coefficients;
+    for row in 0..p.count() {
+        let (value, slope) = term.row(row, q, p);
+        figures.influence += share * value;
+        figures.capped_fraction += share * (1.0 - slope.abs());
+        let (weight, to) = (-lambda * share * slope, gradient.row_gradient(row));
+        let (kind, q, p_row) = (term.divergence, q.row(row), p.row(row));
+        p.distribution().add_divergence_gradient_by_p(kind, weight, q, p_row, to);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ops::Range;
+
+    use super::*;
+    use crate::config::{Divergence, Estimator};
+
+    const TERM: Term =
+        Term { estimator: Estimator::VariationalKl, divergence: Divergence::KlQp, kappa: 1.0 };
+    const ALL: Coefficients = Coefficients { clip: 0.2, entropy: 0.03, lambda: 0.4, term: TERM };
+
+    /// Three rows of two action dimensions, and data about them; the last row's divergence is beyond the cap.
+    fn gaussians() -> (HeadRows, Rows) {
+        let p = HeadRows::gaussian(vec![0.1, -0.2, 0.4, 0.3, -0.5, 0.2], vec![0.3, 0.45]);
+        let q = HeadRows::gaussian(vec![0.2, 0.0, 0.3, 0.5, 2.5, 0.2], vec![0.25, 0.4]);
+        let rows = rows(&p, vec![0.3, -0.1, 0.2, 0.9, -0.6, 0.0], q);
+        (p, rows)
+    }
+
+    /// As [`gaussians`], with three choices.
+    fn choices() -> (HeadRows, Rows) {
+        let p = HeadRows::categorical(vec![0.1, -0.2, 0.4, 0.3, -0.5, 0.2, 1.0, -2.0, 0.0], 3);
+        let q = HeadRows::categorical(vec![0.2, 0.0, 0.3, 0.5, 0.9, 0.2, -3.0, 3.0, 0.0], 3);
+        let rows = rows(&p, vec![0.0, 2.0, 1.0], q);
+        (p, rows)
+    }
+
+    fn rows(p: &HeadRows, action: Vec<f64>, q: HeadRows) -> Rows {
+        // Ratios 1.1 (inside the trust region), 1.5 and 0.6 (outside, one free and one clipped).
+        let now = p.log_prob(&action, &[0, 1, 2]).into_iter().zip([1.1, 1.5, 0.6]);
+        Rows {
+            action,
+            log_prob_old: now.map(|(log_prob, ratio)| log_prob - libm::log(ratio)).collect(),
+            advantage: vec![0.7, 1.2, 0.9],
+            factor: vec![1.0, 1.3, 0.8],
+            posterior: Some(q),
+        }
+    }
+
+    /// The given rows alone.
+    fn part((p, all): &(HeadRows, Rows), of: Range<usize>) -> (HeadRows, Rows) {
+        let (rows, width): (Vec<usize>, _) = (of.clone().collect(), p.action_size());
+        let part = Rows {
+            action: all.action[of.start * width..of.end * width].to_vec(),
+            log_prob_old: all.log_prob_old[of.clone()].to_vec(),
+            advantage: all.advantage[of.clone()].to_vec(),
+            factor: all.factor[of].to_vec(),
+            posterior: all.posterior.as_ref().map(|q| q.of_rows(&rows)),
+        };
+        (p.of_rows(&rows), part)
+    }
+
+    /// Compares the loss with one whose entropy and largest divergence are given.
+    fn meets_hand_worked((p, rows): (HeadRows, Rows), entropy: f64, cap: f64) {
+        let loss = actor_loss(&p, &rows, 3, &ALL).0;
+        // Row 2 is clipped at 1.2; row 3's ratio is below the region but its advantage is positive.
+        let surrogate = (1.0 * 1.1 * 0.7 + 1.3 * 1.2 * 1.2 + 0.8 * 0.6 * 0.9) / 3.0;
+        let divergence = rows.posterior.unwrap().kl_divergences(&p);
+        let influence = (divergence[0] + divergence[1] + cap) / 3.0;
+        let by_hand = -surrogate - 0.4 * influence - 0.03 * entropy;
+        assert!((loss.loss - by_hand).abs() < 1e-12, "{} {by_hand}", loss.loss);
+        assert!((loss.clip_fraction - 2.0 / 3.0).abs() < 1e-12);
+        assert!((loss.capped_fraction - 1.0 / 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_loss_meets_a_hand_worked_case() {
+        // The cap: 1 per dimension.
+        meets_hand_worked(gaussians(), gaussian::entropy(&gaussians().0.sigma), 2.0);
+    }
+
+    #[test]
+    fn the_loss_of_choices_meets_a_hand_worked_case() {
+        let p = choices().0;
+        let entropy = (0..3).map(|row| p.distribution().row_entropy(p.row(row).outputs));
+        meets_hand_worked(choices(), entropy.sum::<f64>() / 3.0, 1.0);
+    }
+
+    #[test]
+    fn the_gradient_meets_finite_differences() {
+        let (cauchy_schwarz, kl_pq) = (Divergence::CauchySchwarz, Divergence::KlPq);
+        for (p, rows) in [gaussians(), choices()] {
+            gradient_meets_finite_differences(&p, &rows, TERM);
+            gradient_meets_finite_differences(&p, &rows, Term { divergence: kl_pq, ..TERM });
+            let term = Term { divergence: cauchy_schwarz, ..TERM };
+            gradient_meets_finite_differences(&p, &rows, term);
+            let estimator = Estimator::BarberAgakov;
+            let term = Term { estimator, divergence: kl_pq, ..TERM };
+            gradient_meets_finite_differences(&p, &rows, term);
+        }
+    }
+
+    fn gradient_meets_finite_differences(p: &HeadRows, rows: &Rows, term: Term) {
+        let all = Coefficients { term, ..ALL };
+        let found = actor_loss(p, rows, 3, &all).1;
+        let check = |of: fn(&mut HeadRows) -> &mut Vec<f64>| {
+            for (at, found) in of(&mut found.clone()).iter().enumerate() {
+                let moved = |by: f64| {
+                    let mut to = p.clone();
+                    of(&mut to)[at] += by;
+                    actor_loss(&to, rows, 3, &all).0.loss
+                };
+                let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                assert!((slope - found).abs() < 1e-7 * (1.0 + slope.abs()), "{slope} {found}");
+            }
+        };
+        check(|rows| &mut rows.outputs);
+        check(|rows| &mut rows.sigma);
+    }
+
+    #[test]
+    fn shares_of_a_minibatch_add_up_to_it() {
+        for all in [gaussians(), choices()] {
+            let loss = |(p, rows): &(HeadRows, Rows)| actor_loss(p, rows, 3, &ALL);
+            let whole = loss(&all);
+            let (first, last) = (loss(&part(&all, 0..1)), loss(&part(&all, 1..3)));
+            let together = [first.1.outputs, last.1.outputs].concat();
+            assert!(together.iter().zip(&whole.1.outputs).all(|(a, b)| (a - b).abs() < 1e-12));
+            assert!((first.0.loss + last.0.loss - whole.0.loss).abs() < 1e-12);
+            for (at, sigma) in whole.1.sigma.iter().enumerate() {
+                assert!((first.1.sigma[at] + last.1.sigma[at] - sigma).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_posterior_there_is_no_influence() {
+        let (p, rows) = gaussians();
+        let rows = Rows { posterior: None, ..rows };
+        assert_eq!(actor_loss(&p, &rows, 3, &ALL).0.influence, 0.0);
+    }
+}

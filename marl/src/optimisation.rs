@@ -1,0 +1,9 @@
+//! From gradients to new parameters: shards of minibatches, gradients in the network's precision, and Adam.
+
+pub mod gradient;
+pub(crate) mod layers;
+pub mod learning_rate;
+pub mod minibatch;
+pub mod optimizer;
+pub mod reals;
+pub(crate) mod shards;

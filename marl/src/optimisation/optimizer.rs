@@ -1,0 +1,326 @@
+//! Adam over a network's named parameters, with clipping by global norm and a state that can be
+//! stored: PyTorch's formula, the epsilon added after the square root.
+
+use libm::{pow, sqrt};
+use policy::arrays::{Array, NamedArrays};
+use policy::math::Real;
+use policy::parameters::{Parameters, TensorSpan};
+
+use crate::error::MarlError;
+use crate::optimisation::gradient::Gradients;
+use crate::optimisation::learning_rate::adapted;
+use crate::optimisation::reals::Reals;
+
+const BETA_1: f64 = 0.9;
+const BETA_2: f64 = 0.999;
+
+/// Adam's settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamConfig {
+    /// Step size.
+    pub learning_rate: f64,
+    /// Added to the root of the second moment.
+    pub epsilon: f64,
+    /// Gradients whose global norm is larger are scaled down to it.
+    pub max_gradient_norm: f64,
+}
+
+/// First and second moments of every parameter, and how many steps they have seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Adam {
+    config: AdamConfig,
+    /// Share of the configured step size that the run leaves at this iteration. Not part of the state to keep.
+    decay: f64,
+    /// Share of the configured step size that the movement of a policy leaves.
+    adapted: f64,
+    spans: Vec<TensorSpan>,
+    first: Vec<Reals>,
+    second: Vec<Reals>,
+    steps: i64,
+    skipped: i64,
+}
+
+impl Adam {
+    /// An optimiser for `parameters`, in their precision, that has seen no step.
+    #[must_use]
+    pub fn new(config: AdamConfig, parameters: &Parameters) -> Self {
+        let zeros: Vec<Reals> = parameters.vars().iter().map(|var| Reals::zeros(var)).collect();
+        Self {
+            config,
+            decay: 1.0,
+            adapted: 1.0,
+            spans: parameters.spans().to_vec(),
+            first: zeros.clone(),
+            second: zeros,
+            steps: 0,
+            skipped: 0,
+        }
+    }
+
+    /// From now on steps have the share `share` of the configured size. It is not part of the state to keep.
+    pub fn scale_learning_rate(&mut self, share: f64) {
+        self.decay = share;
+    }
+
+    /// Adapts the step size to an update that moved the policy by `kl` nats where `desired` were wanted. With `desired`
+    /// = 0 the step size stays.
+    pub fn adapt(&mut self, kl: f64, desired: f64) {
+        if desired > 0.0 {
+            self.adapted = adapted(self.adapted, kl, desired);
+        }
+    }
+
+    /// The size of the next step.
+    #[must_use]
+    pub fn learning_rate(&self) -> f64 {
+        self.decay * self.adapted * self.config.learning_rate
+    }
+
+    /// Takes one step down the gradient and returns the gradient's norm before clipping. A gradient
+    /// that is not finite changes nothing and is counted.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn step(
+        &mut self,
+        parameters: &Parameters,
+        gradients: &Gradients,
+    ) -> Result<f64, MarlError> {
+        let norm = gradients.norm();
+        if !norm.is_finite() {
+            self.skipped += 1;
+            return Ok(norm);
+        }
+        self.steps += 1;
+        // As torch.nn.utils.clip_grad_norm_ has it.
+        let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0);
+        let stride = Stride {
+            scale,
+            length: self.learning_rate() / (1.0 - pow(BETA_1, self.steps as f64)),
+            root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
+            epsilon: self.config.epsilon,
+        };
+        let moments = self.first.iter_mut().zip(&mut self.second);
+        for ((var, gradient), (first, second)) in
+            parameters.vars().iter().zip(&gradients.0).zip(moments)
+        {
+            var.set(
+                &stride.moved(Reals::of(var)?, gradient, (first, second)).tensor(var.shape())?,
+            )?;
+        }
+        Ok(norm)
+    }
+
+    /// Steps that were skipped because their gradient was not finite.
+    #[must_use]
+    pub fn skipped(&self) -> i64 {
+        self.skipped
+    }
+
+    /// The state to keep: `PREFIXm.NAME`, `PREFIXv.NAME`, `PREFIXsteps`, `PREFIXskipped`, `PREFIXadapted`.
+    #[must_use]
+    pub fn arrays(&self, prefix: &str) -> NamedArrays {
+        let mut arrays = NamedArrays::new();
+        for span in &self.spans {
+            for (kind, moment) in [("m", &self.first), ("v", &self.second)] {
+                let array = moment[span.var].array(span);
+                arrays.insert(format!("{prefix}{kind}.{}", span.name), array);
+            }
+        }
+        for (name, count) in [("steps", self.steps), ("skipped", self.skipped)] {
+            let array = Array::I64 { shape: vec![1], data: vec![count] };
+            arrays.insert(format!("{prefix}{name}"), array);
+        }
+        let share = Array::F64 { shape: vec![1], data: vec![self.adapted] };
+        arrays.insert(format!("{prefix}adapted"), share);
+        arrays
+    }
+
+    /// Takes over a kept state.
+    ///
+    /// # Errors
+    /// Names the array that is missing or has another shape or type.
+    pub fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+        for span in &self.spans {
+            take_over(&mut self.first[span.var], arrays, &format!("{prefix}m."), span)?;
+            take_over(&mut self.second[span.var], arrays, &format!("{prefix}v."), span)?;
+        }
+        self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
+        self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
+        self.adapted = stored_share(arrays, &format!("{prefix}adapted"))?;
+        Ok(())
+    }
+}
+
+/// One step's figures, the same for every parameter.
+#[derive(Clone, Copy)]
+struct Stride {
+    /// What clips the gradient.
+    scale: f64,
+    /// `lr / (1 - b1^t)`.
+    length: f64,
+    /// `sqrt(1 - b2^t)`.
+    root: f64,
+    epsilon: f64,
+}
+
+impl Stride {
+    /// Where a parameter goes. All four have the network's precision.
+    fn moved(self, values: Reals, gradient: &Reals, moments: (&mut Reals, &mut Reals)) -> Reals {
+        match (values, gradient, moments) {
+            (
+                Reals::Single(values),
+                Reals::Single(gradient),
+                (Reals::Single(first), Reals::Single(second)),
+            ) => Reals::Single(self.apply(values, gradient, first, second)),
+            (
+                Reals::Double(values),
+                Reals::Double(gradient),
+                (Reals::Double(first), Reals::Double(second)),
+            ) => Reals::Double(self.apply(values, gradient, first, second)),
+            (values, gradient, _) => panic!("{values:?} and {gradient:?} differ in precision"),
+        }
+    }
+
+    /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
+    /// `x -= lr / (1 - b1^t) m / (sqrt(v) / sqrt(1 - b2^t) + eps)`.
+    fn apply<T: Real>(
+        self,
+        mut values: Vec<T>,
+        gradient: &[T],
+        first: &mut [T],
+        second: &mut [T],
+    ) -> Vec<T> {
+        let [scale, length, root, epsilon] =
+            [self.scale, self.length, self.root, self.epsilon].map(T::from_f64);
+        let [keep_1, take_1, keep_2, take_2] =
+            [BETA_1, 1.0 - BETA_1, BETA_2, 1.0 - BETA_2].map(T::from_f64);
+        let moments = first.iter_mut().zip(second);
+        for ((value, &gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
+            let gradient = gradient * scale;
+            *first = keep_1 * *first + take_1 * gradient;
+            *second = keep_2 * *second + take_2 * gradient * gradient;
+            *value -= length * *first / (second.root() / root + epsilon);
+        }
+        values
+    }
+}
+
+/// Takes over the moment of a parameter.
+fn take_over(
+    moment: &mut Reals,
+    arrays: &NamedArrays,
+    prefix: &str,
+    span: &TensorSpan,
+) -> Result<(), MarlError> {
+    let name = format!("{prefix}{}", span.name);
+    let array =
+        arrays.get(&name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
+    match moment.take_over(array, span) {
+        true => Ok(()),
+        false => Err(MarlError::Restore(format!(
+            "{name} is not an array of {:?} in the run's precision",
+            span.shape
+        ))),
+    }
+}
+
+fn stored_count(arrays: &NamedArrays, name: &str) -> Result<i64, MarlError> {
+    match arrays.get(name) {
+        Some(Array::I64 { data, .. }) if data.len() == 1 && data[0] >= 0 => Ok(data[0]),
+        Some(_) => Err(MarlError::Restore(format!("{name} is not one count"))),
+        None => Err(MarlError::Restore(format!("{name} is missing"))),
+    }
+}
+
+fn stored_share(arrays: &NamedArrays, name: &str) -> Result<f64, MarlError> {
+    match arrays.get(name) {
+        Some(Array::F64 { data, .. }) if data.len() == 1 && data[0] > 0.0 && data[0] <= 1.0 => {
+            Ok(data[0])
+        }
+        Some(_) => Err(MarlError::Restore(format!("{name} is not one share above 0"))),
+        None => Err(MarlError::Restore(format!("{name} is missing"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{Device, Tensor};
+    use policy::Precision;
+
+    use super::*;
+
+    const CONFIG: AdamConfig =
+        AdamConfig { learning_rate: 0.1, epsilon: 1e-8, max_gradient_norm: 100.0 };
+
+    fn zeros(precision: Precision) -> Parameters {
+        let mut parameters = Parameters::new();
+        for name in ["a", "b"] {
+            let zero = Tensor::zeros(1, precision.dtype(), &Device::Cpu).unwrap();
+            parameters.add(name, zero).unwrap();
+        }
+        parameters
+    }
+
+    /// A gradient of two parameters of one number each.
+    fn gradients(parameters: &Parameters, numbers: [f64; 2]) -> Gradients {
+        let of = |(var, x): (&candle_core::Var, f64)| {
+            Reals::of(&Tensor::new(&[x], &Device::Cpu).unwrap().to_dtype(var.dtype()).unwrap())
+        };
+        Gradients(parameters.vars().iter().zip(numbers).map(of).collect::<Result<_, _>>().unwrap())
+    }
+
+    fn values(parameters: &Parameters) -> Vec<f64> {
+        parameters.vars().iter().flat_map(|var| Reals::of(var).unwrap().numbers()).collect()
+    }
+
+    fn close(found: &[f64], expected: [f64; 2]) {
+        let near = found.iter().zip(expected).all(|(found, x)| (found - x).abs() < 1e-6);
+        assert!(near && found.len() == 2, "{found:?}, expected {expected:?}");
+    }
+
+    #[test]
+    fn two_steps_meet_a_hand_worked_case_in_both_precisions() {
+        for precision in [Precision::Single, Precision::Double] {
+            let parameters = zeros(precision);
+            let mut adam = Adam::new(CONFIG, &parameters);
+            // m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001: g / |g| steps of .1.
+            adam.step(&parameters, &gradients(&parameters, [1.0, -2.0])).unwrap();
+            close(&values(&parameters), [-0.1, 0.1]);
+            // a: m = .09 + .3 = .39, over .19 is 2.052632; v = .000999 + .009 = .009999, over
+            // .001999 is 5.002001, root 2.236516; .1 * 2.052632 / 2.236516 = .0917781. b: m = -.18 over
+            // .19 is -.947368; v = .003996 over .001999 is 1.998999, root 1.413860; ratio -.670058.
+            adam.step(&parameters, &gradients(&parameters, [3.0, 0.0])).unwrap();
+            close(&values(&parameters), [-0.191_778_1, 0.167_005_8]);
+        }
+    }
+
+    #[test]
+    fn a_gradient_is_clipped_by_its_norm_over_all_parameters_and_reported_as_it_was() {
+        for (most, first) in [(1.0, [0.06, 0.08]), (100.0, [0.3, 0.4])] {
+            let parameters = zeros(Precision::Double);
+            let config = AdamConfig { max_gradient_norm: most, ..CONFIG };
+            let mut adam = Adam::new(config, &parameters);
+            // The norm of (3, 4) is 5; a tenth of what is left of it is the first moment.
+            assert_eq!(adam.step(&parameters, &gradients(&parameters, [3.0, 4.0])).unwrap(), 5.0);
+            close(&[adam.first[0].numbers(), adam.first[1].numbers()].concat(), first);
+        }
+    }
+
+    #[test]
+    fn a_gradient_that_is_no_number_changes_nothing_and_is_counted() {
+        let parameters = zeros(Precision::Single);
+        let mut adam = Adam::new(CONFIG, &parameters);
+        let norm = adam.step(&parameters, &gradients(&parameters, [1.0, f64::NAN])).unwrap();
+        assert!(norm.is_nan() && adam.skipped() == 1 && adam.steps == 0);
+        assert_eq!(values(&parameters), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn moments_of_another_precision_are_refused_by_name() {
+        let (single, double) = (zeros(Precision::Single), zeros(Precision::Double));
+        let stored = Adam::new(CONFIG, &single).arrays("optimizer/x.");
+        let error = Adam::new(CONFIG, &double).restore("optimizer/x.", &stored).unwrap_err();
+        assert!(error.to_string().contains("optimizer/x.m.a"), "{error}");
+    }
+}

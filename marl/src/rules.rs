@@ -1,0 +1,55 @@
+//! The learning rules, and the function that builds the configured one.
+
+pub mod algorithm;
+mod happo;
+mod maddpg;
+mod mappo;
+mod on_policy;
+
+use policy::{PolicyConfig, Precision, RunSeed};
+
+use crate::config::{Config, Rule};
+use crate::data::batch::Problem;
+use crate::error::MarlError;
+use algorithm::Algorithm;
+use happo::Happo;
+use maddpg::Maddpg;
+use mappo::Mappo;
+use on_policy::OnPolicy;
+
+/// The configured learning rule, its weights drawn with `seed`.
+///
+/// # Errors
+/// Refuses settings that do not suit each other or the problem; passes on a tensor error.
+pub fn build(
+    config: &Config,
+    policy: &PolicyConfig,
+    problem: &Problem,
+    seed: RunSeed,
+) -> Result<Box<dyn Algorithm>, MarlError> {
+    build_in(Precision::Single, config, policy, problem, seed)
+}
+
+/// As [`build`], in any precision.
+///
+/// # Errors
+/// As [`build`].
+pub fn build_in(
+    precision: Precision,
+    config: &Config,
+    policy: &PolicyConfig,
+    problem: &Problem,
+    seed: RunSeed,
+) -> Result<Box<dyn Algorithm>, MarlError> {
+    let start = (seed, precision);
+    config.suits(policy)?;
+    config.suits_agents(problem)?;
+    match config.update.rule {
+        Rule::Happo => Ok(Box::new(OnPolicy::new(Happo, config, policy, problem, start)?)),
+        Rule::Mappo => Ok(Box::new(OnPolicy::new(Mappo, config, policy, problem, start)?)),
+        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, start)?)),
+    }
+}
+
+#[cfg(test)]
+mod tests;

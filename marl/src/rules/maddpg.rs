@@ -1,0 +1,160 @@
+//! MADDPG: deterministic actors that climb central action values, learnt from a replay.
+//!
+//! Everything is counted in environment steps, so that a run does not depend on who rolls it out: the
+//! warm-up, and how many optimiser steps an iteration is worth. Actors learn from the snapshot whether
+//! to act uniformly or around the mean.
+
+mod agent;
+mod q;
+mod replay;
+
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
+use rayon::prelude::*;
+
+use crate::config::{Config, MaddpgConfig};
+use crate::data::batch::{Batch, Problem, Rewards, check_rewards};
+use crate::error::MarlError;
+use crate::rules::algorithm::{Algorithm, Report, refuse_strange};
+use crate::rules::maddpg::agent::{Agent, Figures};
+use crate::rules::maddpg::replay::{Horizon, Replay};
+
+/// MADDPG with one action value per agent.
+pub(crate) struct Maddpg {
+    config: MaddpgConfig,
+    gamma: f64,
+    problem: Problem,
+    chunk_steps: usize,
+    seed: RunSeed,
+    agents: Vec<Agent>,
+    replay: Replay,
+}
+
+impl Maddpg {
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision, and an empty replay.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub(crate) fn new(
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        start: (RunSeed, Precision),
+    ) -> Result<Self, MarlError> {
+        let agents = (0..problem.agents.len())
+            .map(|index| Agent::new(config, policy, problem, start, index))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            replay: Replay::new(problem, config.maddpg.replay),
+            gamma: config.update.gamma,
+            config: config.maddpg.clone(),
+            problem: problem.clone(),
+            chunk_steps: policy.backpropagation_steps,
+            seed: start.0,
+            agents,
+        })
+    }
+
+    /// Optimiser steps that were due after the first `steps` environment steps.
+    fn due(&self, steps: u64) -> u64 {
+        let learning = steps.saturating_sub(self.config.warm_up);
+        libm::floor(self.config.updates_per_step * learning as f64) as u64
+    }
+
+    /// One optimiser step of every agent, all from the same transitions.
+    fn learn(&mut self, draw: Draw) -> Result<Vec<Figures>, MarlError> {
+        let horizon = Horizon { gamma: self.gamma, steps: self.config.n_step };
+        let mut rng = generator(self.seed, draw);
+        let sample = self.replay.sample(self.config.batch, horizon, &mut rng);
+        let next = self.agents.par_iter().map(|agent| agent.next_actions(&sample));
+        let next = next.collect::<Result<Vec<_>, _>>()?;
+        self.agents.par_iter_mut().map(|agent| agent.learn(&sample, &next)).collect()
+    }
+
+    fn report(&self, updates: u64, sums: &[Figures]) -> Report {
+        let mut report = vec![
+            ("replay/transitions".to_owned(), self.replay.len() as f64),
+            ("replay/updates".to_owned(), updates as f64),
+        ];
+        if updates == 0 {
+            return report;
+        }
+        let (share, count) = (1.0 / updates as f64, self.agents.len() as f64);
+        let loss: f64 = sums.iter().map(|sum| sum.value_loss).sum();
+        report.push(("losses/value_loss".to_owned(), share * loss / count));
+        for (index, (agent, sum)) in self.agents.iter().zip(sums).enumerate() {
+            for (name, value) in [
+                ("policy_loss", -share * sum.action_value),
+                ("gradient_norm", share * sum.gradient_norm),
+                ("skipped_steps", agent.skipped() as f64),
+            ] {
+                report.push((format!("agent{index}/{name}"), value));
+            }
+        }
+        report
+    }
+}
+
+impl Algorithm for Maddpg {
+    fn scale_learning_rates(&mut self, share: f64) {
+        self.agents.iter_mut().for_each(|agent| agent.scale_learning_rates(share));
+    }
+
+    fn update(
+        &mut self,
+        batch: &Batch,
+        rewards: &Rewards,
+        iteration: u64,
+    ) -> Result<Report, MarlError> {
+        batch.check(&self.problem, self.chunk_steps, &vec![0; self.agents.len()])?;
+        check_rewards(rewards, self.agents.len(), batch.rows())?;
+        let before = self.replay.taken_in();
+        // Without surprise every agent's reward is the team's, which the replay keeps once.
+        self.replay.remember(batch)?;
+        let updates = self.due(self.replay.taken_in()) - self.due(before);
+        let mut sums = vec![Figures::default(); self.agents.len()];
+        for step in 0..updates {
+            let draw = Draw::of(Purpose::Replay).iteration(iteration).step(step as u32);
+            for (sum, figures) in sums.iter_mut().zip(self.learn(draw)?) {
+                sum.value_loss += figures.value_loss;
+                sum.action_value += figures.action_value;
+                sum.gradient_norm += figures.gradient_norm;
+            }
+        }
+        Ok(self.report(updates, &sums))
+    }
+
+    fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
+        let agents = self.agents.iter().map(Agent::policy).collect::<Result<Vec<_>, _>>()?;
+        let warming_up = self.replay.taken_in() < self.config.warm_up;
+        let agents = match warming_up {
+            true => agents.into_iter().map(policy::ActorPolicy::uniform).collect(),
+            false => agents,
+        };
+        Ok(PolicySnapshot { agents })
+    }
+
+    fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.weights()?;
+        arrays.extend(self.agents.iter().flat_map(Agent::optimizers));
+        arrays.append(&mut self.replay.arrays());
+        Ok(arrays)
+    }
+
+    /// The replay is not copied for this.
+    fn weights(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = NamedArrays::new();
+        for agent in &self.agents {
+            arrays.append(&mut agent.weights()?);
+        }
+        Ok(arrays)
+    }
+
+    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        refuse_strange(arrays, &self.arrays()?)?;
+        for agent in &mut self.agents {
+            agent.restore(arrays)?;
+        }
+        self.replay.restore(arrays)
+    }
+}

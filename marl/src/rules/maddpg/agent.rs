@@ -1,0 +1,276 @@
+//! One agent of MADDPG: a deterministic actor, its central action value, and a slow copy of each.
+
+use candle_core::{Device, Tensor};
+use policy::math::Real;
+use policy::parameters::Parameters;
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{
+    ActorNetwork, ActorPolicy, Distribution, Head, NamedArrays, PolicyConfig, Precision,
+    SequenceInput,
+};
+
+use crate::config::Config;
+use crate::critic::StateScale;
+use crate::data::batch::Problem;
+use crate::error::MarlError;
+use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
+use crate::optimisation::layers::rows;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::reals::Reals;
+use crate::rules::maddpg::q::ActionValue;
+use crate::rules::maddpg::replay::Sample;
+
+/// An agent in training.
+pub(super) struct Agent {
+    index: usize,
+    precision: Precision,
+    actor: ActorNetwork,
+    target_actor: ActorNetwork,
+    value: ActionValue,
+    target_value: ActionValue,
+    states: StateScale,
+    actor_adam: Adam,
+    value_adam: Adam,
+    polyak: f64,
+}
+
+/// What one optimiser step came to.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Figures {
+    pub(super) value_loss: f64,
+    /// Mean action value of the policy's own actions.
+    pub(super) action_value: f64,
+    pub(super) gradient_norm: f64,
+}
+
+impl Agent {
+    pub(super) fn new(
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        (seed, precision): (RunSeed, Precision),
+        index: usize,
+    ) -> Result<Self, MarlError> {
+        let draw = |purpose| generator(seed, Draw::of(purpose).agent(index as u32));
+        let shape = &problem.agents[index];
+        let (low, high) = shape.action_range;
+        let noise_sigma = config.maddpg.noise as f32 * 0.5 * (high - low);
+        let head = Head::Deterministic { noise_sigma, low, high };
+        let actor = || {
+            let mut rng = draw(Purpose::Initialisation);
+            let (observation, action) = (shape.observation, shape.action);
+            ActorNetwork::with_head(policy, observation, action, head, precision.dtype(), &mut rng)
+        };
+        let inputs = problem.state + problem.agents.iter().map(|agent| agent.action).sum::<usize>();
+        let value = || {
+            let mut rng = draw(Purpose::CriticInitialisation);
+            ActionValue::new(&config.critic, inputs, precision, &mut rng)
+        };
+        let adam = |learning_rate, max_gradient_norm, parameters: &Parameters| {
+            let epsilon = config.update.adam_epsilon;
+            Adam::new(AdamConfig { learning_rate, epsilon, max_gradient_norm }, parameters)
+        };
+        let (update, critic) = (&config.update, &config.critic);
+        let (first, q) = (actor()?, value()?);
+        Ok(Self {
+            index,
+            precision,
+            actor_adam: adam(update.learning_rate, update.max_gradient_norm, first.parameters()),
+            value_adam: adam(critic.learning_rate, critic.max_gradient_norm, &q.parameters),
+            actor: first,
+            target_actor: actor()?,
+            value: q,
+            target_value: value()?,
+            states: StateScale::new(critic.state_norm, problem.state),
+            polyak: config.maddpg.polyak,
+        })
+    }
+
+    pub(super) fn policy(&self) -> Result<ActorPolicy, MarlError> {
+        Ok(self.actor.policy()?)
+    }
+
+    pub(super) fn skipped(&self) -> i64 {
+        self.actor_adam.skipped() + self.value_adam.skipped()
+    }
+
+    /// The slow actor's actions after `sample`, `[R, act]`.
+    pub(super) fn next_actions(&self, sample: &Sample) -> Result<Tensor, MarlError> {
+        let observation = &sample.next.observation[self.index];
+        Ok(self.actions(&self.target_actor, observation, sample.reward.len())?.detach())
+    }
+
+    /// One step of the action value towards its target, one of the actor up the action value, and
+    /// the slow copies after them. `next` are all agents' slow actions.
+    pub(super) fn learn(&mut self, sample: &Sample, next: &[Tensor]) -> Result<Figures, MarlError> {
+        let target = self.targets(sample, next)?;
+        let taken = sample.action.iter().zip(next);
+        let taken = taken.map(|(action, like)| rows(action.clone(), like.dim(1)?, self.precision));
+        let taken = taken.collect::<Result<Vec<_>, MarlError>>()?;
+        let value_loss = self.fit_value(sample, &taken, &target)?;
+        let (action_value, gradient_norm) = self.climb(sample, taken)?;
+        follow(self.target_actor.parameters(), self.actor.parameters(), self.polyak)?;
+        follow(&self.target_value.parameters, &self.value.parameters, self.polyak)?;
+        Ok(Figures { value_loss, action_value, gradient_norm })
+    }
+
+    /// `sum_k gamma^k r_(t+k) + gamma^m Q'(s_(t+m), mu'(o_(t+m)))`, `[R]`.
+    fn targets(&self, sample: &Sample, next: &[Tensor]) -> Result<Vec<f64>, MarlError> {
+        let input = self.beside(&sample.next.state, next)?;
+        let values = numbers(&self.target_value.forward_as_constant(&input)?)?;
+        let parts = sample.reward.iter().zip(&sample.discount).zip(values);
+        Ok(parts.map(|((reward, discount), value)| reward + discount * value).collect())
+    }
+
+    /// Down the mean squared error.
+    fn fit_value(
+        &mut self,
+        sample: &Sample,
+        taken: &[Tensor],
+        target: &[f64],
+    ) -> Result<f64, MarlError> {
+        let output = self.value.forward(&self.beside(&sample.now.state, taken)?)?;
+        let share = 1.0 / target.len() as f64;
+        let errors: Vec<f64> = numbers(&output)?.iter().zip(target).map(|(q, y)| q - y).collect();
+        let gradient: Vec<f64> = errors.iter().map(|error| 2.0 * share * error).collect();
+        let root = root(&[OutputGradient { output: &output, gradient: &gradient }])?;
+        let gradients = Gradients::of(&self.value.parameters, &root)?;
+        self.value_adam.step(&self.value.parameters, &gradients)?;
+        Ok(share * errors.iter().map(|error| error * error).sum::<f64>())
+    }
+
+    /// Up the value of the own actions beside those that the others took.
+    fn climb(&mut self, sample: &Sample, mut joint: Vec<Tensor>) -> Result<(f64, f64), MarlError> {
+        let count = sample.reward.len();
+        joint[self.index] =
+            self.actions(&self.actor, &sample.now.observation[self.index], count)?;
+        let output = self.value.forward_as_constant(&self.beside(&sample.now.state, &joint)?)?;
+        let share = 1.0 / count as f64;
+        let gradient = vec![-share; count];
+        let root = root(&[OutputGradient { output: &output, gradient: &gradient }])?;
+        let gradients = Gradients::of(self.actor.parameters(), &root)?;
+        let norm = self.actor_adam.step(self.actor.parameters(), &gradients)?;
+        Ok((share * numbers(&output)?.iter().sum::<f64>(), norm))
+    }
+
+    /// An actor's actions `[R, act]` for observations `[R, obs]`.
+    fn actions(
+        &self,
+        actor: &ActorNetwork,
+        observation: &[f32],
+        count: usize,
+    ) -> Result<Tensor, MarlError> {
+        let unread = Tensor::zeros((1, 1), self.precision.dtype(), &Device::Cpu)?;
+        let input = SequenceInput {
+            observation: rows(observation.to_vec(), observation.len() / count, self.precision)?,
+            hidden: unread.clone(),
+            mask: unread,
+        };
+        match actor.distribution(&actor.weights()?, &input)? {
+            Distribution::Gaussian(gaussian) => Ok(gaussian.mean),
+            Distribution::Categorical(_) => unreachable!("MADDPG's own heads are deterministic"),
+        }
+    }
+
+    /// States `[R, S]`, scaled, and all agents' actions side by side, `[R, S + A]`.
+    fn beside(&self, state: &[f32], actions: &[Tensor]) -> Result<Tensor, MarlError> {
+        let (mut state, width) = (state.to_vec(), state.len() / actions[0].dim(0)?);
+        self.states.apply(&mut state, width);
+        let mut parts = vec![rows(state, width, self.precision)?];
+        parts.extend(actions.iter().cloned());
+        Ok(Tensor::cat(&parts, 1)?)
+    }
+
+    pub(super) fn scale_learning_rates(&mut self, share: f64) {
+        self.actor_adam.scale_learning_rate(share);
+        self.value_adam.scale_learning_rate(share);
+    }
+
+    /// Everything that is stored, by the name under which it stands.
+    fn stored(&self) -> [(String, &Parameters, Option<&Adam>); 4] {
+        let i = self.index;
+        [
+            (format!("agent_{i}."), self.actor.parameters(), Some(&self.actor_adam)),
+            (format!("q_{i}."), &self.value.parameters, Some(&self.value_adam)),
+            (format!("target_agent_{i}."), self.target_actor.parameters(), None),
+            (format!("target_q_{i}."), &self.target_value.parameters, None),
+        ]
+    }
+
+    pub(super) fn weights(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = NamedArrays::new();
+        for (name, parameters, _) in self.stored() {
+            arrays.append(&mut parameters.to_arrays(&format!("weights/{name}"))?);
+        }
+        Ok(arrays)
+    }
+
+    pub(super) fn optimizers(&self) -> NamedArrays {
+        let own = self.stored().into_iter().filter_map(|(name, _, adam)| Some((name, adam?)));
+        own.flat_map(|(name, adam)| adam.arrays(&format!("optimizer/{name}"))).collect()
+    }
+
+    pub(super) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        for (name, parameters, _) in self.stored() {
+            parameters.load(&format!("weights/{name}"), arrays)?;
+        }
+        let i = self.index;
+        self.actor_adam.restore(&format!("optimizer/agent_{i}."), arrays)?;
+        self.value_adam.restore(&format!("optimizer/q_{i}."), arrays)
+    }
+}
+
+/// Polyak averaging: `target' = (1 - share) target + share source`, parameter by parameter.
+fn follow(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
+    for (target, source) in target.vars().iter().zip(source.vars()) {
+        let moved = match (Reals::of(target)?, Reals::of(source)?) {
+            (Reals::Single(slow), Reals::Single(fast)) => Reals::Single(blend(&slow, &fast, share)),
+            (Reals::Double(slow), Reals::Double(fast)) => Reals::Double(blend(&slow, &fast, share)),
+            (slow, fast) => panic!("{slow:?} and {fast:?} differ in precision"),
+        };
+        target.set(&moved.tensor(target.shape())?)?;
+    }
+    Ok(())
+}
+
+fn blend<T: Real>(slow: &[T], fast: &[T], share: f64) -> Vec<T> {
+    let share = T::from_f64(share);
+    let pairs = slow.iter().zip(fast);
+    pairs.map(|(&slow, &fast)| (T::one() - share) * slow + share * fast).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::StateNorm;
+    use crate::probe;
+
+    fn parameters(values: [f32; 2]) -> Parameters {
+        let mut parameters = Parameters::new();
+        parameters.add("x", Tensor::new(&values, &Device::Cpu).unwrap()).unwrap();
+        parameters
+    }
+
+    #[test]
+    fn action_values_see_states_by_their_own_features_if_asked_to() {
+        let (problem, mut config) = (probe::problem(), probe::config());
+        let seen = |norm, config: &mut Config| {
+            config.critic.state_norm = norm;
+            let start = (RunSeed(0), Precision::Single);
+            let agent = Agent::new(config, &probe::policy(), &problem, start, 0).unwrap();
+            let action = Tensor::new(&[[9.0_f32]], &Device::Cpu).unwrap();
+            agent.beside(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
+        };
+        assert_eq!(seen(StateNorm::None, &mut config), [[1.0, 5.0, 9.0]]);
+        assert_eq!(seen(StateNorm::FeatureZ, &mut config), [[-1.0, 1.0, 9.0]]);
+    }
+
+    #[test]
+    fn a_slow_copy_goes_its_share_of_the_way() {
+        let (slow, fast) = (parameters([1.0, -2.0]), parameters([5.0, 2.0]));
+        follow(&slow, &fast, 0.25).unwrap();
+        assert_eq!(slow.vars()[0].as_tensor().to_vec1::<f32>().unwrap(), [2.0, -1.0]);
+        follow(&slow, &fast, 1.0).unwrap();
+        assert_eq!(slow.to_arrays("").unwrap(), fast.to_arrays("").unwrap());
+    }
+}

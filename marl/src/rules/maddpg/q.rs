@@ -1,0 +1,43 @@
+//! The central action value of one agent: what a joint action is worth in a global state.
+
+use candle_core::Tensor;
+use policy::Precision;
+use policy::ops::LayerStack;
+use policy::parameters::Parameters;
+use rand::RngCore;
+
+use crate::config::CriticConfig;
+use crate::error::MarlError;
+use crate::optimisation::layers::{Normalisation, rectified_layers};
+
+/// Layers of Linear, ReLU, then one value.
+pub(super) struct ActionValue {
+    pub(super) parameters: Parameters,
+    layers: LayerStack,
+}
+
+impl ActionValue {
+    /// For `inputs` numbers of state and joint action.
+    pub(super) fn new(
+        config: &CriticConfig,
+        inputs: usize,
+        precision: Precision,
+        rng: &mut impl RngCore,
+    ) -> Result<Self, MarlError> {
+        let shape = (inputs, config.width, config.layers);
+        let specs = rectified_layers(shape, Normalisation::None, 1);
+        let mut parameters = Parameters::new();
+        let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), rng)?;
+        Ok(Self { parameters, layers })
+    }
+
+    /// Values `[R, 1]` of states and joint actions side by side, `[R, S + A]`.
+    pub(super) fn forward(&self, input: &Tensor) -> Result<Tensor, MarlError> {
+        Ok(self.layers.weights()?.apply(input, None)?)
+    }
+
+    /// As [`ActionValue::forward`], for gradients by the input alone.
+    pub(super) fn forward_as_constant(&self, input: &Tensor) -> Result<Tensor, MarlError> {
+        Ok(self.layers.constant_weights()?.apply(input, None)?)
+    }
+}

@@ -1,0 +1,110 @@
+//! Targets and what is remembered, by hand.
+
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+
+use super::*;
+use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Final};
+
+const HALF: Horizon = Horizon { gamma: 0.5, steps: 3 };
+
+fn problem() -> Problem {
+    let shape = AgentShape {
+        observation: 1,
+        action: 1,
+        action_range: (-1.0, 1.0),
+        kind: ActionKind::Continuous,
+        surprise_features: vec![],
+        seen: vec![],
+        near: vec![],
+    };
+    Problem { agents: vec![shape], state: 1 }
+}
+
+/// `steps` steps of one environment from step `first` on: the state is the step's number, the reward
+/// its tenfold; `ends` are `(step, TERMINATED or TRUNCATED)`. A final state is the number of the step
+/// before it and a half.
+fn stretch(first: usize, steps: usize, ends: &[(usize, u8)]) -> Batch {
+    let numbers: Vec<f32> = (first..first + steps).map(|step| step as f32).collect();
+    let ended = |kind: u8| (0..steps).map(|step| ends.contains(&(step, kind))).collect();
+    let last = |step: usize| Final {
+        step,
+        environment: 0,
+        state: vec![(first + step) as f32 + 0.5],
+        observation: vec![vec![-1.0]],
+    };
+    let is_last = |step: &usize| *step + 1 == steps || ends.iter().any(|(end, _)| end == step);
+    Batch {
+        steps,
+        environments: 1,
+        agents: vec![AgentBatch {
+            observation: numbers.clone(),
+            action: numbers.clone(),
+            log_prob: vec![0.0; steps],
+            hidden: vec![],
+        }],
+        reward: numbers.iter().map(|number| 10.0 * number).collect(),
+        state: numbers,
+        terminated: ended(TERMINATED),
+        truncated: ended(TRUNCATED),
+        finals: (0..steps).filter(is_last).map(last).collect(),
+    }
+}
+
+/// Reward, discount and bootstrap state of a row.
+fn ahead(replay: &Replay, row: u64) -> (f64, f64, f32) {
+    let outlook = replay.look_ahead(row, HALF);
+    (outlook.reward, outlook.discount, outlook.next[0])
+}
+
+#[test]
+fn a_target_bootstraps_after_n_steps_from_a_truncation_and_never_from_a_termination() {
+    let mut replay = Replay::new(&problem(), 100);
+    replay.remember(&stretch(1, 8, &[(3, TRUNCATED), (5, TERMINATED)])).unwrap();
+    // Step numbers 1 2 3 4| 5 6# 7 8, where | truncates and # terminates; row r is step r + 1.
+    assert_eq!(ahead(&replay, 0), (10.0 + 10.0 + 7.5, 0.125, 4.0)); // three rewards, then step 4
+    assert_eq!(ahead(&replay, 1), (20.0 + 15.0 + 10.0, 0.125, 4.5)); // ends with the truncation
+    assert_eq!(ahead(&replay, 2), (30.0 + 20.0, 0.25, 4.5)); // two rewards before it
+    assert_eq!(ahead(&replay, 3), (40.0, 0.5, 4.5));
+    let (reward, discount, _) = ahead(&replay, 4);
+    assert_eq!((reward, discount), (50.0 + 30.0, 0.0)); // terminated: no value follows
+    assert_eq!(ahead(&replay, 6), (70.0 + 40.0, 0.25, 8.5)); // the newest step's true next state
+}
+
+#[test]
+fn targets_reach_over_the_end_of_an_iteration_once_the_next_one_is_there() {
+    let mut replay = Replay::new(&problem(), 100);
+    replay.remember(&stretch(1, 2, &[])).unwrap();
+    assert_eq!(ahead(&replay, 1), (20.0, 0.5, 2.5));
+    replay.remember(&stretch(3, 4, &[])).unwrap();
+    assert_eq!(ahead(&replay, 1), (20.0 + 15.0 + 10.0, 0.125, 5.0));
+}
+
+#[test]
+fn the_oldest_rows_are_forgotten_with_their_final_states_and_only_the_rest_is_drawn() {
+    let mut replay = Replay::new(&problem(), 5);
+    replay.remember(&stretch(1, 4, &[(0, TRUNCATED), (3, TRUNCATED)])).unwrap();
+    replay.remember(&stretch(5, 4, &[])).unwrap();
+    assert_eq!((replay.len(), replay.taken_in(), replay.oldest()), (5, 8, 3));
+    assert_eq!(replay.finals.keys().copied().collect::<Vec<_>>(), [3, 7]);
+    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Replay));
+    let mut drawn = replay.sample(200, HALF, &mut rng).now.state;
+    drawn.sort_by(f32::total_cmp);
+    drawn.dedup();
+    assert_eq!(drawn, [4.0, 5.0, 6.0, 7.0, 8.0]);
+}
+
+#[test]
+fn a_restored_replay_is_the_one_that_was_kept_and_a_shortened_one_is_refused() {
+    let mut kept = Replay::new(&problem(), 5);
+    kept.remember(&stretch(1, 4, &[(1, TRUNCATED)])).unwrap();
+    kept.remember(&stretch(5, 3, &[])).unwrap();
+    let mut restored = Replay::new(&problem(), 5);
+    restored.restore(&kept.arrays()).unwrap();
+    for replay in [&mut kept, &mut restored] {
+        replay.remember(&stretch(8, 2, &[(0, TERMINATED)])).unwrap();
+    }
+    assert_eq!(kept.arrays(), restored.arrays());
+    let mut arrays = kept.arrays();
+    arrays.insert("replay/ends".to_owned(), Array::U8 { shape: vec![1], data: vec![0] });
+    assert!(restored.restore(&arrays).unwrap_err().to_string().contains("replay/"));
+}

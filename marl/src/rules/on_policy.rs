@@ -1,0 +1,333 @@
+//! What every rule shares that learns from `D_k` alone and then forgets it: critic, advantages,
+//! posteriors, and how the state is kept. How the policies climb is the rule's own matter.
+
+pub(crate) mod agent;
+pub(crate) mod ascent;
+mod counted;
+mod heads;
+pub(crate) mod kl_budget;
+mod memory;
+
+use std::sync::Arc;
+
+use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
+use rayon::prelude::*;
+use tracing::trace_span;
+
+use crate::config::{Config, CriticMode, Sharing};
+use crate::critic::{CriticFigures, Critics, Values, explained_variance};
+use crate::data::batch::{Batch, Problem, Rewards};
+use crate::data::sequence::Layout;
+use crate::distribution::gaussian;
+use crate::error::MarlError;
+use crate::objective::actor_loss::Figures;
+use crate::objective::advantage::{Horizon, advantage};
+use crate::objective::surrogate::normalized_advantage;
+use crate::rules::algorithm::{Algorithm, Report, refuse_strange};
+use crate::rules::on_policy::agent::{Agent, Experience, Influence};
+use crate::rules::on_policy::ascent::{Moved, PerAgent, Trained};
+
+/// How a rule improves the policies; all else of an update is the same for all on-policy rules.
+pub(crate) trait Climb: Send + Sync {
+    /// Moves the policies of `agents`, and reports what that came to.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    fn climb(
+        &self,
+        agents: &mut [Agent],
+        prepared: &Prepared,
+        occasion: (RunSeed, u64),
+    ) -> Result<Report, MarlError>;
+}
+
+/// A rule that learns from `D_k` alone.
+pub(crate) struct OnPolicy<C> {
+    climb: C,
+    team: Team,
+}
+
+impl<C: Climb> OnPolicy<C> {
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub(crate) fn new(
+        climb: C,
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        start: (RunSeed, Precision),
+    ) -> Result<Self, MarlError> {
+        Ok(Self { climb, team: Team::new(config, policy, problem, start)? })
+    }
+}
+
+impl<C: Climb> Algorithm for OnPolicy<C> {
+    fn scale_learning_rates(&mut self, share: f64) {
+        self.team.scale_learning_rates(share);
+    }
+
+    fn update(
+        &mut self,
+        batch: &Batch,
+        rewards: &Rewards,
+        iteration: u64,
+    ) -> Result<Report, MarlError> {
+        let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
+            return Ok(skipped_report());
+        };
+        let Team { agents, critic, seed, .. } = &mut self.team;
+        let up = || self.climb.climb(agents, &prepared, (*seed, iteration));
+        let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
+        let (climbed, fitted) = rayon::join(
+            || trace_span!("policies").in_scope(up),
+            || trace_span!("critic").in_scope(fit),
+        );
+        let mut report = critic_report(&fitted?);
+        report.extend(climbed?);
+        report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
+        Ok(report)
+    }
+
+    fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
+        self.team.snapshot()
+    }
+
+    fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        self.team.arrays()
+    }
+
+    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        self.team.restore(arrays)
+    }
+}
+
+/// All agents and their critics.
+pub(crate) struct Team {
+    pub(crate) config: Config,
+    problem: Problem,
+    chunk_steps: usize,
+    pub(crate) precision: Precision,
+    pub(crate) seed: RunSeed,
+    pub(crate) agents: Vec<Agent>,
+    pub(crate) critic: Critics,
+}
+
+/// What is known of `D_k` before any policy moves.
+pub(crate) struct Prepared {
+    pub(crate) experience: Vec<Experience>,
+    pub(crate) influence: Vec<Influence>,
+    pub(crate) values: Vec<Values>,
+    /// What the critic learns, `[V][T, B]`.
+    pub(crate) returns: Vec<Vec<f64>>,
+}
+
+impl Prepared {
+    /// What one agent knows.
+    pub(crate) fn of(&self, agent: usize) -> PerAgent<'_> {
+        PerAgent { experience: &self.experience[agent], influence: &self.influence[agent] }
+    }
+
+    /// How well every agent's returns were known, and what its posterior came to.
+    pub(crate) fn report(&self, mode: CriticMode, precision: Precision) -> Report {
+        let mut report = Report::new();
+        let values: Vec<Vec<f64>> = self.values.iter().flat_map(|own| own.now.clone()).collect();
+        for (index, influence) in self.influence.iter().enumerate() {
+            let of = |valued: &[Vec<f64>]| precision.rounded(mode.of_agent(valued, index));
+            let (known, returns) = (of(&values), of(&self.returns));
+            let explained = explained_variance(precision, &known, &returns);
+            report.push((format!("agent{index}/explained_variance"), explained));
+            report.extend(influence.report(index));
+        }
+        report
+    }
+}
+
+impl Team {
+    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision. Agents
+    /// that share their parameters all hold the first one's network.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub(crate) fn new(
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        start: (RunSeed, Precision),
+    ) -> Result<Self, MarlError> {
+        let mut agents = (0..problem.agents.len())
+            .map(|index| Agent::new(config, policy, problem, start, index))
+            .collect::<Result<Vec<_>, _>>()?;
+        if config.update.parameters == Sharing::Shared {
+            let network = Arc::clone(&agents[0].network);
+            let trainable = Arc::clone(&agents[0].trainable);
+            for agent in &mut agents {
+                (agent.network, agent.trainable) = (Arc::clone(&network), Arc::clone(&trainable));
+            }
+        }
+        let critic = Critics::new(config, problem, start)?;
+        let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
+        let chunk_steps = policy.backpropagation_steps;
+        Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
+    }
+
+    pub(crate) fn scale_learning_rates(&mut self, share: f64) {
+        self.critic.scale_learning_rate(share);
+        self.agents.iter_mut().for_each(|agent| agent.adam.scale_learning_rate(share));
+    }
+
+    /// Checks the batch, values it, and fits the posteriors. Nothing is learnt, and nothing given, of
+    /// rewards or values that are no finite numbers: the critic's memory of returns never forgets.
+    ///
+    /// # Errors
+    /// Refuses a batch that does not fit the problem.
+    pub(crate) fn prepare(
+        &mut self,
+        batch: &Batch,
+        rewards: &Rewards,
+        iteration: u64,
+    ) -> Result<Option<Prepared>, MarlError> {
+        let hidden: Vec<usize> = self.agents.iter().map(Agent::hidden_size).collect();
+        batch.check(&self.problem, self.chunk_steps, &hidden)?;
+        let layout = Layout::of(batch, self.chunk_steps);
+        let values = trace_span!("values").in_scope(|| self.critic.values(batch))?;
+        let valued = || self.advantages(batch, rewards, &values);
+        let (advantages, returns) = trace_span!("advantages").in_scope(valued);
+        if !returns.iter().flatten().all(|value| value.is_finite()) {
+            return Ok(None);
+        }
+        self.agents.iter_mut().for_each(Agent::forget_states);
+        let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
+        let experience = trace_span!("behaviour").in_scope(gathered)?;
+        let (agents, seed) = (&mut self.agents, self.seed);
+        let fitted = || agent::fit_posteriors(agents, &experience, seed, iteration);
+        let influence = trace_span!("posteriors").in_scope(fitted)?;
+        Ok(Some(Prepared { experience, influence, values, returns }))
+    }
+
+    /// Every agent's normalised advantages `[N][T, B]`, and the returns `[V][T, B]` that the critic learns.
+    fn advantages(
+        &self,
+        batch: &Batch,
+        rewards: &Rewards,
+        values: &[Values],
+    ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
+        let update = &self.config.update;
+        let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
+        let mode = self.config.critic_mode();
+        let valued = mode.rewards(&batch.reward, rewards);
+        let rounded = |numbers| self.precision.rounded(numbers);
+        let heads: Vec<(&Vec<f64>, &Vec<f64>)> =
+            values.iter().flat_map(|own| own.now.iter().zip(&own.next)).collect();
+        let one = |head: usize| {
+            let (now, next) = heads[head];
+            let advantage = rounded(advantage(batch, &valued[head], now, next, horizon));
+            let returns = advantage.iter().zip(now).map(|(a, v)| a + v).collect();
+            (advantage, rounded(returns))
+        };
+        let (raw, returns): (Vec<_>, Vec<_>) = (0..valued.len()).into_par_iter().map(one).unzip();
+        let own = |agent: usize| rounded(mode.of_agent(&raw, agent));
+        let agent = |agent: usize| rounded(normalized_advantage(&own(agent)));
+        ((0..rewards.len()).into_par_iter().map(agent).collect(), returns)
+    }
+
+    pub(crate) fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
+        let agents = self.agents.iter().map(Agent::policy).collect::<Result<_, _>>()?;
+        Ok(PolicySnapshot { agents })
+    }
+
+    /// Who owns the network of agent `index`; nobody where an earlier agent shares it.
+    fn owner(&self, index: usize) -> Option<String> {
+        match (self.config.update.parameters, index) {
+            (Sharing::Separate, _) => Some(format!("agent_{index}")),
+            (Sharing::Shared, 0) => Some("shared".to_owned()),
+            (Sharing::Shared, _) => None,
+        }
+    }
+
+    pub(crate) fn arrays(&self) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.critic.arrays()?;
+        for (index, agent) in self.agents.iter().enumerate() {
+            if let Some(owner) = self.owner(index) {
+                arrays.append(&mut agent.network_arrays(&owner)?);
+            }
+            arrays.append(&mut agent.posterior_arrays(index)?);
+        }
+        Ok(arrays)
+    }
+
+    pub(crate) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+        refuse_strange(arrays, &self.arrays()?)?;
+        self.critic.restore(arrays)?;
+        for index in 0..self.agents.len() {
+            if let Some(owner) = self.owner(index) {
+                self.agents[index].restore_network(&owner, arrays)?;
+            }
+            self.agents[index].restore_posterior(index, arrays)?;
+        }
+        Ok(())
+    }
+}
+
+/// What is told of an update that was left out because returns were no finite numbers.
+fn skipped_report() -> Report {
+    vec![("losses/update_skipped".to_owned(), 1.0)]
+}
+
+/// What the critic's fit came to.
+fn critic_report(figures: &CriticFigures) -> Report {
+    vec![
+        ("losses/value_loss".to_owned(), figures.loss),
+        ("losses/value_gradient_norm".to_owned(), figures.gradient_norm),
+        ("losses/explained_variance".to_owned(), figures.explained_variance),
+        ("losses/value_skipped_steps".to_owned(), figures.skipped as f64),
+        ("losses/update_skipped".to_owned(), 0.0),
+    ]
+}
+
+/// What one agent's climb came to.
+pub(crate) fn agent_report(
+    agent: &Agent,
+    index: usize,
+    experience: &Experience,
+    trained: &Trained,
+    moved: &Moved,
+) -> Result<Report, MarlError> {
+    let figures = &trained.figures;
+    let named = [
+        ("policy_loss", figures.policy_loss),
+        ("approx_kl", figures.approx_kl),
+        ("exact_kl", moved.kl),
+        ("clip_fraction", figures.clip_fraction),
+        ("ratio_held", figures.held_fraction),
+        ("gradient_norm", trained.gradient_norm),
+        ("epochs", trained.epochs as f64),
+        ("learning_rate", trained.learning_rate),
+        ("skipped_steps", trained.skipped as f64),
+        ("influence_kl", figures.influence),
+        ("influence_capped", figures.capped_fraction),
+    ];
+    let equal = experience.advantage.iter().all(|&advantage| advantage == 0.0);
+    let named = named.into_iter().chain([("advantages_equal", f64::from(u8::from(equal)))]);
+    let named = named.chain(spread(agent, figures)?);
+    Ok(named.map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
+}
+
+/// How widely the policy draws: a Gaussian after the update, choices on average over it.
+fn spread(agent: &Agent, figures: &Figures) -> Result<Vec<(&'static str, f64)>, MarlError> {
+    let policy = agent.policy()?;
+    let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
+    Ok(match policy.head() {
+        Head::Categorical { .. } => vec![("entropy", figures.entropy)],
+        Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => vec![
+            ("entropy", gaussian::entropy(&sigma)),
+            ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
+            ("sigma_smallest", sigma.iter().fold(f64::INFINITY, |least, &x| least.min(x))),
+            ("sigma_floored", agent.floored(policy.sigma())),
+        ],
+    })
+}
+
+#[cfg(test)]
+mod tests;

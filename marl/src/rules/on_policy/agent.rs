@@ -1,0 +1,372 @@
+//! One agent: its network, its optimiser, its posterior, and what it has experienced.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use candle_core::{Device, Tensor};
+use policy::parameters::Parameters;
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
+use rayon::prelude::*;
+
+use crate::config::{Config, CountedState, Estimator, QTraining, UpdateConfig};
+use crate::data::batch::{ActionKind, Batch, Problem};
+use crate::data::sequence::{Layout, Sequences};
+use crate::distribution::HeadRows;
+use crate::error::MarlError;
+use crate::influence::count::JointSample;
+use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
+use crate::influence::second_head::SecondHead;
+use crate::influence::{Term, mutual_information};
+use crate::objective::actor_loss::Coefficients;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::shards::{self, shards};
+use crate::rules::algorithm::Report;
+use crate::rules::on_policy::counted;
+use crate::rules::on_policy::memory::Memory;
+use crate::surprise::entropy_bound;
+
+/// A network in training. Its posterior or its second head is there if the influence term has a weight and there are
+/// other agents.
+pub(crate) struct Agent {
+    /// Agents that share their parameters hold the same network.
+    pub(crate) network: Arc<ActorNetwork>,
+    pub(crate) adam: Adam,
+    /// What `adam` moves: the network's parameters and the second head's.
+    pub(super) trainable: Arc<Parameters>,
+    pub(crate) coefficients: Coefficients,
+    pub(crate) update: UpdateConfig,
+    pub(super) kind: ActionKind,
+    pub(super) precision: Precision,
+    pub(super) memory: Memory,
+    pub(super) posterior: Option<Posterior>,
+    pub(super) second_head: Option<SecondHead>,
+    holdout_every: usize,
+    /// What is counted in the posterior's place.
+    pub(super) counted: Option<CountedState>,
+    /// Steps by which the others' actions that a posterior sees are older than the own one.
+    lag: usize,
+    sigma_floor: f32,
+}
+
+/// What one agent has experienced, in chunked order, and what the behaviour weights made of it.
+pub(crate) struct Experience {
+    pub(crate) sequences: Sequences,
+    /// Normalised advantages, `[L, C]`.
+    pub(crate) advantage: Vec<f64>,
+    /// Log-densities of the actions under the behaviour weights, `[L, C]`, nats.
+    pub(crate) log_prob: Vec<f64>,
+    /// The behaviour policy of every row.
+    pub(crate) behaviour: HeadRows,
+    /// The trunk's features under the behaviour weights, `[L * C, F]`; a constant.
+    features: Tensor,
+    /// Every other agent's action, in agent order, `[L, C, others]`.
+    pub(super) others: Vec<f32>,
+    /// The same with the own action as names to count, `[L, C]`; nothing unless they are counted.
+    pub(super) samples: Option<Vec<JointSample>>,
+}
+
+impl Experience {
+    /// What a posterior is asked about, every row.
+    pub(super) fn conditions(&self) -> Conditions<'_> {
+        let (features, others) = (&self.features, self.others.as_slice());
+        Conditions { features, others, action: &self.sequences.action, policy: &self.behaviour }
+    }
+}
+
+/// What a posterior says about an agent's experience; empty without one.
+#[derive(Clone, Default)]
+pub(crate) struct Influence {
+    pub(crate) conditional: Option<HeadRows>,
+    /// Mean log-likelihood on the rows trained on, nats.
+    pub(super) log_likelihood: f64,
+    /// Mean of `log q - log p` on held-out rows, or what counting says of all rows (Eq. 7), nats.
+    pub(super) mi_estimate: Option<f64>,
+    /// Mean negative log-likelihoods of the posterior and of the policy on held-out rows, nats.
+    pub(super) held_out: Option<(f64, f64)>,
+    /// Mean `KL[q || p]` of all rows under the behaviour policy, without a cap, nats.
+    pub(super) divergence: f64,
+    /// Optimiser steps of the posterior that were skipped so far.
+    pub(super) skipped: i64,
+}
+
+impl Influence {
+    pub(crate) fn report(&self, agent: usize) -> Report {
+        if self.conditional.is_none() {
+            return Report::new();
+        }
+        let mut named = vec![
+            ("posterior_log_likelihood", self.log_likelihood),
+            ("posterior_kl", self.divergence),
+            ("posterior_skipped_steps", self.skipped as f64),
+        ];
+        named.extend(self.mi_estimate.map(|found| ("mi_estimate", found)));
+        if let Some((posterior, policy)) = self.held_out {
+            named.extend([("posterior_nll", posterior), ("policy_nll", policy)]);
+        }
+        named.into_iter().map(|(name, value)| (format!("agent{agent}/{name}"), value)).collect()
+    }
+}
+
+impl Agent {
+    pub(crate) fn new(
+        config: &Config,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        (seed, precision): (RunSeed, Precision),
+        index: usize,
+    ) -> Result<Self, MarlError> {
+        let (shape, number) = (&problem.agents[index], index as u32);
+        let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
+        let (head, dtype) = (shape.kind.head(), precision.dtype());
+        let (observation, action) = (shape.observation, shape.action);
+        let network = ActorNetwork::with_head(policy, observation, action, head, dtype, &mut rng)?;
+        let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
+        let total: usize = seen.sum();
+        let (update, influence) = (&config.update, &config.influence);
+        let adam = AdamConfig {
+            learning_rate: update.learning_rate,
+            epsilon: update.adam_epsilon,
+            max_gradient_norm: update.max_gradient_norm,
+        };
+        let own = PosteriorShape {
+            others: total - shape.kind.seen_size(shape.action),
+            features: network.feature_size(),
+            action: shape.action,
+            kind: shape.kind,
+        };
+        let wanted = influence.lambda > 0.0 && own.others > 0;
+        let counts = influence.estimator == Estimator::Count;
+        let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
+        let (shared, start_of_q) =
+            (influence.q_training == QTraining::Shared, (seed, precision, number));
+        let posterior = (wanted && !counts && !shared)
+            .then(|| Posterior::new(influence, q_adam, own, start_of_q))
+            .transpose()?;
+        let second_head = (wanted && shared)
+            .then(|| SecondHead::new(influence, policy, own, start_of_q))
+            .transpose()?;
+        let none = Parameters::new();
+        let second = second_head.as_ref().map_or(&none, SecondHead::parameters);
+        let trainable = Arc::new(network.parameters().with("second_head.", second));
+        Ok(Self {
+            adam: Adam::new(adam, &trainable),
+            trainable,
+            network: Arc::new(network),
+            coefficients: Coefficients {
+                clip: update.clip,
+                entropy: update.entropy,
+                lambda: influence.lambda,
+                term: Term::of(influence),
+            },
+            update: update.clone(),
+            kind: shape.kind,
+            precision,
+            memory: Memory::new(policy),
+            posterior,
+            second_head,
+            holdout_every: influence.holdout_every,
+            counted: (wanted && counts).then_some(influence.counted_state),
+            lag: influence.lag,
+            sigma_floor: policy.sigma_floor,
+        })
+    }
+
+    pub(crate) fn hidden_size(&self) -> usize {
+        self.network.hidden_size()
+    }
+
+    pub(crate) fn policy(&self) -> Result<ActorPolicy, MarlError> {
+        Ok(self.network.policy()?)
+    }
+
+    /// The network and its optimiser, under the name of whom they belong to.
+    pub(crate) fn network_arrays(&self, owner: &str) -> Result<NamedArrays, MarlError> {
+        let mut arrays = self.network.parameters().to_arrays(&format!("weights/{owner}."))?;
+        arrays.append(&mut self.adam.arrays(&format!("optimizer/{owner}.")));
+        Ok(arrays)
+    }
+
+    pub(crate) fn posterior_arrays(&self, index: usize) -> Result<NamedArrays, MarlError> {
+        match (&self.posterior, &self.second_head) {
+            (Some(own), _) => own.arrays(index),
+            (None, Some(own)) => Ok(own.parameters().to_arrays(&second_head(index))?),
+            (None, None) => Ok(NamedArrays::new()),
+        }
+    }
+
+    pub(crate) fn restore_network(
+        &mut self,
+        owner: &str,
+        arrays: &NamedArrays,
+    ) -> Result<(), MarlError> {
+        self.network.parameters().load(&format!("weights/{owner}."), arrays)?;
+        self.adam.restore(&format!("optimizer/{owner}."), arrays)
+    }
+
+    pub(crate) fn restore_posterior(
+        &mut self,
+        index: usize,
+        arrays: &NamedArrays,
+    ) -> Result<(), MarlError> {
+        if let Some(own) = &self.second_head {
+            own.parameters().load(&second_head(index), arrays)?;
+        }
+        self.posterior.as_mut().map_or(Ok(()), |own| own.restore(index, arrays))
+    }
+
+    /// Share of `sigma`'s dimensions that stand at the floor.
+    pub(crate) fn floored(&self, sigma: &[f32]) -> f64 {
+        let lowest = self.sigma_floor * (1.0 + 1e-5);
+        sigma.iter().filter(|&&sigma| sigma <= lowest).count() as f64 / sigma.len() as f64
+    }
+
+    /// What today's weights say of all rows, shard by shard: the policy and the log-densities of the actions, `[L, C]`,
+    /// and the features, `[L * C, F]`.
+    pub(super) fn asked(
+        &self,
+        sequences: &Sequences,
+    ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
+        let (layout, weights) = (sequences.layout, self.network.weights()?);
+        let parts = shards(layout.chunks, layout.steps);
+        let one = |range: Range<usize>| {
+            let columns: Vec<usize> = range.collect();
+            let input = self.input(sequences, &columns)?;
+            let (head, features) = self.network.distribution_and_features(&weights, &input)?;
+            Ok((HeadRows::of(&head)?, features))
+        };
+        let (heads, features): (Vec<_>, Vec<_>) = shards::of_each(&parts, one)?.into_iter().unzip();
+        let rows = HeadRows::gathered(&heads, layout, &parts);
+        let width = rows.action_size();
+        let actions = sequences.action.chunks_exact(width).enumerate();
+        let log_prob = actions.map(|(row, action)| rows.log_prob_of(row, action)).collect();
+        let order = Tensor::from_vec(layout.order(&parts), layout.rows(), &Device::Cpu)?;
+        Ok((rows, log_prob, Tensor::cat(&features, 0)?.index_select(&order, 0)?))
+    }
+
+    /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
+    /// held-out ones, and asks it about every row. A second head is only asked: it has learnt from no row of this `D_k`
+    /// yet, so all of them measure the estimate.
+    fn fit_posterior(
+        &mut self,
+        experience: &Experience,
+        (seed, draw): (RunSeed, Draw),
+    ) -> Result<Influence, MarlError> {
+        if let Some(samples) = &experience.samples {
+            return Ok(counted::influence(samples, self.kind, experience));
+        }
+        let layout = experience.sequences.layout;
+        let last = self.holdout_every - 1;
+        let held_out =
+            |row: &usize| layout.environment(row % layout.chunks) % self.holdout_every == last;
+        let all: Vec<usize> = (0..layout.rows()).collect();
+        let action = &experience.sequences.action;
+        let data = experience.conditions();
+        let (conditional, holdout, fitted, skipped) = match (&mut self.posterior, &self.second_head)
+        {
+            (Some(posterior), _) => {
+                let (holdout, trained): (Vec<usize>, Vec<usize>) =
+                    all.iter().copied().partition(held_out);
+                let likelihood = posterior.fit(&data, &trained, &holdout, (seed, draw))?;
+                (
+                    posterior.conditional(&data, &all)?,
+                    holdout,
+                    Some(likelihood),
+                    posterior.skipped(),
+                )
+            }
+            (None, Some(second)) => (second.conditional(&data)?, all, None, 0),
+            (None, None) => return Ok(Influence::default()),
+        };
+        let found = || -entropy_bound(&conditional.log_prob(action, &holdout));
+        let log_likelihood = fitted.unwrap_or_else(found);
+        let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
+        let log_q = conditional.log_prob(action, &holdout);
+        let mi_estimate = mutual_information(&log_q, &log_p);
+        let held_out = mi_estimate.map(|_| (entropy_bound(&log_q), entropy_bound(&log_p)));
+        let divergence = mean(&conditional.kl_divergences(&experience.behaviour));
+        let conditional = Some(conditional);
+        Ok(Influence { conditional, log_likelihood, mi_estimate, held_out, divergence, skipped })
+    }
+}
+
+/// Every agent's experience under the behaviour weights, which are still the networks' own.
+pub(crate) fn gather(
+    agents: &[Agent],
+    batch: &Batch,
+    layout: Layout,
+    advantages: &[Vec<f64>],
+) -> Result<Vec<Experience>, MarlError> {
+    let one = |index: usize| {
+        let agent = &agents[index];
+        let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
+        let (behaviour, log_prob, features) = agent.asked(&sequences)?;
+        let others = other_actions(agents, batch, index, layout);
+        let samples =
+            agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));
+        Ok(Experience {
+            sequences,
+            advantage: layout.chunked(&advantages[index], 1),
+            log_prob,
+            behaviour,
+            features,
+            others,
+            samples,
+        })
+    };
+    (0..agents.len()).into_par_iter().map(one).collect()
+}
+
+/// Where the parameters of the second head of agent `index` are kept.
+fn second_head(index: usize) -> String {
+    format!("weights/second_head_{index}.")
+}
+
+/// Mean of `[R]` numbers, summed in order; of at least one.
+pub(super) fn mean(numbers: &[f64]) -> f64 {
+    numbers.iter().sum::<f64>() / numbers.len() as f64
+}
+
+/// The actions of all agents but `agent` as others see them, side by side in agent order, `[L, C, others]`: those
+/// of the same step, or with a lag of 1 those of the step before, which are zeros where `D_k` does not show it, at
+/// an episode's first step and at that of `D_k`.
+fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
+    let rows = batch.rows();
+    let others: Vec<(ActionKind, &[f32])> = (0..agents.len())
+        .filter(|&index| index != agent)
+        .map(|index| (agents[index].kind, batch.agents[index].action.as_slice()))
+        .collect();
+    let mut seen = Vec::new();
+    for row in 0..rows {
+        let source = earlier(batch, row, agents[agent].lag);
+        for (kind, actions) in &others {
+            let width = actions.len() / rows;
+            match source {
+                Some(row) => kind.see(&actions[row * width..(row + 1) * width], &mut seen),
+                None => seen.resize(seen.len() + kind.seen_size(width), 0.0),
+            }
+        }
+    }
+    let width = seen.len() / rows;
+    layout.chunked(&seen, width)
+}
+
+/// The row `lag` steps (0 or 1) before row `t * B + b` of the same episode, if `D_k` holds it.
+fn earlier(batch: &Batch, row: usize, lag: usize) -> Option<usize> {
+    let before = row.checked_sub(lag * batch.environments)?;
+    (lag == 0 || !batch.done(before)).then_some(before)
+}
+
+/// All agents' posteriors, in parallel.
+pub(crate) fn fit_posteriors(
+    agents: &mut [Agent],
+    experience: &[Experience],
+    seed: RunSeed,
+    iteration: u64,
+) -> Result<Vec<Influence>, MarlError> {
+    let one = |(index, (agent, experience)): (usize, (&mut Agent, &Experience))| {
+        let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration).agent(index as u32);
+        agent.fit_posterior(experience, (seed, draw))
+    };
+    agents.par_iter_mut().zip(experience).enumerate().map(one).collect()
+}

@@ -1,0 +1,201 @@
+//! Influence by counting (Eq. 7): a table of `D_k` in the place of a learnt posterior, for choices.
+
+use super::agent::{Experience, Influence, mean};
+use crate::config::CountedState;
+use crate::data::batch::{ActionKind, Batch};
+use crate::data::sequence::Sequences;
+use crate::distribution::HeadRows;
+use crate::influence::count::{JointSample, counted_conditional, counted_information, numbered};
+
+/// One agent's rows as names to count, `[L, C]`; `others` is `[L, C, others]`.
+pub(super) fn samples(
+    sequences: &Sequences,
+    others: &[f32],
+    batch: &Batch,
+    state: CountedState,
+) -> Vec<JointSample> {
+    let (layout, rows) = (sequences.layout, batch.rows());
+    let states = match state {
+        CountedState::Observation => numbered(&sequences.observation, rows),
+        CountedState::Global => layout.chunked(&numbered(&batch.state, rows), 1),
+    };
+    let rows = states.into_iter().zip(numbered(others, rows)).zip(&sequences.action);
+    rows.map(|((state, others), &own)| JointSample { state, own: own as u32, others }).collect()
+}
+
+/// What the counts say of every row. They are those of the rows themselves: nothing is held out.
+pub(super) fn influence(
+    samples: &[JointSample],
+    kind: ActionKind,
+    experience: &Experience,
+) -> Influence {
+    let ActionKind::Discrete { choices } = kind else {
+        unreachable!("the configuration refuses to count continuous actions")
+    };
+    let conditional = HeadRows::categorical(counted_conditional(samples, choices), choices);
+    let all: Vec<usize> = (0..samples.len()).collect();
+    Influence {
+        log_likelihood: mean(&conditional.log_prob(&experience.sequences.action, &all)),
+        mi_estimate: counted_information(samples),
+        divergence: mean(&conditional.kl_divergences(&experience.behaviour)),
+        conditional: Some(conditional),
+        ..Influence::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use policy::randomness::{Draw, Purpose, RunSeed, generator};
+    use policy::{CoreKind, PolicyConfig};
+    use rand::RngCore;
+
+    use super::*;
+    use crate::config::{Config, Divergence, Estimator};
+    use crate::data::batch::{AgentBatch, AgentShape, Final, Problem};
+    use crate::probe;
+    use crate::rules::algorithm::Report;
+    use crate::rules::build;
+
+    const STEPS: usize = 20;
+    const ENVIRONMENTS: usize = 300;
+    const ROWS: usize = STEPS * ENVIRONMENTS;
+    const CHOICES: usize = 3;
+    const PLACES: usize = 2;
+
+    /// Agents that see a place and a cue, one-hot; the global state is the place.
+    fn problem() -> Problem {
+        let shape = AgentShape {
+            observation: PLACES + CHOICES,
+            action: 1,
+            action_range: (0.0, 2.0),
+            kind: ActionKind::Discrete { choices: CHOICES },
+            surprise_features: (0..PLACES + CHOICES).collect(),
+            seen: vec![],
+            near: vec![],
+        };
+        Problem { agents: vec![shape.clone(), shape], state: PLACES }
+    }
+
+    /// A round of both agents' choices; `act` draws them from the cue and the second agent's last choice.
+    fn play(
+        episode: usize,
+        mut act: impl FnMut(usize, usize, &mut dyn RngCore) -> [usize; 2],
+    ) -> Batch {
+        let mut rng = generator(RunSeed(4), Draw::of(Purpose::Probe));
+        let one_hot = |k: usize, of: usize| (0..of).map(move |j| if j == k { 1.0 } else { 0.0 });
+        let mut batch = Batch {
+            steps: STEPS,
+            environments: ENVIRONMENTS,
+            agents: vec![AgentBatch { log_prob: vec![0.0; ROWS], ..AgentBatch::default() }; 2],
+            reward: (0..ROWS).map(|row| (row % 7) as f32).collect(),
+            terminated: vec![false; ROWS],
+            ..Batch::default()
+        };
+        let mut last = [0; ENVIRONMENTS];
+        for step in 0..STEPS {
+            for (environment, last) in last.iter_mut().enumerate() {
+                let (place, cue) = (below(PLACES, &mut rng), below(CHOICES, &mut rng));
+                let chosen = act(cue, *last, &mut rng);
+                *last = chosen[1];
+                batch.state.extend(one_hot(place, PLACES));
+                for (agent, choice) in batch.agents.iter_mut().zip(chosen) {
+                    agent.observation.extend(one_hot(place, PLACES).chain(one_hot(cue, CHOICES)));
+                    agent.action.push(choice as f32);
+                }
+                let done = (step + 1) % episode == 0;
+                batch.truncated.push(done);
+                if done || step + 1 == STEPS {
+                    let observation = vec![vec![0.0; PLACES + CHOICES]; 2];
+                    batch.finals.push(Final {
+                        step,
+                        environment,
+                        state: vec![0.0; PLACES],
+                        observation,
+                    });
+                }
+            }
+        }
+        batch
+    }
+
+    fn below(bound: usize, rng: &mut (impl RngCore + ?Sized)) -> usize {
+        rng.next_u32() as usize % bound
+    }
+
+    /// Follows the cue, but takes one of the others with chance 1/5 each.
+    fn follow(cue: usize, rng: &mut dyn RngCore) -> usize {
+        (cue + [0, 0, 0, 1, 2][below(5, rng)]) % CHOICES
+    }
+
+    fn counting(state: CountedState) -> Config {
+        let mut config = probe::config();
+        config.influence.estimator = Estimator::Count;
+        config.influence.counted_state = state;
+        config
+    }
+
+    fn update(config: &Config, batch: &Batch) -> Report {
+        let policy = PolicyConfig {
+            core: CoreKind::Mlp,
+            backpropagation_steps: 1,
+            width: 8,
+            ..probe::policy()
+        };
+        let mut algorithm = build(config, &policy, &problem(), RunSeed(0)).unwrap();
+        algorithm.update(batch, &vec![batch.reward.clone(); 2], 0).unwrap()
+    }
+
+    fn named(report: &Report, name: &str) -> f64 {
+        report.iter().find(|(own, _)| own == name).unwrap().1
+    }
+
+    #[test]
+    fn followers_of_a_cue_share_what_the_closed_form_says_without_it_and_nothing_with_it() {
+        let batch = play(STEPS, |cue, _, rng| [follow(cue, rng), follow(cue, rng)]);
+        // Alike with chance 3/5 3/5 + 2 1/5 1/5 = 11/25, spread over three cells, unlike with 14/25 over six.
+        let (alike, unlike) = (11.0 / 75.0, 7.0 / 75.0);
+        let closed = 3.0 * alike * libm::log(9.0 * alike) + 6.0 * unlike * libm::log(9.0 * unlike);
+        let found = |state| named(&update(&counting(state), &batch), "agent0/mi_estimate");
+        let (without, with) = (found(CountedState::Global), found(CountedState::Observation));
+        // Counting adds 2 x 4 / (2 x 6000) and 6 x 4 / (2 x 6000) on average.
+        assert!((without - closed).abs() < 0.01 && closed > 0.02, "{without} {closed}");
+        assert!((0.0..0.005).contains(&with), "{with}");
+    }
+
+    #[test]
+    fn with_a_lag_the_step_befores_choice_informs_but_not_across_episodes() {
+        // The first agent copies what the second one did in the step before; episodes last two steps.
+        let batch = play(2, |_, last, rng| [last, below(CHOICES, rng)]);
+        let found = |lag| {
+            let mut config = counting(CountedState::Global);
+            config.influence.lag = lag;
+            named(&update(&config, &batch), "agent0/mi_estimate")
+        };
+        assert!((0.0..0.005).contains(&found(0)), "{}", found(0));
+        // Every second row has log 3 of it; at an episode's first step there is no step before. In the very first
+        // step all copy the same, 0: the choices are then 1/30 short of even.
+        let half = 0.5 * libm::log(3.0);
+        assert!((found(1) - half).abs() < 0.02, "{} {half}", found(1));
+    }
+
+    #[test]
+    fn the_term_of_counts_is_capped_in_every_sense_of_divergence() {
+        let batch = play(STEPS, |cue, _, _| [cue, cue]);
+        for divergence in [Divergence::KlQp, Divergence::KlPq, Divergence::CauchySchwarz] {
+            let mut config = counting(CountedState::Global);
+            (config.influence.divergence, config.influence.kappa) = (divergence, 0.5);
+            // All agree, so that q knows the choice: log 3 from an even policy, and capped.
+            let report = update(&config, &batch);
+            assert!((named(&report, "agent0/posterior_kl") - libm::log(3.0)).abs() < 0.05);
+            assert!((named(&report, "agent0/influence_kl") - 0.5).abs() < 1e-9, "{divergence:?}");
+            assert!(
+                (named(&report, "agent0/influence_capped") - 1.0).abs() < 1e-9,
+                "{divergence:?}"
+            );
+            // What q never saw counts as e^-700, which keeps KL[p || q] below 700.
+            config.influence.kappa = 1000.0;
+            let report = update(&config, &batch);
+            assert_eq!(named(&report, "agent0/influence_capped"), 0.0, "{divergence:?}");
+        }
+    }
+}

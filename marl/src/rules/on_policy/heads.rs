@@ -1,0 +1,138 @@
+//! The heads of an agent's network in an optimiser step: the policy's, and the paper's second one where Eq. (10) trains both.
+
+use policy::Distribution;
+use policy::ops::Weights;
+
+use super::agent::{Agent, Experience};
+use crate::error::MarlError;
+use crate::influence::second_head::SecondHead;
+
+/// All weights of one optimiser step.
+pub(super) enum StepWeights<'a> {
+    /// Of a network with one head.
+    One(Weights),
+    /// Of trunk and head, and of the second head.
+    Two { policy: [Weights; 2], second: &'a SecondHead, weights: [Weights; 2] },
+}
+
+impl Agent {
+    /// The weights as they are now.
+    pub(super) fn step_weights(&self) -> Result<StepWeights<'_>, MarlError> {
+        let Some(second) = &self.second_head else {
+            return Ok(StepWeights::One(self.network.weights()?));
+        };
+        let (policy, weights) = (self.network.split_weights()?, second.weights()?);
+        Ok(StepWeights::Two { policy, second, weights })
+    }
+
+    /// The policy `p` in the rows of some chunks, and what a second head says of them, `q`.
+    pub(super) fn heads(
+        &self,
+        weights: &StepWeights<'_>,
+        experience: &Experience,
+        columns: &[usize],
+    ) -> Result<(Distribution, Option<Distribution>), MarlError> {
+        let input = self.input(&experience.sequences, columns)?;
+        match weights {
+            StepWeights::One(own) => Ok((self.network.distribution(own, &input)?, None)),
+            StepWeights::Two { policy, second, weights } => {
+                let (p, features) = self.network.distribution_on_trunk(policy, &input)?;
+                let layout = experience.sequences.layout;
+                let width = experience.others.len() / layout.rows();
+                let others = layout.columns(&experience.others, width, columns);
+                Ok((p, Some(second.distribution(weights, &features, others)?)))
+            }
+        }
+    }
+
+    /// Brings the parameters back to where sigmas are at least their floors; to be called after every optimiser step.
+    pub(super) fn project(&self) -> Result<(), MarlError> {
+        self.network.project()?;
+        self.second_head.as_ref().map_or(Ok(()), SecondHead::project)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use policy::{Draw, Precision, Purpose, RunSeed};
+
+    use super::super::agent::{Influence, fit_posteriors, gather};
+    use super::super::ascent::{PerAgent, gradient, maximise};
+    use super::*;
+    use crate::config::QTraining;
+    use crate::data::sequence::Layout;
+    use crate::influence::mutual_information;
+    use crate::optimisation::gradient::numbers;
+    use crate::probe;
+
+    /// Two agents, what they have experienced, and what is said of the others' influence on it.
+    fn prepared(
+        q_training: QTraining,
+        precision: Precision,
+    ) -> (Vec<Agent>, Vec<Experience>, Vec<Influence>) {
+        let (problem, policy, batch, mut config) =
+            (probe::problem(), probe::policy(), probe::batch(), probe::config());
+        config.influence.q_training = q_training;
+        let agent =
+            |index| Agent::new(&config, &policy, &problem, (RunSeed(0), precision), index).unwrap();
+        let mut agents = vec![agent(0), agent(1)];
+        let layout = Layout::of(&batch, policy.backpropagation_steps);
+        let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();
+        let advantages = vec![advantage.clone(), advantage];
+        let experience = gather(&agents, &batch, layout, &advantages).unwrap();
+        let influence = fit_posteriors(&mut agents, &experience, RunSeed(0), 0).unwrap();
+        (agents, experience, influence)
+    }
+
+    #[test]
+    fn all_rows_measure_the_estimate_before_a_second_head_learns_from_them() {
+        let (agents, experience, influence) = prepared(QTraining::Shared, Precision::Single);
+        let second = agents[0].second_head.as_ref().unwrap();
+        let conditional = second.conditional(&experience[0].conditions()).unwrap();
+        let rows: Vec<usize> = (0..experience[0].sequences.layout.rows()).collect();
+        let log_q = conditional.log_prob(&experience[0].sequences.action, &rows);
+        let expected = mutual_information(&log_q, &experience[0].log_prob);
+        assert!(expected.is_some());
+        assert_eq!(influence[0].mi_estimate, expected);
+    }
+
+    #[test]
+    fn both_heads_and_their_trunk_climb_equation_10_by_its_gradient() {
+        let (agents, experience, influence) = prepared(QTraining::Shared, Precision::Double);
+        let agent = &agents[0];
+        let known = PerAgent { experience: &experience[0], influence: &influence[0] };
+        let factor = vec![1.0; experience[0].log_prob.len()];
+        let columns: Vec<usize> = (0..experience[0].sequences.layout.chunks).collect();
+        let loss = || gradient(agent, known, &factor, &columns).unwrap().0.loss;
+        let found = gradient(agent, known, &factor, &columns).unwrap().1;
+        for (var, slope) in agent.trainable.vars().iter().zip(&found.0) {
+            let (start, slope, h) = (numbers(var).unwrap(), slope.numbers(), 1e-6);
+            let moved = |at: usize, by: f64| {
+                let mut to = start.clone();
+                to[at] += by;
+                let to = candle_core::Tensor::from_vec(to, var.shape(), var.device()).unwrap();
+                var.set(&to).unwrap();
+                loss()
+            };
+            for at in (0..start.len()).step_by(1 + start.len() / 7) {
+                let expected = (moved(at, h) - moved(at, -h)) / (2.0 * h);
+                moved(at, 0.0);
+                let error = (expected - slope[at]).abs();
+                assert!(error < 1e-6 * (1.0 + expected.abs()), "{at}: {expected} {}", slope[at]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_posterior_trained_by_likelihood_is_not_touched_by_the_sweep_and_a_second_head_is() {
+        for (q_training, touched) in [(QTraining::Mle, false), (QTraining::Shared, true)] {
+            let (mut agents, experience, influence) = prepared(q_training, Precision::Single);
+            let before = agents[0].posterior_arrays(0).unwrap();
+            let factor = vec![1.0; experience[0].log_prob.len()];
+            let occasion = (RunSeed(0), Draw::of(Purpose::Minibatch));
+            let known = PerAgent { experience: &experience[0], influence: &influence[0] };
+            maximise(&mut agents[0], known, &factor, f64::INFINITY, occasion).unwrap();
+            assert_eq!(agents[0].posterior_arrays(0).unwrap() != before, touched);
+        }
+    }
+}

@@ -1,0 +1,252 @@
+//! The first step is free: before a policy has moved, its log-densities in the rollout, along whole trajectories and
+//! in chunks agree, so that every ratio and the factor `M` are 1.
+
+use policy::randomness::{Draw, Purpose, generator, standard_normal};
+use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
+
+use super::agent::{Agent, Experience, Influence, gather};
+use super::ascent::{PerAgent, gradient, moved};
+use crate::data::batch::{AgentBatch, Batch, Problem};
+use crate::data::sequence::{Layout, Sequences};
+use crate::distribution::HeadRows;
+use crate::objective::surrogate::sequential_factor;
+use crate::optimisation::minibatch::minibatches;
+use crate::probe;
+
+const STEPS: usize = 20;
+const ENVIRONMENTS: usize = 7;
+const CHUNK: usize = 5;
+/// Ends of episodes, (step, environment): inside chunks, at a chunk's last step, one after another.
+const TERMINATED: [(usize, usize); 4] = [(2, 0), (4, 1), (11, 3), (12, 3)];
+const TRUNCATED: [(usize, usize); 3] = [(7, 2), (9, 5), (16, 1)];
+const CORES: [CoreKind; 2] = [CoreKind::Gru, CoreKind::Mlp];
+
+fn policy(core: CoreKind) -> PolicyConfig {
+    PolicyConfig {
+        core,
+        backpropagation_steps: CHUNK,
+        layers: 2,
+        head_gain: 1.0,
+        ..probe::policy()
+    }
+}
+
+/// Both cores, and every way to come by a recurrent state.
+fn policies() -> [PolicyConfig; 5] {
+    let gru = policy(CoreKind::Gru);
+    let burnt_in = PolicyConfig { burn_in: 2 * CHUNK, ..gru.clone() };
+    let refreshed = PolicyConfig { refresh_hidden: RefreshHidden::EveryEpoch, ..gru.clone() };
+    let both = PolicyConfig { burn_in: CHUNK, ..refreshed.clone() };
+    [gru, policy(CoreKind::Mlp), burnt_in, refreshed, both]
+}
+
+fn agents(policy: &PolicyConfig) -> Vec<Agent> {
+    let start = (RunSeed(3), Precision::Single);
+    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), start, index);
+    (0..2).map(|index| agent(index).unwrap()).collect()
+}
+
+fn ended(at: &[(usize, usize)]) -> Vec<bool> {
+    let row = |row: usize| at.contains(&(row / ENVIRONMENTS, row % ENVIRONMENTS));
+    (0..STEPS * ENVIRONMENTS).map(row).collect()
+}
+
+/// What the agents experience of random observations: every step as an actor takes it.
+fn played(agents: &[Agent], problem: &Problem) -> Batch {
+    let (terminated, truncated) = (ended(&TERMINATED), ended(&TRUNCATED));
+    let mut batch = Batch { steps: STEPS, environments: ENVIRONMENTS, ..Batch::default() };
+    (batch.terminated, batch.truncated) = (terminated, truncated);
+    for (index, agent) in agents.iter().enumerate() {
+        let shape = &problem.agents[index];
+        let data = acted(agent, &batch, (shape.observation, shape.action), index as u32);
+        batch.agents.push(data);
+    }
+    batch
+}
+
+fn acted(
+    agent: &Agent,
+    batch: &Batch,
+    (observation, action): (usize, usize),
+    index: u32,
+) -> AgentBatch {
+    let mut rng = generator(RunSeed(5), Draw::of(Purpose::Action).agent(index));
+    let (policy, mut scratch) = (agent.policy().unwrap(), Scratch::default());
+    let (width, mut data) = (policy.hidden_size(), AgentBatch::default());
+    let mut hidden = vec![0.0; ENVIRONMENTS * width];
+    for step in 0..STEPS {
+        if step % CHUNK == 0 {
+            data.hidden.extend(&hidden);
+        }
+        let seen: Vec<f32> =
+            (0..ENVIRONMENTS * observation).map(|_| standard_normal(&mut rng)).collect();
+        let mut means = vec![0.0; ENVIRONMENTS * action];
+        policy.forward(ENVIRONMENTS, &seen, &mut hidden, &mut means, &mut scratch);
+        for (environment, mean) in means.chunks_exact(action).enumerate() {
+            let mut taken = vec![0.0; action];
+            policy.draw(mean, &mut rng, &mut taken);
+            data.log_prob.push(policy.log_prob(mean, &taken));
+            data.action.extend(taken);
+            if batch.done(step * ENVIRONMENTS + environment) {
+                hidden[environment * width..(environment + 1) * width].fill(0.0);
+            }
+        }
+        data.observation.extend(seen);
+    }
+    data
+}
+
+fn experience(agents: &[Agent], batch: &Batch) -> Vec<Experience> {
+    let advantages = vec![vec![1.0; batch.rows()]; agents.len()];
+    gather(agents, batch, Layout::of(batch, CHUNK), &advantages).unwrap()
+}
+
+/// Log-densities of one agent's actions from sequences of `steps` steps, `[T, B]`.
+fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64> {
+    let layout = Layout::of(batch, steps);
+    let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
+    let (_, found, _) = agent.asked(&sequences).unwrap();
+    let mut in_time = vec![0.0; batch.rows()];
+    for step in 0..layout.steps {
+        for chunk in 0..layout.chunks {
+            in_time[layout.source(step, chunk)] = found[step * layout.chunks + chunk];
+        }
+    }
+    in_time
+}
+
+#[test]
+fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
+    for core in CORES {
+        let agents = agents(&policy(core));
+        let batch = played(&agents, &probe::problem());
+        for (index, agent) in agents.iter().enumerate() {
+            let (whole, chunks) =
+                (unrolled(agent, &batch, index, STEPS), unrolled(agent, &batch, index, CHUNK));
+            let acted = batch.agents[index].log_prob.iter().map(|&x| f64::from(x));
+            for (row, acted) in acted.enumerate() {
+                let (whole, chunks) = (whole[row], chunks[row]);
+                let apart = (acted - whole).abs().max((acted - chunks).abs());
+                assert!(apart < 1e-4, "{core:?} row {row}: {acted} {whole} {chunks}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_shards_say_of_all_rows_is_what_one_pass_says() {
+    for policy in policies() {
+        let agents = agents(&policy);
+        let batch = played(&agents, &probe::problem());
+        let (agent, layout) = (&agents[0], Layout::of(&batch, CHUNK));
+        assert!(layout.rows() >= 128, "{} rows are one shard", layout.rows());
+        let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
+        let (rows, _, features) = agent.asked(&sequences).unwrap();
+        let columns: Vec<usize> = (0..layout.chunks).collect();
+        let (input, weights) =
+            (agent.input(&sequences, &columns).unwrap(), agent.network.weights().unwrap());
+        let (head, whole) = agent.network.distribution_and_features(&weights, &input).unwrap();
+        assert_eq!(rows, HeadRows::of(&head).unwrap());
+        assert_eq!(features.to_vec2::<f32>().unwrap(), whole.to_vec2::<f32>().unwrap());
+    }
+}
+
+/// A row's ratio as an epoch's step over `columns` computes it: of a loss in which no other row has a weight.
+fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize]) -> f64 {
+    let layout = experience.sequences.layout;
+    let mut factor = vec![0.0; layout.rows()];
+    factor[row] = 1.0;
+    let known = PerAgent { experience, influence: &Influence::default() };
+    let (figures, _) = gradient(agent, known, &factor, columns).unwrap();
+    -figures.policy_loss * (columns.len() * layout.steps) as f64
+}
+
+#[test]
+fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
+    for policy in policies() {
+        let mut agents = agents(&policy);
+        let experience = &experience(&agents, &played(&agents, &probe::problem()))[0];
+        agents[0].refresh_states(&experience.sequences, 1).unwrap();
+        let layout = experience.sequences.layout;
+        for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
+            let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
+            for row in (0..layout.steps).flat_map(row) {
+                let ratio = ratio_of(row, &agents[0], experience, &columns);
+                assert!((ratio - 1.0).abs() <= 1e-5, "{policy:?} row {row}: {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_agent_that_has_not_moved_leaves_the_factor_at_one() {
+    for policy in policies() {
+        let mut agents = agents(&policy);
+        let experience = experience(&agents, &played(&agents, &probe::problem()));
+        let mut factor = vec![1.0; experience[0].log_prob.len()];
+        for (agent, experience) in agents.iter_mut().zip(&experience) {
+            agent.refresh_states(&experience.sequences, 1).unwrap();
+            let now = moved(agent, experience).unwrap();
+            factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
+        }
+        assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{policy:?}: {factor:?}");
+    }
+}
+
+/// The largest difference between the states from which an agent starts all chunks and `expected`.
+fn apart(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32 {
+    let columns: Vec<usize> = (0..sequences.layout.chunks).collect();
+    let found = agent.input(sequences, &columns).unwrap().hidden.flatten_all().unwrap();
+    let found = found.to_vec1::<f32>().unwrap();
+    assert_eq!(found.len(), expected.len());
+    found.iter().zip(expected).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+}
+
+/// One agent, what it has experienced, and the states it really had.
+fn remembering(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
+    let mut agents = agents(policy);
+    let batch = played(&agents, &probe::problem());
+    let layout = Layout::of(&batch, CHUNK);
+    let sequences = Sequences::of(&batch, 0, layout, agents[0].hidden_size());
+    let had = sequences.hidden.clone();
+    (agents.remove(0), sequences, had)
+}
+
+#[test]
+fn weights_that_have_not_changed_find_the_stored_states_again() {
+    for policy in policies() {
+        let (mut agent, sequences, had) = remembering(&policy);
+        agent.refresh_states(&sequences, 1).unwrap();
+        assert!(apart(&agent, &sequences, &had) <= 1e-5, "{policy:?}");
+    }
+}
+
+/// Overwrites the stored states of the chunks from the `first`-th of each environment on.
+fn spoil(sequences: &mut Sequences, first: usize) {
+    let from = first * sequences.hidden.len() / (STEPS / CHUNK);
+    sequences.hidden[from..].fill(0.9);
+}
+
+#[test]
+fn a_burn_in_begins_at_the_state_stored_that_many_steps_before_or_at_the_first() {
+    for (chunks, found) in [(3, true), (2, false)] {
+        let policy = PolicyConfig { burn_in: chunks * CHUNK, ..policy(CoreKind::Gru) };
+        let (agent, mut sequences, had) = remembering(&policy);
+        spoil(&mut sequences, 1);
+        assert_eq!(apart(&agent, &sequences, &had) <= 1e-5, found, "{chunks} chunks");
+    }
+}
+
+#[test]
+fn refreshed_states_come_from_the_first_stored_ones_and_not_in_the_first_epoch() {
+    let refresh_hidden = RefreshHidden::EveryEpoch;
+    let (mut agent, mut sequences, had) =
+        remembering(&PolicyConfig { refresh_hidden, ..policy(CoreKind::Gru) });
+    spoil(&mut sequences, 1);
+    for (epoch, found) in [(0, false), (1, true)] {
+        agent.refresh_states(&sequences, epoch).unwrap();
+        assert_eq!(apart(&agent, &sequences, &had) <= 1e-5, found, "epoch {epoch}");
+    }
+    agent.forget_states();
+    assert!(apart(&agent, &sequences, &had) > 1e-5);
+}

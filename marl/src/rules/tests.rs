@@ -1,0 +1,321 @@
+//! Numbers that go wrong, through whole updates: an update is left out, or held back and counted, and
+//! every weight stays a finite number.
+
+use policy::arrays::Array;
+use policy::{CoreKind, NamedArrays, PolicyConfig, RunSeed};
+
+use super::*;
+use crate::config::{DensityKind, Sharing};
+use crate::data::batch::{Batch, Final, Rewards};
+use crate::probe;
+use crate::rules::algorithm::Report;
+use crate::surprise::Surprise;
+
+const RULES: [(Rule, Sharing); 3] = [
+    (Rule::Happo, Sharing::Separate),
+    (Rule::Mappo, Sharing::Separate),
+    (Rule::Mappo, Sharing::Shared),
+];
+
+fn config((rule, sharing): (Rule, Sharing)) -> Config {
+    let mut config = probe::config();
+    (config.update.rule, config.update.parameters) = (rule, sharing);
+    config
+}
+
+fn algorithm(config: &Config) -> Box<dyn Algorithm> {
+    build(config, &probe::policy(), &probe::problem(), RunSeed(0)).unwrap()
+}
+
+fn plain(batch: &Batch) -> Rewards {
+    vec![batch.reward.clone(); 2]
+}
+
+fn numbers(arrays: &NamedArrays, prefix: &str) -> Vec<f64> {
+    let own = arrays.iter().filter(|(name, _)| name.starts_with(prefix));
+    own.flat_map(|(_, array)| match array {
+        Array::F32 { data, .. } => data.iter().map(|&x| f64::from(x)).collect(),
+        Array::F64 { data, .. } => data.clone(),
+        _ => Vec::new(),
+    })
+    .collect()
+}
+
+fn finite(algorithm: &dyn Algorithm) -> bool {
+    numbers(&algorithm.arrays().unwrap(), "").iter().all(|number| number.is_finite())
+}
+
+fn named(report: &Report, name: &str) -> f64 {
+    let found = report.iter().find(|(own, _)| own == name);
+    found.unwrap_or_else(|| panic!("{name} is not among {report:?}")).1
+}
+
+/// The first `environments` environments of the probe's batch.
+fn narrowed(environments: usize) -> Batch {
+    let whole = probe::batch();
+    let of = |data: &[f32], rows: usize| -> Vec<f32> {
+        let width = data.len() / rows / whole.environments;
+        let row = |row| &data[row * whole.environments * width..][..environments * width];
+        (0..rows).flat_map(row).copied().collect()
+    };
+    let steps = whole.steps;
+    let agents = whole.agents.iter().map(|agent| crate::data::batch::AgentBatch {
+        observation: of(&agent.observation, steps),
+        action: of(&agent.action, steps),
+        log_prob: of(&agent.log_prob, steps),
+        hidden: of(&agent.hidden, steps / probe::policy().backpropagation_steps),
+    });
+    Batch {
+        agents: agents.collect(),
+        state: of(&whole.state, steps),
+        reward: of(&whole.reward, steps),
+        terminated: vec![false; steps * environments],
+        truncated: vec![false; steps * environments],
+        finals: whole.finals[..environments].to_vec(),
+        environments,
+        steps,
+    }
+}
+
+#[test]
+fn rewards_that_are_no_numbers_or_overflow_leave_the_update_out_and_are_counted() {
+    for rule in RULES {
+        for wrong in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX] {
+            let mut algorithm = algorithm(&config(rule));
+            let (batch, before) = (probe::batch(), algorithm.arrays().unwrap());
+            let mut rewards = plain(&batch);
+            rewards[1][30..60].fill(wrong);
+            let report = algorithm.update(&batch, &rewards, 0).unwrap();
+            assert_eq!(named(&report, "losses/update_skipped"), 1.0, "{rule:?} {wrong}");
+            assert_eq!(algorithm.arrays().unwrap(), before, "{rule:?} {wrong}");
+            let report = algorithm.update(&batch, &plain(&batch), 1).unwrap();
+            assert_eq!(named(&report, "losses/update_skipped"), 0.0, "{rule:?} {wrong}");
+            assert_ne!(algorithm.arrays().unwrap(), before, "{rule:?} {wrong}");
+        }
+    }
+}
+
+#[test]
+fn huge_rewards_give_a_plain_update() {
+    for rule in RULES {
+        let mut algorithm = algorithm(&config(rule));
+        let batch = probe::batch();
+        let rewards = vec![batch.reward.iter().map(|reward| 1e30 * reward).collect(); 2];
+        for iteration in 0..3 {
+            let report = algorithm.update(&batch, &rewards, iteration).unwrap();
+            assert!(report.iter().all(|(_, value)| value.is_finite()), "{rule:?} {report:?}");
+            assert_eq!(named(&report, "agent0/skipped_steps"), 0.0, "{rule:?}");
+        }
+        assert!(finite(algorithm.as_ref()), "{rule:?}");
+    }
+}
+
+#[test]
+fn equal_advantages_move_no_policy_and_are_counted() {
+    let mut batch = probe::batch();
+    batch.state.fill(0.5);
+    batch.finals.iter_mut().for_each(|last| last.state.fill(0.5));
+    for rule in RULES {
+        let mut config = config(rule);
+        (config.update.gae_lambda, config.update.entropy, config.influence.lambda) =
+            (0.0, 0.0, 0.0);
+        let mut algorithm = algorithm(&config);
+        let owner = if rule.1 == Sharing::Shared { "weights/shared." } else { "weights/agent_" };
+        let weights = |algorithm: &dyn Algorithm| numbers(&algorithm.arrays().unwrap(), owner);
+        let before = weights(algorithm.as_ref());
+        let rewards = vec![vec![1e30; batch.rows()]; 2];
+        let report = algorithm.update(&batch, &rewards, 0).unwrap();
+        assert_eq!(named(&report, "agent1/advantages_equal"), 1.0, "{rule:?}");
+        assert_eq!(weights(algorithm.as_ref()), before, "{rule:?}");
+        let mut fresh = self::algorithm(&config);
+        let report = fresh.update(&batch, &plain(&batch), 0).unwrap();
+        assert_eq!(named(&report, "agent1/advantages_equal"), 0.0, "{rule:?}");
+    }
+}
+
+#[test]
+fn features_that_never_change_do_no_harm() {
+    for still in 1..=19 {
+        let mut batch = probe::batch();
+        for agent in &mut batch.agents {
+            let rows = agent.observation.chunks_exact_mut(19);
+            rows.for_each(|row| row[..still].fill(3.0));
+        }
+        let config = probe::config();
+        let mut surprise = Surprise::new(&config.surprise, &probe::problem(), RunSeed(0)).unwrap();
+        surprise.refit(&batch, 0).unwrap();
+        let mut algorithm = algorithm(&config);
+        let report = algorithm.update(&batch, &surprise.relabel(&batch), 0).unwrap();
+        assert!(report.iter().all(|(_, value)| value.is_finite()), "{still}: {report:?}");
+        assert!(finite(algorithm.as_ref()));
+    }
+}
+
+#[test]
+fn one_environment_with_one_episode_is_enough_for_an_update() {
+    let mut batch = narrowed(1);
+    let last = batch.rows() - 1;
+    batch.terminated[last] = true;
+    for rule in RULES {
+        let mut algorithm = algorithm(&config(rule));
+        let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
+        assert!(report.iter().all(|(_, value)| value.is_finite()), "{rule:?} {report:?}");
+        // No environment is held out, so nothing is said of those that are.
+        assert!(report.iter().all(|(name, _)| !name.contains("mi_estimate")));
+        assert!(finite(algorithm.as_ref()), "{rule:?}");
+    }
+}
+
+#[test]
+fn one_single_step_is_enough_for_every_density_and_an_update() {
+    let mut batch = narrowed(1);
+    batch.steps = 1;
+    for agent in &mut batch.agents {
+        agent.observation.truncate(19);
+        agent.action.truncate(3);
+        agent.log_prob.truncate(1);
+        agent.hidden.truncate(64);
+    }
+    batch.state.truncate(17);
+    batch.reward.truncate(1);
+    (batch.terminated, batch.truncated) = (vec![true], vec![false]);
+    batch.finals[0] = Final { step: 0, ..batch.finals[0].clone() };
+    let policy = PolicyConfig { backpropagation_steps: 1, ..probe::policy() };
+    for density in [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae] {
+        let mut config = probe::config();
+        config.surprise.density = density;
+        let mut surprise = Surprise::new(&config.surprise, &probe::problem(), RunSeed(0)).unwrap();
+        surprise.refit(&batch, 0).unwrap();
+        let mut algorithm = build(&config, &policy, &probe::problem(), RunSeed(0)).unwrap();
+        let report = algorithm.update(&batch, &surprise.relabel(&batch), 0).unwrap();
+        assert_eq!(named(&report, "losses/update_skipped"), 0.0, "{density:?}");
+        assert!(finite(algorithm.as_ref()), "{density:?}");
+    }
+}
+
+#[test]
+fn an_agent_that_sees_more_than_its_network_can_hold_skips_its_steps_and_no_one_elses() {
+    let mut batch = probe::batch();
+    batch.agents[1].observation[38..57].fill(f32::MAX);
+    for rule in &RULES[..2] {
+        let mut config = config(*rule);
+        config.update.minibatches = 1;
+        let mut algorithm = algorithm(&config);
+        let before = algorithm.arrays().unwrap();
+        // Over these iterations each of the two agents is the first of the sweep once at least.
+        for iteration in 0..6 {
+            let report = algorithm.update(&batch, &plain(&batch), iteration).unwrap();
+            let steps = 2.0 * (iteration + 1) as f64;
+            assert_eq!(named(&report, "agent1/skipped_steps"), steps, "{rule:?}");
+            assert_eq!(named(&report, "agent0/skipped_steps"), 0.0, "{rule:?}");
+        }
+        let after = algorithm.arrays().unwrap();
+        let of = |arrays: &NamedArrays, prefix| numbers(arrays, prefix);
+        for (prefix, moves) in [("weights/agent_0.", true), ("weights/agent_1.", false)] {
+            assert_eq!(of(&before, prefix) != of(&after, prefix), moves, "{rule:?} {prefix}");
+        }
+        assert!(finite(algorithm.as_ref()), "{rule:?}");
+    }
+}
+
+#[test]
+fn a_state_that_overflows_the_critic_leaves_the_update_out() {
+    let mut batch = probe::batch();
+    batch.state[34..51].fill(f32::MAX);
+    for rule in RULES {
+        let mut algorithm = algorithm(&config(rule));
+        let before = algorithm.arrays().unwrap();
+        let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
+        assert_eq!(named(&report, "losses/update_skipped"), 1.0, "{rule:?}");
+        assert_eq!(algorithm.arrays().unwrap(), before, "{rule:?}");
+    }
+}
+
+#[test]
+fn ratios_and_factors_that_explode_are_held_and_counted() {
+    for rule in RULES {
+        let mut config = config(rule);
+        (config.update.learning_rate, config.update.epochs) = (100.0, 6);
+        let mut algorithm = algorithm(&config);
+        let batch = probe::batch();
+        let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
+        assert!(named(&report, "agent0/ratio_held") > 0.1, "{rule:?} {report:?}");
+        if rule.0 == Rule::Happo {
+            let held = [0, 1].map(|agent| named(&report, &format!("agent{agent}/factor_held")));
+            assert!(held[0].max(held[1]) > 0.1, "{held:?}");
+        }
+        assert!(finite(algorithm.as_ref()), "{rule:?}");
+    }
+}
+
+#[test]
+fn a_deviation_that_collapses_stops_at_its_floor_is_counted_and_can_grow_again() {
+    let mut batch = probe::batch();
+    let pays = |row: usize| {
+        -batch
+            .agents
+            .iter()
+            .map(|a| a.action[row * 3..][..3].iter().map(|x| x * x).sum::<f32>())
+            .sum::<f32>()
+    };
+    batch.reward = (0..batch.rows()).map(pays).collect();
+    for rule in RULES {
+        let mut config = config(rule);
+        (config.update.gamma, config.update.entropy) = (0.0, 0.0);
+        config.update.learning_rate = 5.0;
+        let mut first = algorithm(&config);
+        let report = first.update(&batch, &plain(&batch), 0).unwrap();
+        assert_eq!(named(&report, "agent0/sigma_floored"), 1.0, "{rule:?} {report:?}");
+        assert!((named(&report, "agent0/sigma_smallest") - 0.05).abs() < 1e-6, "{rule:?}");
+        (config.update.entropy, config.update.learning_rate) = (10.0, 0.1);
+        let mut second = algorithm(&config);
+        second.restore(&first.arrays().unwrap()).unwrap();
+        for iteration in 1..10 {
+            second.update(&batch, &plain(&batch), iteration).unwrap();
+        }
+        let report = second.update(&batch, &plain(&batch), 10).unwrap();
+        assert_eq!(named(&report, "agent0/sigma_floored"), 0.0, "{rule:?}");
+        assert!(finite(second.as_ref()), "{rule:?}");
+    }
+}
+
+fn maddpg() -> (Box<dyn Algorithm>, Batch) {
+    let mut config = config((Rule::Maddpg, Sharing::Separate));
+    (config.surprise.alpha, config.influence.lambda) = (0.0, 0.0);
+    let policy = PolicyConfig { core: CoreKind::Mlp, ..probe::policy() };
+    let mut batch = probe::batch();
+    batch.agents.iter_mut().for_each(|agent| agent.hidden.clear());
+    (build(&config, &policy, &probe::problem(), RunSeed(0)).unwrap(), batch)
+}
+
+#[test]
+fn maddpg_refuses_rewards_that_are_no_numbers_and_is_left_as_it_was() {
+    let (mut algorithm, batch) = maddpg();
+    let before = algorithm.arrays().unwrap();
+    let mut rewards = plain(&batch);
+    rewards[1][3] = f32::NAN;
+    let error = algorithm.update(&batch, &rewards, 0).unwrap_err().to_string();
+    assert_eq!(error, "batch.rewards[1][3] is NaN");
+    assert_eq!(algorithm.arrays().unwrap(), before);
+}
+
+#[test]
+fn maddpg_stays_finite_with_huge_rewards_states_and_observations_and_counts_what_it_skips() {
+    type Change = fn(&mut Batch);
+    let cases: [(Change, bool); 5] = [
+        (|batch| batch.reward.iter_mut().for_each(|reward| *reward *= 1e30), false),
+        (|batch| batch.reward.fill(f32::MAX), true),
+        (|batch| batch.state.fill(1e38), true),
+        (|batch| batch.agents[0].observation.fill(f32::MAX), true),
+        (|batch| batch.reward.fill(1.0), false),
+    ];
+    for (number, (change, skips)) in cases.into_iter().enumerate() {
+        let (mut algorithm, mut batch) = maddpg();
+        change(&mut batch);
+        let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
+        assert!(named(&report, "replay/updates") > 10.0);
+        assert_eq!(named(&report, "agent0/skipped_steps") > 0.0, skips, "{number} {report:?}");
+        assert!(numbers(&algorithm.weights().unwrap(), "").iter().all(|x| x.is_finite()));
+        assert!(numbers(&algorithm.arrays().unwrap(), "optimizer/").iter().all(|x| x.is_finite()));
+    }
+}
