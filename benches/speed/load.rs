@@ -171,7 +171,7 @@ async fn record(
     let Work::Rollout(work) = &lease.work else { bail!("the run has no evaluations") };
     let policy = weights(service, lease.weights).await?;
     let mut world = settings.world(settings.learner.environments.per_slot)?;
-    let played = roll_out(run, work, &policy, &mut world);
+    let played = roll_out(run, work, &policy, &mut *world);
     let chunks: Vec<_> = played.iter().map(|chunk| chunk.to_wire(run)).collect();
     let bytes = chunks.iter().map(|(chunk, _)| chunk.encoded_len()).sum();
     Ok(Recording { chunks, bytes })

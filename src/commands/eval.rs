@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use actor::EnvironmentBatch;
 use anyhow::Context as _;
 use learner::evaluation::Spread;
 use proto::ActionChoice;
 use serde_json::json;
+use sim::EnvironmentBatch;
 
 use crate::chart;
 use crate::cli::EvalArguments;
@@ -20,7 +20,7 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let mut stage = Stage::of(&trained.config)?;
     let returns = play(stage.environment.as_mut(), &trained, arguments)?;
     let task = &stage.environment.description().task;
-    let world = if stage.environment.simulated().is_some() { "rapier/" } else { "" };
+    let world = if trained.config.environment.url.is_empty() { "rapier/" } else { "" };
     let spread = Spread::of(returns.iter().map(|episode| episode.0));
     if arguments.json {
         output::line(as_json(task, &trained, &returns, &spread));

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use proto::ActionChoice;
-use sim::{Environments, Outcome};
+use sim::Outcome;
 
 use crate::cli::FilmArguments;
 use crate::commands::Usage;
@@ -82,7 +82,7 @@ fn demand_simulator(trained: &Trained, run: &Path) -> Result<(), Usage> {
 /// The episode that `s2mia eval` plays under this number.
 fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     let task = &trained.config.task;
-    let mut world = Environments::new(task, 1).context("cannot build the task")?;
+    let mut world = sim::environments(task, 1).context("cannot build the task")?;
     let shapes = sim::shapes(&task.task).context("cannot build the robot")?;
     if shapes.is_empty() {
         let why = format!("{} is a game: there is nothing to draw", task.task);
@@ -92,10 +92,10 @@ fn play(trained: &Trained, episode: u32) -> anyhow::Result<Played> {
     let dt_secs = world.description().dt_secs;
     let key = trained.start(episode);
     // The same draw as the episode's own, to see where it starts.
-    world.reset(0, 0, world.description().episode_steps, &mut key.generator());
-    let mut moments = vec![Moment::of(&world)];
+    world.reset(0, 0, world.description().episode_steps, key.0)?;
+    let mut moments = vec![Moment::of(&*world)];
     let mut end = Outcome::default();
-    actor::play_episode(&mut world, &trained.policy, (key, ActionChoice::Mean), |step| {
+    actor::play_episode(&mut *world, &trained.policy, (key, ActionChoice::Mean), |step| {
         let before = moments.last().expect("the start is there");
         let now = Moment::after(step, before);
         moments.push(now);

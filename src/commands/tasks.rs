@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use serde_json::json;
-use sim::{Description, Environments, Outcome};
+use sim::{Description, EnvironmentBatch, Outcome};
 
 use crate::cli::TasksArguments;
 use crate::config::{Request, layers};
@@ -19,12 +19,12 @@ const MOST_STEPS: usize = 30;
 
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
-    let mut worlds: Vec<Environments> =
+    let mut worlds: Vec<Box<dyn EnvironmentBatch>> =
         sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
     if let Some(folder) = &arguments.picture {
-        return worlds.iter_mut().try_for_each(|world| draw(world, folder));
+        return worlds.iter_mut().try_for_each(|world| draw(&mut **world, folder));
     }
-    let tasks: Vec<&Description> = worlds.iter().map(Environments::description).collect();
+    let tasks: Vec<&Description> = worlds.iter().map(|world| world.description()).collect();
     if arguments.json {
         output::line(serde_json::Value::from(
             tasks.iter().map(|task| as_json(task)).collect::<Vec<_>>(),
@@ -37,14 +37,14 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn world(task: &str) -> anyhow::Result<Environments> {
+fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
     let request = Request { settings: vec![task.to_owned()], ..Request::default() };
     let config = RunConfig::build(layers::resolve(&request)?)?;
-    Environments::new(&config.task, 1).with_context(|| format!("cannot build {task}"))
+    sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
 }
 
 /// One picture, and whose each number is; nothing of a game.
-fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
+fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
     let shapes = sim::shapes(&world.description().task).context("cannot build the robot")?;
     if shapes.is_empty() {
         return Ok(());
@@ -63,7 +63,7 @@ fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
 
 /// Where all joints are, as soon as no more than one stands where another does: legs one behind the other are driven
 /// apart, their hips stay in one place.
-fn spread(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
+fn spread(world: &mut dyn EnvironmentBatch) -> anyhow::Result<Vec<[f32; 3]>> {
     let anchors = sim::hinges(&world.description().task).context("cannot build the robot")?;
     let mut joints = joints(world, &anchors);
     for _ in 0..MOST_STEPS {
@@ -91,7 +91,7 @@ fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
 }
 
 /// Where the joints are that the agents drive, in the order of their actions; `anchors` say where on its link each is.
-fn joints(world: &Environments, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
+fn joints(world: &dyn EnvironmentBatch, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let (task, pose) = (world.description(), world.pose(0));
     let links = &pose.links[pose.links.len() - anchors.len()..];
     let place = |name: &String| {
