@@ -7,8 +7,8 @@ mod onnx;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use actor::EnvironmentBatch;
 use policy::{ActorPolicy, Key, PolicySnapshot};
+use sim::EnvironmentBatch;
 
 use crate::process::output;
 

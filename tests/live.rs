@@ -20,7 +20,7 @@ use foxglove::messages::{FrameTransforms, JointStates, SceneUpdate};
 use policy::{Key, PolicySnapshot, RunSeed};
 use proto::ActionChoice;
 use serde_json::{Value, json};
-use sim::Environments;
+use sim::EnvironmentBatch;
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 use viewer::Viewer;
@@ -81,7 +81,7 @@ fn metrics(folder: &Path, kind: &str) -> Vec<Value> {
 }
 
 /// The world of a run, its newest policy, and where that one's first evaluated episode begins.
-fn evaluation(folder: &Path) -> (Environments, PolicySnapshot, Key) {
+fn evaluation(folder: &Path) -> (Box<dyn EnvironmentBatch>, PolicySnapshot, Key) {
     let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
     let policy = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
     let key = Key::of_evaluation(RunSeed(7), loaded.iteration, 0);
@@ -142,7 +142,7 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
     let (mut world, policy, key) = evaluation(folder);
     let mut rewards = Vec::new();
     let keep = |step: &actor::PlayedStep<'_>| rewards.push(step.outcome.reward);
-    actor::play_episode(&mut world, &policy, (key, ActionChoice::Mean), keep).unwrap();
+    actor::play_episode(&mut *world, &policy, (key, ActionChoice::Mean), keep).unwrap();
     for told in &seen {
         let step = told["step"].as_u64().unwrap() as usize;
         assert_eq!(told["reward"].as_f64().unwrap() as f32, rewards[step - 1], "{told}");
@@ -294,9 +294,9 @@ fn whoever_reads_too_slowly_holds_nobody_up_and_misses_what_is_old() {
 fn an_episode_at_which_nobody_looks_breaks_off_after_its_first_step() {
     let (mut world, policy, key) = evaluation(trained());
     let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "alone").unwrap();
-    let mut scene = server.scene(&world).unwrap();
+    let mut scene = server.scene(&*world).unwrap();
     assert!(!scene.is_watched());
-    let played = scene.play((&mut world, &policy), (0, key), || ()).unwrap();
+    let played = scene.play((&mut *world, &policy), (0, key), || ()).unwrap();
     assert_eq!(played.steps, 1);
 }
 

@@ -11,12 +11,12 @@ use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
-use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed, generator};
+use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
 use proto::wire::policy_service_client::PolicyServiceClient;
 use proto::{
     ActStep, Acted, ActionChoice, ActionDistribution, PolicyDescription, Reason, Refusal, wire,
 };
-use sim::{Environments, Outcome};
+use sim::{EnvironmentBatch, Outcome};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
@@ -63,14 +63,14 @@ impl Drop for Server {
 }
 
 /// The first state of the evaluator's episode of this index, after two iterations.
-fn reset(world: &mut Environments, episode: u32) {
-    let key = Draw::of(Purpose::EvaluationReset).iteration(2).environment(episode);
+fn reset(world: &mut dyn EnvironmentBatch, episode: u32) {
+    let key = Key::of_evaluation(RunSeed(7), 2, episode);
     let steps = world.description().episode_steps;
-    world.reset(0, 0, steps, &mut generator(RunSeed(7), key));
+    world.reset(0, 0, steps, key.0).unwrap();
 }
 
 /// What each agent observes.
-fn observations(world: &Environments) -> Vec<(usize, Vec<f32>)> {
+fn observations(world: &dyn EnvironmentBatch) -> Vec<(usize, Vec<f32>)> {
     let agents = world.description().agents.iter().enumerate();
     let seen = agents.map(|(agent, description)| {
         let mut row = vec![0.0; description.observation.len()];
@@ -130,7 +130,11 @@ fn side_by_side(acted: &Acted) -> Vec<f32> {
 }
 
 /// Plays an episode to its end by what `acting` says; joint actions and return.
-async fn play(acting: &mut Acting, world: &mut Environments, episode: u32) -> (Vec<Vec<f32>>, f64) {
+async fn play(
+    acting: &mut Acting,
+    world: &mut dyn EnvironmentBatch,
+    episode: u32,
+) -> (Vec<Vec<f32>>, f64) {
     reset(world, episode);
     let (mut joint, mut total, mut outcomes) = (Vec::new(), 0.0, [Outcome::default()]);
     loop {
@@ -158,12 +162,12 @@ async fn whole_episodes_by_the_service_are_the_evaluator_s_bit_for_bit() {
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
     let (mut here, mut there) = (world(folder), world(folder));
     for episode in 0..2 {
-        let (joint, total) = play(&mut acting, &mut here, episode).await;
+        let (joint, total) = play(&mut acting, &mut *here, episode).await;
         let draw = Draw::of(Purpose::EvaluationReset).iteration(2).environment(episode);
         let mut expected = Vec::new();
         let keep = |step: &actor::PlayedStep<'_>| expected.push(step.action.to_vec());
         actor::play_episode(
-            &mut there,
+            &mut *there,
             &snapshot,
             (Key::of(RunSeed(7), draw), ActionChoice::Mean),
             keep,
@@ -190,7 +194,7 @@ async fn the_service_says_who_acts_and_by_which_weights() {
     let kinds = described.agents.iter().map(|agent| (agent.hidden_size, agent.distribution));
     assert!(kinds.clone().all(|kind| kind == (8, ActionDistribution::Gaussian)));
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
-    let seen = observations(&world(folder));
+    let seen = observations(&*world(folder));
     assert_eq!(acting.step(next(seen)).await.weights, described.weights);
 }
 
@@ -200,8 +204,8 @@ async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agen
     let folder = trained();
     let server = Server::start(folder, &[]);
     let mut world = world(folder);
-    reset(&mut world, 0);
-    let seen = observations(&world);
+    reset(&mut *world, 0);
+    let seen = observations(&*world);
     let mut by_seed = Vec::new();
     // A stream's first step begins an episode, whether it says so or not.
     for (seed, begins) in [(1, first as Step), (1, next), (2, next)] {
@@ -235,7 +239,7 @@ async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agen
 async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
     let folder = trained();
     let server = Server::start(folder, &[]);
-    let seen = observations(&world(folder));
+    let seen = observations(&*world(folder));
     let (one, mut short, mut wild) = (seen[0].clone(), seen.clone(), seen.clone());
     short[2].1.pop();
     wild[1].1[0] = f32::NAN;
@@ -273,7 +277,7 @@ async fn a_stream_ends_at_its_deadline_and_when_the_server_is_told_to_stop() {
     assert_eq!(ended.unwrap().unwrap_err().code(), Code::DeadlineExceeded);
 
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
-    acting.step(next(observations(&world(folder)))).await;
+    acting.step(next(observations(&*world(folder)))).await;
     let process = server.process.id().to_string();
     assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
     assert_eq!(acting.answers.message().await.unwrap_err().code(), Code::Unavailable);
@@ -288,7 +292,7 @@ async fn newer_checkpoints_are_taken_up_between_episodes() {
     train(&folder, &["run.iterations=2"]);
     let server = Server::start(&folder, &["--follow"]);
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
-    let seen = observations(&world(&folder));
+    let seen = observations(&*world(&folder));
     assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2);
     succeeded(&["train", "--resume", folder.to_str().unwrap(), "run.iterations=4"]);
     let mut newest = 2;

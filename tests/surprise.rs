@@ -5,8 +5,8 @@
 use learner::assemble::problem;
 use marl::{AgentBatch, Batch, Surprise, SurpriseConfig};
 use policy::RunSeed;
-use policy::randomness::{Draw, Purpose, generator};
-use sim::Environments;
+use policy::randomness::{Draw, Key, Purpose};
+use sim::EnvironmentBatch;
 
 const STEPS: usize = 60;
 
@@ -14,7 +14,7 @@ fn base() -> toml::Table {
     std::fs::read_to_string("configs/base.toml").unwrap().parse().unwrap()
 }
 
-fn environments(mode: &str, norm: &str) -> Environments {
+fn environments(mode: &str, norm: &str) -> Box<dyn EnvironmentBatch> {
     let mut observation = base()["observation"].clone();
     let table = observation.as_table_mut().unwrap();
     table.insert("mode".into(), mode.into());
@@ -24,11 +24,11 @@ fn environments(mode: &str, norm: &str) -> Environments {
         observation: observation.try_into().unwrap(),
         partition: base()["partition"]["semantics"].clone().try_into().unwrap(),
     };
-    Environments::new(&config, 1).unwrap()
+    sim::environments(&config, 1).unwrap()
 }
 
 /// What two agents of a HalfCheetah see while it is shaken.
-fn shaken(environments: &mut Environments) -> Batch {
+fn shaken(environments: &mut dyn EnvironmentBatch) -> Batch {
     let width = environments.description().agents[0].observation.len();
     let mut batch = Batch {
         steps: STEPS,
@@ -37,7 +37,8 @@ fn shaken(environments: &mut Environments) -> Batch {
         reward: vec![0.0; STEPS],
         ..Batch::default()
     };
-    environments.reset(0, 0, 1000, &mut generator(RunSeed(1), Draw::of(Purpose::Probe)));
+    let key = Key::of(RunSeed(1), Draw::of(Purpose::Probe));
+    environments.reset(0, 0, 1000, key.0).unwrap();
     for step in 0..STEPS {
         let mut state = vec![0.0; environments.description().state.len()];
         environments.state(0, &mut state);
@@ -55,7 +56,7 @@ fn shaken(environments: &mut Environments) -> Batch {
 }
 
 /// Every agent's rewards, where the task pays nothing.
-fn paid(environments: &mut Environments, space: &str) -> Vec<Vec<f32>> {
+fn paid(environments: &mut dyn EnvironmentBatch, space: &str) -> Vec<Vec<f32>> {
     let mut surprise = base()["surprise"].clone();
     let table = surprise.as_table_mut().unwrap();
     table.insert("alpha".into(), 0.01.into());
@@ -72,23 +73,23 @@ fn paid(environments: &mut Environments, space: &str) -> Vec<Vec<f32>> {
 fn agents_that_see_everything_share_their_surprise_unless_it_is_local() {
     let mut environments = environments("full_id", "feature_z");
     for shared in ["policy_obs", "raw"] {
-        let rewards = paid(&mut environments, shared);
+        let rewards = paid(&mut *environments, shared);
         assert_eq!(rewards[0], rewards[1], "{shared}");
     }
-    let rewards = paid(&mut environments, "local");
+    let rewards = paid(&mut *environments, "local");
     assert_ne!(rewards[0], rewards[1]);
 }
 
 #[test]
 fn raw_surprise_does_not_ask_how_observations_are_scaled() {
-    let raw = paid(&mut environments("full_id", "feature_z"), "raw");
-    assert_eq!(paid(&mut environments("full_id", "none"), "raw"), raw);
-    assert_eq!(paid(&mut environments("full_id", "none"), "policy_obs"), raw);
-    assert_ne!(paid(&mut environments("full_id", "feature_z"), "policy_obs"), raw);
+    let raw = paid(&mut *environments("full_id", "feature_z"), "raw");
+    assert_eq!(paid(&mut *environments("full_id", "none"), "raw"), raw);
+    assert_eq!(paid(&mut *environments("full_id", "none"), "policy_obs"), raw);
+    assert_ne!(paid(&mut *environments("full_id", "feature_z"), "policy_obs"), raw);
 }
 
 #[test]
 fn local_surprise_is_that_of_the_view_of_what_is_near() {
-    let local = paid(&mut environments("full_id", "feature_z"), "local");
-    assert_eq!(paid(&mut environments("k_nearest", "none"), "policy_obs"), local);
+    let local = paid(&mut *environments("full_id", "feature_z"), "local");
+    assert_eq!(paid(&mut *environments("k_nearest", "none"), "policy_obs"), local);
 }

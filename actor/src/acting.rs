@@ -2,8 +2,7 @@
 
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
 use proto::ActionChoice;
-
-use crate::environment_batch::EnvironmentBatch;
+use sim::EnvironmentBatch;
 
 /// Buffers of one slot's agents; `E` environments, rows in their order.
 #[derive(Debug, Default)]

@@ -1,11 +1,9 @@
 //! Collects steps into the chunks that travel.
 
 use proto::{AgentChunk, FinalStep, SlotEnd, TrajectoryChunk};
-use sim::Outcome;
+use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
-use crate::environment_batch::EnvironmentBatch;
-use crate::error::EnvironmentError;
 
 /// The chunk that is being filled.
 #[derive(Debug)]
@@ -109,7 +107,7 @@ impl ChunkBuilder {
         &mut self,
         agents: &Agents,
         environments: &dyn EnvironmentBatch,
-    ) -> Result<(), EnvironmentError> {
+    ) -> Result<(), SimError> {
         let states = (0..environments.count()).map(|index| environments.encode(index));
         let environments = states.collect::<Result<_, _>>()?;
         self.chunk.end = Some(SlotEnd { environments, recurrent: agents.hidden.clone() });

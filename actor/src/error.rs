@@ -83,12 +83,9 @@ pub enum ActorError {
     Stepping(String),
 }
 
-/// Why environments did not do what they were asked.
+/// Why a program that steps environments did not do what it was asked.
 #[derive(Debug, Error)]
 pub enum EnvironmentError {
-    /// The simulator refuses it.
-    #[error(transparent)]
-    Simulator(#[from] SimError),
     /// The program that offers the environment cannot be reached, or broke off.
     #[error("the environment at {url} does not answer: {}", describe(.status))]
     Away {
@@ -105,19 +102,24 @@ pub enum EnvironmentError {
         /// The field and what is wrong with it.
         refusal: Box<Refusal>,
     },
-    /// An encoded state is none of this environment's.
-    #[error("the environment state is refused: {0}")]
-    State(String),
 }
 
-impl EnvironmentError {
-    /// As what ends an actor that works on `lease`.
-    pub(crate) fn of_lease(self, lease: LeaseId) -> ActorError {
-        match self {
-            Self::Simulator(_) | Self::State(_) => {
-                ActorError::Task(format!("lease {lease}: {self}"))
-            }
-            Self::Away { .. } | Self::Wrong { .. } => self.into(),
+impl From<EnvironmentError> for SimError {
+    fn from(error: EnvironmentError) -> Self {
+        Self::External(Box::new(error))
+    }
+}
+
+impl ActorError {
+    /// What ends an actor whose environments failed with `error` while it worked on `lease`.
+    pub(crate) fn of_lease(error: SimError, lease: LeaseId) -> Self {
+        let external = match error {
+            SimError::External(external) => external.downcast::<EnvironmentError>(),
+            own => Err(own.into()),
+        };
+        match external {
+            Ok(error) => Self::Environment(*error),
+            Err(error) => Self::Task(format!("lease {lease}: {error}")),
         }
     }
 }

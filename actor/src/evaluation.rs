@@ -5,11 +5,9 @@ use std::ops::ControlFlow;
 
 use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
-use sim::Outcome;
+use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
-use crate::environment_batch::EnvironmentBatch;
-use crate::error::EnvironmentError;
 
 /// What an episode came to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -48,8 +46,8 @@ pub fn play_episode(
     policy: &PolicySnapshot,
     (key, choice): (Key, ActionChoice),
     mut on_step: impl FnMut(&PlayedStep<'_>),
-) -> Result<Episode, EnvironmentError> {
-    world.reset(0, 0, world.description().episode_steps, key)?;
+) -> Result<Episode, SimError> {
+    world.reset(0, 0, world.description().episode_steps, key.0)?;
     play_on(world, (policy, choice), &mut on_step)
 }
 
@@ -58,7 +56,7 @@ pub(crate) fn play_on(
     world: &mut dyn EnvironmentBatch,
     acting: (&PolicySnapshot, ActionChoice),
     on_step: &mut impl FnMut(&PlayedStep<'_>),
-) -> Result<Episode, EnvironmentError> {
+) -> Result<Episode, SimError> {
     play_while(world, acting, &mut |step| {
         on_step(step);
         ControlFlow::Continue(())
@@ -70,7 +68,7 @@ pub(crate) fn play_while(
     world: &mut dyn EnvironmentBatch,
     (policy, choice): (&PolicySnapshot, ActionChoice),
     on_step: &mut impl FnMut(&PlayedStep<'_>) -> ControlFlow<()>,
-) -> Result<Episode, EnvironmentError> {
+) -> Result<Episode, SimError> {
     let mut agents = Agents::new(world, policy);
     let mut outcomes = vec![Outcome::default(); world.count()];
     let mut episode = Episode::default();

@@ -1,10 +1,7 @@
 //! What an evaluated episode looks like, as capsules in the world, for whoever watches the run.
 
 use proto::{Film, MAX_CAPSULES, MAX_FRAMES};
-use sim::LinkShape;
-
-use crate::environment_batch::EnvironmentBatch;
-use crate::error::EnvironmentError;
+use sim::{EnvironmentBatch, LinkShape, SimError};
 
 /// Episode of each evaluation that is filmed.
 pub(crate) const FILMED: u32 = 0;
@@ -20,18 +17,20 @@ pub(crate) struct Camera {
 impl Camera {
     /// In front of `world`; none where there is no simulated robot to be seen, or
     /// one of more shapes than a film takes.
-    pub(crate) fn before(world: &dyn EnvironmentBatch) -> Result<Option<Self>, EnvironmentError> {
-        let Some(own) = world.simulated() else { return Ok(None) };
-        let pose = world.pose(0);
+    pub(crate) fn before(world: &dyn EnvironmentBatch) -> Result<Option<Self>, SimError> {
+        let (task, pose) = (world.description(), world.pose(0));
+        if pose.links.is_empty() {
+            return Ok(None);
+        }
         let link = |shape: &LinkShape| pose.links.iter().position(|link| link.name == shape.link);
-        let shapes = sim::shapes(&own.description().task)?.into_iter();
+        let shapes = sim::shapes(&task.task)?.into_iter();
         let shapes: Vec<_> = shapes.filter_map(|shape| Some((link(&shape)?, shape))).collect();
         if !(1..=MAX_CAPSULES).contains(&shapes.len()) {
             return Ok(None);
         }
-        let drivers = sim::drivers(own.description(), &pose);
+        let drivers = sim::drivers(task, &pose);
         let film = Film {
-            frame_secs: world.description().dt_secs,
+            frame_secs: task.dt_secs,
             radii: shapes.iter().map(|(_, shape)| shape.shape.radius()).collect(),
             drivers: shapes.iter().map(|(link, _)| drivers[*link]).collect(),
             ends: Vec::new(),
@@ -60,7 +59,7 @@ impl Camera {
 
 #[cfg(test)]
 mod tests {
-    use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
+    use sim::{ObservationConfig, ObservationNorm, TaskConfig};
 
     use super::*;
     use crate::trajectory_log::tests::fixture;
@@ -68,8 +67,8 @@ mod tests {
     #[test]
     fn a_film_shows_every_capsule_where_its_link_is_for_as_many_steps_as_it_has_room_for() {
         let world = fixture::world();
-        let mut camera = Camera::before(&world).unwrap().unwrap();
-        (0..MAX_FRAMES).for_each(|_| camera.see(&world));
+        let mut camera = Camera::before(&*world).unwrap().unwrap();
+        (0..MAX_FRAMES).for_each(|_| camera.see(&*world));
         let film = camera.film();
         // The torso, its head, and two legs of three links.
         assert_eq!((film.radii.len(), film.ends.len()), (8, MAX_FRAMES * 8 * 6));
@@ -86,7 +85,7 @@ mod tests {
         let observation =
             ObservationConfig { norm: ObservationNorm::None, ..fixture::task().observation };
         let task = TaskConfig { task: "cue-2x1".to_owned(), observation, ..fixture::task() };
-        let world = Environments::new(&task, 1).unwrap();
-        assert!(Camera::before(&world).unwrap().is_none());
+        let world = sim::environments(&task, 1).unwrap();
+        assert!(Camera::before(&*world).unwrap().is_none());
     }
 }

@@ -104,7 +104,7 @@ mod tests {
             "partition": "labels",
         });
         let task = serde_json::from_value(config).unwrap();
-        let own = sim::Environments::new(&task, 1).unwrap();
+        let own = sim::environments(&task, 1).unwrap();
         assert_eq!(&description(&environment_spec(own.description())), own.description());
     }
 }

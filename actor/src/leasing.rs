@@ -84,7 +84,7 @@ async fn stream(
                     Produced::End => *stepper = None,
                     Produced::Failed(error) => {
                         *stepper = None;
-                        return Err(error.of_lease(beat.lease));
+                        return Err(ActorError::of_lease(error, beat.lease));
                     }
                 }
             }

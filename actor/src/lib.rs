@@ -12,7 +12,6 @@ mod acting;
 mod chunk;
 mod client;
 pub mod config;
-mod environment_batch;
 pub mod error;
 pub mod evaluation;
 mod film;
@@ -28,7 +27,6 @@ mod stepping;
 pub mod trajectory_log;
 
 pub use config::{Config, Transport};
-pub use environment_batch::EnvironmentBatch;
 pub use error::{ActorError, EnvironmentError, causes};
 pub use evaluation::{Episode, PlayedStep, play_episode};
 pub use identity::{environment_spec, rollout_fingerprint};

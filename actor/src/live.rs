@@ -15,10 +15,10 @@ use std::sync::Arc;
 use foxglove::{AppUrl, Context, FoxgloveError, WebSocketServerHandle};
 use policy::{Key, PolicySnapshot};
 use serde_json::{Value, json};
+use sim::EnvironmentBatch;
 use thiserror::Error;
 use tokio::runtime::Runtime;
 
-use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::Episode;
 use crate::recording::channels::Channels;
 use crate::recording::sink::{Channel, Sink as _};
@@ -187,7 +187,7 @@ impl LiveScene {
         (index, key): (u32, Key),
         mut after_step: impl FnMut(),
     ) -> Result<Episode, RecordError> {
-        world.reset(0, 0, world.description().episode_steps, key)?;
+        world.reset(0, 0, world.description().episode_steps, key.0)?;
         self.channels.sink.set_clock();
         show_episode((world, policy), index, &mut self.channels, || {
             after_step();

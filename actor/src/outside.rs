@@ -7,13 +7,11 @@
 
 use std::cell::RefCell;
 
-use policy::Key;
 use proto::{EnvironmentSpec, View};
-use sim::{Description, Environments, Outcome};
+use sim::{Description, EnvironmentBatch, Outcome, SimError, StateError};
 
 use crate::client::{EnvironmentClient, Play};
-use crate::environment_batch::EnvironmentBatch;
-use crate::error::{ActorError, EnvironmentError};
+use crate::error::ActorError;
 use crate::identity::description;
 
 /// Bytes of an encoded state before what brings the episode back.
@@ -88,7 +86,7 @@ impl EnvironmentService {
             index: 0,
             step: 0,
             limit: self.spec.episode_steps,
-            key: Key([0; KEY_BYTES]),
+            key: [0; KEY_BYTES],
             actions: Vec::new(),
             observations: rows.collect(),
             state: vec![0.0; self.offered.state.len()],
@@ -138,7 +136,7 @@ struct Episode {
     index: u64,
     step: u32,
     limit: u32,
-    key: Key,
+    key: [u8; KEY_BYTES],
     /// `[step, A]`; only kept where episodes are played again.
     actions: Vec<f32>,
     /// For each agent `[obs]`.
@@ -172,9 +170,9 @@ impl EnvironmentBatch for OutsideEnvironments {
         environment: usize,
         episode: u64,
         limit: u32,
-        key: Key,
-    ) -> Result<(), EnvironmentError> {
-        let view = self.play.get_mut().reset(environment as u32, key.0)?;
+        key: [u8; KEY_BYTES],
+    ) -> Result<(), SimError> {
+        let view = self.play.get_mut().reset(environment as u32, key)?;
         let limit = limit.clamp(1, self.description.episode_steps);
         let now = &mut self.episodes[environment];
         (now.index, now.step, now.limit, now.key) = (episode, 0, limit, key);
@@ -183,7 +181,7 @@ impl EnvironmentBatch for OutsideEnvironments {
         Ok(())
     }
 
-    fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), EnvironmentError> {
+    fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
         let (header, rest) = Header::read(state, self.description.episode_steps)?;
         match self.states {
             States::Saved => self.restore_saved(environment, rest)?,
@@ -194,13 +192,13 @@ impl EnvironmentBatch for OutsideEnvironments {
         Ok(())
     }
 
-    fn encode(&self, environment: usize) -> Result<Vec<u8>, EnvironmentError> {
+    fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
         let now = &self.episodes[environment];
         let mut bytes = Header { episode: now.index, step: now.step, limit: now.limit }.write();
         match self.states {
             States::Saved => bytes.extend(self.play.borrow_mut().save(environment as u32)?),
             States::Replayed => {
-                bytes.extend_from_slice(&now.key.0);
+                bytes.extend_from_slice(&now.key);
                 bytes.extend(now.actions.iter().flat_map(|number| number.to_le_bytes()));
             }
         }
@@ -215,7 +213,7 @@ impl EnvironmentBatch for OutsideEnvironments {
         self.episodes[environment].step
     }
 
-    fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), EnvironmentError> {
+    fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
         let environments = (0..self.count()).collect::<Vec<_>>();
         self.step_some(&environments, actions, outcome)
     }
@@ -227,10 +225,6 @@ impl EnvironmentBatch for OutsideEnvironments {
     fn state(&self, environment: usize, out: &mut [f32]) {
         out.copy_from_slice(&self.episodes[environment].state);
     }
-
-    fn simulated(&self) -> Option<&Environments> {
-        None
-    }
 }
 
 impl OutsideEnvironments {
@@ -240,7 +234,7 @@ impl OutsideEnvironments {
         environments: &[usize],
         actions: &[f32],
         outcome: &mut [Outcome],
-    ) -> Result<(), EnvironmentError> {
+    ) -> Result<(), SimError> {
         let numbers = environments.iter().map(|environment| *environment as u32).collect();
         let actions_by_agent = self.by_agent(actions);
         let steps = self.play.get_mut().step(numbers, actions_by_agent)?;
@@ -272,7 +266,7 @@ impl OutsideEnvironments {
         self.sizes.iter().map(agent).collect()
     }
 
-    fn restore_saved(&mut self, environment: usize, state: &[u8]) -> Result<(), EnvironmentError> {
+    fn restore_saved(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
         let view = self.play.get_mut().restore(environment as u32, state)?;
         self.episodes[environment].look(&view, 0);
         Ok(())
@@ -284,17 +278,17 @@ impl OutsideEnvironments {
         environment: usize,
         header: &Header,
         past: &[u8],
-    ) -> Result<(), EnvironmentError> {
+    ) -> Result<(), SimError> {
         let width = self.sizes.iter().sum::<usize>();
         let (found, expected) = (past.len(), KEY_BYTES + 4 * width * header.step as usize);
         let key = past.first_chunk::<KEY_BYTES>().filter(|_| found == expected);
         let Some(key) = key else {
             let why = format!("{found} bytes of its past, {} steps have {expected}", header.step);
-            return Err(EnvironmentError::State(why));
+            return Err(StateError::External(why).into());
         };
         let (rest, _) = past[KEY_BYTES..].as_chunks::<4>();
         let actions = rest.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
-        self.reset(environment, header.episode, header.limit, Key(*key))?;
+        self.reset(environment, header.episode, header.limit, *key)?;
         for (step, action) in actions.chunks_exact(width).enumerate() {
             let mut outcome = [Outcome::default()];
             self.step_some(&[environment], action, &mut outcome)?;
@@ -305,7 +299,7 @@ impl OutsideEnvironments {
                     step + 1,
                     header.step
                 );
-                return Err(EnvironmentError::State(why));
+                return Err(StateError::External(why).into());
             }
         }
         Ok(())
@@ -326,16 +320,16 @@ impl Header {
     }
 
     /// The header, and what stands behind it.
-    fn read(bytes: &[u8], longest: u32) -> Result<(Self, &[u8]), EnvironmentError> {
+    fn read(bytes: &[u8], longest: u32) -> Result<(Self, &[u8]), SimError> {
         let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
             let why = format!("{} bytes, it begins with {HEADER_BYTES}", bytes.len());
-            return Err(EnvironmentError::State(why));
+            return Err(StateError::External(why).into());
         };
         let number = u128::from_le_bytes(*header);
         let (episode, step, limit) = (number as u64, (number >> 64) as u32, (number >> 96) as u32);
         if step >= limit || limit > longest {
             let why = format!("step {step} of {limit}, an episode has at most {longest}");
-            return Err(EnvironmentError::State(why));
+            return Err(StateError::External(why).into());
         }
         Ok((Self { episode, step, limit }, rest))
     }

@@ -19,11 +19,9 @@ use std::path::Path;
 
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
 use proto::ActionChoice;
-use sim::{SimError, TaskConfig};
+use sim::{EnvironmentBatch, SimError, TaskConfig};
 use thiserror::Error;
 
-use crate::environment_batch::EnvironmentBatch;
-use crate::error::EnvironmentError;
 use crate::evaluation::{Episode, PlayedStep, play_while};
 use crate::recording::channels::Channels;
 use crate::recording::sink::Sink;
@@ -41,12 +39,9 @@ pub enum RecordError {
     /// The MCAP format got in the way.
     #[error("MCAP: {0}")]
     Format(#[from] mcap::McapError),
-    /// The task cannot be built.
+    /// The task cannot be built, or the episode broke off.
     #[error(transparent)]
-    Task(#[from] SimError),
-    /// The episode broke off.
-    #[error(transparent)]
-    Episode(#[from] EnvironmentError),
+    Episode(#[from] SimError),
     /// A message cannot be encoded.
     #[error("message on {topic}: {why}")]
     Message {
@@ -95,7 +90,7 @@ pub fn record(
     let mut summary = RecordSummary::default();
     for episode in 0..episodes {
         let key = Key::of(seed, Draw::of(Purpose::Recording).environment(episode));
-        world.reset(0, 0, world.description().episode_steps, key)?;
+        world.reset(0, 0, world.description().episode_steps, key.0)?;
         let whole = || ControlFlow::Continue(());
         summary.episodes.push(show_episode((&mut *world, policy), episode, &mut channels, whole)?);
     }

@@ -4,12 +4,10 @@ use std::ops::ControlFlow;
 
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
 use proto::{RolloutWork, RunDescription, Start, TrajectoryChunk};
-use sim::Outcome;
+use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::{Agents, Noise};
 use crate::chunk::ChunkBuilder;
-use crate::environment_batch::EnvironmentBatch;
-use crate::error::EnvironmentError;
 
 /// A slot in the making.
 struct Slot<'a> {
@@ -36,7 +34,7 @@ pub fn roll_out(
     world: &mut dyn EnvironmentBatch,
     mut see: impl FnMut(u32, &dyn EnvironmentBatch),
     mut emit: impl FnMut(TrajectoryChunk) -> ControlFlow<()>,
-) -> Result<(), EnvironmentError> {
+) -> Result<(), SimError> {
     let mut slot = Slot::begin(run, work, policy, world)?;
     for step in 0..run.slot_steps {
         see(step, slot.world);
@@ -56,7 +54,7 @@ impl<'a> Slot<'a> {
         work: &'a RolloutWork,
         policy: &'a PolicySnapshot,
         world: &'a mut dyn EnvironmentBatch,
-    ) -> Result<Self, EnvironmentError> {
+    ) -> Result<Self, SimError> {
         let mut agents = Agents::new(world, policy);
         for (position, environment) in work.environments.iter().enumerate() {
             match &environment.start {
@@ -82,7 +80,7 @@ impl<'a> Slot<'a> {
     }
 
     /// Observe, act, step, record, reset what is done.
-    fn step(&mut self, step: u32) -> Result<(), EnvironmentError> {
+    fn step(&mut self, step: u32) -> Result<(), SimError> {
         if step.is_multiple_of(self.run.hidden_every) {
             self.chunk.store_hidden(&self.agents);
         }
@@ -102,7 +100,7 @@ impl<'a> Slot<'a> {
 
     /// After a step that ended an episode, or the slot's last one, keeps the true next state; then
     /// begins the next episode where one has ended.
-    fn finish(&mut self, step: u32, position: usize) -> Result<(), EnvironmentError> {
+    fn finish(&mut self, step: u32, position: usize) -> Result<(), SimError> {
         let outcome = self.outcomes[position];
         let done = outcome.terminated || outcome.truncated;
         if done || step + 1 == self.run.slot_steps {
@@ -129,7 +127,7 @@ impl<'a> Slot<'a> {
         Ok(())
     }
 
-    fn full_chunk(&mut self, step: u32) -> Result<Option<TrajectoryChunk>, EnvironmentError> {
+    fn full_chunk(&mut self, step: u32) -> Result<Option<TrajectoryChunk>, SimError> {
         if step + 1 == self.run.slot_steps {
             self.chunk.close(&self.agents, self.world)?;
         }
@@ -145,7 +143,7 @@ fn reset(
     (position, environment): (usize, u32),
     episode: u64,
     limit: u32,
-) -> Result<(), EnvironmentError> {
+) -> Result<(), SimError> {
     let draw = Draw::of(Purpose::Reset).iteration(episode).environment(environment);
-    world.reset(position, episode, limit, Key::of(RunSeed(run.seed), draw))
+    world.reset(position, episode, limit, Key::of(RunSeed(run.seed), draw).0)
 }

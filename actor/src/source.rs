@@ -1,10 +1,9 @@
 //! Where an actor's environments come from: the simulator, or a program that offers them.
 
 use proto::{EnvironmentSpec, RunDescription};
-use sim::{Environments, TaskConfig};
+use sim::{EnvironmentBatch, TaskConfig};
 
 use crate::config::Config;
-use crate::environment_batch::EnvironmentBatch;
 use crate::error::ActorError;
 use crate::identity::environment_spec;
 use crate::outside::EnvironmentService;
@@ -50,17 +49,14 @@ impl Source {
     }
 
     /// `count` environments.
-    pub(crate) fn open(
-        &self,
-        count: usize,
-    ) -> Result<Box<dyn EnvironmentBatch + Send>, ActorError> {
+    pub(crate) fn open(&self, count: usize) -> Result<Box<dyn EnvironmentBatch>, ActorError> {
         Ok(match self {
-            Self::Simulator(task) => Box::new(simulated(task, count)?),
+            Self::Simulator(task) => simulated(task, count)?,
             Self::Service(service) => Box::new(service.environments(count)),
         })
     }
 }
 
-fn simulated(task: &TaskConfig, count: usize) -> Result<Environments, ActorError> {
-    Environments::new(task, count).map_err(|error| ActorError::Task(error.to_string()))
+fn simulated(task: &TaskConfig, count: usize) -> Result<Box<dyn EnvironmentBatch>, ActorError> {
+    sim::environments(task, count).map_err(|error| ActorError::Task(error.to_string()))
 }

@@ -11,10 +11,10 @@ use proto::{
     ActionChoice, EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork,
     RunDescription, Work, wire,
 };
+use sim::{EnvironmentBatch, SimError};
 use tokio::sync::mpsc;
 
-use crate::environment_batch::EnvironmentBatch;
-use crate::error::{ActorError, EnvironmentError};
+use crate::error::ActorError;
 use crate::evaluation::play_on;
 use crate::film::{Camera, FILMED};
 use crate::rollout::roll_out;
@@ -48,7 +48,7 @@ pub(crate) enum Produced {
     /// The job has ended, whole or broken off.
     End,
     /// The lease's environment states are none of this task's, or whoever steps the environments failed.
-    Failed(EnvironmentError),
+    Failed(SimError),
 }
 
 /// The two ends of the stepping thread.
@@ -59,10 +59,10 @@ pub(crate) struct Stepper {
 
 struct Worlds {
     run: Arc<RunDescription>,
-    slot: Box<dyn EnvironmentBatch + Send>,
+    slot: Box<dyn EnvironmentBatch>,
     /// One environment of its own, so that evaluation touches no slot's.
-    evaluation: Box<dyn EnvironmentBatch + Send>,
-    /// Where what is logged is handed in.
+    evaluation: Box<dyn EnvironmentBatch>,
+    /// Where what is logged is handed in; `None` for external environments.
     desk: Option<Desk>,
 }
 
@@ -102,11 +102,7 @@ fn step_until_dropped(
 }
 
 impl Worlds {
-    fn work_off(
-        &mut self,
-        job: &Job,
-        results: &mpsc::Sender<Produced>,
-    ) -> Result<(), EnvironmentError> {
+    fn work_off(&mut self, job: &Job, results: &mpsc::Sender<Produced>) -> Result<(), SimError> {
         match &job.lease.work {
             Work::Rollout(work) => self.roll_out(job, work, results),
             Work::Evaluation(work) => {
@@ -127,13 +123,13 @@ impl Worlds {
         job: &Job,
         work: &RolloutWork,
         results: &mpsc::Sender<Produced>,
-    ) -> Result<(), EnvironmentError> {
+    ) -> Result<(), SimError> {
         let Self { run, slot, desk, .. } = self;
         let witness = desk.as_ref().map(|desk| RefCell::new(desk.rollout(&job.lease, work)));
         let see = |step, world: &dyn EnvironmentBatch| {
             job.watch.step.store(step, Ordering::Relaxed);
-            if let Some((witness, own)) = witness.as_ref().zip(world.simulated()) {
-                witness.borrow_mut().see(step, own);
+            if let Some(witness) = &witness {
+                witness.borrow_mut().see(step, world);
             }
         };
         let origin = work.origin();
@@ -155,14 +151,12 @@ impl Worlds {
         &mut self,
         job: &Job,
         work: EvaluationWork,
-    ) -> Result<(EvaluationResult, Option<Film>), EnvironmentError> {
+    ) -> Result<(EvaluationResult, Option<Film>), SimError> {
         let key = Key::of_evaluation(RunSeed(self.run.seed), work.iteration, work.episode);
         let world = self.evaluation.as_mut();
-        world.reset(0, 0, world.description().episode_steps, key)?;
+        world.reset(0, 0, world.description().episode_steps, key.0)?;
         let desk = self.desk.as_ref();
-        let mut witness = desk
-            .zip(world.simulated())
-            .and_then(|(desk, own)| desk.evaluation(&job.lease, work, own));
+        let mut witness = desk.and_then(|desk| desk.evaluation(&job.lease, work, world));
         let mut camera = match work.episode {
             FILMED => Camera::before(world)?,
             _ => None,

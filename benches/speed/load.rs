@@ -177,7 +177,7 @@ async fn record(
     let Work::Rollout(work) = &lease.work else { bail!("the run has no evaluations") };
     let policy = weights(service, lease.weights).await?;
     let mut world = settings.world(settings.learner.environments.per_slot)?;
-    let played = roll_out(run, work, &policy, &mut world);
+    let played = roll_out(run, work, &policy, &mut *world);
     let both = |chunk: TrajectoryChunk| {
         let message = chunk.to_wire(run, &work.origin()).0;
         (chunk, message)

@@ -1,6 +1,6 @@
 //! Environment steps of one robot on one core, resets included.
 
-use policy::randomness::{Draw, Purpose, RunSeed, generator, uniform};
+use policy::randomness::{Draw, Key, Purpose, RunSeed, uniform};
 use sim::Outcome;
 
 use crate::Effort;
@@ -19,15 +19,16 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
 fn row(task: &str, effort: Effort) -> anyhow::Result<Row> {
     let mut world = Settings::of(&[task])?.world(1)?;
     let width = world.description().agents.iter().map(|agent| agent.action.size).sum();
-    let mut rng = generator(RunSeed(7), Draw::of(Purpose::Probe));
+    let key = Key::of(RunSeed(7), Draw::of(Purpose::Probe));
+    let mut rng = key.generator();
     let actions: Vec<f32> = (0..STEPS * width).map(|_| 2.0 * uniform(&mut rng) - 1.0).collect();
     let took = typical(effort.repeats, || {
         let mut outcome = [Outcome::default()];
-        world.reset(0, 0, EPISODE_STEPS, &mut rng);
+        world.reset(0, 0, EPISODE_STEPS, key.0).expect("the simulator resets");
         for action in actions.chunks_exact(width) {
             world.step(action, &mut outcome).expect("the actions are finite");
             if outcome[0].terminated || outcome[0].truncated {
-                world.reset(0, 0, EPISODE_STEPS, &mut rng);
+                world.reset(0, 0, EPISODE_STEPS, key.0).expect("the simulator resets");
             }
         }
     });

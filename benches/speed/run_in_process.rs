@@ -66,7 +66,7 @@ fn roll_out_all(
     run: &RunDescription,
     slots: &[RolloutWork],
     policy: &PolicySnapshot,
-    worlds: &mut [sim::Environments],
+    worlds: &mut [Box<dyn sim::EnvironmentBatch>],
 ) -> Vec<SlotRollout> {
     let share = slots.len().div_ceil(worlds.len());
     scope(|scope| {
@@ -84,13 +84,13 @@ fn roll_out_some(
     run: &RunDescription,
     slots: &[RolloutWork],
     policy: &PolicySnapshot,
-    world: &mut sim::Environments,
+    world: &mut Box<dyn sim::EnvironmentBatch>,
 ) -> Vec<SlotRollout> {
     let one = |work: &RolloutWork| SlotRollout {
         slot: work.slot,
         actor: ActorId(0),
         lease: LeaseId(0),
-        chunks: roll_out(run, work, policy, world),
+        chunks: roll_out(run, work, policy, world.as_mut()),
         digests: vec![],
     };
     slots.iter().map(one).collect()
@@ -101,7 +101,7 @@ pub(crate) fn roll_out(
     run: &RunDescription,
     work: &RolloutWork,
     policy: &PolicySnapshot,
-    world: &mut sim::Environments,
+    world: &mut dyn sim::EnvironmentBatch,
 ) -> Vec<TrajectoryChunk> {
     let mut chunks = Vec::new();
     let keep = |chunk| {
@@ -151,7 +151,7 @@ fn act(exchange: &Exchange, connection: ConnectionId, settings: &Settings) {
         let answer =
             exchange.lease(connection, own.actor, own.incarnation, Duration::from_secs(10));
         match runtime.block_on(answer).expect("the actor is registered") {
-            LeaseAnswer::Lease(lease) => perform(exchange, connection, &run, &lease, &mut world),
+            LeaseAnswer::Lease(lease) => perform(exchange, connection, &run, &lease, &mut *world),
             LeaseAnswer::Retry { .. } => {}
             LeaseAnswer::Done => break,
         }
@@ -174,7 +174,7 @@ fn perform(
     connection: ConnectionId,
     run: &RunDescription,
     lease: &Lease,
-    world: &mut sim::Environments,
+    world: &mut dyn sim::EnvironmentBatch,
 ) {
     let Work::Rollout(work) = &lease.work else { return };
     let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };

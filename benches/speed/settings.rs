@@ -60,8 +60,8 @@ impl Settings {
     }
 
     /// `count` environments of the task.
-    pub(crate) fn world(&self, count: usize) -> anyhow::Result<sim::Environments> {
-        Ok(sim::Environments::new(&self.task, count)?)
+    pub(crate) fn world(&self, count: usize) -> anyhow::Result<Box<dyn sim::EnvironmentBatch>> {
+        Ok(sim::environments(&self.task, count)?)
     }
 
     /// The task's sizes as a learning rule is told them.

@@ -51,6 +51,6 @@ fn slot_secs(settings: &Settings, problem: &Problem, effort: Effort) -> anyhow::
     let fresh = learner::environments::Environments::fresh(layout, limit, phase);
     let (work, policy) = (fresh.work(0).remove(0), Updates::new(settings, problem, 1)?.snapshot()?);
     let mut world = settings.world(settings.learner.environments.per_slot)?;
-    let took = typical(effort.repeats, || drop(roll_out(&run, &work, &policy, &mut world)));
+    let took = typical(effort.repeats, || drop(roll_out(&run, &work, &policy, &mut *world)));
     Ok(took.thread)
 }

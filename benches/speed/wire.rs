@@ -112,7 +112,7 @@ fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
             .work(0)
             .remove(0);
     let mut world = settings.world(settings.learner.environments.per_slot)?;
-    let chunks = roll_out(&run, &work, &snapshot, &mut world);
+    let chunks = roll_out(&run, &work, &snapshot, &mut *world);
     let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };
     let origin = work.origin();
     let lease = Lease {

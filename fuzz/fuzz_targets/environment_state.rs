@@ -6,27 +6,27 @@ use std::cell::RefCell;
 
 use fuzz::{TASKS, world};
 use libfuzzer_sys::fuzz_target;
-use sim::{Environments, Outcome};
+use sim::{EnvironmentBatch, Outcome};
 
 thread_local! {
-    static WORLDS: RefCell<Vec<Environments>> = RefCell::new(TASKS.map(world).into());
+    static WORLDS: RefCell<Vec<Box<dyn EnvironmentBatch>>> = RefCell::new(TASKS.map(world).into());
 }
 
 fuzz_target!(|data: &[u8]| {
     let Some((task, bytes)) = data.split_first() else { return };
     WORLDS.with_borrow_mut(|worlds| {
         let at = usize::from(*task) % worlds.len();
-        take_up(&mut worlds[at], bytes);
+        take_up(&mut *worlds[at], bytes);
     });
 });
 
-fn take_up(world: &mut Environments, bytes: &[u8]) {
-    let before = world.encode(0);
+fn take_up(world: &mut dyn EnvironmentBatch, bytes: &[u8]) {
+    let before = encode(world);
     if world.restore(0, bytes).is_err() {
-        assert_eq!(world.encode(0), before, "a refused state changes nothing");
+        assert_eq!(encode(world), before, "a refused state changes nothing");
         return;
     }
-    assert!(same_state(&world.encode(0), bytes), "a state is encoded as it came");
+    assert!(same_state(&encode(world), bytes), "a state is encoded as it came");
     let sizes = world.description().agents.iter().map(|agent| agent.action.size);
     let actions = vec![0.0; sizes.sum()];
     let mut outcome = [Outcome::default()];
@@ -35,6 +35,10 @@ fn take_up(world: &mut Environments, bytes: &[u8]) {
     let mut state = vec![0.0; world.description().state.len()];
     world.state(0, &mut state);
     assert!(state.iter().all(|number| number.is_finite()));
+}
+
+fn encode(world: &dyn EnvironmentBatch) -> Vec<u8> {
+    world.encode(0).expect("the simulator encodes")
 }
 
 /// Equal up to the sign of a zero, which a game of whole numbers does not keep.

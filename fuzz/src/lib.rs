@@ -1,7 +1,7 @@
 //! What a fuzz target and the inputs that it begins with must agree on.
 
 use sim::{
-    ContactForces, Environments, ObservationConfig, ObservationMode, ObservationNorm,
+    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm,
     PartitionSemantics, RootView, TaskConfig,
 };
 
@@ -20,7 +20,7 @@ pub const TASKS: [(&str, ContactForces); 5] = [
 /// # Panics
 /// If the task is not known.
 #[must_use]
-pub fn world((task, contact_forces): (&str, ContactForces)) -> Environments {
+pub fn world((task, contact_forces): (&str, ContactForces)) -> Box<dyn EnvironmentBatch> {
     let config = TaskConfig {
         task: task.to_owned(),
         observation: ObservationConfig {
@@ -32,5 +32,5 @@ pub fn world((task, contact_forces): (&str, ContactForces)) -> Environments {
         },
         partition: PartitionSemantics::ActuatorSlices,
     };
-    Environments::new(&config, 1).expect("a known task")
+    sim::environments(&config, 1).expect("a known task")
 }

@@ -9,7 +9,7 @@ use std::time::Instant;
 use rand::RngCore;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use sim::{Environments, Outcome, TaskConfig};
+use sim::{Outcome, TaskConfig};
 
 /// A robot's task and its model in Gymnasium.
 const ROBOTS: [(&str, &str); 3] =
@@ -48,11 +48,11 @@ fn our_rate(task: &str) -> f64 {
         "partition": "actuator_slices",
     }))
     .expect("the settings are the simulator's");
-    let mut world = Environments::new(&config, 1).expect("the task is known");
+    let mut world = sim::environments(&config, 1).expect("the task is known");
     let size = world.description().agents.iter().map(|agent| agent.action.size).sum();
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let (mut actions, mut outcome) = (vec![0.0_f32; size], [Outcome::default()]);
-    world.reset(0, 0, 1000, &mut rng);
+    world.reset(0, 0, 1000, [0; 32]).expect("the simulator resets");
     let start = Instant::now();
     for _ in 0..STEPS {
         for action in &mut actions {
@@ -60,7 +60,7 @@ fn our_rate(task: &str) -> f64 {
         }
         world.step(&actions, &mut outcome).expect("the actions are finite");
         if outcome[0].terminated || outcome[0].truncated {
-            world.reset(0, 0, 1000, &mut rng);
+            world.reset(0, 0, 1000, [0; 32]).expect("the simulator resets");
         }
     }
     STEPS as f64 / start.elapsed().as_secs_f64()

@@ -4,10 +4,12 @@ mod describe;
 
 use std::sync::Arc;
 
-use rand::RngCore;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{ContactForces, ObservationConfig, TaskConfig};
 use crate::description::Description;
+use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::error::{ActionError, SimError, StateError};
 use crate::observation::Observation;
 use crate::partition::partition;
@@ -33,20 +35,6 @@ pub(crate) struct RobotEnvironments {
     controls: Vec<f32>,
     /// The numbers after a step, until they are found good.
     next: Numbers,
-}
-
-/// What a step did.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Outcome {
-    /// The task's reward; 0 on a fault.
-    pub reward: f32,
-    /// The task's rules ended the episode.
-    pub terminated: bool,
-    /// The step limit, or a fault, ended the episode; never together with `terminated`.
-    pub truncated: bool,
-    /// The world was no longer finite or left the bounds of a state. The state is the one before the
-    /// step.
-    pub fault: bool,
 }
 
 struct Environment {
@@ -120,31 +108,28 @@ impl RobotEnvironments {
         (0..count).for_each(|index| environments.look(index));
         Ok(environments)
     }
+}
 
-    /// The task as seen from outside.
-    pub(crate) fn description(&self) -> &Description {
+impl EnvironmentBatch for RobotEnvironments {
+    fn description(&self) -> &Description {
         &self.description
     }
 
-    /// Number of environments `E`.
-    pub(crate) fn count(&self) -> usize {
+    fn count(&self) -> usize {
         self.environments.len()
     }
 
-    /// What an encoded state may hold.
-    pub(crate) fn state_bounds(&self) -> &StateBounds {
-        &self.bounds
+    fn state_bounds(&self) -> Option<&StateBounds> {
+        Some(&self.bounds)
     }
 
-    /// A new episode with a drawn start. `limit` is the number of steps until truncation, brought into
-    /// `1..=episode_steps`.
-    pub(crate) fn reset(
+    fn reset(
         &mut self,
         environment: usize,
         episode: u64,
         limit: u32,
-        rng: &mut impl RngCore,
-    ) {
+        key: [u8; 32],
+    ) -> Result<(), SimError> {
         let mut state = State {
             episode,
             step: 0,
@@ -153,19 +138,18 @@ impl RobotEnvironments {
             velocities: vec![0.0; self.bounds.velocities],
             contact_forces: vec![0.0; self.bounds.contact_forces],
         };
-        self.task.rules.randomise(rng, &mut state.coordinates, &mut state.velocities);
+        let mut rng = ChaCha8Rng::from_seed(key);
+        self.task.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
         let bytes = state.to_bytes(&self.bounds.kind);
         self.rebuild(environment, &bytes).expect("a start lies within the bounds of a state");
+        Ok(())
     }
 
-    /// Goes on from an encoded state; refused bytes change nothing.
-    pub(crate) fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
+    fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
         Ok(self.rebuild(environment, state)?)
     }
 
-    /// The environment's state. Taken before a reset that is due, it is refused by [`Self::restore`]: that episode
-    /// is over.
-    pub(crate) fn encode(&self, environment: usize) -> Vec<u8> {
+    fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
         let environment = &self.environments[environment];
         let state = State {
             episode: environment.episode,
@@ -175,32 +159,18 @@ impl RobotEnvironments {
             velocities: environment.now.velocities.clone(),
             contact_forces: environment.now.contact_forces.clone(),
         };
-        state.to_bytes(&self.bounds.kind)
+        Ok(state.to_bytes(&self.bounds.kind))
     }
 
-    /// The index of the environment's episode.
-    pub(crate) fn episode(&self, environment: usize) -> u64 {
+    fn episode(&self, environment: usize) -> u64 {
         self.environments[environment].episode
     }
 
-    /// Steps taken in the environment's episode.
-    pub(crate) fn episode_step(&self, environment: usize) -> u32 {
+    fn episode_step(&self, environment: usize) -> u32 {
         self.environments[environment].step
     }
 
-    /// One step of every environment. `actions` is `[E, A]`, each row all agents' actions in agent order;
-    /// `outcome` is `[E]`. A finished episode is not reset: the caller reads its last observation and state first.
-    ///
-    /// # Errors
-    /// Refuses actions of another length and numbers that are not finite, before anything moves.
-    ///
-    /// # Panics
-    /// If `outcome` has another length.
-    pub(crate) fn step(
-        &mut self,
-        actions: &[f32],
-        outcome: &mut [Outcome],
-    ) -> Result<(), ActionError> {
+    fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
         let size = self.motors.len();
         assert_eq!(outcome.len(), self.count(), "outcome [E]");
         self.check(actions)?;
@@ -210,6 +180,27 @@ impl RobotEnvironments {
         Ok(())
     }
 
+    fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
+        assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
+        self.observation.see(agent, &self.environments[environment].seen, out);
+    }
+
+    fn state(&self, environment: usize, out: &mut [f32]) {
+        assert_eq!(out.len(), self.description.state.len(), "state");
+        out.copy_from_slice(&self.environments[environment].seen);
+    }
+
+    fn pose(&self, environment: usize) -> Pose {
+        let world = &self.environments[environment].world;
+        Pose { links: world.link_poses(), joints: world.joint_poses() }
+    }
+
+    fn world(&self, environment: usize) -> Option<&World> {
+        Some(&self.environments[environment].world)
+    }
+}
+
+impl RobotEnvironments {
     fn check(&self, actions: &[f32]) -> Result<(), ActionError> {
         let (environments, size) = (self.count(), self.motors.len());
         if actions.len() != environments * size {
@@ -224,35 +215,6 @@ impl RobotEnvironments {
             agent += 1;
         }
         Err(ActionError::NotFinite { environment, agent, index, value: actions[at] })
-    }
-
-    /// What an agent sees, `[obs]`.
-    ///
-    /// # Panics
-    /// If `out` has another length.
-    pub(crate) fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
-        assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
-        self.observation.see(agent, &self.environments[environment].seen, out);
-    }
-
-    /// The global state, `[S]`.
-    ///
-    /// # Panics
-    /// If `out` has another length.
-    pub(crate) fn state(&self, environment: usize, out: &mut [f32]) {
-        assert_eq!(out.len(), self.description.state.len(), "state");
-        out.copy_from_slice(&self.environments[environment].seen);
-    }
-
-    /// Where the robot's links and joints are, for a recording.
-    pub(crate) fn pose(&self, environment: usize) -> Pose {
-        let world = &self.environments[environment].world;
-        Pose { links: world.link_poses(), joints: world.joint_poses() }
-    }
-
-    /// The environment's world, for measurements.
-    pub(crate) fn world(&self, environment: usize) -> &World {
-        &self.environments[environment].world
     }
 
     /// The one way into a world: from bytes.

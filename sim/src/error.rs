@@ -2,8 +2,8 @@
 
 use thiserror::Error;
 
-/// A task that cannot be built, or a state that is not restored.
-#[derive(Clone, Debug, PartialEq, Error)]
+/// Why environments cannot be built, restored or stepped.
+#[derive(Debug, Error)]
 pub enum SimError {
     /// No such task.
     #[error("there is no task `{asked}`; did you mean `{nearest}`? Known tasks: {known}")]
@@ -40,6 +40,9 @@ pub enum SimError {
     /// Actions are refused.
     #[error(transparent)]
     Action(#[from] ActionError),
+    /// Environments outside this process cannot be reached, or answer wrongly.
+    #[error(transparent)]
+    External(Box<dyn std::error::Error + Send + Sync>),
 }
 
 /// Actions that no robot can follow; nothing has moved.
@@ -169,4 +172,7 @@ pub enum StateError {
         /// Its squared length.
         squared: f32,
     },
+    /// Not a state of this external environment.
+    #[error("{0}")]
+    External(String),
 }

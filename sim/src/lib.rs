@@ -6,6 +6,7 @@
 
 mod config;
 mod description;
+mod environment_batch;
 mod environments;
 mod error;
 mod game;
@@ -25,12 +26,12 @@ pub use config::{
     RootView, TaskConfig,
 };
 pub use description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
-pub use environments::Outcome;
+pub use environment_batch::{EnvironmentBatch, Outcome};
 pub use error::{ActionError, SimError, StateError};
 pub use probe::probe;
 pub use robot::Robot;
 pub use scene::{JointPose, LinkPose, LinkShape, Pose, Shape, drivers, hinges, rotated, shapes};
-pub use simulation::Environments;
+pub use simulation::environments;
 pub use state::{State, StateBounds};
 pub use task::task_names;
 pub use world::World;

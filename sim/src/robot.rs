@@ -10,7 +10,6 @@ mod softness;
 
 use crate::error::SimError;
 use crate::state::StateBounds;
-use crate::task;
 
 pub(crate) use assemble::{Template, empty_world};
 pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan};
@@ -89,11 +88,6 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// The robot of a task.
-    pub fn of_task(task: &str) -> Result<Self, SimError> {
-        Self::build(task::find(task)?.robot)
-    }
-
     pub(crate) fn build(row: &'static RobotRow) -> Result<Self, SimError> {
         let model = |reason| SimError::Model { robot: row.name.to_owned(), reason };
         let blueprint = model::read(row.mjcf).map_err(model)?;
@@ -107,7 +101,7 @@ impl Robot {
     }
 
     /// What its states are called on the wire.
-    pub fn state_kind(&self) -> String {
+    pub(crate) fn state_kind(&self) -> String {
         format!("rapier/{}", self.row.name)
     }
 
@@ -132,7 +126,7 @@ impl Robot {
     }
 
     /// The model's bodies, the world first; those without a joint are part of a link.
-    pub fn bodies(&self) -> &[String] {
+    pub(crate) fn bodies(&self) -> &[String] {
         &self.blueprint.bodies
     }
 
@@ -165,7 +159,7 @@ impl Robot {
     }
 
     /// Seconds that one environment step simulates.
-    pub fn step_secs(&self) -> f64 {
+    pub(crate) fn step_secs(&self) -> f64 {
         self.blueprint.timestep_secs * f64::from(self.row.frame_skip)
     }
 
@@ -175,7 +169,7 @@ impl Robot {
     }
 
     /// What a state of this robot may hold in a task whose episodes last `longest` steps.
-    pub fn state_bounds(&self, longest: u32) -> StateBounds {
+    pub(crate) fn state_bounds(&self, longest: u32) -> StateBounds {
         StateBounds {
             kind: self.state_kind(),
             longest,

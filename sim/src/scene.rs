@@ -7,7 +7,6 @@ use crate::description::Description;
 use crate::error::SimError;
 use crate::game;
 use crate::robot::{JointPlan, LinkPlan, Robot};
-use crate::task;
 
 /// A robot at a moment.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -163,7 +162,7 @@ pub fn hinges(task: &str) -> Result<Vec<[f32; 3]>, SimError> {
 fn robot(task: &str) -> Result<Option<Robot>, SimError> {
     match task {
         game::cue::NAME => Ok(None),
-        task => Ok(Some(Robot::build(task::find(task)?.robot)?)),
+        task => Robot::of_task(task).map(Some),
     }
 }
 

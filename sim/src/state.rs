@@ -102,7 +102,11 @@ impl StateBounds {
     }
 
     /// Whether a world may be in this motion: every number finite and within bounds.
-    pub fn check_motion(&self, coordinates: &[f32], velocities: &[f32]) -> Result<(), StateError> {
+    pub(crate) fn check_motion(
+        &self,
+        coordinates: &[f32],
+        velocities: &[f32],
+    ) -> Result<(), StateError> {
         for (index, (&value, &[low, high])) in coordinates.iter().zip(&self.coordinates).enumerate()
         {
             check_number("coordinate", index, value, low, high)?;

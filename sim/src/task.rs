@@ -104,6 +104,16 @@ pub(crate) fn find(name: &str) -> Result<&'static Task, SimError> {
     })
 }
 
+impl Robot {
+    /// The robot of a task.
+    ///
+    /// # Errors
+    /// If no robot has a task of this name.
+    pub fn of_task(task: &str) -> Result<Self, SimError> {
+        Self::build(find(task)?.robot)
+    }
+}
+
 /// Positions and velocities of the named joints, as features.
 pub(crate) fn motion_features(coordinates: &[String], velocities: &[String]) -> Vec<Feature> {
     let signal = |name| Feature { name, role: FeatureRole::Signal };

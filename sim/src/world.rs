@@ -133,7 +133,7 @@ impl World {
     }
 
     /// Every link's frame in the world.
-    pub fn link_poses(&self) -> Vec<LinkPose> {
+    pub(crate) fn link_poses(&self) -> Vec<LinkPose> {
         let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
         links
             .map(|(plan, joint)| {
@@ -144,7 +144,7 @@ impl World {
     }
 
     /// Every hinge's angle.
-    pub fn joint_poses(&self) -> Vec<JointPose> {
+    pub(crate) fn joint_poses(&self) -> Vec<JointPose> {
         let robot = &self.robot;
         let mut coordinates = vec![0.0; robot.coordinate_names().len()];
         let mut velocities = vec![0.0; robot.velocity_names().len()];

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use allocation_counter::measure;
-use sim::{Environments, Outcome, Robot, World};
+use sim::{Outcome, Robot, World};
 
 #[test]
 fn a_slots_step_allocates_no_more_than_its_physics_does() {
@@ -16,7 +16,7 @@ fn a_slots_step_allocates_no_more_than_its_physics_does() {
             },
         }))
         .unwrap();
-        let mut slot = Environments::new(&config, 1).unwrap();
+        let mut slot = sim::environments(&config, 1).unwrap();
         let mut world = World::new(Arc::new(Robot::of_task(task).unwrap()));
         let actions = vec![0.3; world.robot().actuators().count()];
         let mut seen = vec![0.0; slot.description().agents[0].observation.len()];

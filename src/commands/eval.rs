@@ -1,10 +1,11 @@
 //! `s2mia eval`: whole episodes of a trained policy, mean or drawn actions, extrinsic return only.
 
-use actor::{EnvironmentBatch, Episode};
+use actor::Episode;
 use anyhow::Context as _;
 use learner::evaluation::Spread;
 use proto::ActionChoice;
 use serde_json::json;
+use sim::EnvironmentBatch;
 
 use crate::cli::EvalArguments;
 use crate::figures::chart;
@@ -23,7 +24,7 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         output::line(as_json(task, &trained, &episodes, &spread));
         return Ok(());
     }
-    let simulator = if stage.environment.simulated().is_some() { "rapier/" } else { "" };
+    let simulator = if trained.config.environment.url.is_empty() { "rapier/" } else { "" };
     let (run, steps) = (arguments.run.display(), chart::thousands(trained.env_steps));
     output::line(format!("{run}: {simulator}{task} after {steps} env steps\n"));
     output::line(as_table(&episodes, &spread));

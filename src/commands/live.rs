@@ -125,7 +125,7 @@ impl Robot {
         let world = stage.environment.as_mut();
         let mut scene = server.scene(world).context("cannot show the environment")?;
         let key = Key::of_evaluation(RunSeed(show.config.run.seed), 0, 0);
-        world.reset(0, 0, world.description().episode_steps, key)?;
+        world.reset(0, 0, world.description().episode_steps, key.0)?;
         scene.stand(world)?;
         scene.describe(&BTreeMap::from([(
             "waits_for".to_owned(),

@@ -22,7 +22,7 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let seed = RunSeed(trained.config.run.seed);
     let mut stage = Stage::of(&trained.config)?;
     let name = stage.environment.description().task.clone();
-    let task = stage.environment.simulated().map(|_| &trained.config.task);
+    let task = trained.config.environment.url.is_empty().then_some(&trained.config.task);
     let summary = actor::record(
         (stage.environment.as_mut(), task),
         &trained.policy,

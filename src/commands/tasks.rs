@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use serde_json::json;
-use sim::{Description, Environments};
+use sim::{Description, EnvironmentBatch};
 
 use crate::cli::TasksArguments;
 use crate::config::run_config::RunConfig;
@@ -14,12 +14,12 @@ use crate::process::output;
 
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
-    let mut worlds: Vec<Environments> =
+    let mut worlds: Vec<Box<dyn EnvironmentBatch>> =
         sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
     if let Some(folder) = &arguments.picture {
-        return worlds.iter_mut().try_for_each(|world| draw(world, folder));
+        return worlds.iter_mut().try_for_each(|world| draw(&mut **world, folder));
     }
-    let tasks: Vec<&Description> = worlds.iter().map(Environments::description).collect();
+    let tasks: Vec<&Description> = worlds.iter().map(|world| world.description()).collect();
     if arguments.json {
         output::line(serde_json::Value::from(
             tasks.iter().map(|task| as_json(task)).collect::<Vec<_>>(),
@@ -32,14 +32,14 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn world(task: &str) -> anyhow::Result<Environments> {
+fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
     let request = Request { settings: vec![task.to_owned()], ..Request::default() };
     let config = RunConfig::build(layers::resolve(&request)?)?;
-    Environments::new(&config.task, 1).with_context(|| format!("cannot build {task}"))
+    sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
 }
 
 /// Draws one picture and prints the names of its numbered joints; a game has no picture.
-fn draw(world: &mut Environments, folder: &Path) -> anyhow::Result<()> {
+fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
     let shapes = sim::shapes(&world.description().task).context("cannot build the robot")?;
     if shapes.is_empty() {
         return Ok(());

@@ -132,7 +132,7 @@ impl RunConfig {
         }
         let mut task = self.task.clone();
         task.observation.norm = ObservationNorm::None;
-        let task = sim::Environments::new(&task, 1).map_err(|error| error.to_string())?;
+        let task = sim::environments(&task, 1).map_err(|error| error.to_string())?;
         task.description().agents.iter().try_for_each(|agent| {
             let of_choices = |choices| ActionKind::Discrete { choices: choices as usize };
             let kind = agent.action.choices.map_or(ActionKind::Continuous, of_choices);
@@ -262,7 +262,7 @@ mod tests {
                 let algorithm = format!("algorithm={}", algorithm.name);
                 let config = built(&[task, &algorithm, &format!("preset={preset}")]).unwrap();
                 assert_eq!(config.task.task, task);
-                sim::Environments::new(&config.task, 1).unwrap();
+                sim::environments(&config.task, 1).unwrap();
             }
         }
     }

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use actor::{EnvironmentBatch, EnvironmentError};
 use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
 use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
+use sim::{EnvironmentBatch, SimError};
 
 /// Observations, hidden states and actions of every agent.
 pub(super) struct Episode {
@@ -27,7 +27,7 @@ pub(super) fn play(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
     start: Key,
-) -> Result<Episode, EnvironmentError> {
+) -> Result<Episode, SimError> {
     let mut agents: Vec<Track> = Vec::new();
     for agent in &policy.agents {
         agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });

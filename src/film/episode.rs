@@ -3,7 +3,7 @@
 use anyhow::Context as _;
 use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
-use sim::{Environments, Outcome, TaskConfig};
+use sim::{Outcome, TaskConfig};
 
 use crate::errors::Usage;
 use crate::film::measures::{Measures, Moment};
@@ -28,7 +28,7 @@ impl PlayedEpisode {
         policy: &PolicySnapshot,
         key: Key,
     ) -> anyhow::Result<Self> {
-        let mut world = Environments::new(task, 1).context("cannot build the task")?;
+        let mut world = sim::environments(task, 1).context("cannot build the task")?;
         let shapes = sim::shapes(&task.task).context("cannot build the robot")?;
         if shapes.is_empty() {
             let why = format!("{} is a game: there is nothing to draw", task.task);
@@ -37,10 +37,10 @@ impl PlayedEpisode {
         let robot = RobotShapes::new(world.description(), shapes, &world.pose(0));
         let dt_secs = world.description().dt_secs;
         // The same draw as the episode's own, to see where it starts.
-        world.reset(0, 0, world.description().episode_steps, &mut key.generator());
-        let mut moments = vec![Moment::of(&world)];
+        world.reset(0, 0, world.description().episode_steps, key.0)?;
+        let mut moments = vec![Moment::of(&*world)];
         let mut end = Outcome::default();
-        actor::play_episode(&mut world, policy, (key, ActionChoice::Mean), |step| {
+        actor::play_episode(&mut *world, policy, (key, ActionChoice::Mean), |step| {
             let before = moments.last().expect("the start is there");
             let now = Moment::after(step, before);
             moments.push(now);

@@ -1,7 +1,7 @@
 //! Joint positions for the numbers in a robot's portrait.
 
 use anyhow::Context as _;
-use sim::{Environments, Outcome};
+use sim::{EnvironmentBatch, Outcome};
 
 /// Joints closer than this hide each other's numbers, metres.
 const APART: f32 = 0.08;
@@ -10,7 +10,7 @@ const MOST_STEPS: usize = 30;
 
 /// Steps the robot until at most one joint hides another, and returns the positions of all joints. Legs that are one
 /// behind the other move apart; their hips stay in one place.
-pub(crate) fn distinct_joints(world: &mut Environments) -> anyhow::Result<Vec<[f32; 3]>> {
+pub(crate) fn distinct_joints(world: &mut dyn EnvironmentBatch) -> anyhow::Result<Vec<[f32; 3]>> {
     let anchors = sim::hinges(&world.description().task).context("cannot build the robot")?;
     let mut joints = places(world, &anchors);
     for _ in 0..MOST_STEPS {
@@ -39,7 +39,7 @@ fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
 
 /// Positions of the joints that agents drive, in the order of their actions; `anchors` are their positions on their
 /// links.
-fn places(world: &Environments, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
+fn places(world: &dyn EnvironmentBatch, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let (task, pose) = (world.description(), world.pose(0));
     let links = &pose.links[pose.links.len() - anchors.len()..];
     let place = |name: &String| {

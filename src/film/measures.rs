@@ -3,7 +3,7 @@
 use std::fmt;
 
 use actor::PlayedStep;
-use sim::{Environments, Pose};
+use sim::{EnvironmentBatch, Pose, World};
 
 /// Time after the start in which joints may move inside their limits, which frees energy.
 const SETTLING_SECS: f64 = 0.5;
@@ -24,8 +24,8 @@ pub(super) struct Moment {
 
 impl Moment {
     /// The current state of environment 0.
-    pub(super) fn of(world: &Environments) -> Self {
-        let (pose, world) = (world.pose(0), world.world(0));
+    pub(super) fn of(world: &dyn EnvironmentBatch) -> Self {
+        let (pose, world) = (world.pose(0), robot(world));
         Self {
             pose,
             impulse: world.contact_impulse(),
@@ -37,10 +37,9 @@ impl Moment {
 
     /// After a step from `before`. A motor's torque is constant within a step, so its work is torque times turn.
     pub(super) fn after(step: &PlayedStep<'_>, before: &Self) -> Self {
-        let world = step.world.simulated().expect("film plays in the simulator");
-        let now = Self::of(world);
-        let robot = world.world(0).robot();
-        let joints = world.description().agents.iter().flat_map(|agent| &agent.joints);
+        let now = Self::of(step.world);
+        let robot = robot(step.world).robot();
+        let joints = step.world.description().agents.iter().flat_map(|agent| &agent.joints);
         let work = joints.zip(step.action).map(|(joint, control)| {
             let angle =
                 |pose: &Pose| pose.joints.iter().find(|j| j.name == *joint).map(|j| j.position);
@@ -56,6 +55,11 @@ impl Moment {
     fn x(&self) -> f64 {
         f64::from(self.pose.links[0].position[0])
     }
+}
+
+/// The world of environment 0.
+fn robot(world: &dyn EnvironmentBatch) -> &World {
+    world.world(0).expect("only simulated robots are filmed")
 }
 
 /// Figures of one episode.

@@ -112,7 +112,7 @@ fn of_every_task_each_agent_drives_as_many_links_as_it_has_joints() {
     for task in sim::task_names() {
         let request = Request { settings: vec![(*task).to_owned()], ..Request::default() };
         let config = RunConfig::build(layers::resolve(&request).unwrap()).unwrap();
-        let world = sim::Environments::new(&config.task, 1).unwrap();
+        let world = sim::environments(&config.task, 1).unwrap();
         let pose = world.pose(0);
         if pose.links.is_empty() {
             continue; // a game has nothing to draw

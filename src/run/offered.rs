@@ -1,8 +1,9 @@
 //! The environment of a run: the simulator's, or one that an external program offers.
 
-use actor::{EnvironmentBatch, EnvironmentService, Transport};
+use actor::{EnvironmentService, Transport};
 use anyhow::Context as _;
 use proto::EnvironmentSpec;
+use sim::EnvironmentBatch;
 use tokio::runtime::Runtime;
 
 use crate::config::ConfigError;
@@ -53,7 +54,7 @@ impl Offered {
 }
 
 fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
-    let world = sim::Environments::new(&config.task, 1).context("cannot build the task")?;
+    let world = sim::environments(&config.task, 1).context("cannot build the task")?;
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;
     let spec = actor::environment_spec(world.description());
@@ -92,8 +93,9 @@ impl Stage {
     pub(crate) fn of(config: &RunConfig) -> anyhow::Result<Self> {
         let url = config.environment.url.as_str();
         if url.is_empty() {
-            let own = sim::Environments::new(&config.task, 1).context("cannot build the task")?;
-            return Ok(Self { environment: Box::new(own), _network: None });
+            let environment =
+                sim::environments(&config.task, 1).context("cannot build the task")?;
+            return Ok(Self { environment, _network: None });
         }
         demand_allowed(url, &Transport::PlainTextOnLoopback)?;
         let network = runtime()?;

@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use policy::Key;
 use proto::wire::environment_service_server::{EnvironmentService, EnvironmentServiceServer};
 use proto::wire::{PlayResponse, play_response};
 use proto::{EnvironmentSpec, PlayRequest, Steps, View, wire};
-use sim::{Environments, Outcome, TaskConfig};
+use sim::{EnvironmentBatch, Outcome, TaskConfig};
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
@@ -65,7 +64,7 @@ struct Game {
     answers: Arc<AtomicU32>,
 }
 
-fn environment() -> Environments {
+fn environment() -> Box<dyn EnvironmentBatch> {
     let task = serde_json::json!({
         "task": "cue-2x1",
         "observation": {
@@ -74,7 +73,7 @@ fn environment() -> Environments {
         "partition": "actuator_slices",
     });
     let task: TaskConfig = serde_json::from_value(task).unwrap();
-    Environments::new(&task, 1).unwrap()
+    sim::environments(&task, 1).unwrap()
 }
 
 fn spec() -> EnvironmentSpec {
@@ -123,7 +122,7 @@ impl Game {
 
     fn answer(
         &self,
-        games: &mut BTreeMap<u32, Environments>,
+        games: &mut BTreeMap<u32, Box<dyn EnvironmentBatch>>,
         request: PlayRequest,
     ) -> Result<PlayResponse, Status> {
         let count = self.answers.fetch_add(1, Ordering::Relaxed) + 1;
@@ -139,21 +138,24 @@ impl Game {
     }
 }
 
-fn play(games: &mut BTreeMap<u32, Environments>, request: PlayRequest) -> PlayResponse {
+fn play(
+    games: &mut BTreeMap<u32, Box<dyn EnvironmentBatch>>,
+    request: PlayRequest,
+) -> PlayResponse {
     match request {
         PlayRequest::Reset { environment: number, seed } => {
             let game = games.entry(number).or_insert_with(environment);
             // The player cuts episodes; this game would at its own limit, which is never earlier.
-            game.reset(0, 0, u32::MAX, &mut Key(seed).generator());
-            look(game).to_wire(1)
+            game.reset(0, 0, u32::MAX, seed).unwrap();
+            look(&**game).to_wire(1)
         }
         PlayRequest::Restore { environment: number, state } => {
             let game = games.entry(number).or_insert_with(environment);
             game.restore(0, &state).unwrap();
-            look(game).to_wire(1)
+            look(&**game).to_wire(1)
         }
         PlayRequest::Save { environment: number } => {
-            let state = games[&number].encode(0).into();
+            let state = games[&number].encode(0).unwrap().into();
             let answer = play_response::Answer::Saved(wire::EnvironmentState { state });
             PlayResponse { answer: Some(answer) }
         }
@@ -162,7 +164,7 @@ fn play(games: &mut BTreeMap<u32, Environments>, request: PlayRequest) -> PlayRe
 }
 
 fn step(
-    games: &mut BTreeMap<u32, Environments>,
+    games: &mut BTreeMap<u32, Box<dyn EnvironmentBatch>>,
     environments: &[u32],
     actions: &[Vec<f32>],
 ) -> PlayResponse {
@@ -174,7 +176,7 @@ fn step(
         let joint = actions.iter().map(|rows| rows[row]).collect::<Vec<_>>();
         let mut outcome = [Outcome::default()];
         game.step(&joint, &mut outcome).unwrap();
-        let seen = look(game);
+        let seen = look(&**game);
         for (all, own) in steps.view.observations.iter_mut().zip(seen.observations) {
             all.extend(own);
         }
@@ -186,7 +188,7 @@ fn step(
     steps.to_wire()
 }
 
-fn look(game: &Environments) -> View {
+fn look(game: &dyn EnvironmentBatch) -> View {
     let description = game.description();
     let agents = description.agents.iter().enumerate().map(|(agent, of)| {
         let mut row = vec![0.0; of.observation.len()];

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use sim::Environments;
+use sim::EnvironmentBatch;
 
 use crate::runs::{Runs, train};
 
@@ -20,7 +20,7 @@ pub(crate) fn folder(iterations: &str) -> &'static Path {
 }
 
 /// The world of a run.
-pub(crate) fn world(folder: &Path) -> Environments {
+pub(crate) fn world(folder: &Path) -> Box<dyn EnvironmentBatch> {
     let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
     let settings: toml::Table = settings.parse().unwrap();
     let task = sim::TaskConfig {
@@ -28,5 +28,5 @@ pub(crate) fn world(folder: &Path) -> Environments {
         observation: settings["observation"].clone().try_into().unwrap(),
         partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
     };
-    Environments::new(&task, 1).unwrap()
+    sim::environments(&task, 1).unwrap()
 }

@@ -35,7 +35,7 @@ const HEAVY: [(&str, &[&str]); 32] = [
     ("candle-nn", &["policy", "marl"]),
     ("gemm", &[]),
     ("pulp", &[]),
-    ("rand_chacha", &["policy"]),
+    ("rand_chacha", &["policy", "sim"]),
     ("rayon", &["marl", "learner"]),
     ("mjcf-rs", &["sim"]),
     ("rapier3d", &["sim"]),

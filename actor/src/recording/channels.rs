@@ -5,13 +5,12 @@ use std::fs::File;
 use std::io::BufWriter;
 
 use serde_json::json;
-use sim::TaskConfig;
+use sim::{EnvironmentBatch, TaskConfig};
 
 use super::robot::RobotChannels;
 use super::sink::{Channel, Sink};
 use super::writer::McapFile;
 use super::{METADATA_NAME, RecordError};
-use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::PlayedStep;
 
 /// Episodes on their way to a sink.

@@ -62,7 +62,7 @@ impl Origin {
     /// What a log tells of its own origin.
     pub(super) fn of_log(log: &ReadShares) -> Result<Self, LogError> {
         let task = log.task()?;
-        let world = sim::Environments::new(&task, 1).map_err(|e| LogError::Unfit(e.to_string()))?;
+        let world = sim::environments(&task, 1).map_err(|e| LogError::Unfit(e.to_string()))?;
         Ok(Self {
             words: log.words.clone(),
             settings_toml: log.settings_toml.clone(),

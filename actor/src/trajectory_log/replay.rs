@@ -4,7 +4,7 @@
 use std::fmt;
 
 use proto::trajectory_log::ShareEnd;
-use sim::{Environments, Outcome};
+use sim::{EnvironmentBatch, Outcome};
 
 use super::LogError;
 use super::shares::{LoggedShare, LoggedStep, read_shares};
@@ -50,7 +50,7 @@ pub struct Replayed {
 /// If the file is damaged or no trajectory log, or its task or a state is none of this program's.
 pub fn replay(bytes: &[u8]) -> Result<Replayed, LogError> {
     let told = read_shares(bytes, |_, _| Ok(()))?;
-    let world = Environments::new(&told.task()?, 1);
+    let world = sim::environments(&told.task()?, 1);
     let mut player = Player::new(world.map_err(|error| LogError::Unfit(error.to_string()))?);
     let mut replayed = Replayed::default();
     read_shares(bytes, |share, _| {
@@ -73,13 +73,13 @@ pub fn replay(bytes: &[u8]) -> Result<Replayed, LogError> {
 
 /// A world of one environment, and room for what is read from it.
 struct Player {
-    world: Environments,
+    world: Box<dyn EnvironmentBatch>,
     state: Vec<f32>,
     observations: Vec<Vec<f32>>,
 }
 
 impl Player {
-    fn new(world: Environments) -> Self {
+    fn new(world: Box<dyn EnvironmentBatch>) -> Self {
         let description = world.description();
         let state = vec![0.0; description.state.len()];
         let agents = description.agents.iter();
@@ -121,8 +121,9 @@ impl Player {
     fn arrive(&mut self, end: &ShareEnd) -> Option<Parted> {
         let observations = end.observations.iter().map(|row| row.observation.as_slice());
         self.look(&end.state, observations).or_else(|| {
-            let goes_on = !end.environment_state.is_empty();
-            let same = !goes_on || self.world.encode(0) == end.environment_state;
+            let logged = &end.environment_state;
+            let same =
+                logged.is_empty() || self.world.encode(0).is_ok_and(|found| found == *logged);
             value("the encoded state is the logged one", true, same)
         })
     }

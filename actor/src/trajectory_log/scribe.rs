@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
 use proto::{Episodes, EvaluationWork, Lease, RolloutWork, RunDescription};
-use sim::{Environments, TaskConfig};
+use sim::{EnvironmentBatch, TaskConfig};
 
 use super::config::LogConfig;
 use super::file::{LogFile, Origin};
@@ -133,10 +133,10 @@ impl Desk {
         &self,
         lease: &Lease,
         work: EvaluationWork,
-        world: &Environments,
+        world: &dyn EnvironmentBatch,
     ) -> Option<EvaluationWitness> {
         let held = self.episodes.include_evaluation(work.episode);
-        held.then(|| EvaluationWitness::new(&self.run, lease, work, world))
+        held.then(|| EvaluationWitness::new(&self.run, lease, work, world)).flatten()
     }
 
     /// Hands in what was seen of a slot.

@@ -11,16 +11,16 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use policy::{Draw, Purpose, RunSeed, generator};
+use policy::{Draw, Key, Purpose, RunSeed};
 use proto::{
     ActionChoice, Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId,
     PolicyVersion, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
 };
+use sim::EnvironmentBatch;
 
 use super::shares::{LoggedShare, ReadShares, read_shares};
 use super::source::read_bytes;
 use super::{Desk, Log, LogConfig, LogSettings};
-use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::play_on;
 use fixture::{fresh_work, policy, run, task, world};
 
@@ -47,9 +47,9 @@ fn roll(desk: &Desk, work: &RolloutWork, most: usize) -> Vec<TrajectoryChunk> {
     let witness = std::cell::RefCell::new(desk.rollout(&lease(Work::Rollout(work.clone())), work));
     let mut chunks = Vec::new();
     let see = |step, world: &dyn EnvironmentBatch| {
-        witness.borrow_mut().see(step, world.simulated().unwrap());
+        witness.borrow_mut().see(step, world);
     };
-    crate::roll_out(&run(), work, &policy(), &mut world(), see, |chunk| {
+    crate::roll_out(&run(), work, &policy(), &mut *world(), see, |chunk| {
         witness.borrow_mut().keep(chunk.clone());
         chunks.push(chunk);
         if chunks.len() == most { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -75,12 +75,12 @@ fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
 }
 
 pub(super) fn evaluate(desk: &Desk, work: EvaluationWork) {
-    let mut world = sim::Environments::new(&task(), 1).unwrap();
-    let mut rng = generator(RunSeed(3), Draw::of(Purpose::EvaluationReset));
-    world.reset(0, 0, 25, &mut rng);
+    let mut world = sim::environments(&task(), 1).unwrap();
+    let key = Key::of(RunSeed(3), Draw::of(Purpose::EvaluationReset));
+    world.reset(0, 0, 25, key.0).unwrap();
     let lease = lease(Work::Evaluation(work));
-    let Some(mut witness) = desk.evaluation(&lease, work, &world) else { return };
-    play_on(&mut world, (&policy(), ActionChoice::Mean), &mut |step| witness.see(step)).unwrap();
+    let Some(mut witness) = desk.evaluation(&lease, work, &*world) else { return };
+    play_on(&mut *world, (&policy(), ActionChoice::Mean), &mut |step| witness.see(step)).unwrap();
     desk.take_evaluation(witness);
 }
 

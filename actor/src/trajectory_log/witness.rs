@@ -5,10 +5,9 @@ use proto::{
     Episodes, EvaluationWork, Lease, RolloutWork, RunDescription, TrajectoryChunk,
     rollout_episode_id,
 };
-use sim::{Environments, Pose};
+use sim::{EnvironmentBatch, Pose};
 
 use super::shares::{LoggedShare, LoggedStep};
-use crate::environment_batch::EnvironmentBatch;
 use crate::evaluation::PlayedStep;
 
 /// A finished slot of which something is logged.
@@ -70,7 +69,7 @@ impl<'a> RolloutWitness<'a> {
     }
 
     /// Looks at the worlds before step `step` of the slot.
-    pub(crate) fn see(&mut self, step: u32, world: &Environments) {
+    pub(crate) fn see(&mut self, step: u32, world: &dyn EnvironmentBatch) {
         for position in 0..self.open.len() {
             if step == 0 || world.episode_step(position) == 0 {
                 self.open[position] = self.begin(step, position, world);
@@ -81,8 +80,13 @@ impl<'a> RolloutWitness<'a> {
         }
     }
 
-    /// The share that begins here, if it is logged.
-    fn begin(&mut self, slot_step: u32, position: usize, world: &Environments) -> Option<usize> {
+    /// The share that begins here, if it is logged and its state can be encoded.
+    fn begin(
+        &mut self,
+        slot_step: u32,
+        position: usize,
+        world: &dyn EnvironmentBatch,
+    ) -> Option<usize> {
         let environment = self.work.environments[position].environment;
         let episode = world.episode(position);
         if !self.episodes.include_rollout(environment, episode) {
@@ -93,7 +97,7 @@ impl<'a> RolloutWitness<'a> {
             first_step: world.episode_step(position),
             environment,
             episode,
-            environment_state: world.encode(position),
+            environment_state: world.encode(position).ok()?,
             ..self.common.clone()
         };
         self.begun.push(Begun { head, position, slot_step, poses: Vec::new() });
@@ -146,25 +150,25 @@ impl Sight {
 }
 
 impl EvaluationWitness {
-    /// `world` stands at the episode's start.
+    /// `world` is at the episode's start. `None` if its state cannot be encoded.
     pub(crate) fn new(
         run: &RunDescription,
         lease: &Lease,
         work: EvaluationWork,
-        world: &Environments,
-    ) -> Self {
+        world: &dyn EnvironmentBatch,
+    ) -> Option<Self> {
         let EvaluationWork { iteration, episode } = work;
         let head = Share {
             episode_id: format!("evaluation-{iteration}-{episode}"),
             kind: Kind::Evaluation.into(),
             iteration,
             episode: episode.into(),
-            environment_state: world.encode(0),
+            environment_state: world.encode(0).ok()?,
             ..head(run, lease)
         };
         let sizes = world.description().agents.iter().map(|agent| agent.action.size).collect();
         let share = LoggedShare { head, steps: Vec::new(), end: ShareEnd::default() };
-        Self { share, before: Sight::of(world), sizes }
+        Some(Self { share, before: Sight::of(world), sizes })
     }
 
     /// Looks at a step that was played.

@@ -9,7 +9,7 @@ use policy::{
     ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch,
 };
 use proto::{EnvironmentStart, RolloutOrigin, RolloutWork, RunDescription, Start, TrajectoryChunk};
-use sim::{Environments, ObservationConfig, ObservationNorm, TaskConfig};
+use sim::{EnvironmentBatch, ObservationConfig, ObservationNorm, TaskConfig};
 
 use crate::fixture;
 
@@ -21,8 +21,8 @@ fn task() -> TaskConfig {
     TaskConfig { task: "cue-2x1".to_owned(), observation, ..fixture::task() }
 }
 
-fn world() -> Environments {
-    Environments::new(&task(), fixture::ENVIRONMENTS).unwrap()
+fn world() -> Box<dyn EnvironmentBatch> {
+    sim::environments(&task(), fixture::ENVIRONMENTS).unwrap()
 }
 
 fn policy() -> PolicySnapshot {
@@ -54,7 +54,7 @@ fn run() -> RunDescription {
     RunDescription { environment: actor::environment_spec(world().description()), ..fixture::run() }
 }
 
-fn roll(world: &mut Environments) -> Vec<TrajectoryChunk> {
+fn roll(world: &mut dyn EnvironmentBatch) -> Vec<TrajectoryChunk> {
     let start = |environment| EnvironmentStart {
         environment,
         start: Start::Fresh { episode: 0, limit: 30 },
@@ -72,8 +72,8 @@ fn roll(world: &mut Environments) -> Vec<TrajectoryChunk> {
 #[test]
 fn a_slot_of_choices_repeats_bit_for_bit_and_the_wire_takes_it() {
     let mut used = world();
-    let first = roll(&mut used);
-    assert_eq!(roll(&mut used), first);
+    let first = roll(&mut *used);
+    assert_eq!(roll(&mut *used), first);
     assert_eq!(run().validate(), Ok(()));
     let origin = RolloutOrigin { iteration: 4, slot: 3, environments: vec![6, 7] };
     for chunk in &first {
@@ -88,7 +88,7 @@ fn a_slot_of_choices_repeats_bit_for_bit_and_the_wire_takes_it() {
 
 #[test]
 fn the_stored_states_reproduce_the_log_probs_of_choices() {
-    let (chunks, policy) = (roll(&mut world()), policy());
+    let (chunks, policy) = (roll(&mut *world()), policy());
     let rows = fixture::ENVIRONMENTS;
     for (own, agent) in policy.agents.iter().zip(&chunks[0].agents) {
         let mut hidden = agent.hidden[..rows * fixture::HIDDEN].to_vec();
@@ -109,9 +109,10 @@ fn a_game_is_recorded_without_links_by_its_states_and_choices() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("game.mcap");
     let none = BTreeMap::new();
-    let mut world = Environments::new(&task(), 1).unwrap();
-    let played = (&mut world as &mut dyn actor::EnvironmentBatch, Some(&task()));
-    let summary = actor::record(played, &policy(), RunSeed(1), 2, &path, &none).unwrap();
+    let mut world = sim::environments(&task(), 1).unwrap();
+    let (task, policy) = (task(), policy());
+    let summary =
+        actor::record((&mut *world, Some(&task)), &policy, RunSeed(1), 2, &path, &none).unwrap();
     assert_eq!(summary.episodes[0].steps, 50);
     let bytes = std::fs::read(&path).unwrap();
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();

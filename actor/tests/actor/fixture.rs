@@ -6,7 +6,7 @@ use proto::{
     Digest, EnvironmentStart, Incarnation, PROTOCOL_VERSION, RolloutWork, RunDescription, Start,
 };
 use sim::{
-    ContactForces, Environments, ObservationConfig, ObservationMode, ObservationNorm,
+    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm,
     PartitionSemantics, RootView, TaskConfig,
 };
 
@@ -30,8 +30,8 @@ pub(crate) fn task() -> TaskConfig {
     }
 }
 
-pub(crate) fn world() -> Environments {
-    Environments::new(&task(), ENVIRONMENTS).unwrap()
+pub(crate) fn world() -> Box<dyn EnvironmentBatch> {
+    sim::environments(&task(), ENVIRONMENTS).unwrap()
 }
 
 pub(crate) fn policy() -> PolicySnapshot {

@@ -11,9 +11,9 @@ fn a_recording_holds_every_topic_with_its_schema_and_a_message_per_step() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("walk.mcap");
     let metadata = BTreeMap::from([("task".to_owned(), "halfcheetah-2x3".to_owned())]);
-    let (mut world, seed) = (sim::Environments::new(&task(), 1).unwrap(), RunSeed(1));
+    let (mut world, seed) = (sim::environments(&task(), 1).unwrap(), RunSeed(1));
     let summary =
-        actor::record((&mut world, Some(&task())), &policy(), seed, 2, &path, &metadata).unwrap();
+        actor::record((&mut *world, Some(&task())), &policy(), seed, 2, &path, &metadata).unwrap();
     assert_eq!(summary.episodes.len(), 2);
     assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
 
@@ -53,6 +53,6 @@ fn a_recording_holds_every_topic_with_its_schema_and_a_message_per_step() {
 #[test]
 fn a_folder_that_is_not_there_is_an_error_and_no_panic() {
     let path = std::path::Path::new("/nowhere/at/all.mcap");
-    let (mut world, none) = (sim::Environments::new(&task(), 1).unwrap(), BTreeMap::new());
-    assert!(actor::record((&mut world, None), &policy(), RunSeed(1), 1, path, &none).is_err());
+    let (mut world, none) = (sim::environments(&task(), 1).unwrap(), BTreeMap::new());
+    assert!(actor::record((&mut *world, None), &policy(), RunSeed(1), 1, path, &none).is_err());
 }

@@ -8,7 +8,7 @@ use crate::fixture::{
 use policy::Scratch;
 use proto::{ActionChoice, EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
 
-fn roll(work: &RolloutWork, world: &mut sim::Environments) -> Vec<TrajectoryChunk> {
+fn roll(work: &RolloutWork, world: &mut dyn sim::EnvironmentBatch) -> Vec<TrajectoryChunk> {
     let mut chunks = Vec::new();
     let emit = |chunk| {
         chunks.push(chunk);
@@ -36,17 +36,17 @@ fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
 #[test]
 fn a_slot_repeats_bit_for_bit_in_a_used_world_and_in_a_new_one() {
     let mut used = world();
-    let first = roll(&fresh_work(), &mut used);
-    assert_eq!(roll(&fresh_work(), &mut used), first);
-    assert_eq!(roll(&fresh_work(), &mut world()), first);
-    let next = roll(&next_work(&first), &mut used);
-    assert_eq!(roll(&next_work(&first), &mut world()), next);
+    let first = roll(&fresh_work(), &mut *used);
+    assert_eq!(roll(&fresh_work(), &mut *used), first);
+    assert_eq!(roll(&fresh_work(), &mut *world()), first);
+    let next = roll(&next_work(&first), &mut *used);
+    assert_eq!(roll(&next_work(&first), &mut *world()), next);
     assert_ne!(next[0].agents[0].action, first[0].agents[0].action);
 }
 
 #[test]
 fn chunks_have_the_shapes_of_the_run_and_number_their_steps() {
-    let chunks = roll(&fresh_work(), &mut world());
+    let chunks = roll(&fresh_work(), &mut *world());
     assert_eq!(chunks.len() as u32, STEPS / CHUNK);
     let rows = CHUNK as usize * ENVIRONMENTS;
     for (index, chunk) in chunks.iter().enumerate() {
@@ -64,7 +64,7 @@ fn chunks_have_the_shapes_of_the_run_and_number_their_steps() {
 
 #[test]
 fn the_wire_takes_every_chunk_as_it_was_built() {
-    for chunk in roll(&fresh_work(), &mut world()) {
+    for chunk in roll(&fresh_work(), &mut *world()) {
         let (message, digest) = chunk.to_wire(&run(), &fresh_work().origin());
         assert_eq!(
             TrajectoryChunk::from_wire(&message, &run(), &fresh_work().origin(), digest).unwrap(),
@@ -76,7 +76,7 @@ fn the_wire_takes_every_chunk_as_it_was_built() {
 
 #[test]
 fn a_truncated_episode_leaves_its_true_next_state_and_a_reset_memory() {
-    let chunks = roll(&fresh_work(), &mut world());
+    let chunks = roll(&fresh_work(), &mut *world());
     let ends: Vec<(u32, u32)> =
         chunks.iter().flat_map(|c| &c.finals).map(|last| (last.step, last.environment)).collect();
     assert_eq!(ends, [(14, 0), (39, 0), (39, 1)]);
@@ -93,7 +93,7 @@ fn a_truncated_episode_leaves_its_true_next_state_and_a_reset_memory() {
 
 #[test]
 fn the_stored_states_reproduce_the_sent_log_probs() {
-    let (chunks, policy) = (roll(&fresh_work(), &mut world()), policy());
+    let (chunks, policy) = (roll(&fresh_work(), &mut *world()), policy());
     let mut scratch = Scratch::default();
     for (index, own) in policy.agents.iter().enumerate() {
         let agent = &chunks[1].agents[index];
@@ -114,11 +114,11 @@ fn the_stored_states_reproduce_the_sent_log_probs() {
 
 #[test]
 fn a_state_of_another_kind_is_refused_and_not_stepped() {
-    let mut work = next_work(&roll(&fresh_work(), &mut world()));
+    let mut work = next_work(&roll(&fresh_work(), &mut *world()));
     work.environments[0].start =
         Start::Continue { state: vec![7; 10], recurrent: vec![vec![0.0; HIDDEN]; 2] };
     let outcome =
-        actor::roll_out(&run(), &work, &policy(), &mut world(), |_, _| {}, |_| panic!("stepped"));
+        actor::roll_out(&run(), &work, &policy(), &mut *world(), |_, _| {}, |_| panic!("stepped"));
     assert!(outcome.is_err());
 }
 
@@ -126,10 +126,10 @@ fn a_state_of_another_kind_is_refused_and_not_stepped() {
 fn an_evaluation_episode_repeats_itself_and_lasts_to_the_limit_with_mean_and_with_drawn_actions() {
     use policy::randomness::{Draw, Key, Purpose, RunSeed};
     let play_by = |seed: u64, choice: ActionChoice| {
-        let mut world = sim::Environments::new(&task(), 1).unwrap();
+        let mut world = sim::environments(&task(), 1).unwrap();
         let key = Key::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
         let mut shown = 0;
-        let (world, start) = (&mut world, (key, choice));
+        let (world, start) = (&mut *world, (key, choice));
         let episode = actor::play_episode(world, &policy(), start, |_| shown += 1).unwrap();
         assert_eq!(shown, episode.steps);
         episode

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use candle_core::DType;
 use fuzz::{TASKS, world};
-use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::randomness::{Draw, Key, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, CoreKind, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden};
 use prost::Message;
 use proto::wire::push_trajectory_request::Content;
@@ -139,9 +139,11 @@ fn policies() -> Vec<Seed> {
 fn states() -> Vec<Seed> {
     let both = |(index, task): (u8, (&str, ContactForces))| {
         let mut world = world(task);
-        let at_rest = world.encode(0);
-        world.reset(0, 3, 40, &mut generator(RunSeed(1), Draw::of(Purpose::Reset)));
-        [(Some(index), at_rest), (Some(index), world.encode(0))]
+        let mut states = vec![(Some(index), world.encode(0).expect("a robot at rest"))];
+        let key = Key::of(RunSeed(1), Draw::of(Purpose::Reset));
+        world.reset(0, 3, 40, key.0).expect("a known task");
+        states.push((Some(index), world.encode(0).expect("a start")));
+        states
     };
     (0..).zip(TASKS).flat_map(both).collect()
 }

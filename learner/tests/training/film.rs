@@ -22,8 +22,7 @@ fn a_film_of_older_policies_that_comes_late_does_not_replace_a_newer_one() {
         let (incarnation, digest) = (Incarnation(1), result.digest(1));
         let header = PushHeader { lease: LeaseId(1), incarnation, weights, digest };
         exchange.keep_film(&header, result, film.clone());
-        let found =
-            exchange.run_snapshot().film.as_deref().map(|episode| FilmedEpisode::clone(episode));
+        let found = exchange.run_snapshot().film.as_deref().cloned();
         let version = PolicyVersion(shown);
         assert_eq!(found, Some(FilmedEpisode { version, result, film: film.clone() }));
     }

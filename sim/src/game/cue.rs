@@ -7,11 +7,12 @@
 //! one to be seen after the last, are drawn when it starts and stand in its state, so that the cue of a step is a
 //! function of the reset's key and the step.
 
-use rand::RngCore;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{ObservationMode, ObservationNorm, TaskConfig};
 use crate::description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
-use crate::environments::Outcome;
+use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::error::{ActionError, SimError, StateError};
 use crate::noise;
 use crate::state::{STATE_VERSION, State, StateBounds};
@@ -64,81 +65,6 @@ impl CueEnvironments {
         Ok(Self { description: describe(&bounds), bounds, games: vec![game; count] })
     }
 
-    pub(crate) fn description(&self) -> &Description {
-        &self.description
-    }
-
-    pub(crate) fn state_bounds(&self) -> &StateBounds {
-        &self.bounds
-    }
-
-    pub(crate) fn count(&self) -> usize {
-        self.games.len()
-    }
-
-    pub(crate) fn reset(
-        &mut self,
-        environment: usize,
-        episode: u64,
-        limit: u32,
-        rng: &mut impl RngCore,
-    ) {
-        self.games[environment] = Game {
-            episode,
-            step: 0,
-            limit: limit.clamp(1, EPISODE_STEPS),
-            place: noise::choice(rng, PLACES),
-            cues: (0..=EPISODE_STEPS).map(|_| noise::choice(rng, CUES)).collect(),
-        };
-    }
-
-    pub(crate) fn restore(&mut self, environment: usize, bytes: &[u8]) -> Result<(), SimError> {
-        let state = State::from_bytes(bytes, &self.bounds)?;
-        let numbers = state.coordinates.iter().enumerate();
-        let numbers = numbers.map(|(index, &value)| whole(index, value));
-        let numbers = numbers.collect::<Result<Vec<_>, _>>()?;
-        let (episode, step, limit) = (state.episode, state.step, state.limit);
-        let (place, cues) = (numbers[0], numbers[1..].to_vec());
-        self.games[environment] = Game { episode, step, limit, place, cues };
-        Ok(())
-    }
-
-    pub(crate) fn encode(&self, environment: usize) -> Vec<u8> {
-        let game = &self.games[environment];
-        let numbers = std::iter::once(&game.place).chain(&game.cues);
-        let state = State {
-            episode: game.episode,
-            step: game.step,
-            limit: game.limit,
-            coordinates: numbers.map(|&number| number as f32).collect(),
-            velocities: Vec::new(),
-            contact_forces: Vec::new(),
-        };
-        state.to_bytes(&self.bounds.kind)
-    }
-
-    pub(crate) fn episode(&self, environment: usize) -> u64 {
-        self.games[environment].episode
-    }
-
-    pub(crate) fn episode_step(&self, environment: usize) -> u32 {
-        self.games[environment].step
-    }
-
-    pub(crate) fn step(
-        &mut self,
-        actions: &[f32],
-        outcome: &mut [Outcome],
-    ) -> Result<(), ActionError> {
-        assert_eq!(outcome.len(), self.count(), "outcome [E]");
-        self.check(actions)?;
-        let rows = self.games.iter_mut().zip(actions.chunks_exact(AGENTS));
-        for ((game, action), outcome) in rows.zip(outcome) {
-            *outcome = game.step(action);
-        }
-        Ok(())
-    }
-
     fn check(&self, actions: &[f32]) -> Result<(), ActionError> {
         let (got, environments) = (actions.len(), self.count());
         if got != environments * AGENTS {
@@ -153,8 +79,83 @@ impl CueEnvironments {
             }
         }
     }
+}
 
-    pub(crate) fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
+impl EnvironmentBatch for CueEnvironments {
+    fn description(&self) -> &Description {
+        &self.description
+    }
+
+    fn state_bounds(&self) -> Option<&StateBounds> {
+        Some(&self.bounds)
+    }
+
+    fn count(&self) -> usize {
+        self.games.len()
+    }
+
+    fn reset(
+        &mut self,
+        environment: usize,
+        episode: u64,
+        limit: u32,
+        key: [u8; 32],
+    ) -> Result<(), SimError> {
+        let mut rng = ChaCha8Rng::from_seed(key);
+        self.games[environment] = Game {
+            episode,
+            step: 0,
+            limit: limit.clamp(1, EPISODE_STEPS),
+            place: noise::choice(&mut rng, PLACES),
+            cues: (0..=EPISODE_STEPS).map(|_| noise::choice(&mut rng, CUES)).collect(),
+        };
+        Ok(())
+    }
+
+    fn restore(&mut self, environment: usize, bytes: &[u8]) -> Result<(), SimError> {
+        let state = State::from_bytes(bytes, &self.bounds)?;
+        let numbers = state.coordinates.iter().enumerate();
+        let numbers = numbers.map(|(index, &value)| whole(index, value));
+        let numbers = numbers.collect::<Result<Vec<_>, _>>()?;
+        let (episode, step, limit) = (state.episode, state.step, state.limit);
+        let (place, cues) = (numbers[0], numbers[1..].to_vec());
+        self.games[environment] = Game { episode, step, limit, place, cues };
+        Ok(())
+    }
+
+    fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
+        let game = &self.games[environment];
+        let numbers = std::iter::once(&game.place).chain(&game.cues);
+        let state = State {
+            episode: game.episode,
+            step: game.step,
+            limit: game.limit,
+            coordinates: numbers.map(|&number| number as f32).collect(),
+            velocities: Vec::new(),
+            contact_forces: Vec::new(),
+        };
+        Ok(state.to_bytes(&self.bounds.kind))
+    }
+
+    fn episode(&self, environment: usize) -> u64 {
+        self.games[environment].episode
+    }
+
+    fn episode_step(&self, environment: usize) -> u32 {
+        self.games[environment].step
+    }
+
+    fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
+        assert_eq!(outcome.len(), self.count(), "outcome [E]");
+        self.check(actions)?;
+        let rows = self.games.iter_mut().zip(actions.chunks_exact(AGENTS));
+        for ((game, action), outcome) in rows.zip(outcome) {
+            *outcome = game.step(action);
+        }
+        Ok(())
+    }
+
+    fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
         assert_eq!(out.len(), OBSERVATION, "observation");
         let game = &self.games[environment];
         out.fill(0.0);
@@ -163,7 +164,7 @@ impl CueEnvironments {
         out[PLACES + CUES + agent] = 1.0;
     }
 
-    pub(crate) fn state(&self, environment: usize, out: &mut [f32]) {
+    fn state(&self, environment: usize, out: &mut [f32]) {
         assert_eq!(out.len(), PLACES, "state");
         out.fill(0.0);
         out[self.games[environment].place] = 1.0;

@@ -71,17 +71,14 @@ impl Rules for Hopper {
 
 #[cfg(test)]
 mod tests {
-    use rand_chacha::ChaCha8Rng;
-    use rand_chacha::rand_core::SeedableRng;
-
     use crate::config::{
         ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
         RootView, TaskConfig,
     };
-    use crate::environments::Outcome;
-    use crate::simulation::Environments;
+    use crate::environment_batch::{EnvironmentBatch, Outcome};
+    use crate::simulation::environments;
 
-    fn hopper(mode: ObservationMode) -> Environments {
+    fn hopper(mode: ObservationMode) -> Box<dyn EnvironmentBatch> {
         let observation = ObservationConfig {
             mode,
             norm: ObservationNorm::None,
@@ -91,14 +88,14 @@ mod tests {
         };
         let partition = PartitionSemantics::Labels;
         let config = TaskConfig { task: "hopper-2x1".to_owned(), observation, partition };
-        Environments::new(&config, 1).unwrap()
+        environments(&config, 1).unwrap()
     }
 
     #[test]
     fn the_example_is_a_task_like_any_other_and_falls_over_when_nobody_steers() {
         let mut world = hopper(ObservationMode::FullId);
         assert_eq!((world.description().agents.len(), world.description().state.len()), (2, 9));
-        world.reset(0, 0, 1000, &mut ChaCha8Rng::seed_from_u64(1));
+        world.reset(0, 0, 1000, [1; 32]).unwrap();
         let mut outcome = [Outcome::default()];
         let mut steps = 0;
         while !outcome[0].terminated {

@@ -18,7 +18,7 @@ impl World {
     ///
     /// # Panics
     /// If `out` has another length.
-    pub fn contact_forces(&self, out: &mut [f32]) {
+    pub(crate) fn contact_forces(&self, out: &mut [f32]) {
         assert_eq!(out.len(), PER_BODY * self.robot.blueprint().bodies.len(), "contact forces");
         out.fill(0.0);
         let centre = Vector::from(self.centre_of_mass());

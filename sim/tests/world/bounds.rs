@@ -1,8 +1,8 @@
 //! What random and violent control may do to a cheetah.
 
-use crate::{coordinates, environments, seeded, uniform, velocities};
+use crate::{coordinates, environments, key, seeded, uniform, velocities};
 use rand_chacha::ChaCha8Rng;
-use sim::{Environments, Outcome};
+use sim::{EnvironmentBatch, Outcome};
 
 /// Largest violation of a joint limit (rad), deepest point (m), fastest number seen.
 #[derive(Debug, Default)]
@@ -13,8 +13,8 @@ struct Extremes {
 }
 
 impl Extremes {
-    fn note(&mut self, world: &Environments, environment: usize) {
-        let world = world.world(environment);
+    fn note(&mut self, world: &dyn EnvironmentBatch, environment: usize) {
+        let world = world.world(environment).unwrap();
         let angles = coordinates(world);
         for ((_, range), angle) in world.robot().hinges().zip(&angles[3..]) {
             let [low, high] = range.unwrap();
@@ -31,14 +31,14 @@ fn play(episodes: u64, steps: u32, control: impl Fn(&mut ChaCha8Rng, u32) -> f32
     let mut extremes = Extremes::default();
     for episode in 0..episodes {
         let mut rng = seeded(100 + episode);
-        world.reset(0, episode, steps, &mut rng);
+        world.reset(0, episode, steps, key(&mut rng)).unwrap();
         for index in 0..steps {
             let actions: [f32; 6] = std::array::from_fn(|_| control(&mut rng, index));
             let mut outcome = [Outcome::default()];
             world.step(&actions, &mut outcome).unwrap();
             assert!(!outcome[0].fault && !outcome[0].terminated && outcome[0].reward.is_finite());
             assert_eq!(outcome[0].truncated, index + 1 == steps);
-            extremes.note(&world, 0);
+            extremes.note(&*world, 0);
         }
     }
     println!("{extremes:?}");
@@ -74,9 +74,9 @@ fn slow_full_torque_swings_stay_within_limits_and_above_the_floor() {
 fn actions_beyond_the_range_cost_what_they_are_and_do_what_the_range_does() {
     let (mut within, mut beyond) =
         (environments("halfcheetah-2x3", 1), environments("halfcheetah-2x3", 1));
-    let inside = crate::step(&mut within, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0]);
-    let outside = crate::step(&mut beyond, &[3.0, -3.0, 3.0, -3.0, 3.0, -3.0]);
-    assert_eq!(within.encode(0), beyond.encode(0));
+    let inside = crate::step(&mut *within, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0]);
+    let outside = crate::step(&mut *beyond, &[3.0, -3.0, 3.0, -3.0, 3.0, -3.0]);
+    assert_eq!(within.encode(0).unwrap(), beyond.encode(0).unwrap());
     let saved = inside.reward - outside.reward;
     assert!((saved - 0.1 * (54.0 - 6.0)).abs() < 1e-4, "{saved}");
 }
@@ -84,14 +84,14 @@ fn actions_beyond_the_range_cost_what_they_are_and_do_what_the_range_does() {
 #[test]
 fn actions_that_are_no_actions_are_refused_with_agent_and_index_and_move_nothing() {
     let mut world = environments("halfcheetah-2x3", 2);
-    let (mut outcome, before) = ([Outcome::default(); 2], world.encode(0));
+    let (mut outcome, before) = ([Outcome::default(); 2], world.encode(0).unwrap());
     let mut actions = [0.2; 12];
     actions[6 + 4] = f32::NAN;
     let error = world.step(&actions, &mut outcome).unwrap_err();
     assert_eq!(error.to_string(), "the action of agent 1 in environment 1 is NaN at index 1");
     let error = world.step(&[0.2; 11], &mut outcome).unwrap_err();
     assert_eq!(error.to_string(), "11 numbers of actions, 2 environments need 2 x 6");
-    assert_eq!(world.encode(0), before);
+    assert_eq!(world.encode(0).unwrap(), before);
     assert_eq!(world.episode_step(0), 0);
 }
 
@@ -99,18 +99,19 @@ fn actions_that_are_no_actions_are_refused_with_agent_and_index_and_move_nothing
 fn a_fault_gives_back_the_last_good_state_and_a_reset_heals_it() {
     let mut world = environments("halfcheetah-2x3", 2);
     let mut outcome = [Outcome::default(); 2];
-    let mut state = sim::State::from_bytes(&world.encode(0), world.state_bounds()).unwrap();
+    let mut state =
+        sim::State::from_bytes(&world.encode(0).unwrap(), world.state_bounds().unwrap()).unwrap();
     // At the very edge of what a state may hold: the next step leaves it.
-    state.velocities[0] = world.state_bounds().fastest;
-    state.coordinates[0] = world.state_bounds().coordinates[0][1];
-    world.restore(0, &state.to_bytes(&world.state_bounds().kind)).unwrap();
-    let good = crate::coordinates(world.world(0));
+    state.velocities[0] = world.state_bounds().unwrap().fastest;
+    state.coordinates[0] = world.state_bounds().unwrap().coordinates[0][1];
+    world.restore(0, &state.to_bytes(&world.state_bounds().unwrap().kind)).unwrap();
+    let good = crate::coordinates(world.world(0).unwrap());
     world.step(&[0.2; 12], &mut outcome).unwrap();
     let fault = Outcome { fault: true, truncated: true, ..Outcome::default() };
     assert_eq!(outcome[0], fault);
     assert!(!outcome[1].fault, "the neighbour is not touched");
-    assert_eq!(crate::coordinates(world.world(0)), good);
-    world.reset(0, 1, 1000, &mut seeded(1));
+    assert_eq!(crate::coordinates(world.world(0).unwrap()), good);
+    world.reset(0, 1, 1000, [1; 32]).unwrap();
     world.step(&[0.2; 12], &mut outcome).unwrap();
     assert!(!outcome[0].fault);
 }
@@ -118,15 +119,16 @@ fn a_fault_gives_back_the_last_good_state_and_a_reset_heals_it() {
 #[test]
 fn a_world_torn_apart_by_its_speed_is_a_fault_and_not_a_nan() {
     let mut world = environments("halfcheetah-2x3", 1);
-    let mut state = sim::State::from_bytes(&world.encode(0), world.state_bounds()).unwrap();
+    let mut state =
+        sim::State::from_bytes(&world.encode(0).unwrap(), world.state_bounds().unwrap()).unwrap();
     let signs = [1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0];
     state.velocities = signs.iter().map(|sign| sign * 999.0).collect();
-    world.restore(0, &state.to_bytes(&world.state_bounds().kind)).unwrap();
+    world.restore(0, &state.to_bytes(&world.state_bounds().unwrap().kind)).unwrap();
     for _ in 0..50 {
-        let outcome = crate::step(&mut world, &[1.0; 6]);
+        let outcome = crate::step(&mut *world, &[1.0; 6]);
         assert!(outcome.reward.is_finite());
-        let bytes = world.encode(0);
-        sim::State::from_bytes(&bytes, world.state_bounds()).unwrap();
+        let bytes = world.encode(0).unwrap();
+        sim::State::from_bytes(&bytes, world.state_bounds().unwrap()).unwrap();
         let mut seen = vec![0.0; 17];
         world.state(0, &mut seen);
         assert!(seen.iter().all(|x| x.is_finite()));

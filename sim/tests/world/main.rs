@@ -18,7 +18,7 @@ use std::sync::Arc;
 use rand::RngCore;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use sim::{Environments, Outcome, Robot, TaskConfig, World};
+use sim::{EnvironmentBatch, Outcome, Robot, TaskConfig, World};
 
 fn config(task: &str, norm: &str, partition: &str) -> TaskConfig {
     serde_json::from_value(serde_json::json!({
@@ -31,8 +31,8 @@ fn config(task: &str, norm: &str, partition: &str) -> TaskConfig {
     .unwrap()
 }
 
-fn environments(task: &str, count: usize) -> Environments {
-    Environments::new(&config(task, "feature_z", "actuator_slices"), count).unwrap()
+fn environments(task: &str, count: usize) -> Box<dyn EnvironmentBatch> {
+    sim::environments(&config(task, "feature_z", "actuator_slices"), count).unwrap()
 }
 
 fn cheetah() -> World {
@@ -41,6 +41,13 @@ fn cheetah() -> World {
 
 fn seeded(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
+}
+
+/// The next 32 bytes, to reset with.
+fn key(rng: &mut ChaCha8Rng) -> [u8; 32] {
+    let mut key = [0; 32];
+    rng.fill_bytes(&mut key);
+    key
 }
 
 /// Uniform in [-1, 1).
@@ -53,7 +60,7 @@ fn random_actions(rng: &mut ChaCha8Rng, actions: &mut [f32]) {
 }
 
 /// One step of a single cheetah.
-fn step(world: &mut Environments, actions: &[f32]) -> Outcome {
+fn step(world: &mut dyn EnvironmentBatch, actions: &[f32]) -> Outcome {
     let mut outcome = [Outcome::default()];
     world.step(actions, &mut outcome).unwrap();
     outcome[0]

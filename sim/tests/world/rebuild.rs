@@ -1,10 +1,10 @@
 //! Reset and restore: what follows depends on the state's bytes and the actions alone.
 
-use crate::{cheetah, environments, random_actions, seeded, step};
-use sim::Environments;
+use crate::{cheetah, environments, key, random_actions, seeded, step};
+use sim::EnvironmentBatch;
 
-fn bits(world: &Environments, environment: usize) -> Vec<u8> {
-    world.encode(environment)
+fn bits(world: &dyn EnvironmentBatch, environment: usize) -> Vec<u8> {
+    world.encode(environment).unwrap()
 }
 
 #[test]
@@ -14,14 +14,14 @@ fn a_reset_world_equals_a_fresh_one_bit_for_bit_over_a_thousand_steps() {
     let (mut rng, mut actions) = (seeded(5), [0.0; 6]);
     for _ in 0..500 {
         random_actions(&mut rng, &mut actions);
-        step(&mut used, &actions);
+        step(&mut *used, &actions);
     }
-    used.reset(0, 7, 1000, &mut seeded(6));
-    fresh.reset(0, 7, 1000, &mut seeded(6));
+    used.reset(0, 7, 1000, [6; 32]).unwrap();
+    fresh.reset(0, 7, 1000, [6; 32]).unwrap();
     for index in 0..1000 {
         random_actions(&mut rng, &mut actions);
-        assert_eq!(step(&mut used, &actions), step(&mut fresh, &actions), "step {index}");
-        assert_eq!(bits(&used, 0), bits(&fresh, 0), "step {index}");
+        assert_eq!(step(&mut *used, &actions), step(&mut *fresh, &actions), "step {index}");
+        assert_eq!(bits(&*used, 0), bits(&*fresh, 0), "step {index}");
     }
 }
 
@@ -29,16 +29,16 @@ fn a_reset_world_equals_a_fresh_one_bit_for_bit_over_a_thousand_steps() {
 fn two_restores_of_the_same_bytes_go_on_alike_wherever_they_are() {
     let mut source = environments("halfcheetah-2x3", 1);
     let (mut rng, mut actions) = (seeded(8), [0.0; 6]);
-    source.reset(0, 3, 900, &mut rng);
+    source.reset(0, 3, 900, key(&mut rng)).unwrap();
     for _ in 0..137 {
         random_actions(&mut rng, &mut actions);
-        step(&mut source, &actions);
+        step(&mut *source, &actions);
     }
-    let bytes = source.encode(0);
+    let bytes = source.encode(0).unwrap();
     let mut slot = environments("halfcheetah-2x3", 3);
     source.restore(0, &bytes).unwrap();
     slot.restore(2, &bytes).unwrap();
-    assert_eq!(bits(&slot, 2), bytes, "a restored state encodes to its own bytes");
+    assert_eq!(bits(&*slot, 2), bytes, "a restored state encodes to its own bytes");
     assert_eq!((slot.episode(2), slot.episode_step(2)), (3, 137));
     let mut outcome = [sim::Outcome::default(); 3];
     for index in 137..900 {
@@ -46,8 +46,8 @@ fn two_restores_of_the_same_bytes_go_on_alike_wherever_they_are() {
         let mut joint = [0.5; 18];
         joint[12..].copy_from_slice(&actions);
         slot.step(&joint, &mut outcome).unwrap();
-        assert_eq!(outcome[2], step(&mut source, &actions));
-        assert_eq!(bits(&slot, 2), bits(&source, 0), "step {index}");
+        assert_eq!(outcome[2], step(&mut *source, &actions));
+        assert_eq!(bits(&*slot, 2), bits(&*source, 0), "step {index}");
         assert_eq!(outcome[2].truncated, index == 899);
     }
 }
@@ -59,16 +59,19 @@ fn a_restored_episode_stays_near_the_one_that_was_not_interrupted() {
     let (mut rng, mut actions) = (seeded(9), [0.0; 6]);
     let (mut worst, mut sum, states) = (0.0_f32, 0.0, 300);
     for episode in 0..states {
-        straight.reset(0, episode, 1000, &mut rng);
+        straight.reset(0, episode, 1000, key(&mut rng)).unwrap();
         for _ in 0..20 {
             random_actions(&mut rng, &mut actions);
-            step(&mut straight, &actions);
+            step(&mut *straight, &actions);
         }
-        cut.restore(0, &straight.encode(0)).unwrap();
+        cut.restore(0, &straight.encode(0).unwrap()).unwrap();
         random_actions(&mut rng, &mut actions);
-        step(&mut straight, &actions);
-        step(&mut cut, &actions);
-        let pair = [crate::coordinates(straight.world(0)), crate::coordinates(cut.world(0))];
+        step(&mut *straight, &actions);
+        step(&mut *cut, &actions);
+        let pair = [
+            crate::coordinates(straight.world(0).unwrap()),
+            crate::coordinates(cut.world(0).unwrap()),
+        ];
         let off = pair[0].iter().zip(&pair[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         worst = worst.max(off);
         sum += off;
@@ -101,10 +104,10 @@ fn a_settled_cheetah_rebuilt_in_place_stays() {
 #[test]
 fn environments_can_be_handed_to_a_stepping_thread() {
     let mut world = environments("halfcheetah-2x3", 1);
-    let here = step(&mut environments("halfcheetah-2x3", 1), &[0.3; 6]);
+    let here = step(&mut *environments("halfcheetah-2x3", 1), &[0.3; 6]);
     let there = std::thread::Builder::new()
         .name("stepping".to_owned())
-        .spawn(move || step(&mut world, &[0.3; 6]))
+        .spawn(move || step(&mut *world, &[0.3; 6]))
         .unwrap();
     assert_eq!(there.join().unwrap(), here);
 }

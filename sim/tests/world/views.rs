@@ -1,19 +1,19 @@
 //! Walker2d and Ant: what each task shows, pays, and ends on.
 
-use sim::{Environments, FeatureRole, Outcome, TaskConfig};
+use sim::{EnvironmentBatch, FeatureRole, Outcome, TaskConfig};
 
-use crate::{coordinates, environments, seeded};
+use crate::{coordinates, environments};
 
-fn with(task: &str, changes: &serde_json::Value) -> Environments {
+fn with(task: &str, changes: &serde_json::Value) -> Box<dyn EnvironmentBatch> {
     let mut config = serde_json::to_value(crate::config(task, "none", "actuator_slices")).unwrap();
     for (key, value) in changes.as_object().unwrap() {
         config["observation"][key] = value.clone();
     }
     let config: TaskConfig = serde_json::from_value(config).unwrap();
-    Environments::new(&config, 1).unwrap()
+    sim::environments(&config, 1).unwrap()
 }
 
-fn sizes(world: &Environments) -> Vec<usize> {
+fn sizes(world: &dyn EnvironmentBatch) -> Vec<usize> {
     world.description().agents.iter().map(|agent| agent.observation.len()).collect()
 }
 
@@ -21,7 +21,7 @@ fn sizes(world: &Environments) -> Vec<usize> {
 fn whole_views_have_the_published_sizes() {
     let n = |changes, task| {
         let world = with(task, &changes);
-        (world.description().state.len(), sizes(&world)[0])
+        (world.description().state.len(), sizes(&*world)[0])
     };
     let absent = || serde_json::json!({});
     assert_eq!(n(absent(), "walker2d-2x3"), (17, 19));
@@ -48,7 +48,7 @@ fn local_views_have_the_published_sizes() {
         let padded = |agent: &sim::AgentDescription| {
             agent.observation.iter().filter(|feature| feature.name != "padding").count()
         };
-        let longest = sizes(&world);
+        let longest = sizes(&*world);
         assert!(longest.iter().all(|size| *size == longest[0]), "{task}: {longest:?}");
         world.description().agents.iter().map(padded).collect::<Vec<usize>>()
     };
@@ -71,7 +71,7 @@ fn local_views_have_the_published_sizes() {
 fn an_ants_slices_are_the_published_ones() {
     let joints = |task: &str, partition: &str| -> Vec<String> {
         let config = crate::config(task, "none", partition);
-        let world = Environments::new(&config, 1).unwrap();
+        let world = sim::environments(&config, 1).unwrap();
         world.description().agents.iter().map(|agent| agent.joints.join(" ")).collect()
     };
     let halves = ["hip_4 ankle_4 hip_1 ankle_1", "hip_2 ankle_2 hip_3 ankle_3"];
@@ -120,11 +120,11 @@ fn walkers_and_ants_end_when_they_fall_and_are_paid_for_standing() {
     for (task, pay) in [("walker2d-2x3", 1.0), ("ant-2x4", 1.0)] {
         let mut world = environments(task, 1);
         let size = world.description().agents.iter().map(|agent| agent.action.size).sum::<usize>();
-        let before = coordinates(world.world(0))[0];
+        let before = coordinates(world.world(0).unwrap())[0];
         let mut outcome = [Outcome::default()];
         world.step(&vec![0.0; size], &mut outcome).unwrap();
         let dt = world.description().dt_secs as f32;
-        let speed = (coordinates(world.world(0))[0] - before) / dt;
+        let speed = (coordinates(world.world(0).unwrap())[0] - before) / dt;
         assert!((outcome[0].reward - (speed + pay)).abs() < 1e-4, "{task}: {outcome:?}");
         assert!(!outcome[0].terminated);
     }
@@ -140,8 +140,8 @@ fn walkers_and_ants_end_when_they_fall_and_are_paid_for_standing() {
 fn lifted(task: &str, index: usize, by: f32) -> Outcome {
     let mut world = environments(task, 1);
     let size = world.description().agents.iter().map(|agent| agent.action.size).sum::<usize>();
-    let bounds = world.state_bounds().clone();
-    let mut state = sim::State::from_bytes(&world.encode(0), &bounds).unwrap();
+    let bounds = world.state_bounds().unwrap().clone();
+    let mut state = sim::State::from_bytes(&world.encode(0).unwrap(), &bounds).unwrap();
     state.coordinates[index] += by;
     world.restore(0, &state.to_bytes(&bounds.kind)).unwrap();
     let mut outcome = [Outcome::default()];
@@ -152,8 +152,9 @@ fn lifted(task: &str, index: usize, by: f32) -> Outcome {
 #[test]
 fn an_ants_start_has_a_unit_quaternion_and_turns_about_its_own_axes() {
     let mut world = with("ant-2x4", &serde_json::json!({}));
-    world.reset(0, 0, 1000, &mut seeded(5));
-    let state = sim::State::from_bytes(&world.encode(0), world.state_bounds()).unwrap();
+    world.reset(0, 0, 1000, [5; 32]).unwrap();
+    let state =
+        sim::State::from_bytes(&world.encode(0).unwrap(), world.state_bounds().unwrap()).unwrap();
     let length: f32 = state.coordinates[3..7].iter().map(|q| q * q).sum();
     assert!((length - 1.0).abs() < 1e-5);
     // A quarter turn about z: the world's x is the torso's -y.
@@ -161,7 +162,7 @@ fn an_ants_start_has_a_unit_quaternion_and_turns_about_its_own_axes() {
     let mut turned = state.clone();
     turned.coordinates[3..7].copy_from_slice(&[half, 0.0, 0.0, half]);
     turned.velocities[3..6].copy_from_slice(&[2.0, 0.0, 5.0]);
-    world.restore(0, &turned.to_bytes(&world.state_bounds().kind.clone())).unwrap();
+    world.restore(0, &turned.to_bytes(&world.state_bounds().unwrap().kind.clone())).unwrap();
     let mut seen = vec![0.0; 27];
     world.state(0, &mut seen);
     let turning = &seen[13 + 3..13 + 6];
