@@ -8,6 +8,7 @@ pub(crate) mod layers;
 pub(crate) mod presets;
 pub(crate) mod resolved;
 pub(crate) mod run_config;
+pub(crate) mod run_settings;
 pub(crate) mod scalar;
 
 pub(crate) use error::ConfigError;

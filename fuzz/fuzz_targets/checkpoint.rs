@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use arbitrary::{Arbitrary, Unstructured};
 use learner::CheckpointConfig;
-use learner::checkpoint::{self, Checkpoint, FileEntry, Manifest};
+use learner::checkpoint::{self, Checkpoint, FileEntry, Manifest, RunSettings};
 use libfuzzer_sys::fuzz_target;
 use policy::arrays::{Array, NamedArrays, from_safetensors, hex};
 use sha2::{Digest as _, Sha256};
@@ -67,7 +67,7 @@ impl Run {
             checkpoint::save(
                 folder.path(),
                 &state(iteration),
-                "c0ffee",
+                RunSettings { sha256: "c0ffee", toml: "a = 1\n" },
                 &keep,
                 &mut |_, _| Ok(()),
             )

@@ -204,6 +204,7 @@ fn build(
             measured,
         ),
         config_sha256: launch.config_sha256,
+        settings_toml: launch.config_toml,
         last_iteration: launch.iterations,
         layout,
         policy: policy_bytes(algorithm.as_ref(), &observations)?,

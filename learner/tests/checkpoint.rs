@@ -5,7 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use learner::CheckpointConfig;
-use learner::checkpoint::{self, Before, Checkpoint, CheckpointError, Loaded, Saved, Step};
+use learner::checkpoint::{
+    self, Before, Checkpoint, CheckpointError, Loaded, RunSettings, Saved, Step,
+};
 use policy::arrays::{Array, NamedArrays};
 
 fn checkpoint(iteration: u64) -> Checkpoint {
@@ -26,6 +28,8 @@ fn keep(keep_last: usize, keep_every: u64) -> CheckpointConfig {
 }
 
 struct Run(tempfile::TempDir);
+
+const SETTINGS: RunSettings<'static> = RunSettings { sha256: "c0ffee", toml: "a = 1\n" };
 
 impl Run {
     fn new() -> Self {
@@ -48,7 +52,7 @@ impl Run {
         keep: CheckpointConfig,
         before: &mut Before<'_>,
     ) -> Result<Saved, CheckpointError> {
-        checkpoint::save(self.0.path(), &checkpoint(iteration), "c0ffee", &keep, before)
+        checkpoint::save(self.0.path(), &checkpoint(iteration), SETTINGS, &keep, before)
     }
 
     fn load(&self) -> Loaded {
@@ -309,7 +313,7 @@ fn an_array_of_no_group_is_refused_by_name() {
     let run = Run::new();
     let mut odd = checkpoint(1);
     odd.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
-    let saved = checkpoint::save(run.0.path(), &odd, "c0ffee", &keep(1, 0), &mut |_, _| Ok(()));
+    let saved = checkpoint::save(run.0.path(), &odd, SETTINGS, &keep(1, 0), &mut |_, _| Ok(()));
     let error = saved.unwrap_err().to_string();
     assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
 }

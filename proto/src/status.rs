@@ -31,6 +31,10 @@ pub struct Status {
     pub leases: Vec<LeaseStatus>,
     /// Whether the run is paused: no new leases.
     pub paused: bool,
+    /// Slots that got a second lease because the first was slow, since the learner started.
+    pub slots_backed_up: u64,
+    /// Slots that another actor computed again with an equal result, since the learner started.
+    pub audits_agreed: u64,
 }
 
 /// An open lease.
@@ -75,6 +79,8 @@ impl Status {
             storage_degraded: self.storage_degraded,
             leases: self.leases.iter().map(|lease| lease.to_wire()).collect(),
             paused: self.paused,
+            slots_backed_up: self.slots_backed_up,
+            audits_agreed: self.audits_agreed,
         }
     }
 
@@ -95,6 +101,8 @@ impl Status {
             storage_degraded: wire.storage_degraded,
             leases: wire.leases.iter().filter_map(LeaseStatus::from_wire).collect(),
             paused: wire.paused,
+            slots_backed_up: wire.slots_backed_up,
+            audits_agreed: wire.audits_agreed,
         }
     }
 }
@@ -156,6 +164,8 @@ mod tests {
             storage_degraded: true,
             leases: vec![lease(11, LeasedWork::Slot(6)), lease(12, LeasedWork::Episode(0))],
             paused: true,
+            slots_backed_up: 9,
+            audits_agreed: 10,
         };
         assert_eq!(Status::from_wire(status.to_wire()), status);
     }

@@ -110,10 +110,12 @@ fn text(status: &Status) -> String {
     let mut text = format!(
         "{run_id}{paused}: iteration {iteration}, {} env steps{pace}\n\
          {complete_slots} of {slots} slots complete, {} leases on {actors} actors, \
-         {} leased again, {} messages refused{disk}",
+         {} leased again, {} backed up, {} audited, {} messages refused{disk}",
         thousands(status.env_steps),
         leases.len(),
         status.leases_reissued,
+        status.slots_backed_up,
+        status.audits_agreed,
         status.messages_refused,
     );
     leases.iter().for_each(|lease| text += &format!("\n{}", line(lease)));

@@ -3,7 +3,7 @@
 use super::keys;
 
 /// A configuration that cannot be used. Each message is one line.
-#[derive(Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ConfigError {
     /// A file that cannot be read, or is not TOML.
     #[error("{place}: {detail}")]

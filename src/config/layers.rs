@@ -249,6 +249,11 @@ fn run_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
     known.extend(RETIRED.map(|(key, kind)| (key.to_owned(), kind)));
     let mut layer = file_layer(path, &known)?;
     layer.values.retain(|key, _| schema.contains_key(key));
+    for (key, value) in keys::ADDED {
+        if let (Some(kind), false) = (schema.get(*key), layer.values.contains_key(*key)) {
+            layer.values.extend(Scalar::parse(value, kind).map(|value| ((*key).to_owned(), value)));
+        }
+    }
     Ok(layer)
 }
 

@@ -63,10 +63,18 @@ impl Resolved {
     }
 
     /// SHA-256 over `key = value` lines of the semantic keys. Length and run folder are excluded.
+    /// Keys of later versions that keep the earlier meaning are excluded too.
     pub(crate) fn sha256(&self) -> [u8; 32] {
+        self.sha256_without(keys::ADDED)
+    }
+
+    fn sha256_without(&self, added: &[(&str, &str)]) -> [u8; 32] {
         let mut hasher = Sha256::new();
         for (key, value) in self.semantic() {
-            hasher.update(format!("{key} = {value}\n"));
+            let value = value.to_string();
+            if !added.contains(&(key, value.as_str())) {
+                hasher.update(format!("{key} = {value}\n"));
+            }
         }
         hasher.finalize().into()
     }
@@ -106,4 +114,21 @@ fn push_line(text: &mut String, name: &str, entry: &Entry, comment: &str) {
 
 fn push_text(text: &mut String, more: &str) {
     text.write_str(more).expect("writing to a string cannot fail");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_of_a_later_version_leaves_the_hash_as_long_as_it_keeps_the_earlier_meaning() {
+        let with = |value: Option<i64>| {
+            let integer = |value| Entry { value: Scalar::Integer(value), origin: String::new() };
+            let mut entries = BTreeMap::from([("update.epochs".to_owned(), integer(5))]);
+            entries.extend(value.map(|value| ("update.new".to_owned(), integer(value))));
+            Resolved { entries }.sha256_without(&[("update.new", "0")])
+        };
+        assert_eq!(with(Some(0)), with(None));
+        assert_ne!(with(Some(1)), with(None));
+    }
 }

@@ -2,14 +2,13 @@
 
 use std::path::Path;
 
-use learner::run_folder::CONFIG;
 use marl::{ActionKind, ObservationScale};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
 
 use crate::config::environment_section::EnvironmentSection;
-use crate::config::{ConfigError, Request, Resolved, layers};
+use crate::config::{ConfigError, Request, Resolved, layers, run_settings};
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -77,7 +76,11 @@ impl RunConfig {
 
     /// The configuration of an existing run.
     pub(crate) fn of_run(folder: &Path) -> Result<Self, ConfigError> {
-        let resumed = Some(folder.join(CONFIG));
+        run_settings::settings_of_run(folder).map(|(_, config)| config)
+    }
+
+    pub(super) fn of_file(file: &Path) -> Result<Self, ConfigError> {
+        let resumed = Some(file.to_path_buf());
         Self::build(layers::resolve(&Request { resumed, ..Request::default() })?)
     }
 

@@ -53,7 +53,7 @@ pub(crate) enum Ending {
 
 /// The state of the run; does not check whether the folder holds this run.
 pub(crate) fn run_state(run: &PlannedRun) -> RunState {
-    if !run_path::config_file(&run.folder).is_file() {
+    if !run_path::manifest_file(&run.folder).is_file() {
         return RunState::New;
     }
     let last = last_lines(&run_path::metrics_file(&run.folder));
@@ -70,7 +70,7 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunState {
 
 /// How the run in the folder differs from the planned one; `None` if it does not, or if there is none.
 pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
-    if !run_path::config_file(&run.folder).is_file() {
+    if !run_path::manifest_file(&run.folder).is_file() {
         return None;
     }
     let same = RunConfig::of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));
@@ -112,7 +112,7 @@ mod tests {
         let run = run_in(folder.path());
         assert_eq!(run_state(&run), RunState::New);
         std::fs::create_dir(&run.folder).unwrap();
-        std::fs::write(run.folder.join("config.toml"), "").unwrap();
+        std::fs::write(run.folder.join("manifest.json"), "").unwrap();
         assert_eq!(run_state(&run), RunState::Begun { env_steps: 0 });
         let metrics = run.folder.join("metrics.jsonl");
         let begun = "{\"kind\": \"iteration\", \"iteration\": 8, \"env_steps\": 8000}\n{\"ki";
@@ -130,6 +130,7 @@ mod tests {
         let run = run_in(folder.path());
         assert_eq!(mismatch(&run), None);
         std::fs::create_dir(&run.folder).unwrap();
+        std::fs::write(run.folder.join("manifest.json"), "").unwrap();
         let same = run.config.resolved.to_toml();
         std::fs::write(run.folder.join("config.toml"), &same).unwrap();
         assert_eq!(mismatch(&run), None);

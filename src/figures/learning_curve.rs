@@ -15,7 +15,7 @@ use crate::errors::Usage;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
-use crate::run::run_path::{self, config_file_of_run};
+use crate::run::run_path::{self, demand_run};
 
 pub(crate) use quantity::Quantity;
 
@@ -83,7 +83,8 @@ pub(crate) struct Panel {
 
 /// Reads the curves of a run folder.
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
-    let file = config_file_of_run(folder)?;
+    demand_run(folder)?;
+    let file = run_path::config_file(folder);
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
     let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
     let settings = semantic.map(|(key, value)| (key.to_owned(), value.to_string())).collect();

@@ -8,7 +8,7 @@ use learner::checkpoint::{CheckpointError, Loaded};
 use policy::{Key, PolicySnapshot, RunSeed};
 
 use crate::config::run_config::RunConfig;
-use crate::run::run_path::config_file_of_run;
+use crate::run::run_path::demand_run;
 
 /// A trained policy with the settings of its run.
 pub(crate) struct Trained {
@@ -39,7 +39,7 @@ pub(crate) fn load(run: &Path) -> anyhow::Result<Loaded> {
 
 /// As [`load`], but `None` before the first checkpoint. Logs every newer checkpoint that is damaged.
 pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
-    config_file_of_run(run)?;
+    demand_run(run)?;
     let loaded = match learner::checkpoint::load_newest(run) {
         Err(CheckpointError::None { .. }) => return Ok(None),
         loaded => loaded.with_context(|| format!("{} has no valid checkpoint", run.display()))?,

@@ -12,11 +12,12 @@ use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
 use crate::config::run_config::RunConfig;
+use crate::config::run_settings::settings_of_run;
 use crate::config::{ConfigError, Request, keys, layers};
 use crate::errors::Usage;
 use crate::run::fingerprints::Fingerprints;
 use crate::run::offered::Offered;
-use crate::run::run_path::config_file_of_run;
+use crate::run::run_path::demand_run;
 use crate::run::{resume, run_path};
 
 /// A run that is ready to start.
@@ -76,7 +77,7 @@ pub(crate) fn prepare_or_resume(
 /// The configured folder, if it contains a run.
 fn run_in_place(config: &RunConfig) -> Option<PathBuf> {
     let folder = Path::new(&config.run.dir);
-    let there = !config.run.dir.is_empty() && run_path::config_file(folder).is_file();
+    let there = !config.run.dir.is_empty() && run_path::manifest_file(folder).is_file();
     there.then(|| folder.to_path_buf())
 }
 
@@ -86,8 +87,9 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     let Some(folder) = resumed else {
         return Ok(RunConfig::build(layers::resolve(&request)?)?);
     };
-    request.resumed = Some(config_file_of_run(folder)?);
-    let old = RunConfig::of_run(folder)?;
+    demand_run(folder)?;
+    let (file, old) = settings_of_run(folder)?;
+    request.resumed = Some(file);
     let new = RunConfig::build(layers::resolve(&request)?)?;
     resume::check(&old, &new)?;
     refuse_other_folder(&new, &old)?;
@@ -117,7 +119,7 @@ fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
         }
         given => PathBuf::from(given),
     };
-    if run_path::config_file(&folder).exists() {
+    if run_path::manifest_file(&folder).exists() {
         let shown = folder.display();
         let why = format!(
             "{shown} already contains a run; resume it with `s2mia train --resume {shown}`"

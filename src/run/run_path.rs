@@ -15,11 +15,11 @@ pub(crate) fn config_file(folder: &Path) -> PathBuf {
     folder.join(CONFIG)
 }
 
-/// The settings of the run in `folder`; refuses a folder without any.
-pub(crate) fn config_file_of_run(folder: &Path) -> Result<PathBuf, Usage> {
-    let file = config_file(folder);
+/// Refuses a folder that contains no run.
+pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
     let lacking = || format!("{} is no run folder: it has no {CONFIG}", folder.display());
-    if file.is_file() { Ok(file) } else { Err(Usage::new(lacking())) }
+    let is_run = config_file(folder).is_file() || manifest_file(folder).is_file();
+    if is_run { Ok(()) } else { Err(Usage::new(lacking())) }
 }
 
 /// One JSON object per iteration or evaluation.

@@ -119,7 +119,7 @@ async fn a_learner_full_of_actors_and_idle_peers_still_answers_probes_and_refuse
         actors.push(Attacker::connect(&learner.url).await);
     }
     let mut idle = Vec::new();
-    for _ in 0..150 {
+    for _ in 0..300 {
         idle.push(Endpoint::from_shared(learner.url.clone()).unwrap().connect().await.unwrap());
     }
     let mut late = LearnerServiceClient::connect(learner.url.clone()).await.unwrap();

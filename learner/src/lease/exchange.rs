@@ -8,18 +8,15 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use proto::{
-    Ack, AckState, ActorId, EvaluationResult, Heartbeat, HeartbeatAnswer, Incarnation, LeaseAnswer,
-    LeaseId, PolicyVersion, PushHeader, Refusal, Registered, Registration, RolloutOrigin,
-    RolloutWork, RunDescription, TrajectoryChunk, WeightsName,
+    ActorId, Heartbeat, HeartbeatAnswer, Incarnation, LeaseAnswer, LeaseId, PolicyVersion, Refusal,
+    Registered, Registration, RolloutWork, RunDescription, WeightsName,
 };
 use tokio::sync::{Notify, watch};
 
-use crate::canary;
 use crate::config::{AuditConfig, LeaseConfig};
 use crate::published::Published;
 use crate::slots::{
-    AuditPlan, ChunkPreview, ConnectionId, Disagreement, Effect, EvaluationPreview, Offer,
-    SlotRules, SlotTable, Trust,
+    AuditPlan, ConnectionId, Disagreement, Effect, Offer, SlotRules, SlotTable, Trust,
 };
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 pub use crate::snapshot::FilmedEpisode;
@@ -28,6 +25,7 @@ use crate::snapshot::RunSnapshot;
 mod control;
 mod incidents;
 mod reporting;
+mod results;
 mod weights;
 
 pub use control::{Orders, SaveError};
@@ -295,61 +293,6 @@ impl Exchange {
     /// Refuses names of weights that are not held.
     pub fn snapshot(&self, name: WeightsName) -> Result<Bytes, Refusal> {
         self.lock().weights.find(name).map(|published| published.bytes.clone())
-    }
-
-    /// Whether an actor registered on this connection.
-    #[must_use]
-    pub fn is_registered(&self, connection: ConnectionId) -> bool {
-        self.lock().table.is_registered(connection)
-    }
-
-    /// Takes in a chunk, which `read` decodes and checks as one of the slot that it is given. Runs the policies over
-    /// it, so it belongs on a thread that may block.
-    ///
-    /// # Errors
-    /// Refuses what [`SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights do not
-    /// explain.
-    pub fn accept_chunk(
-        &self,
-        sender: ConnectionId,
-        header: &PushHeader,
-        sequence: u32,
-        read: impl FnOnce(&RolloutOrigin) -> Result<TrajectoryChunk, Refusal>,
-    ) -> Result<Ack, Refusal> {
-        let preview = self.change(|shared| shared.table.preview_chunk(sender, header, sequence))?;
-        let (origin, trust) = match preview {
-            ChunkPreview::Repeated(ack) => return Ok(ack),
-            ChunkPreview::Next { origin, trust } => (origin, trust),
-        };
-        // Not under the lock: this takes milliseconds.
-        let chunk = read(&origin)?;
-        let published = self.lock().weights.find(header.weights)?;
-        let drawn = (trust == Trust::Exact).then_some(&origin);
-        canary::check(&published.policy, &self.run, &chunk, drawn)?;
-        self.change(|shared| {
-            let ack = shared.table.chunk(sender, header, chunk)?;
-            shared.chunks_accepted += u64::from(ack.state == AckState::Accepted);
-            Ok(ack)
-        })
-    }
-
-    /// Takes in the result of an evaluation episode, which `read` checks as one of the iteration that it is given.
-    ///
-    /// # Errors
-    /// See [`SlotTable::evaluation`].
-    pub fn accept_evaluation(
-        &self,
-        sender: ConnectionId,
-        header: &PushHeader,
-        read: impl FnOnce(u64) -> Result<EvaluationResult, Refusal>,
-    ) -> Result<Ack, Refusal> {
-        match self.change(|shared| shared.table.preview_evaluation(sender, header))? {
-            EvaluationPreview::Repeated(ack) => Ok(ack),
-            EvaluationPreview::Next(work) => {
-                let result = read(work.iteration)?;
-                self.change(|shared| shared.table.evaluation(sender, header, result))
-            }
-        }
     }
 
     /// Logs and counts a refusal. If it was about a lease of the caller, the lease ends.

@@ -194,6 +194,8 @@ impl SlotTable {
             backups: self.backups,
             audits: self.audits.counts,
             leases: self.open.len(),
+            held_slots: self.iteration.iter().flat_map(OpenIteration::held).count(),
+            slot_time: self.typical.median(),
             slots: self.iteration.as_ref().map_or(0, OpenIteration::slots),
             complete_slots: self.iteration.as_ref().map_or(0, OpenIteration::complete_slots),
         }

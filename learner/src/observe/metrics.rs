@@ -6,6 +6,7 @@
 
 mod curves;
 mod event_file;
+mod restore;
 mod table;
 mod tags;
 mod view;
@@ -27,6 +28,9 @@ use crate::json_lines::JsonLines;
 /// The file's name in the run folder.
 pub const METRICS_FILE: &str = "metrics.jsonl";
 
+/// The tables beside it, and the lines that each holds.
+const TABLES: [(&str, &str); 2] = [("metrics.csv", "iteration"), ("evaluations.csv", "evaluation")];
+
 /// The metrics of a run, open for more.
 #[derive(Debug)]
 pub struct Metrics {
@@ -46,7 +50,8 @@ impl Metrics {
         config: &MetricsConfig,
         iteration: u64,
     ) -> Result<(Self, BTreeSet<u64>), FileError> {
-        let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS_FILE), iteration)?;
+        let (mut lines, mut kept) = JsonLines::cut(&run_folder.join(METRICS_FILE), iteration)?;
+        restore::restore(run_folder, &mut lines, &mut kept, iteration)?;
         let evaluations = kept.iter().filter(|line| line["kind"] == "evaluation");
         let measured = evaluations.filter_map(|line| line["iteration"].as_u64()).collect();
         let views = Views::make(run_folder, config, &kept)?;

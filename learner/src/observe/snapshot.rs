@@ -8,6 +8,7 @@ use proto::{
 };
 
 use crate::event::{Event, IterationReport, Stage};
+use crate::slots::AuditCounts;
 
 /// Lines kept for watchers that are slow or connect late; the oldest is dropped.
 const KEPT_LINES: usize = 256;
@@ -31,6 +32,12 @@ pub struct RunSnapshot {
     pub log_steps_lost: u64,
     /// Size of the newest weights, bytes.
     pub weights_bytes: u64,
+    /// Slots of the open iteration that are leased.
+    pub held_slots: u64,
+    /// Results of all audits.
+    pub audits: AuditCounts,
+    /// Median time from lease to result of the latest slots, seconds.
+    pub slot_secs: Option<f64>,
     /// Registrations without a fingerprint: with any, the run is not exactly repeatable.
     pub foreign_actors: u64,
     /// Refused messages by reason.
@@ -92,6 +99,8 @@ impl RunSnapshot {
             storage_degraded: false,
             leases: Vec::new(),
             paused: false,
+            slots_backed_up: 0,
+            audits_agreed: 0,
         };
         Self {
             status,
@@ -102,6 +111,9 @@ impl RunSnapshot {
             bytes_received: 0,
             log_steps_lost: 0,
             weights_bytes: 0,
+            held_slots: 0,
+            audits: AuditCounts::default(),
+            slot_secs: None,
             foreign_actors: 0,
             refusals: BTreeMap::new(),
             report: None,

@@ -32,6 +32,8 @@ const POLICY: &str = "policy.safetensors";
 const DRAFT: &str = ".tmp-";
 /// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves.
 const LATEST: &str = "LATEST";
+/// The run's settings, so that a checkpoint by itself is enough to go on.
+pub const SETTINGS: &str = "config.toml";
 /// The groups of arrays, one file each.
 const GROUPS: [&str; 9] = [
     "counters",
@@ -57,6 +59,15 @@ pub struct Checkpoint {
     pub arrays: NamedArrays,
     /// The policies as actors get them: a `policy::PolicySnapshot`.
     pub policy: Vec<u8>,
+}
+
+/// The settings of the run that a checkpoint belongs to.
+#[derive(Clone, Copy, Debug)]
+pub struct RunSettings<'a> {
+    /// Hash of the semantic settings, hexadecimal.
+    pub sha256: &'a str,
+    /// All settings.
+    pub toml: &'a str,
 }
 
 /// A checkpoint that was found whole.
@@ -178,7 +189,7 @@ pub fn folder(run_folder: &Path) -> PathBuf {
 pub fn save(
     run_folder: &Path,
     checkpoint: &Checkpoint,
-    config_sha256: &str,
+    settings: RunSettings<'_>,
     keep: &CheckpointConfig,
     before: &mut Before<'_>,
 ) -> Result<Saved, CheckpointError> {
@@ -186,8 +197,12 @@ pub fn save(
     let place = folder.join(name(checkpoint.iteration));
     let saved = checkpoint.saved(place.clone());
     durable::make_folder(&folder)?;
-    if !stands(&place, &saved, config_sha256) {
-        let draft = write_draft(&folder, (checkpoint, &saved), config_sha256, before)?;
+    if !stands(&place, &saved, settings.sha256) {
+        let draft = folder.join(format!("{DRAFT}{}", name(checkpoint.iteration)));
+        write_draft(&draft, (checkpoint, &saved), settings, before).inspect_err(|_| {
+            // Half a checkpoint must not keep the space that metrics and the next one need.
+            let _gone = durable::remove_folder(&draft);
+        })?;
         about_to(before, Step::Rename, &place)?;
         durable::remove_folder(&place)?;
         std::fs::rename(&draft, &place).map_err(FileError::of("rename", &draft))?;
@@ -265,28 +280,28 @@ fn stands(path: &Path, saved: &Saved, config_sha256: &str) -> bool {
     path.exists() && read(path).is_ok_and(|(_, manifest)| same(&manifest))
 }
 
-/// Writes all files beside their place, the manifest last.
+/// Writes all files into the folder `draft`, the manifest last.
 fn write_draft(
-    folder: &Path,
+    draft: &Path,
     (checkpoint, saved): (&Checkpoint, &Saved),
-    config_sha256: &str,
+    settings: RunSettings<'_>,
     before: &mut Before<'_>,
-) -> Result<PathBuf, CheckpointError> {
-    let draft = folder.join(format!("{DRAFT}{}", name(checkpoint.iteration)));
-    about_to(before, Step::MakeFolder, &draft)?;
-    durable::remove_folder(&draft)?;
-    durable::make_folder(&draft)?;
-    let files = files(checkpoint)?;
-    let manifest = Manifest::of((checkpoint, saved), config_sha256, &files).to_bytes();
+) -> Result<(), CheckpointError> {
+    about_to(before, Step::MakeFolder, draft)?;
+    durable::remove_folder(draft)?;
+    durable::make_folder(draft)?;
+    let mut files = files(checkpoint)?;
+    files.insert(SETTINGS.to_owned(), settings.toml.as_bytes().to_vec());
+    let manifest = Manifest::of((checkpoint, saved), settings.sha256, &files).to_bytes();
     let last = (MANIFEST.to_owned(), manifest);
     for (name, bytes) in files.into_iter().chain([last]) {
         let path = draft.join(name);
         about_to(before, Step::WriteFile, &path)?;
         durable::write(&path, &bytes)?;
     }
-    about_to(before, Step::FlushFiles, &draft)?;
-    durable::sync_folder(&draft)?;
-    Ok(draft)
+    about_to(before, Step::FlushFiles, draft)?;
+    durable::sync_folder(draft)?;
+    Ok(())
 }
 
 /// The files but the manifest, by name: one per group of arrays, and the policies.
@@ -320,6 +335,9 @@ fn read(path: &Path) -> Result<(Checkpoint, Manifest), String> {
         entry.verify(name, &bytes)?;
         if name == POLICY {
             policy = Some(bytes);
+            continue;
+        }
+        if name == SETTINGS {
             continue;
         }
         let (group, _) = from_safetensors(&bytes).map_err(|error| format!("{name}: {error}"))?;

@@ -53,9 +53,24 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     sync_folder(folder)
 }
 
-/// Makes a folder and its parents, if they are not there.
+/// Appends a line to a file, which is created if it does not exist, and waits until the disk has it.
+pub(crate) fn append_line(path: &Path, line: &str) -> Result<(), FileError> {
+    let appended = File::options().create(true).append(true).open(path).and_then(|mut file| {
+        file.write_all(format!("{line}\n").as_bytes())?;
+        file.sync_all()
+    });
+    appended.map_err(FileError::of("write", path))?;
+    sync_folder(path.parent().unwrap_or(Path::new(".")))
+}
+
+/// Creates a folder and its parents if they do not exist, and waits until the disk has the folder's name.
 pub(crate) fn make_folder(folder: &Path) -> Result<(), FileError> {
-    std::fs::create_dir_all(folder).map_err(FileError::of("make", folder))
+    if folder.is_dir() {
+        return Ok(());
+    }
+    std::fs::create_dir_all(folder).map_err(FileError::of("make", folder))?;
+    let named = folder.parent().filter(|parent| !parent.as_os_str().is_empty());
+    sync_folder(named.unwrap_or(Path::new(".")))
 }
 
 /// Removes a folder with everything in it, if it is there.

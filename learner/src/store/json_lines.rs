@@ -1,6 +1,7 @@
 //! A file of one JSON object per line, each of an iteration, which a resume cuts back to the
 //! checkpoint from which it goes on.
 
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
@@ -45,9 +46,24 @@ impl JsonLines {
         if content != text {
             durable::replace(path, &content)?;
         }
-        let file = OpenOptions::new().create(true).append(true).open(path);
-        let file = file.map_err(FileError::of("open", path))?;
-        Ok((Self { path: path.to_path_buf(), file, waiting: Vec::new() }, kept))
+        Ok((Self { path: path.to_path_buf(), file: opened(path)?, waiting: Vec::new() }, kept))
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes the file again with these lines.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be written.
+    pub fn replace(&mut self, lines: &[Value]) -> Result<(), FileError> {
+        let content = lines.iter().map(|line| format!("{line}\n")).collect::<String>();
+        durable::replace(&self.path, content.as_bytes())?;
+        self.file = opened(&self.path)?;
+        Ok(())
     }
 
     /// Adds one line. If the file cannot be written, that is told, and the line waits.
@@ -87,6 +103,37 @@ impl JsonLines {
         self.write_waiting()?;
         self.file.sync_data().map_err(FileError::of("flush", &self.path))
     }
+}
+
+/// Opens a file to append to; a new one lasts, too.
+fn opened(path: &Path) -> Result<File, FileError> {
+    let is_new = !path.exists();
+    let file = OpenOptions::new().create(true).append(true).open(path);
+    let file = file.map_err(FileError::of("open", path))?;
+    if is_new {
+        durable::sync_folder(path.parent().unwrap_or(Path::new(".")))?;
+    }
+    Ok(file)
+}
+
+/// Iterations up to `last` without a line of `kind` (lines without a kind count), as ranges for people.
+#[must_use]
+pub fn gaps(lines: &[Value], kind: &str, last: u64) -> Vec<String> {
+    let of_kind = |line: &&Value| line.get("kind").is_none_or(|found| found == kind);
+    let present = lines.iter().filter(of_kind).filter_map(|line| line["iteration"].as_u64());
+    let present = present.collect::<BTreeSet<_>>();
+    let mut ranges: Vec<(u64, u64)> = Vec::new();
+    for iteration in (1..=last).filter(|iteration| !present.contains(iteration)) {
+        match ranges.last_mut() {
+            Some((_, end)) if *end + 1 == iteration => *end = iteration,
+            _ => ranges.push((iteration, iteration)),
+        }
+    }
+    let shown = |(first, last): (u64, u64)| match first == last {
+        true => first.to_string(),
+        false => format!("{first} to {last}"),
+    };
+    ranges.into_iter().map(shown).collect()
 }
 
 fn line_up_to(iteration: u64, line: &[u8]) -> Option<Value> {
@@ -142,6 +189,13 @@ mod tests {
         lines.sync().unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         assert_eq!(text, "{\"iteration\":1}\n{\"iteration\":2}\n{\"iteration\":3}\n");
+    }
+
+    #[test]
+    fn iterations_without_a_line_are_named_as_ranges() {
+        let lines = [1, 2, 7, 9].map(|iteration| json!({"iteration": iteration}));
+        assert_eq!(gaps(&lines, "iteration", 10), ["3 to 6", "8", "10"]);
+        assert!(gaps(&lines, "iteration", 2).is_empty());
     }
 
     #[test]

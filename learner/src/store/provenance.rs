@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::durable::FileError;
 use crate::exchange::SlotRollout;
-use crate::json_lines::JsonLines;
+use crate::json_lines::{JsonLines, gaps};
 
 /// The file's name in the run folder.
 pub const PROVENANCE_FILE: &str = "provenance.jsonl";
@@ -43,7 +43,12 @@ impl Provenance {
     /// # Errors
     /// Names the file if it cannot be read or written.
     pub fn open(run_folder: &Path, iteration: u64) -> Result<Self, FileError> {
-        let (lines, _) = JsonLines::cut(&run_folder.join(PROVENANCE_FILE), iteration)?;
+        let (lines, kept) = JsonLines::cut(&run_folder.join(PROVENANCE_FILE), iteration)?;
+        let lost = gaps(&kept, "", iteration);
+        if !lost.is_empty() {
+            let path = lines.path().display();
+            tracing::warn!("{path} has no lines of iterations {}", lost.join(", "));
+        }
         Ok(Self { lines })
     }
 

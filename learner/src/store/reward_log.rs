@@ -212,7 +212,7 @@ mod tests {
     }
 
     fn read(folder: &Path) -> Vec<ShareRewards> {
-        let text = std::fs::read_to_string(folder.join("rewards-0002.jsonl")).unwrap();
+        let text = std::fs::read_to_string(folder.join("rewards-0001.jsonl")).unwrap();
         text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     }
 

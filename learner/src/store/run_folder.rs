@@ -1,5 +1,7 @@
 //! The folder of a run: which process may write to it, and what it says about the run.
 
+mod manifest;
+
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write as _;
 use std::net::SocketAddr;
@@ -15,6 +17,8 @@ pub const CONFIG: &str = "config.toml";
 pub const MANIFEST: &str = "manifest.json";
 /// Logs and recordings of actors.
 pub const LOGS: &str = "logs";
+/// One line for each start of the learner: what `manifest.json` says of the first.
+const STARTS: &str = "starts.jsonl";
 const LOCK: &str = "learner.lock";
 /// Where the learner of the latest start listened.
 const ADDRESS: &str = "address";
@@ -26,8 +30,9 @@ const FOREIGN_ACTORS: &str = "foreign_actors";
 #[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
-    /// The operating system frees the lock with the process, however that ends.
-    _lock: File,
+    /// The operating system frees both locks with the process, however that ends. The folder's own lock holds even if
+    /// the lock file is deleted; not every file system has it.
+    _locks: (File, Option<File>),
 }
 
 /// Why a folder cannot be used for a run.
@@ -132,17 +137,32 @@ impl RunFolder {
         self.file(LOGS)
     }
 
-    /// Writes the settings, then the manifest. The manifest makes the folder a run, so a crash in between leaves a
-    /// folder that a new run may use.
+    /// Writes the settings, a line in [`STARTS`] and, at the run's first start, the manifest. The manifest makes the
+    /// folder a run, so a crash before it leaves a folder that a new run may use.
     ///
     /// # Errors
     /// Names the file that could not be written.
-    pub fn begin(&self, config_toml: &str, manifest: &Value) -> Result<(), RunFolderError> {
-        let mut manifest = manifest.clone();
-        manifest[FOREIGN_ACTORS] = Value::Bool(self.had_foreign_actors());
+    pub fn begin(&self, config_toml: &str, start: &Value) -> Result<(), RunFolderError> {
         durable::replace(&self.file(CONFIG), config_toml.as_bytes())?;
-        durable::replace(&self.file(MANIFEST), format!("{manifest:#}\n").as_bytes())?;
-        Ok(())
+        durable::append_line(&self.file(STARTS), &start.to_string())?;
+        match self.manifest() {
+            Ok(_) => Ok(()),
+            Err(why) => {
+                let mut manifest = start.clone();
+                let known = matches!(why, RunFolderError::File(_));
+                // Of a damaged manifest nothing is known.
+                manifest[FOREIGN_ACTORS] = if known { Value::Bool(false) } else { Value::Null };
+                manifest::write(&self.file(MANIFEST), manifest)
+            }
+        }
+    }
+
+    /// Hash of the semantic settings that the manifest of the run in `path` records; `None` if the manifest is missing
+    /// or damaged.
+    #[must_use]
+    pub fn recorded_config_sha256(path: &Path) -> Option<String> {
+        let manifest = manifest::read(&path.join(MANIFEST)).ok()?;
+        manifest["config_sha256"].as_str().map(str::to_owned)
     }
 
     /// Writes down where this start of the learner listens.
@@ -163,7 +183,7 @@ impl RunFolder {
         }
         let mut manifest = self.manifest()?;
         manifest[FOREIGN_ACTORS] = Value::Bool(true);
-        Ok(durable::replace(&self.file(MANIFEST), format!("{manifest:#}\n").as_bytes())?)
+        manifest::write(&self.file(MANIFEST), manifest)
     }
 
     fn had_foreign_actors(&self) -> bool {
@@ -195,6 +215,11 @@ impl RunFolder {
     }
 
     fn is_locked(path: &Path) -> Result<bool, RunFolderError> {
+        if File::open(path)
+            .is_ok_and(|folder| matches!(folder.try_lock_shared(), Err(TryLockError::WouldBlock)))
+        {
+            return Ok(true);
+        }
         let lock = path.join(LOCK);
         if !lock.is_file() {
             return Ok(false);
@@ -208,6 +233,10 @@ impl RunFolder {
     }
 
     fn lock(path: &Path) -> Result<Self, RunFolderError> {
+        let folder = File::open(path).ok();
+        if folder.as_ref().is_some_and(|f| matches!(f.try_lock(), Err(TryLockError::WouldBlock))) {
+            return Err(RunFolderError::in_use(path));
+        }
         let place = path.join(LOCK);
         let open = OpenOptions::new().create(true).write(true).truncate(false).open(&place);
         let mut lock = open.map_err(FileError::of("open", &place))?;
@@ -221,16 +250,20 @@ impl RunFolder {
         lock.set_len(0)
             .and_then(|()| writeln!(lock, "{}", std::process::id()))
             .map_err(FileError::of("write", &place))?;
-        Ok(Self { path: path.to_path_buf(), _lock: lock })
+        Ok(Self { path: path.to_path_buf(), _locks: (lock, folder) })
     }
 
     fn check_manifest(&self, expected: &str) -> Result<(), RunFolderError> {
-        let manifest = self.manifest()?;
         let path = self.file(MANIFEST);
-        let Some(found) = manifest["config_sha256"].as_str().map(str::to_owned) else {
-            let detail = "it has no config_sha256".to_owned();
-            return Err(RunFolderError::Damaged { path, detail });
+        let manifest = match self.manifest() {
+            Err(damaged @ RunFolderError::Damaged { .. }) => {
+                // The checkpoint says too which settings it belongs to.
+                tracing::warn!("{damaged}; it is written again");
+                return Ok(());
+            }
+            manifest => manifest?,
         };
+        let found = manifest["config_sha256"].as_str().unwrap_or_default().to_owned();
         if found == expected {
             return Ok(());
         }
@@ -239,10 +272,7 @@ impl RunFolder {
 
     /// The manifest, which is always an object.
     fn manifest(&self) -> Result<Value, RunFolderError> {
-        let path = self.file(MANIFEST);
-        let text = std::fs::read_to_string(&path).map_err(FileError::of("read", &path))?;
-        let object = serde_json::from_str(&text).map(Value::Object);
-        object.map_err(|error| RunFolderError::Damaged { path, detail: error.to_string() })
+        manifest::read(&self.file(MANIFEST))
     }
 }
 
@@ -278,6 +308,9 @@ mod tests {
         let process = std::process::id();
         let path = folder.path().display();
         assert_eq!(message, format!("{path} is in use by another learner (process {process})"));
+        std::fs::remove_file(folder.path().join(LOCK)).unwrap();
+        RunFolder::demand_free(folder.path()).unwrap_err();
+        RunFolder::claim_existing(folder.path(), "aa").unwrap_err();
         drop(first);
         RunFolder::demand_free(folder.path()).unwrap();
         RunFolder::claim_existing(folder.path(), "aa").unwrap();
@@ -312,6 +345,31 @@ mod tests {
         RunFolder::claim_new(folder.path()).unwrap().begin("", &manifest()).unwrap();
         let message = RunFolder::claim_existing(folder.path(), "bb").unwrap_err().to_string();
         assert!(message.contains("config aa, this one has bb"), "{message}");
+    }
+
+    #[test]
+    fn a_damaged_manifest_is_written_again_at_the_next_start_and_says_what_it_does_not_know() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(MANIFEST);
+        RunFolder::claim_new(folder.path()).unwrap().begin("", &manifest()).unwrap();
+        std::fs::write(&path, "").unwrap();
+        assert_eq!(RunFolder::recorded_config_sha256(folder.path()), None);
+        RunFolder::claim_existing(folder.path(), "aa").unwrap().begin("", &manifest()).unwrap();
+        assert_eq!(RunFolder::recorded_config_sha256(folder.path()).as_deref(), Some("aa"));
+        assert_eq!(manifest::read(&path).unwrap()["foreign_actors"], Value::Null);
+    }
+
+    #[test]
+    fn every_start_is_a_line_and_the_manifest_keeps_the_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let start = |commit: &str| json!({"config_sha256": "aa", "commit": commit});
+        RunFolder::claim_new(folder.path()).unwrap().begin("", &start("first")).unwrap();
+        RunFolder::claim_existing(folder.path(), "aa").unwrap().begin("", &start("next")).unwrap();
+        let manifest = manifest::read(&folder.path().join(MANIFEST)).unwrap();
+        assert_eq!(manifest["commit"], "first");
+        let lines = std::fs::read_to_string(folder.path().join(STARTS)).unwrap();
+        let commits = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        assert!(commits.map(|start| start["commit"].clone()).eq(["first", "next"]));
     }
 
     #[test]

@@ -52,6 +52,8 @@ pub struct Summary {
 pub struct Trainer {
     pub(crate) config: Config,
     pub(crate) config_sha256: Digest,
+    /// The run's resolved settings.
+    pub(crate) settings_toml: String,
     pub(crate) last_iteration: u64,
     pub(crate) layout: Layout,
     pub(crate) observations: ObservationMoments,

@@ -4,16 +4,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use learner::slots::{
-    AuditPlan, ConnectionId, Effect, Offer, SlotRollout, SlotRules, SlotTable, Trust,
-};
+use learner::slots::{ConnectionId, Effect, Offer, SlotRollout, SlotTable, Trust};
 use proto::{
     ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, LeaseId, PushHeader, Reason, Refusal,
     Work,
 };
 
 use crate::disturbances::{Event, MOST_UNDER_WAY, SEATS};
-use crate::table::{CHUNKS, TTL, chunk, honest, rules, weights, works};
+use crate::table::{CHUNKS, TTL, chunk, half_audited, honest, weights, works};
 
 const SLOTS: u32 = 3;
 /// A lease of any start of the learner.
@@ -33,11 +31,6 @@ enum Message {
     Taken { lease: Key, sequence: u32, finished: bool },
     Ended(Key),
     Unknown,
-}
-
-/// Every second slot is audited.
-fn cluster_rules(incarnation: Incarnation) -> SlotRules {
-    SlotRules { audit: AuditPlan { share: 0.5, secret: 3 }, ..rules(incarnation) }
 }
 
 /// A message to or from an actor in one of its lives.
@@ -84,7 +77,7 @@ pub(crate) struct Cluster {
 impl Cluster {
     pub(crate) fn new() -> Self {
         let mut cluster = Self {
-            table: SlotTable::new(cluster_rules(Incarnation(1))),
+            table: SlotTable::new(half_audited(Incarnation(1))),
             incarnation: Incarnation(1),
             now: Duration::ZERO,
             connections: 0,
@@ -317,7 +310,7 @@ impl Cluster {
         // Another start gives the same numbers to its leases.
         self.issued.clear();
         self.incarnation = Incarnation(self.incarnation.0 + 1);
-        self.table = SlotTable::new(cluster_rules(self.incarnation));
+        self.table = SlotTable::new(half_audited(self.incarnation));
         self.table.tick(self.now);
         self.ready = None;
         self.open();

@@ -40,6 +40,11 @@ pub(crate) fn rules(incarnation: Incarnation) -> SlotRules {
     }
 }
 
+/// The rules of a start of the learner that audits every second slot.
+pub(crate) fn half_audited(incarnation: Incarnation) -> SlotRules {
+    SlotRules { audit: AuditPlan { share: 0.5, secret: 3 }, ..rules(incarnation) }
+}
+
 /// A table with an open iteration of `slots` slots.
 pub(crate) fn table(slots: u32) -> SlotTable {
     opened(SlotTable::new(rules(INCARNATION)), slots)

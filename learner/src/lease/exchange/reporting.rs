@@ -130,6 +130,9 @@ impl Exchange {
         snapshot.chunks_accepted = shared.chunks_accepted;
         snapshot.weights_bytes = shared.weights.newest_bytes();
         snapshot.foreign_actors = counts.foreign;
+        snapshot.held_slots = counts.held_slots as u64;
+        snapshot.audits = counts.audits;
+        snapshot.slot_secs = counts.slot_time.map(|time| time.as_secs_f64());
         snapshot.refusals.clone_from(&shared.refusals);
         let (slots, complete_slots) = (counts.slots as u64, counts.complete_slots as u64);
         let slot_steps = self.slot_steps();
@@ -145,6 +148,8 @@ impl Exchange {
         status.storage_degraded = *self.storage.borrow() == Storage::Degraded;
         status.leases = shared.table.leases();
         status.paused = shared.table.is_paused();
+        status.slots_backed_up = counts.backups;
+        status.audits_agreed = counts.audits.agreed;
     }
 
     /// Environment steps of one slot.
@@ -182,6 +187,8 @@ pub fn status_json(status: &Status) -> Value {
         "actors": status.actors,
         "messages_refused": status.messages_refused,
         "leases_reissued": status.leases_reissued,
+        "slots_backed_up": status.slots_backed_up,
+        "audits_agreed": status.audits_agreed,
         "storage_degraded": status.storage_degraded,
         "leases": status.leases.iter().map(lease).collect::<Vec<_>>(),
     })

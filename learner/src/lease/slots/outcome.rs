@@ -96,6 +96,10 @@ pub struct Counts {
     pub leases: usize,
     /// Slots of the open iteration.
     pub slots: usize,
+    /// Those of them that are leased.
+    pub held_slots: usize,
+    /// Median time from lease to result of the latest slots; `None` before the first.
+    pub slot_time: Option<Duration>,
     /// Those of them whose result is complete.
     pub complete_slots: usize,
 }

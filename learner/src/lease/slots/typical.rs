@@ -25,9 +25,13 @@ impl TypicalTime {
 
     /// The age at which a slot may get a backup lease; `None` before the first complete slot.
     pub(super) fn backup_age(&self) -> Option<Duration> {
+        self.median().map(|median| (median * BACKUP_AFTER).max(SHORTEST))
+    }
+
+    /// The median of the latest times; `None` before the first complete slot.
+    pub(super) fn median(&self) -> Option<Duration> {
         let mut times = self.0.iter().copied().collect::<Vec<_>>();
         times.sort_unstable();
-        let median = times.get(times.len() / 2)?;
-        Some((*median * BACKUP_AFTER).max(SHORTEST))
+        times.get(times.len() / 2).copied()
     }
 }

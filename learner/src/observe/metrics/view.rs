@@ -7,6 +7,7 @@ use std::time::SystemTime;
 
 use serde_json::{Map, Value};
 
+use super::TABLES;
 use super::event_file::EventFile;
 use super::table::Table;
 use crate::config::MetricsConfig;
@@ -40,7 +41,7 @@ impl Views {
     ) -> Result<Self, FileError> {
         let mut views: Vec<Box<dyn View>> = Vec::new();
         if config.csv {
-            for (name, kind) in [("metrics.csv", "iteration"), ("evaluations.csv", "evaluation")] {
+            for (name, kind) in TABLES {
                 views.push(Box::new(Table::make(run_folder.join(name), kind, lines)?));
             }
         }

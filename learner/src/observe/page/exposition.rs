@@ -8,12 +8,12 @@ use prometheus_client::metrics::counter::{ConstCounter, Counter};
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::registry::Registry;
-use proto::LeasedWork;
 
 use super::RunView;
 use super::memory::resident_bytes;
 use super::view::Facts;
 use crate::event::Stage;
+use crate::slots::AuditCounts;
 use crate::snapshot::RunSnapshot;
 
 /// What [`text`] is written in.
@@ -83,8 +83,7 @@ impl Sheet {
     /// Who is at what.
     fn work(&mut self, run: &RunSnapshot) {
         let status = &run.status;
-        let on_slots = status.leases.iter().filter(|l| matches!(l.work, LeasedWork::Slot(_)));
-        let (complete, leased) = (status.complete_slots, on_slots.count() as u64);
+        let (complete, leased) = (status.complete_slots, run.held_slots);
         let free = status.slots.saturating_sub(complete + leased);
         let slots = [("free", free), ("leased", leased), ("complete", complete)];
         let slots = slots.map(|(state, count)| (state, count as f64));
@@ -95,6 +94,17 @@ impl Sheet {
         self.gauges("actors", "Connected actors", "state", actors);
         let help = "Slots and episodes leased again";
         self.counter("leases_reissued", help, status.leases_reissued);
+        let help = "Slots leased a second time because the first lease was slow";
+        self.counter("slots_backed_up", help, status.slots_backed_up);
+        let AuditCounts { agreed, disagreed, skipped } = run.audits;
+        let audits = [("agreed", agreed), ("disagreed", disagreed), ("skipped", skipped)];
+        let audits = audits.map(|(result, count)| (vec![("result", result.to_owned())], count));
+        self.counters("audits", "Slots computed again by another actor, by result", audits);
+        let still = status.leases.iter().map(|lease| lease.still_secs).fold(0.0, f64::max);
+        self.gauge("lease_still_seconds", "Longest time of an open lease without progress", still);
+        if let Some(secs) = run.slot_secs {
+            self.gauge("slot_seconds", "Median time of the latest slots", secs);
+        }
     }
 
     /// What came from actors.

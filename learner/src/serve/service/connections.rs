@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use proto::Refusal;
 use security::{Role, Standing};
@@ -28,6 +28,8 @@ use crate::slots::ConnectionId;
 const MOST_PUSHES: usize = 2;
 /// Connections of one address, so that no machine by itself can keep all others out.
 const MOST_OF_ONE_ADDRESS: usize = 512;
+/// Time between two warnings that connections are closed for new ones.
+const WARNING_PAUSE: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, for example because the process is out of file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
@@ -98,7 +100,7 @@ pub(super) fn accept(
     tokio::spawn(async move {
         let registry = Registry::new(most_with_actors);
         let crowd = Crowd::new(MOST_OF_ONE_ADDRESS);
-        let mut last = 0;
+        let (mut last, mut quiet_until) = (0, Instant::now());
         loop {
             let accepted = tokio::select! {
                 () = sender.closed() => return,
@@ -116,7 +118,8 @@ pub(super) fn accept(
                     let id = ConnectionId(last);
                     let farewell = Arc::clone(&farewell);
                     let Admission { place: registered, closed, evicted } = registry.admit(id);
-                    if evicted.is_some() {
+                    if evicted.is_some() && quiet_until <= Instant::now() {
+                        quiet_until = Instant::now() + WARNING_PAUSE;
                         tracing::warn!(peer = %address, "too many connections without an actor are open; the \
                              oldest is closed for a new one");
                     }

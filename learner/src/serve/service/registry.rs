@@ -10,7 +10,7 @@ use tokio::sync::oneshot;
 use crate::slots::ConnectionId;
 
 /// Places beyond those of actors.
-const WITHOUT_ACTOR: usize = 64;
+const WITHOUT_ACTOR: usize = 256;
 
 /// The open connections of one listener.
 #[derive(Debug)]

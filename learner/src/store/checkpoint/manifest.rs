@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 use super::{Checkpoint, Saved};
 
 /// Layout of checkpoints that this program writes and reads.
-pub const SCHEMA: u32 = 1;
+pub const SCHEMA: u32 = 2;
 
 /// No manifest is bigger.
 pub(super) const MAX_BYTES: u64 = 1 << 20;

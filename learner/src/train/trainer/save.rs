@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use policy::arrays::{Array, NamedArrays};
 
-use crate::checkpoint::{self, Checkpoint, Saved, Step};
+use crate::checkpoint::{self, Checkpoint, RunSettings, Saved, Step};
 use crate::error::LearnerError;
 use crate::event::{Event, Stage};
 use crate::exchange::Storage;
@@ -80,14 +80,15 @@ impl Trainer {
             policy: self.policy.to_vec(),
         };
         let (folder, keep) = (self.folder.path(), &self.config.checkpoint);
-        let config = self.config_sha256.to_string();
+        let sha256 = self.config_sha256.to_string();
+        let settings = RunSettings { sha256: &sha256, toml: &self.settings_toml };
         let mut before = |step, _: &Path| {
             if step == Step::Rename {
                 self.fault_at(Point::MidCheckpoint);
             }
             fault::on_disk(self.fault, step, self.iteration)
         };
-        Ok(checkpoint::save(folder, &checkpoint, &config, keep, &mut before)?)
+        Ok(checkpoint::save(folder, &checkpoint, settings, keep, &mut before)?)
     }
 
     /// Everything that the next iteration depends on, and the evaluation that may be out.

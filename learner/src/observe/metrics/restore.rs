@@ -1,0 +1,114 @@
+//! Lines that `metrics.jsonl` has lost, taken from the tables beside it before these are made again.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde_json::{Map, Number, Value};
+
+use super::TABLES;
+use crate::durable::FileError;
+use crate::json_lines::{JsonLines, gaps};
+
+/// Adds the lines up to `iteration` that only the tables have to `kept` and to the file, and reports what is lost.
+///
+/// # Errors
+/// Names the file if it cannot be written.
+pub(super) fn restore(
+    run_folder: &Path,
+    lines: &mut JsonLines,
+    kept: &mut Vec<Value>,
+    iteration: u64,
+) -> Result<(), FileError> {
+    let missing = gaps(kept, "iteration", iteration);
+    let mut restored = 0;
+    for (name, kind) in TABLES {
+        let text = std::fs::read_to_string(run_folder.join(name)).unwrap_or_default();
+        let rows = rows(&text, kind).into_iter();
+        let present = iterations(kept, kind);
+        let lost = rows.filter(|row| {
+            row["iteration"].as_u64().is_some_and(|at| at <= iteration && !present.contains(&at))
+        });
+        let before = kept.len();
+        kept.extend(lost);
+        restored += kept.len() - before;
+    }
+    if restored > 0 {
+        kept.sort_by_key(|line| (line["iteration"].as_u64(), line["kind"] == "evaluation"));
+        lines.replace(kept)?;
+        let path = lines.path().display();
+        tracing::warn!("{path} had lost {restored} lines; they are restored from the tables");
+    }
+    let lost = gaps(kept, "iteration", iteration);
+    if !lost.is_empty() {
+        let path = lines.path().display();
+        tracing::warn!("{path} has no lines of iterations {}", lost.join(", "));
+    } else if !missing.is_empty() {
+        tracing::info!("iterations {} are complete again", missing.join(", "));
+    }
+    Ok(())
+}
+
+fn iterations(lines: &[Value], kind: &str) -> BTreeSet<u64> {
+    let of_kind = lines.iter().filter(|line| line["kind"] == kind);
+    of_kind.filter_map(|line| line["iteration"].as_u64()).collect()
+}
+
+/// The rows of a table as lines; rows of another length than the header's are left out.
+fn rows(text: &str, kind: &str) -> Vec<Value> {
+    let columns: Vec<&str> = text.lines().next().unwrap_or_default().split(',').collect();
+    let row = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        if cells.len() != columns.len() {
+            return None;
+        }
+        let mut row = Map::from_iter([("kind".to_owned(), Value::from(kind))]);
+        for (column, cell) in columns.iter().zip(cells) {
+            let value = match cell {
+                "" => Value::Null,
+                cell => Value::Number(cell.parse::<Number>().ok()?),
+            };
+            row.insert((*column).to_owned(), value);
+        }
+        Some(Value::Object(row))
+    };
+    // The last row may be half written.
+    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+    whole.lines().skip(1).filter_map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::MetricsConfig;
+    use crate::metrics::{METRICS_FILE, Metrics};
+
+    #[test]
+    fn lines_that_the_json_file_lost_come_back_from_the_tables() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(METRICS_FILE);
+        let config = MetricsConfig { csv: true, tensorboard: false };
+        let line = |k: u64| {
+            format!(
+                "{{\"env_steps\":{},\"iteration\":{k},\"kind\":\"iteration\",\"x\":{k}.5}}\n",
+                k * 40
+            )
+        };
+        let evaluation =
+            "{\"env_steps\":80,\"iteration\":2,\"kind\":\"evaluation\",\"mean\":1.25}\n";
+        let whole = [line(1), line(2), evaluation.to_owned(), line(3), line(4)].concat();
+        std::fs::write(&path, &whole).unwrap();
+        drop(Metrics::open(folder.path(), &config, 4).unwrap());
+        std::fs::write(&path, [line(1), line(4)].concat()).unwrap();
+        let (_, measured) = Metrics::open(folder.path(), &config, 4).unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), whole);
+        assert_eq!(measured, BTreeSet::from([2]));
+    }
+
+    #[test]
+    fn half_a_row_and_rows_of_later_iterations_are_not_restored() {
+        let table = "iteration,env_steps,x\n1,40,0.5\n2,80,\n3,120,1.";
+        let found = rows(table, "iteration");
+        assert_eq!(found.len(), 2);
+        assert_eq!(found[1]["x"], Value::Null);
+    }
+}

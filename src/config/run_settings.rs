@@ -1,0 +1,36 @@
+//! The settings of an existing run: its `config.toml`, or a checkpoint's copy if that file is damaged.
+
+use std::path::{Path, PathBuf};
+
+use learner::run_folder::{CONFIG, MANIFEST, RunFolder};
+
+use crate::config::ConfigError;
+use crate::config::run_config::RunConfig;
+
+/// The file with the settings of the run in `folder`, and what it says: `config.toml`, or the newest checkpoint's copy if
+/// `config.toml` is damaged or has other semantic settings than the run.
+pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {
+    let file = folder.join(CONFIG);
+    let own = RunConfig::of_file(&file).and_then(|config| unchanged(&file, folder, config));
+    let Err(why) = own else { return own.map(|config| (file, config)) };
+    let Ok(loaded) = learner::checkpoint::load_newest(folder) else { return Err(why) };
+    let copy = loaded.path.join(learner::checkpoint::SETTINGS);
+    let config = RunConfig::of_file(&copy).map_err(|_| why.clone())?;
+    tracing::warn!("{why}; the settings in {} are used", copy.display());
+    Ok((copy, config))
+}
+
+/// Refuses settings with another hash than the run's manifest records.
+fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
+    let found = policy::arrays::hex(&config.resolved.sha256());
+    match RunFolder::recorded_config_sha256(folder) {
+        Some(expected) if expected != found => {
+            let place = file.display().to_string();
+            let detail = format!(
+                "these are not the run's settings: their SHA-256 is {found}, {MANIFEST} has {expected}"
+            );
+            Err(ConfigError::Unreadable { place, detail })
+        }
+        _ => Ok(config),
+    }
+}

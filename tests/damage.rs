@@ -1,0 +1,82 @@
+//! Damaged files in a run folder: every reader notices, no run is lost, and a resume repairs what it can.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+
+use std::path::Path;
+
+use runs::{Runs, inspect, s2mia, succeeded, train};
+
+/// Standard error of a command that succeeds.
+fn warned(arguments: &[&str]) -> String {
+    let output = s2mia(arguments);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{arguments:?}: {told}");
+    told
+}
+
+fn resume(folder: &Path) -> String {
+    warned(&["train", "--resume", folder.to_str().unwrap(), "run.iterations=4"])
+}
+
+#[test]
+fn a_damaged_config_is_replaced_by_the_checkpoints_copy_and_a_resume_restores_it() {
+    let runs = Runs::new();
+    let (whole, folder) = (runs.folder("whole"), runs.folder("run"));
+    train(&whole, &["run.iterations=4"]);
+    train(&folder, &["run.iterations=2"]);
+    let config = folder.join("config.toml");
+    let good = std::fs::read_to_string(&config).unwrap();
+    let run = folder.to_str().unwrap();
+    let played = succeeded(&["eval", run, "--episodes", "1", "--json"]);
+    let changed = good.replace("task = \"halfcheetah-6x1\"", "task = \"halfcheetah-3x2\"");
+    assert_ne!(changed, good);
+    for (damaged, why) in [
+        (String::new(), "these are not the run's settings"),
+        (good[..good.len() / 2].to_owned(), "config.toml"),
+        (changed, "these are not the run's settings"),
+    ] {
+        std::fs::write(&config, damaged).unwrap();
+        let told = warned(&["eval", run, "--episodes", "1", "--json"]);
+        assert!(
+            told.contains(why) && told.contains("iter_00000002/config.toml are used"),
+            "{told}"
+        );
+        assert_eq!(succeeded(&["eval", run, "--episodes", "1", "--json"]), played);
+    }
+    std::fs::remove_file(&config).unwrap();
+    resume(&folder);
+    let restored = std::fs::read_to_string(&config).unwrap();
+    assert_eq!(restored.replace("iterations = 4", "iterations = 2"), good);
+    assert_eq!(inspect(&folder), inspect(&whole));
+}
+
+#[test]
+fn a_damaged_manifest_is_reported_and_written_again() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    train(&folder, &["run.iterations=2"]);
+    let manifest = folder.join("manifest.json");
+    let good = std::fs::read_to_string(&manifest).unwrap();
+    let damaged = good.replacen("\"seed\": 7", "\"seed\": 8", 1);
+    assert_ne!(damaged, good);
+    std::fs::write(&manifest, damaged).unwrap();
+    let told = resume(&folder);
+    assert!(told.contains("manifest.json is damaged"), "{told}");
+    let written: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();
+    assert_eq!(written["seed"], 7);
+    let starts = std::fs::read_to_string(folder.join("starts.jsonl")).unwrap();
+    assert_eq!(starts.lines().count(), 2);
+}
+
+#[test]
+fn settings_without_a_manifest_are_no_run_and_a_new_run_takes_the_folder() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::write(folder.join("config.toml"), "task = \"ant-2x4\"\n").unwrap();
+    train(&folder, &["run.iterations=1"]);
+    assert_eq!(inspect(&folder)["iteration"], 1);
+}
