@@ -80,6 +80,7 @@ fn a_run_whose_folder_holds_another_is_told_with_what_to_do_and_the_others_go_on
     let wrong = experiment.folder().join("cue-2x1-short-seed0");
     std::fs::create_dir_all(&wrong).unwrap();
     std::fs::write(wrong.join("config.toml"), "no_such_key = 1\n").unwrap();
+    std::fs::write(wrong.join("manifest.json"), "{}\n").unwrap();
     let (status, told) = s2mia(&["experiment", experiment.file()]);
     assert_eq!(status, Some(1), "{told}");
     assert!(

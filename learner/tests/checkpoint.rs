@@ -249,12 +249,12 @@ fn a_checkpoint_in_the_wrong_place_and_another_schema_are_refused() {
     assert!(loaded.skipped[0].1.contains("its manifest is that of iter_00000002"));
 
     let file = run.place(1).join("manifest.json");
-    let newer = fs::read_to_string(&file).unwrap().replace("\"schema\": 1", "\"schema\": 2");
+    let newer = fs::read_to_string(&file).unwrap().replace("\"schema\": 2", "\"schema\": 3");
     fs::write(&file, newer).unwrap();
     let error = checkpoint::load_newest(run.0.path()).unwrap_err();
     let text = error.to_string();
     assert!(
-        text.contains("iter_00000001: manifest.json has schema 2, this program reads 1"),
+        text.contains("iter_00000001: manifest.json has schema 3, this program reads 2"),
         "{text}"
     );
     assert!(matches!(error, CheckpointError::NoneUsable { skipped, .. } if skipped.len() == 2));

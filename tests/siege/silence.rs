@@ -1,4 +1,4 @@
-//! Connections that stall within a message, a hundred of each kind.
+//! Connections that stall within a message, sixty of each kind.
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -9,7 +9,7 @@ use crate::frames;
 use crate::learners::{Learner, inspect};
 use crate::usage::Usage;
 
-const EACH: usize = 100;
+const EACH: usize = 60;
 /// Maximum memory of the learner per stalled connection.
 const MOST_MIB_EACH: f64 = 0.5;
 /// Ten seconds for whoever has not begun, thirty for whoever has: one sign of life is asked for after twenty, and
