@@ -56,7 +56,7 @@ impl ActionKind {
 
     /// Size of an action's encoding for other agents: `action` numbers, or a one-hot vector of choices.
     #[must_use]
-    pub fn seen_size(self, action: usize) -> usize {
+    pub fn encoded_size(self, action: usize) -> usize {
         match self {
             Self::Continuous => action,
             Self::Discrete { choices } => choices,
@@ -64,7 +64,7 @@ impl ActionKind {
     }
 
     /// Appends the encoding of `action` `[act]` for other agents to `to`.
-    pub fn see(self, action: &[f32], to: &mut Vec<f32>) {
+    pub fn encode(self, action: &[f32], to: &mut Vec<f32>) {
         match self {
             Self::Continuous => to.extend_from_slice(action),
             Self::Discrete { choices } => {

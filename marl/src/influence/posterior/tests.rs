@@ -114,7 +114,7 @@ fn the_information_of_choices_that_mostly_agree_is_estimated_to_a_fiftieth_of_a_
             &mut rng,
         );
         action.push(((row + chance) % 3) as f64);
-        kind.see(&[(row % 3) as f32], &mut others);
+        kind.encode(&[(row % 3) as f32], &mut others);
     }
     let features = features();
     let even = HeadRows::categorical(vec![0.0; 3 * ROWS], 3);

@@ -121,8 +121,8 @@ impl Agent {
         let (head, dtype) = (shape.kind.head(), precision.dtype());
         let (observation, action) = (shape.observation, shape.action);
         let network = ActorNetwork::with_head(policy, observation, action, head, dtype, &mut rng)?;
-        let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
-        let total: usize = seen.sum();
+        let sizes = problem.agents.iter().map(|agent| agent.kind.encoded_size(agent.action));
+        let total: usize = sizes.sum();
         let (update, influence) = (&config.update, &config.influence);
         let adam = AdamConfig {
             learning_rate: update.learning_rate,
@@ -130,7 +130,7 @@ impl Agent {
             max_gradient_norm: update.max_gradient_norm,
         };
         let own = PosteriorShape {
-            others: total - shape.kind.seen_size(shape.action),
+            others: total - shape.kind.encoded_size(shape.action),
             features: network.feature_size(),
             action: shape.action,
             kind: shape.kind,
@@ -335,19 +335,19 @@ fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: Layout) 
         .filter(|&index| index != agent)
         .map(|index| (agents[index].kind, batch.agents[index].action.as_slice()))
         .collect();
-    let mut seen = Vec::new();
+    let mut encoded = Vec::new();
     for row in 0..rows {
         let source = earlier(batch, row, agents[agent].lag);
         for (kind, actions) in &others {
             let width = actions.len() / rows;
             match source {
-                Some(row) => kind.see(&actions[row * width..(row + 1) * width], &mut seen),
-                None => seen.resize(seen.len() + kind.seen_size(width), 0.0),
+                Some(row) => kind.encode(&actions[row * width..(row + 1) * width], &mut encoded),
+                None => encoded.resize(encoded.len() + kind.encoded_size(width), 0.0),
             }
         }
     }
-    let width = seen.len() / rows;
-    layout.chunked(&seen, width)
+    let width = encoded.len() / rows;
+    layout.chunked(&encoded, width)
 }
 
 /// The row `lag` steps (0 or 1) before row `t * B + b` of the same episode, if `D_k` contains it.
