@@ -1,5 +1,4 @@
-//! Settings of the update, the critic, surprise and influence. No defaults live here: the binary's
-//! configuration files hold them.
+//! Settings of the update, the critic, surprise and influence. Their defaults are in the binary's configuration files.
 
 mod influence;
 mod maddpg;
@@ -18,11 +17,11 @@ use crate::data::observation::ObservationScale;
 use crate::error::MarlError;
 use crate::optimisation::learning_rate::LearningRateDecay;
 
-/// What MADDPG says to running statistics.
-const STALE_STATISTICS: &str = "feature_z or none with update.rule = maddpg: what the replay holds would be of older \
-                                statistics";
+/// Why MADDPG rejects running statistics.
+const STALE_STATISTICS: &str = "feature_z or none with update.rule = maddpg: running statistics \
+                                would differ from those of the replay";
 
-/// Everything that the learning rule is told.
+/// All settings of a learning rule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -34,7 +33,7 @@ pub struct Config {
     pub surprise: SurpriseConfig,
     /// Influence maximisation (Eq. 5-10).
     pub influence: InfluenceConfig,
-    /// What MADDPG alone is told.
+    /// Settings of MADDPG only.
     pub maddpg: MaddpgConfig,
 }
 
@@ -44,29 +43,29 @@ pub struct Config {
 pub struct UpdateConfig {
     /// The learning rule.
     pub rule: Rule,
-    /// Whether agents have networks of their own.
+    /// Whether agents share parameters.
     pub parameters: Sharing,
     /// Discount per step, in `[0, 1)`.
     pub gamma: f64,
-    /// Decay of the advantage's trace, in `[0, 1]`.
+    /// Decay of the advantage's trace (GAE's lambda), in `[0, 1]`.
     pub gae_lambda: f64,
-    /// Adam's step size.
+    /// Adam's learning rate.
     pub learning_rate: f64,
-    /// How it shrinks over a run; the critic's too.
+    /// Decay of the learning rates of actors and critics over a run.
     pub learning_rate_decay: LearningRateDecay,
-    /// Adam's epsilon; also the critic's and the posteriors'.
+    /// Adam's epsilon, also for critics and posteriors.
     pub adam_epsilon: f64,
-    /// Half width of the ratio's trust region.
+    /// Half width of the interval to which the ratio is clipped.
     pub clip: f64,
-    /// Most passes over `D_k` per agent.
+    /// Maximum number of passes over `D_k` per agent.
     pub epochs: usize,
-    /// Parts of one pass, each an optimiser step.
+    /// Minibatches per epoch, each an optimiser step.
     pub minibatches: usize,
-    /// Joint `KL[old || new]` of all agents' policies, nats; an agent makes no further pass once it has used its
-    /// share. 0: no limit.
+    /// Limit of the joint `KL[old || new]` of all agents' policies, nats. An agent starts no further epoch after it has
+    /// used its share. 0: no limit.
     pub target_kl: f64,
-    /// Nats of `KL[old || new]` to which the step size of each agent is adapted (`optimisation::learning_rate::adapted`).
-    /// 0: step sizes are not adapted.
+    /// `KL[old || new]` to which each agent's learning rate is adapted (`optimisation::learning_rate::adapted`), nats.
+    /// 0: no adaptation.
     pub desired_kl: f64,
     /// Weight of the entropy bonus.
     pub entropy: f64,
@@ -78,80 +77,80 @@ pub struct UpdateConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
-    /// Heterogeneous-agent PPO: one agent after the other, in random order.
+    /// Heterogeneous-agent PPO: agents are updated one after the other, in random order.
     Happo,
-    /// Multi-agent PPO: all agents at once.
+    /// Multi-agent PPO: all agents are updated at the same time.
     Mappo,
-    /// Multi-agent deterministic policy gradients out of a replay.
+    /// Multi-agent deterministic policy gradients from a replay.
     Maddpg,
 }
 
-/// Whether agents have networks of their own.
+/// Whether agents share parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sharing {
-    /// Each agent has its own.
+    /// Each agent has its own network.
     Separate,
-    /// One network acts for all of them, which must then be of equal sizes.
+    /// All agents use one network and must have equal sizes.
     Shared,
 }
 
-/// The value function and how it is fitted.
+/// The value function and its training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CriticConfig {
-    /// Whose returns are valued.
+    /// The returns that are valued.
     pub mode: CriticMode,
-    /// What is valued.
+    /// The critic's input.
     pub input: CriticInput,
-    /// What stands before the first layer; MADDPG's action values have nothing there.
+    /// Normalisation before the first layer; MADDPG's action values have none.
     pub input_norm: InputNorm,
     /// Hidden layers.
     pub layers: usize,
     /// Units per layer.
     pub width: usize,
-    /// Adam's step size.
+    /// Adam's learning rate.
     pub learning_rate: f64,
-    /// Passes over `D_k`.
+    /// Epochs over `D_k`.
     pub epochs: usize,
-    /// Parts of one pass, each an optimiser step.
+    /// Minibatches per epoch, each an optimiser step.
     pub minibatches: usize,
-    /// Farthest a value may move from its old one before the loss ignores it, normalised units; 0: as far as it goes.
+    /// Value clipping: the largest change of a value, normalised units. 0: no clipping.
     pub clip: f64,
-    /// Error at which the loss turns from quadratic to linear, normalised units.
+    /// Error at which the loss changes from quadratic to linear, normalised units.
     pub huber_delta: f64,
-    /// Memory of the returns' running mean and deviation, per iteration, in `[0, 1)`.
+    /// Decay of the returns' running mean and variance per iteration, in `[0, 1)`.
     pub normalizer_beta: f64,
-    /// How the input is scaled before the network.
+    /// Scaling of the input before the network.
     pub state_norm: StateNorm,
     /// Global norm to which gradients are clipped.
     pub max_gradient_norm: f64,
 }
 
-/// What critics see.
+/// The critic's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CriticInput {
-    /// The global state: one critic for all agents.
+    /// The global state; all agents have one critic.
     State,
-    /// What an agent observes: one critic for each agent, as in independent PPO.
+    /// The agent's observation; each agent has its own critic, as in independent PPO.
     Observation,
 }
 
-/// How the critic's input is scaled.
+/// Scaling of the critic's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StateNorm {
-    /// Not at all.
+    /// No scaling.
     None,
-    /// Every state by the mean and deviation over its own features.
+    /// Every state by the mean and standard deviation over its features.
     FeatureZ,
-    /// Every feature by its running mean and deviation.
+    /// Every feature by its running mean and standard deviation.
     Running,
 }
 
 impl StateNorm {
-    /// As it stands in the configuration.
+    /// Value in the configuration.
     fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -161,21 +160,21 @@ impl StateNorm {
     }
 }
 
-/// Whose returns are valued.
+/// The returns that are valued.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CriticMode {
-    /// One network with one value per agent, each normalised by itself.
+    /// One network with one value per agent, each normalised separately.
     PerAgent,
-    /// One value of the team's reward for all agents, and one per agent of what surprise adds. An agent's advantage
-    /// is the sum of the two.
+    /// One value of the team's reward for all agents, and one of the surprise reward per agent. An agent's advantage is
+    /// the sum of both.
     SharedExtrinsicPlusIntrinsic,
-    /// One value for all agents, of the team's reward and the mean of what surprise adds.
+    /// One value for all agents, of the team's reward plus the mean surprise reward.
     TeamMean,
 }
 
 impl CriticMode {
-    /// As it stands in the configuration.
+    /// Value in the configuration.
     fn name(self) -> &'static str {
         match self {
             Self::PerAgent => "per_agent",
@@ -186,10 +185,10 @@ impl CriticMode {
 }
 
 impl Config {
-    /// Refuses values outside their ranges.
+    /// Rejects values outside their ranges.
     ///
     /// # Errors
-    /// Names the first key that is wrong and its range.
+    /// Names the first invalid key and its range.
     pub fn validate(&self) -> Result<(), MarlError> {
         self.update.validate()?;
         self.critic.validate()?;
@@ -201,39 +200,38 @@ impl Config {
             && self.influence.lambda > 0.0
         {
             let range = "mle with update.parameters = shared: a trunk has one second head";
-            return Err(refuse("influence.q_training", "shared", range));
+            return Err(out_of_range("influence.q_training", "shared", range));
         }
         let (input, mode) = (self.critic.input, self.critic.mode);
         if input == CriticInput::Observation && mode != CriticMode::PerAgent {
-            let range =
-                "per_agent with critic.input = observation: every agent has a critic of its own";
-            return Err(refuse("critic.mode", self.critic.mode.name(), range));
+            let range = "per_agent with critic.input = observation: every agent has its own critic";
+            return Err(out_of_range("critic.mode", self.critic.mode.name(), range));
         }
         if self.update.rule != Rule::Maddpg {
             return Ok(());
         }
         if self.critic.input == CriticInput::Observation {
             let range = "state with update.rule = maddpg: its action values are central";
-            return Err(refuse("critic.input", "observation", range));
+            return Err(out_of_range("critic.input", "observation", range));
         }
-        let stale = "0 with update.rule = maddpg: rewards of a density that is fitted again in \
-                     every iteration would be stale in the replay";
+        let stale = "0 with update.rule = maddpg: the density is refitted in every iteration, \
+                     so rewards in the replay would be stale";
         within("surprise.alpha", self.surprise.alpha, 0.0..=0.0, stale)?;
         if self.critic.mode != CriticMode::PerAgent {
-            let range = "per_agent with update.rule = maddpg: its action values know the team's reward alone";
-            return Err(refuse("critic.mode", self.critic.mode.name(), range));
+            let range =
+                "per_agent with update.rule = maddpg: its action values use only the team's reward";
+            return Err(out_of_range("critic.mode", self.critic.mode.name(), range));
         }
         if self.critic.state_norm == StateNorm::Running {
             let range = "none or feature_z with update.rule = maddpg: the scale of states in the replay would be stale";
-            return Err(refuse("critic.state_norm", self.critic.state_norm.name(), range));
+            return Err(out_of_range("critic.state_norm", self.critic.state_norm.name(), range));
         }
         let pointless = "0 with update.rule = maddpg: a deterministic policy has no density to \
                          regularise";
         within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
     }
 
-    /// Whose returns the critic values: one value where surprise adds nothing, because all agents' rewards are equal
-    /// then.
+    /// The returns that are valued. Without surprise all agents' rewards are equal, and there is one value.
     #[must_use]
     pub fn critic_mode(&self) -> CriticMode {
         match self.critic.input {
@@ -242,8 +240,8 @@ impl Config {
         }
     }
 
-    /// Times that an environment step goes into an optimiser step of an agent, on average: passes over `D_k`, or
-    /// transitions drawn from the replay for each that goes into it once the warm-up is over.
+    /// How often an environment step is used in an agent's optimiser steps, on average: the epochs over `D_k`, or the
+    /// transitions drawn from the replay per stored transition after the warm-up.
     #[must_use]
     pub fn sample_reuse(&self) -> f64 {
         match self.update.rule {
@@ -252,57 +250,63 @@ impl Config {
         }
     }
 
-    /// Refuses actor networks that the rule cannot train.
+    /// Rejects actor networks that the rule cannot train.
     ///
     /// # Errors
-    /// Names the key that does not fit.
+    /// Names the unsuitable key.
     pub fn suits(&self, policy: &PolicyConfig) -> Result<(), MarlError> {
         if self.update.rule == Rule::Maddpg && policy.core == CoreKind::Gru {
             let range = "mlp with update.rule = maddpg: the replay holds single steps, no \
                          recurrent states";
-            return Err(refuse("policy.core", "gru", range));
+            return Err(out_of_range("policy.core", "gru", range));
         }
         let q = &self.influence;
         let second_head = q.q_training == QTraining::Shared && q.lambda > 0.0;
         if second_head && q.posterior_sigma_floor >= f64::from(policy.sigma_scale) {
             let range = "below policy.sigma_scale with influence.q_training = shared";
-            return Err(refuse("influence.posterior_sigma_floor", q.posterior_sigma_floor, range));
+            return Err(out_of_range(
+                "influence.posterior_sigma_floor",
+                q.posterior_sigma_floor,
+                range,
+            ));
         }
         Ok(())
     }
 
-    /// Refuses a scale of observations that does not suit the rule.
+    /// Rejects a scaling of observations that the rule does not support.
     ///
     /// # Errors
-    /// Names the key that does not fit.
+    /// Names the unsuitable key.
     pub fn suits_observations(&self, scale: ObservationScale) -> Result<(), MarlError> {
         match (self.update.rule, scale) {
             (Rule::Maddpg, ObservationScale::Running) => {
-                Err(refuse("observation.norm", "running", STALE_STATISTICS))
+                Err(out_of_range("observation.norm", "running", STALE_STATISTICS))
             }
             _ => Ok(()),
         }
     }
 
-    /// Refuses what is not defined for actions of this kind.
+    /// Rejects settings that are not defined for actions of this kind.
     ///
     /// # Errors
-    /// Names the key that does not fit.
+    /// Names the unsuitable key.
     pub fn suits_actions(&self, kind: ActionKind) -> Result<(), MarlError> {
         match kind {
             ActionKind::Continuous => self.influence.check_for_numbers(),
-            ActionKind::Discrete { .. } if self.update.rule == Rule::Maddpg => {
-                Err(refuse("update.rule", "maddpg", "happo or mappo for a task of choices"))
-            }
+            ActionKind::Discrete { .. } if self.update.rule == Rule::Maddpg => Err(out_of_range(
+                "update.rule",
+                "maddpg",
+                "happo or mappo for a task with discrete actions",
+            )),
             ActionKind::Discrete { .. } => self.influence.check_for_choices(),
         }
     }
 
-    /// Refuses agents that cannot share their parameters although they should, and choices or continuous actions
-    /// where the rule or the influence term is not defined for them.
+    /// Rejects agents of different sizes with shared parameters, and settings that are not defined for the agents'
+    /// actions or observations.
     ///
     /// # Errors
-    /// Names the first agent whose sizes differ from the first one's, or the key that does not fit.
+    /// Names the first agent whose sizes differ from agent 0's, or the unsuitable key.
     pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
         problem.agents.iter().try_for_each(|agent| self.suits_actions(agent.kind))?;
         self.surprise.suits_agents(&problem.agents)?;
@@ -325,7 +329,7 @@ impl UpdateConfig {
     fn validate(&self) -> Result<(), MarlError> {
         if self.rule == Rule::Maddpg && self.parameters == Sharing::Shared {
             let range = "separate with update.rule = maddpg";
-            return Err(refuse("update.parameters", "shared", range));
+            return Err(out_of_range("update.parameters", "shared", range));
         }
         within("update.gamma", self.gamma, 0.0..1.0, "0 <= gamma < 1")?;
         within("update.gae_lambda", self.gae_lambda, 0.0..=1.0, "0 <= gae_lambda <= 1")?;
@@ -355,7 +359,7 @@ impl CriticConfig {
     }
 }
 
-fn refuse(key: &'static str, found: impl ToString, range: &'static str) -> MarlError {
+fn out_of_range(key: &'static str, found: impl ToString, range: &'static str) -> MarlError {
     MarlError::Config { key, found: found.to_string(), range }
 }
 
@@ -365,7 +369,7 @@ fn within(
     allowed: impl std::ops::RangeBounds<f64>,
     range: &'static str,
 ) -> Result<(), MarlError> {
-    if allowed.contains(&value) { Ok(()) } else { Err(refuse(key, value, range)) }
+    if allowed.contains(&value) { Ok(()) } else { Err(out_of_range(key, value, range)) }
 }
 
 fn positive(key: &'static str, value: f64) -> Result<(), MarlError> {
@@ -377,5 +381,5 @@ fn not_negative(key: &'static str, value: f64) -> Result<(), MarlError> {
 }
 
 fn count(key: &'static str, value: usize) -> Result<(), MarlError> {
-    if value > 0 { Ok(()) } else { Err(refuse(key, value, "at least 1")) }
+    if value > 0 { Ok(()) } else { Err(out_of_range(key, value, "at least 1")) }
 }

@@ -1,4 +1,4 @@
-//! The critic: what states, or an agent's observations, are worth.
+//! The critic: values of global states or observations.
 
 mod mode;
 mod state_scale;
@@ -31,18 +31,17 @@ use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
 use crate::shape::assert_shape;
 
-/// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then `V` values, each in units of its own
-/// normalised return. [`CriticMode`](crate::config::CriticMode) says of what: one per agent, or of
-/// rewards that agents share.
+/// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then `V` values, each normalised by its own returns.
+/// [`CriticMode`](crate::config::CriticMode) selects the valued rewards.
 pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
     precision: Precision,
-    /// What its arrays' names end with.
+    /// Suffix of the names of its arrays.
     suffix: String,
-    /// Its number among the critics, which is also that of its first value.
+    /// Index of the critic, which is also the index of its first value.
     index: u32,
-    /// `V`.
+    /// Number of values, `V`.
     count: usize,
     inputs: usize,
     scale: StateScale,
@@ -52,19 +51,19 @@ pub struct Critic {
     normalizers: Vec<ValueNormalizer>,
 }
 
-/// What a critic is shown of a batch.
+/// A critic's input for a batch.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Seen<'a> {
+pub struct ValueInputs<'a> {
     /// Before every step, `[T * B, S]`.
     pub rows: &'a [f32],
     /// After the steps of the batch's finals, `[F, S]`.
     pub finals: Vec<f32>,
 }
 
-/// The critic's opinion of a batch before it learns from it.
+/// A critic's values of a batch before it is trained on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Values {
-    /// Normalised values as the network gives them, `[T * B, V]`.
+    /// Normalised values, the network's output, `[T * B, V]`.
     pub normalized: Vec<f64>,
     /// Value of every row's state, `[V][T, B]`, in units of the return.
     pub now: Vec<Vec<f64>>,
@@ -72,20 +71,20 @@ pub struct Values {
     pub next: Vec<Vec<f64>>,
 }
 
-/// What a fit came to.
+/// Metrics of a fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CriticFigures {
     /// Mean loss over all optimiser steps, squared normalised units.
     pub loss: f64,
-    /// Mean norm of the gradient before clipping.
+    /// Mean gradient norm before clipping.
     pub gradient_norm: f64,
-    /// Share of the returns' variance that the values explained before the fit, mean over values.
+    /// Explained variance of the returns before the fit, mean over values.
     pub explained_variance: f64,
-    /// Steps skipped so far because their gradient was not finite.
+    /// Number of steps skipped because their gradient was not finite.
     pub skipped: i64,
 }
 
-/// Huber's loss of an error and its slope: `e^2 / 2` within `delta`, linear beyond.
+/// Huber's loss of an error and its derivative: `e^2 / 2` within `delta`, linear beyond.
 #[must_use]
 pub fn huber(error: f64, delta: f64) -> (f64, f64) {
     if error.abs() <= delta {
@@ -95,25 +94,26 @@ pub fn huber(error: f64, delta: f64) -> (f64, f64) {
     }
 }
 
-/// The clipped value loss of one element, `max(huber(v - R), huber(v_clip - R))` with `v_clip = v_old
-/// + clamp(v - v_old, +-clip)`, and its slope by `v`; all in normalised units. A clip of 0 means none: `huber(v - R)`.
+/// The clipped value loss of one element, `max(huber(v - R), huber(v_clip - R))` with
+/// `v_clip = v_old + clamp(v - v_old, +-clip)`, and its derivative with respect to `v`; in normalised units. With
+/// `clip` = 0 the loss is `huber(v - R)`.
 #[must_use]
 pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (f64, f64) {
-    let moved = value - old;
+    let change = value - old;
     let free = huber(value - target, delta);
     if clip == 0.0 {
         return free;
     }
-    let held = huber(old + moved.clamp(-clip, clip) - target, delta);
+    let clipped = huber(old + change.clamp(-clip, clip) - target, delta);
     match held.0 > free.0 {
-        true => (held.0, if moved.abs() <= clip { held.1 } else { 0.0 }),
+        true => (clipped.0, if change.abs() <= clip { clipped.1 } else { 0.0 }),
         false => free,
     }
 }
 
-/// Constants of a fit, all rows.
+/// Constants of a fit, for all rows.
 #[derive(Clone, Copy)]
-struct Known<'a> {
+struct FitData<'a> {
     /// Inputs, `[T * B, S]`.
     rows: &'a [f32],
     /// Normalised values before the fit, `[T * B, V]`.
@@ -123,11 +123,11 @@ struct Known<'a> {
 }
 
 impl Critic {
-    /// A critic that gives `count` values for `inputs` numbers; `suffix` and `index` tell critics of a team apart,
-    /// `adam_epsilon` is as in the actors' optimiser.
+    /// A critic with `count` values of `inputs` features. `suffix` and `index` identify the critic among an algorithm's
+    /// critics; `adam_epsilon` is the actors'.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn new(
         config: &CriticConfig,
         adam_epsilon: f64,
@@ -166,7 +166,7 @@ impl Critic {
         })
     }
 
-    /// From now on its steps have the share `share` of their configured size.
+    /// Sets the fraction of the configured learning rate for the next steps.
     pub fn scale_learning_rate(&mut self, share: f64) {
         self.adam.scale_learning_rate(share);
     }
@@ -177,7 +177,7 @@ impl Critic {
         Ok(weights.apply(&rows(states, self.inputs, self.precision)?, None)?)
     }
 
-    /// As [`Critic::forward`], as numbers.
+    /// As [`Critic::forward`], in f64.
     fn forward_all(&self, states: &[f32]) -> Result<Vec<f64>, MarlError> {
         let weights = self.layers.constant_weights()?;
         let one = |range: Range<usize>| {
@@ -187,12 +187,13 @@ impl Critic {
         Ok(shards::of_each(&shards(states.len() / self.inputs, 1), one)?.concat())
     }
 
-    /// Values of what is `seen` before every step of `batch` and truly after it.
+    /// Values before every step of `batch` and of the true next states.
     ///
     /// # Errors
-    /// Passes on a tensor error.
-    pub fn values(&self, batch: &Batch, seen: &Seen<'_>) -> Result<Values, MarlError> {
-        let (normalized, finals) = (self.forward_all(seen.rows)?, self.forward_all(&seen.finals)?);
+    /// If a tensor operation fails.
+    pub fn values(&self, batch: &Batch, inputs: &ValueInputs<'_>) -> Result<Values, MarlError> {
+        let (normalized, finals) =
+            (self.forward_all(inputs.rows)?, self.forward_all(&inputs.finals)?);
         let (mut now, mut next) = (Vec::new(), Vec::new());
         for head in 0..self.count {
             let own = self.of_head(&normalized, head);
@@ -202,20 +203,20 @@ impl Critic {
         Ok(Values { normalized, now, next })
     }
 
-    /// One column of `[R, V]` normalised values, in units of the return.
+    /// Column `head` of `[R, V]` normalised values, in units of the return.
     fn of_head(&self, normalized: &[f64], head: usize) -> Vec<f64> {
         let column = normalized.iter().skip(head).step_by(self.count);
         let value = |&value: &f64| self.normalizers[head].denormalize(value);
         column.map(|normal| self.precision.round(value(normal))).collect()
     }
 
-    /// Learns the returns `[V][T, B]`; `values` is what it thought of the batch before.
+    /// Trains on the returns `[V][T, B]`; `values` are those before the fit.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn fit(
         &mut self,
-        seen: &Seen<'_>,
+        inputs: &ValueInputs<'_>,
         values: &Values,
         returns: &[Vec<f64>],
         iteration: u64,
@@ -231,15 +232,15 @@ impl Critic {
             let draw = Draw::of(Purpose::CriticMinibatch).iteration(iteration);
             let draw = draw.step(epoch as u32).agent(self.index);
             for part in minibatches(count, self.config.minibatches, self.seed, draw) {
-                let (loss, norm) = self.step(seen.rows, &values.normalized, &target, &part)?;
+                let (loss, norm) = self.step(inputs.rows, &values.normalized, &target, &part)?;
                 figures.loss += weight * loss;
                 figures.gradient_norm += weight * norm;
             }
         }
         figures.explained_variance = mean_explained(self.precision, &values.now, returns);
         figures.skipped = self.adam.skipped();
-        // Last, so that old and new values are of states scaled alike.
-        self.scale.take_in(seen.rows);
+        // After the fit, so that old and new values use the same scaling.
+        self.scale.take_in(inputs.rows);
         Ok(figures)
     }
 
@@ -260,17 +261,17 @@ impl Critic {
         part: &[usize],
     ) -> Result<(f64, f64), MarlError> {
         let weights = self.layers.weights()?;
-        let (total, known) = (part.len(), Known { rows, old, target });
-        let one = |range: Range<usize>| self.gradient(&weights, known, &part[range], total);
+        let (total, data) = (part.len(), FitData { rows, old, target });
+        let one = |range: Range<usize>| self.gradient(&weights, data, &part[range], total);
         let (loss, gradients) = shards::sum(&shards(total, 1), &one)?;
         Ok((loss, self.adam.step(&self.parameters, &gradients)?))
     }
 
-    /// Loss of some rows as their share of `total`, and its gradient.
+    /// Loss of some rows of `total`, and its gradient.
     fn gradient(
         &self,
         weights: &Weights,
-        Known { rows, old, target }: Known<'_>,
+        FitData { rows, old, target }: FitData<'_>,
         part: &[usize],
         total: usize,
     ) -> Result<(f64, Gradients), MarlError> {
@@ -291,10 +292,11 @@ impl Critic {
         Ok((loss, Gradients::of(&self.parameters, &root)?))
     }
 
-    /// `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`, the suffix for the first `*`.
+    /// `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`; the first `*` is the
+    /// suffix.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
         let mut arrays = self.parameters.to_arrays(&format!("weights/critic{}.", self.suffix))?;
         arrays.append(&mut self.adam.arrays(&format!("optimizer/critic{}.", self.suffix)));
@@ -306,10 +308,10 @@ impl Critic {
         Ok(arrays)
     }
 
-    /// Takes over what [`Critic::arrays`] gave.
+    /// Restores the output of [`Critic::arrays`].
     ///
     /// # Errors
-    /// Names an array that is missing or does not fit.
+    /// Names an array that is missing or of another shape or type.
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
         self.parameters.load(&format!("weights/critic{}.", self.suffix), arrays)?;
         self.adam.restore(&format!("optimizer/critic{}.", self.suffix), arrays)?;
@@ -327,7 +329,7 @@ impl Critic {
     }
 }
 
-/// `1 - Var(R - V) / Var(R)` of values and returns `[T, B]`; 0 where returns do not vary.
+/// `1 - Var(R - V) / Var(R)` of values and returns `[T, B]`; 0 for constant returns.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -352,27 +354,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hubers_loss_meets_hand_worked_cases_on_both_sides_of_delta() {
+    fn hubers_loss_matches_worked_cases_on_both_sides_of_delta() {
         assert_eq!(huber(3.0, 10.0), (4.5, 3.0));
         assert_eq!(huber(-12.0, 10.0), (70.0, -10.0)); // 10 (12 - 5)
         assert_eq!(huber(10.0, 10.0), (50.0, 10.0));
     }
 
     #[test]
-    fn the_clipped_value_loss_takes_the_larger_of_the_two() {
-        // Not moved: plain squared error.
+    fn the_clipped_value_loss_is_the_larger_of_the_two_losses() {
+        // Unchanged value: plain squared error.
         assert_eq!(value_loss(1.0, 1.0, 3.0, 0.2, 10.0), (2.0, -2.0));
-        // Moved past the clip towards the target: held at .2, its loss is larger, no slope.
+        // Beyond the clip towards the target: clamped at .2, whose loss is larger; derivative 0.
         let (loss, slope) = value_loss(2.0, 1.0, 3.0, 0.2, 10.0);
         assert!((loss - 0.5 * 1.8 * 1.8).abs() < 1e-12 && slope == 0.0);
-        // Moved past the clip away from the target: the free loss is larger and pulls back.
+        // Beyond the clip away from the target: the unclipped loss is larger and has a derivative.
         assert_eq!(value_loss(0.0, 1.0, 3.0, 0.2, 10.0), (4.5, -3.0));
-        // Without a clip the distance from the old value does not matter.
+        // Without clipping the old value has no effect.
         assert_eq!(value_loss(2.0, 1.0, 3.0, 0.0, 10.0), (0.5, -1.0));
     }
 
     #[test]
-    fn values_that_equal_the_returns_explain_everything() {
+    fn values_equal_to_the_returns_have_an_explained_variance_of_one() {
         let (double, returns) = (Precision::Double, [1.0, 2.0, 3.0]);
         assert_eq!(explained_variance(double, &returns, &returns), 1.0);
         assert_eq!(explained_variance(double, &[2.0; 3], &returns), 0.0);

@@ -1,4 +1,4 @@
-//! The rollout data `D_k`: as the learner receives it, cut into sequences, and with observations scaled.
+//! The rollout data `D_k`: batches, chunked sequences, and scaling of observations.
 
 pub mod batch;
 pub mod observation;

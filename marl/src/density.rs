@@ -1,4 +1,4 @@
-//! Densities of one agent's observations (Eq. 2): what surprise is measured against.
+//! Densities of one agent's observations (Eq. 2), which define surprise.
 
 pub mod categorical;
 pub mod diagonal_gaussian;
@@ -19,9 +19,9 @@ use moments::Moments;
 /// Observations of one agent.
 #[derive(Clone, Copy, Debug)]
 pub struct Observations<'a> {
-    /// Row after row, `[R, width]`.
+    /// Values, row-major, `[R, width]`.
     pub data: &'a [f32],
-    /// Features of a row, signal or not.
+    /// Features per row, including those that are not scored.
     pub width: usize,
 }
 
@@ -31,70 +31,74 @@ impl<'a> Observations<'a> {
         self.data.chunks_exact(self.width)
     }
 
-    /// `R`.
+    /// Number of rows, `R`.
     #[must_use]
     pub fn count(self) -> usize {
         self.data.len() / self.width
     }
 
-    /// One feature of every row.
+    /// Values of one feature in all rows.
     pub fn column(self, feature: usize) -> impl Iterator<Item = f32> + 'a {
         self.data.iter().skip(feature).step_by(self.width).copied()
     }
 
-    /// `value` of every row, computed side by side.
+    /// `value` of every row, computed in parallel.
     fn map(self, value: impl Fn(&[f32]) -> f64 + Sync + Send) -> Vec<f64> {
         self.data.par_chunks_exact(self.width).map(value).collect()
     }
 }
 
-/// When a density is fitted or asked, and by whom: the key of its draws.
+/// Key of the random draws of a fit or a query, and the weight of previous moments.
 #[derive(Clone, Copy, Debug)]
-pub struct Occasion {
+pub struct DensityContext {
     /// The run's seed.
     pub seed: RunSeed,
     /// Iteration of the observations.
     pub iteration: u64,
-    /// The agent who made them.
+    /// Index of the agent.
     pub agent: u32,
-    /// Weight of what the density knew before a fit, in `[0, 1)`; only moments can be weighed so.
+    /// Weight of the previous fit, in `[0, 1)`. Only moments use it.
     pub memory: f64,
 }
 
 /// A density `p_theta` over one agent's observations.
 pub trait Density: Send + Sync {
-    /// Fits `theta` to the observations by maximum likelihood, or as near as the class comes to it.
+    /// Fits `theta` to the observations by maximum likelihood, or by an approximation of it.
     ///
     /// # Errors
-    /// Passes on a tensor error.
-    fn fit(&mut self, observations: Observations<'_>, occasion: Occasion) -> Result<(), MarlError>;
-    /// `log p_theta(o)` of every row after a fit, or an estimate of it, `[R]`, nats.
+    /// If a tensor operation fails.
+    fn fit(
+        &mut self,
+        observations: Observations<'_>,
+        context: DensityContext,
+    ) -> Result<(), MarlError>;
+    /// `log p_theta(o)` of every row, or an estimate of it, `[R]`, nats. Needs a fit.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     fn log_prob(
         &self,
         observations: Observations<'_>,
-        occasion: Occasion,
+        context: DensityContext,
     ) -> Result<Vec<f64>, MarlError>;
-    /// Features that count, and features that were left out because they hardly vary.
+    /// Number of active features, and of features left out because they hardly vary.
     fn features(&self) -> (usize, usize);
-    /// `theta`, and whatever else the next fit depends on, as arrays under `prefix`.
+    /// `theta` and the other state of the next fit, as arrays under `prefix`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError>;
-    /// Takes over a kept `theta`.
+    /// Restores a stored `theta`.
     ///
     /// # Errors
     /// Names the array that is missing or has another shape or type.
     fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError>;
 }
 
-/// The density that `config` asks for, over the observation features `signal` of agent `agent`.
+/// The configured density over the observation features `signal` of agent `agent`.
 ///
 /// # Errors
-/// Passes on a tensor error.
+/// If a tensor operation fails.
 pub fn build(
     config: &SurpriseConfig,
     signal: &[usize],

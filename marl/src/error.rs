@@ -1,67 +1,67 @@
-//! What can go wrong at the edge of this crate, with the figures in it.
+//! Errors of this crate's public functions.
 
-/// Why a batch, a configuration or a stored state was refused, or a computation failed.
+/// An invalid batch, configuration or stored state, or a failed computation.
 #[derive(Debug, thiserror::Error)]
 pub enum MarlError {
     /// A configuration value is outside its range.
     #[error("{key} = {found} is out of range: {range}")]
     Config {
-        /// The key as it stands in the configuration file.
+        /// The key in the configuration file.
         key: &'static str,
-        /// The value found.
+        /// The value.
         found: String,
-        /// What is allowed.
+        /// The valid range.
         range: &'static str,
     },
-    /// Agents should share their parameters and have different sizes.
+    /// Agents with shared parameters have different sizes.
     #[error(
         "update.parameters = shared needs agents of equal sizes: agent 0 has {} observation \
          features and {} action dimensions, agent {other} has {} and {}; use separate",
         first.0, first.1, second.0, second.1
     )]
     Unequal {
-        /// Observation features and action dimensions of the first agent.
+        /// Observation features and action dimensions of agent 0.
         first: (usize, usize),
-        /// The agent that differs.
+        /// Index of the agent that differs.
         other: usize,
-        /// Its observation features and action dimensions.
+        /// Observation features and action dimensions of that agent.
         second: (usize, usize),
     },
-    /// An array of the batch has another length than its shape asks for.
-    #[error("batch.{field} has {found} numbers, its shape {shape} asks for {expected}")]
+    /// An array of the batch has a length that does not match its shape.
+    #[error("batch.{field} has {found} numbers; its shape {shape} needs {expected}")]
     Shape {
-        /// The array's place in the batch.
+        /// Name of the array in the batch.
         field: String,
         /// The shape in words, such as `[T, B, obs]`.
         shape: &'static str,
-        /// Numbers that the shape asks for.
+        /// Length of that shape.
         expected: usize,
-        /// Numbers found.
+        /// Length of the array.
         found: usize,
     },
-    /// The batch contradicts itself.
+    /// The batch is inconsistent.
     #[error("batch: {0}")]
     Batch(String),
-    /// The batch holds a number that is not finite.
+    /// The batch contains a number that is not finite.
     #[error("batch.{field}[{index}] is {found}")]
     NotFinite {
-        /// The array's place in the batch.
+        /// Name of the array in the batch.
         field: String,
-        /// The number's place in the array.
+        /// Index in the array.
         index: usize,
         /// The number.
         found: f32,
     },
-    /// A stored state lacks an array, has one too many, or one of another shape or type.
+    /// A stored state has a missing or an additional array, or one of another shape or type.
     #[error("stored state: {0}")]
     Restore(String),
-    /// A parameter got no gradient, although the loss depends on it.
+    /// The backward pass did not reach a parameter.
     #[error("parameter {0} has no gradient")]
     NoGradient(String),
     /// A tensor operation failed.
     #[error(transparent)]
     Tensor(#[from] candle_core::Error),
-    /// The policy crate refused something.
+    /// The policy crate returned an error.
     #[error(transparent)]
     Policy(#[from] policy::PolicyError),
 }

@@ -1,10 +1,9 @@
-//! Social influence: what each equation of section 3.3 of the paper computes, and the posteriors
-//! that estimate it.
+//! Social influence: the equations of section 3.3 of the paper, and the posteriors that estimate it.
 //!
-//! For decentralised policies the true mutual information given `(o, h)` is 0: agents draw their
-//! noise independently. A posterior trained by maximum likelihood on the actions taken therefore
-//! converges to the behaviour policy, and `KL[q || p]` rewards a policy for moving away from it, up
-//! to the cap. `mutual_information` on held-out environments says how near to 0 the estimate is.
+//! For decentralised policies the true mutual information given `(o, h)` is 0, because agents draw their noise
+//! independently. A posterior trained by maximum likelihood on the actions taken therefore converges to the behaviour
+//! policy, and `KL[q || p]` rewards a policy for moving away from it, up to the cap. `mutual_information` on held-out
+//! environments shows how near to 0 the estimate is.
 
 pub mod count;
 pub mod posterior;
@@ -14,28 +13,28 @@ use crate::config::{Divergence, Estimator, InfluenceConfig};
 use crate::distribution::HeadRows;
 use crate::shape::assert_shape;
 
-/// How one row of the influence term is computed.
+/// Definition of one row of the influence term.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Term {
-    /// What it estimates mutual information by.
+    /// Estimator of mutual information.
     pub estimator: Estimator,
-    /// The divergence in it.
+    /// Divergence.
     pub divergence: Divergence,
-    /// Cap of a divergence that is climbed, nats per action dimension.
+    /// Cap of a divergence that is maximised, nats per action dimension.
     pub kappa: f64,
 }
 
 impl Term {
-    /// The term that `config` asks for.
+    /// The configured term.
     #[must_use]
     pub fn of(config: &InfluenceConfig) -> Self {
         let InfluenceConfig { estimator, divergence, kappa, .. } = *config;
         Self { estimator, divergence, kappa }
     }
 
-    /// One row of the term, nats, and its slope by the divergence: Eq. (8)'s capped divergence, or
-    /// Barber and Agakov's `E_p[log q + H[p]] = -KL[p || q]`. The latter is a lower bound of the
-    /// information and needs no cap: it is at most 0, and highest where the policy equals the posterior.
+    /// One row of the term, nats, and its derivative with respect to the divergence: Eq. (8)'s capped divergence, or
+    /// Barber and Agakov's `E_p[log q + H[p]] = -KL[p || q]`. The latter is a lower bound of the information and needs
+    /// no cap: it is at most 0, its value where the policy equals the posterior.
     #[must_use]
     pub fn row(&self, row: usize, q: &HeadRows, p: &HeadRows) -> (f64, f64) {
         let divergence = p.distribution().divergence(self.divergence, q.row(row), p.row(row));
@@ -47,8 +46,8 @@ impl Term {
         }
     }
 
-    /// `weight` times the gradient of the sum of the term over all rows by the parameters of the posterior `q`; the
-    /// policy `p` is a constant.
+    /// `weight` times the gradient of the sum of the term over all rows with respect to the parameters of the posterior
+    /// `q`; the policy `p` is constant.
     ///
     /// # Panics
     /// If the shapes differ.
@@ -65,15 +64,15 @@ impl Term {
     }
 }
 
-/// Eq. (5): `J~ = J + lambda I`, an objective with the influence term; nats and reward as they come.
+/// Eq. (5): `J~ = J + lambda I`, an objective with the influence term. `influence` is in nats.
 #[must_use]
 pub fn regularized_objective(objective: f64, lambda: f64, influence: f64) -> f64 {
     objective + lambda * influence
 }
 
-/// Eq. (6): `I = E[log p(a^i | a^-i, s) - log p(a^i | s)]`, its first line as a mean over rows, with
-/// `q_xi` in the conditional's place: a lower bound of the mutual information on rows that `q_xi`
-/// was not trained on. Both slices are `[R]`, nats; `None` of no rows.
+/// Eq. (6): `I = E[log p(a^i | a^-i, s) - log p(a^i | s)]`, its first line as a mean over rows, with `q_xi` as the
+/// conditional. On rows that `q_xi` was not trained on it is a lower bound of the mutual information. Both slices are
+/// `[R]`, nats; `None` without rows.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -86,13 +85,13 @@ pub fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Opti
     (count > 0).then(|| sum / count as f64)
 }
 
-/// Eq. (8): one row of the influence term, `min(KL[q_xi(. | a^-i, s) || p(. | s)], kappa act)`, nats,
-/// and its slope by the divergence (0 at the cap). `dimensions` is `act`. The paper's divergence is
-/// `KL[q || p]`; without the cap it has no upper bound.
+/// Eq. (8): one row of the influence term, `min(KL[q_xi(. | a^-i, s) || p(. | s)], kappa act)`, nats, and its
+/// derivative with respect to the divergence (0 at the cap). `dimensions` is `act`. Without the cap the divergence has
+/// no upper bound.
 #[must_use]
 pub fn capped_divergence(divergence: f64, kappa: f64, dimensions: usize) -> (f64, f64) {
     let cap = kappa * dimensions as f64;
-    // Written so that a divergence that is not a number stays one and is reported.
+    // This order of comparison keeps a NaN divergence, so that it is reported.
     if divergence >= cap { (cap, 0.0) } else { (divergence, 1.0) }
 }
 
@@ -108,13 +107,13 @@ mod tests {
     }
 
     #[test]
-    fn at_the_cap_the_divergence_stands_still() {
+    fn at_the_cap_the_divergence_is_constant() {
         assert_eq!(TERM.row(0, &gaussian(0.5), &gaussian(0.0)), (0.5, 1.0));
         assert_eq!(TERM.row(0, &gaussian(5.0), &gaussian(0.0)), (2.0, 0.0)); // KL = 50
     }
 
     #[test]
-    fn at_the_cap_the_divergence_of_choices_stands_still() {
+    fn at_the_cap_the_divergence_of_choices_is_constant() {
         let of = |logits: [f64; 2]| HeadRows::categorical(logits.to_vec(), 2);
         let (q, p) = (of([libm::log(3.0), 0.0]), of([0.0, 0.0]));
         let divergence = p.distribution().kl_divergence(q.row(0), p.row(0));
@@ -137,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn the_objective_gains_lambda_times_the_influence() {
+    fn the_objective_increases_by_lambda_times_the_influence() {
         assert_eq!(regularized_objective(2.0, 0.5, 3.0), 3.5);
     }
 }

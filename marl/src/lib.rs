@@ -1,9 +1,9 @@
-//! The paper: densities, mutual information, advantages, surrogates, critics, algorithms.
+//! The paper's learning algorithm: densities, mutual information, advantages, surrogates, critics and learning rules.
 //!
-//! One iteration, as the learner calls it: [`Surprise::refit`] fits the densities on `D_k` (Eq. 2),
-//! [`Surprise::relabel`] adds the surprise to the team reward (Eq. 9), [`Algorithm::update`] turns
-//! the relabelled batch into better policies (Eq. 10). Nothing here reads a file, a clock or a
-//! socket, and no result depends on the number of threads.
+//! The learner calls, once per iteration: [`Surprise::refit`], which fits the densities on `D_k` (Eq. 2);
+//! [`Surprise::relabel`], which adds the surprise to the team reward (Eq. 9); [`Algorithm::update`], which updates the
+//! policies on the relabelled batch (Eq. 10). This crate reads no file, clock or socket. No result depends on the
+//! number of threads.
 
 pub mod config;
 pub mod critic;

@@ -1,4 +1,4 @@
-//! The objective of the actors: advantages, HAPPO's surrogate, and the loss of Eq. (10).
+//! The actors' objective: advantages, HAPPO's surrogate, and the loss of Eq. (10).
 
 pub mod actor_loss;
 pub mod advantage;

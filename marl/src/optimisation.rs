@@ -1,4 +1,4 @@
-//! From gradients to new parameters: shards of minibatches, gradients in the network's precision, and Adam.
+//! Optimisation: shards of minibatches, gradients in the network's precision, Adam and learning rates.
 
 pub mod gradient;
 pub(crate) mod layers;

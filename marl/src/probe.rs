@@ -1,4 +1,4 @@
-//! A fixed update whose bits tell whether two machines learn alike.
+//! A fixed update whose result shows whether two machines compute the same bits.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, arrays};
@@ -20,13 +20,13 @@ const STATE: usize = 17;
 const STEPS: usize = 20;
 const ENVIRONMENTS: usize = 10;
 
-/// SHA-256 of all weights after one small fixed update with every term switched on.
+/// SHA-256 of all weights after one small fixed update with all terms.
 ///
 /// # Panics
-/// Never: the shapes are fixed and fit.
+/// Never: the fixed shapes are valid.
 #[must_use]
 pub fn probe() -> [u8; 32] {
-    updated_weights().expect("the probe's fixed shapes fit")
+    updated_weights().expect("the probe's fixed shapes are valid")
 }
 
 fn updated_weights() -> Result<[u8; 32], MarlError> {
@@ -82,7 +82,7 @@ pub(crate) fn batch() -> Batch {
     }
 }
 
-/// Settings of the probe's actors.
+/// Settings of the probe's policies.
 #[must_use]
 pub fn policy() -> PolicyConfig {
     PolicyConfig {
@@ -102,7 +102,7 @@ pub fn policy() -> PolicyConfig {
     }
 }
 
-/// Settings of the probe's update; tests derive theirs from them.
+/// Settings of the probe's update, from which tests derive theirs.
 #[must_use]
 pub fn config() -> Config {
     Config {
@@ -187,7 +187,7 @@ fn influence() -> InfluenceConfig {
     }
 }
 
-/// The probe's rule does not read these.
+/// Not used by the probe's rule.
 fn maddpg() -> MaddpgConfig {
     MaddpgConfig {
         replay: 1000,
@@ -210,7 +210,7 @@ mod tests {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .build()
-                .expect("a pool")
+                .expect("thread pool")
                 .install(probe)
         };
         assert_eq!(on(1), on(2));

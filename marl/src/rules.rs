@@ -17,10 +17,10 @@ use maddpg::Maddpg;
 use mappo::Mappo;
 use on_policy::OnPolicy;
 
-/// The configured learning rule, its weights drawn with `seed`.
+/// The configured learning rule, with weights initialised by `seed`.
 ///
 /// # Errors
-/// Refuses settings that do not suit each other or the problem; passes on a tensor error.
+/// If the settings are inconsistent with each other or with the problem, or if a tensor operation fails.
 pub fn build(
     config: &Config,
     policy: &PolicyConfig,

@@ -1,8 +1,7 @@
-//! Surprise minimisation: densities fitted on `D_k` and the rewards they give.
+//! Surprise minimisation: densities fitted on `D_k`, and their rewards.
 //!
-//! If all agents see the same signal features (the tasks' `full_id` observations), all densities and
-//! hence all rewards are equal; surprise is individual only where what is scored is: where observations
-//! are, or in the space `local`.
+//! If all agents see the same signal features (the tasks' `full_id` observations), all densities and rewards are equal.
+//! Surprise is individual only if observations are, or in the space `local`.
 
 mod agent;
 mod scored;
@@ -13,15 +12,15 @@ use rayon::prelude::*;
 
 use crate::config::{Scored, Space, SurpriseConfig};
 use crate::data::batch::{Batch, Problem, Rewards};
-use crate::density::{self, Observations, Occasion};
+use crate::density::{self, DensityContext, Observations};
 use crate::error::MarlError;
 use crate::rules::algorithm::Report;
 use crate::shape::assert_shape;
 use crate::surprise::agent::{AgentSurprise, Rule};
 
-/// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`, the right-hand side per step: minus the mean
-/// log-density of the visited rows, `[R]`, nats. It bounds the entropy of what was visited and meets
-/// it where `p_theta` is the true density.
+/// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`; the right-hand side per step: minus the mean log-density of
+/// the visited rows, `[R]`, nats. It bounds their entropy from above, with equality where `p_theta` is the true
+/// density.
 #[must_use]
 pub fn entropy_bound(log_prob: &[f64]) -> f64 {
     -log_prob.iter().sum::<f64>() / log_prob.len() as f64
@@ -33,8 +32,8 @@ pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
     reward + alpha * log_prob
 }
 
-/// `sum |alpha s_t| / (sum |r_t| + sum |alpha s_t|)`: how much of what an agent is paid, in magnitude, is for its
-/// scores `s`, `[R]`, and not by the task, `r`, `[R]`; 0 where nothing is paid.
+/// `sum |alpha s_t| / (sum |r_t| + sum |alpha s_t|)`: the fraction of an agent's reward, in magnitude, that is
+/// surprise. Scores `s` and task rewards `r` are `[R]`. 0 if all are 0.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -46,7 +45,7 @@ pub fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
     if bonus > 0.0 { bonus / (task + bonus) } else { 0.0 }
 }
 
-/// One density per agent and the weight of its log-density in the agent's reward.
+/// One density per agent, and the weight of its log-density in the agent's reward.
 pub struct Surprise {
     seed: RunSeed,
     rule: Rule,
@@ -56,10 +55,10 @@ pub struct Surprise {
 }
 
 impl Surprise {
-    /// Unfitted densities, one per agent, whatever they draw drawn with `seed`.
+    /// Unfitted densities, one per agent. `seed` is the key of all their random draws.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn new(
         config: &SurpriseConfig,
         problem: &Problem,
@@ -74,11 +73,11 @@ impl Surprise {
         Ok(Self { seed, rule: Rule::of(config), space: config.space, obs: config.obs, agents })
     }
 
-    /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)`, for every agent, and the scores of `D_k`
-    /// under `theta_k`, or under whatever `surprise.fit` says.
+    /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)` for every agent. Also scores `D_k` under the density that
+    /// `surprise.fit` selects.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn refit(&mut self, batch: &Batch, iteration: u64) -> Result<(), MarlError> {
         let (rows, rule, seed) = (batch.rows(), self.rule, self.seed);
         let (space, obs) = (self.space, self.obs);
@@ -86,24 +85,23 @@ impl Surprise {
         agents.try_for_each(|(index, agent)| {
             let data = scored::rows(batch, index, space, obs);
             let observations = Observations { data: &data, width: data.len() / rows };
-            let occasion = Occasion { seed, iteration, agent: index as u32, memory: 0.0 };
-            agent.refit(observations, occasion, rule)?;
+            let context = DensityContext { seed, iteration, agent: index as u32, memory: 0.0 };
+            agent.refit(observations, context, rule)?;
             agent.share = share_of_return(&batch.reward, rule.alpha, agent.scores());
             Ok(())
         })
     }
 
-    /// Eq. (9): `r~(s_t, o_t^i) = r(s_t) + alpha log p_theta^i(o_t^i)`, per agent `[T, B]`. It scores
-    /// the observation before the step, so that a terminal observation is never scored, unless
-    /// `surprise.obs` asks for the one after it.
+    /// Eq. (9): `r~(s_t, o_t^i) = r(s_t) + alpha log p_theta^i(o_t^i)`, per agent `[T, B]`. It scores the observation
+    /// before the step, never a terminal one, unless `surprise.obs` selects the observation after it.
     ///
     /// # Panics
-    /// If `batch` is not of the shape of the one that the last [`Surprise::refit`] has scored.
+    /// If `batch` has another shape than that of the last [`Surprise::refit`].
     #[must_use]
     pub fn relabel(&self, batch: &Batch) -> Rewards {
         let agent = |agent: &AgentSurprise| {
             let scores = agent.scores();
-            assert_shape("the batch that was refitted on", scores.len(), batch.rows());
+            assert_shape("rows of the refitted batch", scores.len(), batch.rows());
             let reward = batch.reward.iter().zip(scores).map(|(&reward, &score)| {
                 reward_with_surprise(f64::from(reward), self.rule.alpha, score) as f32
             });
@@ -112,11 +110,11 @@ impl Surprise {
         self.agents.par_iter().map(agent).collect()
     }
 
-    /// Eq. (9), its second term alone: `alpha log p_theta^i(o_t^i)`, per agent `[T, B]`, which [`Surprise::relabel`]
-    /// adds to the reward of the batch that was refitted on.
+    /// Eq. (9), only the second term: `alpha log p_theta^i(o_t^i)`, per agent `[T, B]`, for the batch of the last
+    /// [`Surprise::refit`]. [`Surprise::relabel`] adds it to the reward.
     #[must_use]
     pub fn intrinsic_rewards(&self) -> Rewards {
-        // The sum is a 0 without a sign where nothing is paid.
+        // Adding 0.0 turns -0 into 0.
         let reward = |score: &f64| (self.rule.alpha * score + 0.0) as f32;
         self.agents.iter().map(|agent| agent.scores().iter().map(reward).collect()).collect()
     }
@@ -124,7 +122,7 @@ impl Surprise {
     /// The densities as arrays, `density/agent_I.NAME`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
         let mut arrays = NamedArrays::new();
         for (index, agent) in self.agents.iter().enumerate() {
@@ -133,15 +131,17 @@ impl Surprise {
         Ok(arrays)
     }
 
-    /// Takes over kept densities.
+    /// Restores stored densities.
     ///
     /// # Errors
-    /// Names the array that is missing, unknown, or of another shape or type.
+    /// Names an array that is missing, unknown, or of another shape or type.
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
         let known = self.arrays()?;
         let stored = arrays.keys().filter(|name| name.starts_with("density/"));
         if let Some(name) = stored.into_iter().find(|name| !known.contains_key(*name)) {
-            return Err(MarlError::Restore(format!("{name} belongs to no density of this run")));
+            return Err(MarlError::Restore(format!(
+                "{name} does not belong to a density of this run"
+            )));
         }
         for (index, agent) in self.agents.iter_mut().enumerate() {
             agent.restore(&prefix(index), arrays)?;
@@ -149,8 +149,8 @@ impl Surprise {
         Ok(())
     }
 
-    /// Figures of the last fit, per agent: the entropy bound of the observations (nats), mean and
-    /// deviation of the bonus per step (reward), its share of the return, and how many features count and are left out.
+    /// Metrics of the last fit, per agent: entropy bound of the observations (nats), mean and standard deviation of the
+    /// bonus per step (reward), its share of the return, and the numbers of active features and of features left out.
     #[must_use]
     pub fn report(&self) -> Report {
         let mut report = Report::new();
@@ -214,17 +214,17 @@ mod tests {
     }
 
     #[test]
-    fn the_bound_meets_the_entropy_of_normal_states_and_lies_above_that_of_uniform_ones() {
+    fn the_bound_equals_the_entropy_of_normal_states_and_exceeds_that_of_uniform_ones() {
         let mut rng = generator(RunSeed(1), Draw::of(Purpose::Probe));
         let normal = (0..ROWS).map(|_| 3.0 + 2.0 * standard_normal(&mut rng)).collect();
         assert!((bound(normal) - entropy(&[2.0])).abs() < 0.02);
-        // Uniform on [0, 1): entropy 0, and 1/2 log(2 pi e / 12) for a normal of the same deviation.
+        // Uniform on [0, 1): entropy 0, and 1/2 log(2 pi e / 12) for a normal of the same standard deviation.
         let uniform = (0..ROWS).map(|row| row as f32 / ROWS as f32).collect();
         assert!((bound(uniform) - 0.176_486).abs() < 1e-3);
     }
 
     #[test]
-    fn after_a_refit_the_bound_is_the_lowest_that_the_rows_allow() {
+    fn after_a_refit_the_bound_is_minimal_for_its_rows() {
         let (here, there) = (vec![0.0, 1.0, 2.0, 3.0], vec![10.0, 11.0, 12.0, 13.5]);
         let mut surprise = surprise(1.0, 1);
         surprise.refit(&batch(vec![there]), 0).unwrap();
@@ -233,18 +233,18 @@ mod tests {
     }
 
     #[test]
-    fn the_reward_gains_alpha_times_the_log_density() {
+    fn the_reward_increases_by_alpha_times_the_log_density() {
         assert_eq!(reward_with_surprise(2.0, 0.5, -3.0), 0.5);
     }
 
     #[test]
-    fn a_bonus_of_one_beside_a_reward_of_three_is_a_quarter_of_the_return() {
+    fn a_bonus_of_one_and_a_reward_of_three_have_a_share_of_a_quarter() {
         assert_eq!(share_of_return(&[1.0, -2.0], 0.5, &[-1.5, 0.5]), 0.25);
         assert_eq!(share_of_return(&[0.0, 0.0], 0.0, &[-1.5, 0.5]), 0.0);
     }
 
     #[test]
-    fn every_agent_is_paid_by_the_density_of_its_own_observation() {
+    fn every_agents_reward_uses_the_density_of_its_own_observation() {
         let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
         let mut surprise = surprise(0.1, 2);
         surprise.refit(&batch, 0).unwrap();
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn agents_that_see_the_same_are_paid_the_same() {
+    fn agents_with_equal_observations_have_equal_rewards() {
         let seen = vec![0.5, -2.0, 4.0];
         let batch = batch(vec![seen.clone(), seen]);
         let mut surprise = surprise(0.1, 2);
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn relabelling_adds_the_intrinsic_reward() {
+    fn relabelling_adds_the_surprise_reward() {
         let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
         let mut surprise = surprise(0.1, 2);
         surprise.refit(&batch, 0).unwrap();
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_weight_the_reward_is_the_teams() {
+    fn with_alpha_zero_the_reward_is_the_teams() {
         let batch = batch(vec![vec![0.5, -2.0, 4.0]]);
         let mut surprise = surprise(0.0, 1);
         surprise.refit(&batch, 0).unwrap();

@@ -1,4 +1,4 @@
-//! What every learning rule has to show on one small game, with actors that have no memory.
+//! Tests of every learning rule on one small game, with actors without memory.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "fixture/settings.rs"]
@@ -34,7 +34,7 @@ fn config(rule: Rule, parameters: Sharing) -> Config {
 }
 
 #[test]
-fn a_sample_is_used_in_every_epoch_or_as_often_as_the_replay_is_asked_for_it() {
+fn sample_reuse_is_the_epochs_or_the_replays_draws_per_transition() {
     let epochs = config(Rule::Happo, Sharing::Separate).update.epochs as f64;
     for (rule, reuse) in [(Rule::Happo, epochs), (Rule::Mappo, epochs), (Rule::Maddpg, 6.4)] {
         let found = config(rule, Sharing::Separate).sample_reuse();
@@ -62,9 +62,9 @@ fn algorithm(rule: (Rule, Sharing)) -> Box<dyn Algorithm> {
     marl::build(&config(rule.0, rule.1), &policy(), &problem(), RunSeed(1)).unwrap()
 }
 
-/// One step of the game pays `1 - (a_0 + a_1 - x)^2`, a sum that neither agent commands alone; the
-/// next state has nothing to do with it. Every second step ends an episode, for good in one half of
-/// the environments and by a limit in the other. `draw` says how an agent acts.
+/// The reward of a step is `1 - (a_0 + a_1 - x)^2`, a sum that no agent controls alone. The next state does not depend
+/// on the actions. Every second step ends an episode, by termination in one half of the environments and by truncation
+/// in the other. `draw` chooses an agent's action.
 fn play_with(
     snapshot: &PolicySnapshot,
     iteration: u64,
@@ -118,7 +118,7 @@ fn end_episodes(batch: &mut Batch, step: usize) {
     batch.finals.extend((0..ENVIRONMENTS).filter(|_| done).map(last));
 }
 
-/// As the snapshot says.
+/// Plays with actions drawn from the snapshot.
 fn play(snapshot: &PolicySnapshot, iteration: u64) -> Batch {
     let mut rng = generator(RunSeed(9), Draw::of(Purpose::Action).iteration(iteration));
     play_with(snapshot, iteration, |agent, mean, action| {
@@ -140,27 +140,27 @@ fn update(algorithm: &mut dyn Algorithm, iteration: u64) {
 }
 
 #[test]
-fn every_rule_learns_a_sum_that_no_agent_commands_alone() {
+fn every_rule_learns_a_sum_that_no_agent_controls_alone() {
     for rule in RULES {
         let mut algorithm = algorithm(rule);
         let before = skill(algorithm.as_ref());
         (0..60).for_each(|iteration| update(algorithm.as_mut(), iteration));
         let after = skill(algorithm.as_ref());
-        // Agents that move one network one after the other also undo some of what those before them learnt.
+        // Agents that update one network in turn also undo part of the earlier agents' updates.
         let enough = if rule == (Rule::Happo, Sharing::Shared) { 0.9 } else { 0.95 };
-        // Means of zero leave all of x, whose variance is .25, unanswered.
+        // Means of zero leave an error of x, whose variance is .25.
         assert!(before < 0.8 && after > enough, "{rule:?}: {before} {after}");
     }
 }
 
 #[test]
-fn mappo_takes_both_terms_by_configuration_alone() {
+fn mappo_supports_both_terms_by_configuration() {
     for sharing in [Sharing::Separate, Sharing::Shared] {
         let mut config = config(Rule::Mappo, sharing);
         config.influence.lambda = 0.01;
         let mut algorithm = marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
         let batch = play(&algorithm.snapshot().unwrap(), 0);
-        // What the learner would add for surprise differs from agent to agent.
+        // With surprise, rewards differ from agent to agent.
         let rewards = vec![batch.reward.clone(), batch.reward.iter().map(|r| 0.9 * r).collect()];
         let report = algorithm.update(&batch, &rewards, 0).unwrap();
         let named = |name: &str| report.iter().find(|(own, _)| own == name).unwrap().1;
@@ -170,7 +170,7 @@ fn mappo_takes_both_terms_by_configuration_alone() {
 }
 
 #[test]
-fn every_rule_goes_on_bit_for_bit_from_what_it_stored() {
+fn every_rule_continues_bit_for_bit_from_its_stored_state() {
     for rule in RULES {
         let (mut kept, mut other) = (algorithm(rule), algorithm(rule));
         (0..4).for_each(|iteration| update(kept.as_mut(), iteration));
@@ -204,7 +204,7 @@ fn every_rule_gives_the_same_bits_on_one_two_and_three_threads() {
 }
 
 #[test]
-fn weights_are_the_part_of_the_arrays_that_has_their_name() {
+fn weights_are_the_arrays_under_their_prefix() {
     for rule in RULES {
         let algorithm = algorithm(rule);
         let mut arrays = algorithm.arrays().unwrap();
@@ -217,7 +217,7 @@ fn weights_are_the_part_of_the_arrays_that_has_their_name() {
 }
 
 #[test]
-fn agents_that_share_their_parameters_act_alike_and_must_be_of_equal_sizes() {
+fn agents_with_shared_parameters_act_equally_and_must_have_equal_sizes() {
     let mut algorithm = algorithm((Rule::Mappo, Sharing::Shared));
     update(algorithm.as_mut(), 0);
     let agents = algorithm.snapshot().unwrap().agents;
@@ -235,11 +235,11 @@ fn agents_that_share_their_parameters_act_alike_and_must_be_of_equal_sizes() {
 }
 
 #[test]
-fn maddpg_warms_up_for_as_many_steps_as_it_was_told_and_learns_nothing_meanwhile() {
+fn maddpg_does_not_learn_during_its_warm_up() {
     let mut algorithm = algorithm((Rule::Maddpg, Sharing::Separate));
     let start = algorithm.weights().unwrap();
     let head = |algorithm: &dyn Algorithm| algorithm.snapshot().unwrap().agents[1].spec().head();
-    // 160 steps an iteration, a warm-up of 320.
+    // 160 steps per iteration, a warm-up of 320.
     for iteration in 0..2 {
         assert_eq!(head(algorithm.as_ref()), Head::Uniform { low: -1.0, high: 1.0 });
         update(algorithm.as_mut(), iteration);
@@ -251,7 +251,7 @@ fn maddpg_warms_up_for_as_many_steps_as_it_was_told_and_learns_nothing_meanwhile
 }
 
 #[test]
-fn maddpg_refuses_what_a_replay_cannot_hold_and_says_why() {
+fn maddpg_rejects_settings_that_a_replay_does_not_support() {
     let refused = |change: &dyn Fn(&mut Config)| {
         let mut config = config(Rule::Maddpg, Sharing::Separate);
         change(&mut config);
@@ -267,8 +267,8 @@ fn maddpg_refuses_what_a_replay_cannot_hold_and_says_why() {
     ] {
         let message = refused(&|config| config.critic.mode = mode);
         let expected = format!(
-            "critic.mode = {name} is out of range: per_agent with update.rule = maddpg: its action values know \
-             the team's reward alone"
+            "critic.mode = {name} is out of range: per_agent with update.rule = maddpg: its action values use \
+             only the team's reward"
         );
         assert_eq!(message, expected);
     }

@@ -1,4 +1,4 @@
-//! Whole updates: a small game is learnt, and what must not matter does not.
+//! Whole updates: a small game is learnt, and results are reproducible.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "fixture/settings.rs"]
@@ -41,13 +41,13 @@ fn algorithm(lambda: f64, seed: u64) -> Box<dyn Algorithm> {
     marl::build(&config(lambda), &policy(), &problem(), RunSeed(seed)).unwrap()
 }
 
-/// What both agents see of the state `[x, y]`, with something to tell them apart.
+/// Both agents observe the state `[x, y]` and their index.
 fn observe(state: &[f32], agent: usize) -> Vec<f32> {
     vec![state[0], state[1], agent as f32]
 }
 
-/// One step of the game pays `1 - (a_0 + a_1 - x)^2`, a sum that neither agent commands alone; the
-/// next state has nothing to do with it. Every second step ends an episode.
+/// The reward of a step is `1 - (a_0 + a_1 - x)^2`, a sum that no agent controls alone. The next state does not depend
+/// on the actions. Every second step ends an episode.
 fn play(snapshot: &PolicySnapshot, iteration: u64) -> Batch {
     let draw = Draw::of(Purpose::Action).iteration(iteration);
     let mut rng = generator(RunSeed(9), draw);
@@ -108,27 +108,27 @@ fn update(algorithm: &mut dyn Algorithm, iteration: u64) -> f32 {
     batch.reward.iter().sum::<f32>() / batch.reward.len() as f32
 }
 
-/// The actors' weights alone.
+/// Only the actors' weights.
 fn actors(algorithm: &dyn Algorithm) -> NamedArrays {
     let arrays = algorithm.arrays().unwrap();
     arrays.into_iter().filter(|(name, _)| name.starts_with("weights/agent_")).collect()
 }
 
 #[test]
-fn two_agents_learn_a_sum_that_neither_commands_alone() {
+fn two_agents_learn_a_sum_that_neither_controls_alone() {
     for lambda in [0.0, 0.01] {
         let mut algorithm = algorithm(lambda, 1);
         let rewards: Vec<f32> = (0..60).map(|k| update(algorithm.as_mut(), k)).collect();
         let mean = |range: std::ops::Range<usize>| rewards[range].iter().sum::<f32>() / 5.0;
-        // At first noise (0.37 each) costs 0.27 and the answer to x is missing, which costs 0.25.
-        // Perfect means alone would come to 0.73: more takes less noise, too.
+        // Initially, noise (sigma 0.37 each) costs 0.27 and the missing response to x costs 0.25. Perfect means alone
+        // would reach 0.73; a higher reward also needs less noise.
         assert!(mean(0..5) < 0.6, "{rewards:?}");
         assert!(mean(55..60) > 0.74, "lambda {lambda}: {rewards:?}");
     }
 }
 
 #[test]
-fn whatever_the_critic_values_the_agents_learn_and_go_on_bit_for_bit_from_what_is_stored() {
+fn in_every_critic_mode_agents_learn_and_continue_bit_for_bit_from_stored_state() {
     let cases = [
         (CriticMode::PerAgent, CriticInput::State, 0.0, 1),
         (CriticMode::PerAgent, CriticInput::State, 0.01, 2),
@@ -155,7 +155,7 @@ fn whatever_the_critic_values_the_agents_learn_and_go_on_bit_for_bit_from_what_i
 }
 
 #[test]
-fn an_agent_that_has_used_its_share_of_the_joint_kl_makes_no_further_pass() {
+fn an_agent_that_has_used_its_share_of_the_joint_kl_starts_no_further_epoch() {
     for (target_kl, passes) in [(0.0, 4.0), (1e-12, 1.0)] {
         let mut config = config(0.0);
         (config.update.target_kl, config.update.epochs) = (target_kl, 4);
@@ -172,7 +172,7 @@ fn an_agent_that_has_used_its_share_of_the_joint_kl_makes_no_further_pass() {
 }
 
 #[test]
-fn a_policy_that_moves_too_far_takes_smaller_steps_which_a_restored_algorithm_knows() {
+fn a_large_divergence_lowers_the_learning_rate_which_is_restored() {
     for (rule, parameters) in [
         (Rule::Happo, Sharing::Separate),
         (Rule::Happo, Sharing::Shared),
@@ -200,7 +200,7 @@ fn a_policy_that_moves_too_far_takes_smaller_steps_which_a_restored_algorithm_kn
 }
 
 #[test]
-fn a_restored_algorithm_goes_on_bit_for_bit_whatever_it_was_before() {
+fn a_restored_algorithm_continues_bit_for_bit_whatever_its_previous_state() {
     let (mut kept, mut other) = (algorithm(0.01, 1), algorithm(0.01, 1));
     update(kept.as_mut(), 0);
     update(other.as_mut(), 7);
@@ -213,7 +213,7 @@ fn a_restored_algorithm_goes_on_bit_for_bit_whatever_it_was_before() {
 }
 
 #[test]
-fn stored_arrays_that_lack_one_or_hold_a_strange_one_are_refused_by_name() {
+fn missing_and_unknown_stored_arrays_are_rejected_by_name() {
     let mut algorithm = algorithm(0.01, 1);
     let mut arrays = algorithm.arrays().unwrap();
     let name = arrays.keys().next().unwrap().clone();
@@ -227,8 +227,8 @@ fn stored_arrays_that_lack_one_or_hold_a_strange_one_are_refused_by_name() {
 }
 
 #[test]
-fn a_posterior_of_vanishing_weight_leaves_the_actors_where_happo_puts_them() {
-    // Were the posterior's training to reach the trunk, the actors would differ.
+fn a_posterior_of_vanishing_weight_gives_the_actors_of_happo() {
+    // If the posterior's training changed the trunk, the actors would differ.
     let (mut plain, mut watched) = (algorithm(0.0, 1), algorithm(1e-200, 1));
     for iteration in 0..3 {
         update(plain.as_mut(), iteration);
@@ -239,7 +239,7 @@ fn a_posterior_of_vanishing_weight_leaves_the_actors_where_happo_puts_them() {
 }
 
 #[test]
-fn the_influence_term_pushes_policies_off_their_posteriors() {
+fn the_influence_term_increases_the_divergence_from_the_posteriors() {
     let divergence = |lambda: f64| {
         let mut algorithm = algorithm(lambda, 1);
         let mut last = 0.0;
@@ -256,7 +256,7 @@ fn the_influence_term_pushes_policies_off_their_posteriors() {
 }
 
 #[test]
-fn another_seed_gives_other_weights_and_the_same_seed_the_same() {
+fn equal_seeds_give_equal_weights_and_other_seeds_others() {
     let weights = |seed| {
         let mut algorithm = algorithm(0.01, seed);
         update(algorithm.as_mut(), 0);
@@ -267,7 +267,7 @@ fn another_seed_gives_other_weights_and_the_same_seed_the_same() {
 }
 
 #[test]
-fn a_batch_that_is_no_number_is_refused_and_changes_nothing() {
+fn a_batch_with_a_nan_is_rejected_and_changes_nothing() {
     let mut algorithm = algorithm(0.01, 1);
     let before = algorithm.arrays().unwrap();
     let mut batch = play(&algorithm.snapshot().unwrap(), 0);
@@ -279,7 +279,7 @@ fn a_batch_that_is_no_number_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn a_share_of_nothing_of_the_step_size_leaves_actors_and_critic_where_they_are() {
+fn a_learning_rate_of_zero_changes_no_actor_and_no_critic() {
     let mut algorithm = algorithm(0.0, 1);
     let before = algorithm.weights().unwrap();
     algorithm.scale_learning_rates(0.0);

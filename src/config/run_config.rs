@@ -298,14 +298,17 @@ mod tests {
         let count = "influence.estimator=count";
         assert!(built(&["cue-2x1", count]).is_ok());
         let message = built(&["halfcheetah-6x1", count]).unwrap_err().to_string();
-        assert!(message.contains("for continuous actions: counts need choices"), "{message}");
+        assert!(
+            message.contains("for continuous actions: counts need discrete actions"),
+            "{message}"
+        );
     }
 
     #[test]
     fn maddpg_is_refused_for_choices_by_its_own_key() {
         let message = built(&["cue-2x1", "algorithm=maddpg"]).unwrap_err().to_string();
         let expected = "configs/algorithms/maddpg.toml: update.rule = maddpg is out of range: happo \
-                        or mappo for a task of choices";
+                        or mappo for a task with discrete actions";
         assert_eq!(message, expected);
     }
 

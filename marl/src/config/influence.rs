@@ -2,84 +2,84 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{count, not_negative, positive, refuse};
+use super::{count, not_negative, out_of_range, positive};
 use crate::error::MarlError;
 
 /// Influence maximisation (Eq. 5-10).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InfluenceConfig {
-    /// Weight of the influence term (Eq. 5, 10). At 0 no posterior is built.
+    /// Weight of the influence term (Eq. 5, 10). 0: no posterior is built.
     pub lambda: f64,
-    /// How mutual information is estimated.
+    /// Estimator of mutual information.
     pub estimator: Estimator,
-    /// Which divergence stands in the regulariser.
+    /// Divergence in the regulariser.
     pub divergence: Divergence,
-    /// How the posterior is trained.
+    /// Training of the posterior.
     pub q_training: QTraining,
     /// Cap of the divergence, nats per action dimension.
     pub kappa: f64,
     /// Units of the encoder of the other agents' actions.
     pub encoder: usize,
-    /// Units of the layer that joins it with the policy's features.
+    /// Units of the layer after the encoder and the policy's features.
     pub hidden: usize,
-    /// Passes over `D_k`.
+    /// Maximum number of epochs over `D_k`.
     pub epochs: usize,
-    /// Adam's step size.
+    /// Adam's learning rate.
     pub learning_rate: f64,
-    /// Parts of one pass, each an optimiser step.
+    /// Minibatches per epoch, each an optimiser step.
     pub minibatches: usize,
-    /// Smallest deviation of a posterior, in units of the action.
+    /// Smallest standard deviation of a posterior, in units of the action.
     pub posterior_sigma_floor: f64,
-    /// Environments `e` with `e mod n = n - 1` train no posterior; they measure the estimate.
+    /// Environments `e` with `e mod n = n - 1` are held out from training; the estimate is measured on them.
     pub holdout_every: usize,
-    /// Steps, 0 or 1, by which the others' actions that q is told are older than the own one.
+    /// Steps, 0 or 1, between the others' actions that q receives and the agent's own action.
     pub lag: usize,
-    /// What stands for the state in the tables of `estimator = count`.
+    /// What is counted as the state with `estimator = count`.
     pub counted_state: CountedState,
 }
 
-/// How mutual information is estimated.
+/// Estimator of mutual information.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Estimator {
-    /// Eq. 8: the divergence of a learnt posterior from the policy.
+    /// Eq. 8: divergence of a learnt posterior from the policy.
     VariationalKl,
     /// Barber and Agakov's lower bound, `E_p[log q + H[p]] = -KL[p || q]` for each row.
     BarberAgakov,
-    /// Eq. 7: from how often each joint action occurs. It needs discrete actions.
+    /// Eq. 7: frequencies of joint actions. Needs discrete actions.
     Count,
 }
 
-/// What stands for the state where joint actions are counted.
+/// What is counted as the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CountedState {
-    /// What the agent observes.
+    /// The agent's observation.
     Observation,
     /// The global state.
     Global,
 }
 
-/// Which divergence stands in the regulariser.
+/// Divergence in the regulariser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Divergence {
     /// `KL[q || p]`, as in Eq. 8 and 10.
     KlQp,
-    /// `KL[p || q]`: it grows where the policy acts and the posterior does not expect it.
+    /// `KL[p || q]`: large where the policy's actions are unlikely under the posterior.
     KlPq,
-    /// Cauchy and Schwarz's: symmetric, and it grows only with the logarithm as sigma shrinks.
+    /// The Cauchy-Schwarz divergence: symmetric; it grows logarithmically as sigma shrinks.
     CauchySchwarz,
 }
 
-/// How the posterior is trained.
+/// Training of the posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum QTraining {
-    /// By maximum likelihood of the actions taken, before the policies move.
+    /// Maximum likelihood of the actions taken, before the policies are updated.
     Mle,
-    /// By Eq. 10 itself: a second head on the policy's trunk (Fig. 1), and one optimiser for all three.
+    /// Eq. 10: a second head on the policy's trunk (Fig. 1), and one optimiser for both heads and the trunk.
     Shared,
 }
 
@@ -95,30 +95,33 @@ impl InfluenceConfig {
         positive("influence.posterior_sigma_floor", self.posterior_sigma_floor)?;
         if self.holdout_every < 2 {
             let range = "at least 2: with 1 no environment would be left to train on";
-            return Err(refuse("influence.holdout_every", self.holdout_every, range));
+            return Err(out_of_range("influence.holdout_every", self.holdout_every, range));
         }
         if self.lag > 1 {
-            let range = "0 (the same step's actions) or 1 (the step before's)";
-            return Err(refuse("influence.lag", self.lag, range));
+            let range = "0 (the same step's actions) or 1 (the previous step's)";
+            return Err(out_of_range("influence.lag", self.lag, range));
         }
         self.validate_estimator()
     }
 
-    /// Refuses what is not defined for choices.
+    /// Rejects settings that are not defined for discrete actions.
     pub(crate) fn check_for_choices(&self) -> Result<(), MarlError> {
         match self.q_training {
-            QTraining::Shared if self.lambda > 0.0 => {
-                Err(refuse("influence.q_training", "shared", "mle for a task of choices"))
-            }
+            QTraining::Shared if self.lambda > 0.0 => Err(out_of_range(
+                "influence.q_training",
+                "shared",
+                "mle for a task with discrete actions",
+            )),
             QTraining::Mle | QTraining::Shared => Ok(()),
         }
     }
 
-    /// Refuses what is not defined for continuous actions.
+    /// Rejects settings that are not defined for continuous actions.
     pub(crate) fn check_for_numbers(&self) -> Result<(), MarlError> {
-        let range = "variational_kl or barber_agakov for continuous actions: counts need choices";
+        let range =
+            "variational_kl or barber_agakov for continuous actions: counts need discrete actions";
         match self.estimator {
-            Estimator::Count => Err(refuse("influence.estimator", "count", range)),
+            Estimator::Count => Err(out_of_range("influence.estimator", "count", range)),
             Estimator::VariationalKl | Estimator::BarberAgakov => Ok(()),
         }
     }
@@ -127,14 +130,14 @@ impl InfluenceConfig {
         let bound = "kl_pq with estimator = barber_agakov, whose bound is -KL[p || q]";
         let counted = "mle with estimator = count: a table of counts has no parameters to train";
         if (self.estimator, self.q_training) == (Estimator::Count, QTraining::Shared) {
-            return Err(refuse("influence.q_training", "shared", counted));
+            return Err(out_of_range("influence.q_training", "shared", counted));
         }
         match (self.estimator, self.divergence) {
             (Estimator::BarberAgakov, Divergence::KlQp) => {
-                Err(refuse("influence.divergence", "kl_qp", bound))
+                Err(out_of_range("influence.divergence", "kl_qp", bound))
             }
             (Estimator::BarberAgakov, Divergence::CauchySchwarz) => {
-                Err(refuse("influence.divergence", "cauchy_schwarz", bound))
+                Err(out_of_range("influence.divergence", "cauchy_schwarz", bound))
             }
             _ => Ok(()),
         }
@@ -148,7 +151,7 @@ mod tests {
     use crate::data::batch::ActionKind;
     use crate::probe;
 
-    /// Why the settings are refused for actions of this kind.
+    /// Error message for actions of this kind.
     fn refusal(kind: ActionKind, change: impl Fn(&mut InfluenceConfig)) -> Option<String> {
         let mut config: Config = probe::config();
         change(&mut config.influence);
@@ -159,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_defined_for_a_kind_of_action_is_refused_in_one_line() {
+    fn settings_undefined_for_a_kind_of_action_are_rejected() {
         let choices = ActionKind::Discrete { choices: 3 };
         let count = |config: &mut InfluenceConfig| config.estimator = Estimator::Count;
         let shared = |config: &mut InfluenceConfig| config.q_training = QTraining::Shared;
@@ -169,11 +172,11 @@ mod tests {
             (
                 refusal(ActionKind::Continuous, count),
                 "influence.estimator = count is out of range: variational_kl or barber_agakov for \
-                 continuous actions: counts need choices",
+                 continuous actions: counts need discrete actions",
             ),
             (
                 refusal(choices, shared),
-                "influence.q_training = shared is out of range: mle for a task of choices",
+                "influence.q_training = shared is out of range: mle for a task with discrete actions",
             ),
             (
                 refusal(choices, |config| {
@@ -185,8 +188,8 @@ mod tests {
             ),
             (
                 refusal(choices, |config| config.lag = 2),
-                "influence.lag = 2 is out of range: 0 (the same step's actions) or 1 (the step \
-                 before's)",
+                "influence.lag = 2 is out of range: 0 (the same step's actions) or 1 (the previous \
+                 step's)",
             ),
         ] {
             assert_eq!(kind.as_deref(), Some(message));

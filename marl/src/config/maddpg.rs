@@ -1,29 +1,29 @@
-//! Settings of MADDPG alone: its replay, its targets, its exploration.
+//! Settings of MADDPG only: its replay, targets and exploration.
 
 use serde::{Deserialize, Serialize};
 
 use super::{count, positive, within};
 use crate::error::MarlError;
 
-/// How MADDPG explores, remembers and learns. Step sizes, discount and the critics' sizes are those
-/// of the sections `update` and `critic`.
+/// MADDPG's exploration, replay and targets. Learning rates, discount and critic sizes are in the sections `update` and
+/// `critic`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaddpgConfig {
-    /// Transitions that are remembered; the oldest are forgotten first. Each costs four bytes per
-    /// number of the state, all observations and all actions, and five more.
+    /// Capacity in transitions; the oldest are overwritten first. A transition takes four bytes per number of the
+    /// state, all observations and all actions, plus five.
     pub replay: usize,
-    /// Transitions in one optimiser step.
+    /// Transitions per optimiser step.
     pub batch: usize,
     /// Steps of reward before a target bootstraps.
     pub n_step: usize,
-    /// Environment steps in which all actions are uniform and nothing is learnt.
+    /// Environment steps with uniform actions and without learning.
     pub warm_up: u64,
     /// Optimiser steps per environment step after the warm-up.
     pub updates_per_step: f64,
-    /// Deviation of the exploration noise, in halves of the action's range.
+    /// Standard deviation of the exploration noise, in halves of the action range.
     pub noise: f64,
-    /// Share of the way that a target network goes towards its original at each optimiser step.
+    /// Polyak factor: fraction by which a target network approaches its source per optimiser step.
     pub polyak: f64,
 }
 

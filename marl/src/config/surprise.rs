@@ -1,8 +1,8 @@
-//! Settings of the densities and of the reward that they give.
+//! Settings of the densities and of the surprise reward.
 
 use serde::{Deserialize, Serialize};
 
-use super::{count, not_negative, positive, refuse, within};
+use super::{count, not_negative, out_of_range, positive, within};
 use crate::data::batch::AgentShape;
 use crate::error::MarlError;
 
@@ -12,27 +12,27 @@ use crate::error::MarlError;
 pub struct SurpriseConfig {
     /// Weight of the log-density in the reward.
     pub alpha: f64,
-    /// The class of densities.
+    /// Class of densities.
     pub density: DensityKind,
-    /// Which experience the density that scores `D_k` was fitted on.
+    /// Rollout data on which the density that scores `D_k` is fitted.
     pub fit: Fit,
-    /// Weight of the moments that were known before, in `[0, 1)`, if `fit` is `ema`.
+    /// Weight of the previous moments with `fit = "ema"`, in `[0, 1)`.
     pub ema_memory: f64,
-    /// Which numbers are scored.
+    /// Scored features.
     pub space: Space,
-    /// Those of which side of a step.
+    /// Whether the observation before or after a step is scored.
     pub obs: Scored,
-    /// How features are joined.
+    /// Combination of the features' log-densities.
     pub reduce: Reduce,
-    /// The additive constant of the bonus.
+    /// Additive constant of the bonus.
     pub constant: Constant,
-    /// Largest magnitude of what alpha multiplies, nats; 0 for none.
+    /// Largest magnitude of the term that alpha multiplies, nats. 0: no clipping.
     pub clip: f64,
-    /// Smallest deviation that a density assumes, in units of the feature.
+    /// Lower bound of a density's standard deviation, in units of the feature.
     pub feature_sigma_floor: f64,
-    /// Features with a smaller deviation on `D_k` are left out, in units of the feature.
+    /// Features with a smaller standard deviation on `D_k` are left out, in units of the feature.
     pub mask_below: f64,
-    /// What `density = vae` alone is told.
+    /// Settings of `density = vae` only.
     pub vae: VaeConfig,
 }
 
@@ -40,15 +40,15 @@ pub struct SurpriseConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VaeConfig {
-    /// Units of its hidden layers.
+    /// Units of the hidden layers.
     pub hidden: usize,
     /// Latent dimensions.
     pub latent: usize,
-    /// Passes over `D_k`.
+    /// Epochs over `D_k`.
     pub epochs: usize,
-    /// Parts of one pass, each an optimiser step.
+    /// Minibatches per epoch, each an optimiser step.
     pub minibatches: usize,
-    /// Adam's step size.
+    /// Adam's learning rate.
     pub learning_rate: f64,
 }
 
@@ -58,58 +58,58 @@ pub struct VaeConfig {
 pub enum DensityKind {
     /// An independent Gaussian per feature, as in the paper.
     DiagonalGaussian,
-    /// Independent frequencies per feature, for features that take few values.
+    /// An independent categorical distribution per feature, for features with few distinct values.
     Categorical,
-    /// A variational autoencoder, trained on from iteration to iteration.
+    /// A variational autoencoder. Its training continues from iteration to iteration.
     Vae,
 }
 
-/// Which experience the density that scores `D_k` was fitted on.
+/// Rollout data on which the density that scores `D_k` is fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fit {
-    /// On `D_k` itself, as the paper's text has it.
+    /// `D_k` itself, as in the paper's text.
     Current,
-    /// On `D_(k-1)`: the density that was known when `D_k` was collected. Iteration 0 has no bonus.
+    /// `D_(k-1)`, known when `D_k` was collected. Iteration 0 has no bonus.
     Previous,
-    /// On all experience, the older the lighter.
+    /// All iterations, with weights that decrease with age.
     Ema,
 }
 
-/// Which numbers surprise scores.
+/// Features that surprise scores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Space {
-    /// Observations as the policy sees them.
+    /// Scaled observations, the policy's input.
     PolicyObs,
-    /// The same features before any scaling.
+    /// The same features without scaling.
     Raw,
-    /// What is near the agent, unscaled, whatever the policy sees.
+    /// Features near the agent without scaling, independent of the policy's input.
     Local,
 }
 
-/// Which side of a step surprise scores.
+/// Whether the observation before or after a step is scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Scored {
-    /// `o_t`, as in Eq. 9: a terminal observation is never scored.
+    /// `o_t`, as in Eq. 9. Terminal observations are not scored.
     Current,
-    /// `o_(t+1)`, on which the action has an influence; at an episode's end the terminal one.
+    /// `o_(t+1)`, which the action influences; at an episode's end the terminal observation.
     Next,
 }
 
-/// How the features' log-densities are joined.
+/// Combination of the features' log-densities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reduce {
     /// Their sum, as in Eq. 4.
     Sum,
-    /// The sum divided by the number of features that count.
+    /// The sum divided by the number of active features.
     Mean,
 }
 
-/// The additive constant of the surprise bonus. Inside an episode it changes nothing; where
-/// episodes can end early it pays or charges for staying alive.
+/// Additive constant of the surprise bonus. It matters only where episodes can end early: there it rewards or penalises
+/// staying alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Constant {
@@ -117,7 +117,7 @@ pub enum Constant {
     Paper,
     /// Eq. 3: the log-density itself.
     Density,
-    /// The log-density minus its mean at the fit: no pay for staying alive.
+    /// The log-density minus its mean at the fit: no reward for staying alive.
     Centered,
 }
 
@@ -133,29 +133,30 @@ impl SurpriseConfig {
         self.validate_density()
     }
 
-    /// Refuses a space in which the environment does not say what an agent's features are.
+    /// Rejects a space whose features the environment does not list.
     pub(super) fn suits_agents(&self, agents: &[AgentShape]) -> Result<(), MarlError> {
-        let range = "policy_obs: the global state does not hold what these agents see";
-        let bare =
+        let range = "policy_obs: the global state does not contain these agents' observations";
+        let missing =
             |places: fn(&AgentShape) -> &[usize]| agents.iter().any(|a| places(a).is_empty());
         match self.space {
-            Space::Raw if bare(|a| &a.seen) => Err(refuse("surprise.space", "raw", range)),
-            Space::Local if bare(|a| &a.near) => Err(refuse("surprise.space", "local", range)),
+            Space::Raw if missing(|a| &a.seen) => Err(out_of_range("surprise.space", "raw", range)),
+            Space::Local if missing(|a| &a.near) => {
+                Err(out_of_range("surprise.space", "local", range))
+            }
             Space::PolicyObs | Space::Raw | Space::Local => Ok(()),
         }
     }
 
-    /// Refuses what the class of densities gives no meaning to.
+    /// Rejects settings that the class of densities does not support.
     fn validate_density(&self) -> Result<(), MarlError> {
         let gaussian = self.density == DensityKind::DiagonalGaussian;
         if self.fit == Fit::Ema && !gaussian {
             let range = "current or previous: only diagonal_gaussian has moments to average";
-            return Err(refuse("surprise.fit", "ema", range));
+            return Err(out_of_range("surprise.fit", "ema", range));
         }
         if self.constant == Constant::Paper && self.density == DensityKind::Categorical {
-            let range =
-                "density or centered: categorical has no Gaussian whose constant could be left out";
-            return Err(refuse("surprise.constant", "paper", range));
+            let range = "density or centered: categorical has no Gaussian constant to omit";
+            return Err(out_of_range("surprise.constant", "paper", range));
         }
         Ok(())
     }

@@ -1,10 +1,10 @@
-//! Whose rewards the critic values, and how an agent's advantage comes of them.
+//! The rewards that the critic values, and each agent's advantage.
 
 use crate::config::CriticMode;
 use crate::data::batch::Rewards;
 
 impl CriticMode {
-    /// `V`, how many values the critic gives for `agents` agents.
+    /// Number of values, `V`, for `agents` agents.
     #[must_use]
     pub fn values(self, agents: usize) -> usize {
         match self {
@@ -14,9 +14,9 @@ impl CriticMode {
         }
     }
 
-    /// The rewards that are valued, `[V][T, B]`, of the team's `[T, B]` and the agents' `[N][T, B]`, which are the
-    /// team's and what surprise adds: the agents' own; or the team's and then what surprise adds for each agent; or
-    /// the team's and the mean of what surprise adds.
+    /// The valued rewards, `[V][T, B]`, from the team's `[T, B]` and the agents' `[N][T, B]`, which include surprise:
+    /// the agents' rewards; or the team's reward and each agent's surprise reward; or the team's reward plus the mean
+    /// surprise reward.
     #[must_use]
     pub fn rewards(self, team: &[f32], agents: &Rewards) -> Rewards {
         match self {
@@ -30,7 +30,7 @@ impl CriticMode {
         }
     }
 
-    /// What agent `agent` has of `[V][T, B]` advantages, values or returns: the sum of those that concern it.
+    /// Advantage, value or return of agent `agent`: the sum of its entries in `[V][T, B]`.
     #[must_use]
     pub fn of_agent(self, valued: &[Vec<f64>], agent: usize) -> Vec<f64> {
         match self {
@@ -60,7 +60,7 @@ mod tests {
         [CriticMode::PerAgent, CriticMode::SharedExtrinsicPlusIntrinsic, CriticMode::TeamMean];
     const HALF: Horizon = Horizon { gamma: 0.5, lambda: 0.5 };
 
-    /// Two steps of one environment that end nothing, and pay the team 1 and 2.
+    /// Two steps of one environment without an episode's end; the team rewards are 1 and 2.
     fn batch() -> Batch {
         Batch {
             steps: 2,
@@ -73,7 +73,7 @@ mod tests {
         }
     }
 
-    /// Both agents' advantages where every state is worth `values`, `[V]`.
+    /// Both agents' advantages if all states have the values `values`, `[V]`.
     fn advantages(mode: CriticMode, rewards: &Rewards, values: &[f64]) -> [Vec<f64>; 2] {
         let batch = batch();
         let valued = mode.rewards(&batch.reward, rewards);
@@ -96,18 +96,18 @@ mod tests {
     }
 
     #[test]
-    fn with_surprise_every_mode_meets_its_hand_worked_case() {
-        // Surprise adds -1 and -3 for the first agent, 1 and 1 for the second.
+    fn with_surprise_every_mode_matches_its_worked_case() {
+        // The surprise rewards are -1 and -3 for the first agent, 1 and 1 for the second.
         let rewards = vec![vec![0.0, -1.0], vec![2.0, 3.0]];
         let of = |mode, values: &[f64]| advantages(mode, &rewards, values);
-        // A1 = r1, A0 = r0 + A1 / 4 where values are 0.
+        // A1 = r1, A0 = r0 + A1 / 4 for values of 0.
         let own = [vec![-0.25, -1.0], vec![2.75, 3.0]];
         assert_eq!(of(CriticMode::PerAgent, &[0.0, 0.0]), own);
-        // Advantages are linear in rewards and values, so that the parts add up to the whole.
+        // Advantages are linear in rewards and values, so the parts add up.
         let shared = CriticMode::SharedExtrinsicPlusIntrinsic;
         assert_eq!(of(shared, &[0.0, 0.0, 0.0]), own);
         assert_eq!(of(shared, &[3.0, -1.0, 1.0]), of(CriticMode::PerAgent, &[2.0, 4.0]));
-        // The mean of what surprise adds is 0 and -1: all are paid 1 and 1.
+        // The mean surprise rewards are 0 and -1: both agents receive 1 and 1.
         assert_eq!(of(CriticMode::TeamMean, &[0.0]), [[1.25, 1.0], [1.25, 1.0]]);
     }
 }

@@ -1,4 +1,4 @@
-//! How the global state is scaled before the critic sees it.
+//! Scaling of the critic's input.
 
 use libm::sqrt;
 use policy::NamedArrays;
@@ -8,10 +8,10 @@ use crate::config::StateNorm;
 use crate::data::running::RunningMoments;
 use crate::error::MarlError;
 
-/// Below this deviation a state's features count as equal and are only centred.
+/// Features with a standard deviation below this count as equal and are only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;
 
-/// A [`StateNorm`] with what it knows.
+/// A [`StateNorm`] with its statistics.
 pub(crate) enum StateScale {
     AsShown,
     OwnFeatures,
@@ -36,7 +36,7 @@ impl StateScale {
         }
     }
 
-    /// Takes in the states `[R, features]` of `D_k`, for the iterations after it.
+    /// Adds the states `[R, features]` of `D_k`, for later iterations.
     pub(crate) fn take_in(&mut self, states: &[f32]) {
         if let Self::Running(moments) = self {
             moments.take_in(states);
@@ -58,7 +58,7 @@ impl StateScale {
     }
 }
 
-/// One state by the mean and deviation over its own features.
+/// Standardises one state by the mean and standard deviation over its features.
 fn standardise(state: &mut [f32]) {
     let count = state.len() as f64;
     let mean = state.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
@@ -81,10 +81,10 @@ mod tests {
     }
 
     #[test]
-    fn a_state_is_scaled_by_its_own_features_or_by_those_of_the_states_before_it_or_not_at_all() {
+    fn state_norms_scale_by_a_states_features_by_previous_states_or_not() {
         let mut running = StateScale::new(StateNorm::Running, 2);
         assert_eq!(scaled(&running), [1.0, 3.0, 5.0, 5.0]);
-        running.take_in(&[1.0, 0.0, 5.0, 4.0]); // means 3 and 2, deviations 2
+        running.take_in(&[1.0, 0.0, 5.0, 4.0]); // means 3 and 2, standard deviations 2
         assert_eq!(scaled(&running), [-1.0, 0.5, 1.0, 1.5]);
         assert_eq!(scaled(&StateScale::new(StateNorm::FeatureZ, 2)), [-1.0, 1.0, 0.0, 0.0]);
         assert_eq!(scaled(&StateScale::new(StateNorm::None, 2)), [1.0, 3.0, 5.0, 5.0]);

@@ -1,23 +1,22 @@
-//! The critics of a team: one that sees the global state, or, as in independent PPO, one for each agent that sees what
-//! the agent observes.
+//! The critics of an algorithm: one of the global state, or, as in independent PPO, one per agent of its observation.
 
 use policy::arrays::NamedArrays;
 use policy::{Precision, RunSeed};
 use rayon::prelude::*;
 
-use super::{Critic, CriticFigures, Seen, Values};
+use super::{Critic, CriticFigures, ValueInputs, Values};
 use crate::config::{Config, CriticInput};
 use crate::data::batch::{AgentShape, Batch, Final, Problem};
 use crate::error::MarlError;
 
-/// One critic, or one for each agent.
+/// One critic, or one per agent.
 pub(crate) struct Critics {
     input: CriticInput,
     critics: Vec<Critic>,
 }
 
 impl Critics {
-    /// Critics for `problem`, their weights drawn with the seed of `start` and held in its precision.
+    /// Critics for `problem` in the precision of `start`, with weights initialised by its seed.
     pub(crate) fn new(
         config: &Config,
         problem: &Problem,
@@ -41,20 +40,20 @@ impl Critics {
         Ok(Self { input: own.input, critics })
     }
 
-    /// From now on its steps have the share `share` of their configured size.
+    /// Sets the fraction of the configured learning rate for the next steps.
     pub(crate) fn scale_learning_rate(&mut self, share: f64) {
         self.critics.iter_mut().for_each(|critic| critic.scale_learning_rate(share));
     }
 
-    /// Every critic's opinion of `batch`.
+    /// Every critic's values of `batch`.
     pub(crate) fn values(&self, batch: &Batch) -> Result<Vec<Values>, MarlError> {
         let one = |(index, critic): (usize, &Critic)| {
-            critic.values(batch, &self.input.seen(batch, index))
+            critic.values(batch, &self.input.inputs(batch, index))
         };
         self.critics.par_iter().enumerate().map(one).collect()
     }
 
-    /// Learns the returns `[V][T, B]`; `values` is what the critics thought of the batch before.
+    /// Trains on the returns `[V][T, B]`; `values` are those before the fit.
     pub(crate) fn fit(
         &mut self,
         batch: &Batch,
@@ -66,7 +65,7 @@ impl Critics {
         let own = returns.par_chunks(returns.len() / count);
         let one =
             |(index, ((critic, values), returns)): (usize, ((&mut Critic, &Values), &[_]))| {
-                critic.fit(&input.seen(batch, index), values, returns, iteration)
+                critic.fit(&input.inputs(batch, index), values, returns, iteration)
             };
         let fitted = self.critics.par_iter_mut().zip(values).zip(own).enumerate().map(one);
         let fitted = fitted.collect::<Result<Vec<CriticFigures>, MarlError>>()?;
@@ -87,8 +86,8 @@ impl Critics {
 }
 
 impl CriticInput {
-    /// What critic `index` is shown.
-    fn seen(self, batch: &Batch, index: usize) -> Seen<'_> {
+    /// Input of critic `index`.
+    fn inputs(self, batch: &Batch, index: usize) -> ValueInputs<'_> {
         let own = |last: &Final| match self {
             Self::State => last.state.clone(),
             Self::Observation => last.observation[index].clone(),
@@ -97,12 +96,12 @@ impl CriticInput {
             Self::State => &batch.state,
             Self::Observation => &batch.agents[index].observation,
         };
-        Seen { rows, finals: batch.finals.iter().flat_map(own).collect() }
+        ValueInputs { rows, finals: batch.finals.iter().flat_map(own).collect() }
     }
 }
 
 impl CriticFigures {
-    /// Means over critics; steps skipped are summed.
+    /// Means over critics; numbers of skipped steps are summed.
     fn mean(critics: &[Self]) -> Self {
         let count = critics.len() as f64;
         let mean = |of: fn(&Self) -> f64| critics.iter().map(of).sum::<f64>() / count;

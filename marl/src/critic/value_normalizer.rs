@@ -1,14 +1,14 @@
-//! Running mean and deviation of one agent's returns, so that its value is learnt in units near 1.
+//! Running mean and standard deviation of one value's returns, so that its targets are near 1.
 
 use libm::sqrt;
 
-/// Below this share of collected weight the estimate is not trusted to be divided by.
+/// Lower bound of the accumulated weight before a division by it.
 const MINIMAL_WEIGHT: f64 = 1e-5;
-/// Smallest variance that is assumed, in squared units of the return.
+/// Lower bound of the variance, in squared units of the return.
 const MINIMAL_VARIANCE: f64 = 1e-2;
 
-/// An exponential average of returns and their squares, corrected for its start at zero. Before the
-/// first update the mean is 0 and the deviation 0.1.
+/// Exponential averages of returns and their squares, corrected for their start at 0. Before the first update the mean
+/// is 0 and the standard deviation 0.1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ValueNormalizer {
     beta: f64,
@@ -18,13 +18,13 @@ pub struct ValueNormalizer {
 }
 
 impl ValueNormalizer {
-    /// A normaliser without experience that keeps the share `beta` of what it knows per update.
+    /// A normaliser without data, with decay `beta` per update.
     #[must_use]
     pub fn new(beta: f64) -> Self {
         Self { beta, mean: 0.0, square: 0.0, weight: 0.0 }
     }
 
-    /// Takes in the returns `[R]` of one iteration.
+    /// Adds the returns `[R]` of one iteration.
     pub fn update(&mut self, returns: &[f64]) {
         let count = returns.len() as f64;
         let mean = returns.iter().sum::<f64>() / count;
@@ -35,7 +35,7 @@ impl ValueNormalizer {
         (self.mean, self.square, self.weight) = (mean, square, weight);
     }
 
-    /// Mean and deviation of the returns, in units of the return.
+    /// Mean and standard deviation of the returns, in units of the return.
     #[must_use]
     pub fn mean_and_deviation(&self) -> (f64, f64) {
         let weight = self.weight.max(MINIMAL_WEIGHT);
@@ -43,27 +43,27 @@ impl ValueNormalizer {
         (mean, sqrt((self.square / weight - mean * mean).max(MINIMAL_VARIANCE)))
     }
 
-    /// A return in normalised units.
+    /// Converts a return to normalised units.
     #[must_use]
     pub fn normalize(&self, value: f64) -> f64 {
         let (mean, deviation) = self.mean_and_deviation();
         (value - mean) / deviation
     }
 
-    /// A normalised value in units of the return.
+    /// Converts a normalised value to units of the return.
     #[must_use]
     pub fn denormalize(&self, value: f64) -> f64 {
         let (mean, deviation) = self.mean_and_deviation();
         value * deviation + mean
     }
 
-    /// The state to keep: weighted mean, weighted square, weight.
+    /// State to store: weighted mean, weighted square, weight.
     #[must_use]
     pub fn state(&self) -> [f64; 3] {
         [self.mean, self.square, self.weight]
     }
 
-    /// Takes over a kept state.
+    /// Restores a stored state.
     pub fn restore(&mut self, [mean, square, weight]: [f64; 3]) {
         (self.mean, self.square, self.weight) = (mean, square, weight);
     }
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_update_is_the_batch_mean_and_deviation_whatever_beta() {
+    fn one_update_gives_the_batch_mean_and_standard_deviation_for_every_beta() {
         for beta in [0.0, 0.9, 0.99999] {
             let mut normalizer = ValueNormalizer::new(beta);
             normalizer.update(&[1.0, 3.0, 5.0]); // mean 3, variance 8/3
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn two_updates_meet_a_hand_worked_case() {
+    fn two_updates_match_a_worked_case() {
         let mut normalizer = ValueNormalizer::new(0.5);
         normalizer.update(&[0.0, 2.0]); // mean .5, square 1, weight .5
         normalizer.update(&[4.0]); // mean 2.25, square 8.5, weight .75
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn before_experience_the_deviation_is_a_tenth_and_a_value_returns_to_itself() {
+    fn without_data_the_standard_deviation_is_a_tenth_and_normalising_is_invertible() {
         let normalizer = ValueNormalizer::new(0.99999);
         assert_eq!(normalizer.mean_and_deviation(), (0.0, 0.1));
         assert!((normalizer.denormalize(normalizer.normalize(3.7)) - 3.7).abs() < 1e-12);

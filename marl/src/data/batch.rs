@@ -1,10 +1,10 @@
-//! The experience `D_k` of one iteration, and the shapes it must have.
+//! The rollout data `D_k` of one iteration, and its shapes.
 
 use policy::Head;
 
 use crate::error::MarlError;
 
-/// What the algorithm is told about a task: sizes and ranges only, no names.
+/// Sizes and ranges of a task's observations, actions and state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Problem {
     /// One shape per agent, in the task's agent order.
@@ -13,40 +13,39 @@ pub struct Problem {
     pub state: usize,
 }
 
-/// One agent's sizes.
+/// Sizes of one agent's observations and actions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentShape {
     /// Features of the agent's observation.
     pub observation: usize,
     /// Numbers in the agent's action.
     pub action: usize,
-    /// Lowest and highest number of an action, for policies that keep to a range.
+    /// Lowest and highest value of an action, for policies with bounded actions.
     pub action_range: (f32, f32),
-    /// What these numbers are.
+    /// Kind of action.
     pub kind: ActionKind,
-    /// Indices of the observation features that carry a signal; surprise looks at no others
-    /// (one-hot ids, duplicates and constants are left out).
+    /// Indices of the observation features that surprise scores. One-hot ids, duplicates and constants are left out.
     pub surprise_features: Vec<usize>,
-    /// Places in the global state of the signals that it observes; empty if they are not there.
+    /// Indices in the global state of the features that the agent observes; empty if the state does not contain them.
     pub seen: Vec<usize>,
-    /// Places in the global state of the signals near it; likewise.
+    /// Indices in the global state of the features near the agent; empty if the state does not contain them.
     pub near: Vec<usize>,
 }
 
-/// What an agent's action is.
+/// Kind of action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActionKind {
-    /// Real numbers.
+    /// A vector of real numbers.
     Continuous,
-    /// One number, the index of a choice.
+    /// The index of a choice.
     Discrete {
-        /// `K`, number of choices.
+        /// `K`, the number of choices.
         choices: usize,
     },
 }
 
 impl ActionKind {
-    /// The head of a policy that draws such actions.
+    /// Head of a policy with such actions.
     #[must_use]
     pub fn head(self) -> Head {
         match self {
@@ -55,17 +54,17 @@ impl ActionKind {
         }
     }
 
-    /// Numbers as which others see an action of `action` numbers: a choice is seen one-hot.
+    /// Size of an action's encoding for other agents: `action` numbers, or a one-hot vector of choices.
     #[must_use]
-    pub fn seen_size(self, action: usize) -> usize {
+    pub fn encoded_size(self, action: usize) -> usize {
         match self {
             Self::Continuous => action,
             Self::Discrete { choices } => choices,
         }
     }
 
-    /// Adds an action `[act]` to `to` as others see it.
-    pub fn see(self, action: &[f32], to: &mut Vec<f32>) {
+    /// Appends the encoding of `action` `[act]` for other agents to `to`.
+    pub fn encode(self, action: &[f32], to: &mut Vec<f32>) {
         match self {
             Self::Continuous => to.extend_from_slice(action),
             Self::Discrete { choices } => {
@@ -75,13 +74,15 @@ impl ActionKind {
         }
     }
 
-    /// Refuses actions that are no choices.
+    /// Rejects invalid choices.
     fn check(self, field: &str, actions: &[f32]) -> Result<(), MarlError> {
         let Self::Discrete { choices } = self else { return Ok(()) };
         let is_choice = |a: &f32| *a >= 0.0 && *a < choices as f32 && a.fract() == 0.0;
         actions.iter().position(|a| !is_choice(a)).map_or(Ok(()), |at| {
             let found = actions[at];
-            Err(MarlError::Batch(format!("{field}[{at}] is {found}, no choice among {choices}")))
+            Err(MarlError::Batch(format!(
+                "{field}[{at}] is {found}, expected a choice below {choices}"
+            )))
         })
     }
 }
@@ -89,48 +90,48 @@ impl ActionKind {
 /// Rewards of every agent, `[N][T * B]`, row `t * B + b`.
 pub type Rewards = Vec<Vec<f32>>;
 
-/// The experience of one iteration, time-major: row `t * B + b`, environments ordered by slot, then
-/// by place in the slot.
+/// The rollout data of one iteration, time-major: row `t * B + b`. Environments are ordered by slot, then by index in
+/// the slot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
-    /// `T`, environment steps.
+    /// `T`, environment steps per environment.
     pub steps: usize,
-    /// `B`, environments.
+    /// `B`, number of environments.
     pub environments: usize,
-    /// What each agent saw and did, in agent order.
+    /// Observations and actions of each agent, in agent order.
     pub agents: Vec<AgentBatch>,
     /// Global state before the step, `[T, B, S]`.
     pub state: Vec<f32>,
     /// Team reward of the step, `[T, B]`.
     pub reward: Vec<f32>,
-    /// The step ended the episode for good, `[T, B]`: nothing comes after it.
+    /// The step ended the episode by termination, `[T, B]`.
     pub terminated: Vec<bool>,
-    /// The step ended the episode by a limit, `[T, B]`: its value goes on.
+    /// The step ended the episode by truncation, `[T, B]`.
     pub truncated: Vec<bool>,
-    /// What was true after every done step and after the last step of every environment, sorted by
+    /// State and observations after every done step and after the last step of every environment, sorted by
     /// `(step, environment)`.
     pub finals: Vec<Final>,
 }
 
-/// What one agent saw and did.
+/// Observations and actions of one agent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AgentBatch {
     /// Observation before the step, `[T, B, obs]`.
     pub observation: Vec<f32>,
     /// Action taken, not clamped, `[T, B, act]`.
     pub action: Vec<f32>,
-    /// Log-density of the action under the behaviour weights as the actor computed it, `[T, B]`, nats.
+    /// Log-probability of the action under the behaviour weights, computed by the actor, `[T, B]`, nats.
     pub log_prob: Vec<f32>,
     /// Recurrent state before each chunk's first step, after any reset, `[T / chunk, B, H]`.
     pub hidden: Vec<f32>,
 }
 
-/// The true next state and observations, where the next row does not show them.
+/// The true next state and observations of a row whose next row does not contain them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Final {
-    /// The step after which this holds.
+    /// Step before this state.
     pub step: usize,
-    /// The environment.
+    /// Index of the environment.
     pub environment: usize,
     /// Global state after the step, `[S]`.
     pub state: Vec<f32>,
@@ -145,18 +146,17 @@ impl Batch {
         self.steps * self.environments
     }
 
-    /// Whether row `t * B + b` ended an episode, for good or by a limit.
+    /// Whether row `t * B + b` ended an episode, by termination or truncation.
     #[must_use]
     pub fn done(&self, row: usize) -> bool {
         self.terminated[row] || self.truncated[row]
     }
 
-    /// Refuses a batch that does not fit `problem` and chunks of `chunk_steps` steps, whose hidden
-    /// states have `hidden[agent]` numbers, whose finals are not exactly where they must be, or
-    /// which holds a number that is not finite.
+    /// Rejects a batch with a wrong shape, misplaced finals or a number that is not finite. Chunks have `chunk_steps`
+    /// steps; `hidden[agent]` is the size of an agent's recurrent state.
     ///
     /// # Errors
-    /// Names the first array that is wrong.
+    /// Names the first invalid array.
     pub fn check(
         &self,
         problem: &Problem,
@@ -188,7 +188,7 @@ impl Batch {
         let found = self.finals.iter().map(|f| f.step * self.environments + f.environment);
         if !expected.eq(found) || self.finals.iter().any(|f| f.environment >= self.environments) {
             return Err(MarlError::Batch(
-                "finals must stand exactly at the done steps and at each environment's last step, \
+                "finals must be exactly those of the done steps and of each environment's last step, \
                  sorted by step and environment"
                     .to_owned(),
             ));
@@ -222,10 +222,10 @@ impl AgentBatch {
     }
 }
 
-/// Refuses rewards that are not one finite number per agent and row.
+/// Rejects rewards that are not one finite number per agent and row.
 ///
 /// # Errors
-/// Names the agent whose rewards are wrong.
+/// Names the agent with invalid rewards.
 pub fn check_rewards(rewards: &Rewards, agents: usize, rows: usize) -> Result<(), MarlError> {
     length("rewards", "[N]", rewards.len(), agents)?;
     for (index, reward) in rewards.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! How agents' observations are scaled on the learner's side, where statistics of a run are known.
+//! Scaling of observations in the learner, which has the statistics of a run.
 
 use std::borrow::Cow;
 
@@ -12,22 +12,22 @@ use crate::error::MarlError;
 /// How the learner scales observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObservationScale {
-    /// Not at all: they stay as the environment shows them.
+    /// No scaling.
     AsShown,
-    /// By their running mean and deviation, feature by feature and agent by agent.
+    /// By running mean and standard deviation, per feature and agent.
     Running,
 }
 
-/// What observations are scaled by. The statistics are those of all iterations before: policies of version `k` play and
-/// learn iteration `k` with the same ones.
+/// Statistics that scale observations. They cover all previous iterations. Policies of version `k` use the same
+/// statistics for the rollout and the update of iteration `k`.
 #[derive(Clone, Debug)]
 pub struct ObservationMoments {
-    /// `[N]`, or none where observations stay as they are.
+    /// `[N]`; empty without scaling.
     agents: Vec<RunningMoments>,
 }
 
 impl ObservationMoments {
-    /// Of nothing yet.
+    /// Statistics of no rows.
     #[must_use]
     pub fn new(scale: ObservationScale, problem: &Problem) -> Self {
         let moments = || problem.agents.iter().map(|agent| RunningMoments::new(agent.observation));
@@ -38,7 +38,7 @@ impl ObservationMoments {
         Self { agents }
     }
 
-    /// `D_k` as policies see it.
+    /// `D_k` with scaled observations.
     #[must_use]
     pub fn seen<'a>(&self, batch: &'a Batch) -> Cow<'a, Batch> {
         let mut seen = Cow::Borrowed(batch);
@@ -52,13 +52,13 @@ impl ObservationMoments {
         seen
     }
 
-    /// Takes in `D_k` as the environment showed it, for the iterations after it.
+    /// Adds the unscaled observations of `D_k`, for later iterations.
     pub fn take_in(&mut self, batch: &Batch) {
         let agents = self.agents.par_iter_mut().zip(&batch.agents);
         agents.for_each(|(moments, agent)| moments.take_in(&agent.observation));
     }
 
-    /// Policies that scale what they are shown by what is known now.
+    /// Adds the scaling by the current statistics to `policies`.
     #[must_use]
     pub fn snapshot(&self, mut policies: PolicySnapshot) -> PolicySnapshot {
         if !self.agents.is_empty() {
@@ -76,15 +76,17 @@ impl ObservationMoments {
         agents.flat_map(|(index, moments)| moments.arrays(&prefix(index))).collect()
     }
 
-    /// Takes over kept statistics.
+    /// Restores stored statistics.
     ///
     /// # Errors
-    /// Names the array that is missing, unknown, or of another shape.
+    /// Names an array that is missing, unknown or of another shape.
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
         let known = self.arrays();
         let mut stored = arrays.keys().filter(|name| name.starts_with("observation/"));
         if let Some(name) = stored.find(|name| !known.contains_key(*name)) {
-            return Err(MarlError::Restore(format!("{name} belongs to no agent of this run")));
+            return Err(MarlError::Restore(format!(
+                "{name} does not belong to an agent of this run"
+            )));
         }
         let mut agents = self.agents.iter_mut().enumerate();
         agents.try_for_each(|(index, moments)| moments.restore(&prefix(index), arrays))
@@ -109,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_snapshot_makes_of_what_it_is_shown_what_the_learner_makes_of_what_was_seen() {
+    fn actors_and_learner_scale_observations_equally() {
         let (config, policy, batch) = (probe::config(), probe::policy(), probe::batch());
         let algorithm =
             crate::build(&config, &policy, &probe::problem(), RunSeed(0)).unwrap().snapshot();
@@ -134,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn observations_that_are_as_shown_are_not_even_copied() {
+    fn unscaled_observations_are_not_copied() {
         let (batch, problem) = (probe::batch(), probe::problem());
         let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
         plain.take_in(&batch);
@@ -143,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn final_observations_are_scaled_like_all_others() {
+    fn final_observations_are_scaled_like_others() {
         let (mut batch, known) = (probe::batch(), known());
         let first = batch.agents[1].observation[..batch.finals[0].observation[1].len()].to_vec();
         batch.finals[0].observation[1].clone_from(&first);
@@ -154,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn kept_statistics_are_taken_over_and_refused_where_there_are_none() {
+    fn stored_statistics_are_restored_and_rejected_without_scaling() {
         let (known, problem) = (known(), probe::problem());
         let mut other = ObservationMoments::new(ObservationScale::Running, &problem);
         other.restore(&known.arrays()).unwrap();

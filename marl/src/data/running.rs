@@ -1,4 +1,4 @@
-//! Running mean and variance of every feature over all rows of a run so far.
+//! Running mean and variance of every feature over all rows of a run.
 
 use libm::sqrt;
 use policy::Standardisation;
@@ -6,13 +6,13 @@ use policy::arrays::{Array, NamedArrays};
 
 use crate::error::MarlError;
 
-/// A deviation that is not above this, in units of the feature, is none: rounding alone can make it.
+/// A standard deviation of at most this, in units of the feature, counts as 0: rounding alone can cause it.
 const SMALLEST_DEVIATION: f64 = 1e-6;
 
-/// Moments of features, merged iteration by iteration.
+/// Moments of features, merged once per iteration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunningMoments {
-    /// Rows so far.
+    /// Number of rows.
     count: f64,
     mean: Vec<f64>,
     /// Sums of squared deviations from the mean.
@@ -20,15 +20,14 @@ pub struct RunningMoments {
 }
 
 impl RunningMoments {
-    /// Moments of no rows yet, of `features` features.
+    /// Moments of `features` features without rows.
     #[must_use]
     pub fn new(features: usize) -> Self {
         Self { count: 0.0, mean: vec![0.0; features], squares: vec![0.0; features] }
     }
 
-    /// Takes in `rows` `[R, features]`, whose own moments are summed in the order of rows. Chan's merge of `n_a` rows
-    /// with `n_b`, where `d` is the distance of their means: `mean = mean_a + d n_b / n`, `squares = squares_a +
-    /// squares_b + d^2 n_a n_b / n`.
+    /// Adds `rows` `[R, features]`. Chan's merge of `n_a` with `n_b` rows whose means differ by `d`:
+    /// `mean = mean_a + d n_b / n`, `squares = squares_a + squares_b + d^2 n_a n_b / n`. Sums are in the order of rows.
     pub fn take_in(&mut self, rows: &[f32]) {
         let features = self.mean.len();
         let (before, new) = (self.count, (rows.len() / features) as f64);
@@ -46,8 +45,8 @@ impl RunningMoments {
         }
     }
 
-    /// To mean 0 and deviation 1 by what is known so far. A feature that never varied, such as an agent's number,
-    /// has no unit and passes as it is; before the first rows all do.
+    /// Standardisation to mean 0 and standard deviation 1. A feature that never varied, such as an agent's index, is
+    /// not changed; before the first rows this holds for all.
     #[must_use]
     pub fn standardisation(&self) -> Standardisation {
         let rows = self.count.max(1.0);
@@ -68,10 +67,10 @@ impl RunningMoments {
         NamedArrays::from([real("count", &[self.count]), mean, squares])
     }
 
-    /// Takes over kept moments.
+    /// Restores stored moments.
     ///
     /// # Errors
-    /// Names the array that is missing or of another shape.
+    /// Names an array that is missing or of another shape.
     pub(crate) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
         let real = |name: &str, length: usize| match arrays.get(&format!("{prefix}{name}")) {
             Some(Array::F64 { data, .. }) if data.len() == length => Ok(data.clone()),
@@ -89,7 +88,7 @@ impl RunningMoments {
 mod tests {
     use super::*;
 
-    /// Two features; the second one never varies.
+    /// Two features. The second never varies.
     fn moments(iterations: &[&[f32]]) -> RunningMoments {
         let mut moments = RunningMoments::new(2);
         iterations.iter().for_each(|rows| moments.take_in(rows));
@@ -97,8 +96,8 @@ mod tests {
     }
 
     #[test]
-    fn merged_moments_meet_a_hand_worked_case_and_are_those_of_all_rows() {
-        // 1, 3 have mean 2 and squares 2; with 8 beside them: mean 4, squares 9 + 1 + 16.
+    fn merged_moments_match_a_worked_case_and_those_of_all_rows() {
+        // 1, 3 have mean 2 and squares 2; together with 8: mean 4, squares 9 + 1 + 16.
         let merged = moments(&[&[1.0, 0.5, 3.0, 0.5], &[8.0, 0.5]]);
         assert_eq!((merged.count, merged.mean[0], merged.squares[0]), (3.0, 4.0, 26.0));
         assert_eq!(merged, moments(&[&[1.0, 0.5, 3.0, 0.5, 8.0, 0.5]]));
@@ -107,14 +106,14 @@ mod tests {
     #[test]
     fn a_feature_is_standardised_unless_it_never_varied() {
         let mut rows = [7.0, 0.5];
-        moments(&[&[1.0, 0.5, 5.0, 0.5]]).standardisation().apply(&mut rows); // mean 3, deviation 2
+        moments(&[&[1.0, 0.5, 5.0, 0.5]]).standardisation().apply(&mut rows); // mean 3, standard deviation 2
         assert_eq!(rows, [2.0, 0.5]);
         moments(&[]).standardisation().apply(&mut rows);
         assert_eq!(rows, [2.0, 0.5]);
     }
 
     #[test]
-    fn kept_moments_are_taken_over_and_those_of_other_sizes_refused_by_name() {
+    fn stored_moments_are_restored_and_other_sizes_rejected_by_name() {
         let (known, mut other) = (moments(&[&[1.0, 0.5, 3.0, 0.5]]), RunningMoments::new(2));
         other.restore("a.", &known.arrays("a.")).unwrap();
         assert_eq!(other, known);

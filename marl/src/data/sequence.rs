@@ -1,7 +1,7 @@
-//! `D_k` cut into chunks: the sequences through which a recurrent policy is trained.
+//! `D_k` cut into chunks, the sequences on which a recurrent policy is trained.
 //!
-//! Chunk `c = k * B + b` holds steps `k * L .. (k + 1) * L` of environment `b`. Chunked rows are
-//! time-major again: row `l * C + c`. Everything inside an update is in this order.
+//! Chunk `c = k * B + b` contains steps `k * L .. (k + 1) * L` of environment `b`. Chunked rows are time-major: row
+//! `l * C + c`. An update uses this order only.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use policy::network::SequenceInput;
 use crate::data::batch::Batch;
 use crate::error::MarlError;
 
-/// How `T x B` rows map to `L x C` chunked rows.
+/// Mapping of `T x B` rows to `L x C` chunked rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// `L`, steps per chunk.
@@ -23,39 +23,39 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// The layout of `batch` in chunks of `chunk_steps` steps, which divides its steps.
+    /// Layout of `batch` in chunks of `chunk_steps` steps, a divisor of the batch's steps.
     #[must_use]
     pub fn of(batch: &Batch, chunk_steps: usize) -> Self {
         let chunks = batch.steps / chunk_steps * batch.environments;
         Self { steps: chunk_steps, chunks, environments: batch.environments }
     }
 
-    /// Rows, `L * C = T * B`.
+    /// Number of rows, `L * C = T * B`.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.steps * self.chunks
     }
 
-    /// The environment of a chunk.
+    /// Environment of a chunk.
     #[must_use]
     pub fn environment(&self, chunk: usize) -> usize {
         chunk % self.environments
     }
 
-    /// The chunk before a chunk in the same environment, unless it is `D_k`'s first.
+    /// Previous chunk of the same environment, if there is one.
     #[must_use]
     pub fn before(&self, chunk: usize) -> Option<usize> {
         chunk.checked_sub(self.environments)
     }
 
-    /// The time-major row `t * B + b` of step `step` of chunk `chunk`.
+    /// Time-major row `t * B + b` of step `step` of chunk `chunk`.
     #[must_use]
     pub fn source(&self, step: usize, chunk: usize) -> usize {
         let (k, environment) = (chunk / self.environments, chunk % self.environments);
         (k * self.steps + step) * self.environments + environment
     }
 
-    /// `[T, B, width]` data in chunked order, `[L, C, width]`.
+    /// Converts `[T, B, width]` data to chunked order, `[L, C, width]`.
     #[must_use]
     pub fn chunked<V: Copy>(&self, data: &[V], width: usize) -> Vec<V> {
         let mut out = Vec::with_capacity(data.len());
@@ -68,7 +68,7 @@ impl Layout {
         out
     }
 
-    /// Rows of chunked data `[L, C, width]` that belong to `columns`, `[L, columns, width]`.
+    /// Rows of the chunks `columns` in chunked data `[L, C, width]`, `[L, columns, width]`.
     #[must_use]
     pub fn columns<V: Copy>(&self, data: &[V], width: usize, columns: &[usize]) -> Vec<V> {
         let mut out = Vec::with_capacity(self.steps * columns.len() * width);
@@ -81,7 +81,7 @@ impl Layout {
         out
     }
 
-    /// For every row of chunked data, its place where parts of the chunks `[L, chunks]` follow each other.
+    /// For every row of chunked data, its index in the concatenation of `parts`, each `[L, chunks]`.
     #[must_use]
     pub fn order(&self, parts: &[Range<usize>]) -> Vec<u32> {
         let mut order = vec![0; self.rows()];
@@ -97,7 +97,7 @@ impl Layout {
         order
     }
 
-    /// Puts `[L, columns, width]` data back to its place in chunked data `[L, C, width]`.
+    /// Writes `[L, columns, width]` data to its rows in chunked data `[L, C, width]`.
     pub fn scatter<V: Copy>(&self, from: &[V], to: &mut [V], width: usize, columns: &[usize]) {
         for step in 0..self.steps {
             for (place, &column) in columns.iter().enumerate() {
@@ -109,10 +109,10 @@ impl Layout {
     }
 }
 
-/// One agent's experience in chunked order.
+/// One agent's rollout data in chunked order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sequences {
-    /// How rows map to chunks.
+    /// Mapping of rows to chunks.
     pub layout: Layout,
     /// Observations, `[L, C, obs]`.
     pub observation: Vec<f32>,
@@ -120,16 +120,16 @@ pub struct Sequences {
     pub action: Vec<f64>,
     /// Recurrent state at each chunk's start, `[C, H]`.
     pub hidden: Vec<f32>,
-    /// 0 where an episode has just begun, so that the recurrent state is reset, `[L, C]`. A chunk's
-    /// first step has 1: its stored state is already the one after a reset.
+    /// 0 where an episode has just begun, so that the recurrent state is reset, `[L, C]`. A chunk's first step has 1:
+    /// its stored state is already reset.
     pub mask: Vec<f32>,
-    /// Whether an episode ends with the chunk's last step, so that the next chunk starts at zero, `[C]`.
+    /// Whether an episode ends with the chunk's last step, so that the next chunk starts with a state of zeros, `[C]`.
     pub ends: Vec<bool>,
     widths: (usize, usize),
 }
 
 impl Sequences {
-    /// Agent `agent` of `batch` in chunks; `hidden` is the width `H` of its recurrent state.
+    /// Chunks of agent `agent` of `batch`; `hidden` is the size `H` of its recurrent state.
     #[must_use]
     pub fn of(batch: &Batch, agent: usize, layout: Layout, hidden: usize) -> Self {
         let data = &batch.agents[agent];
@@ -149,25 +149,25 @@ impl Sequences {
         }
     }
 
-    /// The network's input for some chunks from their stored states.
+    /// Network input for the chunks `columns`, from their stored states.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn input(&self, columns: &[usize], dtype: DType) -> Result<SequenceInput, MarlError> {
         self.input_from(columns, self.states(&self.hidden, columns), dtype)
     }
 
-    /// Of states at every chunk's start `[C, H]`, those of some chunks, `[columns, H]`.
+    /// States of the chunks `columns`, `[columns, H]`, from those of all chunks `[C, H]`.
     #[must_use]
     pub fn states(&self, all: &[f32], columns: &[usize]) -> Vec<f32> {
         let hidden = self.widths.1;
         columns.iter().flat_map(|&c| &all[c * hidden..(c + 1) * hidden]).copied().collect()
     }
 
-    /// The network's input for some chunks from `start`, `[columns, H]`.
+    /// Network input for the chunks `columns`, from the states `start`, `[columns, H]`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn input_from(
         &self,
         columns: &[usize],
@@ -221,12 +221,12 @@ mod tests {
         batch.terminated = vec![false; 8];
         batch.truncated = vec![false; 8];
         batch.terminated[0] = true; // step 0 of environment 0: inside chunk 0
-        batch.truncated[3] = true; // step 1 of environment 1: at the edge of chunks 1 and 3
+        batch.truncated[3] = true; // step 1 of environment 1: between chunks 1 and 3
         batch
     }
 
     #[test]
-    fn chunks_hold_their_environments_steps_in_order() {
+    fn chunks_contain_their_environments_steps_in_order() {
         let batch = numbered();
         let sequences = Sequences::of(&batch, 0, Layout::of(&batch, 2), 1);
         assert_eq!(sequences.observation, vec![0., 1., 4., 5., 2., 3., 6., 7.]);
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_uneven_parts_are_found_in_their_order() {
+    fn the_order_of_rows_is_found_from_unequal_parts() {
         let layout = Layout { steps: 3, chunks: 6, environments: 2 };
         let data: Vec<usize> = (0..18).collect();
         let parts = [0..1, 1..4, 4..6];
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn scattered_columns_return_to_their_place() {
+    fn scatter_inverts_columns() {
         let batch = numbered();
         let layout = Layout::of(&batch, 2);
         let data = layout.chunked(&(0..8).collect::<Vec<i32>>(), 1);

@@ -1,4 +1,4 @@
-//! An independent categorical distribution per feature, for features that take few values.
+//! An independent categorical distribution per feature, for features with few distinct values.
 
 use std::collections::BTreeMap;
 
@@ -7,25 +7,25 @@ use policy::arrays::{Array, NamedArrays};
 
 use super::moments::Moments;
 use super::stored;
-use crate::density::{Density, Observations, Occasion};
+use crate::density::{Density, DensityContext, Observations};
 use crate::error::MarlError;
 
-/// Laplace's rule of succession: every value, and all that were never seen together, occurred once
-/// more than they did. So an unseen value has a probability, and log-probabilities stay finite.
+/// Laplace smoothing: every value, and all unseen values together, count once more. An unseen value thus has a
+/// probability, and log-probabilities are finite.
 const SMOOTHING: f64 = 1.0;
 
-/// How often each feature took each value. Moments only tell which features vary.
+/// Counts of each feature's values. The moments only determine which features vary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Categorical {
     moments: Moments,
-    /// Per signal feature; a table's order is that of the values.
+    /// Per signal feature, in ascending order of values.
     counts: Vec<BTreeMap<u32, i64>>,
-    /// `R`, rows counted.
+    /// Number of rows, `R`.
     rows: i64,
 }
 
 impl Categorical {
-    /// Nothing counted yet.
+    /// A density without counts.
     pub(super) fn new(moments: Moments) -> Self {
         let counts = vec![BTreeMap::new(); moments.signals()];
         Self { moments, counts, rows: 0 }
@@ -43,7 +43,7 @@ impl Categorical {
     }
 }
 
-/// A number whose order is the value's, the same for both zeros.
+/// An integer with the same order as the value, equal for both zeros.
 fn order(value: f32) -> u32 {
     let bits = (value + 0.0).to_bits();
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
@@ -53,7 +53,7 @@ impl Density for Categorical {
     fn fit(
         &mut self,
         observations: Observations<'_>,
-        _occasion: Occasion,
+        _context: DensityContext,
     ) -> Result<(), MarlError> {
         self.moments.fit(observations, 0.0);
         self.rows = observations.count() as i64;
@@ -69,7 +69,7 @@ impl Density for Categorical {
     fn log_prob(
         &self,
         observations: Observations<'_>,
-        _occasion: Occasion,
+        _context: DensityContext,
     ) -> Result<Vec<f64>, MarlError> {
         Ok(observations.map(|row| self.row(row)))
     }
@@ -78,8 +78,7 @@ impl Density for Categorical {
         self.moments.features()
     }
 
-    /// The moments, and `counts_I` of the signal feature `I`: values by their order and counts,
-    /// `[K, 2]`.
+    /// The moments, and `counts_I` of signal feature `I`: ordered values and counts, `[K, 2]`.
     fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError> {
         let mut arrays = self.moments.arrays(prefix);
         for (i, table) in self.counts.iter().enumerate() {

@@ -4,17 +4,17 @@ use libm::log;
 use policy::arrays::NamedArrays;
 
 use super::moments::Moments;
-use crate::density::{Density, Observations, Occasion};
+use crate::density::{Density, DensityContext, Observations};
 use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
 
-/// Mean and deviation of every signal feature that varies.
+/// Mean and standard deviation of every signal feature that varies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DiagonalGaussian(pub(super) Moments);
 
 impl DiagonalGaussian {
-    /// Eq. (4): `- sum_j (log sigma_j + (o_j - mu_j)^2 / (2 sigma_j^2))` over the features that
-    /// count: the log-density without `-1/2 log 2 pi` per feature. `row` is `[obs]`; nats.
+    /// Eq. (4): `- sum_j (log sigma_j + (o_j - mu_j)^2 / (2 sigma_j^2))` over active features: the log-density without
+    /// `-1/2 log 2 pi` per feature. `row` is `[obs]`; nats.
     #[must_use]
     pub fn log_prob_without_constant(&self, row: &[f32]) -> f64 {
         let term = |i: usize| {
@@ -26,15 +26,19 @@ impl DiagonalGaussian {
 }
 
 impl Density for DiagonalGaussian {
-    fn fit(&mut self, observations: Observations<'_>, occasion: Occasion) -> Result<(), MarlError> {
-        self.0.fit(observations, occasion.memory);
+    fn fit(
+        &mut self,
+        observations: Observations<'_>,
+        context: DensityContext,
+    ) -> Result<(), MarlError> {
+        self.0.fit(observations, context.memory);
         Ok(())
     }
 
     fn log_prob(
         &self,
         observations: Observations<'_>,
-        _occasion: Occasion,
+        _context: DensityContext,
     ) -> Result<Vec<f64>, MarlError> {
         let constant = 0.5 * LOG_TWO_PI * self.features().0 as f64;
         Ok(observations.map(|row| self.log_prob_without_constant(row) - constant))
@@ -60,9 +64,10 @@ mod tests {
 
     use super::*;
 
-    const ONCE: Occasion = Occasion { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
+    const ONCE: DensityContext =
+        DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
 
-    /// Features: 0 varies, 1 is a number of the agent, 2 hardly varies, 3 never does.
+    /// Features: 0 varies, 1 is an agent's index, 2 hardly varies, 3 never varies.
     const ROWS: [f32; 16] = [
         1.0, 1.0, 0.001, 7.0, //
         2.0, 1.0, 0.003, 7.0, //
@@ -85,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fit_is_mean_and_deviation_with_a_floor_and_leaves_out_what_never_varies() {
+    fn a_fit_is_mean_and_standard_deviation_with_a_floor_and_leaves_out_constant_features() {
         let density = fitted().0;
         let spread = sqrt(3.5); // (4 + 1 + 0 + 9) / 4
         assert!((density.mean[0] - 3.0).abs() < 1e-12 && (density.sigma[0] - spread).abs() < 1e-12);
@@ -95,9 +100,9 @@ mod tests {
     }
 
     #[test]
-    fn the_log_density_meets_a_hand_worked_case_with_and_without_its_constant() {
+    fn the_log_density_matches_a_worked_case_with_and_without_its_constant() {
         let density = fitted();
-        // z = 1 and 0.4 in the two features that count; the others' values make no difference.
+        // z = 1 and 0.4 in the two active features. The other features have no effect.
         let row = [3.0 + sqrt(3.5) as f32, 9.0, 0.006, 100.0];
         let by_hand = -(0.5 * log(3.5) + 0.5) - (log(0.01) + 0.5 * 0.4 * 0.4);
         assert!((density.log_prob_without_constant(&row) - by_hand).abs() < 1e-6);
@@ -105,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn no_other_mean_or_deviation_makes_the_rows_likelier() {
+    fn the_fit_maximises_the_likelihood_of_the_rows() {
         let best = fitted();
         let likelihood = |density: &DiagonalGaussian| log_prob(density, &ROWS).iter().sum::<f64>();
         for (by, scale) in [(0.1, 1.0), (-0.1, 1.0), (0.0, 1.1), (0.0, 0.9)] {
@@ -117,11 +122,11 @@ mod tests {
     }
 
     #[test]
-    fn remembered_moments_are_those_of_old_and_new_rows_together() {
-        // As many new rows as old ones, so a memory of one half makes one sample of both.
+    fn moments_with_memory_are_those_of_old_and_new_rows_together() {
+        // There are as many new rows as old ones, so a memory of 1/2 gives the moments of both together.
         let shifted = ROWS.map(|x| 2.0 * x + 1.0);
         let mut density = fitted();
-        let half = Occasion { memory: 0.5, ..ONCE };
+        let half = DensityContext { memory: 0.5, ..ONCE };
         density.fit(Observations { data: &shifted, width: 4 }, half).unwrap();
         let mut both = unfitted();
         let data = [ROWS, shifted].concat();
@@ -133,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_kept_density_is_the_density() {
+    fn a_restored_density_equals_the_stored_one() {
         let density = fitted();
         let kept = density.arrays("density/agent_0.").unwrap();
         let mut other = unfitted();

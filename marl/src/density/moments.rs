@@ -1,5 +1,5 @@
-//! Mean and deviation of every signal feature: all that a Gaussian needs, and the units in which the
-//! other densities see the world.
+//! Mean and standard deviation of every signal feature: the parameters of a Gaussian, and the units of the other
+//! densities.
 
 use libm::{log, sqrt};
 use policy::arrays::{Array, NamedArrays};
@@ -8,22 +8,22 @@ use super::stored;
 use crate::density::Observations;
 use crate::error::MarlError;
 
-/// Moments of the signal features. A feature whose deviation is below the mask carries no surprise and
-/// is left out; the others' deviations are held above the floor.
+/// Moments of the signal features. A feature with a standard deviation below the mask is left out. Those of the others
+/// are at least the floor.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Moments {
     signal: Vec<usize>,
     sigma_floor: f64,
     mask_below: f64,
     pub(super) mean: Vec<f64>,
-    /// As they were found; `sigma` has the floor.
+    /// Without the floor that `sigma` has.
     variance: Vec<f64>,
     pub(super) sigma: Vec<f64>,
     pub(super) active: Vec<bool>,
 }
 
 impl Moments {
-    /// Moments of nothing yet, of the features `signal`; floor and mask in units of the feature.
+    /// Moments without rows, of the features `signal`. Floor and mask are in units of the feature.
     pub(super) fn new(signal: Vec<usize>, sigma_floor: f64, mask_below: f64) -> Self {
         let count = signal.len();
         let (mean, variance, sigma) = (vec![0.0; count], vec![1.0; count], vec![1.0; count]);
@@ -31,8 +31,8 @@ impl Moments {
         Self { signal, sigma_floor, mask_below, mean, variance, sigma, active }
     }
 
-    /// Sample mean and deviation (the likelihood's maximum divides by `R`), in two passes. What was
-    /// known before has the weight `memory`, as if its rows were among these.
+    /// Mean and maximum-likelihood standard deviation (divided by `R`), in two passes. Previous moments have the weight
+    /// `memory`, as if their rows were among these.
     pub(super) fn fit(&mut self, observations: Observations<'_>, memory: f64) {
         let count = observations.count() as f64;
         for (i, &feature) in self.signal.iter().enumerate() {
@@ -49,17 +49,17 @@ impl Moments {
         }
     }
 
-    /// Signal features.
+    /// Number of signal features.
     pub(super) fn signals(&self) -> usize {
         self.signal.len()
     }
 
-    /// Where the signal feature stands in an observation.
+    /// Index of the signal feature in an observation.
     pub(super) fn feature(&self, signal: usize) -> usize {
         self.signal[signal]
     }
 
-    /// Signal features that count, in their order.
+    /// Active signal features, in order.
     pub(super) fn counted(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.signal.len()).filter(|&i| self.active[i])
     }
@@ -69,18 +69,18 @@ impl Moments {
         (f64::from(row[self.signal[i]]) - self.mean[i]) / self.sigma[i]
     }
 
-    /// The smallest deviation of the signal feature `i` in units of its own, at most 1.
+    /// Lower bound of the standard deviation of signal feature `i`, in units of its own, at most 1.
     pub(super) fn floor(&self, i: usize) -> f64 {
         self.sigma_floor / self.sigma[i]
     }
 
-    /// `sum_j log sigma_j` over the features that count: what a log-density of standardised features
-    /// has above that of the features themselves, nats.
+    /// `sum_j log sigma_j` over active features: the log-density of standardised features minus that of the features,
+    /// nats.
     pub(super) fn log_volume(&self) -> f64 {
         self.counted().map(|i| log(self.sigma[i])).sum()
     }
 
-    /// Features that count and that do not.
+    /// Number of active features and of features left out.
     pub(super) fn features(&self) -> (usize, usize) {
         let counted = self.counted().count();
         (counted, self.signal.len() - counted)

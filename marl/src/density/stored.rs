@@ -1,10 +1,10 @@
-//! Reading a density's kept numbers, with refusals that name the array.
+//! Reads a density's stored arrays. Errors name the array.
 
 use policy::arrays::{Array, NamedArrays};
 
 use crate::error::MarlError;
 
-/// The array `name` as f64 if it has this shape; `None` for a length leaves it open.
+/// The array `name` as f64, if it has this shape. `None` allows any length.
 pub(super) fn reals(
     arrays: &NamedArrays,
     name: &str,
@@ -16,7 +16,7 @@ pub(super) fn reals(
     }
 }
 
-/// The array `name` as i64 if it has this shape.
+/// The array `name` as i64, if it has this shape.
 pub(super) fn integers(
     arrays: &NamedArrays,
     name: &str,
@@ -36,5 +36,5 @@ fn fits(shape: &[usize], expected: &[Option<usize>]) -> bool {
 fn wrong(name: &str, expected: &[Option<usize>]) -> MarlError {
     let length = |axis: &Option<usize>| axis.map_or("any".to_owned(), |axis| axis.to_string());
     let shape = expected.iter().map(length).collect::<Vec<_>>().join(", ");
-    MarlError::Restore(format!("{name} is missing or not of the type and shape [{shape}]"))
+    MarlError::Restore(format!("{name} is missing or has another type or shape than [{shape}]"))
 }

@@ -1,4 +1,4 @@
-//! What holds for every class of densities, and the bound of Eq. (2) for those whose truth is known.
+//! Properties of all densities, and the bound of Eq. (2) where the true density is known.
 
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use rand::RngCore;
@@ -16,8 +16,8 @@ fn config(density: DensityKind) -> SurpriseConfig {
     SurpriseConfig { density, ..probe::surprise() }
 }
 
-fn at(iteration: u64) -> Occasion {
-    Occasion { seed: RunSeed(4), iteration, agent: 1, memory: 0.0 }
+fn at(iteration: u64) -> DensityContext {
+    DensityContext { seed: RunSeed(4), iteration, agent: 1, memory: 0.0 }
 }
 
 fn density(config: &SurpriseConfig, features: usize) -> Box<dyn Density> {
@@ -31,7 +31,7 @@ fn fit(density: &mut dyn Density, data: &[f32], width: usize, iteration: u64) ->
     density.log_prob(observations, at(iteration)).unwrap()
 }
 
-/// The entropy that a density finds in its own rows, nats.
+/// The entropy bound of a density on the rows it is fitted on, nats.
 fn found_entropy(config: &SurpriseConfig, data: &[f32], width: usize) -> f64 {
     entropy_bound(&fit(density(config, width).as_mut(), data, width, 0))
 }
@@ -41,13 +41,13 @@ fn normals(count: usize) -> Vec<f32> {
     (0..count).map(|_| standard_normal(&mut rng)).collect()
 }
 
-/// Pairs of independent normal numbers of deviations 2 and 1/2; entropy `2.8379`.
+/// Pairs of independent normal numbers with standard deviations 2 and 1/2; entropy `2.8379`.
 fn normal_pairs() -> Vec<f32> {
     normals(2 * ROWS).chunks_exact(2).flat_map(|z| [3.0 + 2.0 * z[0], 0.5 * z[1]]).collect()
 }
 
-/// Half of the rows around -4, half around 4, each with deviation 1/2.
-fn two_hills() -> Vec<f32> {
+/// Half of the rows around -4, half around 4, each with standard deviation 1/2.
+fn two_modes() -> Vec<f32> {
     let side = |row: usize| if row.is_multiple_of(2) { 4.0 } else { -4.0 };
     normals(ROWS).into_iter().enumerate().map(|(row, z)| side(row) + 0.5 * z).collect()
 }
@@ -59,7 +59,7 @@ fn symbols() -> Vec<f32> {
 }
 
 #[test]
-fn a_true_model_meets_the_entropy() {
+fn the_bound_of_the_true_model_is_the_entropy() {
     let pairs = entropy(&[2.0, 0.5]);
     let found = found_entropy(&config(DensityKind::DiagonalGaussian), &normal_pairs(), 2);
     assert!((found - pairs).abs() < 0.04, "{found} {pairs}");
@@ -69,11 +69,11 @@ fn a_true_model_meets_the_entropy() {
 }
 
 #[test]
-fn a_model_that_is_not_the_truth_lies_above_the_entropy() {
+fn the_bound_of_a_wrong_model_exceeds_the_entropy() {
     let hills = entropy(&[0.5]) + libm::log(2.0);
-    let gaussian = found_entropy(&config(DensityKind::DiagonalGaussian), &two_hills(), 1);
+    let gaussian = found_entropy(&config(DensityKind::DiagonalGaussian), &two_modes(), 1);
     assert!(gaussian > hills + 0.5, "{gaussian} {hills}");
-    // The lower bound of a log-density stays one with training.
+    // The lower bound of a log-density remains one after training.
     let (pairs, data) = (entropy(&[2.0, 0.5]), normal_pairs());
     let mut vae = density(&config(DensityKind::Vae), 2);
     let bounds = (0..20).map(|iteration| entropy_bound(&fit(vae.as_mut(), &data, 2, iteration)));
@@ -83,18 +83,18 @@ fn a_model_that_is_not_the_truth_lies_above_the_entropy() {
 }
 
 #[test]
-fn a_symbols_probability_is_its_smoothed_frequency() {
+fn a_values_probability_is_its_smoothed_frequency() {
     let mut density = density(&config(DensityKind::Categorical), 1);
     density.fit(Observations { data: &[5.0, 5.0, 7.0, 0.0], width: 1 }, at(0)).unwrap();
-    let asked = Observations { data: &[5.0, -0.0, 9.0], width: 1 };
-    // Three values and the unseen ones: each counts one more, 8 in all.
-    let found = density.log_prob(asked, at(0)).unwrap();
+    let queries = Observations { data: &[5.0, -0.0, 9.0], width: 1 };
+    // Three values and the unseen one: each counts once more, 8 in all.
+    let found = density.log_prob(queries, at(0)).unwrap();
     assert_eq!(found, [3.0 / 8.0, 2.0 / 8.0, 1.0 / 8.0].map(libm::log));
 }
 
 #[test]
-fn an_autoencoder_learns_on_from_iteration_to_iteration() {
-    // A ring: no Gaussian per feature comes near it.
+fn an_autoencoder_continues_training_from_iteration_to_iteration() {
+    // A ring, which no Gaussian per feature approximates well.
     let normal = normals(ROWS);
     let ring: Vec<f32> = normal
         .iter()
@@ -113,15 +113,15 @@ fn an_autoencoder_learns_on_from_iteration_to_iteration() {
 }
 
 #[test]
-fn a_restored_density_goes_on_bit_for_bit_whatever_it_was_before() {
+fn a_restored_density_continues_bit_for_bit_whatever_its_previous_state() {
     let (first, second) = (normal_pairs(), normals(2 * ROWS));
     for kind in KINDS {
         let (mut kept, mut other) = (density(&config(kind), 2), density(&config(kind), 2));
         fit(kept.as_mut(), &first, 2, 0);
         fit(other.as_mut(), &second, 2, 5);
         other.restore("density/", &kept.arrays("density/").unwrap()).unwrap();
-        let asked = Observations { data: &second, width: 2 };
-        assert_eq!(kept.log_prob(asked, at(1)).unwrap(), other.log_prob(asked, at(1)).unwrap());
+        let queries = Observations { data: &second, width: 2 };
+        assert_eq!(kept.log_prob(queries, at(1)).unwrap(), other.log_prob(queries, at(1)).unwrap());
         let (mine, yours) = (fit(kept.as_mut(), &second, 2, 1), fit(other.as_mut(), &second, 2, 1));
         assert_eq!(mine, yours, "{kind:?}");
         assert_eq!(kept.arrays("").unwrap(), other.arrays("").unwrap(), "{kind:?}");
@@ -145,8 +145,8 @@ fn every_density_gives_the_same_bits_on_one_two_and_three_threads() {
 }
 
 #[test]
-fn a_feature_that_never_varies_is_left_out_and_rows_that_are_all_one_are_scored_with_numbers() {
-    // Feature 1 never varies; with no mask, nothing is left out and the floors must hold.
+fn constant_features_are_left_out_and_constant_rows_have_finite_scores() {
+    // Feature 1 never varies. Without a mask nothing is left out, so the floor must prevent infinities.
     let data: Vec<f32> = normals(300).into_iter().flat_map(|z| [z, 2.0]).collect();
     let same = [0.5, -0.5].repeat(50);
     for kind in KINDS {

@@ -1,5 +1,5 @@
-//! A variational autoencoder over the standardised features, whose evidence lower bound stands for the
-//! log-density. It is trained on from iteration to iteration.
+//! A variational autoencoder over the standardised features. Its evidence lower bound replaces the log-density. Its
+//! training continues from iteration to iteration.
 
 use candle_core::{Device, Tensor, Var};
 use libm::{exp, log};
@@ -12,7 +12,7 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
 use super::moments::Moments;
 use crate::config::VaeConfig;
-use crate::density::{Density, Observations, Occasion};
+use crate::density::{Density, DensityContext, Observations};
 use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
 use crate::optimisation::gradient::{Gradients, OutputGradient, by, numbers, root};
@@ -20,20 +20,20 @@ use crate::optimisation::layers::rows;
 use crate::optimisation::minibatch::minibatches;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 
-/// Gain of the decoder's output: its means differ from the start, so that the latent has a use.
+/// Gain of the decoder's output. Its means differ from the start, so that the latent is useful.
 const DECODER_GAIN: f64 = 1.0;
-/// Gain of the encoder's output: at the start the latent is nearly the prior.
+/// Gain of the encoder's output. The initial latent is nearly the prior.
 const ENCODER_GAIN: f64 = 0.01;
-/// The decoder's deviations at the start, in the features' own. At 1 no latent at all would be a local
-/// optimum, which is hard to leave.
+/// Logarithm of the decoder's initial standard deviations, in units of the features'. At a standard deviation of 1,
+/// ignoring the latent would be a local optimum that is hard to leave.
 const START_LOG_SIGMA: f32 = -1.0;
-/// Adam's epsilon, as Kingma and Ba have it.
+/// Adam's epsilon, as in Kingma and Ba.
 const EPSILON: f64 = 1e-8;
-/// The actors' limit, which their gradients hardly reach either.
+/// The actors' limit, which gradients rarely reach.
 const MAX_GRADIENT_NORM: f64 = 10.0;
 
-/// `q(z | o)` and `p(o | z)`, each Linear, tanh, Linear, with diagonal Gaussians; the decoder's
-/// deviations are parameters of their own.
+/// `q(z | o)` and `p(o | z)`: Linear, tanh, Linear each, with diagonal Gaussians. The decoder's standard deviations are
+/// separate parameters.
 pub struct Vae {
     epochs: usize,
     minibatches: usize,
@@ -46,7 +46,7 @@ pub struct Vae {
     adam: Adam,
 }
 
-/// The latent of some rows: `[R, latent]` each, `spread` being `exp(log variance / 2)`.
+/// The latent of some rows, `[R, latent]` each. `sigma` is the standard deviation, `exp(log variance / 2)`.
 struct Latent {
     encoded: Tensor,
     mean: Vec<f64>,
@@ -54,17 +54,17 @@ struct Latent {
 }
 
 impl Latent {
-    fn spread(&self, i: usize) -> f64 {
+    fn sigma(&self, i: usize) -> f64 {
         exp(0.5 * self.log_variance[i])
     }
 
-    /// `mean + spread * noise`.
+    /// `mean + sigma * noise`.
     fn sample(&self, noise: &[f64]) -> Vec<f32> {
-        let one = |i: usize| (self.mean[i] + self.spread(i) * noise[i]) as f32;
+        let one = |i: usize| (self.mean[i] + self.sigma(i) * noise[i]) as f32;
         (0..noise.len()).map(one).collect()
     }
 
-    /// `KL[q(z | o) || N(0, 1)]` of the row's numbers `of`, nats.
+    /// `KL[q(z | o) || N(0, 1)]` of the elements `of`, nats.
     fn divergence(&self, of: std::ops::Range<usize>) -> f64 {
         let one = |i: usize| {
             let (mean, log_variance) = (self.mean[i], self.log_variance[i]);
@@ -75,7 +75,7 @@ impl Latent {
 }
 
 impl Vae {
-    /// Networks for the moments' features, drawn for agent `agent`.
+    /// Networks for the moments' features, with weights initialised for agent `agent`.
     pub(super) fn new(
         config: &VaeConfig,
         moments: Moments,
@@ -115,7 +115,7 @@ impl Vae {
         })
     }
 
-    /// The rows as the networks see them, `[R, S]`: features that are left out are 0.
+    /// Input of the networks, `[R, S]`. Features that are left out are 0.
     fn inputs(&self, observations: Observations<'_>) -> Vec<f32> {
         let feature = |row, i| match self.moments.active[i] {
             true => self.moments.standard(row, i) as f32,
@@ -140,7 +140,7 @@ impl Vae {
         Ok(self.decoder.weights()?.apply(z, None)?)
     }
 
-    /// `log p(x | z)` of every row, nats, over the features that count.
+    /// `log p(x | z)` of every row over active features, nats.
     fn reconstruction(
         &self,
         inputs: &[f32],
@@ -163,14 +163,14 @@ impl Vae {
         Ok(inputs.chunks_exact(width).zip(mean.chunks_exact(width)).map(row).collect())
     }
 
-    /// One step up the mean evidence lower bound of some rows.
+    /// One ascent step on the mean evidence lower bound of some rows.
     fn step(&mut self, inputs: &[f32], noise: &[f64]) -> Result<(), MarlError> {
         self.adam.step(&self.parameters, &self.gradients(inputs, noise)?)?;
         self.project()
     }
 
-    /// Gradients of minus the mean evidence lower bound of some rows, with one draw of the latent each.
-    /// The draw cuts the graph in two: the decoder's gradient by it goes on by hand.
+    /// Gradients of minus the mean evidence lower bound of some rows, with one latent sample each. The sample separates
+    /// the graphs of decoder and encoder; the gradient through it is computed by hand.
     fn gradients(&self, inputs: &[f32], noise: &[f64]) -> Result<Gradients, MarlError> {
         let latent = self.latent(inputs)?;
         let z = Var::from_tensor(&rows(latent.sample(noise), self.latent, Precision::Single)?)?;
@@ -194,7 +194,7 @@ impl Vae {
         Ok(Gradients(all))
     }
 
-    /// Gradient of minus the mean of [`Vae::reconstruction`] by the decoded means and `log_sigma`.
+    /// Gradient of minus the mean of [`Vae::reconstruction`] with respect to the decoded means and `log_sigma`.
     fn reconstruction_gradient(
         &self,
         inputs: &[f32],
@@ -214,7 +214,7 @@ impl Vae {
         Ok((d_mean, d_log_sigma))
     }
 
-    /// Holds the decoder's deviations at the features' floor.
+    /// Clamps the decoder's standard deviations to the features' floor.
     fn project(&self) -> Result<(), MarlError> {
         let values = self.log_sigma.as_tensor().to_vec1::<f32>()?;
         let held = |(i, value): (usize, f32)| value.max(log(self.moments.floor(i)) as f32);
@@ -223,23 +223,23 @@ impl Vae {
         Ok(self.log_sigma.set(&Tensor::from_vec(held, width, &Device::Cpu)?)?)
     }
 
-    /// Standard normal noise of the latent of `count` rows.
-    fn noise(&self, count: usize, occasion: Occasion, step: usize) -> Vec<f64> {
-        let Occasion { seed, iteration, agent, .. } = occasion;
+    /// Standard normal noise for the latents of `count` rows.
+    fn noise(&self, count: usize, context: DensityContext, step: usize) -> Vec<f64> {
+        let DensityContext { seed, iteration, agent, .. } = context;
         let draw = Draw::of(Purpose::DensityNoise).iteration(iteration).agent(agent);
         let mut rng = generator(seed, draw.step(step as u32));
         (0..count * self.latent).map(|_| f64::from(standard_normal(&mut rng))).collect()
     }
 }
 
-/// Gradient of the mean loss by the encoder's output `[R, 2 latent]`: through the draw, and of
+/// Gradient of the mean loss with respect to the encoder's output `[R, 2 latent]`: through the sample, and of
 /// [`Latent::divergence`].
 fn latent_gradient(latent: &Latent, noise: &[f64], d_z: &[f64], width: usize) -> Vec<f64> {
     let share = width as f64 / d_z.len() as f64;
     let by_mean = |i: usize| d_z[i] + share * latent.mean[i];
     let by_log_variance = |i: usize| {
-        let spread = latent.spread(i);
-        0.5 * (d_z[i] * spread * noise[i] + share * (spread * spread - 1.0))
+        let sigma = latent.sigma(i);
+        0.5 * (d_z[i] * sigma * noise[i] + share * (sigma * sigma - 1.0))
     };
     let row = |start: usize| {
         let here = start..start + width;
@@ -249,16 +249,20 @@ fn latent_gradient(latent: &Latent, noise: &[f64], d_z: &[f64], width: usize) ->
 }
 
 impl Density for Vae {
-    fn fit(&mut self, observations: Observations<'_>, occasion: Occasion) -> Result<(), MarlError> {
+    fn fit(
+        &mut self,
+        observations: Observations<'_>,
+        context: DensityContext,
+    ) -> Result<(), MarlError> {
         self.moments.fit(observations, 0.0);
         if self.moments.features().0 == 0 {
             return Ok(());
         }
         let (inputs, width) = (self.inputs(observations), self.moments.signals());
-        let Occasion { seed, iteration, agent, .. } = occasion;
+        let DensityContext { seed, iteration, agent, .. } = context;
         let draw = Draw::of(Purpose::DensityMinibatch).iteration(iteration).agent(agent);
         for epoch in 0..self.epochs {
-            let noise = self.noise(observations.count(), occasion, epoch);
+            let noise = self.noise(observations.count(), context, epoch);
             let draw = draw.step(epoch as u32);
             for part in minibatches(observations.count(), self.minibatches, seed, draw) {
                 self.step(&picked(&inputs, &part, width), &picked(&noise, &part, self.latent))?;
@@ -267,16 +271,16 @@ impl Density for Vae {
         Ok(())
     }
 
-    /// `E_q[log p(o | z)] - KL[q(z | o) || N(0, 1)]`, the expectation over a draw and its mirror image,
-    /// so that what is linear in the noise cancels. The noise is not that of the fit.
+    /// `E_q[log p(o | z)] - KL[q(z | o) || N(0, 1)]`. The expectation is over a sample and its reflection, so that
+    /// terms linear in the noise cancel. The noise differs from that of the fit.
     fn log_prob(
         &self,
         observations: Observations<'_>,
-        occasion: Occasion,
+        context: DensityContext,
     ) -> Result<Vec<f64>, MarlError> {
         let inputs = self.inputs(observations);
         let latent = self.latent(&inputs)?;
-        let noise = self.noise(observations.count(), occasion, self.epochs);
+        let noise = self.noise(observations.count(), context, self.epochs);
         let mirrored: Vec<f64> = noise.iter().map(|x| -x).collect();
         let there = self.reconstruction(&inputs, &latent, &noise)?;
         let back = self.reconstruction(&inputs, &latent, &mirrored)?;
@@ -307,7 +311,7 @@ impl Density for Vae {
     }
 }
 
-/// The rows `part` of `[R, width]` numbers.
+/// The rows `part` of `[R, width]` values.
 fn picked<V: Copy>(from: &[V], part: &[usize], width: usize) -> Vec<V> {
     part.iter().flat_map(|&row| from[row * width..(row + 1) * width].iter().copied()).collect()
 }
@@ -318,16 +322,16 @@ mod tests {
     use crate::probe;
 
     #[test]
-    fn the_gradient_meets_finite_differences() {
+    fn the_gradient_matches_finite_differences() {
         let moments = Moments::new(vec![0, 1], 0.01, 1e-4);
         let mut vae = Vae::new(&probe::surprise().vae, moments, (RunSeed(1), 0)).unwrap();
         let data = [0.3, -1.0, 2.0, 0.4, -0.7, 1.5];
-        let (observations, occasion) = (
+        let (observations, context) = (
             Observations { data: &data, width: 2 },
-            Occasion { seed: RunSeed(1), iteration: 0, agent: 0, memory: 0.0 },
+            DensityContext { seed: RunSeed(1), iteration: 0, agent: 0, memory: 0.0 },
         );
-        vae.fit(observations, occasion).unwrap();
-        let (inputs, noise) = (vae.inputs(observations), vae.noise(3, occasion, 7));
+        vae.fit(observations, context).unwrap();
+        let (inputs, noise) = (vae.inputs(observations), vae.noise(3, context, 7));
         let loss = || {
             let latent = vae.latent(&inputs).unwrap();
             let likelihood: f64 =

@@ -1,22 +1,22 @@
-//! Categorical distributions in f64. The outputs of a row are its logits; the action is the index of a choice.
+//! Categorical distributions in f64. Outputs are logits; an action is the index of a choice.
 
 use libm::{exp, log};
 
 use super::{Row, RowDistribution, RowGradient};
 
-/// `log p_k = logit_k - log sum_j exp logit_j`, nats. `logits` is `[K]`, and so is the result.
+/// `log p_k = logit_k - log sum_j exp logit_j`, nats. `logits` and the result are `[K]`.
 fn log_softmax(logits: &[f64]) -> Vec<f64> {
     let total = log_sum_exp(logits);
     logits.iter().map(|&x| x - total).collect()
 }
 
-/// `log sum_j exp logit_j`, with the largest subtracted so that no exponential overflows. `logits` is `[K]`.
+/// `log sum_j exp logit_j` of logits `[K]`. Subtracting the largest prevents overflow.
 fn log_sum_exp(logits: &[f64]) -> f64 {
     let largest = logits.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x));
     largest + log(logits.iter().map(|&x| exp(x - largest)).sum::<f64>())
 }
 
-/// The formulas of a categorical distribution.
+/// Formulas of a categorical distribution.
 #[derive(Clone, Copy, Debug)]
 pub struct CategoricalRow;
 
@@ -75,7 +75,7 @@ impl RowDistribution for CategoricalRow {
         }
     }
 
-    /// Computed with logarithms of sums, so that it is finite for distributions without overlap.
+    /// In logarithms of sums, so that it is finite for distributions without overlap.
     fn cauchy_schwarz(&self, q: Row<'_>, p: Row<'_>) -> f64 {
         let (log_q, log_p) = (log_softmax(q.outputs), log_softmax(p.outputs));
         let overlap = |x: &[f64], y: &[f64]| log_sum_exp(&sum(x, y));

@@ -1,4 +1,4 @@
-//! Diagonal Gaussians in f64. The outputs of a row are its mean.
+//! Diagonal Gaussians in f64. Outputs are means.
 
 use libm::log;
 
@@ -13,7 +13,7 @@ pub fn entropy(sigma: &[f64]) -> f64 {
     sigma.iter().map(|&sigma| log(sigma) + 0.5 * (LOG_TWO_PI + 1.0)).sum()
 }
 
-/// The formulas of a diagonal Gaussian.
+/// Formulas of a diagonal Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct GaussianRow;
 

@@ -1,4 +1,4 @@
-//! Parameters of the action distributions of many rows in f64: the link between a head's tensors and the formulas.
+//! Parameters of the action distributions of many rows in f64, converted from a head's tensors.
 
 use std::ops::Range;
 
@@ -12,19 +12,19 @@ use crate::error::MarlError;
 use crate::optimisation::gradient::{self, OutputGradient, numbers};
 use crate::shape::assert_shape;
 
-/// A distribution for each of `R` rows, or a gradient by its parameters.
+/// Distributions of `R` rows, or a gradient with respect to their parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeadRows {
-    /// The kind of action.
+    /// Kind of action.
     pub kind: ActionKind,
     /// Means, `[R, act]`, or logits, `[R, K]`.
     pub outputs: Vec<f64>,
-    /// Standard deviations of all rows, `[act]`; empty for a discrete action.
+    /// Standard deviations, equal in all rows, `[act]`; empty for a discrete action.
     pub sigma: Vec<f64>,
 }
 
 impl HeadRows {
-    /// Gaussians with means `[R, act]` and deviations `[act]`.
+    /// Gaussians with means `[R, act]` and standard deviations `[act]`.
     #[must_use]
     pub fn gaussian(mean: Vec<f64>, sigma: Vec<f64>) -> Self {
         Self { kind: ActionKind::Continuous, outputs: mean, sigma }
@@ -36,10 +36,10 @@ impl HeadRows {
         Self { kind: ActionKind::Discrete { choices }, outputs: logits, sigma: Vec::new() }
     }
 
-    /// The numbers of a head's tensors.
+    /// Values of a head's tensors.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn of(distribution: &Distribution) -> Result<Self, MarlError> {
         Ok(match distribution {
             Distribution::Gaussian(own) => {
@@ -51,12 +51,12 @@ impl HeadRows {
         })
     }
 
-    /// These parameters with other outputs.
+    /// A copy with other outputs.
     fn with_outputs(&self, outputs: Vec<f64>) -> Self {
         Self { kind: self.kind, outputs, sigma: self.sigma.clone() }
     }
 
-    /// The formulas of this kind of distribution.
+    /// Formulas of this kind of distribution.
     #[must_use]
     pub fn distribution(&self) -> &'static dyn RowDistribution {
         match self.kind {
@@ -65,7 +65,7 @@ impl HeadRows {
         }
     }
 
-    /// Numbers in an action, `act`.
+    /// Size of an action, `act`.
     #[must_use]
     pub fn action_size(&self) -> usize {
         match self.kind {
@@ -74,7 +74,7 @@ impl HeadRows {
         }
     }
 
-    /// Outputs of a row, `act` or `K`.
+    /// Outputs per row, `act` or `K`.
     fn width(&self) -> usize {
         match self.kind {
             ActionKind::Continuous => self.sigma.len(),
@@ -82,32 +82,32 @@ impl HeadRows {
         }
     }
 
-    /// `R`.
+    /// Number of rows, `R`.
     #[must_use]
     pub fn count(&self) -> usize {
         self.outputs.len() / self.width()
     }
 
-    /// The parameters of row `row`.
+    /// Parameters of row `row`.
     #[must_use]
     pub fn row(&self, row: usize) -> Row<'_> {
         Row { outputs: &self.outputs[row * self.width()..][..self.width()], sigma: &self.sigma }
     }
 
-    /// The gradient by the parameters of row `row`.
+    /// Gradient with respect to the parameters of row `row`.
     pub fn row_gradient(&mut self, row: usize) -> RowGradient<'_> {
         let width = self.width();
         RowGradient { outputs: &mut self.outputs[row * width..][..width], sigma: &mut self.sigma }
     }
 
-    /// A gradient of zeros by these parameters.
+    /// A zero gradient in the shapes of these parameters.
     #[must_use]
     pub fn zeros(&self) -> Self {
         let (outputs, sigma) = (vec![0.0; self.outputs.len()], vec![0.0; self.sigma.len()]);
         Self { kind: self.kind, outputs, sigma }
     }
 
-    /// `log p(a)` of the given rows' actions; `action` is `[R, act]`; nats.
+    /// `log p(a)` of the rows `of`, nats; `action` is `[R, act]`.
     #[must_use]
     pub fn log_prob(&self, action: &[f64], of: &[usize]) -> Vec<f64> {
         let width = self.action_size();
@@ -121,7 +121,7 @@ impl HeadRows {
         self.distribution().log_prob(action, self.row(row))
     }
 
-    /// Adds `weight` times the gradient of [`HeadRows::log_prob_of`] by the parameters of `p` to this gradient.
+    /// Adds `weight` times the gradient of [`HeadRows::log_prob_of`] with respect to the parameters of `p`.
     pub fn add_log_prob_gradient(&mut self, weight: f64, row: usize, action: &[f64], p: &Self) {
         let gradient = self.row_gradient(row);
         p.distribution().add_log_prob_gradient(weight, action, p.row(row), gradient);
@@ -144,13 +144,13 @@ impl HeadRows {
         assert_shape("distributions (kind, outputs, sigma)", shape(other), shape(self));
     }
 
-    /// The given rows.
+    /// A copy of the given rows.
     #[must_use]
     pub fn of_rows(&self, rows: &[usize]) -> Self {
         self.with_outputs(rows.iter().flat_map(|&row| self.row(row).outputs).copied().collect())
     }
 
-    /// This policy with `shift` `[R, out]` added to its outputs and its sigma times `factor`, `[act]`.
+    /// A copy with `shift` `[R, out]` added to the outputs and sigma multiplied by `factor`, `[act]`.
     ///
     /// # Panics
     /// If the shapes differ.
@@ -165,30 +165,31 @@ impl HeadRows {
         }
     }
 
-    /// From a gradient by the parameters that [`HeadRows::corrected`] gives: that by its `shift` and by its `factor`.
+    /// Gradients with respect to the `shift` and the `factor` of [`HeadRows::corrected`], from that with respect to its
+    /// result.
     #[must_use]
     pub fn correction_gradient(&self, gradient: Self) -> (Vec<f64>, Vec<f64>) {
         let by_factor = gradient.sigma.iter().zip(&self.sigma).map(|(slope, sigma)| slope * sigma);
         (gradient.outputs, by_factor.collect())
     }
 
-    /// The rows of `parts`, of this kind each, one after another; no rows without parts.
+    /// Concatenates the rows of `parts`, all of this kind.
     #[must_use]
     pub fn joined(&self, parts: &[Self]) -> Self {
         let all = parts.iter().flat_map(|part| &part.outputs).copied().collect();
         parts.first().unwrap_or(self).with_outputs(all)
     }
 
-    /// Chunked rows `[L, C]` of some chunks, `[L, columns]`.
+    /// Rows of the chunks `columns`, from chunked rows `[L, C]`.
     #[must_use]
     pub fn columns(&self, layout: Layout, columns: &[usize]) -> Self {
         self.with_outputs(layout.columns(&self.outputs, self.width(), columns))
     }
 
-    /// Of parts that hold some chunks `[L, chunks]` each, all rows `[L, C]`.
+    /// Combines `parts`, each with the chunks `[L, chunks]`, to all rows `[L, C]`.
     ///
     /// # Panics
-    /// Without a part.
+    /// If `parts` is empty.
     #[must_use]
     pub fn gathered(parts: &[Self], layout: Layout, chunks: &[Range<usize>]) -> Self {
         let width = parts[0].width();
@@ -200,10 +201,10 @@ impl HeadRows {
         parts[0].with_outputs(all)
     }
 
-    /// A scalar whose gradient by the tensors of `head` is this one; see [`gradient::root`].
+    /// A scalar whose gradient with respect to the tensors of `head` is this one; see [`gradient::root`].
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn root(&self, head: &Distribution) -> Result<Tensor, MarlError> {
         let outputs = match head {
             Distribution::Gaussian(own) => vec![&own.mean, &own.sigma],

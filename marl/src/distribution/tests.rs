@@ -14,7 +14,7 @@ fn logits(outputs: &[f64]) -> Row<'_> {
 }
 
 #[test]
-fn the_divergence_meets_a_hand_worked_case() {
+fn the_divergence_matches_a_worked_case() {
     // log(.3/.4) + (.16+.04)/.18 - .5 = .323429 ; log(.5/.25) + (.0625+.49)/.5 - .5 = 1.298147
     let found = GaussianRow.kl_divergence(Q, P);
     assert!((found - (0.323_429_038 + 1.298_147_181)).abs() < 1e-8);
@@ -40,7 +40,7 @@ fn mean_over(of: Row<'_>, value: impl Fn(&[f64]) -> f64) -> f64 {
 }
 
 #[test]
-fn the_closed_forms_meet_monte_carlo() {
+fn the_closed_forms_match_monte_carlo_estimates() {
     let difference = |x: &[f64]| GaussianRow.log_prob(x, Q) - GaussianRow.log_prob(x, P);
     let density = |of: Row<'_>, x: &[f64]| exp(GaussianRow.log_prob(x, of));
     let (q_p, q_q, p_p) = (
@@ -56,7 +56,7 @@ fn the_closed_forms_meet_monte_carlo() {
 }
 
 #[test]
-fn nothing_diverges_from_itself_and_only_cauchy_schwarz_is_symmetric() {
+fn the_divergence_from_itself_is_zero_and_only_cauchy_schwarz_is_symmetric() {
     for kind in KINDS {
         assert!(GaussianRow.divergence(kind, P, P).abs() < 1e-12);
     }
@@ -68,7 +68,7 @@ fn nothing_diverges_from_itself_and_only_cauchy_schwarz_is_symmetric() {
 }
 
 #[test]
-fn a_categorical_case_worked_by_hand_is_met() {
+fn categorical_formulas_match_a_worked_case() {
     // Probabilities 1/2, 1/4, 1/4 and 1/4, 1/4, 1/2, each moved by a constant.
     let moved = |p: [f64; 3], by: f64| p.map(|p| log(p) + by);
     let (q, p) = (moved([0.5, 0.25, 0.25], 3.0), moved([0.25, 0.25, 0.5], -2.0));
@@ -82,7 +82,7 @@ fn a_categorical_case_worked_by_hand_is_met() {
 }
 
 #[test]
-fn categorical_divergences_meet_a_case_worked_by_hand() {
+fn categorical_divergences_match_a_worked_case() {
     // q = (1/2, 1/2), p = (1/4, 3/4), each moved by a constant.
     let (q, p) = ([2.0, 2.0], [log(0.25) - 1.0, log(0.75) - 1.0]);
     let found = KINDS.map(|kind| CategoricalRow.divergence(kind, logits(&q), logits(&p)));
@@ -95,7 +95,7 @@ fn categorical_divergences_meet_a_case_worked_by_hand() {
 }
 
 #[test]
-fn categorical_distributions_without_overlap_are_far_apart_with_finite_gradients() {
+fn categorical_distributions_without_overlap_have_large_divergences_and_finite_gradients() {
     let (q, p) = ([0.0, -700.0], [-700.0, 0.0]);
     for kind in KINDS {
         let mut slopes = [0.0; 2];
@@ -136,7 +136,7 @@ fn meets_differences(
 }
 
 #[test]
-fn the_gradients_of_both_kinds_meet_finite_differences() {
+fn the_gradients_of_both_kinds_match_finite_differences() {
     let (q, p) = ([0.3, -1.2, 0.8], [-0.4, 0.9, 0.2]);
     let gaussian: (&dyn RowDistribution, _, _, &[f64]) = (&GaussianRow, Q, P, &[0.7, -0.1]);
     let categorical: (&dyn RowDistribution, _, _, &[f64]) =

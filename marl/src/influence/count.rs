@@ -1,30 +1,30 @@
-//! Mutual information of small discrete joint actions, by counting.
+//! Mutual information of discrete joint actions with few values, by counting.
 
 use std::collections::BTreeMap;
 
 use libm::log;
 
-/// One joint action and where it was taken. The numbers are names and have no order.
+/// One joint action and its state. The numbers are ids without order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct JointSample {
-    /// What stands for `s^i`: the same number wherever the agent knew the same.
+    /// Id of `s^i`: equal for equal knowledge of the agent.
     pub state: u64,
-    /// The own action `a^i`.
+    /// The agent's action `a^i`.
     pub own: u32,
     /// The other agents' joint action `a^-i`.
     pub others: u64,
 }
 
-/// What stands for `log 0`: `e^-700` is 1e-304, and products with its logarithm stay numbers.
-const LOG_NEVER: f64 = -700.0;
+/// Replaces `log 0`. `e^-700` is 1e-304, and products with its logarithm are finite.
+const LOG_ZERO: f64 = -700.0;
 
-/// Names for `count` equally long rows side by side in `rows`: equal rows have the same, the first one 0.
+/// Ids of `count` rows of equal length. Equal rows have equal ids; the first row has 0.
 #[must_use]
 pub fn numbered(rows: &[f32], count: usize) -> Vec<u64> {
     let mut names = BTreeMap::new();
     let width = rows.len() / count;
     let name = |row: usize| {
-        // Adding 0 turns -0 into 0, which is the same number with other bits.
+        // Adding 0 turns -0 into 0, an equal number with other bits.
         let row = &rows[row * width..(row + 1) * width];
         let bits: Vec<u32> = row.iter().map(|x| (x + 0.0).to_bits()).collect();
         let next = names.len() as u64;
@@ -33,7 +33,7 @@ pub fn numbered(rows: &[f32], count: usize) -> Vec<u64> {
     (0..count).map(name).collect()
 }
 
-/// Eq. (7): `q(a | a_n^-i, s) = N1(a, a_n^-i, s) / N2(a_n^-i, s)` of every sample `n`, over all choices `a`, as
+/// Eq. (7): `q(a | a_n^-i, s) = N1(a, a_n^-i, s) / N2(a_n^-i, s)` of every sample `n`, for all choices `a`, as
 /// log-probabilities `[R, choices]`, nats.
 #[must_use]
 pub fn counted_conditional(samples: &[JointSample], choices: usize) -> Vec<f64> {
@@ -41,24 +41,23 @@ pub fn counted_conditional(samples: &[JointSample], choices: usize) -> Vec<f64> 
     let row = |sample: &JointSample| {
         let own = &joint[&(sample.state, sample.others)];
         let of = total(own) as f64;
-        let share = move |a: usize| own.get(&(a as u32)).map_or(LOG_NEVER, |&n| log(n as f64 / of));
+        let share = move |a: usize| own.get(&(a as u32)).map_or(LOG_ZERO, |&n| log(n as f64 / of));
         (0..choices).map(share)
     };
     samples.iter().flat_map(row).collect()
 }
 
-/// Occurrences of every own action, under each condition.
+/// Counts of the agent's actions, per condition.
 type Counts<Condition> = BTreeMap<Condition, BTreeMap<u32, u64>>;
 
-/// Eq. (7): `I = 1/R sum_R KL[p(. | a_n^-i, s) || p(. | s)]` with the ratio of counts `N1(a^i, a^-i, s) /
-/// N2(a^-i, s)` as conditional and `N(a^i, s) / N(s)` as marginal, over `R` samples; nats, never
-/// negative, `None` of no samples. Of independent actions it exceeds 0 by about
-/// `(|A^i| - 1)(|A^-i| - 1) / (2 R)` for each state.
+/// Eq. (7): `I = 1/R sum_R KL[p(. | a_n^-i, s) || p(. | s)]` over `R` samples. The conditional is
+/// `N1(a^i, a^-i, s) / N2(a^-i, s)`, the marginal `N(a^i, s) / N(s)`. Nats, never negative; `None` without samples. For
+/// independent actions it exceeds 0 by about `(|A^i| - 1)(|A^-i| - 1) / (2 R)` per state.
 #[must_use]
 pub fn counted_information(samples: &[JointSample]) -> Option<f64> {
     let joint = counts(samples, |sample| (sample.state, sample.others));
     let marginal = counts(samples, |sample| sample.state);
-    // Rows with the same condition have the same divergence, so each condition counts `N2` times.
+    // Rows with the same condition have the same divergence, so each condition has the weight `N2`.
     let weighted = |(&(state, _), own): (&(u64, u64), &BTreeMap<u32, u64>)| {
         total(own) as f64 * divergence(own, &marginal[&state])
     };
@@ -81,7 +80,7 @@ fn total(counts: &BTreeMap<u32, u64>) -> u64 {
     counts.values().sum()
 }
 
-/// `KL[conditional || marginal]` of two tables of counts; the marginal has all that the other has.
+/// `KL[conditional || marginal]` of two tables of counts. The marginal contains all keys of the conditional.
 fn divergence(conditional: &BTreeMap<u32, u64>, marginal: &BTreeMap<u32, u64>) -> f64 {
     let (n, of) = (total(conditional) as f64, total(marginal) as f64);
     let term = |(own, &count): (&u32, &u64)| {
@@ -98,7 +97,7 @@ mod tests {
 
     use super::*;
 
-    /// Two coins that agree `same` times of 10, once for every state.
+    /// Two coins that agree in `same` of 10 cases, in each state.
     fn coins(states: u64, same: u64) -> Vec<JointSample> {
         let toss = |state: u64| {
             (0..2_u32).flat_map(move |own| {
@@ -112,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn the_information_of_two_coins_that_agree_nine_times_of_ten_meets_its_closed_form() {
+    fn the_information_of_two_coins_that_agree_nine_times_of_ten_matches_its_closed_form() {
         // log 2 + .9 log .9 + .1 log .1
         let found = counted_information(&coins(3, 9)).unwrap();
         assert!((found - 0.368_064_2).abs() < 1e-6, "{found}");
@@ -122,22 +121,22 @@ mod tests {
     }
 
     #[test]
-    fn counted_shares_are_those_of_the_rows_with_the_same_condition() {
+    fn counted_conditionals_are_frequencies_among_rows_with_the_same_condition() {
         let found = counted_conditional(&coins(1, 9), 3);
-        // The first sample's other coin shows 0, as do 9 of those whose own does and 1 of the rest.
-        let by_hand = [log(0.9), log(0.1), LOG_NEVER];
+        // The other coin of the first sample shows 0: the agent's coin agrees 9 times and differs once.
+        let by_hand = [log(0.9), log(0.1), LOG_ZERO];
         assert!(found[..3].iter().zip(by_hand).all(|(f, b)| (f - b).abs() < 1e-12), "{found:?}");
         assert_eq!(found.len(), 60);
     }
 
     #[test]
-    fn equal_rows_have_the_same_name() {
+    fn equal_rows_have_the_same_id() {
         assert_eq!(numbered(&[0.0, 1.0, 5.0, 1.0, -0.0, 1.0], 3), vec![0, 1, 0]);
         assert_eq!(numbered(&[], 2), vec![0, 0]);
     }
 
     #[test]
-    fn what_both_know_from_the_state_is_not_information_between_them() {
+    fn information_from_a_common_state_is_not_counted() {
         let sample = |n: u64| JointSample { state: n % 2, own: (n % 2) as u32, others: n % 2 };
         let mut samples: Vec<JointSample> = (0..20).map(sample).collect();
         assert_eq!(counted_information(&samples), Some(0.0));
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn independent_actions_have_no_more_than_the_bias_of_counting() {
+    fn the_estimate_of_independent_actions_is_at_most_the_bias_of_counting() {
         let mut rng = generator(RunSeed(2), Draw::of(Purpose::Probe));
         let mut below = |bound: u32| rng.next_u32() % bound;
         let mut sample = |_| JointSample {
@@ -156,7 +155,7 @@ mod tests {
         };
         let samples: Vec<JointSample> = (0..20_000).map(&mut sample).collect();
         let found = counted_information(&samples).unwrap();
-        // Two states of (3 - 1)(4 - 1) degrees of freedom: 12 / (2 * 20,000) = 0.0003 on average.
+        // Two states with (3 - 1)(4 - 1) degrees of freedom: 12 / (2 * 20,000) = 0.0003 on average.
         assert!((0.0..0.001).contains(&found), "{found}");
     }
 }

@@ -1,4 +1,5 @@
-//! The variational posterior `q_xi(a^i | a^-i, o^i, h^i)`: the policy with a correction that knows the others' actions.
+//! The variational posterior `q_xi(a^i | a^-i, o^i, h^i)`: the policy plus a correction that depends on the others'
+//! actions.
 
 use std::ops::Range;
 
@@ -20,54 +21,54 @@ use crate::optimisation::minibatch::minibatches;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
 
-/// Sizes around one agent's posterior.
+/// Sizes of one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PosteriorShape {
-    /// Numbers in the other agents' joint action `a^-i`, choices one-hot.
+    /// Size of the other agents' joint action `a^-i`, choices one-hot.
     pub others: usize,
-    /// Features of the trunk.
+    /// Number of trunk features.
     pub features: usize,
-    /// Numbers in the own action.
+    /// Size of the agent's action.
     pub action: usize,
-    /// What these numbers are.
+    /// Kind of action.
     pub kind: ActionKind,
 }
 
-/// A distribution over the own action of the policy's kind, the behaviour policy plus a correction: `a^-i` encoded
-/// (Linear, tanh) and joined with the trunk's features, then Linear, tanh, and Linear, which starts at 0, for what is
-/// added to the logits or the mean. A Gaussian's sigma is the policy's times `2 sigmoid(c)` with a parameter `c` that
-/// starts at 0. So an untrained posterior is the policy, and every estimate of it is exactly 0.
+/// A distribution of the policy's kind: the behaviour policy plus a correction. `a^-i` is encoded (Linear, tanh) and
+/// joined with the trunk's features; Linear, tanh and a Linear that starts at 0 give the shift of the logits or the
+/// mean. A Gaussian's sigma is the policy's times `2 sigmoid(c)`, with a parameter `c` that starts at 0. An untrained
+/// posterior is therefore the policy, and every estimate from it is exactly 0.
 pub struct Posterior {
     config: InfluenceConfig,
     precision: Precision,
     shape: PosteriorShape,
     parameters: Parameters,
-    /// Of the other agents' actions.
+    /// Input: the other agents' actions.
     encoder: LayerStack,
-    /// Of features and encoded actions.
+    /// Input: features and encoded actions.
     joined: LayerStack,
-    /// `c`, `[act]`; of a Gaussian alone.
+    /// `c`, `[act]`; only for Gaussians.
     sigma_correction: Option<Var>,
     adam: Adam,
 }
 
-/// What a posterior learns from and is asked about, rows in any one order.
+/// Training data and queries of a posterior, rows in any order.
 pub struct Conditions<'a> {
-    /// The trunk's features under the behaviour weights, `[R, F]`; a constant.
+    /// The trunk's features under the behaviour weights, `[R, F]`; constant.
     pub features: &'a Tensor,
     /// The other agents' actions, choices one-hot, `[R, others]`.
     pub others: &'a [f32],
-    /// The own actions taken, `[R, act]`.
+    /// The agent's actions, `[R, act]`.
     pub action: &'a [f64],
     /// The behaviour policy of every row.
     pub policy: &'a HeadRows,
 }
 
-/// What a posterior makes of the policy in some rows.
+/// The posterior of some rows with its correction.
 struct Corrected {
-    /// Added to the policy's means or logits, `[R, out]`.
+    /// Shift of the policy's means or logits, `[R, out]`.
     shift: Tensor,
-    /// By which the policy's sigma is multiplied, `[act]`; of a Gaussian alone.
+    /// Factor of the policy's sigma, `[act]`; only for Gaussians.
     factor: Option<Tensor>,
     /// The policy of these rows.
     policy: HeadRows,
@@ -82,7 +83,7 @@ impl Corrected {
         Ok(Self { shift, factor, policy, posterior })
     }
 
-    /// A scalar with the given gradient by the posterior's numbers.
+    /// A scalar with the given gradient with respect to the parameters of the posterior distributions.
     fn root(&self, gradient: HeadRows) -> Result<Tensor, MarlError> {
         let (by_shift, by_factor) = self.policy.correction_gradient(gradient);
         let mut outputs = vec![OutputGradient { output: &self.shift, gradient: &by_shift }];
@@ -94,10 +95,10 @@ impl Corrected {
 }
 
 impl Posterior {
-    /// A posterior of this shape for agent `agent`.
+    /// A posterior of this shape for agent `agent`, with initial weights.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn new(
         config: &InfluenceConfig,
         adam_config: AdamConfig,
@@ -131,7 +132,7 @@ impl Posterior {
         Ok([self.encoder.weights()?, self.joined.weights()?])
     }
 
-    /// The posterior of some rows. The features are constants here, so that nothing reaches the trunk through it.
+    /// The posterior of some rows. The features are constant, so that no gradient reaches the trunk.
     fn corrected(
         &self,
         [encoder, joined]: &[Weights; 2],
@@ -150,12 +151,13 @@ impl Posterior {
         Corrected::of(shift, factor.transpose()?, data.policy.of_rows(part))
     }
 
-    /// Maximum likelihood on the rows `trained` of `data`: `max_xi mean log q_xi(a^i | a^-i, o^i, h^i)`, until an epoch
-    /// no longer raises the likelihood of the rows `held_out`, or for all epochs if there are none. That last epoch is
-    /// undone. Gives the mean log-likelihood of the last epoch that counts, nats, or what it was before if there is none.
+    /// Maximum likelihood on the rows `trained` of `data`: `max_xi mean log q_xi(a^i | a^-i, o^i, h^i)`. Training ends
+    /// after an epoch that does not raise the likelihood of the rows `held_out`, which is undone, or, without such
+    /// rows, after all epochs. Returns the mean log-likelihood of the last epoch that was kept, nats; before any, the
+    /// initial one.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn fit(
         &mut self,
         data: &Conditions<'_>,
@@ -181,7 +183,7 @@ impl Posterior {
         counted.map_or_else(|| self.log_likelihood(data, trained), Ok)
     }
 
-    /// Mean `log q` of the actions in the rows `of`, nats; 0 of none.
+    /// Mean `log q` of the actions in the rows `of`, nats; 0 without rows.
     fn log_likelihood(&self, data: &Conditions<'_>, of: &[usize]) -> Result<f64, MarlError> {
         let width = self.shape.action;
         let action = of.iter().flat_map(|&row| &data.action[row * width..(row + 1) * width]);
@@ -211,8 +213,8 @@ impl Posterior {
         Ok(likelihood)
     }
 
-    /// One optimiser step, after which sigma is at its floor or above: `influence.posterior_sigma_floor`, or the policy's sigma
-    /// where that is lower.
+    /// One optimiser step, after which sigma is clamped to at least its floor: `influence.posterior_sigma_floor`, or
+    /// the policy's sigma if that is lower.
     fn descend(&mut self, gradients: &Gradients, policy: &HeadRows) -> Result<(), MarlError> {
         self.adam.step(&self.parameters, gradients)?;
         let Some(correction) = &self.sigma_correction else {
@@ -231,7 +233,7 @@ impl Posterior {
     /// The posterior of the rows `of` of `data`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn conditional(&self, data: &Conditions<'_>, of: &[usize]) -> Result<HeadRows, MarlError> {
         let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
         let one = |range: Range<usize>| Ok(self.corrected(&weights, data, &of[range])?.posterior);
@@ -239,7 +241,7 @@ impl Posterior {
         Ok(data.policy.joined(&parts))
     }
 
-    /// Optimiser steps skipped so far because their gradient was not finite.
+    /// Number of optimiser steps skipped because their gradient was not finite.
     #[must_use]
     pub fn skipped(&self) -> i64 {
         self.adam.skipped()
@@ -248,17 +250,17 @@ impl Posterior {
     /// `weights/posterior_I.*` and `optimizer/posterior_I.*`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn arrays(&self, agent: usize) -> Result<NamedArrays, MarlError> {
         let mut arrays = self.parameters.to_arrays(&format!("weights/posterior_{agent}."))?;
         arrays.append(&mut self.adam.arrays(&format!("optimizer/posterior_{agent}.")));
         Ok(arrays)
     }
 
-    /// Takes over what [`Posterior::arrays`] gave.
+    /// Restores the output of [`Posterior::arrays`].
     ///
     /// # Errors
-    /// Names an array that is missing or does not fit.
+    /// Names an array that is missing or of another shape or type.
     pub fn restore(&mut self, agent: usize, arrays: &NamedArrays) -> Result<(), MarlError> {
         self.parameters.load(&format!("weights/posterior_{agent}."), arrays)?;
         self.adam.restore(&format!("optimizer/posterior_{agent}."), arrays)

@@ -1,5 +1,5 @@
-//! The paper's second head (Fig. 1): `q_xi(a^i | a^-i, o^i, h^i)` on the trunk that it shares with the policy's head. Eq. (10)
-//! trains both heads and the trunk at once, by one optimiser.
+//! The paper's second head (Fig. 1): `q_xi(a^i | a^-i, o^i, h^i)` on the policy's trunk. Eq. (10) trains both heads and
+//! the trunk with one optimiser.
 
 use candle_core::{Device, Tensor, Var};
 use policy::layers::{LayerSpec, TANH_GAIN};
@@ -14,26 +14,26 @@ use crate::error::MarlError;
 use crate::influence::posterior::{Conditions, PosteriorShape};
 use crate::optimisation::layers::rows;
 
-/// A Gaussian over the own action: `a^-i` encoded (Linear, tanh) and joined with the trunk's features, then Linear,
-/// tanh, and the mean; sigma as in the policy's head, a parameter of its own.
+/// A Gaussian over the agent's action. `a^-i` is encoded (Linear, tanh) and joined with the trunk's features; Linear,
+/// tanh and Linear give the mean. Sigma is a separate parameter, as in the policy's head.
 pub struct SecondHead {
     others: usize,
     sigma_scale: f64,
     sigma_floor: f64,
     precision: Precision,
     parameters: Parameters,
-    /// Of the other agents' actions.
+    /// Input: the other agents' actions.
     encoder: LayerStack,
-    /// Of features and encoded actions.
+    /// Input: features and encoded actions.
     joined: LayerStack,
     log_std: Var,
 }
 
 impl SecondHead {
-    /// A head of this shape for agent `agent`.
+    /// A head of this shape for agent `agent`, with initial weights.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn new(
         config: &InfluenceConfig,
         policy: &PolicyConfig,
@@ -73,18 +73,18 @@ impl SecondHead {
         &self.parameters
     }
 
-    /// The weights as they are now; to be taken once per optimiser step.
+    /// The current weights, to be read once per optimiser step.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn weights(&self) -> Result<[Weights; 2], MarlError> {
         Ok([self.encoder.weights()?, self.joined.weights()?])
     }
 
-    /// `q_xi` of every row, from the trunk's features `[R, F]` and the others' actions `[R, others]`.
+    /// `q_xi` of every row; the trunk's features are `[R, F]`, the others' actions `[R, others]`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn distribution(
         &self,
         [encoder, joined]: &[Weights; 2],
@@ -97,19 +97,19 @@ impl SecondHead {
         Ok(Distribution::Gaussian(Gaussian { mean, sigma }))
     }
 
-    /// `q_xi` of every row of `data`, a constant.
+    /// `q_xi` of every row of `data`, as constants.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn conditional(&self, data: &Conditions<'_>) -> Result<HeadRows, MarlError> {
         let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
         HeadRows::of(&self.distribution(&weights, data.features, data.others.to_vec())?)
     }
 
-    /// Holds sigma at its floor, as the policy's head does.
+    /// Clamps sigma to its floor, as in the policy's head.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn project(&self) -> Result<(), MarlError> {
         Ok(project_sigma(&self.log_std, self.sigma_floor, self.sigma_scale)?)
     }

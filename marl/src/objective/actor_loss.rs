@@ -1,55 +1,55 @@
-//! Eq. (10): the actor's loss over the rows of a minibatch, and its gradient by the policy's parameters. Written by
-//! hand in f64, because it runs once per optimiser step over every row.
+//! Eq. (10): the actor's loss over the rows of a minibatch, and its gradient with respect to the policy's parameters.
+//! The gradient is computed by hand in f64, because every optimiser step computes it for every row.
 
-use super::surrogate::{clipped_surrogate, is_held, ratio};
+use super::surrogate::{clipped_surrogate, is_clamped, ratio};
 use crate::distribution::{HeadRows, gaussian};
 use crate::influence::{Term, regularized_objective};
 use crate::shape::assert_shape;
 
-/// Weights of the loss's terms.
+/// Weights of the loss terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coefficients {
-    /// Half width of the ratio's trust region.
+    /// Half width of the interval to which the ratio is clipped.
     pub clip: f64,
     /// Weight of the entropy bonus.
     pub entropy: f64,
     /// Weight of the influence term.
     pub lambda: f64,
-    /// How the influence term is computed.
+    /// Definition of the influence term.
     pub term: Term,
 }
 
-/// What the loss needs to know about its rows and holds constant; `R` rows of `A` actions.
+/// Constants of the loss for `R` rows of `A` actions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rows {
     /// Actions taken, `[R, A]`.
     pub action: Vec<f64>,
-    /// Log-densities of the actions under the behaviour weights, `[R]`.
+    /// Log-probabilities of the actions under the behaviour weights, `[R]`.
     pub log_prob_old: Vec<f64>,
     /// Normalised advantages, `[R]`.
     pub advantage: Vec<f64>,
     /// Sequential factor `M`, `[R]`.
     pub factor: Vec<f64>,
-    /// The posterior `q` of every row, with an influence term.
+    /// Posterior `q` of every row; `None` without an influence term.
     pub posterior: Option<HeadRows>,
 }
 
-/// Figures of a minibatch. All are means over its rows, and shares of them add up.
+/// Metrics of a minibatch. All are means over its rows; those of its parts add up.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// The whole loss: what is minimised.
+    /// The whole loss, which is minimised.
     pub loss: f64,
     /// Minus the weighted clipped surrogate.
     pub policy_loss: f64,
     /// Mean of `ratio - 1 - log ratio`, an estimate of `KL[old || new]`, nats.
     pub approx_kl: f64,
-    /// Share of rows whose ratio is outside the trust region.
+    /// Fraction of rows whose ratio is outside the clipping interval.
     pub clip_fraction: f64,
-    /// Share of rows whose log-ratio is so far off that the ratio is held.
-    pub held_fraction: f64,
-    /// Mean influence term: the paper's is the capped `KL[q || p]`, nats.
+    /// Fraction of rows whose log-ratio is clamped.
+    pub clamped_fraction: f64,
+    /// Mean influence term, nats; the paper's is the capped `KL[q || p]`.
     pub influence: f64,
-    /// Share of rows whose divergence has reached its cap.
+    /// Fraction of rows whose divergence is at its cap.
     pub capped_fraction: f64,
     /// Mean entropy of the policy, nats.
     pub entropy: f64,
@@ -62,16 +62,16 @@ impl Figures {
         self.policy_loss += weight * other.policy_loss;
         self.approx_kl += weight * other.approx_kl;
         self.clip_fraction += weight * other.clip_fraction;
-        self.held_fraction += weight * other.held_fraction;
+        self.clamped_fraction += weight * other.clamped_fraction;
         self.influence += weight * other.influence;
         self.capped_fraction += weight * other.capped_fraction;
         self.entropy += weight * other.entropy;
     }
 }
 
-/// Eq. (10): `-mean_R [ M min(ratio A, clip(ratio) A) + lambda min(KL[q || p], kappa act) + c_entropy H[p] ]`, and
-/// its gradient by the parameters of the policy `p`, for rows that are `R` of the minibatch's `total` rows: every mean
-/// is divided by `total`, so that the results of all parts of a minibatch add up to those of the whole.
+/// Eq. (10): `-mean_R [ M min(ratio A, clip(ratio) A) + lambda min(KL[q || p], kappa act) + c_entropy H[p] ]`, and its
+/// gradient with respect to the parameters of `p`. The `R` rows are part of a minibatch of `total` rows. Every mean is
+/// divided by `total`, so that the results of all parts add up.
 ///
 /// # Panics
 /// If the shapes of `p` and `rows` differ.
@@ -120,7 +120,8 @@ impl Rows {
     }
 }
 
-/// Adds one row's surrogate to the figures; the loss's slope by the row's new log-probability.
+/// Adds one row's surrogate to `figures`. Returns the derivative of the loss with respect to the row's new
+/// log-probability.
 fn surrogate_slope(
     row: usize,
     log_prob: f64,
@@ -133,17 +134,17 @@ fn surrogate_slope(
     let ratio_now = ratio(log_ratio);
     let (value, slope) = clipped_surrogate(ratio_now, rows.advantage[row], clip);
     let weight = rows.factor[row] * share;
-    // Beyond the guard the ratio is constant: its slope by the log-ratio is 0, not the ratio.
-    let held = is_held(log_ratio);
-    let ratio_slope = if held { 0.0 } else { ratio_now };
+    // A clamped ratio is constant: its derivative with respect to the log-ratio is 0, not the ratio.
+    let clamped = is_clamped(log_ratio);
+    let ratio_slope = if clamped { 0.0 } else { ratio_now };
     figures.policy_loss -= weight * value;
     figures.approx_kl += share * (ratio_now - 1.0 - log_ratio);
     figures.clip_fraction += if (ratio_now - 1.0).abs() > clip { share } else { 0.0 };
-    figures.held_fraction += if held { share } else { 0.0 };
+    figures.clamped_fraction += if clamped { share } else { 0.0 };
     -weight * slope * ratio_slope
 }
 
-/// Adds the influence term of all rows to the figures, and its gradient by `p`.
+/// Adds the influence term of all rows to `figures`, and its gradient with respect to `p` to `gradient`.
 fn add_influence(
     p: &HeadRows,
     q: &HeadRows,
@@ -174,7 +175,7 @@ mod tests {
         Term { estimator: Estimator::VariationalKl, divergence: Divergence::KlQp, kappa: 1.0 };
     const ALL: Coefficients = Coefficients { clip: 0.2, entropy: 0.03, lambda: 0.4, term: TERM };
 
-    /// Three rows of two action dimensions, and data about them; the last row's divergence is beyond the cap.
+    /// Three rows of two action dimensions, and their data. The divergence of the last row exceeds the cap.
     fn gaussians() -> (HeadRows, Rows) {
         let p = HeadRows::gaussian(vec![0.1, -0.2, 0.4, 0.3, -0.5, 0.2], vec![0.3, 0.45]);
         let q = HeadRows::gaussian(vec![0.2, 0.0, 0.3, 0.5, 2.5, 0.2], vec![0.25, 0.4]);
@@ -191,7 +192,7 @@ mod tests {
     }
 
     fn rows(p: &HeadRows, action: Vec<f64>, q: HeadRows) -> Rows {
-        // Ratios 1.1 (inside the trust region), 1.5 and 0.6 (outside, one free and one clipped).
+        // Ratios 1.1 (inside the clipping interval), 1.5 and 0.6 (outside; the former is clipped, the latter is not).
         let now = p.log_prob(&action, &[0, 1, 2]).into_iter().zip([1.1, 1.5, 0.6]);
         Rows {
             action,
@@ -202,7 +203,7 @@ mod tests {
         }
     }
 
-    /// The given rows alone.
+    /// The given rows only.
     fn part((p, all): &(HeadRows, Rows), of: Range<usize>) -> (HeadRows, Rows) {
         let (rows, width): (Vec<usize>, _) = (of.clone().collect(), p.action_size());
         let part = Rows {
@@ -215,10 +216,10 @@ mod tests {
         (p.of_rows(&rows), part)
     }
 
-    /// Compares the loss with one whose entropy and largest divergence are given.
+    /// Compares the loss with a worked case of the given entropy and capped divergence.
     fn meets_hand_worked((p, rows): (HeadRows, Rows), entropy: f64, cap: f64) {
         let loss = actor_loss(&p, &rows, 3, &ALL).0;
-        // Row 2 is clipped at 1.2; row 3's ratio is below the region but its advantage is positive.
+        // Row 2 is clipped at 1.2. The ratio of row 3 is below the interval, but its advantage is positive.
         let surrogate = (1.0 * 1.1 * 0.7 + 1.3 * 1.2 * 1.2 + 0.8 * 0.6 * 0.9) / 3.0;
         let divergence = rows.posterior.unwrap().kl_divergences(&p);
         let influence = (divergence[0] + divergence[1] + cap) / 3.0;
@@ -229,20 +230,20 @@ mod tests {
     }
 
     #[test]
-    fn the_loss_meets_a_hand_worked_case() {
-        // The cap: 1 per dimension.
+    fn the_loss_matches_a_worked_case() {
+        // The cap is 1 per dimension.
         meets_hand_worked(gaussians(), gaussian::entropy(&gaussians().0.sigma), 2.0);
     }
 
     #[test]
-    fn the_loss_of_choices_meets_a_hand_worked_case() {
+    fn the_loss_of_choices_matches_a_worked_case() {
         let p = choices().0;
         let entropy = (0..3).map(|row| p.distribution().row_entropy(p.row(row).outputs));
         meets_hand_worked(choices(), entropy.sum::<f64>() / 3.0, 1.0);
     }
 
     #[test]
-    fn the_gradient_meets_finite_differences() {
+    fn the_gradient_matches_finite_differences() {
         let (cauchy_schwarz, kl_pq) = (Divergence::CauchySchwarz, Divergence::KlPq);
         for (p, rows) in [gaussians(), choices()] {
             gradient_meets_finite_differences(&p, &rows, TERM);
@@ -274,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_of_a_minibatch_add_up_to_it() {
+    fn losses_of_parts_add_up_to_that_of_the_minibatch() {
         for all in [gaussians(), choices()] {
             let loss = |(p, rows): &(HeadRows, Rows)| actor_loss(p, rows, 3, &ALL);
             let whole = loss(&all);
@@ -289,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_posterior_there_is_no_influence() {
+    fn without_a_posterior_the_influence_is_zero() {
         let (p, rows) = gaussians();
         let rows = Rows { posterior: None, ..rows };
         assert_eq!(actor_loss(&p, &rows, 3, &ALL).0.influence, 0.0);

@@ -1,32 +1,29 @@
-//! Returns and advantages over `[T, B]` rows, with the three ways in which a row's future can stop
-//! told apart.
+//! Returns and advantages over `[T, B]` rows.
 //!
-//! Termination: nothing comes after, the value of the future is 0. Truncation and the end of the
-//! slot: the episode goes on (elsewhere, or in the next iteration), so the future is worth the value
-//! of the true next state. The trace of advantages is cut at all three: the next row belongs to
-//! another episode or is not there.
+//! After termination the value of the next state is 0. After truncation and at the end of the slot the episode
+//! continues, so the next state has the value of the true final state. The trace of advantages is cut at all three,
+//! because the next row belongs to another episode or does not exist.
 
 use crate::data::batch::Batch;
 use crate::shape::assert_shape;
 
-/// Discount and trace of the advantage.
+/// Discount and trace decay of the advantage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Horizon {
     /// Discount per step.
     pub gamma: f64,
-    /// Decay of the trace.
+    /// Decay of the trace, GAE's lambda.
     pub lambda: f64,
 }
 
-/// Eq. (1): `sum_t gamma^t r_t` of one episode's rewards `[T]`, what every policy maximises.
+/// Eq. (1): `sum_t gamma^t r_t` of one episode's rewards `[T]`, the objective of every policy.
 #[must_use]
 pub fn discounted_return(reward: &[f32], gamma: f64) -> f64 {
     reward.iter().rev().fold(0.0, |later, &reward| f64::from(reward) + gamma * later)
 }
 
-/// Value of each row's true next state, `[T, B]`: the next row's value, but after a done step and
-/// after the last one the value of the stored final state (`final_values`, one per
-/// `batch.finals`), and 0 after a termination.
+/// Value of each row's true next state, `[T, B]`: the next row's value; after a done step and after the last step, the
+/// value of the final state (`final_values`, one per `batch.finals`); after termination, 0.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -43,9 +40,9 @@ pub fn next_values(batch: &Batch, values: &[f64], final_values: &[f64]) -> Vec<f
     next
 }
 
-/// Generalised advantage estimation: `delta_t = r_t + gamma V'_t - V_t`, `A_t = delta_t + gamma
-/// lambda A_(t+1)`, where `A_(t+1)` counts only if step `t` ended no episode and is not the slot's
-/// last. `reward`, `values` and `next` (from [`next_values`]) are `[T, B]`; so is the result.
+/// Generalised advantage estimation: `delta_t = r_t + gamma V'_t - V_t`, `A_t = delta_t + gamma lambda A_(t+1)`. The
+/// last term is omitted if step `t` ended an episode or is the slot's last. `reward`, `values`, `next` (from
+/// [`next_values`]) and the result are `[T, B]`.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -104,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn one_environment_with_every_kind_of_end_meets_a_hand_worked_case() {
+    fn advantages_with_every_kind_of_end_match_a_worked_case() {
         // Steps 0 1 | 2 3 | 4: termination after 1, truncation after 3, slot's end after 4.
         let batch = batch(5, 1, &[(1, 0, 't'), (3, 0, 'u')]);
         let values = [1.0, 2.0, 3.0, 4.0, 5.0];
@@ -117,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn environments_do_not_leak_into_each_other() {
+    fn advantages_of_environments_are_independent() {
         let both = batch(2, 2, &[(0, 1, 't')]);
         let values = [1.0, 10.0, 2.0, 20.0];
         let next = next_values(&both, &values, &[7.0, 4.0, 40.0]);
@@ -128,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn with_a_full_trace_the_advantage_is_the_discounted_return_less_the_value() {
+    fn with_lambda_one_the_advantage_is_the_discounted_return_minus_the_value() {
         let whole = batch(4, 1, &[(3, 0, 't')]);
         let reward = [1.0, -2.0, 3.0, 0.5];
         let values = [0.3, 0.1, -0.7, 0.9];
@@ -140,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_trace_the_advantage_is_the_one_step_error() {
+    fn with_lambda_zero_the_advantage_is_the_one_step_error() {
         let whole = batch(2, 1, &[]);
         let next = next_values(&whole, &[1.0, 2.0], &[3.0]);
         let short = Horizon { gamma: 0.5, lambda: 0.0 };

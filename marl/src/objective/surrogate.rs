@@ -1,29 +1,28 @@
-//! The pieces of HAPPO's objective, row by row: guarded ratio, clipped surrogate, sequential factor,
-//! normalised advantage.
+//! The parts of HAPPO's objective per row: ratio, clipped surrogate, sequential factor, normalised advantage.
 
 use libm::{exp, sqrt};
 
 use crate::shape::assert_shape;
 
-/// Log-ratios are held within this many nats before `exp`, so that no ratio and no product of a
-/// dozen of them overflows f32. A ratio of `e^10` is far outside any trust region.
+/// Log-ratios are clamped to this many nats, so that no ratio and no product of a dozen of them overflows f32. A ratio
+/// of `e^10` is far outside any clipping interval.
 pub const LOG_RATIO_LIMIT: f64 = 10.0;
 
-/// `pi_new(a|o) / pi_old(a|o)` as the exponential of the log-ratio summed over action dimensions and
-/// held within `LOG_RATIO_LIMIT` (never a product of ratios per dimension).
+/// `pi_new(a|o) / pi_old(a|o)`: the exponential of the log-ratio, which is summed over action dimensions and clamped to
+/// `LOG_RATIO_LIMIT`.
 #[must_use]
 pub fn ratio(log_ratio: f64) -> f64 {
     exp(log_ratio.clamp(-LOG_RATIO_LIMIT, LOG_RATIO_LIMIT))
 }
 
-/// Whether [`ratio`] holds a log-ratio back.
+/// Whether [`ratio`] clamps a log-ratio.
 #[must_use]
-pub fn is_held(log_ratio: f64) -> bool {
+pub fn is_clamped(log_ratio: f64) -> bool {
     log_ratio.abs() > LOG_RATIO_LIMIT
 }
 
-/// HAPPO's clipped surrogate of one row, `min(ratio A, clip(ratio, 1 - clip, 1 + clip) A)`, and its
-/// derivative by the ratio (at a tie the unclipped branch's).
+/// HAPPO's clipped surrogate of one row, `min(ratio A, clip(ratio, 1 - clip, 1 + clip) A)`, and its derivative with
+/// respect to the ratio. At a tie the derivative is that of the unclipped branch.
 #[must_use]
 pub fn clipped_surrogate(ratio: f64, advantage: f64, clip: f64) -> (f64, f64) {
     let free = ratio * advantage;
@@ -37,11 +36,11 @@ pub fn factor_limits() -> (f64, f64) {
     (exp(-LOG_RATIO_LIMIT), exp(LOG_RATIO_LIMIT))
 }
 
-/// HAPPO's sequential factor `M' = M pi_new(a|o) / pi_old(a|o)`: the weight that agents already
-/// updated put on the next one's advantage. All slices are `[R]`; log-densities in nats.
+/// HAPPO's sequential factor `M' = M pi_new(a|o) / pi_old(a|o)`, by which earlier agents' updates weight the next
+/// agent's advantage. All slices are `[R]`; log-probabilities in nats.
 ///
-/// `M` is held within [`factor_limits`]. A ratio that is no number counts as 1: such a row
-/// moves no policy, so that what one agent cannot weigh does not spoil the next one's update.
+/// `M` is clamped to [`factor_limits`]. A NaN ratio leaves `M` unchanged, so that an invalid row of one agent does
+/// not spoil the update of the next.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -59,8 +58,8 @@ pub fn sequential_factor(factor: &[f64], log_prob_new: &[f64], log_prob_old: &[f
         .collect()
 }
 
-/// `(A - mean) / (std + 1e-5)` over all rows, with the population's deviation. `[R]` to `[R]`. Equal
-/// advantages are 0: their mean may differ from them in the last bit, and the quotient is then noise.
+/// `(A - mean) / (std + 1e-5)` over all rows, with the population standard deviation. `[R]` to `[R]`. Equal advantages
+/// are 0: their mean may differ from them in the last bit, and the quotient would be noise.
 #[must_use]
 pub fn normalized_advantage(advantage: &[f64]) -> Vec<f64> {
     if advantage.windows(2).all(|pair| pair[0] == pair[1]) {
@@ -70,7 +69,7 @@ pub fn normalized_advantage(advantage: &[f64]) -> Vec<f64> {
     advantage.iter().map(|&a| (a - mean) / (deviation + 1e-5)).collect()
 }
 
-/// Mean and population deviation of `[R]` numbers, summed in order in f64; 0 and 0 of none.
+/// Mean and population standard deviation of `[R]` numbers, summed in order in f64; both 0 without numbers.
 #[must_use]
 pub fn mean_and_deviation(numbers: &[f64]) -> (f64, f64) {
     let count = numbers.len().max(1) as f64;
@@ -84,16 +83,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_clip_binds_only_where_it_makes_the_surrogate_smaller() {
-        assert_eq!(clipped_surrogate(1.5, 2.0, 0.2), (2.4, 0.0)); // good action, already likelier
-        assert_eq!(clipped_surrogate(0.5, 2.0, 0.2), (1.0, 2.0)); // good action, less likely: pulled
-        assert_eq!(clipped_surrogate(1.5, -2.0, 0.2), (-3.0, -2.0)); // bad, likelier: pushed
-        assert_eq!(clipped_surrogate(0.5, -2.0, 0.2), (-1.6, 0.0)); // bad, already less likely
-        assert_eq!(clipped_surrogate(1.0, 2.0, 0.2), (2.0, 2.0)); // the first step is free
+    fn clipping_only_lowers_the_surrogate() {
+        assert_eq!(clipped_surrogate(1.5, 2.0, 0.2), (2.4, 0.0)); // good action, already more likely
+        assert_eq!(clipped_surrogate(0.5, 2.0, 0.2), (1.0, 2.0)); // good action, less likely: not clipped
+        assert_eq!(clipped_surrogate(1.5, -2.0, 0.2), (-3.0, -2.0)); // bad action, more likely: not clipped
+        assert_eq!(clipped_surrogate(0.5, -2.0, 0.2), (-1.6, 0.0)); // bad action, already less likely
+        assert_eq!(clipped_surrogate(1.0, 2.0, 0.2), (2.0, 2.0)); // the first step is not clipped
     }
 
     #[test]
-    fn the_ratio_of_an_impossible_pair_stays_finite() {
+    fn the_ratio_of_extreme_log_probabilities_is_finite() {
         assert_eq!(ratio(0.0), 1.0);
         assert_eq!(ratio(2e9), exp(10.0));
         assert_eq!(ratio(-2e9), exp(-10.0));
@@ -109,19 +108,19 @@ mod tests {
     }
 
     #[test]
-    fn a_normalised_advantage_has_mean_zero_and_deviation_one() {
-        let normal = normalized_advantage(&[1.0, 3.0]); // mean 2, deviation 1
+    fn normalised_advantages_have_mean_zero_and_standard_deviation_one() {
+        let normal = normalized_advantage(&[1.0, 3.0]); // mean 2, standard deviation 1
         assert!((normal[0] + 1.0).abs() < 2e-5 && (normal[1] - 1.0).abs() < 2e-5);
         assert_eq!(normalized_advantage(&[7.0, 7.0]), vec![0.0, 0.0]);
     }
 
     #[test]
-    fn equal_advantages_are_zero_however_large_they_are() {
+    fn equal_advantages_are_normalised_to_zero() {
         assert_eq!(normalized_advantage(&[1.1e30; 7]), vec![0.0; 7]);
     }
 
     #[test]
-    fn a_factor_stays_within_its_limits_and_a_ratio_that_is_no_number_leaves_it() {
+    fn a_factor_stays_within_its_limits_and_is_unchanged_by_a_nan_ratio() {
         let far = sequential_factor(&[exp(9.0), exp(-9.0)], &[5.0, -5.0], &[0.0, 0.0]);
         assert_eq!(far, vec![exp(LOG_RATIO_LIMIT), exp(-LOG_RATIO_LIMIT)]);
         assert_eq!(sequential_factor(&[2.0], &[f64::NAN], &[0.0]), vec![2.0]);

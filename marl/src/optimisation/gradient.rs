@@ -1,5 +1,4 @@
-//! From a loss written by hand to gradients of parameters: the seam between our formulas and the
-//! networks' automatic differentiation.
+//! Gradients of parameters from gradients with respect to networks' outputs, which are computed by hand.
 
 use candle_core::{DType, Device, Tensor, Var};
 use policy::ops::Backward;
@@ -12,20 +11,19 @@ use crate::optimisation::reals::Reals;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gradients(pub Vec<Reals>);
 
-/// A network's output and the gradient of the loss by it, row-major.
+/// A network's output and the gradient of the loss with respect to it, row-major.
 pub struct OutputGradient<'a> {
     /// The output.
     pub output: &'a Tensor,
-    /// Gradient of the loss by each of its elements.
+    /// Gradient of the loss with respect to each element of the output.
     pub gradient: &'a [f64],
 }
 
-/// A scalar whose gradient by every output is the given one, `sum <output, gradient>`: the chain
-/// rule's first step, after which backward passes of the networks do the rest. Its own value means
-/// nothing.
+/// A scalar whose gradient with respect to every output is the given one: `sum <output, gradient>`. A backward pass
+/// from it gives the gradients of the parameters. Its value has no meaning.
 ///
 /// # Errors
-/// Passes on a tensor error.
+/// If a tensor operation fails.
 pub fn root(outputs: &[OutputGradient<'_>]) -> Result<Tensor, MarlError> {
     let mut total = None;
     for OutputGradient { output, gradient } in outputs {
@@ -40,11 +38,10 @@ pub fn root(outputs: &[OutputGradient<'_>]) -> Result<Tensor, MarlError> {
 }
 
 impl Gradients {
-    /// Gradients of `root` by every parameter.
+    /// Gradients of `root` with respect to every parameter.
     ///
     /// # Errors
-    /// Names a parameter that the root does not reach: a silent hole in a backward pass would
-    /// otherwise leave it untrained.
+    /// Names a parameter that `root` does not depend on. It would otherwise never be trained.
     pub fn of(parameters: &Parameters, root: &Tensor) -> Result<Self, MarlError> {
         let mut backward = Backward::from(root)?;
         let vars = parameters.vars().iter().enumerate();
@@ -52,14 +49,14 @@ impl Gradients {
         Ok(Self(vars.map(one).collect::<Result<_, MarlError>>()?))
     }
 
-    /// Adds `other`, number by number.
+    /// Adds `other` element by element.
     pub fn add(&mut self, other: &Self) {
         for (own, other) in self.0.iter_mut().zip(&other.0) {
             own.add(other);
         }
     }
 
-    /// The mean of several agents' gradients of the same parameters, added in their order.
+    /// Mean of several agents' gradients of the same parameters, added in agent order.
     #[must_use]
     pub fn mean(agents: Vec<Self>) -> Self {
         let count = agents.len();
@@ -70,17 +67,17 @@ impl Gradients {
         mean
     }
 
-    /// Euclidean norm over all parameters, their squares summed in their order in f64.
+    /// Euclidean norm over all parameters. Squares are summed in f64, in parameter order.
     #[must_use]
     pub fn norm(&self) -> f64 {
         libm::sqrt(self.0.iter().map(Reals::sum_of_squares).sum())
     }
 }
 
-/// The gradient by a variable whose first parameter is `name`.
+/// Gradient with respect to a variable whose first parameter is `name`.
 ///
 /// # Errors
-/// If the backward pass has not reached it.
+/// If the backward pass did not reach the variable.
 pub fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Reals, MarlError> {
     if let Some(fused) = backward.take_fused(var) {
         return Ok(Reals::Single(fused));
@@ -89,10 +86,10 @@ pub fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Reals, MarlE
     Reals::of(&found.ok_or_else(|| MarlError::NoGradient(name.to_owned()))?)
 }
 
-/// The numbers of a tensor in f64, row-major.
+/// Values of a tensor in f64, row-major.
 ///
 /// # Errors
-/// Passes on a tensor error.
+/// If a tensor operation fails.
 pub fn numbers(tensor: &Tensor) -> Result<Vec<f64>, MarlError> {
     Ok(tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?)
 }

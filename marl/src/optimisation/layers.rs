@@ -1,4 +1,4 @@
-//! What the networks share that never leave the learner: critic, posteriors and autoencoders.
+//! Layers of the networks that only the learner uses: critics, posteriors and autoencoders.
 
 use candle_core::{Device, Tensor};
 use policy::Precision;
@@ -7,14 +7,15 @@ use policy::ops::Activation;
 
 use crate::error::MarlError;
 
-/// What follows a rectified layer.
+/// Normalisation after a rectified layer.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Normalisation {
     None,
     LayerNorm,
 }
 
-/// `layers` layers of Linear, ReLU and `normalisation`, of `width` units each, then `outputs` numbers.
+/// `layers` layers of Linear, ReLU and `normalisation` with `width` units each, then a linear layer with `outputs`
+/// units.
 pub(crate) fn rectified_layers(
     (inputs, width, layers): (usize, usize, usize),
     normalisation: Normalisation,
@@ -34,7 +35,7 @@ pub(crate) fn rectified_layers(
     specs
 }
 
-/// `[R, width]` numbers as a constant tensor.
+/// `[R, width]` values as a constant tensor.
 pub(crate) fn rows(
     data: Vec<f32>,
     width: usize,

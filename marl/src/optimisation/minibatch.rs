@@ -1,11 +1,11 @@
-//! How rows and sequences are dealt out: minibatches in random order, shards in fixed order.
+//! Random minibatches, and splits in fixed order.
 
 use std::ops::Range;
 
 use policy::randomness::{Draw, RunSeed, generator};
 use rand::RngCore;
 
-/// `0..count` in random order (Fisher-Yates).
+/// A random permutation of `0..count` (Fisher-Yates).
 #[must_use]
 pub fn permutation(count: usize, rng: &mut impl RngCore) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
@@ -15,21 +15,20 @@ pub fn permutation(count: usize, rng: &mut impl RngCore) -> Vec<usize> {
     order
 }
 
-/// A uniform integer below `bound`, as the high half of a 64-bit product: the bias is below
-/// `bound / 2^64`.
+/// A uniform integer below `bound`: the high half of a 64-bit product, with a bias below `bound / 2^64`.
 pub(crate) fn below(bound: usize, rng: &mut impl RngCore) -> usize {
     ((u128::from(rng.next_u64()) * bound as u128) >> 64) as usize
 }
 
-/// `0..count` in `parts` runs whose lengths differ by at most one; empty runs are left out.
+/// Splits `0..count` into `parts` ranges whose lengths differ by at most one; empty ranges are omitted.
 #[must_use]
 pub fn split(count: usize, parts: usize) -> Vec<Range<usize>> {
     let edge = |part: usize| part * count / parts;
     (0..parts).map(|part| edge(part)..edge(part + 1)).filter(|range| !range.is_empty()).collect()
 }
 
-/// The minibatches of one epoch over `0..count`, nothing dropped. With one minibatch the order
-/// would only change the order of summation, so it is left alone.
+/// The minibatches of one epoch over `0..count`; together they contain every index. A single minibatch is not shuffled,
+/// because its order would only affect the order of summation.
 #[must_use]
 pub fn minibatches(count: usize, parts: usize, seed: RunSeed, draw: Draw) -> Vec<Vec<usize>> {
     if parts == 1 {
@@ -45,7 +44,7 @@ mod tests {
     use policy::randomness::Purpose;
 
     #[test]
-    fn parts_cover_everything_once_and_differ_by_at_most_one() {
+    fn parts_cover_every_index_once_and_differ_by_at_most_one() {
         assert_eq!(split(10, 4), vec![0..2, 2..5, 5..7, 7..10]);
         assert_eq!(split(2, 3), vec![0..1, 1..2]);
         let draw = Draw::of(Purpose::Minibatch).iteration(3);
@@ -55,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn every_order_of_three_is_as_likely_as_the_others() {
+    fn permutations_of_three_are_equally_likely() {
         let mut rng = generator(RunSeed(5), Draw::of(Purpose::AgentOrder));
         let mut counts = std::collections::BTreeMap::new();
         for _ in 0..6000 {

@@ -1,5 +1,5 @@
-//! Adam over a network's named parameters, with clipping by global norm and a state that can be
-//! stored: PyTorch's formula, the epsilon added after the square root.
+//! Adam with clipping by global norm and a state that can be stored. As in PyTorch, epsilon is added after the square
+//! root.
 
 use libm::{pow, sqrt};
 use policy::arrays::{Array, NamedArrays};
@@ -17,21 +17,21 @@ const BETA_2: f64 = 0.999;
 /// Adam's settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamConfig {
-    /// Step size.
+    /// Learning rate.
     pub learning_rate: f64,
     /// Added to the root of the second moment.
     pub epsilon: f64,
-    /// Gradients whose global norm is larger are scaled down to it.
+    /// Global norm to which gradients are clipped.
     pub max_gradient_norm: f64,
 }
 
-/// First and second moments of every parameter, and how many steps they have seen.
+/// Adam: first and second moments of every parameter, and the number of steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
     config: AdamConfig,
-    /// Share of the configured step size that the run leaves at this iteration. Not part of the state to keep.
+    /// Fraction of the configured learning rate in this iteration. Not part of the stored state.
     decay: f64,
-    /// Share of the configured step size that the movement of a policy leaves.
+    /// Fraction of the configured learning rate after adaptation to the divergence.
     adapted: f64,
     spans: Vec<TensorSpan>,
     first: Vec<Reals>,
@@ -41,7 +41,7 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// An optimiser for `parameters`, in their precision, that has seen no step.
+    /// An optimiser for `parameters`, in their precision, without steps.
     #[must_use]
     pub fn new(config: AdamConfig, parameters: &Parameters) -> Self {
         let zeros: Vec<Reals> = parameters.vars().iter().map(|var| Reals::zeros(var)).collect();
@@ -57,30 +57,30 @@ impl Adam {
         }
     }
 
-    /// From now on steps have the share `share` of the configured size. It is not part of the state to keep.
+    /// Sets the fraction of the configured learning rate for the next steps. Not part of the stored state.
     pub fn scale_learning_rate(&mut self, share: f64) {
         self.decay = share;
     }
 
-    /// Adapts the step size to an update that moved the policy by `kl` nats where `desired` were wanted. With `desired`
-    /// = 0 the step size stays.
+    /// Adapts the learning rate to an update with a divergence of `kl` nats where `desired` were wanted. `desired` = 0:
+    /// no adaptation.
     pub fn adapt(&mut self, kl: f64, desired: f64) {
         if desired > 0.0 {
             self.adapted = adapted(self.adapted, kl, desired);
         }
     }
 
-    /// The size of the next step.
+    /// Learning rate of the next step.
     #[must_use]
     pub fn learning_rate(&self) -> f64 {
         self.decay * self.adapted * self.config.learning_rate
     }
 
-    /// Takes one step down the gradient and returns the gradient's norm before clipping. A gradient
-    /// that is not finite changes nothing and is counted.
+    /// Takes one descent step and returns the gradient's norm before clipping. If the gradient is not finite, the step
+    /// is skipped and counted.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub fn step(
         &mut self,
         parameters: &Parameters,
@@ -92,9 +92,9 @@ impl Adam {
             return Ok(norm);
         }
         self.steps += 1;
-        // As torch.nn.utils.clip_grad_norm_ has it.
+        // As in torch.nn.utils.clip_grad_norm_.
         let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0);
-        let stride = Stride {
+        let constants = StepConstants {
             scale,
             length: self.learning_rate() / (1.0 - pow(BETA_1, self.steps as f64)),
             root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
@@ -105,19 +105,21 @@ impl Adam {
             parameters.vars().iter().zip(&gradients.0).zip(moments)
         {
             var.set(
-                &stride.moved(Reals::of(var)?, gradient, (first, second)).tensor(var.shape())?,
+                &constants
+                    .updated(Reals::of(var)?, gradient, (first, second))
+                    .tensor(var.shape())?,
             )?;
         }
         Ok(norm)
     }
 
-    /// Steps that were skipped because their gradient was not finite.
+    /// Number of steps skipped because their gradient was not finite.
     #[must_use]
     pub fn skipped(&self) -> i64 {
         self.skipped
     }
 
-    /// The state to keep: `PREFIXm.NAME`, `PREFIXv.NAME`, `PREFIXsteps`, `PREFIXskipped`, `PREFIXadapted`.
+    /// State to store: `PREFIXm.NAME`, `PREFIXv.NAME`, `PREFIXsteps`, `PREFIXskipped`, `PREFIXadapted`.
     #[must_use]
     pub fn arrays(&self, prefix: &str) -> NamedArrays {
         let mut arrays = NamedArrays::new();
@@ -136,14 +138,14 @@ impl Adam {
         arrays
     }
 
-    /// Takes over a kept state.
+    /// Restores a stored state.
     ///
     /// # Errors
-    /// Names the array that is missing or has another shape or type.
+    /// Names the array that is missing or of another shape or type.
     pub fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
         for span in &self.spans {
-            take_over(&mut self.first[span.var], arrays, &format!("{prefix}m."), span)?;
-            take_over(&mut self.second[span.var], arrays, &format!("{prefix}v."), span)?;
+            restore_moment(&mut self.first[span.var], arrays, &format!("{prefix}m."), span)?;
+            restore_moment(&mut self.second[span.var], arrays, &format!("{prefix}v."), span)?;
         }
         self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
         self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
@@ -152,10 +154,10 @@ impl Adam {
     }
 }
 
-/// One step's figures, the same for every parameter.
+/// Constants of one step, equal for all parameters.
 #[derive(Clone, Copy)]
-struct Stride {
-    /// What clips the gradient.
+struct StepConstants {
+    /// Factor that clips the gradient.
     scale: f64,
     /// `lr / (1 - b1^t)`.
     length: f64,
@@ -164,9 +166,9 @@ struct Stride {
     epsilon: f64,
 }
 
-impl Stride {
-    /// Where a parameter goes. All four have the network's precision.
-    fn moved(self, values: Reals, gradient: &Reals, moments: (&mut Reals, &mut Reals)) -> Reals {
+impl StepConstants {
+    /// The parameter's new values. All four arrays have the network's precision.
+    fn updated(self, values: Reals, gradient: &Reals, moments: (&mut Reals, &mut Reals)) -> Reals {
         match (values, gradient, moments) {
             (
                 Reals::Single(values),
@@ -206,8 +208,8 @@ impl Stride {
     }
 }
 
-/// Takes over the moment of a parameter.
-fn take_over(
+/// Restores a moment of a parameter.
+fn restore_moment(
     moment: &mut Reals,
     arrays: &NamedArrays,
     prefix: &str,
@@ -216,10 +218,10 @@ fn take_over(
     let name = format!("{prefix}{}", span.name);
     let array =
         arrays.get(&name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
-    match moment.take_over(array, span) {
+    match moment.copy_from(array, span) {
         true => Ok(()),
         false => Err(MarlError::Restore(format!(
-            "{name} is not an array of {:?} in the run's precision",
+            "{name} is not an array of shape {:?} in the run's precision",
             span.shape
         ))),
     }
@@ -228,7 +230,7 @@ fn take_over(
 fn stored_count(arrays: &NamedArrays, name: &str) -> Result<i64, MarlError> {
     match arrays.get(name) {
         Some(Array::I64 { data, .. }) if data.len() == 1 && data[0] >= 0 => Ok(data[0]),
-        Some(_) => Err(MarlError::Restore(format!("{name} is not one count"))),
+        Some(_) => Err(MarlError::Restore(format!("{name} is not a single count"))),
         None => Err(MarlError::Restore(format!("{name} is missing"))),
     }
 }
@@ -238,7 +240,7 @@ fn stored_share(arrays: &NamedArrays, name: &str) -> Result<f64, MarlError> {
         Some(Array::F64 { data, .. }) if data.len() == 1 && data[0] > 0.0 && data[0] <= 1.0 => {
             Ok(data[0])
         }
-        Some(_) => Err(MarlError::Restore(format!("{name} is not one share above 0"))),
+        Some(_) => Err(MarlError::Restore(format!("{name} is not a single number above 0"))),
         None => Err(MarlError::Restore(format!("{name} is missing"))),
     }
 }
@@ -262,7 +264,7 @@ mod tests {
         parameters
     }
 
-    /// A gradient of two parameters of one number each.
+    /// Gradients of two parameters with one element each.
     fn gradients(parameters: &Parameters, numbers: [f64; 2]) -> Gradients {
         let of = |(var, x): (&candle_core::Var, f64)| {
             Reals::of(&Tensor::new(&[x], &Device::Cpu).unwrap().to_dtype(var.dtype()).unwrap())
@@ -280,11 +282,11 @@ mod tests {
     }
 
     #[test]
-    fn two_steps_meet_a_hand_worked_case_in_both_precisions() {
+    fn two_steps_match_a_worked_case_in_both_precisions() {
         for precision in [Precision::Single, Precision::Double] {
             let parameters = zeros(precision);
             let mut adam = Adam::new(CONFIG, &parameters);
-            // m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001: g / |g| steps of .1.
+            // With m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001, each step is g / |g| times .1.
             adam.step(&parameters, &gradients(&parameters, [1.0, -2.0])).unwrap();
             close(&values(&parameters), [-0.1, 0.1]);
             // a: m = .09 + .3 = .39, over .19 is 2.052632; v = .000999 + .009 = .009999, over
@@ -296,19 +298,19 @@ mod tests {
     }
 
     #[test]
-    fn a_gradient_is_clipped_by_its_norm_over_all_parameters_and_reported_as_it_was() {
+    fn a_gradient_is_clipped_by_its_global_norm_and_reported_before_clipping() {
         for (most, first) in [(1.0, [0.06, 0.08]), (100.0, [0.3, 0.4])] {
             let parameters = zeros(Precision::Double);
             let config = AdamConfig { max_gradient_norm: most, ..CONFIG };
             let mut adam = Adam::new(config, &parameters);
-            // The norm of (3, 4) is 5; a tenth of what is left of it is the first moment.
+            // The norm of (3, 4) is 5. The first moment is a tenth of the clipped gradient.
             assert_eq!(adam.step(&parameters, &gradients(&parameters, [3.0, 4.0])).unwrap(), 5.0);
             close(&[adam.first[0].numbers(), adam.first[1].numbers()].concat(), first);
         }
     }
 
     #[test]
-    fn a_gradient_that_is_no_number_changes_nothing_and_is_counted() {
+    fn a_step_with_a_nan_gradient_is_skipped_and_counted() {
         let parameters = zeros(Precision::Single);
         let mut adam = Adam::new(CONFIG, &parameters);
         let norm = adam.step(&parameters, &gradients(&parameters, [1.0, f64::NAN])).unwrap();
@@ -317,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_of_another_precision_are_refused_by_name() {
+    fn moments_of_another_precision_are_rejected_by_name() {
         let (single, double) = (zeros(Precision::Single), zeros(Precision::Double));
         let stored = Adam::new(CONFIG, &single).arrays("optimizer/x.");
         let error = Adam::new(CONFIG, &double).restore("optimizer/x.", &stored).unwrap_err();

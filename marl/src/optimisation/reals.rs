@@ -1,4 +1,4 @@
-//! Flat numbers in the precision of the network that they belong to.
+//! Flat arrays in the precision of their network.
 
 use candle_core::{DType, Device, Shape, Tensor};
 use policy::arrays::Array;
@@ -6,7 +6,7 @@ use policy::parameters::TensorSpan;
 
 use crate::error::MarlError;
 
-/// Numbers of a tensor, row-major.
+/// Values of a tensor, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reals {
     /// 32-bit floats.
@@ -16,10 +16,10 @@ pub enum Reals {
 }
 
 impl Reals {
-    /// The numbers of `tensor`.
+    /// Values of `tensor`.
     ///
     /// # Errors
-    /// If its elements are no floats.
+    /// If its elements are not floats.
     pub fn of(tensor: &Tensor) -> Result<Self, MarlError> {
         let flat = tensor.flatten_all()?;
         Ok(match tensor.dtype() {
@@ -28,7 +28,7 @@ impl Reals {
         })
     }
 
-    /// As many zeros as `tensor` has numbers, in its precision.
+    /// Zeros in the size and precision of `tensor`.
     #[must_use]
     pub fn zeros(tensor: &Tensor) -> Self {
         match tensor.dtype() {
@@ -37,10 +37,10 @@ impl Reals {
         }
     }
 
-    /// As a tensor.
+    /// Converts to a tensor.
     ///
     /// # Errors
-    /// If the shape asks for another number of them.
+    /// If the number of elements does not match the shape.
     pub fn tensor(self, shape: &Shape) -> Result<Tensor, MarlError> {
         Ok(match self {
             Self::Single(data) => Tensor::from_vec(data, shape, &Device::Cpu)?,
@@ -48,7 +48,7 @@ impl Reals {
         })
     }
 
-    /// Adds `other`, number by number.
+    /// Adds `other` element by element.
     ///
     /// # Panics
     /// If the precisions differ.
@@ -64,7 +64,7 @@ impl Reals {
         }
     }
 
-    /// Multiplies every number by `1 / count`.
+    /// Divides every number by `count`.
     pub fn share(&mut self, count: usize) {
         match self {
             Self::Single(own) => own.iter_mut().for_each(|x| *x *= 1.0 / count as f32),
@@ -72,7 +72,7 @@ impl Reals {
         }
     }
 
-    /// The numbers in f64, in their order.
+    /// The values in f64.
     #[must_use]
     pub fn numbers(&self) -> Vec<f64> {
         match self {
@@ -81,7 +81,7 @@ impl Reals {
         }
     }
 
-    /// Sum of all squares in f64: eight sums of every eighth number, which are then added in their order.
+    /// Sum of all squares in f64: eight partial sums of every eighth element, then added in order.
     #[must_use]
     pub fn sum_of_squares(&self) -> f64 {
         match self {
@@ -90,7 +90,7 @@ impl Reals {
         }
     }
 
-    /// The numbers of a parameter as an array.
+    /// Converts the values of a parameter to an array.
     #[must_use]
     pub fn array(&self, span: &TensorSpan) -> Array {
         let (shape, range) = (span.shape.clone(), span.range.clone());
@@ -100,9 +100,9 @@ impl Reals {
         }
     }
 
-    /// Takes over the numbers of a parameter from an array of this precision and of its shape; whether it was one.
+    /// Copies the values of a parameter from an array; false if the array has another precision or shape.
     #[must_use]
-    pub fn take_over(&mut self, array: &Array, span: &TensorSpan) -> bool {
+    pub fn copy_from(&mut self, array: &Array, span: &TensorSpan) -> bool {
         match (self, array) {
             (Self::Single(own), Array::F32 { shape, data }) if *shape == span.shape => {
                 own[span.range.clone()].copy_from_slice(data);

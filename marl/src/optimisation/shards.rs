@@ -1,4 +1,4 @@
-//! Rows computed side by side, and the fixed tree in which what they give is added.
+//! Parallel computation over shards of rows, whose results are added in a fixed tree.
 
 use std::ops::Range;
 
@@ -8,30 +8,31 @@ use crate::error::MarlError;
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::minibatch::split;
 
-/// The most shards of a minibatch. With [`ROWS`] it decides the order of sums, and so the bits of every run.
-const MOST: usize = 16;
+/// Maximum number of shards of a minibatch. With [`ROWS_PER_SHARD`] it determines the order of sums, and so the bits of
+/// every run.
+const MAX_SHARDS: usize = 16;
 
-/// Rows of a shard on average, if there is more than one: fewer would leave the kernels waiting.
-const ROWS: usize = 64;
+/// Rows per shard on average, if there is more than one. Smaller shards would leave the kernels idle.
+const ROWS_PER_SHARD: usize = 64;
 
-/// `0..count` in shards, for `count` sequences of `steps` rows each.
+/// Shards of `0..count`, for `count` sequences of `steps` rows each.
 pub(crate) fn shards(count: usize, steps: usize) -> Vec<Range<usize>> {
-    split(count, (count * steps / ROWS).clamp(1, MOST))
+    split(count, (count * steps / ROWS_PER_SHARD).clamp(1, MAX_SHARDS))
 }
 
-/// Figures that shares of a minibatch add up to.
-pub(crate) trait Share: Send {
-    /// Adds what the shard after gives.
-    fn add_share(&mut self, next: &Self);
+/// Figures of parts of a minibatch, which add up to those of the whole.
+pub(crate) trait Accumulate: Send {
+    /// Adds the figures of the next shard.
+    fn accumulate(&mut self, next: &Self);
 }
 
-impl Share for f64 {
-    fn add_share(&mut self, next: &Self) {
+impl Accumulate for f64 {
+    fn accumulate(&mut self, next: &Self) {
         *self += next;
     }
 }
 
-/// What every shard gives, in their order.
+/// Results of all shards, in order.
 pub(crate) fn of_each<T: Send>(
     shards: &[Range<usize>],
     one: impl Fn(Range<usize>) -> Result<T, MarlError> + Sync,
@@ -39,25 +40,25 @@ pub(crate) fn of_each<T: Send>(
     shards.par_iter().map(|range| one(range.clone())).collect()
 }
 
-/// Figures and gradients of all shards, added in a binary tree whose shape depends on their number alone.
+/// Figures and gradients of all shards, added in a binary tree whose shape depends only on the number of shards.
 ///
 /// # Errors
-/// Passes on the first shard's error.
+/// Returns the error of the first failed shard.
 ///
 /// # Panics
-/// Without a shard.
-pub(crate) fn sum<F: Share>(
+/// If there are no shards.
+pub(crate) fn sum<F: Accumulate>(
     shards: &[Range<usize>],
     one: &(impl Fn(Range<usize>) -> Result<(F, Gradients), MarlError> + Sync),
 ) -> Result<(F, Gradients), MarlError> {
-    assert!(!shards.is_empty(), "a sum of no shards");
+    assert!(!shards.is_empty(), "no shards to add");
     if let [only] = shards {
         return one(only.clone());
     }
     let (first, last) = shards.split_at(shards.len() / 2);
     let (first, last) = rayon::join(|| sum(first, one), || sum(last, one));
     let ((mut figures, mut gradients), (next, others)) = (first?, last?);
-    figures.add_share(&next);
+    figures.accumulate(&next);
     gradients.add(&others);
     Ok((figures, gradients))
 }
@@ -77,7 +78,7 @@ mod tests {
 
     #[test]
     fn the_tree_adds_neighbours_first_on_any_number_of_threads() {
-        // In single precision 1e8 + 1 is 1e8: both pairs lose their 1, which a sum from first to last would keep once.
+        // In single precision 1e8 + 1 is 1e8. Both pairs lose their 1; a sequential sum would keep one of them.
         let numbers = [1e8_f32, 1.0, -1e8, 1.0];
         let one = |range: Range<usize>| {
             Ok((range.len() as f64, Gradients(vec![Reals::Single(vec![numbers[range.start]])])))

@@ -1,27 +1,26 @@
-//! What every learning rule offers to the learner.
+//! The interface of learning rules.
 
 use policy::{NamedArrays, PolicySnapshot};
 
 use crate::data::batch::{Batch, Rewards};
 use crate::error::MarlError;
 
-/// Figures of an update by name, in a fixed order.
+/// Named metrics of an update, in a fixed order.
 pub type Report = Vec<(String, f64)>;
 
-/// The first parts of the names of an algorithm's arrays.
+/// Prefixes of the names of an algorithm's arrays.
 pub const PREFIXES: [&str; 4] = ["weights/", "optimizer/", "normalizer/", "replay/"];
 
-/// A learning rule: turns experience into better policies.
+/// A learning rule, which updates policies from rollout data.
 pub trait Algorithm: Send {
-    /// From now on actors and critics step with the share `share` of their configured step sizes. Whoever calls
-    /// [`Algorithm::update`] says so before; it is no part of the state.
+    /// Sets the fraction of the configured learning rates of actors and critics for the next updates. It is not part of
+    /// the stored state, so the caller sets it before every [`Algorithm::update`].
     fn scale_learning_rates(&mut self, share: f64);
 
-    /// Takes one update from the experience of iteration `iteration` and every agent's rewards
-    /// `[N][T, B]`.
+    /// Updates the policies once with the rollout data of iteration `iteration` and every agent's rewards `[N][T, B]`.
     ///
     /// # Errors
-    /// Refuses a batch that does not fit the problem, naming what is wrong.
+    /// If the batch does not match the problem; the error names the first invalid array.
     fn update(
         &mut self,
         batch: &Batch,
@@ -29,40 +28,40 @@ pub trait Algorithm: Send {
         iteration: u64,
     ) -> Result<Report, MarlError>;
 
-    /// The policies to act with now.
+    /// The current policies.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError>;
 
-    /// Everything that the next update depends on, under [`PREFIXES`].
+    /// The complete state of the next update, under [`PREFIXES`].
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     fn arrays(&self) -> Result<NamedArrays, MarlError>;
 
     /// The part of [`Algorithm::arrays`] under `weights/`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     fn weights(&self) -> Result<NamedArrays, MarlError> {
         let mut arrays = self.arrays()?;
         arrays.retain(|name, _| name.starts_with("weights/"));
         Ok(arrays)
     }
 
-    /// Takes over what [`Algorithm::arrays`] gave; arrays under other prefixes are not looked at.
+    /// Restores the output of [`Algorithm::arrays`]. Arrays under other prefixes are ignored.
     ///
     /// # Errors
     /// Names an array that is missing, unknown, or of another shape or type.
     fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError>;
 }
 
-/// Refuses stored arrays of an algorithm that this one does not have.
-pub(crate) fn refuse_strange(stored: &NamedArrays, known: &NamedArrays) -> Result<(), MarlError> {
+/// Rejects stored arrays of another algorithm.
+pub(crate) fn reject_unknown(stored: &NamedArrays, known: &NamedArrays) -> Result<(), MarlError> {
     let own = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
     match stored.keys().filter(own).find(|name| !known.contains_key(*name)) {
         None => Ok(()),
-        Some(name) => Err(MarlError::Restore(format!("{name} belongs to nothing in this run"))),
+        Some(name) => Err(MarlError::Restore(format!("{name} does not belong to this run"))),
     }
 }

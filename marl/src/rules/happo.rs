@@ -1,4 +1,4 @@
-//! HAPPO with the paper's two terms: a sequential sweep over agents in random order.
+//! HAPPO with the paper's two terms: sequential updates of the agents in random order.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
@@ -8,15 +8,15 @@ use crate::objective::surrogate::{factor_limits, sequential_factor};
 use crate::optimisation::minibatch::permutation;
 use crate::rules::algorithm::Report;
 use crate::rules::on_policy::agent::Agent;
-use crate::rules::on_policy::ascent::{maximise, moved};
+use crate::rules::on_policy::ascent::{maximise, policy_change};
 use crate::rules::on_policy::kl_budget::KlBudget;
-use crate::rules::on_policy::{Climb, Prepared, agent_report};
+use crate::rules::on_policy::{PolicyUpdate, Prepared, agent_report};
 
-/// HAPPO and, by configuration alone, all its variants.
+/// HAPPO; its variants differ only in configuration.
 pub(crate) struct Happo;
 
-impl Climb for Happo {
-    fn climb(
+impl PolicyUpdate for Happo {
+    fn update_policies(
         &self,
         agents: &mut [Agent],
         prepared: &Prepared,
@@ -28,8 +28,8 @@ impl Climb for Happo {
     }
 }
 
-/// Updates every agent in `order`, each weighing its advantage with what the ones before it did: the
-/// factor `M` starts at 1 and takes in each updated agent's ratio to its behaviour.
+/// Updates the agents in `order`. The factor `M`, which multiplies an agent's advantages, starts at 1 and is multiplied
+/// by the ratio of every updated agent.
 fn sweep(
     agents: &mut [Agent],
     prepared: &Prepared,
@@ -40,31 +40,31 @@ fn sweep(
     let mut factor = vec![1.0; prepared.experience[0].log_prob.len()];
     let mut reports = vec![Report::new(); agents.len()];
     for (position, &index) in order.iter().enumerate() {
-        pass_optimiser(agents, index);
-        let (agent, known) = (&mut agents[index], prepared.of(index));
+        swap_optimiser(agents, index);
+        let (agent, inputs) = (&mut agents[index], prepared.of(index));
         let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
-        let trained = maximise(agent, known, &factor, budget.share(), (seed, draw))?;
-        let moved = moved(agent, known.experience)?;
-        budget.spend(moved.kl);
-        agent.adam.adapt(moved.kl, agent.update.desired_kl);
-        reports[index] = agent_report(agent, index, known.experience, &trained, &moved)?;
-        reports[index].extend(place_in_the_sweep(index, position, &factor));
-        factor = sequential_factor(&factor, &moved.log_prob, &known.experience.log_prob);
-        pass_optimiser(agents, index);
+        let trained = maximise(agent, inputs, &factor, budget.share(), (seed, draw))?;
+        let change = policy_change(agent, inputs.experience)?;
+        budget.spend(change.kl);
+        agent.adam.adapt(change.kl, agent.update.desired_kl);
+        reports[index] = agent_report(agent, index, inputs.experience, &trained, &change)?;
+        reports[index].extend(sweep_report(index, position, &factor));
+        factor = sequential_factor(&factor, &change.log_prob, &inputs.experience.log_prob);
+        swap_optimiser(agents, index);
     }
     Ok(reports.concat())
 }
 
-/// Hands the optimiser of a network that all agents share, which is the first one's, to the agent `index`, or back.
-fn pass_optimiser(agents: &mut [Agent], index: usize) {
+/// Swaps the optimiser of a shared network, which belongs to agent 0, with that of agent `index`.
+fn swap_optimiser(agents: &mut [Agent], index: usize) {
     if agents[0].update.parameters == Sharing::Shared && index > 0 {
         let (first, others) = agents.split_at_mut(1);
         std::mem::swap(&mut first[0].adam, &mut others[index - 1].adam);
     }
 }
 
-/// When the agent was updated, and with what factor.
-fn place_in_the_sweep(index: usize, position: usize, factor: &[f64]) -> Report {
+/// The agent's position in the sweep, and statistics of its factor.
+fn sweep_report(index: usize, position: usize, factor: &[f64]) -> Report {
     let count = factor.len() as f64;
     let mean = factor.iter().sum::<f64>() / count;
     let variance = factor.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;

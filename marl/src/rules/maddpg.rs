@@ -1,8 +1,7 @@
-//! MADDPG: deterministic actors that climb central action values, learnt from a replay.
+//! MADDPG: deterministic actors that maximise central action values, trained from a replay.
 //!
-//! Everything is counted in environment steps, so that a run does not depend on who rolls it out: the
-//! warm-up, and how many optimiser steps an iteration is worth. Actors learn from the snapshot whether
-//! to act uniformly or around the mean.
+//! The warm-up and the number of optimiser steps per iteration are counted in environment steps, so that a run does not
+//! depend on which actors compute it. The snapshot determines whether actors act uniformly or add noise to the mean.
 
 mod agent;
 mod q;
@@ -15,7 +14,7 @@ use rayon::prelude::*;
 use crate::config::{Config, MaddpgConfig};
 use crate::data::batch::{Batch, Problem, Rewards, check_rewards};
 use crate::error::MarlError;
-use crate::rules::algorithm::{Algorithm, Report, refuse_strange};
+use crate::rules::algorithm::{Algorithm, Report, reject_unknown};
 use crate::rules::maddpg::agent::{Agent, Figures};
 use crate::rules::maddpg::replay::{Horizon, Replay};
 
@@ -31,10 +30,10 @@ pub(crate) struct Maddpg {
 }
 
 impl Maddpg {
-    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision, and an empty replay.
+    /// Networks for `problem` in the precision of `start`, with weights initialised by its seed, and an empty replay.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub(crate) fn new(
         config: &Config,
         policy: &PolicyConfig,
@@ -55,13 +54,13 @@ impl Maddpg {
         })
     }
 
-    /// Optimiser steps that were due after the first `steps` environment steps.
+    /// Optimiser steps that are due after the first `steps` environment steps.
     fn due(&self, steps: u64) -> u64 {
         let learning = steps.saturating_sub(self.config.warm_up);
         libm::floor(self.config.updates_per_step * learning as f64) as u64
     }
 
-    /// One optimiser step of every agent, all from the same transitions.
+    /// One optimiser step of every agent, all with the same transitions.
     fn learn(&mut self, draw: Draw) -> Result<Vec<Figures>, MarlError> {
         let horizon = Horizon { gamma: self.gamma, steps: self.config.n_step };
         let mut rng = generator(self.seed, draw);
@@ -108,10 +107,10 @@ impl Algorithm for Maddpg {
     ) -> Result<Report, MarlError> {
         batch.check(&self.problem, self.chunk_steps, &vec![0; self.agents.len()])?;
         check_rewards(rewards, self.agents.len(), batch.rows())?;
-        let before = self.replay.taken_in();
-        // Without surprise every agent's reward is the team's, which the replay keeps once.
-        self.replay.remember(batch)?;
-        let updates = self.due(self.replay.taken_in()) - self.due(before);
+        let before = self.replay.rows_added();
+        // Without surprise every agent's reward is the team's, which the replay stores once.
+        self.replay.add(batch)?;
+        let updates = self.due(self.replay.rows_added()) - self.due(before);
         let mut sums = vec![Figures::default(); self.agents.len()];
         for step in 0..updates {
             let draw = Draw::of(Purpose::Replay).iteration(iteration).step(step as u32);
@@ -126,7 +125,7 @@ impl Algorithm for Maddpg {
 
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
         let agents = self.agents.iter().map(Agent::policy).collect::<Result<Vec<_>, _>>()?;
-        let warming_up = self.replay.taken_in() < self.config.warm_up;
+        let warming_up = self.replay.rows_added() < self.config.warm_up;
         let agents = match warming_up {
             true => agents.into_iter().map(policy::ActorPolicy::uniform).collect(),
             false => agents,
@@ -141,7 +140,7 @@ impl Algorithm for Maddpg {
         Ok(arrays)
     }
 
-    /// The replay is not copied for this.
+    /// Does not copy the replay.
     fn weights(&self) -> Result<NamedArrays, MarlError> {
         let mut arrays = NamedArrays::new();
         for agent in &self.agents {
@@ -151,7 +150,7 @@ impl Algorithm for Maddpg {
     }
 
     fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        refuse_strange(arrays, &self.arrays()?)?;
+        reject_unknown(arrays, &self.arrays()?)?;
         for agent in &mut self.agents {
             agent.restore(arrays)?;
         }

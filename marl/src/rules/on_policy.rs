@@ -1,5 +1,5 @@
-//! What every rule shares that learns from `D_k` alone and then forgets it: critic, advantages,
-//! posteriors, and how the state is kept. How the policies climb is the rule's own matter.
+//! The common part of rules that learn only from `D_k`: critic, advantages, posteriors and stored state. Each rule
+//! implements the update of the policies.
 
 pub(crate) mod agent;
 pub(crate) mod ascent;
@@ -23,47 +23,47 @@ use crate::error::MarlError;
 use crate::objective::actor_loss::Figures;
 use crate::objective::advantage::{Horizon, advantage};
 use crate::objective::surrogate::normalized_advantage;
-use crate::rules::algorithm::{Algorithm, Report, refuse_strange};
+use crate::rules::algorithm::{Algorithm, Report, reject_unknown};
 use crate::rules::on_policy::agent::{Agent, Experience, Influence};
-use crate::rules::on_policy::ascent::{Moved, PerAgent, Trained};
+use crate::rules::on_policy::ascent::{AgentInputs, PolicyChange, Trained};
 
-/// How a rule improves the policies; all else of an update is the same for all on-policy rules.
-pub(crate) trait Climb: Send + Sync {
-    /// Moves the policies of `agents`, and reports what that came to.
+/// A rule's update of the policies. The rest of an update is the same for all on-policy rules.
+pub(crate) trait PolicyUpdate: Send + Sync {
+    /// Updates the policies of `agents` and returns their metrics.
     ///
     /// # Errors
-    /// Passes on a tensor error.
-    fn climb(
+    /// If a tensor operation fails.
+    fn update_policies(
         &self,
         agents: &mut [Agent],
         prepared: &Prepared,
-        occasion: (RunSeed, u64),
+        key: (RunSeed, u64),
     ) -> Result<Report, MarlError>;
 }
 
-/// A rule that learns from `D_k` alone.
-pub(crate) struct OnPolicy<C> {
-    climb: C,
+/// A rule that learns only from `D_k`.
+pub(crate) struct OnPolicy<R> {
+    rule: R,
     team: Team,
 }
 
-impl<C: Climb> OnPolicy<C> {
-    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision.
+impl<R: PolicyUpdate> OnPolicy<R> {
+    /// Networks for `problem` in the precision of `start`, with weights initialised by its seed.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub(crate) fn new(
-        climb: C,
+        rule: R,
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
         start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
-        Ok(Self { climb, team: Team::new(config, policy, problem, start)? })
+        Ok(Self { rule, team: Team::new(config, policy, problem, start)? })
     }
 }
 
-impl<C: Climb> Algorithm for OnPolicy<C> {
+impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
     fn scale_learning_rates(&mut self, share: f64) {
         self.team.scale_learning_rates(share);
     }
@@ -78,14 +78,14 @@ impl<C: Climb> Algorithm for OnPolicy<C> {
             return Ok(skipped_report());
         };
         let Team { agents, critic, seed, .. } = &mut self.team;
-        let up = || self.climb.climb(agents, &prepared, (*seed, iteration));
+        let update = || self.rule.update_policies(agents, &prepared, (*seed, iteration));
         let fit = || critic.fit(batch, &prepared.values, &prepared.returns, iteration);
-        let (climbed, fitted) = rayon::join(
-            || trace_span!("policies").in_scope(up),
+        let (updated, fitted) = rayon::join(
+            || trace_span!("policies").in_scope(update),
             || trace_span!("critic").in_scope(fit),
         );
         let mut report = critic_report(&fitted?);
-        report.extend(climbed?);
+        report.extend(updated?);
         report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
         Ok(report)
     }
@@ -114,22 +114,22 @@ pub(crate) struct Team {
     pub(crate) critic: Critics,
 }
 
-/// What is known of `D_k` before any policy moves.
+/// Inputs of an update, computed from `D_k` before any policy changes.
 pub(crate) struct Prepared {
     pub(crate) experience: Vec<Experience>,
     pub(crate) influence: Vec<Influence>,
     pub(crate) values: Vec<Values>,
-    /// What the critic learns, `[V][T, B]`.
+    /// Targets of the critic, `[V][T, B]`.
     pub(crate) returns: Vec<Vec<f64>>,
 }
 
 impl Prepared {
-    /// What one agent knows.
-    pub(crate) fn of(&self, agent: usize) -> PerAgent<'_> {
-        PerAgent { experience: &self.experience[agent], influence: &self.influence[agent] }
+    /// The inputs of one agent.
+    pub(crate) fn of(&self, agent: usize) -> AgentInputs<'_> {
+        AgentInputs { experience: &self.experience[agent], influence: &self.influence[agent] }
     }
 
-    /// How well every agent's returns were known, and what its posterior came to.
+    /// Explained variance of every agent's returns, and metrics of its posterior.
     pub(crate) fn report(&self, mode: CriticMode, precision: Precision) -> Report {
         let mut report = Report::new();
         let values: Vec<Vec<f64>> = self.values.iter().flat_map(|own| own.now.clone()).collect();
@@ -145,11 +145,11 @@ impl Prepared {
 }
 
 impl Team {
-    /// Networks for `problem`, their weights drawn with the seed of `start` and held in its precision. Agents
-    /// that share their parameters all hold the first one's network.
+    /// Networks for `problem` in the precision of `start`, with weights initialised by its seed. Agents that share
+    /// parameters share the network of agent 0.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If a tensor operation fails.
     pub(crate) fn new(
         config: &Config,
         policy: &PolicyConfig,
@@ -177,11 +177,11 @@ impl Team {
         self.agents.iter_mut().for_each(|agent| agent.adam.scale_learning_rate(share));
     }
 
-    /// Checks the batch, values it, and fits the posteriors. Nothing is learnt, and nothing given, of
-    /// rewards or values that are no finite numbers: the critic's memory of returns never forgets.
+    /// Checks the batch, computes its values and fits the posteriors. Returns `None`, without training, if a reward or
+    /// value is not finite: the critic's running statistics of returns would never recover.
     ///
     /// # Errors
-    /// Refuses a batch that does not fit the problem.
+    /// If the batch does not match the problem.
     pub(crate) fn prepare(
         &mut self,
         batch: &Batch,
@@ -197,7 +197,7 @@ impl Team {
         if !returns.iter().flatten().all(|value| value.is_finite()) {
             return Ok(None);
         }
-        self.agents.iter_mut().for_each(Agent::forget_states);
+        self.agents.iter_mut().for_each(Agent::use_stored_states);
         let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
         let experience = trace_span!("behaviour").in_scope(gathered)?;
         let (agents, seed) = (&mut self.agents, self.seed);
@@ -206,7 +206,7 @@ impl Team {
         Ok(Some(Prepared { experience, influence, values, returns }))
     }
 
-    /// Every agent's normalised advantages `[N][T, B]`, and the returns `[V][T, B]` that the critic learns.
+    /// Every agent's normalised advantages `[N][T, B]`, and the critic's targets `[V][T, B]`.
     fn advantages(
         &self,
         batch: &Batch,
@@ -237,7 +237,7 @@ impl Team {
         Ok(PolicySnapshot { agents })
     }
 
-    /// Who owns the network of agent `index`; nobody where an earlier agent shares it.
+    /// Name of the owner of agent `index`'s network; `None` if an earlier agent owns it.
     fn owner(&self, index: usize) -> Option<String> {
         match (self.config.update.parameters, index) {
             (Sharing::Separate, _) => Some(format!("agent_{index}")),
@@ -258,7 +258,7 @@ impl Team {
     }
 
     pub(crate) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        refuse_strange(arrays, &self.arrays()?)?;
+        reject_unknown(arrays, &self.arrays()?)?;
         self.critic.restore(arrays)?;
         for index in 0..self.agents.len() {
             if let Some(owner) = self.owner(index) {
@@ -270,12 +270,12 @@ impl Team {
     }
 }
 
-/// What is told of an update that was left out because returns were no finite numbers.
+/// Metrics of an update that was skipped because returns were not finite.
 fn skipped_report() -> Report {
     vec![("losses/update_skipped".to_owned(), 1.0)]
 }
 
-/// What the critic's fit came to.
+/// Metrics of the critic's fit.
 fn critic_report(figures: &CriticFigures) -> Report {
     vec![
         ("losses/value_loss".to_owned(), figures.loss),
@@ -286,21 +286,21 @@ fn critic_report(figures: &CriticFigures) -> Report {
     ]
 }
 
-/// What one agent's climb came to.
+/// Metrics of one agent's policy update.
 pub(crate) fn agent_report(
     agent: &Agent,
     index: usize,
     experience: &Experience,
     trained: &Trained,
-    moved: &Moved,
+    change: &PolicyChange,
 ) -> Result<Report, MarlError> {
     let figures = &trained.figures;
     let named = [
         ("policy_loss", figures.policy_loss),
         ("approx_kl", figures.approx_kl),
-        ("exact_kl", moved.kl),
+        ("exact_kl", change.kl),
         ("clip_fraction", figures.clip_fraction),
-        ("ratio_held", figures.held_fraction),
+        ("ratio_held", figures.clamped_fraction),
         ("gradient_norm", trained.gradient_norm),
         ("epochs", trained.epochs as f64),
         ("learning_rate", trained.learning_rate),
@@ -310,12 +310,15 @@ pub(crate) fn agent_report(
     ];
     let equal = experience.advantage.iter().all(|&advantage| advantage == 0.0);
     let named = named.into_iter().chain([("advantages_equal", f64::from(u8::from(equal)))]);
-    let named = named.chain(spread(agent, figures)?);
+    let named = named.chain(entropy_and_sigma(agent, figures)?);
     Ok(named.map(|(name, value)| (format!("agent{index}/{name}"), value)).collect())
 }
 
-/// How widely the policy draws: a Gaussian after the update, choices on average over it.
-fn spread(agent: &Agent, figures: &Figures) -> Result<Vec<(&'static str, f64)>, MarlError> {
+/// Entropy and sigma: of a Gaussian after the update, of choices on average over the update.
+fn entropy_and_sigma(
+    agent: &Agent,
+    figures: &Figures,
+) -> Result<Vec<(&'static str, f64)>, MarlError> {
     let policy = agent.policy()?;
     let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
     Ok(match policy.head() {

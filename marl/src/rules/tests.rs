@@ -1,5 +1,5 @@
-//! Numbers that go wrong, through whole updates: an update is left out, or held back and counted, and
-//! every weight stays a finite number.
+//! Whole updates with extreme or invalid numbers: an update is skipped, or clamped and counted, and every weight stays
+//! finite.
 
 use policy::arrays::Array;
 use policy::{CoreKind, NamedArrays, PolicyConfig, RunSeed};
@@ -78,7 +78,7 @@ fn narrowed(environments: usize) -> Batch {
 }
 
 #[test]
-fn rewards_that_are_no_numbers_or_overflow_leave_the_update_out_and_are_counted() {
+fn updates_with_nan_or_overflowing_rewards_are_skipped_and_counted() {
     for rule in RULES {
         for wrong in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX] {
             let mut algorithm = algorithm(&config(rule));
@@ -96,7 +96,7 @@ fn rewards_that_are_no_numbers_or_overflow_leave_the_update_out_and_are_counted(
 }
 
 #[test]
-fn huge_rewards_give_a_plain_update() {
+fn huge_rewards_give_a_finite_update() {
     for rule in RULES {
         let mut algorithm = algorithm(&config(rule));
         let batch = probe::batch();
@@ -111,7 +111,7 @@ fn huge_rewards_give_a_plain_update() {
 }
 
 #[test]
-fn equal_advantages_move_no_policy_and_are_counted() {
+fn equal_advantages_change_no_policy_and_are_counted() {
     let mut batch = probe::batch();
     batch.state.fill(0.5);
     batch.finals.iter_mut().for_each(|last| last.state.fill(0.5));
@@ -134,7 +134,7 @@ fn equal_advantages_move_no_policy_and_are_counted() {
 }
 
 #[test]
-fn features_that_never_change_do_no_harm() {
+fn constant_features_give_a_finite_update() {
     for still in 1..=19 {
         let mut batch = probe::batch();
         for agent in &mut batch.agents {
@@ -152,7 +152,7 @@ fn features_that_never_change_do_no_harm() {
 }
 
 #[test]
-fn one_environment_with_one_episode_is_enough_for_an_update() {
+fn one_environment_with_one_episode_suffices_for_an_update() {
     let mut batch = narrowed(1);
     let last = batch.rows() - 1;
     batch.terminated[last] = true;
@@ -160,14 +160,14 @@ fn one_environment_with_one_episode_is_enough_for_an_update() {
         let mut algorithm = algorithm(&config(rule));
         let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
         assert!(report.iter().all(|(_, value)| value.is_finite()), "{rule:?} {report:?}");
-        // No environment is held out, so nothing is said of those that are.
+        // Without a held-out environment its metrics are absent.
         assert!(report.iter().all(|(name, _)| !name.contains("mi_estimate")));
         assert!(finite(algorithm.as_ref()), "{rule:?}");
     }
 }
 
 #[test]
-fn one_single_step_is_enough_for_every_density_and_an_update() {
+fn one_step_suffices_for_every_density_and_an_update() {
     let mut batch = narrowed(1);
     batch.steps = 1;
     for agent in &mut batch.agents {
@@ -194,7 +194,7 @@ fn one_single_step_is_enough_for_every_density_and_an_update() {
 }
 
 #[test]
-fn an_agent_that_sees_more_than_its_network_can_hold_skips_its_steps_and_no_one_elses() {
+fn an_agent_with_overflowing_observations_skips_only_its_own_steps() {
     let mut batch = probe::batch();
     batch.agents[1].observation[38..57].fill(f32::MAX);
     for rule in &RULES[..2] {
@@ -202,7 +202,7 @@ fn an_agent_that_sees_more_than_its_network_can_hold_skips_its_steps_and_no_one_
         config.update.minibatches = 1;
         let mut algorithm = algorithm(&config);
         let before = algorithm.arrays().unwrap();
-        // Over these iterations each of the two agents is the first of the sweep once at least.
+        // In these iterations each of the two agents is updated first at least once.
         for iteration in 0..6 {
             let report = algorithm.update(&batch, &plain(&batch), iteration).unwrap();
             let steps = 2.0 * (iteration + 1) as f64;
@@ -219,7 +219,7 @@ fn an_agent_that_sees_more_than_its_network_can_hold_skips_its_steps_and_no_one_
 }
 
 #[test]
-fn a_state_that_overflows_the_critic_leaves_the_update_out() {
+fn an_update_with_a_state_that_overflows_the_critic_is_skipped() {
     let mut batch = probe::batch();
     batch.state[34..51].fill(f32::MAX);
     for rule in RULES {
@@ -232,7 +232,7 @@ fn a_state_that_overflows_the_critic_leaves_the_update_out() {
 }
 
 #[test]
-fn ratios_and_factors_that_explode_are_held_and_counted() {
+fn extreme_ratios_and_factors_are_clamped_and_counted() {
     for rule in RULES {
         let mut config = config(rule);
         (config.update.learning_rate, config.update.epochs) = (100.0, 6);
@@ -249,7 +249,7 @@ fn ratios_and_factors_that_explode_are_held_and_counted() {
 }
 
 #[test]
-fn a_deviation_that_collapses_stops_at_its_floor_is_counted_and_can_grow_again() {
+fn a_collapsing_sigma_stops_at_its_floor_is_counted_and_can_grow_again() {
     let mut batch = probe::batch();
     let pays = |row: usize| {
         -batch
@@ -289,7 +289,7 @@ fn maddpg() -> (Box<dyn Algorithm>, Batch) {
 }
 
 #[test]
-fn maddpg_refuses_rewards_that_are_no_numbers_and_is_left_as_it_was() {
+fn maddpg_rejects_nan_rewards_and_is_unchanged() {
     let (mut algorithm, batch) = maddpg();
     let before = algorithm.arrays().unwrap();
     let mut rewards = plain(&batch);
@@ -300,7 +300,7 @@ fn maddpg_refuses_rewards_that_are_no_numbers_and_is_left_as_it_was() {
 }
 
 #[test]
-fn maddpg_stays_finite_with_huge_rewards_states_and_observations_and_counts_what_it_skips() {
+fn maddpg_stays_finite_with_huge_numbers_and_counts_skipped_steps() {
     type Change = fn(&mut Batch);
     let cases: [(Change, bool); 5] = [
         (|batch| batch.reward.iter_mut().for_each(|reward| *reward *= 1e30), false),

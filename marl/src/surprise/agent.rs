@@ -1,15 +1,15 @@
-//! One agent's surprise: its density, what it was fitted on, and the scores that its reward gains.
+//! One agent's surprise: its density and the scores that are added to its reward.
 
 use libm::sqrt;
 use policy::arrays::{Array, NamedArrays};
 
 use crate::config::{Constant, Fit, Reduce, SurpriseConfig};
-use crate::density::{Density, Observations, Occasion};
+use crate::density::{Density, DensityContext, Observations};
 use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
 use crate::surprise::entropy_bound;
 
-/// How log-densities become scores.
+/// Conversion of log-densities to scores.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rule {
     pub(super) alpha: f64,
@@ -17,7 +17,7 @@ pub(super) struct Rule {
     memory: f64,
     constant: Constant,
     reduce: Reduce,
-    /// Infinite without a clip.
+    /// Infinite without clipping.
     clip: f64,
 }
 
@@ -30,17 +30,17 @@ impl Rule {
     }
 }
 
-/// A density and what the last fit left.
+/// A density and the results of its last fit.
 pub(super) struct AgentSurprise {
     density: Box<dyn Density>,
-    /// Fits so far.
+    /// Number of fits.
     fits: i64,
-    /// Mean log-density of the rows that it was last fitted on, nats.
+    /// Mean log-density of the rows of the last fit, nats.
     centre: f64,
-    /// What alpha multiplies, for every row of the batch that came last.
+    /// The term that alpha multiplies, for every row of the last batch.
     scores: Vec<f64>,
     at_fit: (f64, f64, f64),
-    /// Share of the bonus in the return of that batch.
+    /// Share of the bonus in the return of the last batch.
     pub(super) share: f64,
 }
 
@@ -56,46 +56,45 @@ impl AgentSurprise {
         }
     }
 
-    /// Fits the density and scores the observations: with the density as it is after the fit, or, if
-    /// the rule says so, as it was before.
+    /// Fits the density and scores the observations with the density after or before the fit, as the rule selects.
     pub(super) fn refit(
         &mut self,
         observations: Observations<'_>,
-        occasion: Occasion,
+        context: DensityContext,
         rule: Rule,
     ) -> Result<(), MarlError> {
         let memory = if self.fits > 0 { rule.memory } else { 0.0 };
-        let occasion = Occasion { memory, ..occasion };
-        let stale = match rule.fit {
+        let context = DensityContext { memory, ..context };
+        let score_before_fit = match rule.fit {
             Fit::Current | Fit::Ema => None,
-            Fit::Previous => Some(self.stale(observations, occasion, rule)?),
+            Fit::Previous => Some(self.score_before_fit(observations, context, rule)?),
         };
-        self.density.fit(observations, occasion)?;
-        let log_prob = self.density.log_prob(observations, occasion)?;
+        self.density.fit(observations, context)?;
+        let log_prob = self.density.log_prob(observations, context)?;
         (self.centre, self.fits) = (-entropy_bound(&log_prob), self.fits + 1);
-        let fresh = || (self.scored(&log_prob, rule), -self.centre);
-        let (scores, bound) = stale.unwrap_or_else(fresh);
+        let score_after_fit = || (self.scored(&log_prob, rule), -self.centre);
+        let (scores, bound) = score_before_fit.unwrap_or_else(score_after_fit);
         let (mean, deviation) = mean_and_deviation(&scores);
         self.at_fit = (bound, rule.alpha * mean, rule.alpha * deviation);
         self.scores = scores;
         Ok(())
     }
 
-    /// Scores and entropy bound before the fit; nothing before the first.
-    fn stale(
+    /// Scores and entropy bound before the fit; zeros before the first fit.
+    fn score_before_fit(
         &self,
         observations: Observations<'_>,
-        occasion: Occasion,
+        context: DensityContext,
         rule: Rule,
     ) -> Result<(Vec<f64>, f64), MarlError> {
         if self.fits == 0 {
             return Ok((vec![0.0; observations.count()], 0.0));
         }
-        let log_prob = self.density.log_prob(observations, occasion)?;
+        let log_prob = self.density.log_prob(observations, context)?;
         Ok((self.scored(&log_prob, rule), entropy_bound(&log_prob)))
     }
 
-    /// Log-densities with their constant, joined over features and clipped; nats.
+    /// Scores from log-densities: constant, reduction over features, and clipping; nats.
     fn scored(&self, log_prob: &[f64], rule: Rule) -> Vec<f64> {
         let counted = self.features().0 as f64;
         let constant = match rule.constant {
@@ -111,17 +110,17 @@ impl AgentSurprise {
         log_prob.iter().map(score).collect()
     }
 
-    /// What alpha multiplies in the reward of every row of the last batch, `[R]`.
+    /// The term that alpha multiplies, for every row of the last batch, `[R]`.
     pub(super) fn scores(&self) -> &[f64] {
         &self.scores
     }
 
-    /// Bound of the observations' entropy, mean bonus and its deviation at the last fit.
+    /// Entropy bound of the observations, and mean and standard deviation of the bonus, at the last fit.
     pub(super) fn at_fit(&self) -> (f64, f64, f64) {
         self.at_fit
     }
 
-    /// Features that count, and that do not.
+    /// Number of active features and of features left out.
     pub(super) fn features(&self) -> (usize, usize) {
         self.density.features()
     }
@@ -150,12 +149,12 @@ impl AgentSurprise {
         Ok(())
     }
 
-    /// Log-densities of rows of one feature, nats.
+    /// Log-densities of rows with one feature, nats.
     #[cfg(test)]
     pub(super) fn log_prob(&self, rows: &[f32]) -> Vec<f64> {
         use policy::randomness::RunSeed;
-        let occasion = Occasion { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
-        self.density.log_prob(Observations { data: rows, width: 1 }, occasion).unwrap()
+        let context = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
+        self.density.log_prob(Observations { data: rows, width: 1 }, context).unwrap()
     }
 }
 
@@ -182,19 +181,19 @@ mod tests {
         SurpriseConfig { alpha: 1.0, constant: Constant::Density, ..probe::surprise() }
     }
 
-    /// The scores of the last of the batches `[R, 2]`, refitted on one after the other.
+    /// Scores of the last of `batches` `[R, 2]`, after a refit on each in order.
     fn scores(config: &SurpriseConfig, batches: &[&[f32]]) -> Vec<f64> {
         let mut agent = AgentSurprise::new(build(config, &[0, 1], (RunSeed(0), 0)).unwrap());
         for (iteration, data) in batches.iter().enumerate() {
             let iteration = iteration as u64;
-            let occasion = Occasion { seed: RunSeed(0), iteration, agent: 0, memory: 0.0 };
-            agent.refit(Observations { data, width: 2 }, occasion, Rule::of(config)).unwrap();
+            let context = DensityContext { seed: RunSeed(0), iteration, agent: 0, memory: 0.0 };
+            agent.refit(Observations { data, width: 2 }, context, Rule::of(config)).unwrap();
         }
         agent.scores
     }
 
     #[test]
-    fn a_previous_density_scores_what_it_has_not_seen_and_nothing_in_the_first_iteration() {
+    fn with_fit_previous_the_last_density_scores_and_iteration_zero_has_no_bonus() {
         let previous = SurpriseConfig { fit: Fit::Previous, ..config() };
         assert_eq!(scores(&previous, &[&HERE]), vec![0.0; 4]);
         let found = scores(&previous, &[&HERE, &THERE]);
@@ -204,14 +203,14 @@ mod tests {
     }
 
     #[test]
-    fn a_restored_agent_scores_as_the_one_that_was_kept() {
+    fn a_restored_agent_scores_like_the_stored_one() {
         let config =
             SurpriseConfig { fit: Fit::Previous, constant: Constant::Centered, ..config() };
         let agent = || AgentSurprise::new(build(&config, &[0, 1], (RunSeed(0), 0)).unwrap());
-        let occasion = Occasion { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
+        let context = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
         let refit = |agent: &mut AgentSurprise, data: &[f32]| {
             let observations = Observations { data, width: 2 };
-            agent.refit(observations, occasion, Rule::of(&config)).unwrap();
+            agent.refit(observations, context, Rule::of(&config)).unwrap();
         };
         let (mut kept, mut other) = (agent(), agent());
         refit(&mut kept, &HERE);
@@ -223,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_memory_changes_nothing_at_first_and_something_later() {
+    fn ema_memory_has_an_effect_only_after_the_first_fit() {
         let ema = SurpriseConfig { fit: Fit::Ema, ..config() };
         assert_eq!(scores(&ema, &[&HERE]), scores(&config(), &[&HERE]));
         assert_ne!(scores(&ema, &[&HERE, &THERE]), scores(&config(), &[&HERE, &THERE]));
@@ -232,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn constants_differ_by_a_constant_and_the_centred_one_pays_nothing_on_average() {
+    fn constants_shift_all_scores_equally_and_centred_scores_have_mean_zero() {
         let of = |constant| scores(&SurpriseConfig { constant, ..config() }, &[&HERE]);
         let (density, paper, centred) =
             (of(Constant::Density), of(Constant::Paper), of(Constant::Centered));
@@ -243,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mean_is_the_sum_over_the_features_that_count_and_a_clip_holds_both_ends() {
+    fn mean_divides_by_the_active_features_and_clip_limits_both_signs() {
         let sum = scores(&config(), &[&HERE]);
         let mean = scores(&SurpriseConfig { reduce: Reduce::Mean, ..config() }, &[&HERE]);
         assert!(sum.iter().zip(&mean).all(|(sum, mean)| (sum / 2.0 - mean).abs() < 1e-12));
@@ -254,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn without_features_that_vary_every_class_scores_zero() {
+    fn without_active_features_every_density_scores_zero() {
         let still = [1.0, 2.0].repeat(4);
         for density in [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae] {
             let found = scores(&SurpriseConfig { density, ..config() }, &[&still]);

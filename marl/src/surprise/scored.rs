@@ -1,11 +1,11 @@
-//! Which rows a density is fitted on and scores: whose numbers, and those of which side of a step.
+//! The rows on which a density is fitted and which it scores.
 
 use std::borrow::Cow;
 
 use crate::config::{Scored, Space};
 use crate::data::batch::{AgentShape, Batch, Final};
 
-/// Places of the features that surprise looks at, in the rows that [`rows`] gives.
+/// Indices of the scored features in the rows of [`rows`].
 pub(super) fn features(shape: &AgentShape, space: Space) -> &[usize] {
     match space {
         Space::PolicyObs => &shape.surprise_features,
@@ -14,8 +14,7 @@ pub(super) fn features(shape: &AgentShape, space: Space) -> &[usize] {
     }
 }
 
-/// What `agent` is scored by in every step, `[T, B, width]`: its observation, or the global state, of which the
-/// features that belong to it are looked at.
+/// The rows that contain agent `agent`'s scored features, `[T, B, width]`: its observation or the global state.
 pub(super) fn rows(batch: &Batch, agent: usize, space: Space, obs: Scored) -> Cow<'_, [f32]> {
     let now = match space {
         Space::PolicyObs => &batch.agents[agent].observation,
@@ -31,7 +30,7 @@ pub(super) fn rows(batch: &Batch, agent: usize, space: Space, obs: Scored) -> Co
     }
 }
 
-/// `o_(t+1)` for every `o_t` of `now` `[T, B, width]`; where an episode or the batch ends, what was really there.
+/// `o_(t+1)` for every `o_t` in `now` `[T, B, width]`; where an episode or the batch ends, the true final one.
 fn next(batch: &Batch, now: &[f32], after: impl Fn(&Final) -> Vec<f32>) -> Vec<f32> {
     let shift = now.len() / batch.steps;
     let mut next = [&now[shift..], &now[..shift]].concat();
@@ -48,7 +47,7 @@ mod tests {
     use super::*;
     use crate::data::batch::AgentBatch;
 
-    /// Two environments, two steps; the first environment's episode ends with step 0.
+    /// Two environments, two steps. The episode of environment 0 ends with step 0.
     fn batch() -> Batch {
         let last = |step, environment, x: f32| Final {
             step,
@@ -70,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_next_is_the_row_below_and_where_something_ends_the_final_one() {
+    fn the_next_row_is_the_following_one_or_at_an_end_the_final_one() {
         let seen = rows(&batch(), 0, Space::PolicyObs, Scored::Next).into_owned();
         assert_eq!(seen, [70.0, 4.0, 80.0, 90.0]);
         let state = rows(&batch(), 0, Space::Raw, Scored::Next).into_owned();
@@ -78,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_current_is_the_row_itself() {
+    fn the_current_row_is_the_row_itself() {
         let batch = batch();
         assert_eq!(
             *rows(&batch, 0, Space::PolicyObs, Scored::Current),

@@ -1,20 +1,20 @@
-//! Games whose best joint action is one of several on which agents could settle.
+//! Games with several equilibria, of which one is best.
 
 use marl::ActionKind;
 use policy::{CoreKind, PolicySnapshot};
 use rand::RngCore;
 
-use crate::harness::{World, examine, train};
+use crate::harness::{World, evaluate, train};
 use crate::settings::{ON_POLICY, maddpg, on_policy};
 
 const CHOICES: usize = 3;
 
-/// What a joint choice pays. Agreeing on 0 is best; agreeing on 1 or 2 is an equilibrium too, which no
-/// agent can leave alone without paying for it. Beside an even-handed partner 0 pays `-1/3` and the
-/// others `-2/3`; two of them make `(1 + 0 + 0 - 6) / 9 = -5/9`.
+/// Reward of a joint choice. Agreeing on 0 is best. Agreeing on 1 or 2 is also an equilibrium: an agent that deviates
+/// alone gets a lower reward. With a uniform partner, 0 has the mean reward `-1/3` and the others `-2/3`; two uniform
+/// agents have `(1 + 0 + 0 - 6) / 9 = -5/9`.
 const PAYOFF: [[f32; CHOICES]; CHOICES] = [[1.0, -1.0, -1.0], [-1.0, 0.0, -1.0], [-1.0, -1.0, 0.0]];
 
-/// Four rounds of the game; both see what both chose in the last one.
+/// Four rounds of the game. Both agents observe both choices of the previous round.
 struct Matrix {
     chosen: Option<[usize; 2]>,
 }
@@ -43,12 +43,12 @@ impl World for Matrix {
     }
 }
 
-/// The probability of the best joint choice, averaged over the rounds that are met.
+/// Probability of the best joint choice, averaged over the rounds played.
 fn best_choice(snapshot: &PolicySnapshot) -> f32 {
     let mut best = [Vec::new(), Vec::new()];
-    examine::<Matrix>(snapshot, |turn| {
+    evaluate::<Matrix>(snapshot, |turn| {
         best[turn.agent].push(turn.probability(0.0));
-        turn.drawn(u64::MAX)
+        turn.sampled_action(u64::MAX)
     });
     let joint = best[0].iter().zip(&best[1]).map(|(first, second)| first * second);
     joint.sum::<f32>() / best[0].len() as f32
@@ -58,24 +58,23 @@ fn solves_the_matrix_game(core: CoreKind) {
     for variant in &ON_POLICY {
         let [before, after] =
             train::<Matrix>(&on_policy(variant, core), 60).map(|policies| best_choice(&policies));
-        assert!(before < 0.2, "{}: {before} before any training", variant.name);
+        assert!(before < 0.2, "{}: {before} before training", variant.name);
         assert!(after > 0.9, "{}: {after}", variant.name);
     }
 }
 
 #[test]
-fn every_rule_of_the_policy_gradient_finds_the_best_of_three_agreements_with_memory() {
+fn every_on_policy_rule_finds_the_best_of_three_equilibria_with_memory() {
     solves_the_matrix_game(CoreKind::Gru);
 }
 
 #[test]
-fn every_rule_of_the_policy_gradient_finds_the_best_of_three_agreements_without_memory() {
+fn every_on_policy_rule_finds_the_best_of_three_equilibria_without_memory() {
     solves_the_matrix_game(CoreKind::Mlp);
 }
 
-/// The game's counterpart for real actions: `1 - 4 (a - b)^2 - (a + b - 1)^2`. Its best is 1, at
-/// `a = b = 1/2`; two zeros pay 0, and an agent that goes to 1/2 alone pays for it:
-/// `1 - 1 - 1/4 = -1/4`.
+/// The same for continuous actions: `1 - 4 (a - b)^2 - (a + b - 1)^2`. The best reward is 1, at `a = b = 1/2`; two
+/// zeros have 0. An agent that deviates alone to 1/2 gets `1 - 1 - 1/4 = -1/4`.
 struct Meeting {
     chosen: [f32; 2],
 }
@@ -101,11 +100,12 @@ impl World for Meeting {
 }
 
 #[test]
-fn maddpg_meets_where_going_alone_costs() {
+fn maddpg_finds_the_best_of_several_continuous_equilibria() {
     let mean = |snapshot: &PolicySnapshot| {
-        examine::<Meeting>(snapshot, |turn| turn.settled()).mean_return() / Meeting::STEPS as f32
+        evaluate::<Meeting>(snapshot, |turn| turn.mode_action()).mean_return()
+            / Meeting::STEPS as f32
     };
     let [before, after] = train::<Meeting>(&maddpg(), 60).map(|policies| mean(&policies));
-    assert!(before < 0.2, "{before} before any training");
+    assert!(before < 0.2, "{before} before training");
     assert!(after > 0.9, "{after}");
 }

@@ -1,5 +1,5 @@
-//! How a world of two agents is played and learnt: the policies' own acting code gives batches, the
-//! learner's own order of densities and update takes them. No learner process, no simulator.
+//! Rollouts and training in a world with two agents. The policies' acting code makes batches; densities and updates run
+//! in the learner's order. There is no learner process and no simulator.
 
 use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Final, Problem, Surprise};
 use policy::{ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
@@ -8,19 +8,19 @@ use rand::RngCore;
 use crate::settings::Settings;
 
 const SEED: RunSeed = RunSeed(1);
-/// Environments that are played side by side.
+/// Number of parallel environments.
 const ENVIRONMENTS: usize = 64;
 
-/// One episode of a world in which each of two agents acts with one number and both see the state.
+/// One episode of a world with two agents. Each action is one number, and both agents observe the state.
 pub(crate) trait World {
-    /// Steps of an episode, after which it ends for good.
+    /// Steps of an episode, which ends by termination.
     const STEPS: usize;
-    /// Numbers of the state.
+    /// Size of the state.
     const STATE: usize;
-    /// What an action is; real ones are from -1 to 1.
+    /// Kind of action. Continuous actions are in -1..1.
     const ACTION: ActionKind;
 
-    /// A first state.
+    /// An initial state.
     fn begin(rng: &mut impl RngCore) -> Self;
 
     /// The state, `[STATE]`.
@@ -30,7 +30,7 @@ pub(crate) trait World {
     fn step(&mut self, actions: [f32; 2]) -> f32;
 }
 
-/// Whose turn it is, and what its network says.
+/// One agent's turn and its network's output.
 pub(crate) struct Turn<'a> {
     pub(crate) agent: usize,
     environment: usize,
@@ -40,20 +40,20 @@ pub(crate) struct Turn<'a> {
 }
 
 impl Turn<'_> {
-    /// The action that evaluation takes.
-    pub(crate) fn settled(&self) -> f32 {
+    /// The mean or most likely action, as in evaluation.
+    pub(crate) fn mode_action(&self) -> f32 {
         let mut action = [0.0];
         self.policy.mode(self.output, &mut action);
         action[0]
     }
 
-    /// The probability of a choice.
+    /// Probability of a choice.
     pub(crate) fn probability(&self, choice: f32) -> f32 {
         libm::expf(self.policy.log_prob(self.output, &[choice]))
     }
 
-    /// An action as training draws it.
-    pub(crate) fn drawn(&self, iteration: u64) -> f32 {
+    /// A random action, as in training.
+    pub(crate) fn sampled_action(&self, iteration: u64) -> f32 {
         let key = Draw::of(Purpose::Action).iteration(iteration).step(self.step as u32);
         let key = key.environment(self.environment as u32).agent(self.agent as u32);
         let mut action = [0.0];
@@ -62,7 +62,7 @@ impl Turn<'_> {
     }
 }
 
-/// One episode in every environment, and the worlds as it leaves them.
+/// One episode in every environment, and the final worlds.
 pub(crate) struct Played<W> {
     pub(crate) batch: Batch,
     pub(crate) worlds: Vec<W>,
@@ -75,7 +75,7 @@ impl<W> Played<W> {
     }
 }
 
-/// Sizes as a task would declare them.
+/// Sizes as a task declares them.
 pub(crate) fn problem<W: World>() -> Problem {
     let shape = AgentShape {
         observation: W::STATE + 2,
@@ -89,19 +89,19 @@ pub(crate) fn problem<W: World>() -> Problem {
     Problem { agents: vec![shape.clone(), shape], state: W::STATE }
 }
 
-/// First states for one purpose.
+/// Initial states for one purpose.
 fn begin<W: World>(draw: Draw) -> Vec<W> {
     let environments = 0..ENVIRONMENTS as u32;
     environments.map(|e| W::begin(&mut generator(SEED, draw.environment(e)))).collect()
 }
 
-/// The state, then which agent looks.
+/// The state and the agent's index.
 fn observe(world: &impl World, agent: usize) -> Vec<f32> {
     let number = [0, 1].map(|index| if index == agent { 1.0 } else { 0.0 });
     [world.state(), number.to_vec()].concat()
 }
 
-/// One agent's step in all worlds; `act` chooses.
+/// One agent's step in all worlds; `act` chooses the actions.
 fn act<W: World>(
     (worlds, step): (&[W], usize),
     (agent, policy): (usize, &ActorPolicy),
@@ -122,7 +122,7 @@ fn act<W: World>(
     data.observation.extend(seen);
 }
 
-/// One episode in each of `worlds`; `choose` says how an agent acts.
+/// Plays one episode in each of `worlds`; `choose` chooses the actions.
 fn play<W: World>(
     snapshot: &PolicySnapshot,
     mut worlds: Vec<W>,
@@ -137,8 +137,8 @@ fn play<W: World>(
         truncated: vec![false; rows],
         ..Batch::default()
     };
-    let rested = |policy: &ActorPolicy| vec![0.0; ENVIRONMENTS * policy.hidden_size()];
-    let mut hidden: Vec<Vec<f32>> = snapshot.agents.iter().map(rested).collect();
+    let initial_state = |policy: &ActorPolicy| vec![0.0; ENVIRONMENTS * policy.hidden_size()];
+    let mut hidden: Vec<Vec<f32>> = snapshot.agents.iter().map(initial_state).collect();
     for step in 0..W::STEPS {
         batch.state.extend(worlds.iter().flat_map(World::state));
         for (agent, policy) in snapshot.agents.iter().enumerate() {
@@ -159,15 +159,15 @@ fn last<W: World>((environment, world): (usize, &W)) -> Final {
     Final { step: W::STEPS - 1, environment, state: world.state(), observation }
 }
 
-/// Episodes that training does not see, played as `choose` says.
-pub(crate) fn examine<W: World>(
+/// Plays evaluation episodes with the actions of `choose`.
+pub(crate) fn evaluate<W: World>(
     snapshot: &PolicySnapshot,
     choose: impl FnMut(Turn<'_>) -> f32,
 ) -> Played<W> {
     play(snapshot, begin(Draw::of(Purpose::EvaluationReset)), choose)
 }
 
-/// The policies before the first iteration, and after the last one.
+/// The policies before the first iteration and after the last one.
 pub(crate) fn train<W: World>(settings: &Settings, iterations: u64) -> [PolicySnapshot; 2] {
     let Settings { config, policy } = settings;
     config.validate().unwrap();
@@ -184,7 +184,7 @@ pub(crate) fn train<W: World>(settings: &Settings, iterations: u64) -> [PolicySn
 /// One iteration in the learner's order.
 fn learn<W: World>(surprise: &mut Surprise, algorithm: &mut dyn Algorithm, iteration: u64) {
     let worlds = begin::<W>(Draw::of(Purpose::Reset).iteration(iteration));
-    let draw = |turn: Turn<'_>| turn.drawn(iteration);
+    let draw = |turn: Turn<'_>| turn.sampled_action(iteration);
     let batch = play(&algorithm.snapshot().unwrap(), worlds, draw).batch;
     surprise.refit(&batch, iteration).unwrap();
     algorithm.update(&batch, &surprise.relabel(&batch), iteration).unwrap();

@@ -1,5 +1,5 @@
-//! Every algorithm, from its first draw to the solution: a game of choices with one best agreement, and
-//! a point that two agents bring to its mark. Each takes about a second.
+//! Every algorithm from initial weights to the solution of a matrix game and of a reaching task with two agents. Each
+//! takes about a second.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "../fixture/settings.rs"]

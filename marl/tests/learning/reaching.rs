@@ -1,20 +1,20 @@
-//! Two agents bring one point to its mark, each with a push that moves it askew of the other's.
+//! Two agents move one point to its target in directions that are not orthogonal.
 
 use marl::ActionKind;
 use policy::randomness::uniform;
 use policy::{CoreKind, PolicySnapshot};
 use rand::RngCore;
 
-use crate::harness::{World, examine, train};
+use crate::harness::{World, evaluate, train};
 use crate::settings::{ON_POLICY, Settings, maddpg, on_policy};
 
-/// Where a full push of each agent brings the point. They are neither equal nor at right angles, so
-/// that what one agent should do depends on what the other does. The farthest mark, `(1, -1)`, takes
-/// `1 / 0.32 = 3.1` steps of the second agent and `(1 + 0.75) / 0.4 = 4.4` of the first.
+/// Displacement of the point by a full action of each agent. The two are neither equal nor orthogonal, so the best
+/// action of one agent depends on the other's. The farthest target, `(1, -1)`, takes `1 / 0.32 = 3.1` steps of the
+/// second agent and `(1 + 0.75) / 0.4 = 4.4` of the first.
 const PUSHES: [[f32; 2]; 2] = [[0.4, 0.0], [0.24, 0.32]];
 
-/// A point, `offset` away from its mark. A step pays by how much it brings the point nearer, so that an
-/// episode's return is the first distance less the last one: at most the first.
+/// A point with `offset` from its target. The reward of a step is the decrease of the distance, so an episode's return
+/// is the initial distance minus the final one, at most the former.
 struct Reaching {
     first: f32,
     offset: [f32; 2],
@@ -49,38 +49,38 @@ impl World for Reaching {
     }
 }
 
-/// How far from its mark the mean actions leave the point, and their return as a share of the best
-/// one; both averaged over episodes.
+/// Final distance from the target with mean actions, and the return as a fraction of the best one; both averaged over
+/// episodes.
 fn skill(snapshot: &PolicySnapshot) -> (f32, f32) {
-    let played = examine::<Reaching>(snapshot, |turn| turn.settled());
+    let played = evaluate::<Reaching>(snapshot, |turn| turn.mode_action());
     let mean = |number: fn(&Reaching) -> f32| {
         played.worlds.iter().map(number).sum::<f32>() / played.worlds.len() as f32
     };
     (mean(|world| length(world.offset)), played.mean_return() / mean(|world| world.first))
 }
 
-/// Untrained policies leave the point where it starts, 0.77 from its mark on average.
+/// Untrained policies leave the point at its start, 0.77 from its target on average.
 fn reaches(name: &str, settings: &Settings, iterations: u64) {
     let [before, after] = train::<Reaching>(settings, iterations).map(|policies| skill(&policies));
-    assert!(before.0 > 0.5 && before.1 < 0.2, "{name}: {before:?} before any training");
+    assert!(before.0 > 0.5 && before.1 < 0.2, "{name}: {before:?} before training");
     assert!(after.0 < 0.1 && after.1 > 0.85, "{name}: {after:?}");
 }
 
 #[test]
-fn every_rule_of_the_policy_gradient_brings_a_point_to_its_mark_with_memory() {
+fn every_on_policy_rule_solves_the_reaching_task_with_memory() {
     for variant in &ON_POLICY {
         reaches(variant.name, &on_policy(variant, CoreKind::Gru), 60);
     }
 }
 
 #[test]
-fn every_rule_of_the_policy_gradient_brings_a_point_to_its_mark_without_memory() {
+fn every_on_policy_rule_solves_the_reaching_task_without_memory() {
     for variant in &ON_POLICY {
         reaches(variant.name, &on_policy(variant, CoreKind::Mlp), 60);
     }
 }
 
 #[test]
-fn maddpg_brings_a_point_to_its_mark() {
+fn maddpg_solves_the_reaching_task() {
     reaches("MADDPG", &maddpg(), 40);
 }

@@ -1,4 +1,4 @@
-//! The learning rules under test, and sizes at which a toy is learnt in a second.
+//! The learning rules under test, and sizes with which a small task is learnt in a second.
 
 use marl::config::{Rule, Sharing};
 use marl::{Config, CriticConfig, InfluenceConfig, MaddpgConfig, UpdateConfig};
@@ -6,16 +6,16 @@ use policy::{CoreKind, PolicyConfig};
 
 use crate::fixture;
 
-/// What makes a learning rule of the on-policy kind the one that it is.
+/// Settings that distinguish the on-policy rules.
 pub(crate) struct Variant {
     pub(crate) name: &'static str,
     rule: Rule,
     parameters: Sharing,
-    /// Of the entropy bonus, of surprise and of influence.
+    /// Weights of the entropy bonus, of surprise and of influence.
     weights: (f64, f64, f64),
 }
 
-/// The weights are those of `configs/algorithms`.
+/// The weights of `configs/algorithms`.
 pub(crate) const ON_POLICY: [Variant; 4] = [
     Variant {
         name: "HAPPO",
@@ -43,7 +43,7 @@ pub(crate) const ON_POLICY: [Variant; 4] = [
     },
 ];
 
-/// A learning rule and the actors that it trains.
+/// Settings of a learning rule and its actors.
 pub(crate) struct Settings {
     pub(crate) config: Config,
     pub(crate) policy: PolicyConfig,

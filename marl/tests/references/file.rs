@@ -1,8 +1,8 @@
-//! A file of reference values, and what it means to agree with one of them.
+//! A file of reference values, and comparisons with them.
 
 use policy::{Array, NamedArrays, arrays};
 
-/// Named arrays as the script wrote them.
+/// Named arrays of the file.
 pub(crate) struct Reference(NamedArrays);
 
 impl Reference {
@@ -18,7 +18,7 @@ impl Reference {
         numbers(self.array(name))
     }
 
-    /// Numbers that single precision holds.
+    /// Values that are exact in single precision.
     pub(crate) fn single(&self, name: &str) -> Vec<f32> {
         self.numbers(name).into_iter().map(|x| x as f32).collect()
     }
@@ -31,14 +31,14 @@ impl Reference {
         self.numbers(&format!("settings/{key}"))[0]
     }
 
-    /// The arrays whose names begin with `prefix`, by the rest of their names.
+    /// The arrays whose names begin with `prefix`, by the remainder of their names.
     pub(crate) fn under<'a>(&'a self, prefix: &str) -> Vec<(&'a str, &'a Array)> {
         let named =
             |(name, array): (&'a String, &'a Array)| Some((name.strip_prefix(prefix)?, array));
         self.0.iter().filter_map(named).collect()
     }
 
-    /// `found` must agree with the array `expected/NAME` in double precision.
+    /// Asserts that `found` equals the array `expected/NAME` to double precision.
     pub(crate) fn expects(&self, name: &str, found: &[f64]) {
         let name = format!("expected/{name}");
         agree(&name, found, &self.numbers(&name), 1e-9);
@@ -54,7 +54,7 @@ pub(crate) fn numbers(array: &Array) -> Vec<f64> {
     }
 }
 
-/// No number may be farther off than `tolerance` times the array's largest.
+/// Asserts that no difference exceeds `tolerance` times the array's largest magnitude.
 pub(crate) fn agree(name: &str, found: &[f64], expected: &[f64], tolerance: f64) {
     assert_eq!(found.len(), expected.len(), "{name}");
     let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));

@@ -1,4 +1,4 @@
-//! Each loss by itself: its value and its gradient.
+//! Each loss separately: its value and its gradient.
 
 use marl::config::{Divergence, Estimator};
 use marl::critic::value_loss;

@@ -1,4 +1,4 @@
-//! What the reference updates are told: the file's settings, and sizes that its arrays have.
+//! Settings of the reference updates: those of the file, and sizes from its arrays.
 
 use marl::config::{Rule, Sharing};
 use marl::{
@@ -41,7 +41,7 @@ pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
     }
 }
 
-/// An update takes rewards as they come. Surprise has a weight, so that there is a value for each agent.
+/// Surprise has a weight, so that there is a value per agent. The rewards are those of the file.
 pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> Config {
     let number = |key: &str| reference.setting(key);
     let usual = fixture::config(rule);
@@ -127,7 +127,7 @@ pub(crate) fn batch(reference: &Reference) -> Batch {
     batch
 }
 
-/// What was true after row `row`.
+/// State and observations after row `row`.
 fn last(reference: &Reference, row: usize, environments: usize) -> Final {
     let part = |name: &str| {
         let width = axis(reference, name, 2);

@@ -1,4 +1,4 @@
-//! Whole updates, from PyTorch's first weights to its last, optimisers, normalisers and figures included.
+//! Whole updates from PyTorch's initial weights to its final ones, with optimisers, normalisers and metrics.
 
 use std::collections::BTreeSet;
 
@@ -9,12 +9,12 @@ use policy::{Array, CoreKind, NamedArrays, Precision, RunSeed};
 use crate::file::{Reference, agree, numbers};
 use crate::settings::{AGENTS, batch, config, policy, problem};
 
-/// With this seed the first sweep is in the order of the references.
+/// With this seed the first sweep has the order of the references.
 const SWEEPING: RunSeed = RunSeed(0);
-/// With this seed the replay first draws the rows of the references.
+/// With this seed the replay first samples the rows of the references.
 const DRAWING: RunSeed = RunSeed(1);
 
-/// Which rule updates what.
+/// A rule and its parameters.
 #[derive(Clone, Copy)]
 struct Case {
     file: &'static [u8],
@@ -43,16 +43,16 @@ const MADDPG: Case = Case {
     seed: DRAWING,
 };
 
-/// The file's first arrays in place of the algorithm's own, in its precision; what the file does not name stays.
+/// The file's initial arrays in the algorithm's precision. Arrays that the file does not contain are the algorithm's.
 fn start(reference: &Reference, algorithm: &dyn Algorithm) -> NamedArrays {
     let mut arrays = algorithm.arrays().unwrap();
     for (name, array) in reference.under("start/") {
-        let own = arrays.get_mut(name).unwrap_or_else(|| panic!("no array is called {name}"));
+        let own = arrays.get_mut(name).unwrap_or_else(|| panic!("the algorithm has no {name}"));
         assert_eq!(own.shape(), array.shape(), "{name}");
         match own {
             Array::F32 { data, .. } => *data = reference.single(&format!("start/{name}")),
             Array::F64 { data, .. } => *data = numbers(array),
-            other => panic!("{name} starts as {other:?}"),
+            other => panic!("{name} has an unexpected type: {other:?}"),
         }
     }
     arrays
@@ -106,13 +106,14 @@ fn a_step_of_maddpg_agrees_with_pytorch() {
 }
 
 #[test]
-fn the_references_leave_no_array_of_a_run_out() {
+fn the_references_contain_every_array_of_a_run() {
     for case in [HAPPO_GRU, HAPPO_MLP, MAPPO, MADDPG] {
         let reference = Reference::of(case.file);
         let named: BTreeSet<&str> =
             reference.under("expected/").into_iter().map(|(name, _)| name).collect();
         let (arrays, _) = updated(&reference, case, Precision::Double);
-        // Steps that a run skipped are no result, a replay is compared by what is learnt from it, and no step is adapted.
+        // Skipped steps are no result, the replay is tested by the update that uses it, and no learning rate is
+        // adapted.
         let kept = ["skipped", "adapted"];
         let result = |name: &&String| {
             !name.starts_with("replay/") && !kept.iter().any(|end| name.ends_with(end))

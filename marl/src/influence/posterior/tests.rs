@@ -1,4 +1,4 @@
-//! Posteriors of actions whose information is known in closed form.
+//! Posteriors of actions with mutual information known in closed form.
 
 use candle_core::DType;
 use policy::randomness::standard_normal;
@@ -39,7 +39,7 @@ fn of_shape(shape: PosteriorShape) -> Posterior {
     Posterior::new(&config(), adam, shape, (RunSeed(3), Precision::Single, 0)).unwrap()
 }
 
-/// Own and other actions, both normal with deviation `SIGMA` and correlation `rho`.
+/// The agent's and the other's actions, both normal with standard deviation `SIGMA` and correlation `rho`.
 fn actions(rho: f64) -> (Vec<f64>, Vec<f32>) {
     let mut rng = generator(RunSeed(5), Draw::of(Purpose::Probe));
     let mut normal = || f64::from(standard_normal(&mut rng));
@@ -50,17 +50,17 @@ fn actions(rho: f64) -> (Vec<f64>, Vec<f32>) {
     (0..ROWS).map(pair).unzip()
 }
 
-/// Features that say nothing, `[ROWS, 2]`.
+/// Features without information, `[ROWS, 2]`.
 fn features() -> Tensor {
     Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap()
 }
 
-/// The policy whose actions these are, if nobody looks at the others'.
+/// The marginal policy of the agent's actions.
 fn marginal() -> HeadRows {
     HeadRows::gaussian(vec![0.0; ROWS], vec![SIGMA])
 }
 
-/// Rows that are held out, one of five, and the others.
+/// Held-out rows (one of five) and the remaining ones.
 fn parts() -> (Vec<usize>, Vec<usize>) {
     (0..ROWS).partition(|row| row % 5 == 4)
 }
@@ -70,14 +70,14 @@ fn fitted(posterior: &mut Posterior, data: &Conditions<'_>) {
     posterior.fit(data, &trained, &held_out, (RunSeed(3), draw)).unwrap();
 }
 
-/// The mean gain in log-density over the policy in the rows that are held out.
+/// Mean gain in log-probability over the policy on held-out rows.
 fn information(posterior: &Posterior, data: &Conditions<'_>) -> f64 {
     let (held_out, all) = (parts().0, (0..ROWS).collect::<Vec<usize>>());
     let log_q = posterior.conditional(data, &all).unwrap().log_prob(data.action, &held_out);
     mutual_information(&log_q, &data.policy.log_prob(data.action, &held_out)).unwrap()
 }
 
-/// Trains on four rows of five; the mean gain in log-density over the marginal on the fifth.
+/// Trains on four of five rows. Returns the mean gain in log-probability over the marginal on the others.
 fn estimate(rho: f64) -> f64 {
     let (action, others) = actions(rho);
     let features = features();
@@ -94,7 +94,7 @@ fn independent_actions_have_no_information_about_each_other() {
 }
 
 #[test]
-fn the_information_of_correlated_actions_is_found_to_a_twentieth_of_a_nat() {
+fn the_information_of_correlated_actions_is_estimated_to_a_twentieth_of_a_nat() {
     // I = -1/2 log(1 - rho^2).
     for (rho, truth) in [(0.5, 0.143_841), (0.8, 0.510_826)] {
         let found = estimate(rho);
@@ -103,8 +103,8 @@ fn the_information_of_correlated_actions_is_found_to_a_twentieth_of_a_nat() {
 }
 
 #[test]
-fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat() {
-    // The other's choice is even; the own one is the same with probability 0.8, else either of the rest.
+fn the_information_of_choices_that_mostly_agree_is_estimated_to_a_fiftieth_of_a_nat() {
+    // The other's choice is uniform. The agent's choice is equal with probability 0.8, else one of the rest.
     let mut rng = generator(RunSeed(6), Draw::of(Purpose::Probe));
     let kind = ActionKind::Discrete { choices: 3 };
     let (mut action, mut others) = (Vec::new(), Vec::new());
@@ -114,7 +114,7 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
             &mut rng,
         );
         action.push(((row + chance) % 3) as f64);
-        kind.see(&[(row % 3) as f32], &mut others);
+        kind.encode(&[(row % 3) as f32], &mut others);
     }
     let features = features();
     let even = HeadRows::categorical(vec![0.0; 3 * ROWS], 3);
@@ -127,7 +127,7 @@ fn the_information_of_choices_that_mostly_agree_is_found_to_a_fiftieth_of_a_nat(
 }
 
 #[test]
-fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
+fn a_restored_posterior_continues_like_the_stored_one() {
     let (action, others) = actions(0.8);
     let features = features();
     let data =
@@ -146,7 +146,7 @@ fn a_restored_posterior_goes_on_as_the_one_that_was_kept() {
 }
 
 #[test]
-fn an_untrained_posterior_is_the_policy_and_knows_exactly_nothing() {
+fn an_untrained_posterior_is_the_policy_and_its_estimate_is_exactly_zero() {
     let (action, others) = actions(0.8);
     let features = features();
     let policy = marginal();
@@ -158,7 +158,7 @@ fn an_untrained_posterior_is_the_policy_and_knows_exactly_nothing() {
 }
 
 #[test]
-fn training_never_lowers_the_likelihood_of_the_rows_that_are_held_out() {
+fn training_never_lowers_the_likelihood_of_held_out_rows() {
     let (action, others) = actions(0.0);
     let features = features();
     let policy = marginal();
@@ -166,7 +166,7 @@ fn training_never_lowers_the_likelihood_of_the_rows_that_are_held_out() {
         Conditions { features: &features, others: &others, action: &action, policy: &policy };
     let mut posterior = posterior();
     let draw = Draw::of(Purpose::PosteriorMinibatch);
-    // Forty rows teach ten epochs nothing that holds elsewhere.
+    // Forty rows contain nothing that generalises.
     let (trained, held_out): (Vec<usize>, Vec<usize>) = ((0..40).collect(), (40..2000).collect());
     posterior.fit(&data, &trained, &held_out, (RunSeed(3), draw)).unwrap();
     let log_q = posterior.log_likelihood(&data, &held_out).unwrap();

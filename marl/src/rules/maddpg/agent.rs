@@ -1,4 +1,4 @@
-//! One agent of MADDPG: a deterministic actor, its central action value, and a slow copy of each.
+//! One agent of MADDPG: a deterministic actor, its central action value, and a target network of each.
 
 use candle_core::{Device, Tensor};
 use policy::math::Real;
@@ -34,11 +34,11 @@ pub(super) struct Agent {
     polyak: f64,
 }
 
-/// What one optimiser step came to.
+/// Metrics of one optimiser step.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Figures {
     pub(super) value_loss: f64,
-    /// Mean action value of the policy's own actions.
+    /// Mean action value of the policy's actions.
     pub(super) action_value: f64,
     pub(super) gradient_norm: f64,
 }
@@ -94,42 +94,42 @@ impl Agent {
         self.actor_adam.skipped() + self.value_adam.skipped()
     }
 
-    /// The slow actor's actions after `sample`, `[R, act]`.
+    /// The target actor's actions after `sample`, `[R, act]`.
     pub(super) fn next_actions(&self, sample: &Sample) -> Result<Tensor, MarlError> {
         let observation = &sample.next.observation[self.index];
         Ok(self.actions(&self.target_actor, observation, sample.reward.len())?.detach())
     }
 
-    /// One step of the action value towards its target, one of the actor up the action value, and
-    /// the slow copies after them. `next` are all agents' slow actions.
+    /// One step of the action value towards its target, one ascent step of the actor on the action value, and an update
+    /// of the target networks. `next` are the actions of all agents' target actors.
     pub(super) fn learn(&mut self, sample: &Sample, next: &[Tensor]) -> Result<Figures, MarlError> {
         let target = self.targets(sample, next)?;
         let taken = sample.action.iter().zip(next);
         let taken = taken.map(|(action, like)| rows(action.clone(), like.dim(1)?, self.precision));
         let taken = taken.collect::<Result<Vec<_>, MarlError>>()?;
         let value_loss = self.fit_value(sample, &taken, &target)?;
-        let (action_value, gradient_norm) = self.climb(sample, taken)?;
-        follow(self.target_actor.parameters(), self.actor.parameters(), self.polyak)?;
-        follow(&self.target_value.parameters, &self.value.parameters, self.polyak)?;
+        let (action_value, gradient_norm) = self.update_actor(sample, taken)?;
+        polyak_update(self.target_actor.parameters(), self.actor.parameters(), self.polyak)?;
+        polyak_update(&self.target_value.parameters, &self.value.parameters, self.polyak)?;
         Ok(Figures { value_loss, action_value, gradient_norm })
     }
 
     /// `sum_k gamma^k r_(t+k) + gamma^m Q'(s_(t+m), mu'(o_(t+m)))`, `[R]`.
     fn targets(&self, sample: &Sample, next: &[Tensor]) -> Result<Vec<f64>, MarlError> {
-        let input = self.beside(&sample.next.state, next)?;
+        let input = self.joint_input(&sample.next.state, next)?;
         let values = numbers(&self.target_value.forward_as_constant(&input)?)?;
         let parts = sample.reward.iter().zip(&sample.discount).zip(values);
         Ok(parts.map(|((reward, discount), value)| reward + discount * value).collect())
     }
 
-    /// Down the mean squared error.
+    /// One descent step on the mean squared error.
     fn fit_value(
         &mut self,
         sample: &Sample,
         taken: &[Tensor],
         target: &[f64],
     ) -> Result<f64, MarlError> {
-        let output = self.value.forward(&self.beside(&sample.now.state, taken)?)?;
+        let output = self.value.forward(&self.joint_input(&sample.now.state, taken)?)?;
         let share = 1.0 / target.len() as f64;
         let errors: Vec<f64> = numbers(&output)?.iter().zip(target).map(|(q, y)| q - y).collect();
         let gradient: Vec<f64> = errors.iter().map(|error| 2.0 * share * error).collect();
@@ -139,12 +139,17 @@ impl Agent {
         Ok(share * errors.iter().map(|error| error * error).sum::<f64>())
     }
 
-    /// Up the value of the own actions beside those that the others took.
-    fn climb(&mut self, sample: &Sample, mut joint: Vec<Tensor>) -> Result<(f64, f64), MarlError> {
+    /// One ascent step on the value of the agent's own actions joined with those that the others took.
+    fn update_actor(
+        &mut self,
+        sample: &Sample,
+        mut joint: Vec<Tensor>,
+    ) -> Result<(f64, f64), MarlError> {
         let count = sample.reward.len();
         joint[self.index] =
             self.actions(&self.actor, &sample.now.observation[self.index], count)?;
-        let output = self.value.forward_as_constant(&self.beside(&sample.now.state, &joint)?)?;
+        let output =
+            self.value.forward_as_constant(&self.joint_input(&sample.now.state, &joint)?)?;
         let share = 1.0 / count as f64;
         let gradient = vec![-share; count];
         let root = root(&[OutputGradient { output: &output, gradient: &gradient }])?;
@@ -168,12 +173,12 @@ impl Agent {
         };
         match actor.distribution(&actor.weights()?, &input)? {
             Distribution::Gaussian(gaussian) => Ok(gaussian.mean),
-            Distribution::Categorical(_) => unreachable!("MADDPG's own heads are deterministic"),
+            Distribution::Categorical(_) => unreachable!("MADDPG's heads are deterministic"),
         }
     }
 
-    /// States `[R, S]`, scaled, and all agents' actions side by side, `[R, S + A]`.
-    fn beside(&self, state: &[f32], actions: &[Tensor]) -> Result<Tensor, MarlError> {
+    /// Scaled states `[R, S]` joined with all agents' actions, `[R, S + A]`.
+    fn joint_input(&self, state: &[f32], actions: &[Tensor]) -> Result<Tensor, MarlError> {
         let (mut state, width) = (state.to_vec(), state.len() / actions[0].dim(0)?);
         self.states.apply(&mut state, width);
         let mut parts = vec![rows(state, width, self.precision)?];
@@ -186,7 +191,7 @@ impl Agent {
         self.value_adam.scale_learning_rate(share);
     }
 
-    /// Everything that is stored, by the name under which it stands.
+    /// All stored parameters with their names and optimisers.
     fn stored(&self) -> [(String, &Parameters, Option<&Adam>); 4] {
         let i = self.index;
         [
@@ -221,14 +226,14 @@ impl Agent {
 }
 
 /// Polyak averaging: `target' = (1 - share) target + share source`, parameter by parameter.
-fn follow(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
+fn polyak_update(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
     for (target, source) in target.vars().iter().zip(source.vars()) {
-        let moved = match (Reals::of(target)?, Reals::of(source)?) {
+        let updated = match (Reals::of(target)?, Reals::of(source)?) {
             (Reals::Single(slow), Reals::Single(fast)) => Reals::Single(blend(&slow, &fast, share)),
             (Reals::Double(slow), Reals::Double(fast)) => Reals::Double(blend(&slow, &fast, share)),
             (slow, fast) => panic!("{slow:?} and {fast:?} differ in precision"),
         };
-        target.set(&moved.tensor(target.shape())?)?;
+        target.set(&updated.tensor(target.shape())?)?;
     }
     Ok(())
 }
@@ -252,25 +257,25 @@ mod tests {
     }
 
     #[test]
-    fn action_values_see_states_by_their_own_features_if_asked_to() {
+    fn action_values_scale_states_with_feature_z() {
         let (problem, mut config) = (probe::problem(), probe::config());
         let seen = |norm, config: &mut Config| {
             config.critic.state_norm = norm;
             let start = (RunSeed(0), Precision::Single);
             let agent = Agent::new(config, &probe::policy(), &problem, start, 0).unwrap();
             let action = Tensor::new(&[[9.0_f32]], &Device::Cpu).unwrap();
-            agent.beside(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
+            agent.joint_input(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
         };
         assert_eq!(seen(StateNorm::None, &mut config), [[1.0, 5.0, 9.0]]);
         assert_eq!(seen(StateNorm::FeatureZ, &mut config), [[-1.0, 1.0, 9.0]]);
     }
 
     #[test]
-    fn a_slow_copy_goes_its_share_of_the_way() {
+    fn a_target_network_moves_by_the_polyak_factor() {
         let (slow, fast) = (parameters([1.0, -2.0]), parameters([5.0, 2.0]));
-        follow(&slow, &fast, 0.25).unwrap();
+        polyak_update(&slow, &fast, 0.25).unwrap();
         assert_eq!(slow.vars()[0].as_tensor().to_vec1::<f32>().unwrap(), [2.0, -1.0]);
-        follow(&slow, &fast, 1.0).unwrap();
+        polyak_update(&slow, &fast, 1.0).unwrap();
         assert_eq!(slow.to_arrays("").unwrap(), fast.to_arrays("").unwrap());
     }
 }

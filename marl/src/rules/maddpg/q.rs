@@ -1,4 +1,4 @@
-//! The central action value of one agent: what a joint action is worth in a global state.
+//! The central action value of one agent: the value of a joint action in a global state.
 
 use candle_core::Tensor;
 use policy::Precision;
@@ -17,7 +17,7 @@ pub(super) struct ActionValue {
 }
 
 impl ActionValue {
-    /// For `inputs` numbers of state and joint action.
+    /// An action value of `inputs` features of state and joint action.
     pub(super) fn new(
         config: &CriticConfig,
         inputs: usize,
@@ -31,12 +31,12 @@ impl ActionValue {
         Ok(Self { parameters, layers })
     }
 
-    /// Values `[R, 1]` of states and joint actions side by side, `[R, S + A]`.
+    /// Values `[R, 1]` of joined states and actions, `[R, S + A]`.
     pub(super) fn forward(&self, input: &Tensor) -> Result<Tensor, MarlError> {
         Ok(self.layers.weights()?.apply(input, None)?)
     }
 
-    /// As [`ActionValue::forward`], for gradients by the input alone.
+    /// As [`ActionValue::forward`], for gradients only with respect to the input.
     pub(super) fn forward_as_constant(&self, input: &Tensor) -> Result<Tensor, MarlError> {
         Ok(self.layers.constant_weights()?.apply(input, None)?)
     }

@@ -1,9 +1,9 @@
-//! Past transitions, each state held once: the next one is read from the row that follows, and only
-//! where no row does (a truncation, the newest step) is the true final state kept beside.
+//! Past transitions. Each state is stored once: the next state of a row is in the following row. Only after a
+//! truncation and after the newest step is the true final state stored separately.
 //!
-//! A transition of `S` state features, `O` observation features and `A` action dimensions of all agents
-//! costs `4 (S + O + A + 1) + 1` bytes: 249 bytes on `halfcheetah-2x3`, 637 on `halfcheetah-6x1`, so
-//! that a million of them take 0.25 and 0.64 GB, in memory and in every checkpoint.
+//! A transition of `S` state features, `O` observation features and `A` action dimensions of all agents takes
+//! `4 (S + O + A + 1) + 1` bytes: 249 bytes on `halfcheetah-2x3`, 637 on `halfcheetah-6x1`. A million of them take 0.25
+//! and 0.64 GB, in memory and in every checkpoint.
 
 use std::collections::BTreeMap;
 
@@ -14,14 +14,14 @@ use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
 use crate::optimisation::minibatch::below;
 
-/// Nothing ended with the step.
-const GOES_ON: u8 = 0;
-/// The step ended the episode for good.
+/// The episode continues after the step.
+const CONTINUES: u8 = 0;
+/// The step ended the episode by termination.
 const TERMINATED: u8 = 1;
-/// The step ended the episode by a limit.
+/// The step ended the episode by truncation.
 const TRUNCATED: u8 = 2;
 
-/// Where a row's parts begin: state, every agent's observation, every agent's action, reward.
+/// Widths of a row's parts, in order: state, every agent's observation, every agent's action, reward.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Columns {
     state: usize,
@@ -29,38 +29,38 @@ struct Columns {
     actions: Vec<usize>,
 }
 
-/// A ring of transitions, the oldest overwritten first. Rows are counted from the run's beginning:
-/// row `t * B + b`.
+/// A ring buffer of transitions; the oldest are overwritten first. Rows are counted from the start of the run: row
+/// `t * B + b`.
 pub(super) struct Replay {
     columns: Columns,
     capacity: usize,
     environments: usize,
-    /// Steps of each environment that were ever remembered.
+    /// Steps of each environment stored so far, including overwritten ones.
     steps: u64,
     rows: Vec<f32>,
     ends: Vec<u8>,
-    /// State and observations after the rows where the next row does not show them.
+    /// State and observations after the rows whose next row does not contain them.
     finals: BTreeMap<u64, Vec<f32>>,
 }
 
-/// Discount, and how many rewards stand before the bootstrap.
+/// Discount, and number of rewards before the bootstrap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Horizon {
     pub(super) gamma: f64,
     pub(super) steps: usize,
 }
 
-/// What lies ahead of a row.
+/// The n-step target of a row.
 #[derive(Debug, PartialEq)]
-struct Outlook<'a> {
+struct NStepTarget<'a> {
     reward: f64,
-    /// Of the bootstrapped value; 0 after a termination.
+    /// Discount of the bootstrapped value; 0 after a termination.
     discount: f64,
     /// State and observations to bootstrap from.
     next: &'a [f32],
 }
 
-/// What is seen at one moment of `R` transitions.
+/// States and observations of `R` transitions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct View {
     /// `[R, S]`.
@@ -69,7 +69,7 @@ pub(super) struct View {
     pub(super) observation: Vec<Vec<f32>>,
 }
 
-/// `R` transitions to learn from.
+/// A batch of `R` transitions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Sample {
     pub(super) now: View,
@@ -79,7 +79,7 @@ pub(super) struct Sample {
     pub(super) reward: Vec<f64>,
     /// Discount of the bootstrapped value, `[R]`; 0 after a termination.
     pub(super) discount: Vec<f64>,
-    /// What the value is bootstrapped from.
+    /// State and observations that the value is bootstrapped from.
     pub(super) next: View,
 }
 
@@ -92,7 +92,7 @@ impl Columns {
         }
     }
 
-    /// Numbers of state and observations.
+    /// Width of state and observations.
     fn seen(&self) -> usize {
         self.state + self.observations.iter().sum::<usize>()
     }
@@ -101,14 +101,14 @@ impl Columns {
         self.seen() + self.actions.iter().sum::<usize>() + 1
     }
 
-    fn look(&self, seen: &[f32], view: &mut View) {
+    fn read(&self, seen: &[f32], view: &mut View) {
         view.state.extend_from_slice(&seen[..self.state]);
-        spread(&seen[self.state..], &self.observations, &mut view.observation);
+        split(&seen[self.state..], &self.observations, &mut view.observation);
     }
 }
 
-/// Deals `row` out to the agents.
-fn spread(row: &[f32], widths: &[usize], agents: &mut Vec<Vec<f32>>) {
+/// Splits `row` into the agents' parts.
+fn split(row: &[f32], widths: &[usize], agents: &mut Vec<Vec<f32>>) {
     agents.resize(widths.len(), Vec::new());
     let mut from = 0;
     for (agent, &width) in agents.iter_mut().zip(widths) {
@@ -118,7 +118,7 @@ fn spread(row: &[f32], widths: &[usize], agents: &mut Vec<Vec<f32>>) {
 }
 
 impl Replay {
-    /// Remembers up to `capacity` transitions.
+    /// An empty replay for `capacity` transitions.
     pub(super) fn new(problem: &Problem, capacity: usize) -> Self {
         Self {
             columns: Columns::of(problem),
@@ -131,42 +131,42 @@ impl Replay {
         }
     }
 
-    /// Transitions that were ever remembered.
-    pub(super) fn taken_in(&self) -> u64 {
+    /// Number of transitions stored so far, including overwritten ones.
+    pub(super) fn rows_added(&self) -> u64 {
         self.steps * self.environments as u64
     }
 
-    /// Transitions that are remembered.
+    /// Number of transitions in the replay.
     pub(super) fn len(&self) -> usize {
         self.ends.len()
     }
 
-    /// Rows that fit: whole steps of all environments.
-    fn places(&self) -> usize {
+    /// Capacity in rows: whole steps of all environments.
+    fn row_capacity(&self) -> usize {
         self.capacity / self.environments * self.environments
     }
 
-    fn place(&self, row: u64) -> usize {
-        (row % self.places() as u64) as usize
+    fn index(&self, row: u64) -> usize {
+        (row % self.row_capacity() as u64) as usize
     }
 
     fn oldest(&self) -> u64 {
-        self.taken_in() - self.len() as u64
+        self.rows_added() - self.len() as u64
     }
 
-    /// Remembers an iteration, which goes on where the last one ended.
-    pub(super) fn remember(&mut self, batch: &Batch) -> Result<(), MarlError> {
+    /// Stores an iteration, the continuation of the previous one.
+    pub(super) fn add(&mut self, batch: &Batch) -> Result<(), MarlError> {
         if self.capacity < batch.environments {
             let range = "at least one step of every environment";
             let (key, found) = ("maddpg.replay", self.capacity.to_string());
             return Err(MarlError::Config { key, found, range });
         }
         self.environments = batch.environments;
-        let first = self.taken_in();
-        // The newest step's next state is now shown by the row that follows, but for truncations.
+        let first = self.rows_added();
+        // The following row now contains the newest step's next state, except after a truncation.
         let newest = first.saturating_sub(batch.environments as u64)..first;
         for row in newest {
-            if self.ends[self.place(row)] == GOES_ON {
+            if self.ends[self.index(row)] == CONTINUES {
                 self.finals.remove(&row);
             }
         }
@@ -187,9 +187,9 @@ impl Replay {
 
     fn push(&mut self, batch: &Batch, row: usize) {
         let width = self.columns.width();
-        let place = self.place(self.taken_in() + row as u64);
-        if place == self.ends.len() {
-            self.ends.push(GOES_ON);
+        let index = self.index(self.rows_added() + row as u64);
+        if index == self.ends.len() {
+            self.ends.push(CONTINUES);
             self.rows.resize(self.rows.len() + width, 0.0);
         }
         let part = |data: &[f32], width: usize| data[row * width..(row + 1) * width].to_vec();
@@ -201,57 +201,56 @@ impl Replay {
             numbers.extend(part(&agent.action, width));
         }
         numbers.push(batch.reward[row]);
-        self.rows[place * width..(place + 1) * width].copy_from_slice(&numbers);
-        self.ends[place] = match (batch.terminated[row], batch.truncated[row]) {
+        self.rows[index * width..(index + 1) * width].copy_from_slice(&numbers);
+        self.ends[index] = match (batch.terminated[row], batch.truncated[row]) {
             (true, _) => TERMINATED,
             (false, true) => TRUNCATED,
-            (false, false) => GOES_ON,
+            (false, false) => CONTINUES,
         };
     }
 
     fn row(&self, row: u64) -> &[f32] {
         let width = self.columns.width();
-        &self.rows[self.place(row) * width..][..width]
+        &self.rows[self.index(row) * width..][..width]
     }
 
-    /// The n-step target's parts: `sum_(k < m) gamma^k r_(t+k)`, `gamma^m`, and the state after step
-    /// `t + m - 1`, where `m` is `horizon.steps` or what is left of the episode or of the replay.
-    /// A truncation and the newest step bootstrap from the true final state; a termination from
-    /// nothing.
-    fn look_ahead(&self, row: u64, horizon: Horizon) -> Outlook<'_> {
+    /// The n-step target: `sum_(k < m) gamma^k r_(t+k)`, `gamma^m`, and the state after step `t + m - 1`, where `m` is
+    /// `horizon.steps`, or fewer at the end of the episode or of the replay. A truncation and the newest step bootstrap
+    /// from the true final state; a termination does not bootstrap.
+    fn n_step_target(&self, row: u64, horizon: Horizon) -> NStepTarget<'_> {
         let (mut reward, mut discount, mut at) = (0.0, 1.0, row);
         for _ in 0..horizon.steps {
             let here = self.row(at);
             reward += discount * f64::from(here[here.len() - 1]);
             discount *= horizon.gamma;
-            if self.ends[self.place(at)] == TERMINATED {
-                return Outlook { reward, discount: 0.0, next: &here[..self.columns.seen()] };
+            if self.ends[self.index(at)] == TERMINATED {
+                return NStepTarget { reward, discount: 0.0, next: &here[..self.columns.seen()] };
             }
             if let Some(next) = self.finals.get(&at) {
-                return Outlook { reward, discount, next };
+                return NStepTarget { reward, discount, next };
             }
             at += self.environments as u64;
         }
-        Outlook { reward, discount, next: &self.row(at)[..self.columns.seen()] }
+        NStepTarget { reward, discount, next: &self.row(at)[..self.columns.seen()] }
     }
 
-    /// `count` transitions, each as likely as any other, with replacement.
+    /// `count` transitions, sampled uniformly with replacement.
     pub(super) fn sample(&self, count: usize, horizon: Horizon, rng: &mut impl RngCore) -> Sample {
         let mut sample = Sample::default();
         for _ in 0..count {
             let row = self.oldest() + below(self.len(), rng) as u64;
             let (here, seen) = (self.row(row), self.columns.seen());
-            let ahead = self.look_ahead(row, horizon);
-            self.columns.look(here, &mut sample.now);
-            spread(&here[seen..], &self.columns.actions, &mut sample.action);
-            self.columns.look(ahead.next, &mut sample.next);
-            sample.reward.push(ahead.reward);
-            sample.discount.push(ahead.discount);
+            let target = self.n_step_target(row, horizon);
+            self.columns.read(here, &mut sample.now);
+            split(&here[seen..], &self.columns.actions, &mut sample.action);
+            self.columns.read(target.next, &mut sample.next);
+            sample.reward.push(target.reward);
+            sample.discount.push(target.discount);
         }
         sample
     }
 
-    /// `replay/*`: the ring as it lies, and the final states with their rows.
+    /// `replay/*`: the ring buffer as stored, and the final states with their rows.
     pub(super) fn arrays(&self) -> NamedArrays {
         let (width, seen, finals) = (self.columns.width(), self.columns.seen(), &self.finals);
         let counts = vec![self.steps as i64, self.environments as i64];
@@ -267,35 +266,36 @@ impl Replay {
         arrays.into_iter().map(|(name, array)| (format!("replay/{name}"), array)).collect()
     }
 
-    /// Takes over what [`Replay::arrays`] gave.
+    /// Restores the output of [`Replay::arrays`].
     pub(super) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
         let (width, seen) = (self.columns.width(), self.columns.seen());
-        let wrong =
-            |name: &str| MarlError::Restore(format!("replay/{name} is missing or misshapen"));
+        let invalid = |name: &str| {
+            MarlError::Restore(format!("replay/{name} is missing or of another shape or type"))
+        };
         let get =
-            |name: &'static str| arrays.get(&format!("replay/{name}")).ok_or_else(|| wrong(name));
+            |name: &'static str| arrays.get(&format!("replay/{name}")).ok_or_else(|| invalid(name));
         let (Array::I64 { data: counts, .. }, Array::U8 { data: ends, .. }) =
             (get("counts")?, get("ends")?)
         else {
-            return Err(wrong("counts"));
+            return Err(invalid("counts"));
         };
         let (Array::I64 { data: after, .. }, Array::F32 { data: finals, .. }) =
             (get("final_rows")?, get("finals")?)
         else {
-            return Err(wrong("finals"));
+            return Err(invalid("finals"));
         };
-        let Array::F32 { data: rows, .. } = get("rows")? else { return Err(wrong("rows")) };
+        let Array::F32 { data: rows, .. } = get("rows")? else { return Err(invalid("rows")) };
         let fits = rows.len() == ends.len() * width && finals.len() == after.len() * seen;
         if !fits || counts.len() != 2 || counts.iter().any(|&count| count < 0) {
-            return Err(wrong("rows"));
+            return Err(invalid("rows"));
         }
         (self.steps, self.environments) = (counts[0] as u64, counts[1] as usize);
-        let kept = (self.taken_in() as usize).min(match self.environments {
+        let kept = (self.rows_added() as usize).min(match self.environments {
             0 => 0,
-            _ => self.places(),
+            _ => self.row_capacity(),
         });
         if kept != ends.len() {
-            return Err(wrong("ends"));
+            return Err(invalid("ends"));
         }
         (self.rows, self.ends) = (rows.clone(), ends.clone());
         let pairs = after.iter().zip(finals.chunks_exact(seen));

@@ -1,4 +1,4 @@
-//! One agent: its network, its optimiser, its posterior, and what it has experienced.
+//! One agent: its network, optimiser, posterior and rollout data.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -26,13 +26,13 @@ use crate::rules::on_policy::counted;
 use crate::rules::on_policy::memory::Memory;
 use crate::surprise::entropy_bound;
 
-/// A network in training. Its posterior or its second head is there if the influence term has a weight and there are
-/// other agents.
+/// A network in training. It has a posterior or a second head if the influence term has a weight and there are other
+/// agents.
 pub(crate) struct Agent {
-    /// Agents that share their parameters hold the same network.
+    /// Agents that share parameters share the network.
     pub(crate) network: Arc<ActorNetwork>,
     pub(crate) adam: Adam,
-    /// What `adam` moves: the network's parameters and the second head's.
+    /// Parameters that `adam` updates: the network's and the second head's.
     pub(super) trainable: Arc<Parameters>,
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
@@ -42,51 +42,51 @@ pub(crate) struct Agent {
     pub(super) posterior: Option<Posterior>,
     pub(super) second_head: Option<SecondHead>,
     holdout_every: usize,
-    /// What is counted in the posterior's place.
+    /// State of the counts that replace the posterior.
     pub(super) counted: Option<CountedState>,
-    /// Steps by which the others' actions that a posterior sees are older than the own one.
+    /// Steps between the others' actions that a posterior receives and the agent's own action.
     lag: usize,
     sigma_floor: f32,
 }
 
-/// What one agent has experienced, in chunked order, and what the behaviour weights made of it.
+/// Rollout data of one agent in chunked order, with the behaviour weights' outputs.
 pub(crate) struct Experience {
     pub(crate) sequences: Sequences,
     /// Normalised advantages, `[L, C]`.
     pub(crate) advantage: Vec<f64>,
-    /// Log-densities of the actions under the behaviour weights, `[L, C]`, nats.
+    /// Log-probabilities of the actions under the behaviour weights, `[L, C]`, nats.
     pub(crate) log_prob: Vec<f64>,
     /// The behaviour policy of every row.
     pub(crate) behaviour: HeadRows,
-    /// The trunk's features under the behaviour weights, `[L * C, F]`; a constant.
+    /// The trunk's features under the behaviour weights, `[L * C, F]`; constant.
     features: Tensor,
     /// Every other agent's action, in agent order, `[L, C, others]`.
     pub(super) others: Vec<f32>,
-    /// The same with the own action as names to count, `[L, C]`; nothing unless they are counted.
+    /// Ids of state and actions for counting, `[L, C]`; `None` unless they are counted.
     pub(super) samples: Option<Vec<JointSample>>,
 }
 
 impl Experience {
-    /// What a posterior is asked about, every row.
+    /// Inputs of a posterior for every row.
     pub(super) fn conditions(&self) -> Conditions<'_> {
         let (features, others) = (&self.features, self.others.as_slice());
         Conditions { features, others, action: &self.sequences.action, policy: &self.behaviour }
     }
 }
 
-/// What a posterior says about an agent's experience; empty without one.
+/// The posterior of an agent's rollout data and its metrics; empty without a posterior.
 #[derive(Clone, Default)]
 pub(crate) struct Influence {
     pub(crate) conditional: Option<HeadRows>,
-    /// Mean log-likelihood on the rows trained on, nats.
+    /// Mean log-likelihood on the training rows, nats.
     pub(super) log_likelihood: f64,
-    /// Mean of `log q - log p` on held-out rows, or what counting says of all rows (Eq. 7), nats.
+    /// Mean of `log q - log p` on held-out rows, or Eq. (7) by counting over all rows, nats.
     pub(super) mi_estimate: Option<f64>,
     /// Mean negative log-likelihoods of the posterior and of the policy on held-out rows, nats.
     pub(super) held_out: Option<(f64, f64)>,
-    /// Mean `KL[q || p]` of all rows under the behaviour policy, without a cap, nats.
+    /// Mean uncapped `KL[q || p]` of all rows under the behaviour policy, nats.
     pub(super) divergence: f64,
-    /// Optimiser steps of the posterior that were skipped so far.
+    /// Number of skipped optimiser steps of the posterior.
     pub(super) skipped: i64,
 }
 
@@ -121,8 +121,8 @@ impl Agent {
         let (head, dtype) = (shape.kind.head(), precision.dtype());
         let (observation, action) = (shape.observation, shape.action);
         let network = ActorNetwork::with_head(policy, observation, action, head, dtype, &mut rng)?;
-        let seen = problem.agents.iter().map(|agent| agent.kind.seen_size(agent.action));
-        let total: usize = seen.sum();
+        let sizes = problem.agents.iter().map(|agent| agent.kind.encoded_size(agent.action));
+        let total: usize = sizes.sum();
         let (update, influence) = (&config.update, &config.influence);
         let adam = AdamConfig {
             learning_rate: update.learning_rate,
@@ -130,7 +130,7 @@ impl Agent {
             max_gradient_norm: update.max_gradient_norm,
         };
         let own = PosteriorShape {
-            others: total - shape.kind.seen_size(shape.action),
+            others: total - shape.kind.encoded_size(shape.action),
             features: network.feature_size(),
             action: shape.action,
             kind: shape.kind,
@@ -180,7 +180,7 @@ impl Agent {
         Ok(self.network.policy()?)
     }
 
-    /// The network and its optimiser, under the name of whom they belong to.
+    /// The network and its optimiser, under the name of their owner.
     pub(crate) fn network_arrays(&self, owner: &str) -> Result<NamedArrays, MarlError> {
         let mut arrays = self.network.parameters().to_arrays(&format!("weights/{owner}."))?;
         arrays.append(&mut self.adam.arrays(&format!("optimizer/{owner}.")));
@@ -215,15 +215,15 @@ impl Agent {
         self.posterior.as_mut().map_or(Ok(()), |own| own.restore(index, arrays))
     }
 
-    /// Share of `sigma`'s dimensions that stand at the floor.
+    /// Fraction of the dimensions of `sigma` at the floor.
     pub(crate) fn floored(&self, sigma: &[f32]) -> f64 {
         let lowest = self.sigma_floor * (1.0 + 1e-5);
         sigma.iter().filter(|&&sigma| sigma <= lowest).count() as f64 / sigma.len() as f64
     }
 
-    /// What today's weights say of all rows, shard by shard: the policy and the log-densities of the actions, `[L, C]`,
-    /// and the features, `[L * C, F]`.
-    pub(super) fn asked(
+    /// The current weights' outputs for all rows, computed in shards: the policy, the log-probabilities of the actions,
+    /// `[L, C]`, and the features, `[L * C, F]`.
+    pub(super) fn evaluate(
         &self,
         sequences: &Sequences,
     ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
@@ -244,9 +244,9 @@ impl Agent {
         Ok((rows, log_prob, Tensor::cat(&features, 0)?.index_select(&order, 0)?))
     }
 
-    /// Trains the posterior by maximum likelihood, before the sweep, on all environments but the
-    /// held-out ones, and asks it about every row. A second head is only asked: it has learnt from no row of this `D_k`
-    /// yet, so all of them measure the estimate.
+    /// Trains the posterior by maximum likelihood, before the sweep, on all environments except the held-out ones, and
+    /// evaluates it on every row. A second head is only evaluated. It has not been trained on this `D_k` yet, so all
+    /// rows measure the estimate.
     fn fit_posterior(
         &mut self,
         experience: &Experience,
@@ -290,7 +290,7 @@ impl Agent {
     }
 }
 
-/// Every agent's experience under the behaviour weights, which are still the networks' own.
+/// Every agent's rollout data with the outputs of the behaviour weights, which are the networks' current ones.
 pub(crate) fn gather(
     agents: &[Agent],
     batch: &Batch,
@@ -300,7 +300,7 @@ pub(crate) fn gather(
     let one = |index: usize| {
         let agent = &agents[index];
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-        let (behaviour, log_prob, features) = agent.asked(&sequences)?;
+        let (behaviour, log_prob, features) = agent.evaluate(&sequences)?;
         let others = other_actions(agents, batch, index, layout);
         let samples =
             agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));
@@ -317,47 +317,46 @@ pub(crate) fn gather(
     (0..agents.len()).into_par_iter().map(one).collect()
 }
 
-/// Where the parameters of the second head of agent `index` are kept.
+/// Prefix of the stored parameters of the second head of agent `index`.
 fn second_head(index: usize) -> String {
     format!("weights/second_head_{index}.")
 }
 
-/// Mean of `[R]` numbers, summed in order; of at least one.
+/// Mean of `[R]` numbers, `R >= 1`, summed in order.
 pub(super) fn mean(numbers: &[f64]) -> f64 {
     numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
-/// The actions of all agents but `agent` as others see them, side by side in agent order, `[L, C, others]`: those
-/// of the same step, or with a lag of 1 those of the step before, which are zeros where `D_k` does not show it, at
-/// an episode's first step and at that of `D_k`.
+/// Encoded actions of all agents but `agent`, joined in agent order, `[L, C, others]`: those of the same step, or with
+/// a lag of 1 those of the previous step. They are zeros at an episode's first step and at the first step of `D_k`.
 fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
     let rows = batch.rows();
     let others: Vec<(ActionKind, &[f32])> = (0..agents.len())
         .filter(|&index| index != agent)
         .map(|index| (agents[index].kind, batch.agents[index].action.as_slice()))
         .collect();
-    let mut seen = Vec::new();
+    let mut encoded = Vec::new();
     for row in 0..rows {
         let source = earlier(batch, row, agents[agent].lag);
         for (kind, actions) in &others {
             let width = actions.len() / rows;
             match source {
-                Some(row) => kind.see(&actions[row * width..(row + 1) * width], &mut seen),
-                None => seen.resize(seen.len() + kind.seen_size(width), 0.0),
+                Some(row) => kind.encode(&actions[row * width..(row + 1) * width], &mut encoded),
+                None => encoded.resize(encoded.len() + kind.encoded_size(width), 0.0),
             }
         }
     }
-    let width = seen.len() / rows;
-    layout.chunked(&seen, width)
+    let width = encoded.len() / rows;
+    layout.chunked(&encoded, width)
 }
 
-/// The row `lag` steps (0 or 1) before row `t * B + b` of the same episode, if `D_k` holds it.
+/// The row `lag` steps (0 or 1) before row `t * B + b` of the same episode, if `D_k` contains it.
 fn earlier(batch: &Batch, row: usize, lag: usize) -> Option<usize> {
     let before = row.checked_sub(lag * batch.environments)?;
     (lag == 0 || !batch.done(before)).then_some(before)
 }
 
-/// All agents' posteriors, in parallel.
+/// Posteriors of all agents, computed in parallel.
 pub(crate) fn fit_posteriors(
     agents: &mut [Agent],
     experience: &[Experience],

@@ -1,5 +1,5 @@
-//! Up the objective of Eq. (10): epochs of minibatches of whole chunks, for one agent or for agents
-//! that share their parameters.
+//! Gradient ascent on the objective of Eq. (10): epochs of minibatches of whole chunks, for one agent or for agents
+//! that share parameters.
 
 use std::ops::Range;
 
@@ -13,39 +13,39 @@ use crate::error::MarlError;
 use crate::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::minibatch::minibatches;
-use crate::optimisation::shards::{self, Share, shards};
+use crate::optimisation::shards::{self, Accumulate, shards};
 
-/// What is constant during the update of one agent, all in chunked order.
+/// Constants of one agent's update, in chunked order.
 #[derive(Clone, Copy)]
-pub(crate) struct PerAgent<'a> {
+pub(crate) struct AgentInputs<'a> {
     pub(crate) experience: &'a Experience,
     pub(crate) influence: &'a Influence,
 }
 
-/// What an agent's optimiser steps came to.
+/// Metrics of an agent's optimiser steps.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Trained {
     pub(crate) figures: Figures,
     pub(crate) gradient_norm: f64,
-    /// Optimiser steps made; all figures are sums over them until [`Trained::mean`].
+    /// Number of optimiser steps. All figures are sums over them until [`Trained::mean`].
     steps: usize,
-    /// Epochs gone through.
+    /// Number of epochs.
     pub(crate) epochs: usize,
-    /// Steps skipped so far because their gradient was not finite.
+    /// Number of steps skipped because their gradient was not finite.
     pub(crate) skipped: i64,
-    /// Size of the steps.
+    /// Learning rate of the steps.
     pub(crate) learning_rate: f64,
 }
 
 impl Trained {
-    /// Counts one optimiser step.
+    /// Adds one optimiser step.
     fn add(&mut self, figures: &Figures, gradient_norm: f64) {
         self.figures.add(1.0, figures);
         self.gradient_norm += gradient_norm;
         self.steps += 1;
     }
 
-    /// Counts the steps of an epoch; their mean estimate of `KL[old || new]`, nats.
+    /// Adds the steps of an epoch. Returns their mean estimate of `KL[old || new]`, nats.
     fn add_epoch(&mut self, epoch: &Self) -> f64 {
         self.figures.add(1.0, &epoch.figures);
         self.gradient_norm += epoch.gradient_norm;
@@ -63,11 +63,11 @@ impl Trained {
     }
 }
 
-/// One agent by itself, its advantages weighed with `factor`, `[L, C]`. It stops after the first epoch in which it moved
-/// as far as `kl_limit`, nats.
+/// Trains one agent, with its advantages weighted by `factor`, `[L, C]`. Stops after the first epoch whose divergence
+/// reaches `kl_limit`, nats.
 pub(crate) fn maximise(
     agent: &mut Agent,
-    known: PerAgent<'_>,
+    inputs: AgentInputs<'_>,
     factor: &[f64],
     kl_limit: f64,
     (seed, draw): (RunSeed, Draw),
@@ -76,10 +76,10 @@ pub(crate) fn maximise(
     let mut trained = Trained::default();
     for epoch in 0..epochs {
         let mut done = Trained::default();
-        agent.refresh_states(&known.experience.sequences, epoch)?;
+        agent.refresh_states(&inputs.experience.sequences, epoch)?;
         let draw = draw.step(epoch as u32);
-        for columns in minibatches(known.experience.sequences.layout.chunks, parts, seed, draw) {
-            let (figures, gradients) = gradient(agent, known, factor, &columns)?;
+        for columns in minibatches(inputs.experience.sequences.layout.chunks, parts, seed, draw) {
+            let (figures, gradients) = gradient(agent, inputs, factor, &columns)?;
             let norm = agent.adam.step(&agent.trainable, &gradients)?;
             agent.project()?;
             done.add(&figures, norm);
@@ -92,12 +92,12 @@ pub(crate) fn maximise(
     Ok(trained.mean())
 }
 
-/// Agents that share one network, whose optimiser is the first one's: each step follows the mean of
-/// their gradients, as if a minibatch held the rows of all of them. `draws` are the agents' own. They stop after the
-/// first epoch in which they together moved as far as `kl_limit`, nats.
+/// Trains agents that share one network with the optimiser of agent 0. Each step uses the mean of their gradients, as
+/// if a minibatch contained the rows of all agents. `draws` has one key per agent. Stops after the first epoch whose
+/// divergence, summed over agents, reaches `kl_limit`, nats.
 pub(crate) fn maximise_together(
     agents: &mut [Agent],
-    known: &[PerAgent<'_>],
+    inputs: &[AgentInputs<'_>],
     factor: &[f64],
     kl_limit: f64,
     (seed, draws): (RunSeed, &[Draw]),
@@ -106,21 +106,23 @@ pub(crate) fn maximise_together(
     let mut trained = vec![Trained::default(); agents.len()];
     for epoch in 0..epochs {
         let mut done = vec![Trained::default(); agents.len()];
-        for (agent, known) in agents.iter_mut().zip(known) {
-            agent.refresh_states(&known.experience.sequences, epoch)?;
+        for (agent, inputs) in agents.iter_mut().zip(inputs) {
+            agent.refresh_states(&inputs.experience.sequences, epoch)?;
         }
-        let deal = |(draw, known): (&Draw, &PerAgent<'_>)| {
+        let split = |(draw, inputs): (&Draw, &AgentInputs<'_>)| {
             minibatches(
-                known.experience.sequences.layout.chunks,
+                inputs.experience.sequences.layout.chunks,
                 parts,
                 seed,
                 draw.step(epoch as u32),
             )
         };
-        let dealt: Vec<_> = draws.iter().zip(known).map(deal).collect();
-        for part in 0..dealt[0].len() {
-            let columns: Vec<&[usize]> = dealt.iter().map(|own| own[part].as_slice()).collect();
-            let one = |index: usize| gradient(&agents[index], known[index], factor, columns[index]);
+        let epoch_minibatches: Vec<_> = draws.iter().zip(inputs).map(split).collect();
+        for part in 0..epoch_minibatches[0].len() {
+            let columns: Vec<&[usize]> =
+                epoch_minibatches.iter().map(|own| own[part].as_slice()).collect();
+            let one =
+                |index: usize| gradient(&agents[index], inputs[index], factor, columns[index]);
             let found = (0..agents.len()).into_par_iter().map(one);
             let (figures, gradients): (Vec<_>, Vec<_>) =
                 found.collect::<Result<Vec<_>, MarlError>>()?.into_iter().unzip();
@@ -132,8 +134,8 @@ pub(crate) fn maximise_together(
                 done.add(figures, norm);
             }
         }
-        let moved = trained.iter_mut().zip(&done).map(|(all, done)| all.add_epoch(done));
-        if moved.sum::<f64>() >= kl_limit {
+        let divergences = trained.iter_mut().zip(&done).map(|(all, done)| all.add_epoch(done));
+        if divergences.sum::<f64>() >= kl_limit {
             break;
         }
     }
@@ -142,24 +144,24 @@ pub(crate) fn maximise_together(
     Ok(trained.into_iter().map(one).collect())
 }
 
-/// The gradient of a minibatch: shards, each a graph of its own, added in a fixed tree, so that the sum does not depend
-/// on how many threads computed it.
+/// The gradient of a minibatch. Each shard has a separate graph. Shards are added in a fixed tree, so the sum does not
+/// depend on the number of threads.
 pub(super) fn gradient(
     agent: &Agent,
-    known: PerAgent<'_>,
+    inputs: AgentInputs<'_>,
     factor: &[f64],
     columns: &[usize],
 ) -> Result<(Figures, Gradients), MarlError> {
     let (weights, total) = (agent.step_weights()?, columns.len());
-    let shards = shards(total, known.experience.sequences.layout.steps);
-    let one = |range: Range<usize>| shard(agent, &weights, known, factor, &columns[range], total);
+    let shards = shards(total, inputs.experience.sequences.layout.steps);
+    let one = |range: Range<usize>| shard(agent, &weights, inputs, factor, &columns[range], total);
     shards::sum(&shards, &one)
 }
 
 fn shard(
     agent: &Agent,
     weights: &StepWeights<'_>,
-    PerAgent { experience, influence }: PerAgent<'_>,
+    AgentInputs { experience, influence }: AgentInputs<'_>,
     factor: &[f64],
     columns: &[usize],
     total: usize,
@@ -168,13 +170,13 @@ fn shard(
     let (head, second) = agent.heads(weights, experience, columns)?;
     let p = HeadRows::of(&head)?;
     let q = second.as_ref().map(HeadRows::of).transpose()?;
-    let known = || influence.conditional.as_ref().map(|q| q.columns(layout, columns));
+    let inputs = || influence.conditional.as_ref().map(|q| q.columns(layout, columns));
     let rows = Rows {
         action: layout.columns(&sequences.action, p.action_size(), columns),
         log_prob_old: layout.columns(&experience.log_prob, 1, columns),
         advantage: layout.columns(&experience.advantage, 1, columns),
         factor: layout.columns(factor, 1, columns),
-        posterior: q.clone().or_else(known),
+        posterior: q.clone().or_else(inputs),
     };
     let total = layout.steps * total;
     let (figures, gradient) = actor_loss(&p, &rows, total, &agent.coefficients);
@@ -187,23 +189,26 @@ fn shard(
     Ok((figures, Gradients::of(&agent.trainable, &root)?))
 }
 
-impl Share for Figures {
-    fn add_share(&mut self, next: &Self) {
+impl Accumulate for Figures {
+    fn accumulate(&mut self, next: &Self) {
         self.add(1.0, next);
     }
 }
 
-/// What became of a policy since its data were collected.
-pub(crate) struct Moved {
-    /// Log-densities of all actions under today's weights, `[L, C]`, nats.
+/// Change of a policy since its rollout.
+pub(crate) struct PolicyChange {
+    /// Log-probabilities of all actions under the current weights, `[L, C]`, nats.
     pub(crate) log_prob: Vec<f64>,
     /// Mean of `KL[old || new]` over all rows, in closed form, nats.
     pub(crate) kl: f64,
 }
 
-/// Today's weights asked about all rows.
-pub(crate) fn moved(agent: &Agent, experience: &Experience) -> Result<Moved, MarlError> {
-    let (now, log_prob, _) = agent.asked(&experience.sequences)?;
+/// Evaluates the current weights on all rows.
+pub(crate) fn policy_change(
+    agent: &Agent,
+    experience: &Experience,
+) -> Result<PolicyChange, MarlError> {
+    let (now, log_prob, _) = agent.evaluate(&experience.sequences)?;
     let kl = experience.behaviour.kl_divergences(&now).iter().sum::<f64>();
-    Ok(Moved { log_prob, kl: kl / experience.sequences.layout.rows() as f64 })
+    Ok(PolicyChange { log_prob, kl: kl / experience.sequences.layout.rows() as f64 })
 }

@@ -1,4 +1,4 @@
-//! Influence by counting (Eq. 7): a table of `D_k` in the place of a learnt posterior, for choices.
+//! Influence by counting (Eq. 7): a table of `D_k` replaces a learnt posterior, for discrete actions.
 
 use super::agent::{Experience, Influence, mean};
 use crate::config::CountedState;
@@ -7,7 +7,7 @@ use crate::data::sequence::Sequences;
 use crate::distribution::HeadRows;
 use crate::influence::count::{JointSample, counted_conditional, counted_information, numbered};
 
-/// One agent's rows as names to count, `[L, C]`; `others` is `[L, C, others]`.
+/// Ids of one agent's rows for counting, `[L, C]`; `others` is `[L, C, others]`.
 pub(super) fn samples(
     sequences: &Sequences,
     others: &[f32],
@@ -23,14 +23,14 @@ pub(super) fn samples(
     rows.map(|((state, others), &own)| JointSample { state, own: own as u32, others }).collect()
 }
 
-/// What the counts say of every row. They are those of the rows themselves: nothing is held out.
+/// Influence from the counts of the same rows: no row is held out.
 pub(super) fn influence(
     samples: &[JointSample],
     kind: ActionKind,
     experience: &Experience,
 ) -> Influence {
     let ActionKind::Discrete { choices } = kind else {
-        unreachable!("the configuration refuses to count continuous actions")
+        unreachable!("the configuration rejects counting of continuous actions")
     };
     let conditional = HeadRows::categorical(counted_conditional(samples, choices), choices);
     let all: Vec<usize> = (0..samples.len()).collect();
@@ -62,7 +62,7 @@ mod tests {
     const CHOICES: usize = 3;
     const PLACES: usize = 2;
 
-    /// Agents that see a place and a cue, one-hot; the global state is the place.
+    /// Agents observe a place and a cue, one-hot. The global state is the place.
     fn problem() -> Problem {
         let shape = AgentShape {
             observation: PLACES + CHOICES,
@@ -76,7 +76,7 @@ mod tests {
         Problem { agents: vec![shape.clone(), shape], state: PLACES }
     }
 
-    /// A round of both agents' choices; `act` draws them from the cue and the second agent's last choice.
+    /// A rollout of both agents. `act` chooses both actions from the cue and the second agent's previous action.
     fn play(
         episode: usize,
         mut act: impl FnMut(usize, usize, &mut dyn RngCore) -> [usize; 2],
@@ -122,7 +122,7 @@ mod tests {
         rng.next_u32() as usize % bound
     }
 
-    /// Follows the cue, but takes one of the others with chance 1/5 each.
+    /// Follows the cue, but takes each of the other choices with probability 1/5.
     fn follow(cue: usize, rng: &mut dyn RngCore) -> usize {
         (cue + [0, 0, 0, 1, 2][below(5, rng)]) % CHOICES
     }
@@ -150,21 +150,22 @@ mod tests {
     }
 
     #[test]
-    fn followers_of_a_cue_share_what_the_closed_form_says_without_it_and_nothing_with_it() {
+    fn the_information_of_agents_that_follow_a_cue_matches_the_closed_form_and_is_zero_given_the_cue()
+     {
         let batch = play(STEPS, |cue, _, rng| [follow(cue, rng), follow(cue, rng)]);
-        // Alike with chance 3/5 3/5 + 2 1/5 1/5 = 11/25, spread over three cells, unlike with 14/25 over six.
+        // Equal actions have probability 3/5 3/5 + 2 1/5 1/5 = 11/25 over three cells, unequal ones 14/25 over six.
         let (alike, unlike) = (11.0 / 75.0, 7.0 / 75.0);
         let closed = 3.0 * alike * libm::log(9.0 * alike) + 6.0 * unlike * libm::log(9.0 * unlike);
         let found = |state| named(&update(&counting(state), &batch), "agent0/mi_estimate");
         let (without, with) = (found(CountedState::Global), found(CountedState::Observation));
-        // Counting adds 2 x 4 / (2 x 6000) and 6 x 4 / (2 x 6000) on average.
+        // The bias of counting is 2 x 4 / (2 x 6000) and 6 x 4 / (2 x 6000) on average.
         assert!((without - closed).abs() < 0.01 && closed > 0.02, "{without} {closed}");
         assert!((0.0..0.005).contains(&with), "{with}");
     }
 
     #[test]
-    fn with_a_lag_the_step_befores_choice_informs_but_not_across_episodes() {
-        // The first agent copies what the second one did in the step before; episodes last two steps.
+    fn with_a_lag_the_previous_action_is_informative_except_across_episodes() {
+        // The first agent copies the second one's previous action. Episodes last two steps.
         let batch = play(2, |_, last, rng| [last, below(CHOICES, rng)]);
         let found = |lag| {
             let mut config = counting(CountedState::Global);
@@ -172,19 +173,19 @@ mod tests {
             named(&update(&config, &batch), "agent0/mi_estimate")
         };
         assert!((0.0..0.005).contains(&found(0)), "{}", found(0));
-        // Every second row has log 3 of it; at an episode's first step there is no step before. In the very first
-        // step all copy the same, 0: the choices are then 1/30 short of even.
+        // Every second row has an information of log 3; an episode's first step has no previous one. In the very first
+        // step all copy the same action, 0, so the actions are 1/30 from uniform.
         let half = 0.5 * libm::log(3.0);
         assert!((found(1) - half).abs() < 0.02, "{} {half}", found(1));
     }
 
     #[test]
-    fn the_term_of_counts_is_capped_in_every_sense_of_divergence() {
+    fn the_counted_term_is_capped_for_every_divergence() {
         let batch = play(STEPS, |cue, _, _| [cue, cue]);
         for divergence in [Divergence::KlQp, Divergence::KlPq, Divergence::CauchySchwarz] {
             let mut config = counting(CountedState::Global);
             (config.influence.divergence, config.influence.kappa) = (divergence, 0.5);
-            // All agree, so that q knows the choice: log 3 from an even policy, and capped.
+            // All actions agree, so q determines the choice: log 3 from a uniform policy, and capped.
             let report = update(&config, &batch);
             assert!((named(&report, "agent0/posterior_kl") - libm::log(3.0)).abs() < 0.05);
             assert!((named(&report, "agent0/influence_kl") - 0.5).abs() < 1e-9, "{divergence:?}");
@@ -192,7 +193,7 @@ mod tests {
                 (named(&report, "agent0/influence_capped") - 1.0).abs() < 1e-9,
                 "{divergence:?}"
             );
-            // What q never saw counts as e^-700, which keeps KL[p || q] below 700.
+            // An unseen choice counts as e^-700, which keeps KL[p || q] below 700.
             config.influence.kappa = 1000.0;
             let report = update(&config, &batch);
             assert_eq!(named(&report, "agent0/influence_capped"), 0.0, "{divergence:?}");

@@ -1,4 +1,5 @@
-//! The heads of an agent's network in an optimiser step: the policy's, and the paper's second one where Eq. (10) trains both.
+//! The heads of an agent's network in an optimiser step: the policy's, and the paper's second head if Eq. (10) trains
+//! both.
 
 use policy::Distribution;
 use policy::ops::Weights;
@@ -9,14 +10,14 @@ use crate::influence::second_head::SecondHead;
 
 /// All weights of one optimiser step.
 pub(super) enum StepWeights<'a> {
-    /// Of a network with one head.
+    /// Weights of a network with one head.
     One(Weights),
-    /// Of trunk and head, and of the second head.
+    /// Weights of trunk and policy head, and of the second head.
     Two { policy: [Weights; 2], second: &'a SecondHead, weights: [Weights; 2] },
 }
 
 impl Agent {
-    /// The weights as they are now.
+    /// The current weights.
     pub(super) fn step_weights(&self) -> Result<StepWeights<'_>, MarlError> {
         let Some(second) = &self.second_head else {
             return Ok(StepWeights::One(self.network.weights()?));
@@ -25,7 +26,7 @@ impl Agent {
         Ok(StepWeights::Two { policy, second, weights })
     }
 
-    /// The policy `p` in the rows of some chunks, and what a second head says of them, `q`.
+    /// The policy `p` for the rows of some chunks, and `q` of a second head.
     pub(super) fn heads(
         &self,
         weights: &StepWeights<'_>,
@@ -45,7 +46,7 @@ impl Agent {
         }
     }
 
-    /// Brings the parameters back to where sigmas are at least their floors; to be called after every optimiser step.
+    /// Clamps all sigmas to their floors; to be called after every optimiser step.
     pub(super) fn project(&self) -> Result<(), MarlError> {
         self.network.project()?;
         self.second_head.as_ref().map_or(Ok(()), SecondHead::project)
@@ -57,7 +58,7 @@ mod tests {
     use policy::{Draw, Precision, Purpose, RunSeed};
 
     use super::super::agent::{Influence, fit_posteriors, gather};
-    use super::super::ascent::{PerAgent, gradient, maximise};
+    use super::super::ascent::{AgentInputs, gradient, maximise};
     use super::*;
     use crate::config::QTraining;
     use crate::data::sequence::Layout;
@@ -65,7 +66,7 @@ mod tests {
     use crate::optimisation::gradient::numbers;
     use crate::probe;
 
-    /// Two agents, what they have experienced, and what is said of the others' influence on it.
+    /// Two agents with their rollout data and influence.
     fn prepared(
         q_training: QTraining,
         precision: Precision,
@@ -85,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn all_rows_measure_the_estimate_before_a_second_head_learns_from_them() {
+    fn a_second_head_is_evaluated_on_all_rows_before_it_is_trained_on_them() {
         let (agents, experience, influence) = prepared(QTraining::Shared, Precision::Single);
         let second = agents[0].second_head.as_ref().unwrap();
         let conditional = second.conditional(&experience[0].conditions()).unwrap();
@@ -97,14 +98,14 @@ mod tests {
     }
 
     #[test]
-    fn both_heads_and_their_trunk_climb_equation_10_by_its_gradient() {
+    fn the_gradient_of_equation_10_reaches_both_heads_and_their_trunk() {
         let (agents, experience, influence) = prepared(QTraining::Shared, Precision::Double);
         let agent = &agents[0];
-        let known = PerAgent { experience: &experience[0], influence: &influence[0] };
+        let inputs = AgentInputs { experience: &experience[0], influence: &influence[0] };
         let factor = vec![1.0; experience[0].log_prob.len()];
         let columns: Vec<usize> = (0..experience[0].sequences.layout.chunks).collect();
-        let loss = || gradient(agent, known, &factor, &columns).unwrap().0.loss;
-        let found = gradient(agent, known, &factor, &columns).unwrap().1;
+        let loss = || gradient(agent, inputs, &factor, &columns).unwrap().0.loss;
+        let found = gradient(agent, inputs, &factor, &columns).unwrap().1;
         for (var, slope) in agent.trainable.vars().iter().zip(&found.0) {
             let (start, slope, h) = (numbers(var).unwrap(), slope.numbers(), 1e-6);
             let moved = |at: usize, by: f64| {
@@ -124,14 +125,14 @@ mod tests {
     }
 
     #[test]
-    fn a_posterior_trained_by_likelihood_is_not_touched_by_the_sweep_and_a_second_head_is() {
+    fn the_sweep_trains_a_second_head_but_no_posterior_trained_by_likelihood() {
         for (q_training, touched) in [(QTraining::Mle, false), (QTraining::Shared, true)] {
             let (mut agents, experience, influence) = prepared(q_training, Precision::Single);
             let before = agents[0].posterior_arrays(0).unwrap();
             let factor = vec![1.0; experience[0].log_prob.len()];
-            let occasion = (RunSeed(0), Draw::of(Purpose::Minibatch));
-            let known = PerAgent { experience: &experience[0], influence: &influence[0] };
-            maximise(&mut agents[0], known, &factor, f64::INFINITY, occasion).unwrap();
+            let key = (RunSeed(0), Draw::of(Purpose::Minibatch));
+            let inputs = AgentInputs { experience: &experience[0], influence: &influence[0] };
+            maximise(&mut agents[0], inputs, &factor, f64::INFINITY, key).unwrap();
             assert_eq!(agents[0].posterior_arrays(0).unwrap() != before, touched);
         }
     }

@@ -1,7 +1,7 @@
-//! How far all agents' policies together may move in one update.
+//! Limit of the joint divergence of all agents' policies in one update.
 
-/// What is left of the joint `KL[old || new]`, which is the sum of the agents' own, and among how many agents. What one
-/// agent does not use is there for those after it.
+/// The remaining joint `KL[old || new]`, a sum over agents, and the number of remaining agents. Later agents can use
+/// what an agent leaves.
 pub(crate) struct KlBudget {
     /// Nats; infinite without a limit.
     left: f64,
@@ -14,12 +14,12 @@ impl KlBudget {
         Self { left: if target_kl > 0.0 { target_kl } else { f64::INFINITY }, agents }
     }
 
-    /// What the next agent may use, nats: an equal part of what is left.
+    /// Limit for the next agent, nats: an equal share of the remainder.
     pub(crate) fn share(&self) -> f64 {
         self.left / self.agents as f64
     }
 
-    /// The next agent has used `kl` nats.
+    /// Subtracts the `kl` nats of the next agent.
     pub(crate) fn spend(&mut self, kl: f64) {
         self.left = (self.left - kl).max(0.0);
         self.agents -= 1;
@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_an_agent_leaves_over_is_there_for_those_after_it() {
+    fn later_agents_can_use_what_an_agent_leaves() {
         let mut budget = KlBudget::new(0.06, 3);
         assert!((budget.share() - 0.02).abs() < 1e-15);
         budget.spend(0.01);

@@ -1,6 +1,6 @@
-//! Where a chunk's recurrent state comes from: the rollout, today's weights, or a run-up with today's weights.
+//! Recurrent states at the start of a chunk: stored, recomputed with the current weights, or after a burn-in with them.
 //!
-//! States that are computed again are constants in single precision, as the stored ones are.
+//! Recomputed states are constants in single precision, like stored ones.
 
 use candle_core::DType;
 use policy::network::SequenceInput;
@@ -10,13 +10,13 @@ use super::agent::Agent;
 use crate::data::sequence::Sequences;
 use crate::error::MarlError;
 
-/// How an agent's recurrent states are computed again.
+/// How an agent recomputes recurrent states.
 #[derive(Clone, Debug)]
 pub(super) struct Memory {
-    /// Chunks that are run through before a chunk.
+    /// Number of chunks processed before a chunk.
     burn_in: usize,
     refresh: RefreshHidden,
-    /// States at each chunk's start `[C, H]` in place of the stored ones; never kept from one `D_k` to the next.
+    /// States at each chunk's start `[C, H]` that replace the stored ones, for the current `D_k` only.
     refreshed: Option<Vec<f32>>,
 }
 
@@ -29,22 +29,22 @@ impl Memory {
 }
 
 impl Agent {
-    /// The network's input for some chunks; every log-density of an update is asked for with it.
+    /// Network input for some chunks. All log-probabilities of an update use it.
     pub(super) fn input(
         &self,
         sequences: &Sequences,
         columns: &[usize],
     ) -> Result<SequenceInput, MarlError> {
-        let start = self.run_up(sequences, columns, self.memory.burn_in)?;
+        let start = self.burned_in_states(sequences, columns, self.memory.burn_in)?;
         sequences.input_from(columns, start, self.precision.dtype())
     }
 
-    /// Takes up what is stored with a new `D_k`.
-    pub(super) fn forget_states(&mut self) {
+    /// Returns to the stored states, for a new `D_k`.
+    pub(super) fn use_stored_states(&mut self) {
         self.memory.refreshed = None;
     }
 
-    /// To be called before every epoch: computes the states at all chunks' starts again where that is wanted.
+    /// Recomputes the states at all chunks' starts if configured; to be called before every epoch.
     pub(super) fn refresh_states(
         &mut self,
         sequences: &Sequences,
@@ -56,9 +56,9 @@ impl Agent {
         Ok(())
     }
 
-    /// States at the start of some chunks `[columns, H]` after a run-up over the `burn_in` chunks before each. It is
-    /// shorter where `D_k` begins within it.
-    fn run_up(
+    /// States at the start of some chunks `[columns, H]` after a burn-in over the `burn_in` chunks before each, or as
+    /// many as `D_k` contains.
+    fn burned_in_states(
         &self,
         sequences: &Sequences,
         columns: &[usize],
@@ -71,7 +71,7 @@ impl Agent {
         if burn_in == 0 || earlier.is_empty() {
             return Ok(states);
         }
-        let start = self.run_up(sequences, &earlier, burn_in - 1)?;
+        let start = self.burned_in_states(sequences, &earlier, burn_in - 1)?;
         let found = self.states_after(sequences, &earlier, start)?;
         let width = self.hidden_size();
         let later = states.chunks_exact_mut(width).zip(columns);
@@ -96,8 +96,7 @@ impl Agent {
         Ok(all)
     }
 
-    /// The states that some chunks which begin in `start` leave to the next, `[columns, H]`: zeros where an episode
-    /// ends with the chunk.
+    /// States after some chunks that start in `start`, `[columns, H]`: zeros where an episode ends with the chunk.
     fn states_after(
         &self,
         sequences: &Sequences,

@@ -1,11 +1,11 @@
-//! The first step is free: before a policy has moved, its log-densities in the rollout, along whole trajectories and
-//! in chunks agree, so that every ratio and the factor `M` are 1.
+//! Before a policy changes, its log-probabilities agree in the rollout, over whole trajectories and in chunks, so every
+//! ratio and the factor `M` are 1.
 
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
 
 use super::agent::{Agent, Experience, Influence, gather};
-use super::ascent::{PerAgent, gradient, moved};
+use super::ascent::{AgentInputs, gradient, policy_change};
 use crate::data::batch::{AgentBatch, Batch, Problem};
 use crate::data::sequence::{Layout, Sequences};
 use crate::distribution::HeadRows;
@@ -16,7 +16,7 @@ use crate::probe;
 const STEPS: usize = 20;
 const ENVIRONMENTS: usize = 7;
 const CHUNK: usize = 5;
-/// Ends of episodes, (step, environment): inside chunks, at a chunk's last step, one after another.
+/// Ends of episodes, (step, environment): inside chunks, at a chunk's last step, in consecutive steps.
 const TERMINATED: [(usize, usize); 4] = [(2, 0), (4, 1), (11, 3), (12, 3)];
 const TRUNCATED: [(usize, usize); 3] = [(7, 2), (9, 5), (16, 1)];
 const CORES: [CoreKind; 2] = [CoreKind::Gru, CoreKind::Mlp];
@@ -31,7 +31,7 @@ fn policy(core: CoreKind) -> PolicyConfig {
     }
 }
 
-/// Both cores, and every way to come by a recurrent state.
+/// Both cores, and all settings of recurrent states.
 fn policies() -> [PolicyConfig; 5] {
     let gru = policy(CoreKind::Gru);
     let burnt_in = PolicyConfig { burn_in: 2 * CHUNK, ..gru.clone() };
@@ -51,7 +51,7 @@ fn ended(at: &[(usize, usize)]) -> Vec<bool> {
     (0..STEPS * ENVIRONMENTS).map(row).collect()
 }
 
-/// What the agents experience of random observations: every step as an actor takes it.
+/// Rollout data of random observations; every step is computed as in an actor.
 fn played(agents: &[Agent], problem: &Problem) -> Batch {
     let (terminated, truncated) = (ended(&TERMINATED), ended(&TRUNCATED));
     let mut batch = Batch { steps: STEPS, environments: ENVIRONMENTS, ..Batch::default() };
@@ -101,11 +101,11 @@ fn experience(agents: &[Agent], batch: &Batch) -> Vec<Experience> {
     gather(agents, batch, Layout::of(batch, CHUNK), &advantages).unwrap()
 }
 
-/// Log-densities of one agent's actions from sequences of `steps` steps, `[T, B]`.
+/// Log-probabilities of one agent's actions over sequences of `steps` steps, `[T, B]`.
 fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64> {
     let layout = Layout::of(batch, steps);
     let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
-    let (_, found, _) = agent.asked(&sequences).unwrap();
+    let (_, found, _) = agent.evaluate(&sequences).unwrap();
     let mut in_time = vec![0.0; batch.rows()];
     for step in 0..layout.steps {
         for chunk in 0..layout.chunks {
@@ -134,14 +134,14 @@ fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
 }
 
 #[test]
-fn what_shards_say_of_all_rows_is_what_one_pass_says() {
+fn outputs_by_shards_equal_those_of_one_pass() {
     for policy in policies() {
         let agents = agents(&policy);
         let batch = played(&agents, &probe::problem());
         let (agent, layout) = (&agents[0], Layout::of(&batch, CHUNK));
         assert!(layout.rows() >= 128, "{} rows are one shard", layout.rows());
         let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
-        let (rows, _, features) = agent.asked(&sequences).unwrap();
+        let (rows, _, features) = agent.evaluate(&sequences).unwrap();
         let columns: Vec<usize> = (0..layout.chunks).collect();
         let (input, weights) =
             (agent.input(&sequences, &columns).unwrap(), agent.network.weights().unwrap());
@@ -151,13 +151,13 @@ fn what_shards_say_of_all_rows_is_what_one_pass_says() {
     }
 }
 
-/// A row's ratio as an epoch's step over `columns` computes it: of a loss in which no other row has a weight.
+/// A row's ratio in an optimiser step over `columns`: the loss with weight 0 for all other rows.
 fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize]) -> f64 {
     let layout = experience.sequences.layout;
     let mut factor = vec![0.0; layout.rows()];
     factor[row] = 1.0;
-    let known = PerAgent { experience, influence: &Influence::default() };
-    let (figures, _) = gradient(agent, known, &factor, columns).unwrap();
+    let inputs = AgentInputs { experience, influence: &Influence::default() };
+    let (figures, _) = gradient(agent, inputs, &factor, columns).unwrap();
     -figures.policy_loss * (columns.len() * layout.steps) as f64
 }
 
@@ -179,22 +179,22 @@ fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
 }
 
 #[test]
-fn an_agent_that_has_not_moved_leaves_the_factor_at_one() {
+fn an_unchanged_policy_leaves_the_factor_at_one() {
     for policy in policies() {
         let mut agents = agents(&policy);
         let experience = experience(&agents, &played(&agents, &probe::problem()));
         let mut factor = vec![1.0; experience[0].log_prob.len()];
         for (agent, experience) in agents.iter_mut().zip(&experience) {
             agent.refresh_states(&experience.sequences, 1).unwrap();
-            let now = moved(agent, experience).unwrap();
+            let now = policy_change(agent, experience).unwrap();
             factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
         }
         assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{policy:?}: {factor:?}");
     }
 }
 
-/// The largest difference between the states from which an agent starts all chunks and `expected`.
-fn apart(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32 {
+/// The largest difference between an agent's states at all chunks' starts and `expected`.
+fn max_difference(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32 {
     let columns: Vec<usize> = (0..sequences.layout.chunks).collect();
     let found = agent.input(sequences, &columns).unwrap().hidden.flatten_all().unwrap();
     let found = found.to_vec1::<f32>().unwrap();
@@ -202,8 +202,8 @@ fn apart(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32 {
     found.iter().zip(expected).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }
 
-/// One agent, what it has experienced, and the states it really had.
-fn remembering(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
+/// One agent, its rollout data, and its true states.
+fn agent_with_states(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
     let mut agents = agents(policy);
     let batch = played(&agents, &probe::problem());
     let layout = Layout::of(&batch, CHUNK);
@@ -213,40 +213,40 @@ fn remembering(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
 }
 
 #[test]
-fn weights_that_have_not_changed_find_the_stored_states_again() {
+fn unchanged_weights_recompute_the_stored_states() {
     for policy in policies() {
-        let (mut agent, sequences, had) = remembering(&policy);
+        let (mut agent, sequences, had) = agent_with_states(&policy);
         agent.refresh_states(&sequences, 1).unwrap();
-        assert!(apart(&agent, &sequences, &had) <= 1e-5, "{policy:?}");
+        assert!(max_difference(&agent, &sequences, &had) <= 1e-5, "{policy:?}");
     }
 }
 
-/// Overwrites the stored states of the chunks from the `first`-th of each environment on.
-fn spoil(sequences: &mut Sequences, first: usize) {
+/// Overwrites the stored states of each environment's chunks from chunk `first`.
+fn overwrite_states(sequences: &mut Sequences, first: usize) {
     let from = first * sequences.hidden.len() / (STEPS / CHUNK);
     sequences.hidden[from..].fill(0.9);
 }
 
 #[test]
-fn a_burn_in_begins_at_the_state_stored_that_many_steps_before_or_at_the_first() {
+fn a_burn_in_starts_at_the_stored_state_that_many_steps_before_or_at_the_first() {
     for (chunks, found) in [(3, true), (2, false)] {
         let policy = PolicyConfig { burn_in: chunks * CHUNK, ..policy(CoreKind::Gru) };
-        let (agent, mut sequences, had) = remembering(&policy);
-        spoil(&mut sequences, 1);
-        assert_eq!(apart(&agent, &sequences, &had) <= 1e-5, found, "{chunks} chunks");
+        let (agent, mut sequences, had) = agent_with_states(&policy);
+        overwrite_states(&mut sequences, 1);
+        assert_eq!(max_difference(&agent, &sequences, &had) <= 1e-5, found, "{chunks} chunks");
     }
 }
 
 #[test]
-fn refreshed_states_come_from_the_first_stored_ones_and_not_in_the_first_epoch() {
+fn states_are_refreshed_from_the_first_stored_ones_except_in_the_first_epoch() {
     let refresh_hidden = RefreshHidden::EveryEpoch;
     let (mut agent, mut sequences, had) =
-        remembering(&PolicyConfig { refresh_hidden, ..policy(CoreKind::Gru) });
-    spoil(&mut sequences, 1);
+        agent_with_states(&PolicyConfig { refresh_hidden, ..policy(CoreKind::Gru) });
+    overwrite_states(&mut sequences, 1);
     for (epoch, found) in [(0, false), (1, true)] {
         agent.refresh_states(&sequences, epoch).unwrap();
-        assert_eq!(apart(&agent, &sequences, &had) <= 1e-5, found, "epoch {epoch}");
+        assert_eq!(max_difference(&agent, &sequences, &had) <= 1e-5, found, "epoch {epoch}");
     }
-    agent.forget_states();
-    assert!(apart(&agent, &sequences, &had) > 1e-5);
+    agent.use_stored_states();
+    assert!(max_difference(&agent, &sequences, &had) > 1e-5);
 }

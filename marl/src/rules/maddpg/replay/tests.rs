@@ -1,4 +1,4 @@
-//! Targets and what is remembered, by hand.
+//! Targets and stored transitions, computed by hand.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
@@ -20,9 +20,8 @@ fn problem() -> Problem {
     Problem { agents: vec![shape], state: 1 }
 }
 
-/// `steps` steps of one environment from step `first` on: the state is the step's number, the reward
-/// its tenfold; `ends` are `(step, TERMINATED or TRUNCATED)`. A final state is the number of the step
-/// before it and a half.
+/// `steps` steps of one environment from step `first`. The state is the step's number, the reward ten times it. `ends`
+/// are `(step, TERMINATED or TRUNCATED)`. A final state is the number of the step before it plus a half.
 fn stretch(first: usize, steps: usize, ends: &[(usize, u8)]) -> Batch {
     let numbers: Vec<f32> = (first..first + steps).map(|step| step as f32).collect();
     let ended = |kind: u8| (0..steps).map(|step| ends.contains(&(step, kind))).collect();
@@ -52,14 +51,14 @@ fn stretch(first: usize, steps: usize, ends: &[(usize, u8)]) -> Batch {
 
 /// Reward, discount and bootstrap state of a row.
 fn ahead(replay: &Replay, row: u64) -> (f64, f64, f32) {
-    let outlook = replay.look_ahead(row, HALF);
-    (outlook.reward, outlook.discount, outlook.next[0])
+    let target = replay.n_step_target(row, HALF);
+    (target.reward, target.discount, target.next[0])
 }
 
 #[test]
 fn a_target_bootstraps_after_n_steps_from_a_truncation_and_never_from_a_termination() {
     let mut replay = Replay::new(&problem(), 100);
-    replay.remember(&stretch(1, 8, &[(3, TRUNCATED), (5, TERMINATED)])).unwrap();
+    replay.add(&stretch(1, 8, &[(3, TRUNCATED), (5, TERMINATED)])).unwrap();
     // Step numbers 1 2 3 4| 5 6# 7 8, where | truncates and # terminates; row r is step r + 1.
     assert_eq!(ahead(&replay, 0), (10.0 + 10.0 + 7.5, 0.125, 4.0)); // three rewards, then step 4
     assert_eq!(ahead(&replay, 1), (20.0 + 15.0 + 10.0, 0.125, 4.5)); // ends with the truncation
@@ -71,20 +70,20 @@ fn a_target_bootstraps_after_n_steps_from_a_truncation_and_never_from_a_terminat
 }
 
 #[test]
-fn targets_reach_over_the_end_of_an_iteration_once_the_next_one_is_there() {
+fn targets_continue_into_the_next_iteration_once_it_is_stored() {
     let mut replay = Replay::new(&problem(), 100);
-    replay.remember(&stretch(1, 2, &[])).unwrap();
+    replay.add(&stretch(1, 2, &[])).unwrap();
     assert_eq!(ahead(&replay, 1), (20.0, 0.5, 2.5));
-    replay.remember(&stretch(3, 4, &[])).unwrap();
+    replay.add(&stretch(3, 4, &[])).unwrap();
     assert_eq!(ahead(&replay, 1), (20.0 + 15.0 + 10.0, 0.125, 5.0));
 }
 
 #[test]
-fn the_oldest_rows_are_forgotten_with_their_final_states_and_only_the_rest_is_drawn() {
+fn the_oldest_rows_and_their_final_states_are_removed_and_not_sampled() {
     let mut replay = Replay::new(&problem(), 5);
-    replay.remember(&stretch(1, 4, &[(0, TRUNCATED), (3, TRUNCATED)])).unwrap();
-    replay.remember(&stretch(5, 4, &[])).unwrap();
-    assert_eq!((replay.len(), replay.taken_in(), replay.oldest()), (5, 8, 3));
+    replay.add(&stretch(1, 4, &[(0, TRUNCATED), (3, TRUNCATED)])).unwrap();
+    replay.add(&stretch(5, 4, &[])).unwrap();
+    assert_eq!((replay.len(), replay.rows_added(), replay.oldest()), (5, 8, 3));
     assert_eq!(replay.finals.keys().copied().collect::<Vec<_>>(), [3, 7]);
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Replay));
     let mut drawn = replay.sample(200, HALF, &mut rng).now.state;
@@ -94,14 +93,14 @@ fn the_oldest_rows_are_forgotten_with_their_final_states_and_only_the_rest_is_dr
 }
 
 #[test]
-fn a_restored_replay_is_the_one_that_was_kept_and_a_shortened_one_is_refused() {
+fn a_restored_replay_equals_the_stored_one_and_a_truncated_one_is_rejected() {
     let mut kept = Replay::new(&problem(), 5);
-    kept.remember(&stretch(1, 4, &[(1, TRUNCATED)])).unwrap();
-    kept.remember(&stretch(5, 3, &[])).unwrap();
+    kept.add(&stretch(1, 4, &[(1, TRUNCATED)])).unwrap();
+    kept.add(&stretch(5, 3, &[])).unwrap();
     let mut restored = Replay::new(&problem(), 5);
     restored.restore(&kept.arrays()).unwrap();
     for replay in [&mut kept, &mut restored] {
-        replay.remember(&stretch(8, 2, &[(0, TERMINATED)])).unwrap();
+        replay.add(&stretch(8, 2, &[(0, TERMINATED)])).unwrap();
     }
     assert_eq!(kept.arrays(), restored.arrays());
     let mut arrays = kept.arrays();
