@@ -16,10 +16,14 @@ MANIFESTS = sorted(path for path in K8S.rglob("*.yaml") if path.name != "kustomi
 VERSION = "1.37"
 
 
+def of_kind(found, kind):
+    """Specifications by name."""
+    return {one["metadata"]["name"]: one["spec"] for one in found if one["kind"] == kind}
+
+
 def pods(found):
     """Pod specifications of everything that makes pods."""
-    kinds = ("StatefulSet", "Deployment", "Job")
-    return [one["spec"]["template"]["spec"] for one in found if one["kind"] in kinds]
+    return [job["template"]["spec"] for job in of_kind(found, "Job").values()]
 
 
 def name(path):
@@ -33,18 +37,18 @@ def test_a_manifest_holds_what_its_schema_allows_and_nothing_else(path):
 
 
 def test_a_misspelt_field_would_be_found():
-    deployment = next(one for one in documents(K8S / "base/actor.yaml") if one["kind"] == "Deployment")
-    deployment["spec"]["replica"] = 2
+    (job,) = documents(K8S / "base/actor.yaml")
+    job["spec"]["parallel"] = 2
     with pytest.raises(kubernetes_validate.ValidationError):
-        kubernetes_validate.validate(deployment, VERSION, strict=True)
+        kubernetes_validate.validate(job, VERSION, strict=True)
 
 
 def test_a_patch_of_what_is_not_there_would_be_found():
-    learner = {"kind": "StatefulSet", "name": "learner"}
+    learner = {"kind": "Job", "name": "learner"}
     with pytest.raises(jsonpatch.JsonPatchConflict):
-        patched(rendered(K8S / "base"), learner, [{"op": "replace", "path": "/spec/replica", "value": 1}])
+        patched(rendered(K8S / "base"), learner, [{"op": "replace", "path": "/spec/parallel", "value": 1}])
     with pytest.raises(AssertionError):
-        patched(rendered(K8S / "base"), {"kind": "StatefulSet", "name": "teacher"}, [])
+        patched(rendered(K8S / "base"), {"kind": "Job", "name": "teacher"}, [])
 
 
 def test_every_pod_runs_without_privileges_on_a_read_only_root():
@@ -56,6 +60,35 @@ def test_every_pod_runs_without_privileges_on_a_read_only_root():
             context = container["securityContext"]
             assert context["readOnlyRootFilesystem"] and not context["allowPrivilegeEscalation"]
             assert context["capabilities"] == {"drop": ["ALL"]}
+
+
+@pytest.mark.parametrize("path", [K8S / "seeds.yaml", *KUSTOMIZATIONS], ids=name)
+def test_pods_end_with_their_run_and_are_replaced_if_they_fail_or_move(path):
+    found = documents(path)
+    assert not {one["kind"] for one in found} & {"Deployment", "StatefulSet", "DaemonSet", "ReplicaSet", "Pod", "CronJob"}
+    for job in of_kind(found, "Job").values():
+        pod = job["template"]["spec"]
+        (container,) = pod["containers"]
+        assert "s2mia-job" in " ".join([*container["command"], *container.get("args", [])])
+        assert pod["restartPolicy"] == "Never" and job["podReplacementPolicy"] == "Failed" and job["backoffLimit"]
+        fail, ignore = job["podFailurePolicy"]["rules"]
+        assert fail["action"] == "FailJob" and fail["onExitCodes"]["containerName"] == container["name"]
+        assert ignore == {"action": "Ignore", "onPodConditions": [{"type": "DisruptionTarget", "status": "True"}]}
+
+
+def test_prometheus_may_read_the_metrics_of_the_base_and_nothing_else():
+    found = documents(K8S / "base")
+    (job,) = yaml.safe_load((ROOT / "deploy" / "prometheus" / "kubernetes.yml").read_text())["scrape_configs"]
+    host, port = job["static_configs"][0]["targets"][0].split(":")
+    arguments = of_kind(found, "Job")["learner"]["template"]["spec"]["containers"][0]["args"]
+    assert {f"--page=0.0.0.0:{port}", f"--page-host={host}"} <= set(arguments)
+    service = of_kind(found, "Service")["learner"]
+    assert host == "learner.s2mia.svc" and int(port) in [one["port"] for one in service["ports"]]
+    admitted = {rule["ports"][0]["port"]: rule["from"] for rule in of_kind(found, "NetworkPolicy")["learner"]["ingress"]}
+    assert admitted.keys() == {50051, int(port)}
+    (prometheus,) = admitted[int(port)]
+    assert prometheus["podSelector"]["matchLabels"] == {"app.kubernetes.io/name": "prometheus"}
+    assert prometheus["namespaceSelector"]["matchLabels"] == {"kubernetes.io/metadata.name": "monitoring"}
 
 
 def test_kustomizations_name_files_that_exist():

@@ -15,8 +15,9 @@ OVERLAY = Path(__file__).resolve().parents[2] / "deploy" / "k8s" / "overlays" / 
 PATIENCE_SECS = 600
 
 
-def pod(kind):
-    (found,) = [one["spec"]["template"]["spec"] for one in rendered(OVERLAY) if one["kind"] == kind]
+def pod(role):
+    jobs = [one for one in rendered(OVERLAY) if one["kind"] == "Job"]
+    (found,) = [job["spec"]["template"]["spec"] for job in jobs if job["metadata"]["name"] == role]
     return found
 
 
@@ -79,13 +80,13 @@ def test_the_secrets_hold_a_key_for_each_side_and_no_other():
 
 
 def test_no_plain_text_is_allowed():
-    for kind in ("StatefulSet", "Deployment"):
-        (container,) = pod(kind)["containers"]
+    for role in ("learner", "actor"):
+        (container,) = pod(role)["containers"]
         assert not [word for word in container["args"] if word.startswith("--insecure") or "http://" in word]
 
 
 def test_a_run_is_finished_with_the_certificates_of_the_secrets(mounted, port, tmp_path):
-    of = pod("StatefulSet")
+    of = pod("learner")
     (container,) = of["containers"]
     probes = [container[name]["exec"]["command"] for name in ("startupProbe", "readinessProbe", "livenessProbe")]
     arguments = command(container["args"], of, mounted, port)
@@ -94,7 +95,7 @@ def test_a_run_is_finished_with_the_certificates_of_the_secrets(mounted, port, t
             for probe in probes:
                 wait_for(learner, lambda: succeeds(command(probe[1:], of, mounted, port)))
             assert not succeeds([program(), "health", f"--learner=http://127.0.0.1:{port}"])
-            actor = pod("Deployment")
+            actor = pod("actor")
             subprocess.run(command(actor["containers"][0]["args"], actor, mounted, port), check=True, timeout=PATIENCE_SECS)
             assert learner.wait(PATIENCE_SECS) == 0
         finally:

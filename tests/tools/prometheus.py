@@ -104,7 +104,7 @@ def in_the_older_form(scrape: str) -> str:
 
 
 def main() -> None:
-    promtool("check", "config", "prometheus.yml")
+    promtool("check", "config", "prometheus.yml", "kubernetes.yml")
     promtool("test", "rules", "alerts_test.yml")
     with tempfile.TemporaryDirectory() as folder:
         watch(pathlib.Path(folder))
