@@ -105,7 +105,7 @@ pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (
         return free;
     }
     let clipped = huber(old + change.clamp(-clip, clip) - target, delta);
-    match held.0 > free.0 {
+    match clipped.0 > free.0 {
         true => (clipped.0, if change.abs() <= clip { clipped.1 } else { 0.0 }),
         false => free,
     }
