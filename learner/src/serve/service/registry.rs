@@ -104,8 +104,8 @@ mod tests {
         }
         registry.note_actor(ConnectionId(0)).unwrap();
         // One place came free with that.
-        admitted.push(registry.admit(ConnectionId(100)));
-        let next = registry.admit(ConnectionId(101));
+        admitted.push(registry.admit(ConnectionId(1000)));
+        let next = registry.admit(ConnectionId(1001));
         assert_eq!(next.evicted, Some(ConnectionId(1)));
         assert!(
             admitted[1].closed.try_recv().is_err_and(|e| e == oneshot::error::TryRecvError::Closed)
