@@ -176,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quarter_turn_about_y_takes_z_to_x() {
+    fn a_quarter_turn_about_y_rotates_z_to_x() {
         let half = core::f32::consts::FRAC_1_SQRT_2;
         let turned = rotated([0.0, half, 0.0, half], [0.0, 0.0, 1.0]);
         let error = turned.iter().zip([1.0, 0.0, 0.0]).map(|(a, b)| (a - b).abs()).sum::<f32>();
