@@ -105,7 +105,7 @@ impl RobotEnvironments {
             observation,
             contact_forces: view.contact_forces,
         };
-        (0..count).for_each(|index| environments.look(index));
+        (0..count).for_each(|index| environments.update_state(index));
         Ok(environments)
     }
 }
@@ -230,7 +230,7 @@ impl RobotEnvironments {
             velocities: state.velocities,
             contact_forces: state.contact_forces,
         };
-        self.look(index);
+        self.update_state(index);
         Ok(())
     }
 
@@ -252,12 +252,12 @@ impl RobotEnvironments {
             environment.world.contact_forces(&mut self.next.contact_forces);
         }
         std::mem::swap(&mut environment.now, &mut self.next);
-        self.look(index);
-        self.judge(index, action)
+        self.update_state(index);
+        self.outcome(index, action)
     }
 
     /// Computes the global state of `now`: the part that the rules define, then the contact forces.
-    fn look(&mut self, index: usize) {
+    fn update_state(&mut self, index: usize) {
         let mut seen = std::mem::take(&mut self.environments[index].seen);
         let now = &self.environments[index].now;
         self.task.rules.state(&self.motion(now), &mut seen);
@@ -267,7 +267,7 @@ impl RobotEnvironments {
     }
 
     /// Result of a valid step. `now` is the motion after the step, `next` the motion before it.
-    fn judge(&self, index: usize, action: &[f32]) -> Outcome {
+    fn outcome(&self, index: usize, action: &[f32]) -> Outcome {
         let environment = &self.environments[index];
         let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
         let dt_secs = self.description.dt_secs as f32;

@@ -43,11 +43,11 @@ pub(super) fn assemble(
         }
         handles.push(body);
     }
-    settle_root(&mut world, handles[0]);
+    update_root(&mut world, handles[0]);
     let mut layout = Layout::new(blueprint, &world, &handles)?;
     set_passive_terms(&mut world, blueprint, &layout);
     fill_broad_phase(&mut world);
-    weigh(&world, &mut layout);
+    set_inverse_masses(&world, &mut layout);
     Ok((Template::of(world), layout))
 }
 
@@ -179,7 +179,7 @@ fn hinge_joint(link: &LinkPlan, hinge: &Hinge) -> GenericJoint {
 
 /// Runs the first kinematics. Before it, a multibody also counts the six freedoms of a fixed root, and all rows are off
 /// by six.
-fn settle_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
+fn update_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
     let index = world.multibody_joints.rigid_body_link(root).map(|link| link.multibody);
     if let Some(robot) = index.and_then(|index| world.multibody_joints.get_multibody_mut(index)) {
         robot.forward_kinematics(&world.bodies, true);
@@ -202,10 +202,10 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
 
 /// Computes inverse masses and inertias. Bodies have masses only after a step. A copy is used, so that the template
 /// does not change.
-fn weigh(world: &PhysicsWorld, layout: &mut Layout) {
+fn set_inverse_masses(world: &PhysicsWorld, layout: &mut Layout) {
     let robot = world.multibody_joints.get_multibody(layout.multibody);
     let mut robot = robot.expect("the layout was read from this world").clone();
-    layout.weigh(&mut robot, &world.bodies);
+    layout.set_inverse_masses(&mut robot, &world.bodies);
 }
 
 /// Runs a step of zero duration, which fills the islands and the broad phase. All clones then start from the same

@@ -92,7 +92,7 @@ pub(crate) struct MotorMap {
 
 impl Layout {
     /// Computes inverse masses and inertias in the current pose of `robot`.
-    pub(super) fn weigh(&mut self, robot: &mut Multibody, bodies: &RigidBodySet) {
+    pub(super) fn set_inverse_masses(&mut self, robot: &mut Multibody, bodies: &RigidBodySet) {
         let inverse_inertias = robot.dof_inverse_inertia(bodies);
         for hinge in &mut self.hinges {
             hinge.inverse_inertia = inverse_inertias[hinge.dof];

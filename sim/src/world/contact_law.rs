@@ -92,7 +92,7 @@ impl ContactLaw {
 
     /// Sets the contact's distance, from which the engine computes its target speed `-distance / dt`. Returns the
     /// friction coefficient.
-    fn judge(&self, contact: &mut SolverContact, touch: &Touch, mass: f32, held: Held) -> f32 {
+    fn set_target(&self, contact: &mut SolverContact, touch: &Touch, mass: f32, held: Held) -> f32 {
         let Held { mu, impulse } = held;
         let compliance = self.softness.compliance(-contact.dist) * (1.0 + mu * mu);
         let give =
@@ -141,7 +141,7 @@ impl PhysicsHooks for ContactLaw {
             let point = (contact.contact_id[0] & !rapier3d::geometry::NEW_CONTACT_BIT) as usize;
             let impulse = pair.manifold.points[point].data.impulse;
             let held = Held { mu: *pair.friction, impulse };
-            friction = friction.min(self.judge(contact, &touch, motion.inverse_mass, held));
+            friction = friction.min(self.set_target(contact, &touch, motion.inverse_mass, held));
         }
         *pair.friction = friction;
     }
