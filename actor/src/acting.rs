@@ -80,7 +80,7 @@ impl Agents {
     }
 
     /// Evaluates every agent's network and advances the recurrent states.
-    pub(crate) fn think(&mut self, policy: &PolicySnapshot) {
+    pub(crate) fn forward(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let (hidden, output) = (&mut self.hidden[agent], &mut self.output[agent]);
             let observation = &self.observation[agent];
@@ -107,7 +107,7 @@ impl Agents {
     /// Selects the actions of step `step` by `choice`. Sampled actions are equal to those of a served policy with the
     /// same seed in its first episode.
     pub(crate) fn choose(&mut self, policy: &PolicySnapshot, choice: ActionChoice, step: u32) {
-        let ActionChoice::Sampled { seed } = choice else { return self.settle(policy) };
+        let ActionChoice::Sampled { seed } = choice else { return self.select_modes(policy) };
         for (agent, policy) in policy.agents.iter().enumerate() {
             let key = Draw::of(Purpose::ServedAction).step(step).agent(agent as u32);
             let mut rng = generator(RunSeed(seed), key);
@@ -116,7 +116,7 @@ impl Agents {
     }
 
     /// Sets the actions to the means or the most likely choices.
-    fn settle(&mut self, policy: &PolicySnapshot) {
+    fn select_modes(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let Sizes { action: width, output, .. } = self.sizes[agent];
             let outputs = self.output[agent].chunks_exact(output);
@@ -141,14 +141,14 @@ impl Agents {
     }
 
     /// Sets the recurrent states of an environment to zero.
-    pub(crate) fn forget(&mut self, environment: usize) {
+    pub(crate) fn reset_hidden(&mut self, environment: usize) {
         for (hidden, size) in self.hidden.iter_mut().zip(&self.sizes) {
             hidden[environment * size.hidden..(environment + 1) * size.hidden].fill(0.0);
         }
     }
 
     /// Sets the recurrent states of an environment, `[H]` for each agent.
-    pub(crate) fn remember(&mut self, environment: usize, recurrent: &[Vec<f32>]) {
+    pub(crate) fn set_hidden(&mut self, environment: usize, recurrent: &[Vec<f32>]) {
         for ((hidden, size), own) in self.hidden.iter_mut().zip(&self.sizes).zip(recurrent) {
             hidden[environment * size.hidden..(environment + 1) * size.hidden].copy_from_slice(own);
         }

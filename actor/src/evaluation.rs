@@ -74,7 +74,7 @@ pub(crate) fn play_while(
     let mut episode = Episode::default();
     loop {
         agents.observe(world);
-        agents.think(policy);
+        agents.forward(policy);
         agents.choose(policy, choice, episode.steps);
         world.step(agents.join(), &mut outcomes)?;
         let outcome = outcomes[0];

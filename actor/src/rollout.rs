@@ -62,7 +62,7 @@ impl<'a> Slot<'a> {
                 }
                 Start::Continue { state, recurrent } => {
                     world.restore(position, state)?;
-                    agents.remember(position, recurrent);
+                    agents.set_hidden(position, recurrent);
                 }
             }
         }
@@ -85,7 +85,7 @@ impl<'a> Slot<'a> {
         }
         self.agents.observe(self.world);
         self.chunk.push_observation(&self.agents, self.world);
-        self.agents.think(self.policy);
+        self.agents.forward(self.policy);
         let seed = RunSeed(self.run.seed);
         let noise = Noise { seed, iteration: self.work.iteration, step };
         self.agents.draw(self.policy, &self.indices, noise);
@@ -122,7 +122,7 @@ impl<'a> Slot<'a> {
         let (episode, limit) =
             (self.world.episode(position) + 1, self.run.environment.episode_steps);
         reset(self.run, self.world, (position, index), episode, limit)?;
-        self.agents.forget(position);
+        self.agents.reset_hidden(position);
         Ok(())
     }
 
