@@ -137,7 +137,7 @@ fn a_program_that_lies_about_itself_is_refused_by_field_before_anything_starts()
     ];
     for (description, field) in lies {
         let line = refusal(Manners { description, ..Manners::GOOD });
-        assert!(line.contains("answers wrongly") && line.contains(field), "{line}");
+        assert!(line.contains("sent an invalid answer") && line.contains(field), "{line}");
     }
 }
 
@@ -188,7 +188,7 @@ fn a_program_that_lies_in_its_answers_ends_its_actors_with_the_field() {
     ];
     for (answer, field) in lies {
         let line = refusal(Manners { answer, ..Manners::GOOD });
-        assert!(line.contains("answers wrongly") && line.contains(field), "{line}");
+        assert!(line.contains("sent an invalid answer") && line.contains(field), "{line}");
     }
 }
 

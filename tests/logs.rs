@@ -186,12 +186,12 @@ fn a_cut_log_is_saved_with_a_status_that_tells_the_loss() {
     assert!(text.contains("cut.mcap: not finished") && text.lines().count() == 1, "{text}");
     let (status, text) = told(&log(&["recover".as_ref(), &cut, "--out".as_ref(), &out]));
     assert_eq!(status, Some(3), "{text}");
-    assert!(text.contains("lost: whatever came after the end"), "{text}");
+    assert!(text.contains("lost: all data after the end"), "{text}");
     let (status, text) = told(&log(&["info".as_ref(), &out]));
     assert_eq!(status, Some(0), "{text}");
     let (status, text) = told(&log(&["recover".as_ref(), &cut, "--out".as_ref(), &cut]));
     assert_eq!(status, Some(1), "{text}");
-    assert!(text.contains("is there already"), "{text}");
+    assert!(text.contains("already exists"), "{text}");
     let again = runs.folder("again.mcap");
     let (status, text) = told(&log(&["recover".as_ref(), &whole, "--out".as_ref(), &again]));
     assert_eq!(status, Some(0), "{text}");
@@ -203,7 +203,7 @@ fn what_is_no_log_is_refused_in_one_line() {
     let folder = runs.folder("empty");
     std::fs::create_dir(&folder).unwrap();
     for (path, status, part) in [
-        (Path::new("Cargo.toml"), 1, "no MCAP file"),
+        (Path::new("Cargo.toml"), 1, "not an MCAP file"),
         (Path::new("nowhere.mcap"), 1, "cannot read it"),
         (&folder, 2, "no trajectories-*.mcap"),
     ] {

@@ -95,7 +95,7 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
     refused(&learner.url, &other.of_client(&own, "actor"), "another authority has signed it");
     refused(&learner.url, &elsewhere, "elsewhere");
     refused(&learner.url, &own.of_client(&own, "viewer"), "needs the role actor");
-    refused(&learner.url.replace("https", "http"), &[], "asks for TLS; use https://");
+    refused(&learner.url.replace("https", "http"), &[], "requires TLS; use https://");
     refused(&plain.url.replace("http", "https"), &actors, "use an http:// URL");
     let unguarded = learner.url.replace("https", "http");
     for question in [&["status", unguarded.as_str()][..], &["health", "--learner", &unguarded]] {

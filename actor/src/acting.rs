@@ -1,25 +1,25 @@
-//! All agents of a few environments acting together: observations in, joint actions out.
+//! Acting with all agents in a batch of environments: observations in, joint actions out.
 
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
 use proto::ActionChoice;
 use sim::EnvironmentBatch;
 
-/// Buffers of one slot's agents; `E` environments, rows in their order.
+/// Buffers of a slot's agents for `E` environments; rows are in the order of the environments.
 #[derive(Debug, Default)]
 pub(crate) struct Agents {
     environments: usize,
     sizes: Vec<Sizes>,
-    /// For each agent `[E, obs]`.
+    /// Observations of each agent, `[E, obs]`.
     pub(crate) observation: Vec<Vec<f32>>,
-    /// For each agent `[E, H]`.
+    /// Recurrent states of each agent, `[E, H]`.
     pub(crate) hidden: Vec<Vec<f32>>,
-    /// For each agent `[E, out]`: means, or logits of choices.
+    /// Network outputs of each agent, `[E, out]`: means, or logits of choices.
     pub(crate) output: Vec<Vec<f32>>,
-    /// For each agent `[E, act]`.
+    /// Actions of each agent, `[E, act]`.
     pub(crate) action: Vec<Vec<f32>>,
-    /// For each agent `[E]`.
+    /// Log-probabilities of each agent, `[E]`.
     pub(crate) log_prob: Vec<Vec<f32>>,
-    /// `[E, A]`, agents side by side.
+    /// Joint actions, `[E, A]`, in agent order.
     pub(crate) joint: Vec<f32>,
     scratch: Scratch,
 }
@@ -32,7 +32,7 @@ struct Sizes {
     hidden: usize,
 }
 
-/// Whose noise is drawn.
+/// Parts of the key of a step's draws.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Noise {
     pub(crate) seed: RunSeed,
@@ -41,7 +41,7 @@ pub(crate) struct Noise {
 }
 
 impl Agents {
-    /// Buffers for `policy` on these environments, recurrent states zero.
+    /// Allocates buffers for `policy` and these environments, with zero recurrent states.
     pub(crate) fn new(environments: &dyn EnvironmentBatch, policy: &PolicySnapshot) -> Self {
         let count = environments.count();
         let sizes: Vec<Sizes> = policy
@@ -79,8 +79,8 @@ impl Agents {
         }
     }
 
-    /// What every agent's network gives; recurrent states move on by a step.
-    pub(crate) fn think(&mut self, policy: &PolicySnapshot) {
+    /// Evaluates every agent's network and advances the recurrent states.
+    pub(crate) fn forward(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let (hidden, output) = (&mut self.hidden[agent], &mut self.output[agent]);
             let observation = &self.observation[agent];
@@ -88,8 +88,8 @@ impl Agents {
         }
     }
 
-    /// Actions drawn as the networks say, and their log-probabilities. Each agent's draw in each
-    /// environment and step has its own key; `indices` are the environments' global indices, in the order of rows.
+    /// Samples actions from the networks' distributions and computes their log-probabilities. Each draw has its own
+    /// key. `indices` are the global indices of the environments, in the order of the rows.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], noise: Noise) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let Sizes { action: width, output, .. } = self.sizes[agent];
@@ -104,10 +104,10 @@ impl Agents {
         }
     }
 
-    /// Actions of step `step` as `choice` has them; drawn ones as a served team of the same seed draws them in its first
-    /// episode.
+    /// Selects the actions of step `step` by `choice`. Sampled actions are equal to those of a served policy with the
+    /// same seed in its first episode.
     pub(crate) fn choose(&mut self, policy: &PolicySnapshot, choice: ActionChoice, step: u32) {
-        let ActionChoice::Sampled { seed } = choice else { return self.settle(policy) };
+        let ActionChoice::Sampled { seed } = choice else { return self.select_modes(policy) };
         for (agent, policy) in policy.agents.iter().enumerate() {
             let key = Draw::of(Purpose::ServedAction).step(step).agent(agent as u32);
             let mut rng = generator(RunSeed(seed), key);
@@ -115,8 +115,8 @@ impl Agents {
         }
     }
 
-    /// Takes the means, or the likeliest choices, as actions.
-    fn settle(&mut self, policy: &PolicySnapshot) {
+    /// Sets the actions to the means or the most likely choices.
+    fn select_modes(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let Sizes { action: width, output, .. } = self.sizes[agent];
             let outputs = self.output[agent].chunks_exact(output);
@@ -126,7 +126,7 @@ impl Agents {
         }
     }
 
-    /// The joint action `[E, A]`.
+    /// Builds the joint actions, `[E, A]`.
     pub(crate) fn join(&mut self) -> &[f32] {
         let total = self.joint.len() / self.environments;
         let mut first = 0;
@@ -140,15 +140,15 @@ impl Agents {
         &self.joint
     }
 
-    /// Forgets: recurrent states of one environment become zero.
-    pub(crate) fn forget(&mut self, environment: usize) {
+    /// Sets the recurrent states of an environment to zero.
+    pub(crate) fn reset_hidden(&mut self, environment: usize) {
         for (hidden, size) in self.hidden.iter_mut().zip(&self.sizes) {
             hidden[environment * size.hidden..(environment + 1) * size.hidden].fill(0.0);
         }
     }
 
-    /// Sets the recurrent states of one environment, for each agent `[H]`.
-    pub(crate) fn remember(&mut self, environment: usize, recurrent: &[Vec<f32>]) {
+    /// Sets the recurrent states of an environment, `[H]` for each agent.
+    pub(crate) fn set_hidden(&mut self, environment: usize, recurrent: &[Vec<f32>]) {
         for ((hidden, size), own) in self.hidden.iter_mut().zip(&self.sizes).zip(recurrent) {
             hidden[environment * size.hidden..(environment + 1) * size.hidden].copy_from_slice(own);
         }

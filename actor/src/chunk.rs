@@ -1,11 +1,11 @@
-//! Collects steps into the chunks that travel.
+//! Collects steps into the chunks that are sent to the learner.
 
 use proto::{AgentChunk, FinalStep, SlotEnd, TrajectoryChunk};
 use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
 
-/// The chunk that is being filled.
+/// Builder of the current chunk.
 #[derive(Debug)]
 pub(crate) struct ChunkBuilder {
     chunk: TrajectoryChunk,
@@ -13,7 +13,7 @@ pub(crate) struct ChunkBuilder {
 }
 
 impl ChunkBuilder {
-    /// An empty chunk, number `sequence` of its slot, that begins at step `first_step`.
+    /// Starts chunk number `sequence` of a slot, at step `first_step`.
     pub(crate) fn new(sequence: u32, first_step: u32, environments: &dyn EnvironmentBatch) -> Self {
         let description = environments.description();
         let nothing = || AgentChunk {
@@ -37,14 +37,14 @@ impl ChunkBuilder {
         Self { chunk, state: vec![0.0; description.state.len()] }
     }
 
-    /// The recurrent states before the next step.
+    /// Adds the recurrent states before the next step.
     pub(crate) fn store_hidden(&mut self, agents: &Agents) {
         for (chunk, hidden) in self.chunk.agents.iter_mut().zip(&agents.hidden) {
             chunk.hidden.extend_from_slice(hidden);
         }
     }
 
-    /// What the agents see and the global state, before the step.
+    /// Adds the observations and the global states before a step.
     pub(crate) fn push_observation(
         &mut self,
         agents: &Agents,
@@ -59,7 +59,7 @@ impl ChunkBuilder {
         }
     }
 
-    /// What the agents did and what came of it.
+    /// Adds the actions, log-probabilities and results of a step.
     pub(crate) fn push_step(&mut self, agents: &Agents, outcomes: &[Outcome]) {
         for (agent, chunk) in self.chunk.agents.iter_mut().enumerate() {
             chunk.action.extend_from_slice(&agents.action[agent]);
@@ -71,7 +71,7 @@ impl ChunkBuilder {
         self.chunk.steps += 1;
     }
 
-    /// The true state and observations after step `step`, before any reset.
+    /// Adds the final state and observations after step `step`, before any reset.
     pub(crate) fn push_final(
         &mut self,
         step: u32,
@@ -91,18 +91,18 @@ impl ChunkBuilder {
         self.chunk.finals.push(FinalStep { step, environment, state, observation });
     }
 
-    /// Steps in the chunk so far.
+    /// Number of steps in the chunk.
     pub(crate) fn steps(&self) -> u32 {
         self.chunk.steps
     }
 
-    /// The chunk, and a new one that follows it in its place.
+    /// Returns the chunk and starts the next one.
     pub(crate) fn take(&mut self, environments: &dyn EnvironmentBatch) -> TrajectoryChunk {
         let (sequence, first) = (self.chunk.sequence + 1, self.chunk.first_step + self.chunk.steps);
         std::mem::replace(self, Self::new(sequence, first, environments)).chunk
     }
 
-    /// Where the slot's environments and agents stand, on its last chunk.
+    /// Adds the final environment states and recurrent states of the slot to its last chunk.
     pub(crate) fn close(
         &mut self,
         agents: &Agents,

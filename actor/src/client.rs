@@ -1,4 +1,4 @@
-//! The learner as an actor calls it: one connection, deadlines, weights by version.
+//! Client of the learner: one connection, deadlines, and a cache of weights.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,25 +20,25 @@ use tonic::{Code, Request, Status, Streaming};
 use crate::config::{Config, Transport};
 use crate::error::{ActorError, EnvironmentError, causes};
 
+mod diagnosis;
 mod environment;
-mod verdict;
 
 pub(crate) use environment::{EnvironmentClient, Play};
 
-/// Longest wait for an answer that the learner can give at once.
+/// Deadline of calls that the learner answers immediately.
 const CALL_DEADLINE: Duration = Duration::from_secs(10);
-/// How long the learner may keep a request for work open.
+/// Longest time for which the learner may hold a lease request.
 const LEASE_WAIT_MILLIS: u32 = 10_000;
-/// Largest HTTP/2 frame, bytes: weights arrive in a few instead of in pieces of 16 KiB.
+/// Largest HTTP/2 frame, bytes. Weights need fewer frames than with the default of 16 KiB.
 const MOST_FRAME_BYTES: u32 = 256 << 10;
-/// Snapshots that are kept.
+/// Largest number of cached snapshots.
 const KEPT_WEIGHTS: usize = 3;
-/// A snapshot larger than this is none of ours.
+/// Largest size of a snapshot, bytes.
 const MAX_WEIGHTS_BYTES: u64 = 1 << 30;
-/// Results that may wait for their acknowledgement.
+/// Largest number of unacknowledged results.
 pub(crate) const MAX_UNACKNOWLEDGED: usize = 4;
 
-/// The open stream of results, and the acknowledgements that come back.
+/// Stream of results and their acknowledgements.
 pub(crate) struct PushStream {
     pub(crate) results: mpsc::Sender<wire::PushTrajectoryRequest>,
     pub(crate) acknowledgements: Streaming<wire::PushTrajectoryResponse>,
@@ -50,14 +50,14 @@ pub(crate) struct Client {
     service: LearnerServiceClient<Channel>,
 }
 
-/// Snapshots by version.
+/// Cache of policy snapshots by version.
 #[derive(Default)]
 pub(crate) struct WeightsCache {
     snapshots: BTreeMap<PolicyVersion, (WeightsName, Arc<PolicySnapshot>)>,
 }
 
 impl Client {
-    /// Connects; the learner must answer within the deadline.
+    /// Connects to the learner within the deadline.
     pub(crate) async fn connect(config: &Config) -> Result<Self, ActorError> {
         let channel = endpoint(config)?.connect().await.map_err(|error| {
             let mut status = Status::unavailable(causes(&error));
@@ -83,7 +83,7 @@ impl Client {
         Ok(Registered::from_wire(&self.service.register(request).await?.into_inner()))
     }
 
-    /// Waits for work, and tells how many steps the log lost since the last answer.
+    /// Requests a lease and reports the number of steps that the log lost since the last answer.
     pub(crate) async fn lease(
         &mut self,
         own: &Registered,
@@ -115,7 +115,7 @@ impl Client {
         Ok(PushStream { results, acknowledgements: answer.into_inner() })
     }
 
-    /// The snapshot of this name, fetched unless it is held already.
+    /// Returns the snapshot with this name, from the cache or the learner.
     pub(crate) async fn weights(
         &mut self,
         cache: &mut WeightsCache,
@@ -143,12 +143,20 @@ impl Client {
                 (Some(Part::Data(data)), Some(total)) if bytes.len() + data.len() <= total => {
                     bytes.extend_from_slice(&data);
                 }
-                _ => return Err(wrong_weights(name, "parts out of order or too long".to_owned())),
+                _ => {
+                    return Err(wrong_weights(
+                        name,
+                        "parts are out of order or too long".to_owned(),
+                    ));
+                }
             }
         }
         if policy::digest(&bytes) != name.digest.0 {
             let length = bytes.len();
-            return Err(wrong_weights(name, format!("{length} bytes with another digest")));
+            return Err(wrong_weights(
+                name,
+                format!("the digest of {length} bytes does not match"),
+            ));
         }
         Ok(bytes)
     }
@@ -173,7 +181,7 @@ fn endpoint(config: &Config) -> Result<Endpoint, ActorError> {
     }
 }
 
-/// Read anew for every connection, so that renewed certificates need no restart.
+/// Reads the certificates for every connection, so that renewed ones need no restart.
 fn tls(files: &ClientFiles) -> Result<ClientTlsConfig, ActorError> {
     let own = files.read()?;
     let tls = ClientTlsConfig::new()
@@ -201,19 +209,19 @@ impl From<Status> for ActorError {
     }
 }
 
-/// The same error, or what is behind it if the two sides do not agree on TLS.
+/// Replaces an error by its reason if the TLS settings of the two sides do not match.
 pub(crate) async fn explained(error: ActorError, config: &Config) -> ActorError {
     let ActorError::Refused(status) = &error else { return error };
     let broken = matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Cancelled);
     let why = match (&config.transport, security::explain(status)) {
         (_, Some(why)) => Some(why),
         (Transport::Tls(files), None) if broken => {
-            verdict::on_certificates(&config.learner, files).await
+            diagnosis::on_certificates(&config.learner, files).await
         }
         (Transport::Tls(_), None) => None,
-        // HTTP/2's goodbye for the lack of TLS arrives as a denial, if it arrives.
+        // HTTP/2's GOAWAY for missing TLS arrives as a denial, if it arrives.
         (_, None) if broken || status.code() == Code::PermissionDenied => {
-            verdict::on_plain_text(&config.learner).await
+            diagnosis::on_plain_text(&config.learner).await
         }
         _ => None,
     };
@@ -223,12 +231,12 @@ pub(crate) async fn explained(error: ActorError, config: &Config) -> ActorError 
     }
 }
 
-/// Whether trying again, from a new connection on, can help.
-pub(crate) fn may_pass(error: &ActorError) -> bool {
+/// Whether a retry with a new connection can succeed.
+pub(crate) fn is_transient(error: &ActorError) -> bool {
     let status = match error {
         ActorError::Refused(status) => status,
         ActorError::Environment(EnvironmentError::Away { status, .. }) => status.as_ref(),
-        // Files that are being renewed do not fit each other for a moment.
+        // While files are being renewed, they may not match each other.
         ActorError::Weights { .. } | ActorError::Credentials(_) => return true,
         _ => return false,
     };
@@ -243,7 +251,7 @@ pub(crate) fn may_pass(error: &ActorError) -> bool {
     )
 }
 
-/// The next message of a stream, within the deadline.
+/// Receives the next message of a stream within the deadline.
 async fn next<M>(stream: &mut Streaming<M>) -> Result<Option<M>, ActorError> {
     match tokio::time::timeout(CALL_DEADLINE, stream.message()).await {
         Ok(message) => Ok(message?),
@@ -254,7 +262,10 @@ async fn next<M>(stream: &mut Streaming<M>) -> Result<Option<M>, ActorError> {
 fn size(header: &wire::WeightsHeader, name: WeightsName) -> Result<usize, ActorError> {
     let total = header.total_bytes;
     if total > MAX_WEIGHTS_BYTES {
-        return Err(wrong_weights(name, format!("{total} bytes, at most {MAX_WEIGHTS_BYTES}")));
+        return Err(wrong_weights(
+            name,
+            format!("they have {total} bytes; the limit is {MAX_WEIGHTS_BYTES}"),
+        ));
     }
     Ok(total as usize)
 }

@@ -1,4 +1,4 @@
-//! Settings of one actor process; operational, so they never change a number.
+//! Operational settings of an actor process, which never affect results.
 
 use security::{ClientFiles, addresses};
 use tonic::transport::Uri;
@@ -6,47 +6,46 @@ use tonic::transport::Uri;
 use crate::error::ActorError;
 use crate::trajectory_log::LogConfig;
 
-/// Where the learner is and how long to wait for it.
+/// Settings of an actor process.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
-    /// The learner's URL, such as `http://127.0.0.1:50051`.
+    /// URL of the learner, such as `http://127.0.0.1:50051`.
     pub learner: String,
-    /// What is spoken with it.
+    /// Transport of the connection.
     pub transport: Transport,
-    /// URL of the program that offers the environment; `None`: the simulator does.
+    /// URL of the program that provides the environment; `None` for the simulator.
     pub environment: Option<String>,
-    /// Seconds without the learner after which the actor gives up.
+    /// Longest outage of the learner before the actor stops, seconds.
     pub max_outage_secs: f64,
-    /// Name of this actor, for people.
+    /// Display name of this actor.
     pub name: String,
-    /// Where and what it logs, if anything.
+    /// Settings of the trajectory log, if enabled.
     pub log: Option<LogConfig>,
 }
 
-/// What is spoken with the learner.
+/// Transport of the connection to the learner.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Transport {
-    /// Plain text, as long as it stays on this machine.
+    /// Plain text, only on this machine.
     PlainTextOnLoopback,
-    /// Plain text, wherever the learner is.
+    /// Plain text, to any machine.
     PlainText,
     /// TLS, with certificates on both sides.
     Tls(ClientFiles),
 }
 
 impl Config {
-    /// Refuses a URL that is none, plain text to another machine unless that is allowed, and certificates
-    /// that cannot be used.
+    /// Checks the learner's URL, the transport and the certificates.
     ///
     /// # Errors
-    /// Says what is wrong and what to give instead.
+    /// If the URL is invalid, plain text to another machine is not allowed, or a certificate cannot be used.
     pub fn validate(&self) -> Result<(), ActorError> {
         let wrong = |why: &str| ActorError::Url { url: self.learner.clone(), why: why.to_owned() };
         let url: Uri = self.learner.parse().map_err(|_| wrong("write http://HOST:50051"))?;
         let (scheme, host) = (url.scheme_str(), url.host().unwrap_or_default());
         match (&self.transport, scheme) {
             (Transport::Tls(files), Some("https")) => files.read().map(drop).map_err(Into::into),
-            (Transport::Tls(_), _) => Err(wrong("with --tls-ca it begins with https://")),
+            (Transport::Tls(_), _) => Err(wrong("with --tls-ca it must start with https://")),
             (_, Some("https")) => {
                 Err(wrong("https:// needs --tls-ca, --tls-certificate and --tls-key"))
             }
@@ -62,11 +61,11 @@ impl Config {
     }
 }
 
-/// Refuses a URL of an environment that is none. What is spoken with it is plain text, which leaves this machine only
+/// Checks the URL of an external environment. The connection is plain text, which is allowed to another machine only
 /// with [`Transport::PlainText`].
 ///
 /// # Errors
-/// Says what is wrong and what to give instead.
+/// If the URL is invalid or the machine is not allowed.
 pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorError> {
     let wrong =
         |why: &str| Err(ActorError::EnvironmentUrl { url: url.to_owned(), why: why.to_owned() });
@@ -75,8 +74,8 @@ pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorEr
     match parsed.scheme_str() {
         Some("http") if local || *transport == Transport::PlainText => Ok(()),
         Some("http") => wrong(
-            "it is another machine, and environments are stepped in plain text; start one on this machine, or \
-             pass --insecure-allow-remote to learner and actor",
+            "it is on another machine, and the connection is plain text; start it on this machine, or pass \
+             --insecure-allow-remote to learner and actor",
         ),
         _ => wrong("write http://HOST:PORT"),
     }
@@ -99,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn plain_text_leaves_this_machine_only_on_request() {
+    fn plain_text_to_another_machine_needs_a_flag() {
         for url in ["http://127.0.0.1:1", "http://localhost:1", "http://[::1]:1"] {
             assert_eq!(refusal(url, Transport::PlainTextOnLoopback), "accepted", "{url}");
         }
@@ -111,29 +110,32 @@ mod tests {
     }
 
     #[test]
-    fn an_environment_is_stepped_in_plain_text_and_on_this_machine_unless_told_otherwise() {
-        let told = |url: &str, transport: &Transport| {
+    fn an_environment_uses_plain_text_and_must_be_local_without_a_flag() {
+        let check = |url: &str, transport: &Transport| {
             check_environment(url, transport).map_err(|error| error.to_string())
         };
-        assert_eq!(told("http://[::1]:7", &Transport::PlainTextOnLoopback), Ok(()));
-        assert_eq!(told("http://gpu-box:7", &Transport::PlainText), Ok(()));
+        assert_eq!(check("http://[::1]:7", &Transport::PlainTextOnLoopback), Ok(()));
+        assert_eq!(check("http://gpu-box:7", &Transport::PlainText), Ok(()));
         for (url, why) in [
             ("http://gpu-box:7", "another machine"),
             ("https://localhost:7", "write http://HOST:PORT"),
             ("localhost:7", "write http://HOST:PORT"),
         ] {
-            let line = told(url, &Transport::PlainTextOnLoopback).unwrap_err();
+            let line = check(url, &Transport::PlainTextOnLoopback).unwrap_err();
             assert!(line.contains(why), "{line}");
         }
     }
 
     #[test]
-    fn scheme_and_certificates_go_together() {
+    fn the_scheme_must_match_the_certificates() {
         let line = refusal("https://learner:1", Transport::PlainText);
         assert!(line.contains("needs --tls-ca"), "{line}");
         for url in ["localhost:50051", "localhost", "ftp://localhost", ""] {
             let line = refusal(url, Transport::PlainTextOnLoopback);
-            assert!(line.contains("is no URL of a learner: write http://"), "{line}");
+            assert!(
+                line.contains("invalid learner URL") && line.contains(": write http://"),
+                "{line}"
+            );
         }
     }
 }

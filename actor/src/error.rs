@@ -1,4 +1,4 @@
-//! What ends an actor before its run is done.
+//! Errors of actors and of external environments.
 
 use proto::{LeaseId, Refusal, in_words};
 use security::SecurityError;
@@ -6,30 +6,30 @@ use sim::SimError;
 use thiserror::Error;
 use tonic::Status;
 
-/// Why an actor gave up.
+/// Why an actor stopped before the end of its run.
 #[derive(Debug, Error)]
 pub enum ActorError {
-    /// The learner's URL is none.
-    #[error("{url} is no URL of a learner: {why}")]
+    /// The learner's URL is invalid.
+    #[error("invalid learner URL {url}: {why}")]
     Url {
-        /// What was given.
+        /// The URL.
         url: String,
-        /// Why it is none.
+        /// Why it is invalid.
         why: String,
     },
-    /// Plain text would leave this machine.
+    /// The connection to another machine would be plain text.
     #[error(
-        "{url} is another machine, and plain text is neither encrypted nor does it say who listens; use \
-         https:// with --tls-ca, --tls-certificate and --tls-key, or pass --insecure-allow-remote"
+        "{url} is another machine, and plain text is neither encrypted nor authenticated; use https:// with --tls-ca, \
+         --tls-certificate and --tls-key, or pass --insecure-allow-remote"
     )]
     PlainText {
         /// The learner's URL.
         url: String,
     },
-    /// A certificate or a key of this actor cannot be used.
+    /// A certificate or key of this actor is invalid.
     #[error(transparent)]
     Credentials(#[from] SecurityError),
-    /// The two sides do not agree on TLS, or one refuses the other's certificate.
+    /// The TLS settings do not match, or one side rejects the other's certificate.
     #[error("no session with {url}: {why}")]
     Tls {
         /// The learner's URL.
@@ -37,69 +37,69 @@ pub enum ActorError {
         /// What to change.
         why: String,
     },
-    /// The learner was out of reach for too long.
-    #[error("no session with {url} for {secs:.0} s; last try: {last}")]
+    /// The learner was unreachable for too long.
+    #[error("no session with {url} for {secs:.0} s; last error: {last}")]
     Outage {
-        /// Its URL.
+        /// The learner's URL.
         url: String,
-        /// Seconds without it.
+        /// Duration of the outage, seconds.
         secs: f64,
-        /// What the last try ended with.
+        /// Error of the last attempt.
         last: String,
     },
-    /// The learner does not want this actor.
-    #[error("the learner refuses this actor: {}", describe(.0))]
+    /// The learner rejected a call of this actor.
+    #[error("the learner rejected this actor: {}", describe(.0))]
     Refused(Status),
-    /// The learner sent what breaks the protocol.
-    #[error("the learner's answer is wrong: {0}")]
+    /// The learner's answer violates the protocol.
+    #[error("the learner's answer is invalid: {0}")]
     Answer(#[from] Refusal),
-    /// The weights' bytes are not what their name says.
-    #[error("weights {version}: {why}")]
+    /// The received weights do not match their name, or cannot be decoded.
+    #[error("invalid weights {version}: {why}")]
     Weights {
-        /// Version in the lease.
+        /// Version of the weights.
         version: u64,
-        /// What is wrong with them.
+        /// Why they are invalid.
         why: String,
     },
-    /// The environments cannot be built from the run's settings.
+    /// The environments cannot be built or stepped with the run's settings.
     #[error("the run's task: {0}")]
     Task(String),
-    /// The URL of the environment is none, or it offers what cannot be stepped.
-    #[error("{url} is no URL of an environment: {why}")]
+    /// The environment's URL is invalid, or the environment cannot be used.
+    #[error("cannot use {url} as an environment: {why}")]
     EnvironmentUrl {
-        /// What was given.
+        /// The URL.
         url: String,
-        /// Why it is none.
+        /// Why it cannot be used.
         why: String,
     },
-    /// Whoever steps the environments failed.
+    /// An external environment failed.
     #[error(transparent)]
     Environment(#[from] EnvironmentError),
-    /// The log's settings or folder cannot be used.
+    /// The settings or the folder of the log cannot be used.
     #[error("{0}")]
     Log(String),
-    /// The stepping thread ended by itself.
+    /// The stepping thread ended unexpectedly.
     #[error("the stepping thread ended: {0}")]
     Stepping(String),
 }
 
-/// Why a program that steps environments did not do what it was asked.
+/// Why a request to an external environment failed.
 #[derive(Debug, Error)]
 pub enum EnvironmentError {
-    /// The program that offers the environment cannot be reached, or broke off.
+    /// The program cannot be reached or closed the stream.
     #[error("the environment at {url} does not answer: {}", describe(.status))]
     Away {
-        /// Its URL.
+        /// URL of the environment.
         url: String,
-        /// How the call ended.
+        /// Status of the call.
         status: Box<Status>,
     },
-    /// Its answer does not fit what it says of itself.
-    #[error("the environment at {url} answers wrongly: {refusal}")]
+    /// The answer does not match the environment's specification.
+    #[error("the environment at {url} sent an invalid answer: {refusal}")]
     Wrong {
-        /// Its URL.
+        /// URL of the environment.
         url: String,
-        /// The field and what is wrong with it.
+        /// The field and the reason.
         refusal: Box<Refusal>,
     },
 }
@@ -111,7 +111,7 @@ impl From<EnvironmentError> for SimError {
 }
 
 impl ActorError {
-    /// What ends an actor whose environments failed with `error` while it worked on `lease`.
+    /// Error of an actor whose environments failed with `error` during `lease`.
     pub(crate) fn of_lease(error: SimError, lease: LeaseId) -> Self {
         let external = match error {
             SimError::External(external) => external.downcast::<EnvironmentError>(),
@@ -124,7 +124,7 @@ impl ActorError {
     }
 }
 
-/// A status as one line, with the field if it names one.
+/// Describes a status in one line, with the field if it names one.
 pub(crate) fn describe(status: &Status) -> String {
     match Refusal::from_status(status) {
         Some(refusal) => refusal.to_string(),
@@ -132,7 +132,7 @@ pub(crate) fn describe(status: &Status) -> String {
     }
 }
 
-/// An error with what caused it, in one line; a cause that the text before it ends with is not told again.
+/// Describes an error and its causes in one line, without repeating a cause that a message already includes.
 #[must_use]
 pub fn causes(error: &(dyn std::error::Error + 'static)) -> String {
     let folded = |error: &dyn std::error::Error| {
@@ -156,20 +156,20 @@ mod tests {
 
     #[derive(Debug, Error)]
     #[error("cannot read a.toml: {source}")]
-    struct Told {
+    struct WithCause {
         source: std::io::Error,
     }
 
     #[derive(Debug, Error)]
     #[error("{0}")]
-    struct In(&'static str, #[source] Box<dyn std::error::Error>);
+    struct Context(&'static str, #[source] Box<dyn std::error::Error>);
 
     #[test]
-    fn a_cause_that_is_told_already_is_told_once() {
+    fn a_cause_that_a_message_includes_is_not_repeated() {
         let denied = || std::io::Error::other("permission\n denied");
-        let told = In("the run", Box::new(Told { source: denied() }));
-        assert_eq!(causes(&told), "the run: cannot read a.toml: permission denied");
-        let untold = In("cannot write b", Box::new(denied()));
-        assert_eq!(causes(&untold), "cannot write b: permission denied");
+        let included = Context("the run", Box::new(WithCause { source: denied() }));
+        assert_eq!(causes(&included), "the run: cannot read a.toml: permission denied");
+        let separate = Context("cannot write b", Box::new(denied()));
+        assert_eq!(causes(&separate), "cannot write b: permission denied");
     }
 }

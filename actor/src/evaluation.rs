@@ -1,5 +1,5 @@
-//! One whole episode with mean actions or the likeliest choices, or with drawn ones: what evaluation, `eval` and recordings
-//! play.
+//! Plays whole episodes with mean actions, most likely choices or sampled actions, for evaluation, `eval` and
+//! recordings.
 
 use std::ops::ControlFlow;
 
@@ -9,38 +9,38 @@ use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
 
-/// What an episode came to.
+/// Result of an episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Episode {
     /// Sum of extrinsic rewards.
     pub extrinsic_return: f64,
-    /// Steps until it ended.
+    /// Number of steps.
     pub steps: u32,
 }
 
-/// A step of an episode that is being played.
+/// A step of a played episode.
 pub struct PlayedStep<'a> {
     /// The world after the step.
     pub world: &'a dyn EnvironmentBatch,
-    /// Every agent's action, agents side by side, `[A]`.
+    /// Joint action in agent order, `[A]`.
     pub action: &'a [f32],
-    /// What each agent saw before it, `[obs]`.
+    /// Observation of each agent before the step, `[obs]`.
     pub observation: &'a [Vec<f32>],
-    /// What each agent remembers from it, `[H]`.
+    /// Recurrent state of each agent after the step, `[H]`.
     pub hidden: &'a [Vec<f32>],
-    /// Each agent's own action, `[act]`.
+    /// Action of each agent, `[act]`.
     pub actions: &'a [Vec<f32>],
-    /// What came of it.
+    /// Result of the step.
     pub outcome: Outcome,
-    /// Steps done, this one included.
+    /// Number of steps so far, including this one.
     pub step: u32,
 }
 
-/// Plays environment 0 from a start drawn with `key` to the end of its episode, every agent acting as `choice` says, and
-/// shows each step to `on_step`. `world` has one environment.
+/// Plays an episode in environment 0 from a start drawn with `key`, with actions selected by `choice`, and calls
+/// `on_step` after each step. `world` must have one environment.
 ///
 /// # Errors
-/// If a policy's action is not finite, or whoever steps the environment fails.
+/// If an action is not finite, or an external environment fails.
 pub fn play_episode(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
@@ -51,7 +51,7 @@ pub fn play_episode(
     play_on(world, (policy, choice), &mut on_step)
 }
 
-/// As [`play_episode`], from where environment 0 stands.
+/// As [`play_episode`], from the current state of environment 0.
 pub(crate) fn play_on(
     world: &mut dyn EnvironmentBatch,
     acting: (&PolicySnapshot, ActionChoice),
@@ -63,7 +63,7 @@ pub(crate) fn play_on(
     })
 }
 
-/// As [`play_on`], but `on_step` may break the episode off.
+/// As [`play_on`], but `on_step` can stop the episode.
 pub(crate) fn play_while(
     world: &mut dyn EnvironmentBatch,
     (policy, choice): (&PolicySnapshot, ActionChoice),
@@ -74,7 +74,7 @@ pub(crate) fn play_while(
     let mut episode = Episode::default();
     loop {
         agents.observe(world);
-        agents.think(policy);
+        agents.forward(policy);
         agents.choose(policy, choice, episode.steps);
         world.step(agents.join(), &mut outcomes)?;
         let outcome = outcomes[0];

@@ -1,22 +1,22 @@
-//! What an evaluated episode looks like, as capsules in the world, for whoever watches the run.
+//! Film of an evaluated episode, as capsules in the world, for viewers of the run.
 
 use proto::{Film, MAX_CAPSULES, MAX_FRAMES};
 use sim::{EnvironmentBatch, LinkShape, SimError};
 
-/// Episode of each evaluation that is filmed.
+/// Index of the filmed episode of each evaluation.
 pub(crate) const FILMED: u32 = 0;
 
-/// Films the beginning of an episode, a frame at each step.
+/// Captures the start of an episode, one frame per step.
 pub(crate) struct Camera {
-    /// Each with the index of its link in a pose.
+    /// Shapes with the indices of their links in a pose.
     shapes: Vec<(usize, LinkShape)>,
     film: Film,
     frames: usize,
 }
 
 impl Camera {
-    /// In front of `world`; none where there is no simulated robot to be seen, or
-    /// one of more shapes than a film takes.
+    /// Creates a camera for `world` and captures the first frame; `None` without a simulated robot, or if the robot has
+    /// too many shapes for a film.
     pub(crate) fn before(world: &dyn EnvironmentBatch) -> Result<Option<Self>, SimError> {
         let (task, pose) = (world.description(), world.pose(0));
         if pose.links.is_empty() {
@@ -36,12 +36,12 @@ impl Camera {
             ends: Vec::new(),
         };
         let mut camera = Self { shapes, film, frames: 0 };
-        camera.see(world);
+        camera.capture(world);
         Ok(Some(camera))
     }
 
-    /// Takes one more frame, if the film is long enough for it.
-    pub(crate) fn see(&mut self, world: &dyn EnvironmentBatch) {
+    /// Captures a frame, unless the film is full.
+    pub(crate) fn capture(&mut self, world: &dyn EnvironmentBatch) {
         if self.frames == MAX_FRAMES {
             return;
         }
@@ -51,7 +51,7 @@ impl Camera {
         self.film.ends.extend(ends.flatten().flatten());
     }
 
-    /// What it took.
+    /// Returns the film.
     pub(crate) fn film(self) -> Film {
         self.film
     }
@@ -65,10 +65,10 @@ mod tests {
     use crate::trajectory_log::tests::fixture;
 
     #[test]
-    fn a_film_shows_every_capsule_where_its_link_is_for_as_many_steps_as_it_has_room_for() {
+    fn a_film_has_every_capsule_at_its_link_and_is_limited_in_length() {
         let world = fixture::world();
         let mut camera = Camera::before(&*world).unwrap().unwrap();
-        (0..MAX_FRAMES).for_each(|_| camera.see(&*world));
+        (0..MAX_FRAMES).for_each(|_| camera.capture(&*world));
         let film = camera.film();
         // The torso, its head, and two legs of three links.
         assert_eq!((film.radii.len(), film.ends.len()), (8, MAX_FRAMES * 8 * 6));
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_game_there_is_no_film() {
+    fn a_game_has_no_film() {
         let observation =
             ObservationConfig { norm: ObservationNorm::None, ..fixture::task().observation };
         let task = TaskConfig { task: "cue-2x1".to_owned(), observation, ..fixture::task() };

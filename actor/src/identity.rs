@@ -1,9 +1,9 @@
-//! What an actor presents at registration: its environments and the bits that its machine computes.
+//! Data for an actor's registration: the environment's specification and the numeric fingerprint.
 
 use proto::{ActionSpec, AgentSpec, Digest, EnvironmentSpec, FeatureRole, FeatureSpec};
 use sha2::{Digest as _, Sha256};
 
-/// The simulator's description in the words of the wire.
+/// Converts the simulator's description to the protocol's specification.
 #[must_use]
 pub fn environment_spec(description: &sim::Description) -> EnvironmentSpec {
     EnvironmentSpec {
@@ -18,7 +18,7 @@ pub fn environment_spec(description: &sim::Description) -> EnvironmentSpec {
     }
 }
 
-/// SHA-256 over the simulator's and the policy's probes: programs that agree on it roll out alike.
+/// SHA-256 of the probes of simulator and policy. Programs with equal fingerprints compute equal rollouts.
 #[must_use]
 pub fn rollout_fingerprint() -> Digest {
     let mut hash = Sha256::new();
@@ -27,7 +27,7 @@ pub fn rollout_fingerprint() -> Digest {
     Digest(hash.finalize().into())
 }
 
-/// The words of the wire as the simulator's description: what [`environment_spec`] was made of.
+/// Converts the protocol's specification to the simulator's description; the inverse of [`environment_spec`].
 #[must_use]
 pub(crate) fn description(spec: &EnvironmentSpec) -> sim::Description {
     sim::Description {
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_description_comes_back_from_the_words_of_the_wire_as_it_was() {
+    fn a_description_survives_the_round_trip_through_its_specification() {
         let config = serde_json::json!({
             "task": "ant-4x2",
             "observation": {

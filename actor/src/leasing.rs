@@ -1,4 +1,4 @@
-//! One lease, from the stepping thread's results to their acknowledgements.
+//! Processing of a lease, from the stepping thread's results to their acknowledgements.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -11,22 +11,22 @@ use tonic::{Code, Status};
 
 use crate::client::{Client, MAX_UNACKNOWLEDGED, PushStream};
 use crate::error::{ActorError, describe};
-use crate::stepping::{Job, Produced, Stepper, Watch};
+use crate::stepping::{Job, JobOutput, JobProgress, Stepper};
 
-/// How a lease ended for this actor.
+/// End of a lease for this actor.
 pub(crate) enum Ended {
-    /// Every message is acknowledged.
+    /// All messages are acknowledged.
     Finished,
-    /// The learner wants nothing more of it.
+    /// The learner revoked the lease or rejected its data.
     Dropped(String),
 }
 
-/// The stepping thread, until it has nothing more to say about the lease.
-type Held<'a> = Option<MappedMutexGuard<'a, Stepper>>;
+/// The stepping thread, until its last output for the lease.
+type HeldStepper<'a> = Option<MappedMutexGuard<'a, Stepper>>;
 
-/// Has the stepping thread work off `lease`, streams what it produces and keeps the lease alive until
-/// every message is acknowledged. The stepping thread is given back, idle, before that: as soon as it has produced all.
-pub(crate) async fn work_off(
+/// Processes `lease` with the stepping thread, streams its results and sends heartbeats until all messages are
+/// acknowledged. The stepping thread is released as soon as it has produced all results.
+pub(crate) async fn process_lease(
     client: &mut Client,
     own: &Registered,
     stepper: MappedMutexGuard<'_, Stepper>,
@@ -34,17 +34,17 @@ pub(crate) async fn work_off(
     policy: Arc<PolicySnapshot>,
     pace: Duration,
 ) -> Result<Ended, ActorError> {
-    let watch = Arc::new(Watch::default());
+    let progress = Arc::new(JobProgress::default());
     let beat =
         Heartbeat { actor: own.actor, incarnation: own.incarnation, lease: lease.id, slot_step: 0 };
     let mut push = client.open_push().await?;
-    let job = Job { lease, policy, watch: Arc::clone(&watch) };
+    let job = Job { lease, policy, progress: Arc::clone(&progress) };
     stepper.jobs.send(job).await.map_err(|_| gone())?;
     let mut stepper = Some(stepper);
-    let ended = stream(client, &mut stepper, &mut push, beat, (&watch, pace)).await;
-    watch.cancelled.store(true, Ordering::Relaxed);
+    let ended = stream(client, &mut stepper, &mut push, beat, (&progress, pace)).await;
+    progress.cancelled.store(true, Ordering::Relaxed);
     while stepper.is_some() {
-        if let Produced::End | Produced::Failed(_) = next(&mut stepper).await? {
+        if let JobOutput::End | JobOutput::Failed(_) = next(&mut stepper).await? {
             stepper = None;
         }
     }
@@ -56,17 +56,17 @@ pub(crate) async fn work_off(
     }
 }
 
-/// The lease is void, or its bytes were damaged on the way: another lease mends both.
+/// Whether the lease was revoked or its data corrupted in transit; the actor continues with a new lease.
 fn is_over(status: &Status) -> bool {
     matches!(status.code(), Code::Aborted | Code::DataLoss)
 }
 
 async fn stream(
     client: &mut Client,
-    stepper: &mut Held<'_>,
+    stepper: &mut HeldStepper<'_>,
     push: &mut PushStream,
     mut beat: Heartbeat,
-    (watch, pace): (&Watch, Duration),
+    (progress, pace): (&JobProgress, Duration),
 ) -> Result<Ended, ActorError> {
     let mut pulse = tokio::time::interval(pace);
     pulse.tick().await;
@@ -76,13 +76,13 @@ async fn stream(
         tokio::select! {
             produced = next(stepper), if room => {
                 match produced? {
-                    Produced::Message(message) => {
+                    JobOutput::Message(message) => {
                         unacknowledged += 1;
-                        // If the stream is closed, its status says why.
+                        // If the stream is closed, its status has the reason.
                         let _ = push.results.send(*message).await;
                     }
-                    Produced::End => *stepper = None,
-                    Produced::Failed(error) => {
+                    JobOutput::End => *stepper = None,
+                    JobOutput::Failed(error) => {
                         *stepper = None;
                         return Err(ActorError::of_lease(error, beat.lease));
                     }
@@ -96,19 +96,19 @@ async fn stream(
                 }
             }
             _ = pulse.tick() => {
-                beat.slot_step = watch.step.load(Ordering::Relaxed);
+                beat.slot_step = progress.step.load(Ordering::Relaxed);
                 if !client.heartbeat(&beat).await?.lease_valid {
-                    return Ok(Ended::Dropped("the learner has ended it".to_owned()));
+                    return Ok(Ended::Dropped("the learner has revoked it".to_owned()));
                 }
             }
         }
     }
 }
 
-/// What the stepping thread produces next. Waits for ever once it is given back.
-async fn next(stepper: &mut Held<'_>) -> Result<Produced, ActorError> {
+/// Next output of the stepping thread; never completes once the thread is released.
+async fn next(stepper: &mut HeldStepper<'_>) -> Result<JobOutput, ActorError> {
     match stepper {
-        Some(stepper) => stepper.produced.recv().await.ok_or_else(gone),
+        Some(stepper) => stepper.outputs.recv().await.ok_or_else(gone),
         None => std::future::pending().await,
     }
 }

@@ -1,10 +1,10 @@
 //! Steps environments with the newest weights and streams trajectories to the learner.
 //!
-//! An actor knows no learning rule: a lease tells what to roll out, the policy snapshot tells how to
-//! act. [`run()`] is the whole life of an actor process; the stepping thread is joined to the network
-//! by bounded queues, and what it computes is a pure function of lease and weights ([`roll_out`]).
+//! An actor does not know the learning rule: a lease defines the rollout, the policy snapshot defines the actions.
+//! [`run()`] is the main loop of an actor process. Bounded queues connect the stepping thread to the network. A rollout
+//! is a pure function of lease and weights ([`roll_out`]).
 
-// The fixture of the tests outside is used inside, too.
+// Unit tests also use the fixture of the integration tests.
 #[cfg(test)]
 extern crate self as actor;
 

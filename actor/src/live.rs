@@ -1,11 +1,11 @@
-//! What is shown to Foxglove while it happens, over its WebSocket protocol: episodes on the topics of a recording
-//! ([`crate::recording`]), and whatever else is put on topics beside them.
+//! Live view for Foxglove over its WebSocket protocol: episodes on the topics of a recording ([`crate::recording`]) and
+//! additional topics.
 //!
-//! Viewers come and go and can only look. One that comes late gets the newest message of every topic at once; one that
-//! is slow loses the oldest ones that wait for it. Nobody is ever waited for.
+//! Viewers can only read. A new subscriber receives the newest message of its topic immediately. A slow viewer loses
+//! the oldest queued messages. The server never waits for viewers.
 
-mod shelf;
 mod sink;
+mod topic_cache;
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -23,40 +23,40 @@ use crate::evaluation::Episode;
 use crate::recording::channels::Channels;
 use crate::recording::sink::{Channel, Sink as _};
 use crate::recording::{RecordError, show_episode};
-use shelf::Shelf;
 use sink::{LiveSink, now_nanos};
+use topic_cache::TopicCache;
 
-/// Messages that wait for a slow viewer at most: half a second of the robot with the most topics and the shortest steps.
+/// Capacity of a viewer's queue, messages: half a second of the robot with the most topics and the shortest steps.
 const BACKLOG: usize = 512;
 
-/// Why nothing can be shown.
+/// Why the live view cannot start.
 #[derive(Debug, Error)]
 pub enum LiveError {
-    /// Something else has the port, or the address is not this machine's.
+    /// The port is in use, or the address does not belong to this machine.
     #[error(transparent)]
     Listen(std::io::Error),
-    /// The network's thread does not start.
+    /// The network thread cannot be started.
     #[error("cannot start the network thread: {0}")]
     Thread(std::io::Error),
-    /// The server does not start.
+    /// The server cannot be started.
     #[error(transparent)]
     Server(FoxgloveError),
 }
 
-/// Where viewers come in. It serves them on one thread of its own, until it is dropped.
+/// Server of the live view. It runs on a separate thread until it is dropped.
 pub struct LiveServer {
     context: Arc<Context>,
-    shelf: Arc<Shelf>,
+    cache: Arc<TopicCache>,
     address: SocketAddr,
     _server: WebSocketServerHandle,
     network: Runtime,
 }
 
 impl LiveServer {
-    /// Listens at `address`, port 0 being any free one; viewers see `name`.
+    /// Listens on `address`; port 0 selects a free port. Viewers see `name`.
     ///
     /// # Errors
-    /// If the port is taken or the thread cannot be started. Panics inside another runtime.
+    /// If the port is in use or the thread cannot be started. Panics inside another runtime.
     pub fn open(address: SocketAddr, name: &str) -> Result<Self, LiveError> {
         let network = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
@@ -64,22 +64,22 @@ impl LiveServer {
             .enable_all()
             .build()
             .map_err(LiveError::Thread)?;
-        let (context, shelf) = (Context::new(), Arc::new(Shelf::default()));
+        let (context, cache) = (Context::new(), Arc::new(TopicCache::default()));
         let server = context
             .websocket_server()
             .name(name)
             .bind(host(address.ip()), address.port())
             .message_backlog_size(BACKLOG)
-            .listener(shelf.clone());
+            .listener(cache.clone());
         let server = network.block_on(server.start()).map_err(|error| match error {
             FoxgloveError::Bind(why) => LiveError::Listen(why),
             other => LiveError::Server(other),
         })?;
         let address = SocketAddr::new(address.ip(), server.port());
-        Ok(Self { context, shelf, address, _server: server, network })
+        Ok(Self { context, cache, address, _server: server, network })
     }
 
-    /// What is entered under "Open connection" in Foxglove; on this machine, where it is served on every address.
+    /// URL for "Open connection" in Foxglove; with the loopback address if the server listens on all addresses.
     #[must_use]
     pub fn url(&self) -> String {
         let here = match self.address.ip() {
@@ -90,84 +90,84 @@ impl LiveServer {
         format!("ws://{}", SocketAddr::new(here, self.address.port()))
     }
 
-    /// A link that opens Foxglove with this connection.
+    /// Link that opens Foxglove with this connection.
     #[must_use]
     pub fn link(&self) -> String {
         AppUrl::new().with_websocket(self.url()).to_string()
     }
 
-    /// A topic of JSON objects; `schema` is a JSON schema with a title.
+    /// Creates a topic of JSON objects; `schema` is a JSON schema with a title.
     ///
     /// # Errors
-    /// If the topic is refused. Panics inside a runtime.
+    /// If the topic cannot be created. Panics inside a runtime.
     pub fn topic(&self, topic: &str, schema: &Value) -> Result<LiveTopic, RecordError> {
         let channel = self.sink().json_channel(topic, schema)?;
-        Ok(LiveTopic { shelf: Arc::clone(&self.shelf), place: channel.id().into() })
+        Ok(LiveTopic { cache: Arc::clone(&self.cache), place: channel.id().into() })
     }
 
-    /// A stage for episodes in worlds like `world`.
+    /// Creates the topics for episodes in environments like `world`.
     ///
     /// # Errors
-    /// If a topic is refused. Panics inside a runtime.
+    /// If a topic cannot be created. Panics inside a runtime.
     pub fn scene(&self, world: &dyn EnvironmentBatch) -> Result<LiveScene, RecordError> {
-        let first = self.shelf.len();
+        let first = self.cache.len();
         let mut sink = self.sink();
         let run = sink.json_channel("/run", &run_schema())?;
         let channels = Channels::create(sink, world)?;
-        let shelf = Arc::clone(&self.shelf);
-        Ok(LiveScene { channels, run, places: first..shelf.len(), shelf })
+        let cache = Arc::clone(&self.cache);
+        Ok(LiveScene { channels, run, places: first..cache.len(), cache })
     }
 
     fn sink(&self) -> LiveSink {
         let network = self.network.handle().clone();
-        LiveSink::new(Arc::clone(&self.context), network, Arc::clone(&self.shelf))
+        LiveSink::new(Arc::clone(&self.context), network, Arc::clone(&self.cache))
     }
 }
 
-/// A topic beside those of the episodes.
+/// An additional topic of JSON messages.
 pub struct LiveTopic {
-    shelf: Arc<Shelf>,
+    cache: Arc<TopicCache>,
     place: usize,
 }
 
 impl LiveTopic {
-    /// Whether anybody looks at it.
+    /// Whether the topic has subscribers.
     #[must_use]
     pub fn is_watched(&self) -> bool {
-        self.shelf.is_watched(self.place)
+        self.cache.is_watched(self.place)
     }
 
-    /// Shows a message, which takes the place of the one before.
+    /// Sends a message, which replaces the previous one.
     pub fn show(&self, message: &Value) {
-        self.shelf.show(self.place, now_nanos(), message.to_string().as_bytes());
+        self.cache.show(self.place, now_nanos(), message.to_string().as_bytes());
     }
 }
 
-/// Where episodes are shown.
+/// Topics on which episodes are shown.
 pub struct LiveScene {
     channels: Channels<LiveSink>,
     run: Channel,
-    shelf: Arc<Shelf>,
+    cache: Arc<TopicCache>,
     places: Range<usize>,
 }
 
 impl LiveScene {
-    /// Whether anybody looks at any of its topics.
+    /// Whether any topic has subscribers.
     #[must_use]
     pub fn is_watched(&self) -> bool {
-        is_watched(&self.shelf, &self.places)
+        is_watched(&self.cache, &self.places)
     }
 
-    /// Says on `/run` which run and policy is shown.
+    /// Sends the run and the policy on `/run`.
     ///
     /// # Errors
-    /// If the message is refused.
+    /// If the message cannot be sent.
     pub fn describe(&mut self, words: &BTreeMap<String, String>) -> Result<(), RecordError> {
         self.channels.sink.set_clock();
         self.channels.sink.write(&mut self.run, json!(words).to_string().as_bytes())
     }
 
-    /// Shows environment 0 of `world` as it stands.
+    /// Shows the current state of environment 0 of `world`.
     ///
     /// # Errors
     /// If a message cannot be encoded.
@@ -176,11 +176,11 @@ impl LiveScene {
         self.channels.begin(world)
     }
 
-    /// Plays episode `index` from a start drawn with `key`, in real time, to its end or until nobody looks any more;
-    /// then a second passes. `after_step` is called after each step.
+    /// Plays episode `index` from a start drawn with `key`, in real time, until it ends or no topic has subscribers,
+    /// and then pauses for a second. `after_step` is called after each step.
     ///
     /// # Errors
-    /// If the episode breaks down, or a message cannot be encoded.
+    /// If the episode fails, or a message cannot be encoded.
     pub fn play(
         &mut self,
         (world, policy): (&mut dyn EnvironmentBatch, &PolicySnapshot),
@@ -191,7 +191,7 @@ impl LiveScene {
         self.channels.sink.set_clock();
         show_episode((world, policy), index, &mut self.channels, || {
             after_step();
-            match is_watched(&self.shelf, &self.places) {
+            match is_watched(&self.cache, &self.places) {
                 true => ControlFlow::Continue(()),
                 false => ControlFlow::Break(()),
             }
@@ -199,11 +199,11 @@ impl LiveScene {
     }
 }
 
-fn is_watched(shelf: &Shelf, places: &Range<usize>) -> bool {
-    places.clone().any(|place| shelf.is_watched(place))
+fn is_watched(cache: &TopicCache, places: &Range<usize>) -> bool {
+    places.clone().any(|place| cache.is_watched(place))
 }
 
-/// As it stands before a port.
+/// Formats an address for use before a port.
 fn host(address: IpAddr) -> String {
     match address {
         IpAddr::V4(four) => four.to_string(),

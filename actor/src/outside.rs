@@ -1,9 +1,9 @@
-//! Environments that another program offers, in the form in which actors step their own: who counts episodes and their
-//! steps, cuts them at their limits, and brings an episode back in the next slot.
+//! Environments of another program, behind the interface of simulated ones. This module counts episodes and steps,
+//! truncates episodes at their limits, and restores an episode in the next slot.
 //!
-//! An encoded state begins with the episode's index (u64), steps done (u32) and limit (u32), little-endian. Behind
-//! that stands the state that the program saved; or, if it saves none, the episode's key (32 bytes) and its actions so
-//! far (f32 `[step, A]`), with which it is played again.
+//! An encoded state starts with the episode's index (u64), step (u32) and limit (u32), little-endian. The saved state
+//! of the program follows. If the program does not save states, the episode's key (32 bytes) and its actions so far
+//! (f32 `[step, A]`) follow, from which the episode is replayed.
 
 use std::cell::RefCell;
 
@@ -14,21 +14,21 @@ use crate::client::{EnvironmentClient, Play};
 use crate::error::ActorError;
 use crate::identity::description;
 
-/// Bytes of an encoded state before what brings the episode back.
+/// Size of the header of an encoded state, bytes.
 const HEADER_BYTES: usize = 16;
 const KEY_BYTES: usize = 32;
 
-/// How an episode is brought back in another slot.
+/// How an episode is restored in another slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum States {
-    /// The program saves and restores them.
+    /// The program saves and restores its state.
     Saved,
-    /// From its key and its actions, played again.
+    /// The episode is replayed from its key and actions.
     Replayed,
 }
 
 impl States {
-    /// In a word, for manifests.
+    /// Name in manifests.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -38,47 +38,47 @@ impl States {
     }
 }
 
-/// A program that offers an environment.
+/// A connection to a program that provides an environment.
 #[derive(Clone, Debug)]
 pub struct EnvironmentService {
     client: EnvironmentClient,
-    /// In its own words.
+    /// Specification as the program describes it.
     offered: EnvironmentSpec,
     states: States,
-    /// As runs know it.
+    /// Specification for runs, with the encoded state of this module.
     spec: EnvironmentSpec,
 }
 
 impl EnvironmentService {
-    /// Connects to the program at `url` and asks what it offers.
+    /// Connects to the program at `url` and requests its specification.
     ///
     /// # Errors
-    /// If nobody answers there, or wrongly, or an episode would need more bytes than a message has.
+    /// If the program does not answer or sends an invalid answer, or the actions of an episode exceed the size limit.
     pub async fn connect(url: &str) -> Result<Self, ActorError> {
         let mut client = EnvironmentClient::connect(url).await?;
         let offered = client.describe().await?;
         let states = if offered.max_state_bytes > 0 { States::Saved } else { States::Replayed };
         let spec = spec_of_run(&offered, states).ok_or_else(|| ActorError::EnvironmentUrl {
             url: url.to_owned(),
-            why: "the actions of an episode have more bytes than can be counted".to_owned(),
+            why: "the actions of an episode need more than 4 GiB".to_owned(),
         })?;
         Ok(Self { client, offered, states, spec })
     }
 
-    /// What every actor of the run must offer.
+    /// Specification that every actor of the run must provide.
     #[must_use]
     pub fn spec(&self) -> &EnvironmentSpec {
         &self.spec
     }
 
-    /// How its episodes are brought back.
+    /// How episodes are restored.
     #[must_use]
     pub fn states(&self) -> States {
         self.states
     }
 
-    /// `count` environments before their first reset. Must be called on a thread of a tokio runtime, and stepped on one
-    /// that may block.
+    /// Returns `count` environments before their first reset. Call it inside a tokio runtime; step the environments on
+    /// a thread that may block.
     #[must_use]
     pub fn environments(&self, count: usize) -> OutsideEnvironments {
         let rows = self.offered.agents.iter().map(|agent| vec![0.0; agent.observation.len()]);
@@ -101,7 +101,7 @@ impl EnvironmentService {
     }
 }
 
-/// With the states that the run's actors hand to one another; `None` if they are too long.
+/// Specification with the encoded states that actors exchange; `None` if these are too large.
 fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentSpec> {
     let (kind, more) = match states {
         States::Saved => (offered.state_kind.as_str(), u64::from(offered.max_state_bytes)),
@@ -118,36 +118,36 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
     })
 }
 
-/// A slot's environments, stepped by another program.
+/// Environments of a slot, stepped by another program.
 #[derive(Debug)]
 pub struct OutsideEnvironments {
     description: Description,
-    /// Numbers of each agent's action.
+    /// Size of each agent's action.
     sizes: Vec<usize>,
     states: States,
-    /// Asking for a state changes nothing that can be seen.
+    /// In a cell, because saving a state needs the stream but does not change the environments.
     play: RefCell<Play>,
     episodes: Vec<Episode>,
 }
 
-/// Where an environment stands.
+/// Current episode of an environment.
 #[derive(Clone, Debug)]
 struct Episode {
     index: u64,
     step: u32,
     limit: u32,
     key: [u8; KEY_BYTES],
-    /// `[step, A]`; only kept where episodes are played again.
+    /// Actions so far, `[step, A]`; kept only if episodes are replayed.
     actions: Vec<f32>,
-    /// For each agent `[obs]`.
+    /// Observation of each agent, `[obs]`.
     observations: Vec<Vec<f32>>,
-    /// `[S]`.
+    /// Global state, `[S]`.
     state: Vec<f32>,
 }
 
 impl Episode {
-    /// Takes over what row `row` of a view shows.
-    fn look(&mut self, view: &View, row: usize) {
+    /// Copies row `row` of a view.
+    fn read_row(&mut self, view: &View, row: usize) {
         let views = view.observations.iter().zip(&mut self.observations);
         for (rows, own) in views.chain([(&view.state, &mut self.state)]) {
             let size = own.len();
@@ -177,7 +177,7 @@ impl EnvironmentBatch for OutsideEnvironments {
         let now = &mut self.episodes[environment];
         (now.index, now.step, now.limit, now.key) = (episode, 0, limit, key);
         now.actions.clear();
-        now.look(&view, 0);
+        now.read_row(&view, 0);
         Ok(())
     }
 
@@ -185,7 +185,7 @@ impl EnvironmentBatch for OutsideEnvironments {
         let (header, rest) = Header::read(state, self.description.episode_steps)?;
         match self.states {
             States::Saved => self.restore_saved(environment, rest)?,
-            States::Replayed => self.play_again(environment, &header, rest)?,
+            States::Replayed => self.replay(environment, &header, rest)?,
         }
         let now = &mut self.episodes[environment];
         (now.index, now.step, now.limit) = (header.episode, header.step, header.limit);
@@ -228,7 +228,7 @@ impl EnvironmentBatch for OutsideEnvironments {
 }
 
 impl OutsideEnvironments {
-    /// One step of the given environments; `actions` is `[n, A]`, `outcome` `[n]`.
+    /// Steps the given environments; `actions` is `[n, A]`, `outcome` `[n]`.
     fn step_some(
         &mut self,
         environments: &[usize],
@@ -241,7 +241,7 @@ impl OutsideEnvironments {
         let width = self.sizes.iter().sum::<usize>();
         for (row, &environment) in environments.iter().enumerate() {
             let now = &mut self.episodes[environment];
-            now.look(&steps.view, row);
+            now.read_row(&steps.view, row);
             if self.states == States::Replayed {
                 now.actions.extend_from_slice(&actions[row * width..][..width]);
             }
@@ -254,7 +254,7 @@ impl OutsideEnvironments {
         Ok(())
     }
 
-    /// `[n, A]` as for each agent `[n, act]`.
+    /// Splits `[n, A]` into `[n, act]` for each agent.
     fn by_agent(&self, actions: &[f32]) -> Vec<Vec<f32>> {
         let width = self.sizes.iter().sum::<usize>();
         let mut from = 0;
@@ -268,22 +268,18 @@ impl OutsideEnvironments {
 
     fn restore_saved(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
         let view = self.play.get_mut().restore(environment as u32, state)?;
-        self.episodes[environment].look(&view, 0);
+        self.episodes[environment].read_row(&view, 0);
         Ok(())
     }
 
-    /// Brings an episode back by what was done in it. One that ends on the way is another episode.
-    fn play_again(
-        &mut self,
-        environment: usize,
-        header: &Header,
-        past: &[u8],
-    ) -> Result<(), SimError> {
+    /// Restores an episode by repeating its actions. It is an error if the episode ends early.
+    fn replay(&mut self, environment: usize, header: &Header, past: &[u8]) -> Result<(), SimError> {
         let width = self.sizes.iter().sum::<usize>();
         let (found, expected) = (past.len(), KEY_BYTES + 4 * width * header.step as usize);
         let key = past.first_chunk::<KEY_BYTES>().filter(|_| found == expected);
         let Some(key) = key else {
-            let why = format!("{found} bytes of its past, {} steps have {expected}", header.step);
+            let why =
+                format!("its history has {found} bytes; {} steps have {expected}", header.step);
             return Err(StateError::External(why).into());
         };
         let (rest, _) = past[KEY_BYTES..].as_chunks::<4>();
@@ -294,8 +290,7 @@ impl OutsideEnvironments {
             self.step_some(&[environment], action, &mut outcome)?;
             if outcome[0].terminated || outcome[0].truncated {
                 let why = format!(
-                    "played again, its episode ends after step {} of {}: the same seed and actions must give the same \
-                     steps",
+                    "its replay ends after step {} of {}; the environment must be deterministic",
                     step + 1,
                     header.step
                 );
@@ -306,7 +301,7 @@ impl OutsideEnvironments {
     }
 }
 
-/// What an encoded state begins with.
+/// Header of an encoded state.
 struct Header {
     episode: u64,
     step: u32,
@@ -319,16 +314,17 @@ impl Header {
         [&episode.to_le_bytes()[..], &step.to_le_bytes(), &limit.to_le_bytes()].concat()
     }
 
-    /// The header, and what stands behind it.
+    /// Reads the header; also returns the bytes after it.
     fn read(bytes: &[u8], longest: u32) -> Result<(Self, &[u8]), SimError> {
         let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
-            let why = format!("{} bytes, it begins with {HEADER_BYTES}", bytes.len());
+            let why = format!("it has {} bytes; its header has {HEADER_BYTES}", bytes.len());
             return Err(StateError::External(why).into());
         };
         let number = u128::from_le_bytes(*header);
         let (episode, step, limit) = (number as u64, (number >> 64) as u32, (number >> 96) as u32);
         if step >= limit || limit > longest {
-            let why = format!("step {step} of {limit}, an episode has at most {longest}");
+            let why =
+                format!("its step is {step} of {limit}; an episode has at most {longest} steps");
             return Err(StateError::External(why).into());
         }
         Ok((Self { episode, step, limit }, rest))
@@ -340,7 +336,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_header_survives_its_bytes_and_one_of_an_episode_that_is_over_is_refused() {
+    fn a_header_survives_encoding_and_headers_of_finished_episodes_are_rejected() {
         let header = Header { episode: 7 << 40, step: 3, limit: 5 };
         let bytes = [header.write(), b"rest".to_vec()].concat();
         let (read, rest) = Header::read(&bytes, 5).unwrap();

@@ -1,9 +1,9 @@
-//! Episodes as MCAP files that Foxglove shows without set-up and any MCAP reader opens.
+//! Records episodes as MCAP files with embedded schemas, for Foxglove and other MCAP readers.
 //!
-//! Topics: `/tf` (every link's frame), `/scene` (the links' real shapes and the floor, once per
-//! episode), `/joint_states`, and as JSON `/agents/I/action` and `/episode`. A game has no links, nor has an environment of another program: they are shown as
-//! JSON on `/state`, the global state feature by feature. Times count from 0 in
-//! simulated time; episodes follow one another with a second between them.
+//! Topics: `/tf` (frames of the links), `/scene` (shapes of the links and the floor, once per episode),
+//! `/joint_states`, and as JSON `/agents/I/action` and `/episode`. Games and external environments have no links;
+//! instead, their global state is JSON on `/state`. Timestamps are simulated time from 0, with a second between
+//! episodes.
 
 pub(crate) mod channels;
 pub(crate) mod robot;
@@ -27,55 +27,56 @@ use crate::recording::channels::Channels;
 use crate::recording::sink::Sink;
 use crate::recording::writer::McapFile;
 
-/// Name of the metadata record that tells which run and policy the file shows.
+/// Name of the metadata record with the run and the policy of the file.
 pub const METADATA_NAME: &str = "s2mia.run";
 
-/// Why there is no recording.
+/// Why an episode cannot be recorded or shown.
 #[derive(Debug, Error)]
 pub enum RecordError {
-    /// The file cannot be written or read back.
+    /// The file cannot be written or read.
     #[error("cannot write the file: {0}")]
     File(#[from] std::io::Error),
-    /// The MCAP format got in the way.
+    /// The MCAP library returned an error.
     #[error("MCAP: {0}")]
     Format(#[from] mcap::McapError),
-    /// The task cannot be built, or the episode broke off.
+    /// The environment cannot be built or stepped.
     #[error(transparent)]
     Episode(#[from] SimError),
     /// A message cannot be encoded.
-    #[error("message on {topic}: {why}")]
+    #[error("cannot encode a message on {topic}: {why}")]
     Message {
-        /// Its topic.
+        /// Topic of the message.
         topic: String,
-        /// What is wrong.
+        /// The reason.
         why: String,
     },
-    /// Reading the file back found another number of messages.
-    #[error("the file holds {found} messages, {written} were written")]
+    /// The written file contains a different number of messages.
+    #[error("the file contains {found} messages, but {written} were written")]
     Verification {
         /// Messages written.
         written: u64,
-        /// Messages read back.
+        /// Messages read.
         found: u64,
     },
 }
 
-/// What a recording holds.
+/// Content of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RecordSummary {
-    /// The episodes, in their order.
+    /// Results of the episodes, in order.
     pub episodes: Vec<Episode>,
-    /// Messages in the file.
+    /// Number of messages.
     pub messages: u64,
-    /// Bytes of the file.
+    /// Size of the file, bytes.
     pub bytes: u64,
 }
 
-/// Plays `episodes` episodes with mean actions in the one environment of `world`, built from `task` if the simulator did,
-/// the first states drawn with `seed`, and writes them to `path`. The file is flushed to the disk, closed, read back and counted.
+/// Plays `episodes` episodes with mean actions in the only environment of `world`, from starts drawn with `seed`, and
+/// writes them to `path`. `task` has the settings of a simulated environment. The file is flushed to disk, closed and
+/// verified.
 ///
 /// # Errors
-/// If an episode breaks off, or the file cannot be written or read back whole.
+/// If an episode fails, or the file cannot be written or verified.
 pub fn record(
     (world, task): (&mut dyn EnvironmentBatch, Option<&TaskConfig>),
     policy: &PolicySnapshot,
@@ -100,8 +101,8 @@ pub fn record(
     Ok(summary)
 }
 
-/// Shows an episode with mean actions, from where environment 0 of `world` stands to its end, or until `go_on`, which
-/// is asked after each step, breaks it off.
+/// Writes an episode with mean actions to `channels`, from the current state of environment 0 of `world` to its end, or
+/// until `go_on`, which is called after each step, stops it.
 pub(crate) fn show_episode<S: Sink>(
     (world, policy): (&mut dyn EnvironmentBatch, &PolicySnapshot),
     index: u32,
@@ -121,7 +122,7 @@ pub(crate) fn show_episode<S: Sink>(
     Ok(episode)
 }
 
-/// Reads the whole file back, checksums included.
+/// Reads the whole file, checks its checksums and counts its messages.
 pub(crate) fn verify(path: &Path, written: u64) -> Result<(), RecordError> {
     let bytes = std::fs::read(path)?;
     let mut found = 0;

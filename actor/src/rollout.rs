@@ -1,4 +1,4 @@
-//! One slot, from its lease to its last chunk: a pure function of the lease and the weights.
+//! Rollout of a slot, from its lease to its last chunk: a pure function of the lease and the weights.
 
 use std::ops::ControlFlow;
 
@@ -9,7 +9,7 @@ use sim::{EnvironmentBatch, Outcome, SimError};
 use crate::acting::{Agents, Noise};
 use crate::chunk::ChunkBuilder;
 
-/// A slot in the making.
+/// A slot during its rollout.
 struct Slot<'a> {
     run: &'a RunDescription,
     work: &'a RolloutWork,
@@ -21,12 +21,11 @@ struct Slot<'a> {
     chunk: ChunkBuilder,
 }
 
-/// Rolls out every step of `work` and hands each chunk to `emit` as soon as it is full; `emit` may
-/// break off. Before each step `see` is shown the number of steps done and the worlds as they stand.
+/// Rolls out all steps of `work` and passes each full chunk to `emit`, which can stop the rollout. Before each step,
+/// calls `see` with the step's index and the environments.
 ///
 /// # Errors
-/// If the lease's environment states are none of this task's, a policy's action is not finite, or whoever steps the
-/// environments fails.
+/// If an environment state of the lease is invalid, an action is not finite, or an external environment fails.
 pub fn roll_out(
     run: &RunDescription,
     work: &RolloutWork,
@@ -63,7 +62,7 @@ impl<'a> Slot<'a> {
                 }
                 Start::Continue { state, recurrent } => {
                     world.restore(position, state)?;
-                    agents.remember(position, recurrent);
+                    agents.set_hidden(position, recurrent);
                 }
             }
         }
@@ -79,14 +78,14 @@ impl<'a> Slot<'a> {
         })
     }
 
-    /// Observe, act, step, record, reset what is done.
+    /// Observes, acts, steps, records, and resets finished episodes.
     fn step(&mut self, step: u32) -> Result<(), SimError> {
         if step.is_multiple_of(self.run.hidden_every) {
             self.chunk.store_hidden(&self.agents);
         }
         self.agents.observe(self.world);
         self.chunk.push_observation(&self.agents, self.world);
-        self.agents.think(self.policy);
+        self.agents.forward(self.policy);
         let seed = RunSeed(self.run.seed);
         let noise = Noise { seed, iteration: self.work.iteration, step };
         self.agents.draw(self.policy, &self.indices, noise);
@@ -98,8 +97,8 @@ impl<'a> Slot<'a> {
         Ok(())
     }
 
-    /// After a step that ended an episode, or the slot's last one, keeps the true next state; then
-    /// begins the next episode where one has ended.
+    /// Stores the final state and observations if the step ended an episode or the slot. Starts the next episode if one
+    /// has ended.
     fn finish(&mut self, step: u32, position: usize) -> Result<(), SimError> {
         let outcome = self.outcomes[position];
         let done = outcome.terminated || outcome.truncated;
@@ -117,13 +116,13 @@ impl<'a> Slot<'a> {
                 slot,
                 environment = index,
                 step,
-                "the world left its bounds; the episode is cut"
+                "the state left its bounds; the episode is truncated"
             );
         }
         let (episode, limit) =
             (self.world.episode(position) + 1, self.run.environment.episode_steps);
         reset(self.run, self.world, (position, index), episode, limit)?;
-        self.agents.forget(position);
+        self.agents.reset_hidden(position);
         Ok(())
     }
 
@@ -136,7 +135,7 @@ impl<'a> Slot<'a> {
     }
 }
 
-/// Begins an episode; its draws are keyed by its index and its environment's.
+/// Starts an episode. Its draws are keyed by the indices of episode and environment.
 fn reset(
     run: &RunDescription,
     world: &mut dyn EnvironmentBatch,

@@ -1,4 +1,4 @@
-//! An actor's life: describe, register, then lease after lease until the run is done.
+//! Main loop of an actor: describe, register, then process leases until the run is done.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
@@ -7,43 +7,43 @@ use std::time::{Duration, Instant};
 use proto::{Lease, LeaseAnswer, Registered, Registration, RunDescription};
 use tokio::sync::{Mutex, MutexGuard, watch};
 
-use crate::client::{Client, WeightsCache, explained, may_pass};
+use crate::client::{Client, WeightsCache, explained, is_transient};
 use crate::config::Config;
 use crate::error::{ActorError, describe};
 use crate::identity::rollout_fingerprint;
-use crate::leasing::{Ended, work_off};
+use crate::leasing::{Ended, process_lease};
 use crate::source::Source;
 use crate::stepping::Stepper;
 use crate::trajectory_log::Log;
 
-/// First and longest pause between two tries to reach the learner.
-const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
+/// First and longest bound of the delay between two connection attempts.
+const RETRY_DELAY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
-/// How a session with the learner ended.
+/// End of a session with the learner.
 enum Session {
-    /// The run is over.
+    /// The run is done.
     Done,
-    /// This actor was told to stop.
+    /// This actor was stopped.
     Stopped,
 }
 
-/// Rolls out for the learner at `config.learner` until its run is done or `stop` turns true. Comes
-/// back by itself after every failure that may pass.
+/// Processes leases of the learner at `config.learner` until its run is done or `stop` becomes true. Reconnects after
+/// transient failures.
 ///
 /// # Errors
-/// If the learner refuses this actor for good, or stays away for longer than allowed; if its log cannot begin.
+/// If the learner rejects this actor permanently or is unreachable for too long, or the log cannot be started.
 pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), ActorError> {
     let log = config.log.as_ref().map(|log| Log::start(log, &config.name)).transpose()?;
     let ended = sessions(&config, log.as_ref(), stop).await;
     if let Some(log) = log {
         tokio::task::spawn_blocking(move || log.close())
             .await
-            .map_err(|_| ActorError::Log("the log's last file was not closed".to_owned()))?;
+            .map_err(|_| ActorError::Log("the last file of the log was not closed".to_owned()))?;
     }
     ended
 }
 
-/// One session after the other.
+/// Runs sessions until the run is done, with a delay after each failure.
 async fn sessions(
     config: &Config,
     log: Option<&Log>,
@@ -59,7 +59,7 @@ async fn sessions(
             Ok(Session::Done | Session::Stopped) => return Ok(()),
             Err(error) => error,
         };
-        if !may_pass(&error) {
+        if !is_transient(&error) {
             return Err(error);
         }
         let pause = outage.next_pause(config, &error)?;
@@ -76,21 +76,21 @@ async fn sessions(
     }
 }
 
-/// One session, and if it failed, what was behind that.
+/// Runs a session. An error of the TLS handshake is replaced by its reason.
 async fn explained_session(
     config: &Config,
     log: Option<&Log>,
     outage: &mut Outage,
 ) -> Result<Session, ActorError> {
-    match attend(config, log, outage).await {
+    match run_session(config, log, outage).await {
         Err(error) => Err(explained(error, config).await),
         done => done,
     }
 }
 
-/// One session: from a new connection to the run's end. Two leases overlap: while the last messages of one are
-/// on their way and acknowledged, the next is taken and stepped.
-async fn attend(
+/// Runs a session, from a new connection to the end of the run. Two leases overlap: the next lease is stepped while the
+/// last messages of the previous one are sent and acknowledged.
+async fn run_session(
     config: &Config,
     log: Option<&Log>,
     outage: &mut Outage,
@@ -100,81 +100,81 @@ async fn attend(
     let source = Source::of(config, &run).await?;
     let own = client.register(&registration(config, &source)?).await?;
     tracing::info!(actor = own.actor.0, run = run.run_id, "registered with {}", config.learner);
-    let desk = log.and_then(|log| Some(log.desk(&run, source.task()?)));
-    let stepper = Stepper::start(Arc::clone(&run), &source, desk)?;
-    let tools = Mutex::new(Tools { stepper, weights: WeightsCache::default(), outage });
-    let lane = || Lane { client: client.clone(), own, run: &run, log, tools: &tools };
-    let (mut first, mut second) = (lane(), lane());
+    let handle = log.and_then(|log| Some(log.handle(&run, source.task()?)));
+    let stepper = Stepper::start(Arc::clone(&run), &source, handle)?;
+    let shared = Mutex::new(SharedState { stepper, weights: WeightsCache::default(), outage });
+    let worker = || LeaseWorker { client: client.clone(), own, run: &run, log, shared: &shared };
+    let (mut first, mut second) = (worker(), worker());
     tokio::select! {
-        ended = first.attend() => ended,
-        ended = second.attend() => ended,
+        ended = first.work_until_done() => ended,
+        ended = second.work_until_done() => ended,
     }
 }
 
-/// What the lanes of a session use in turns.
-struct Tools<'a> {
+/// State that the two workers of a session use alternately.
+struct SharedState<'a> {
     stepper: Stepper,
     weights: WeightsCache,
     outage: &'a mut Outage,
 }
 
-/// Works off lease after lease. Holds the tools from asking for a lease until its last step, and
-/// leaves them to the other lane while its last messages are acknowledged.
-struct Lane<'a, 'o> {
+/// Processes leases. Holds the shared state from the request of a lease until its last step, and releases it to the
+/// other worker while its last messages are acknowledged.
+struct LeaseWorker<'a, 'o> {
     client: Client,
     own: Registered,
     run: &'a RunDescription,
     log: Option<&'a Log>,
-    tools: &'a Mutex<Tools<'o>>,
+    shared: &'a Mutex<SharedState<'o>>,
 }
 
-impl Lane<'_, '_> {
-    /// Until the run is over.
-    async fn attend(&mut self) -> Result<Session, ActorError> {
+impl LeaseWorker<'_, '_> {
+    /// Processes leases until the run is done.
+    async fn work_until_done(&mut self) -> Result<Session, ActorError> {
         let mut worked = false;
         loop {
-            let mut tools = self.tools.lock().await;
+            let mut shared = self.shared.lock().await;
             if std::mem::take(&mut worked) {
-                tools.outage.over();
+                shared.outage.end();
             }
-            let lost = self.log.map_or(0, Log::untold);
+            let lost = self.log.map_or(0, Log::unreported);
             let answer = self.client.lease(&self.own, self.run, lost).await?;
             if let Some(log) = self.log {
-                log.tell(lost);
+                log.mark_reported(lost);
             }
             match answer {
                 LeaseAnswer::Done => return Ok(Session::Done),
                 LeaseAnswer::Retry { wait_millis } => {
-                    tools.outage.over();
+                    shared.outage.end();
                     tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
                 }
                 LeaseAnswer::Lease(lease) => {
-                    self.work(lease, tools).await?;
+                    self.work(lease, shared).await?;
                     worked = true;
                 }
             }
         }
     }
 
-    /// One lease.
+    /// Processes a lease.
     async fn work(
         &mut self,
         lease: Lease,
-        mut tools: MutexGuard<'_, Tools<'_>>,
+        mut shared: MutexGuard<'_, SharedState<'_>>,
     ) -> Result<(), ActorError> {
         let (id, client) = (lease.id, &mut self.client);
         let pace = Duration::from_secs_f64(self.run.heartbeat_secs);
-        let policy = client.weights(&mut tools.weights, lease.weights).await?;
-        let stepper = MutexGuard::map(tools, |tools| &mut tools.stepper);
-        match work_off(client, &self.own, stepper, lease, policy, pace).await? {
+        let policy = client.weights(&mut shared.weights, lease.weights).await?;
+        let stepper = MutexGuard::map(shared, |shared| &mut shared.stepper);
+        match process_lease(client, &self.own, stepper, lease, policy, pace).await? {
             Ended::Finished => {}
-            Ended::Dropped(why) => tracing::warn!("lease {id} dropped: {why}; asking for another"),
+            Ended::Dropped(why) => tracing::warn!("lease {id} dropped: {why}; requesting another"),
         }
         Ok(())
     }
 }
 
-/// What this actor offers for the run.
+/// Registration of this actor for the run.
 fn registration(config: &Config, source: &Source) -> Result<Registration, ActorError> {
     Ok(Registration {
         client: config.name.clone(),
@@ -184,7 +184,7 @@ fn registration(config: &Config, source: &Source) -> Result<Registration, ActorE
     })
 }
 
-/// How long the learner has been away, and how patiently it was tried.
+/// Duration of an outage of the learner and number of connection attempts.
 struct Outage {
     since: Instant,
     tries: u32,
@@ -195,20 +195,20 @@ impl Outage {
         Self { since: Instant::now(), tries: 0 }
     }
 
-    fn over(&mut self) {
+    fn end(&mut self) {
         *self = Self::begin();
     }
 
-    /// Full jitter: anything up to a bound that doubles with every try.
+    /// Delay before the next attempt: exponential backoff with full jitter.
     fn next_pause(&mut self, config: &Config, error: &ActorError) -> Result<Duration, ActorError> {
         let secs = self.since.elapsed().as_secs_f64();
         if secs > config.max_outage_secs {
             let (url, last) = (config.learner.clone(), line(error));
             return Err(ActorError::Outage { url, secs, last });
         }
-        let bound = PAUSE.0.saturating_mul(1 << self.tries.min(10)).min(PAUSE.1);
+        let bound = RETRY_DELAY.0.saturating_mul(1 << self.tries.min(10)).min(RETRY_DELAY.1);
         self.tries += 1;
-        // Any source of chance will do: pauses reach no result.
+        // Any random source is allowed, because delays do not affect results.
         let share = RandomState::new().build_hasher().finish() as f64 / u64::MAX as f64;
         Ok(bound.mul_f64(share))
     }
@@ -223,7 +223,7 @@ fn line(error: &ActorError) -> String {
 
 async fn stopped(stop: &mut watch::Receiver<bool>) {
     if stop.wait_for(|&stop| stop).await.is_err() {
-        // Whoever could have said stop is gone without saying it.
+        // The sender is gone, so no stop signal can arrive.
         std::future::pending::<()>().await;
     }
 }

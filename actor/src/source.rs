@@ -1,4 +1,4 @@
-//! Where an actor's environments come from: the simulator, or a program that offers them.
+//! Source of an actor's environments: the simulator or an external program.
 
 use proto::{EnvironmentSpec, RunDescription};
 use sim::{EnvironmentBatch, TaskConfig};
@@ -8,23 +8,23 @@ use crate::error::ActorError;
 use crate::identity::environment_spec;
 use crate::outside::EnvironmentService;
 
-/// Where environments come from.
+/// Source of environments.
 pub(crate) enum Source {
-    /// Built from the run's own settings.
+    /// The simulator, with the run's settings.
     Simulator(TaskConfig),
-    /// Stepped by another program.
+    /// An external program.
     Service(Box<EnvironmentService>),
 }
 
 impl Source {
-    /// What `config` says, for `run`.
+    /// Source that `config` selects for `run`.
     pub(crate) async fn of(config: &Config, run: &RunDescription) -> Result<Self, ActorError> {
         if let Some(url) = &config.environment {
             return Ok(Self::Service(Box::new(EnvironmentService::connect(url).await?)));
         }
         if run.task_settings.is_empty() {
             return Err(ActorError::Task(format!(
-                "{} is offered by another program: pass --environment with its URL",
+                "{} is an external environment; pass --environment with its URL",
                 run.environment.task
             )));
         }
@@ -32,7 +32,7 @@ impl Source {
         Ok(Self::Simulator(task.map_err(|error| ActorError::Task(error.to_string()))?))
     }
 
-    /// The simulator's task, if it is one of those: only these can be logged.
+    /// Task of the simulator; `None` for external environments, which cannot be logged.
     pub(crate) fn task(&self) -> Option<&TaskConfig> {
         match self {
             Self::Simulator(task) => Some(task),
@@ -40,7 +40,7 @@ impl Source {
         }
     }
 
-    /// What is presented to the learner.
+    /// Specification for the registration.
     pub(crate) fn spec(&self) -> Result<EnvironmentSpec, ActorError> {
         match self {
             Self::Simulator(task) => Ok(environment_spec(simulated(task, 1)?.description())),
@@ -48,7 +48,7 @@ impl Source {
         }
     }
 
-    /// `count` environments.
+    /// Opens `count` environments.
     pub(crate) fn open(&self, count: usize) -> Result<Box<dyn EnvironmentBatch>, ActorError> {
         Ok(match self {
             Self::Simulator(task) => simulated(task, count)?,

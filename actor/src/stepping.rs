@@ -1,4 +1,4 @@
-//! The thread that steps worlds: takes one job at a time, streams its results back.
+//! The stepping thread, which processes one job at a time and returns its results through a queue.
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
@@ -19,51 +19,51 @@ use crate::evaluation::play_on;
 use crate::film::{Camera, FILMED};
 use crate::rollout::roll_out;
 use crate::source::Source;
-use crate::trajectory_log::Desk;
+use crate::trajectory_log::LogHandle;
 
-/// Results that may wait for the network. When the queue is full the stepping thread waits: a slow
-/// network slows the roll-out and loses nothing.
+/// Capacity of the queue of results. When it is full, the stepping thread waits: a slow network delays the rollout and
+/// loses nothing.
 const QUEUE: usize = 4;
 
-/// One lease to work off, and how its progress is watched and broken off.
+/// A lease to process, with its shared progress.
 pub(crate) struct Job {
     pub(crate) lease: Lease,
     pub(crate) policy: Arc<PolicySnapshot>,
-    pub(crate) watch: Arc<Watch>,
+    pub(crate) progress: Arc<JobProgress>,
 }
 
-/// What the two sides of a job share while it runs.
+/// Progress of a running job, shared with the network side.
 #[derive(Debug, Default)]
-pub(crate) struct Watch {
-    /// Steps done.
+pub(crate) struct JobProgress {
+    /// Number of steps done.
     pub(crate) step: AtomicU32,
-    /// Set when nobody wants the result any more.
+    /// Whether the job is cancelled.
     pub(crate) cancelled: AtomicBool,
 }
 
-/// What comes back.
-pub(crate) enum Produced {
+/// Output of the stepping thread.
+pub(crate) enum JobOutput {
     /// A message for the learner.
     Message(Box<wire::PushTrajectoryRequest>),
-    /// The job has ended, whole or broken off.
+    /// The job is finished or was cancelled.
     End,
-    /// The lease's environment states are none of this task's, or whoever steps the environments failed.
+    /// An environment state of the lease is invalid, or an external environment failed.
     Failed(SimError),
 }
 
-/// The two ends of the stepping thread.
+/// Queues to and from the stepping thread.
 pub(crate) struct Stepper {
     pub(crate) jobs: mpsc::Sender<Job>,
-    pub(crate) produced: mpsc::Receiver<Produced>,
+    pub(crate) outputs: mpsc::Receiver<JobOutput>,
 }
 
 struct Worlds {
     run: Arc<RunDescription>,
     slot: Box<dyn EnvironmentBatch>,
-    /// One environment of its own, so that evaluation touches no slot's.
+    /// Environment for evaluations, separate from those of slots.
     evaluation: Box<dyn EnvironmentBatch>,
-    /// Where what is logged is handed in; `None` for external environments.
-    desk: Option<Desk>,
+    /// Handle of the log; `None` without a log and for external environments.
+    handle: Option<LogHandle>,
 }
 
 impl Stepper {
@@ -71,29 +71,29 @@ impl Stepper {
     pub(crate) fn start(
         run: Arc<RunDescription>,
         source: &Source,
-        desk: Option<Desk>,
+        handle: Option<LogHandle>,
     ) -> Result<Self, ActorError> {
         let slot = source.open(run.environments_per_slot as usize)?;
-        let worlds = Worlds { run, slot, evaluation: source.open(1)?, desk };
+        let worlds = Worlds { run, slot, evaluation: source.open(1)?, handle };
         let (jobs, queue) = mpsc::channel(1);
-        let (results, produced) = mpsc::channel(QUEUE);
+        let (results, outputs) = mpsc::channel(QUEUE);
         let thread = std::thread::Builder::new().name("stepping".to_owned());
         thread
             .spawn(move || step_until_dropped(worlds, queue, &results))
-            .expect("a process can start its one stepping thread");
-        Ok(Self { jobs, produced })
+            .expect("a process can start the stepping thread");
+        Ok(Self { jobs, outputs })
     }
 }
 
 fn step_until_dropped(
     mut worlds: Worlds,
     mut jobs: mpsc::Receiver<Job>,
-    results: &mpsc::Sender<Produced>,
+    results: &mpsc::Sender<JobOutput>,
 ) {
     while let Some(job) = jobs.blocking_recv() {
-        let end = match worlds.work_off(&job, results) {
-            Ok(()) => Produced::End,
-            Err(error) => Produced::Failed(error),
+        let end = match worlds.process_lease(&job, results) {
+            Ok(()) => JobOutput::End,
+            Err(error) => JobOutput::Failed(error),
         };
         if results.blocking_send(end).is_err() {
             return;
@@ -102,7 +102,11 @@ fn step_until_dropped(
 }
 
 impl Worlds {
-    fn work_off(&mut self, job: &Job, results: &mpsc::Sender<Produced>) -> Result<(), SimError> {
+    fn process_lease(
+        &mut self,
+        job: &Job,
+        results: &mpsc::Sender<JobOutput>,
+    ) -> Result<(), SimError> {
         match &job.lease.work {
             Work::Rollout(work) => self.roll_out(job, work, results),
             Work::Evaluation(work) => {
@@ -111,7 +115,7 @@ impl Worlds {
                 let header = PushHeader::of(&job.lease, result.digest(work.iteration));
                 let mut message = header.to_wire(content);
                 message.film = film.as_ref().map(Film::to_wire);
-                // Nobody waits behind an evaluation's only message.
+                // The result of an evaluation is a single message; nothing is left to stop.
                 let _ = send(job, message, results);
                 Ok(())
             }
@@ -122,27 +126,28 @@ impl Worlds {
         &mut self,
         job: &Job,
         work: &RolloutWork,
-        results: &mpsc::Sender<Produced>,
+        results: &mpsc::Sender<JobOutput>,
     ) -> Result<(), SimError> {
-        let Self { run, slot, desk, .. } = self;
-        let witness = desk.as_ref().map(|desk| RefCell::new(desk.rollout(&job.lease, work)));
+        let Self { run, slot, handle, .. } = self;
+        let collector =
+            handle.as_ref().map(|handle| RefCell::new(handle.rollout(&job.lease, work)));
         let see = |step, world: &dyn EnvironmentBatch| {
-            job.watch.step.store(step, Ordering::Relaxed);
-            if let Some(witness) = &witness {
-                witness.borrow_mut().see(step, world);
+            job.progress.step.store(step, Ordering::Relaxed);
+            if let Some(collector) = &collector {
+                collector.borrow_mut().collect(step, world);
             }
         };
         let origin = work.origin();
         roll_out(run, work, &job.policy, slot.as_mut(), see, |chunk| {
             let (message, digest) = chunk.to_wire(run, &origin);
-            if let Some(witness) = &witness {
-                witness.borrow_mut().keep(chunk);
+            if let Some(collector) = &collector {
+                collector.borrow_mut().keep(chunk);
             }
             let content = Content::Chunk(message);
             send(job, PushHeader::of(&job.lease, digest).to_wire(content), results)
         })?;
-        if let (Some(desk), Some(witness)) = (desk, witness) {
-            desk.take_rollout(witness.into_inner());
+        if let (Some(handle), Some(collector)) = (handle, collector) {
+            handle.send_rollout(collector.into_inner());
         }
         Ok(())
     }
@@ -155,8 +160,8 @@ impl Worlds {
         let key = Key::of_evaluation(RunSeed(self.run.seed), work.iteration, work.episode);
         let world = self.evaluation.as_mut();
         world.reset(0, 0, world.description().episode_steps, key.0)?;
-        let desk = self.desk.as_ref();
-        let mut witness = desk.and_then(|desk| desk.evaluation(&job.lease, work, world));
+        let handle = self.handle.as_ref();
+        let mut collector = handle.and_then(|handle| handle.evaluation(&job.lease, work, world));
         let mut camera = match work.episode {
             FILMED => Camera::before(world)?,
             _ => None,
@@ -164,16 +169,16 @@ impl Worlds {
         let mut steps = 0;
         let episode = play_on(world, (&job.policy, ActionChoice::Mean), &mut |step| {
             steps += 1;
-            job.watch.step.store(steps, Ordering::Relaxed);
+            job.progress.step.store(steps, Ordering::Relaxed);
             if let Some(camera) = &mut camera {
-                camera.see(step.world);
+                camera.capture(step.world);
             }
-            if let Some(witness) = &mut witness {
-                witness.see(step);
+            if let Some(collector) = &mut collector {
+                collector.collect(step);
             }
         })?;
-        if let (Some(desk), Some(witness)) = (desk, witness) {
-            desk.take_evaluation(witness);
+        if let (Some(handle), Some(collector)) = (handle, collector) {
+            handle.send_evaluation(collector);
         }
         let result = EvaluationResult {
             episode: work.episode,
@@ -187,12 +192,12 @@ impl Worlds {
 fn send(
     job: &Job,
     message: wire::PushTrajectoryRequest,
-    results: &mpsc::Sender<Produced>,
+    results: &mpsc::Sender<JobOutput>,
 ) -> ControlFlow<()> {
-    if job.watch.cancelled.load(Ordering::Relaxed) {
+    if job.progress.cancelled.load(Ordering::Relaxed) {
         return ControlFlow::Break(());
     }
-    match results.blocking_send(Produced::Message(Box::new(message))) {
+    match results.blocking_send(JobOutput::Message(Box::new(message))) {
         Ok(()) => ControlFlow::Continue(()),
         Err(_) => ControlFlow::Break(()),
     }

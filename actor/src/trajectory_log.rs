@@ -1,11 +1,11 @@
-//! Trajectory logs: what actors did, step by step, as MCAP files that Foxglove plays, Python reads and the simulator
-//! can repeat.
+//! Trajectory logs: the steps of actors as MCAP files, for Foxglove, Python and replay in the simulator.
 //!
-//! A log consists of shares: what one lease computed of one episode. The stepping thread only collects (`witness.rs`)
-//! and hands whole leases to a thread of its own (`scribe.rs`), which cuts them into shares (`cut.rs`) and writes
-//! them (`file.rs`). That thread may lose shares, which it counts, but never holds the stepping thread up. The other
-//! files read logs, all of them through `records.rs`, which trusts nothing.
+//! A log consists of shares: the steps of one episode in one lease. The stepping thread only collects data
+//! (`collector.rs`) and sends whole leases to the log-writer thread (`writer.rs`), which splits them into shares
+//! (`cut.rs`) and writes these (`file.rs`). The writer may lose shares, which it counts, but never delays the stepping
+//! thread. The other files read logs, all of them through `records.rs`, which accepts untrusted bytes.
 
+mod collector;
 mod config;
 mod cut;
 mod error;
@@ -16,13 +16,12 @@ mod records;
 mod recover;
 mod replay;
 mod rewards;
-mod scribe;
 mod shares;
 mod source;
 mod survey;
 #[cfg(test)]
 pub(crate) mod tests;
-mod witness;
+mod writer;
 
 pub use config::{LogConfig, LogSettings};
 pub use error::LogError;
@@ -34,11 +33,11 @@ pub use shares::{LoggedShare, LoggedStep, ReadShares, read_shares};
 pub use source::{is_log_name, read_bytes};
 pub use survey::{Survey, Topic, survey, totals};
 
-pub(crate) use scribe::{Desk, Log};
+pub(crate) use writer::{Log, LogHandle};
 
-/// Name of the metadata record that tells which run, task and actor a log is of.
+/// Name of the metadata record with the run, task and actor of a log.
 pub const METADATA_NAME: &str = "s2mia.log";
-/// Name of the metadata record that tells, at a log's end, what it holds and what was lost on the way to it.
+/// Name of the metadata record at the end of a log with the numbers of written and lost shares and steps.
 pub const TOTALS_NAME: &str = "s2mia.log.totals";
 /// Name of the attachment with the task's settings.
 const TASK_NAME: &str = "task.json";

@@ -1,7 +1,7 @@
-//! Environment steps per second on one core, robot by robot, beside MuJoCo's on the same core in the same run.
+//! Environment steps per second on one core, for each robot, compared with MuJoCo on the same core in the same run.
 //!
-//! `cargo bench -p sim` prints our rates. With `MUJOCO_PYTHON=venv/bin/python`, an interpreter that has `mujoco` and
-//! `gymnasium`, it times MuJoCo's C step between our own measurements and prints the ratio of the medians.
+//! `cargo bench -p sim` prints our rates. With `MUJOCO_PYTHON=venv/bin/python`, an interpreter with `mujoco` and
+//! `gymnasium`, it also times MuJoCo's C step between our measurements and prints the ratio of the medians.
 
 use std::process::Command;
 use std::time::Instant;
@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use sim::{Outcome, TaskConfig};
 
-/// A robot's task and its model in Gymnasium.
+/// Task of each robot and its model in Gymnasium.
 const ROBOTS: [(&str, &str); 3] =
     [("halfcheetah-6x1", "half_cheetah"), ("walker2d-2x3", "walker2d"), ("ant-4x2", "ant")];
 const REPEATS: usize = 7;
@@ -47,7 +47,7 @@ fn our_rate(task: &str) -> f64 {
         },
         "partition": "actuator_slices",
     }))
-    .expect("the settings are the simulator's");
+    .expect("the settings are valid");
     let mut world = sim::environments(&config, 1).expect("the task is known");
     let size = world.description().agents.iter().map(|agent| agent.action.size).sum();
     let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -66,7 +66,7 @@ fn our_rate(task: &str) -> f64 {
     STEPS as f64 / start.elapsed().as_secs_f64()
 }
 
-/// What the script beside this file prints for one robot.
+/// Rate that `mujoco_rate.py` prints for a model.
 fn mujoco_rate(python: &str, model: &str) -> Option<f64> {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/mujoco_rate.py");
     let output = Command::new(python).args([script, model, &STEPS.to_string()]).output().ok()?;

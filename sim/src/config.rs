@@ -1,52 +1,52 @@
-//! What a caller chooses about a task. There are no defaults here: they stand in the run's base configuration.
+//! Settings of a task. There are no defaults here; they are in the run's base configuration.
 
 use serde::{Deserialize, Serialize};
 
-/// One task and how its agents see and share the robot.
+/// A task, its observations and its partition among agents.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskConfig {
-    /// One of [`crate::task_names`].
+    /// Name of the task, one of [`crate::task_names`].
     pub task: String,
-    /// What the agents observe.
+    /// Observations of the agents.
     pub observation: ObservationConfig,
-    /// Which agent drives which joint.
+    /// Assignment of joints to agents.
     pub partition: PartitionSemantics,
 }
 
-/// What the agents observe.
+/// Observations of the agents.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObservationConfig {
-    /// Which features an agent sees.
+    /// Observed features.
     pub mode: ObservationMode,
-    /// How the features are scaled.
+    /// Scaling of the features.
     pub norm: ObservationNorm,
-    /// How far an agent sees in `k_nearest`: 0 its own joints, 1 their neighbours' angles too, and so on.
+    /// Observed distance in `k_nearest`: 0 for the agent's own joints, 1 also for their neighbours' angles, and so on.
     pub nearest: usize,
-    /// Whether an agent in `k_nearest` also sees how the root stands and moves.
+    /// Whether an agent in `k_nearest` also observes the pose and velocity of the root.
     pub globals: RootView,
-    /// Whether contact forces are observed, where the task knows them.
+    /// Whether contact forces are observed, if the task supports them.
     pub contact_forces: ContactForces,
 }
 
-/// Which features an agent sees.
+/// Features that an agent observes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObservationMode {
-    /// The global state and the agent's one-hot number, as the published results had it.
+    /// The global state and the agent's one-hot index, as in the published results.
     FullId,
-    /// The agent's own joints, what touches them, and joints near them: local views, all of one length.
+    /// The agent's own joints, contacts on them, and nearby joints. All agents' observations have the same length.
     KNearest,
 }
 
-/// Whether an agent that sees only its own surroundings also sees the root.
+/// Whether an agent with a local observation also observes the root.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RootView {
     /// Height, orientation and velocities of the root, as in Gymnasium-Robotics.
     Shown,
-    /// Joints alone, as in Multi-Agent MuJoCo.
+    /// Joints only, as in Multi-Agent MuJoCo.
     Hidden,
 }
 
@@ -54,34 +54,34 @@ pub enum RootView {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ContactForces {
-    /// No such features.
+    /// No contact features.
     Absent,
-    /// The features are there and always zero, as in the published runs.
+    /// The features exist and are always zero, as in the published runs.
     Zeros,
-    /// From the contacts' impulses in the last physics step; they then cost reward, too.
+    /// From the contact impulses of the last physics step. They also add a cost to the reward.
     Real,
 }
 
-/// How an observation's features are scaled.
+/// Scaling of an observation's features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObservationNorm {
-    /// The vector is standardised by the mean and deviation over its own features, the one-hot number included.
-    /// See `observation.rs` for what that does.
+    /// Each vector is standardised by the mean and standard deviation over its own features, including the one-hot
+    /// index. `observation.rs` describes the consequences.
     FeatureZ,
-    /// By the run's own mean and deviation of each feature, which the learner keeps and policies carry; what leaves
-    /// the simulation is as with [`ObservationNorm::None`].
+    /// Running mean and standard deviation of each feature, which the learner updates and policies contain. The
+    /// simulator's output is the same as with [`ObservationNorm::None`].
     Running,
-    /// Raw metres, radians and seconds.
+    /// Unscaled, in metres, radians and seconds.
     None,
 }
 
-/// Which agent drives which joint.
+/// Assignment of joints to agents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PartitionSemantics {
-    /// Contiguous slices in the order of the robot's actuators: what the published numbers used.
+    /// Contiguous slices in the order of the robot's actuators, as in the published results.
     ActuatorSlices,
-    /// The joints that the task's published labels name.
+    /// The joints named by the task's published labels.
     Labels,
 }

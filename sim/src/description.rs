@@ -1,76 +1,76 @@
-//! What a task looks like from outside: agents, features, limits. The binary turns this into the wire's form.
+//! Description of a task: agents, features, limits. `actor` converts it to the protocol's messages.
 
-/// One task, as [`crate::Environments`] run it.
+/// Description of a task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Description {
-    /// The task's name, `halfcheetah-2x3`.
+    /// Name of the task, such as `halfcheetah-2x3`.
     pub task: String,
     /// The agents, in the order of their actions.
     pub agents: Vec<AgentDescription>,
-    /// The global state's features, `[S]`.
+    /// Features of the global state, `[S]`.
     pub state: Vec<Feature>,
     /// Seconds that one environment step simulates.
     pub dt_secs: f64,
     /// Steps after which an episode is truncated.
     pub episode_steps: u32,
-    /// Names the robot that an encoded state belongs to.
+    /// Kind of an encoded state; names its robot.
     pub state_kind: String,
-    /// Version of the encoded state's layout.
+    /// Layout version of an encoded state.
     pub state_version: u32,
-    /// Bytes of an encoded state.
+    /// Largest size of an encoded state, bytes.
     pub max_state_bytes: u32,
 }
 
-/// One agent.
+/// Description of an agent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentDescription {
-    /// `agent_0`, `agent_1`, ...
+    /// Name of the agent: `agent_0`, `agent_1`, ...
     pub name: String,
-    /// The joints the agent drives, in the order of its action.
+    /// Joints that the agent controls, in the order of its action.
     pub joints: Vec<String>,
-    /// The observation's features, `[obs]`.
+    /// Features of the observation, `[obs]`.
     pub observation: Vec<Feature>,
-    /// Places in the global state of what the observation shows, unscaled; empty if the state does not hold it.
+    /// Indices in the global state of the observed features; empty if the state does not contain them.
     pub seen: Vec<usize>,
-    /// Places in the global state of what is near the agent, as `k_nearest` would show it; likewise.
+    /// Indices in the global state of the features that `k_nearest` would show; empty in the same case.
     pub near: Vec<usize>,
-    /// The action's size and range.
+    /// Size and range of the action.
     pub action: ActionRange,
 }
 
-/// Size and range of an agent's action. Values outside the range are clamped before they become torques, and cost
-/// what they were.
+/// Size and range of an agent's action. Torques use the clamped action; the reward's control cost uses the action
+/// before clamping.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActionRange {
-    /// Numbers in the action.
+    /// Number of components.
     pub size: usize,
-    /// Lowest value that still changes the torque.
+    /// Lowest value; lower ones are clamped.
     pub low: f32,
-    /// Highest value that still changes the torque.
+    /// Highest value; higher ones are clamped.
     pub high: f32,
-    /// Of a discrete action the number of choices: the action is one number, the index of a choice. `None`:
-    /// continuous.
+    /// Number of choices of a discrete action, which is one number: the index of a choice. `None` for a continuous
+    /// action.
     pub choices: Option<u32>,
 }
 
-/// One feature of a state or an observation.
+/// Feature of a state or an observation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Feature {
-    /// `rootz.position`, `bthigh.velocity`, `id.0`.
+    /// Name, such as `rootz.position`, `bthigh.velocity` or `id.0`.
     pub name: String,
-    /// What the feature carries.
+    /// Kind of information.
     pub role: FeatureRole,
 }
 
-/// What a feature carries, so that a density knows what to leave out.
+/// Kind of information in a feature. Densities use it to exclude features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureRole {
-    /// A measurement of the world.
+    /// Measurement of the environment.
     Signal,
-    /// A part of the agent's one-hot number.
+    /// Component of the agent's one-hot index.
     Identity,
-    /// The same number as an earlier feature.
+    /// Copy of an earlier feature.
     Duplicate,
-    /// Always the same number.
+    /// Constant value.
     Constant,
 }

@@ -1,4 +1,4 @@
-//! The interface of vectorised environments, whoever steps them: `sim` or another program.
+//! The interface of vectorised environments, which `sim` or another program steps.
 
 use crate::description::Description;
 use crate::error::SimError;
@@ -6,16 +6,16 @@ use crate::scene::Pose;
 use crate::state::StateBounds;
 use crate::world::World;
 
-/// The environments of a slot. What they show after a reset, a restored state and a step is a function of the key, the
-/// state and the actions. Environments outside this process fail with [`SimError::External`].
+/// The environments of a slot. Observations, states and rewards depend only on the reset key, the restored state and
+/// the actions. Environments outside this process fail with [`SimError::External`].
 pub trait EnvironmentBatch: Send {
-    /// The task as seen from outside.
+    /// Description of the task.
     fn description(&self) -> &Description;
 
     /// Number of environments `E`.
     fn count(&self) -> usize;
 
-    /// A new episode. `key` is the ChaCha8 key with which its start is drawn. `limit` is the number of steps until
+    /// Starts an episode. `key` is the ChaCha8 key that draws its start state. `limit` is the number of steps until
     /// truncation, clamped to `1..=episode_steps`.
     ///
     /// # Errors
@@ -28,13 +28,13 @@ pub trait EnvironmentBatch: Send {
         key: [u8; 32],
     ) -> Result<(), SimError>;
 
-    /// Continues from an encoded state. Invalid bytes change nothing.
+    /// Restores an encoded state. Invalid bytes change nothing.
     ///
     /// # Errors
     /// If the bytes are not a state of this task, or an external environment fails.
     fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError>;
 
-    /// The encoded state of an environment. [`Self::restore`] refuses it if its episode is over: encode after the reset.
+    /// Encodes the state of an environment. [`Self::restore`] rejects states of finished episodes, so reset first.
     ///
     /// # Errors
     /// If an external environment fails.
@@ -46,30 +46,30 @@ pub trait EnvironmentBatch: Send {
     /// Steps taken in the environment's episode.
     fn episode_step(&self, environment: usize) -> u32;
 
-    /// One step of every environment. `actions` is `[E, A]`, each row all agents' actions in agent order;
-    /// `outcome` is `[E]`. A finished episode is not reset: the caller reads its last observation and state first.
+    /// Steps every environment. `actions` is `[E, A]`; a row has the actions of all agents in agent order. `outcome` is
+    /// `[E]`. A finished episode is not reset, so that the caller can read its last observation and state.
     ///
     /// # Errors
-    /// If `actions` has another length or contains an invalid action, before any environment moves; if an external
+    /// If `actions` has a wrong length or contains an invalid action (no environment is stepped), or an external
     /// environment fails.
     ///
     /// # Panics
-    /// If `outcome` has another length.
+    /// If `outcome` has a wrong length.
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError>;
 
-    /// What an agent observes, `[obs]`.
+    /// Writes the observation of an agent, `[obs]`.
     ///
     /// # Panics
-    /// If `out` has another length.
+    /// If `out` has a wrong length.
     fn observation(&self, environment: usize, agent: usize, out: &mut [f32]);
 
-    /// The global state, `[S]`.
+    /// Writes the global state, `[S]`.
     ///
     /// # Panics
-    /// If `out` has another length.
+    /// If `out` has a wrong length.
     fn state(&self, environment: usize, out: &mut [f32]);
 
-    /// Where a simulated robot's links and joints are; empty for games and external environments.
+    /// Poses of a simulated robot's links and joints; empty for games and external environments.
     fn pose(&self, _environment: usize) -> Pose {
         Pose::default()
     }
@@ -92,9 +92,8 @@ pub struct Outcome {
     pub reward: f32,
     /// The task's rules ended the episode.
     pub terminated: bool,
-    /// The step limit, or a fault, ended the episode; never together with `terminated`.
+    /// The step limit or a fault ended the episode; never true together with `terminated`.
     pub truncated: bool,
-    /// The world was no longer finite or left the bounds of a state. The state is the one before the
-    /// step.
+    /// The state became non-finite or out of bounds. The environment is back in the state before the step.
     pub fault: bool,
 }

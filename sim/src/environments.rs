@@ -1,4 +1,4 @@
-//! A slot's environments with a robot in each: one world each, stepped in order.
+//! The robot environments of a slot: one world each, stepped in order.
 
 mod describe;
 
@@ -20,7 +20,7 @@ use crate::task::{self, Motion, Task};
 use crate::world::World;
 use crate::world::contact_forces::PER_BODY;
 
-/// A slot's robots.
+/// The robot environments of a slot.
 pub(crate) struct RobotEnvironments {
     task: &'static Task,
     robot: Arc<Robot>,
@@ -28,12 +28,12 @@ pub(crate) struct RobotEnvironments {
     bounds: StateBounds,
     observation: Observation,
     contact_forces: ContactForces,
-    /// For each number of the joint action the motor it drives `[A]`.
+    /// Motor driven by each component of the joint action, `[A]`.
     motors: Vec<usize>,
     environments: Vec<Environment>,
-    /// Controls in motor order `[A]`.
+    /// Controls in motor order, `[A]`.
     controls: Vec<f32>,
-    /// The numbers after a step, until they are found good.
+    /// Motion after the current step, before it is validated.
     next: Numbers,
 }
 
@@ -42,9 +42,9 @@ struct Environment {
     episode: u64,
     step: u32,
     limit: u32,
-    /// The numbers at the end of the last good step.
+    /// Motion after the last valid step.
     now: Numbers,
-    /// The global state that they make, `[S]`.
+    /// Global state of `now`, `[S]`.
     seen: Vec<f32>,
 }
 
@@ -55,7 +55,7 @@ struct Numbers {
     contact_forces: Vec<f32>,
 }
 
-/// Contact forces are absent from tasks that do not know them.
+/// Returns `config`, without contact forces if the task does not support them.
 fn effective(config: &ObservationConfig, task: &Task) -> ObservationConfig {
     let contact_forces = match task.rules.feels_contacts() {
         true => config.contact_forces,
@@ -65,7 +65,7 @@ fn effective(config: &ObservationConfig, task: &Task) -> ObservationConfig {
 }
 
 impl RobotEnvironments {
-    /// `count` environments at the robot's rest pose, episode 0.
+    /// Returns `count` environments in the robot's rest pose, in episode 0.
     pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
         let task = task::find(&config.task)?;
         if count == 0 {
@@ -105,7 +105,7 @@ impl RobotEnvironments {
             observation,
             contact_forces: view.contact_forces,
         };
-        (0..count).for_each(|index| environments.look(index));
+        (0..count).for_each(|index| environments.update_state(index));
         Ok(environments)
     }
 }
@@ -141,7 +141,7 @@ impl EnvironmentBatch for RobotEnvironments {
         let mut rng = ChaCha8Rng::from_seed(key);
         self.task.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
         let bytes = state.to_bytes(&self.bounds.kind);
-        self.rebuild(environment, &bytes).expect("a start lies within the bounds of a state");
+        self.rebuild(environment, &bytes).expect("start states are within the bounds of a state");
         Ok(())
     }
 
@@ -217,7 +217,7 @@ impl RobotEnvironments {
         Err(ActionError::NotFinite { environment, agent, index, value: actions[at] })
     }
 
-    /// The one way into a world: from bytes.
+    /// Rebuilds a world from an encoded state. All resets and restores use this function.
     fn rebuild(&mut self, index: usize, bytes: &[u8]) -> Result<(), StateError> {
         let state = State::from_bytes(bytes, &self.bounds)?;
         let environment = &mut self.environments[index];
@@ -230,7 +230,7 @@ impl RobotEnvironments {
             velocities: state.velocities,
             contact_forces: state.contact_forces,
         };
-        self.look(index);
+        self.update_state(index);
         Ok(())
     }
 
@@ -252,12 +252,12 @@ impl RobotEnvironments {
             environment.world.contact_forces(&mut self.next.contact_forces);
         }
         std::mem::swap(&mut environment.now, &mut self.next);
-        self.look(index);
-        self.judge(index, action)
+        self.update_state(index);
+        self.outcome(index, action)
     }
 
-    /// The global state from the numbers: the rules' part, then the contact forces.
-    fn look(&mut self, index: usize) {
+    /// Computes the global state of `now`: the part that the rules define, then the contact forces.
+    fn update_state(&mut self, index: usize) {
         let mut seen = std::mem::take(&mut self.environments[index].seen);
         let now = &self.environments[index].now;
         self.task.rules.state(&self.motion(now), &mut seen);
@@ -266,8 +266,8 @@ impl RobotEnvironments {
         self.environments[index].seen = seen;
     }
 
-    /// After a good step `now` is the world's and `next` holds what it was before.
-    fn judge(&self, index: usize, action: &[f32]) -> Outcome {
+    /// Result of a valid step. `now` is the motion after the step, `next` the motion before it.
+    fn outcome(&self, index: usize, action: &[f32]) -> Outcome {
         let environment = &self.environments[index];
         let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
         let dt_secs = self.description.dt_secs as f32;

@@ -1,130 +1,130 @@
-//! What can go wrong between the world and its callers.
+//! Errors of environments, actions and encoded states.
 
 use thiserror::Error;
 
 /// Why environments cannot be built, restored or stepped.
 #[derive(Debug, Error)]
 pub enum SimError {
-    /// No such task.
+    /// The task is unknown.
     #[error("there is no task `{asked}`; did you mean `{nearest}`? Known tasks: {known}")]
     UnknownTask {
-        /// The name asked for.
+        /// Requested name.
         asked: String,
-        /// The known name that is nearest in spelling.
+        /// Known name with the most similar spelling.
         nearest: String,
         /// All known names.
         known: String,
     },
-    /// A slot without environments.
+    /// The slot has no environments.
     #[error("a slot needs at least one environment, got 0")]
     NoEnvironments,
-    /// A robot's MJCF file asks for what the builder does not build.
+    /// A robot's MJCF file contains something that the builder does not support.
     #[error("the model of {robot} cannot be built: {reason}")]
     Model {
         /// The robot.
         robot: String,
-        /// The element and what is wrong with it.
+        /// The element and the reason.
         reason: String,
     },
-    /// A game shows its features one way only.
+    /// The game does not support these observation settings.
     #[error(
-        "{task} shows plain one-hot features: observation.mode must be full_id and observation.norm none"
+        "{task} has unscaled one-hot features only: set observation.mode=full_id and observation.norm=none"
     )]
     OnlyPlain {
         /// The task.
         task: &'static str,
     },
-    /// An encoded state is refused.
-    #[error("the environment state is refused: {0}")]
+    /// An encoded state is invalid.
+    #[error("invalid environment state: {0}")]
     State(#[from] StateError),
-    /// Actions are refused.
+    /// The actions are invalid.
     #[error(transparent)]
     Action(#[from] ActionError),
-    /// Environments outside this process cannot be reached, or answer wrongly.
+    /// An environment outside this process cannot be reached or sent an invalid answer.
     #[error(transparent)]
     External(Box<dyn std::error::Error + Send + Sync>),
 }
 
-/// Actions that no robot can follow; nothing has moved.
+/// Why actions are invalid. No environment has been stepped.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ActionError {
-    /// Not one number per environment and action dimension.
-    #[error("{got} numbers of actions, {environments} environments need {environments} x {size}")]
+    /// Wrong number of values.
+    #[error("got {got} action values; {environments} environments need {environments} x {size}")]
     Length {
-        /// Numbers received.
+        /// Values received.
         got: usize,
         /// Environments in the slot.
         environments: usize,
-        /// Numbers in all agents' joint action.
+        /// Size of the joint action of all agents.
         size: usize,
     },
-    /// A number that is not finite.
+    /// A value is not finite.
     #[error("the action of agent {agent} in environment {environment} is {value} at index {index}")]
     NotFinite {
-        /// Place of the environment in the slot.
+        /// Index of the environment in the slot.
         environment: usize,
         /// The agent.
         agent: usize,
-        /// Place in the agent's action.
+        /// Index in the agent's action.
         index: usize,
-        /// The number.
+        /// Value received.
         value: f32,
     },
-    /// A number that is no choice's index.
+    /// A value is not the index of a choice.
     #[error(
         "the action of agent {agent} in environment {environment} is {value}, not one of {choices} choices"
     )]
     NoChoice {
-        /// Place of the environment in the slot.
+        /// Index of the environment in the slot.
         environment: usize,
         /// The agent.
         agent: usize,
-        /// The number.
+        /// Value received.
         value: f32,
-        /// Choices there are; the first one's index is 0.
+        /// Number of choices; indices start at 0.
         choices: usize,
     },
 }
 
-/// Why an encoded state is refused.
+/// Why an encoded state is invalid.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum StateError {
-    /// Not the one length that a state of this robot has.
-    #[error("it has {got} bytes, a state of {kind} has {expected}")]
+    /// Wrong length.
+    #[error("it has {got} bytes; a state of {kind} has {expected}")]
     Length {
         /// Bytes received.
         got: usize,
         /// Bytes of a state.
         expected: usize,
-        /// The state's kind.
+        /// Expected kind.
         kind: String,
     },
-    /// The first four bytes are not a state's.
-    #[error("it does not begin with the mark of a state")]
+    /// Wrong magic bytes.
+    #[error("it does not start with the magic bytes of a state")]
     Mark,
-    /// Another version of the layout.
-    #[error("its layout has version {got}, this program reads {expected}")]
+    /// Unsupported layout version.
+    #[error("its layout version is {got}; this program reads {expected}")]
     Version {
         /// Version received.
         got: u32,
         /// Version that this program reads.
         expected: u32,
     },
-    /// Another robot's state.
-    #[error("it belongs to another robot than {kind}")]
+    /// State of another robot.
+    #[error("it is not a state of {kind}")]
     Kind {
         /// The kind expected.
         kind: String,
     },
-    /// An episode limit that the task does not allow.
-    #[error("its episode limit is {limit}, allowed are 1 to {longest}")]
+    /// The task does not allow this episode limit.
+    #[error("its episode limit is {limit}; it must be 1 to {longest}")]
     Limit {
         /// Limit received.
         limit: u32,
-        /// The task's own limit.
+        /// Episode limit of the task.
         longest: u32,
     },
-    /// An episode that is already over.
+    /// The episode is already over.
     #[error("its episode is over: step {step} of {limit}")]
     Over {
         /// Step received.
@@ -132,20 +132,20 @@ pub enum StateError {
         /// The episode's limit.
         limit: u32,
     },
-    /// A NaN or an infinity.
+    /// A value is NaN or infinite.
     #[error("{field} {index} is not finite")]
     NotFinite {
         /// `coordinate` or `velocity`.
         field: &'static str,
-        /// Which one.
+        /// Index of the value.
         index: usize,
     },
-    /// A number no simulated world reaches.
-    #[error("{field} {index} is {value}, beyond {low} to {high}")]
+    /// A value is out of bounds.
+    #[error("{field} {index} is {value}; it must be between {low} and {high}")]
     Beyond {
         /// `coordinate` or `velocity`.
         field: &'static str,
-        /// Which one.
+        /// Index of the value.
         index: usize,
         /// Value received.
         value: f32,
@@ -154,25 +154,25 @@ pub enum StateError {
         /// Highest value allowed.
         high: f32,
     },
-    /// A number that counts something is no whole number.
+    /// An integer value has a fraction.
     #[error("{field} {index} is {value}, not a whole number")]
     Fraction {
         /// `coordinate` or `velocity`.
         field: &'static str,
-        /// Which one.
+        /// Index of the value.
         index: usize,
         /// Value received.
         value: f32,
     },
-    /// The orientation is no unit quaternion.
+    /// The orientation is not a unit quaternion.
     #[error("the orientation at coordinate {index} has squared length {squared}, not 1")]
     Orientation {
-        /// Its first coordinate.
+        /// Index of its first coordinate.
         index: usize,
         /// Its squared length.
         squared: f32,
     },
-    /// Not a state of this external environment.
+    /// The bytes are not a state of this external environment.
     #[error("{0}")]
     External(String),
 }

@@ -1,8 +1,8 @@
-//! The world: robots and tasks, stepped on rapier3d; knows no learning.
+//! The simulator: robots and tasks, stepped with rapier3d. It contains no learning.
 //!
-//! A robot is an MJCF file in `assets/` and a row in `robot.rs`; a task is a file in `task/` and a row in
-//! `task.rs`. A game, a task without physics, is a file in `game/`. What the physics does between two slot boundaries is a function of the encoded state's bytes and the
-//! actions alone: `reset` and `restore` both end in the one function that rebuilds a world from bytes.
+//! A robot is an MJCF file in `assets/` and a row in `robot.rs`. A task is a file in `task/` and a row in `task.rs`.
+//! A game is a task without physics, in `game/`. Between two slot boundaries, the simulation depends only on the
+//! encoded state and the actions: `reset` and `restore` both call the one function that rebuilds a world from bytes.
 
 mod config;
 mod description;

@@ -1,25 +1,26 @@
-//! Random starts: uniform and normal draws from the generator that the caller brings.
+//! Random draws for start states, from a generator that the caller passes.
 
 use rand::RngCore;
 
-/// Uniform in `[-width, width)`, from the upper 24 bits of one `u32`.
+/// Draws uniformly from `[-width, width)`, using the upper 24 bits of one `u32`.
 pub(crate) fn symmetric(rng: &mut impl RngCore, width: f32) -> f32 {
     (2.0 * unit(rng) - 1.0) * width
 }
 
-/// Standard normal by Box and Muller from two `u32`: `sqrt(-2 ln u) cos(2 pi v)`, `u` in `(0, 1]`.
+/// Draws from the standard normal distribution by the Box-Muller method from two `u32`:
+/// `sqrt(-2 ln u) cos(2 pi v)`, `u` in `(0, 1]`.
 pub(crate) fn normal(rng: &mut impl RngCore) -> f32 {
     let radius = (-2.0 * libm::log(f64::from(1.0 - unit(rng)))).sqrt();
     let angle = 2.0 * std::f64::consts::PI * f64::from(unit(rng));
     (radius * libm::cos(angle)) as f32
 }
 
-/// One of `0..count`, equally likely up to `count / 2^32`: the high half of one `u32` times `count`.
+/// Draws from `0..count` as the high half of one `u32` times `count`; probabilities are equal up to `count / 2^32`.
 pub(crate) fn choice(rng: &mut impl RngCore, count: usize) -> usize {
     ((u64::from(rng.next_u32()) * count as u64) >> 32) as usize
 }
 
-/// Uniform in `[0, 1)` on a grid of 2^-24, so that `1 - unit` is exact and never zero.
+/// Draws uniformly from `[0, 1)` on a grid of 2^-24, so that `1 - unit` is exact and never zero.
 fn unit(rng: &mut impl RngCore) -> f32 {
     (rng.next_u32() >> 8) as f32 / 16_777_216.0
 }

@@ -1,21 +1,21 @@
-//! What an agent sees: the observation's layout and its scaling.
+//! Layout and scaling of an agent's observation.
 //!
-//! In `full_id` agent `i` of `n` sees the global state followed by the one-hot number `i`. `feature_z` standardises
-//! this vector by the mean `m` and deviation `s` over its **own** features, the number included, as the published
-//! code did. Two things follow. First, the one-hot part adds one 1 and `n - 1` zeros whatever `i` is, so `m` and
-//! `s`, and with them all signal features, are the same for every agent, bit for bit here: the sums run over the
-//! signals and then over the number in closed form. Second, the number's entries are no longer 1 and 0 but
-//! `(1 - m) / s` and `-m / s`; they move with the state, and because they carry `m` and `s`, standardising loses
-//! nothing. They stay declared as `Identity`, so densities leave them out.
+//! In `full_id`, agent `i` of `n` observes the global state followed by the one-hot index `i`. `feature_z` standardises
+//! this vector by the mean `m` and standard deviation `s` over its **own** features, including the index, as the
+//! published code does. This has two consequences. First, the one-hot part adds one 1 and `n - 1` zeros for every `i`.
+//! `m`, `s` and all signal features are therefore the same for every agent, bit for bit: the sums run over the signals,
+//! and the index is added in closed form. Second, the entries of the index are `(1 - m) / s` and `-m / s` instead of 1
+//! and 0. They vary with the state, and because they determine `m` and `s`, no information is lost. They are still
+//! declared as `Identity`, so densities exclude them.
 
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
 use crate::description::{Feature, FeatureRole};
 use crate::robot::Robot;
 use crate::world::contact_forces::{PER_BODY, WORLD};
 
-/// Below this deviation a vector counts as constant and is only centred.
+/// Below this standard deviation, a vector is only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;
-/// What a body's six contact numbers are called, in the order of the model.
+/// Names of a body's six contact features, in the order of the model.
 const CONTACT_NAMES: [&str; PER_BODY] =
     ["torque.x", "torque.y", "torque.z", "force.x", "force.y", "force.z"];
 
@@ -29,13 +29,13 @@ pub(crate) struct Observation {
 
 #[derive(Clone, Debug)]
 enum View {
-    /// The whole state, then the agent's one-hot number.
+    /// The global state, then the agent's one-hot index.
     Whole,
-    /// Per agent, places in the global state; `None` is padding.
+    /// Per agent, indices in the global state; `None` is padding.
     Places(Vec<Vec<Option<usize>>>),
 }
 
-/// The features of contact forces, as the state carries them; none if they are absent.
+/// Contact-force features of the global state; empty if they are absent.
 pub(crate) fn contact_features(robot: &Robot, forces: ContactForces) -> Vec<Feature> {
     if forces == ContactForces::Absent {
         return Vec::new();
@@ -53,7 +53,7 @@ fn contact_name(body: &str, part: &str) -> String {
 }
 
 impl Observation {
-    /// `agents` holds the joints of each agent, `state` the global state's features.
+    /// `agents` contains the joints of each agent, `state` the features of the global state.
     pub(crate) fn new(
         config: &ObservationConfig,
         robot: &Robot,
@@ -69,7 +69,7 @@ impl Observation {
         Self { norm: config.norm, agents: agents.len(), view }
     }
 
-    /// The features of an agent's observation, given the global state's.
+    /// Features of an agent's observation, given those of the global state.
     pub(crate) fn features(&self, agent: usize, state: &[Feature]) -> Vec<Feature> {
         match &self.view {
             View::Whole => {
@@ -86,7 +86,7 @@ impl Observation {
         }
     }
 
-    /// Places in a global state of `state` features of what an agent sees.
+    /// Indices of the features that an agent observes in a global state of `state` features.
     pub(crate) fn seen(&self, agent: usize, state: usize) -> Vec<usize> {
         match &self.view {
             View::Whole => (0..state).collect(),
@@ -94,7 +94,7 @@ impl Observation {
         }
     }
 
-    /// What `agent` sees of the global state.
+    /// Writes the observation of `agent`, given the global state.
     pub(crate) fn see(&self, agent: usize, state: &[f32], out: &mut [f32]) {
         match &self.view {
             View::Whole => {
@@ -119,8 +119,8 @@ impl Observation {
     }
 }
 
-/// Places in the global state of what is near an agent: own joints with angle, speed and contacts, then the angles
-/// of joints farther and farther away, then the root.
+/// Indices in the global state of an agent's local observation: angles, speeds and contacts of its own joints, then the
+/// angles of other joints by increasing distance, then the root.
 pub(crate) fn near(
     config: &ObservationConfig,
     robot: &Robot,
@@ -145,7 +145,7 @@ pub(crate) fn near(
     names.iter().map(|name| place(name).expect("neighbourhoods name features")).collect()
 }
 
-/// All of the longest one's length.
+/// Pads all lists to the length of the longest.
 fn padded(agents: Vec<Vec<usize>>) -> Vec<Vec<Option<usize>>> {
     let longest = agents.iter().map(Vec::len).max().unwrap_or(0);
     let filled = |places: Vec<usize>| {
@@ -155,7 +155,7 @@ fn padded(agents: Vec<Vec<usize>>) -> Vec<Vec<Option<usize>>> {
     agents.into_iter().map(filled).collect()
 }
 
-/// `(x - m) / s` over these features.
+/// Standardises a vector over its features: `(x - m) / s`.
 fn standardise(out: &mut [f32]) {
     let count = out.len() as f64;
     let mean = out.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
@@ -163,7 +163,7 @@ fn standardise(out: &mut [f32]) {
     scale(out, mean, variance);
 }
 
-/// `(x - m) / s` over all features; the one-hot part's sums are taken in closed form.
+/// Standardises a vector with a one-hot index, whose sums are computed in closed form: `(x - m) / s`.
 fn standardise_with_number(out: &mut [f32], signals: usize) {
     let count = out.len() as f64;
     let zeros = (out.len() - signals - 1) as f64;
@@ -196,12 +196,12 @@ mod tests {
     }
 
     #[test]
-    fn without_scaling_the_state_and_the_number_stand_side_by_side() {
+    fn without_scaling_an_observation_is_the_state_followed_by_the_index() {
         assert_eq!(observe(ObservationNorm::None, 1), [3.0, -1.0, 2.0, 0.0, 1.0]);
     }
 
     #[test]
-    fn a_vector_worked_by_hand_is_standardised_over_its_own_features() {
+    fn an_observation_is_standardised_over_its_own_features() {
         // 3, -1, 2, 1, 0: mean 1, variance (4 + 4 + 1 + 0 + 1) / 5 = 2.
         let s = std::f32::consts::FRAC_1_SQRT_2;
         let expected = [2.0 * s, -2.0 * s, s, 0.0, -s];
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_local_view_gathers_its_places_and_leaves_padding_at_zero() {
+    fn a_local_observation_copies_its_features_and_pads_with_zeros() {
         let view = View::Places(vec![vec![Some(2), Some(0)], vec![Some(1), None]]);
         let observation = Observation { norm: ObservationNorm::FeatureZ, agents: 2, view };
         let (mut first, mut second) = ([9.0; 2], [9.0; 2]);
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn signals_are_the_same_bits_for_every_agent() {
+    fn signals_are_bit_identical_for_every_agent() {
         let (first, second) =
             (observe(ObservationNorm::FeatureZ, 0), observe(ObservationNorm::FeatureZ, 1));
         assert_eq!(first[..3], second[..3]);

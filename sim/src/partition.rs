@@ -1,12 +1,12 @@
-//! Which agent drives which actuator.
+//! Assigns actuators to agents.
 
 use crate::config::PartitionSemantics;
 
-/// Each agent's actuators, as indices into the robot's motors, in the order of the agent's action.
+/// Actuators of each agent, as indices of the robot's motors, in the order of the agent's action.
 ///
-/// `labels` are the published joint names of each agent. Under [`PartitionSemantics::ActuatorSlices`] only their
-/// counts matter: the published code joined the agents' actions end to end and handed them to the actuators in
-/// order, whatever the labels said.
+/// `labels` are the published joint names of each agent. [`PartitionSemantics::ActuatorSlices`] uses only their
+/// counts: the published code concatenates the agents' actions and passes them to the actuators in order, regardless of
+/// the labels.
 pub(crate) fn partition(
     labels: &[&[&str]],
     actuators: &[&str],

@@ -1,4 +1,4 @@
-//! Robots: one row each, built once into a template world that every environment's world is cloned from.
+//! Robots: one row each. Each robot is built once as a template, from which all worlds are cloned.
 
 mod assemble;
 mod blueprint;
@@ -19,27 +19,27 @@ pub(crate) use neighbourhood::Neighbourhood;
 pub(crate) use softness::DEFAULT as DEFAULT_SOFTNESS;
 pub(crate) use softness::{Integration, Softness, Spring};
 
-/// One robot: its model and the settings that MJCF cannot say.
+/// A robot: its model and the settings that MJCF does not contain.
 #[derive(Debug)]
 pub(crate) struct RobotRow {
-    /// The robot's name; its states are of the kind `rapier/NAME`.
+    /// Name of the robot; its states have the kind `rapier/NAME`.
     pub(crate) name: &'static str,
-    /// The model.
+    /// MJCF document of the model.
     pub(crate) mjcf: &'static str,
     /// Physics steps in an environment step.
     pub(crate) frame_skip: u32,
-    /// Who is next to whom, for agents that see only what is near.
+    /// Neighbouring joints, for agents with local observations.
     pub(crate) neighbourhood: &'static Neighbourhood,
-    /// How MuJoCo integrates it.
+    /// MuJoCo's integrator for this robot.
     pub(crate) integration: Integration,
     /// MuJoCo's softness of the joint limits.
     pub(crate) limits: Softness,
     /// MuJoCo's softness of the contacts.
     pub(crate) contacts: Softness,
-    /// Distance from which contacts push, m.
+    /// Distance at which contacts become active, m.
     pub(crate) margin: f32,
-    /// The part of the contacts' compliance that the engine's own solver takes, in units of their inverse mass. The rest
-    /// is [`ContactLaw`](crate::world::ContactLaw)'s, from the last step's impulses.
+    /// Part of the contacts' compliance that the engine's solver applies, in units of their inverse mass.
+    /// [`ContactLaw`](crate::world::ContactLaw) applies the rest, from the impulses of the last step.
     pub(crate) contact_compliance: f32,
 }
 
@@ -79,7 +79,7 @@ pub(crate) const ANT: RobotRow = RobotRow {
     contact_compliance: 0.05,
 };
 
-/// A robot, ready to be put into worlds. Immutable and shared.
+/// A robot from which worlds are created. Immutable and shared.
 pub struct Robot {
     row: &'static RobotRow,
     blueprint: Blueprint,
@@ -95,42 +95,42 @@ impl Robot {
         Ok(Self { row, blueprint, layout, template })
     }
 
-    /// The robot's name.
+    /// Name of the robot.
     pub fn name(&self) -> &'static str {
         self.row.name
     }
 
-    /// What its states are called on the wire.
+    /// Kind of its encoded states.
     pub(crate) fn state_kind(&self) -> String {
         format!("rapier/{}", self.row.name)
     }
 
-    /// Names of the generalised coordinates `[nq]`.
+    /// Names of the generalised coordinates, `[nq]`.
     pub fn coordinate_names(&self) -> &[String] {
         &self.layout.coordinate_names
     }
 
-    /// Names of the generalised velocities `[nv]`.
+    /// Names of the generalised velocities, `[nv]`.
     pub fn velocity_names(&self) -> &[String] {
         &self.layout.velocity_names
     }
 
-    /// What a coordinate of 0 is in the model's own coordinates `[nq]`, m and rad.
+    /// Offset from this crate's coordinates to the model's own, `[nq]`, m and rad.
     pub fn reference(&self) -> &[f32] {
         &self.layout.reference
     }
 
-    /// The coordinates of the rest pose `[nq]`.
+    /// Coordinates of the rest pose, `[nq]`.
     pub fn rest(&self) -> &[f32] {
         &self.layout.rest
     }
 
-    /// The model's bodies, the world first; those without a joint are part of a link.
+    /// Names of the model's bodies, the world first. Bodies without a joint are part of a link.
     pub(crate) fn bodies(&self) -> &[String] {
         &self.blueprint.bodies
     }
 
-    /// The hinges' names and limits (rad), where they have any.
+    /// Names of the hinges and their limits (rad), if any.
     pub fn hinges(&self) -> impl Iterator<Item = (&str, Option<[f32; 2]>)> {
         self.blueprint.links.iter().filter_map(|link| match &link.joint {
             JointPlan::Hinge(hinge) => Some((hinge.name.as_str(), hinge.range)),
@@ -138,18 +138,18 @@ impl Robot {
         })
     }
 
-    /// The motors' joints, in the order of the model's actuators.
+    /// Joints of the motors, in the order of the model's actuators.
     pub fn actuators(&self) -> impl Iterator<Item = &str> {
         self.blueprint.motors.iter().map(|motor| motor.joint.as_str())
     }
 
-    /// Torque with which the motor of `joint` answers a control, clamped to its range, N m; `None` without a motor.
+    /// Torque of the motor of `joint` for a control, which is clamped to its range, N m; `None` without a motor.
     pub fn torque(&self, joint: &str, control: f32) -> Option<f32> {
         let motor = self.blueprint.motors.iter().find(|motor| motor.joint == joint)?;
         Some(motor.gear * control.clamp(motor.range[0], motor.range[1]))
     }
 
-    /// Each link's name, mass (kg), and principal inertia about its centre of mass (kg m^2) in ascending order.
+    /// Name, mass (kg) and ascending principal inertias about the centre of mass (kg m^2) of each link.
     pub fn masses(&self) -> impl Iterator<Item = (&str, f32, [f32; 3])> {
         self.blueprint.links.iter().map(|link| {
             let mut inertia = link.mass.principal_inertia().to_array();
@@ -168,7 +168,7 @@ impl Robot {
         self.blueprint.timestep_secs
     }
 
-    /// What a state of this robot may hold in a task whose episodes last `longest` steps.
+    /// Bounds of this robot's states in a task with episodes of `longest` steps.
     pub(crate) fn state_bounds(&self, longest: u32) -> StateBounds {
         StateBounds {
             kind: self.state_kind(),

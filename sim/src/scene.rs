@@ -1,4 +1,4 @@
-//! What a recording shows: the links' shapes, and where they are at a moment.
+//! Shapes and poses of a robot's links, for recordings and the live view.
 
 use rapier3d::math::Pose as Transform;
 use rapier3d::prelude::SharedShape;
@@ -8,19 +8,19 @@ use crate::error::SimError;
 use crate::game;
 use crate::robot::{JointPlan, LinkPlan, Robot};
 
-/// A robot at a moment.
+/// Pose of a robot at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// Every link's frame in the world, from the root outwards.
+    /// Frames of all links in the world, from the root outwards.
     pub links: Vec<LinkPose>,
-    /// Every hinge.
+    /// All hinges.
     pub joints: Vec<JointPose>,
 }
 
 /// A link's frame in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkPose {
-    /// The link's name.
+    /// Name of the link.
     pub name: String,
     /// Metres.
     pub position: [f32; 3],
@@ -28,10 +28,10 @@ pub struct LinkPose {
     pub quaternion: [f32; 4],
 }
 
-/// A hinge's angle.
+/// Angle and speed of a hinge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointPose {
-    /// The joint's name.
+    /// Name of the joint.
     pub name: String,
     /// Radians.
     pub position: f32,
@@ -42,9 +42,9 @@ pub struct JointPose {
 /// One shape of a link, in the link's frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkShape {
-    /// The link that carries it.
+    /// Link that the shape is attached to.
     pub link: String,
-    /// Form and measures.
+    /// Form and size.
     pub shape: Shape,
     /// Metres.
     pub position: [f32; 3],
@@ -52,25 +52,25 @@ pub struct LinkShape {
     pub quaternion: [f32; 4],
 }
 
-/// A form and its measures in metres.
+/// Form and size of a shape, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// A cylinder along z with two half-spheres on its ends.
     Capsule {
         /// Half the cylinder's length.
         half_length: f32,
-        /// The cylinder's and the half-spheres' radius.
+        /// Radius of the cylinder and the half-spheres.
         radius: f32,
     },
     /// A ball.
     Sphere {
-        /// Its radius.
+        /// Radius of the ball.
         radius: f32,
     },
 }
 
 impl LinkShape {
-    /// The ends of its middle line in the world, metres, when its link stands at `link`; a ball's are equal.
+    /// End points of the shape's axis in the world, metres, for the link pose `link`; equal for a ball.
     #[must_use]
     pub fn ends(&self, link: &LinkPose) -> [[f32; 3]; 2] {
         let axis = rotated(self.quaternion, [0.0, 0.0, 1.0]);
@@ -84,7 +84,7 @@ impl LinkShape {
 }
 
 impl LinkPose {
-    /// A point of the link in the world, metres.
+    /// Transforms a point from the link's frame to the world, metres.
     #[must_use]
     pub fn in_world(&self, point_in_link: [f32; 3]) -> [f32; 3] {
         let turned = rotated(self.quaternion, point_in_link);
@@ -92,7 +92,7 @@ impl LinkPose {
     }
 }
 
-/// `v + 2 w (u x v) + 2 u x (u x v)`: a vector turned by the unit quaternion `(u, w)`.
+/// `v + 2 w (u x v) + 2 u x (u x v)`: a vector rotated by the unit quaternion `(u, w)`.
 #[must_use]
 pub fn rotated([x, y, z, w]: [f32; 4], vector: [f32; 3]) -> [f32; 3] {
     let once = cross([x, y, z], vector);
@@ -104,8 +104,8 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// For each link of a robot's pose the agent that drives its joint, if any does. The root is held by no hinge, and
-/// every link behind it hangs on one, so links and hinges stand in the same order.
+/// Agent that controls the joint of each link, or `None`. The root has no hinge and every other link has exactly one,
+/// so links and hinges are in the same order.
 #[must_use]
 pub fn drivers(description: &Description, pose: &Pose) -> Vec<Option<usize>> {
     let driver = |joint: &str| {
@@ -117,7 +117,7 @@ pub fn drivers(description: &Description, pose: &Pose) -> Vec<Option<usize>> {
 }
 
 impl Shape {
-    /// Metres.
+    /// Radius, metres.
     #[must_use]
     pub fn radius(self) -> f32 {
         match self {
@@ -133,7 +133,7 @@ impl Shape {
     }
 }
 
-/// The shapes of a task's robot, link by link; none of a game.
+/// Shapes of a task's robot, link by link; empty for a game.
 pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
     let Some(robot) = robot(task)? else { return Ok(Vec::new()) };
     let links = robot.blueprint().links.iter();
@@ -147,8 +147,8 @@ pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
         .collect())
 }
 
-/// Where each hinge of a task's robot is in the frame of the link behind it, metres, in the order of a pose's joints; none
-/// of a game.
+/// Positions of a robot's hinges in the frames of their child links, metres, in the order of a pose's joints; empty for
+/// a game.
 pub fn hinges(task: &str) -> Result<Vec<[f32; 3]>, SimError> {
     let Some(robot) = robot(task)? else { return Ok(Vec::new()) };
     let anchor = |link: &LinkPlan| match &link.joint {
@@ -158,7 +158,7 @@ pub fn hinges(task: &str) -> Result<Vec<[f32; 3]>, SimError> {
     Ok(robot.blueprint().links.iter().filter_map(anchor).collect())
 }
 
-/// A task's robot; a game has none.
+/// Robot of a task; `None` for a game.
 fn robot(task: &str) -> Result<Option<Robot>, SimError> {
     match task {
         game::cue::NAME => Ok(None),
@@ -176,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quarter_turn_about_y_takes_z_to_x() {
+    fn a_quarter_turn_about_y_rotates_z_to_x() {
         let half = core::f32::consts::FRAC_1_SQRT_2;
         let turned = rotated([0.0, half, 0.0, half], [0.0, 0.0, 1.0]);
         let error = turned.iter().zip([1.0, 0.0, 0.0]).map(|(a, b)| (a - b).abs()).sum::<f32>();

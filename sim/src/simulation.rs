@@ -1,4 +1,4 @@
-//! The environments of a task, by its name: robots in worlds, or games.
+//! Builds the environments of a task from its name: simulated robots or games.
 
 use crate::config::TaskConfig;
 use crate::environment_batch::EnvironmentBatch;
@@ -6,7 +6,7 @@ use crate::environments::RobotEnvironments;
 use crate::error::SimError;
 use crate::game::cue::{self, CueEnvironments};
 
-/// `count` environments of a task at rest, episode 0.
+/// Returns `count` environments of a task in their rest state, in episode 0.
 ///
 /// # Errors
 /// If the task is unknown or does not allow these settings, or `count` is 0.

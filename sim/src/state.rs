@@ -1,4 +1,4 @@
-//! A complete environment state and its bytes: what travels between actors and into checkpoints.
+//! A complete environment state and its encoding, which actors exchange and checkpoints store.
 //!
 //! Little-endian: `s2st`, layout version u32, FNV-1a of the state's kind u32, episode u64, step u32, limit u32,
 //! coordinates f32 `[nq]`, velocities f32 `[nv]`, contact forces f32 `[nc]`.
@@ -12,10 +12,10 @@ const HEADER_BYTES: usize = 28;
 /// Version of the layout above.
 pub(crate) const STATE_VERSION: u32 = 1;
 
-/// Everything from which an environment goes on.
+/// Complete state from which an environment continues.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
-    /// The episode's index in its environment.
+    /// Index of the episode in its environment.
     pub episode: u64,
     /// Steps already taken in the episode.
     pub step: u32,
@@ -26,18 +26,18 @@ pub struct State {
     pub coordinates: Vec<f32>,
     /// Generalised velocities `[nv]`, m/s and rad/s, in the order of [`crate::Robot::velocity_names`].
     pub velocities: Vec<f32>,
-    /// What contacts did to each of the model's bodies in the last step, clipped, `[nc]`; empty unless observed.
+    /// Contact forces on each of the model's bodies in the last step, clipped, `[nc]`; empty unless observed.
     pub contact_forces: Vec<f32>,
 }
 
-/// What a robot and a task allow in a state.
+/// Bounds of a state of a robot in a task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateBounds {
-    /// The state's kind, `rapier/halfcheetah`.
+    /// Kind of the state, such as `rapier/halfcheetah`.
     pub kind: String,
-    /// The task's episode limit.
+    /// Episode limit of the task.
     pub longest: u32,
-    /// Lowest and highest value of each coordinate `[nq]`.
+    /// Lowest and highest value of each coordinate, `[nq]`.
     pub coordinates: Vec<[f32; 2]>,
     /// Number of velocities `nv`.
     pub velocities: usize,
@@ -50,7 +50,7 @@ pub struct StateBounds {
 }
 
 impl State {
-    /// The state's bytes.
+    /// Encodes the state.
     pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
         let numbers =
             || self.coordinates.iter().chain(&self.velocities).chain(&self.contact_forces);
@@ -67,8 +67,7 @@ impl State {
         bytes
     }
 
-    /// Reads a state. Bytes that no world of this robot can have written are refused, in the order: length, mark,
-    /// version, kind, limit, step, numbers.
+    /// Decodes a state. The checks run in this order: length, magic bytes, version, kind, limit, step, numbers.
     pub fn from_bytes(bytes: &[u8], bounds: &StateBounds) -> Result<Self, StateError> {
         let expected = bounds.bytes();
         if bytes.len() != expected {
@@ -96,12 +95,12 @@ impl State {
 }
 
 impl StateBounds {
-    /// Bytes of a state.
+    /// Encoded size in bytes.
     pub fn bytes(&self) -> usize {
         HEADER_BYTES + 4 * (self.coordinates.len() + self.velocities + self.contact_forces)
     }
 
-    /// Whether a world may be in this motion: every number finite and within bounds.
+    /// Checks that all coordinates and velocities are finite and within bounds.
     pub(crate) fn check_motion(
         &self,
         coordinates: &[f32],

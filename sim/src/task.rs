@@ -1,4 +1,4 @@
-//! Tasks: a robot, who drives what, and the rules that start, pay and end an episode.
+//! Tasks: a robot, its partition among agents, and the rules for starts, rewards and ends of episodes.
 
 mod ant;
 mod halfcheetah;
@@ -13,7 +13,7 @@ use crate::error::SimError;
 use crate::game;
 use crate::robot::{Robot, RobotRow};
 
-/// One task: everything but what a caller configures.
+/// A task, without its settings.
 pub(crate) struct Task {
     pub(crate) name: &'static str,
     pub(crate) robot: &'static RobotRow,
@@ -24,39 +24,39 @@ pub(crate) struct Task {
     pub(crate) rules: &'static dyn Rules,
 }
 
-/// How an episode starts, what it pays, when it ends, and what its global state is.
+/// Start, reward, end and global state of an episode.
 pub(crate) trait Rules: Sync {
-    /// Adds the start noise to a rest pose `[nq]` without motion `[nv]`.
+    /// Adds the start noise to a rest pose `[nq]` with zero velocities `[nv]`.
     fn randomise(&self, rng: &mut dyn RngCore, coordinates: &mut [f32], velocities: &mut [f32]);
-    /// The reward of one step; `action` is all agents' actions in agent order, not clamped.
+    /// Reward of one step. `action` has the actions of all agents in agent order, not clamped.
     fn reward(&self, before: &Motion<'_>, after: &Motion<'_>, action: &[f32], dt_secs: f32) -> f32;
-    /// Whether the episode is over for another reason than its length.
+    /// Whether the episode terminates for a reason other than its length.
     fn terminated(&self, after: &Motion<'_>) -> bool;
-    /// Whether contact forces may be part of what is observed.
+    /// Whether contact forces can be observed.
     fn feels_contacts(&self) -> bool {
         false
     }
-    /// The global state's features, contact forces apart.
+    /// Features of the global state, without contact forces.
     fn state_features(&self, robot: &Robot) -> Vec<Feature>;
-    /// The global state, contact forces apart, into the first places of `out`.
+    /// Writes the global state, without contact forces, to the start of `out`.
     fn state(&self, motion: &Motion<'_>, out: &mut [f32]);
 }
 
-/// A robot's numbers at a moment.
+/// Coordinates, velocities and contact forces of a robot at one time.
 #[derive(Clone, Copy)]
 pub(crate) struct Motion<'a> {
     /// Relative to the rest pose `[nq]`.
     pub(crate) coordinates: &'a [f32],
-    /// What a coordinate of 0 is in the model's own coordinates `[nq]`.
+    /// Offset from these coordinates to the model's own, `[nq]`.
     pub(crate) reference: &'a [f32],
     /// `[nv]`.
     pub(crate) velocities: &'a [f32],
-    /// What contacts do to the model's bodies, `[bodies, 6]`, clipped; empty unless the task is asked for it.
+    /// Contact forces on the model's bodies, `[bodies, 6]`, clipped; empty unless they are observed.
     pub(crate) contact_forces: &'a [f32],
 }
 
 impl Motion<'_> {
-    /// A coordinate as the model counts it, m or rad.
+    /// A coordinate in the model's own frame, m or rad.
     pub(crate) fn position(&self, index: usize) -> f32 {
         self.coordinates[index] + self.reference[index]
     }
@@ -76,7 +76,7 @@ const TASKS: &[Task] = &[
     #[cfg(test)]
     hopper::TWO,
 ];
-/// The robots' tasks, then the games.
+/// Names of the robots' tasks, then of the games.
 const NAMES: [&str; TASKS.len() + 1] = names();
 
 const fn names() -> [&'static str; TASKS.len() + 1] {
@@ -89,12 +89,12 @@ const fn names() -> [&'static str; TASKS.len() + 1] {
     names
 }
 
-/// All tasks' names.
+/// Names of all tasks.
 pub fn task_names() -> &'static [&'static str] {
     &NAMES
 }
 
-/// The robot's task of this name.
+/// Finds a robot's task by its name.
 pub(crate) fn find(name: &str) -> Result<&'static Task, SimError> {
     let found = TASKS.iter().find(|task| task.name == name);
     found.ok_or_else(|| SimError::UnknownTask {
@@ -105,16 +105,16 @@ pub(crate) fn find(name: &str) -> Result<&'static Task, SimError> {
 }
 
 impl Robot {
-    /// The robot of a task.
+    /// Builds the robot of a task.
     ///
     /// # Errors
-    /// If no robot has a task of this name.
+    /// If no robot has a task with this name.
     pub fn of_task(task: &str) -> Result<Self, SimError> {
         Self::build(find(task)?.robot)
     }
 }
 
-/// Positions and velocities of the named joints, as features.
+/// Features for the positions and velocities of the named joints.
 pub(crate) fn motion_features(coordinates: &[String], velocities: &[String]) -> Vec<Feature> {
     let signal = |name| Feature { name, role: FeatureRole::Signal };
     let positions = coordinates.iter().map(|name| signal(format!("{name}.position")));
@@ -125,7 +125,7 @@ fn nearest(name: &str) -> &'static str {
     NAMES.iter().min_by_key(|known| edit_distance(name, known)).copied().unwrap_or("")
 }
 
-/// Levenshtein's distance: inserted, removed and changed characters.
+/// Levenshtein distance: inserted, removed and changed characters.
 fn edit_distance(a: &str, b: &str) -> usize {
     let mut row: Vec<usize> = (0..=b.chars().count()).collect();
     for (i, x) in a.chars().enumerate() {
@@ -144,14 +144,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_unknown_task_is_answered_with_the_nearest_name() {
+    fn the_error_for_an_unknown_task_suggests_the_nearest_name() {
         let error = find("halfchetah-6x1").err().unwrap();
         assert!(error.to_string().contains("did you mean `halfcheetah-6x1`"), "{error}");
         assert_eq!(edit_distance("kitten", "sitting"), 3);
     }
 
     #[test]
-    fn the_labels_of_every_task_name_each_actuator_of_its_robot_once() {
+    fn each_actuator_has_exactly_one_label_in_every_task() {
         for task in TASKS {
             let robot = Robot::build(task.robot).unwrap();
             let mut actuators: Vec<&str> = robot.actuators().collect();

@@ -19,14 +19,14 @@ pub(crate) use hinge_drives::HingeDrives;
 use crate::robot::{JointMap, MapKind, Robot, empty_world};
 use crate::scene::{JointPose, LinkPose, parts};
 
-/// Physics steps that a rebuild tries and takes back, so that the contacts' impulses are near those of a world that was
-/// never interrupted: the contact law reads them.
+/// Physics steps that a rebuild runs and then undoes. The contact law reads the impulses of the last step; with this
+/// trial they are close to those of an uninterrupted world.
 const TRIAL_STEPS: u32 = 1;
 
 /// One robot in one world.
 ///
-/// Coordinates and velocities are the joints' own, never the rigid bodies': rapier refreshes those before the last
-/// substep, not after it.
+/// Coordinates and velocities are read from the joints, not from the rigid bodies: rapier updates the bodies before the
+/// last substep, not after it.
 pub struct World {
     robot: Arc<Robot>,
     physics: PhysicsWorld,
@@ -37,12 +37,12 @@ pub struct World {
 }
 
 impl World {
-    /// The robot at its rest pose, without motion.
+    /// The robot in its rest pose, without motion.
     pub fn new(robot: Arc<Robot>) -> Self {
         Self::refined(robot, 1)
     }
 
-    /// The same with every physics step split into `parts` shorter ones: slower and nearer to the exact motion.
+    /// As [`Self::new`], with every physics step split into `parts` shorter ones, for higher accuracy.
     pub fn refined(robot: Arc<Robot>, parts: u32) -> Self {
         let physics = empty_world(robot.blueprint(), robot.row(), parts);
         let step_secs = physics.integration_parameters.dt;
@@ -57,12 +57,12 @@ impl World {
         world
     }
 
-    /// The robot that lives here.
+    /// The robot of this world.
     pub fn robot(&self) -> &Robot {
         &self.robot
     }
 
-    /// Forgets everything and starts from these numbers: what follows depends on them alone.
+    /// Discards all history and starts from this motion. All later steps depend only on it and the controls.
     ///
     /// # Panics
     /// If `coordinates` is not `[nq]` or `velocities` is not `[nv]`.
@@ -72,7 +72,7 @@ impl World {
         self.start(coordinates, velocities);
         for _ in 0..TRIAL_STEPS {
             if !self.substep() {
-                // Numbers that tear the world apart disable its bodies; what follows must see that happen.
+                // The motion is unstable and rapier has disabled bodies. The next real step must detect this itself.
                 self.start(coordinates, velocities);
                 break;
             }
@@ -80,13 +80,13 @@ impl World {
         }
     }
 
-    /// One environment step under one control per motor. Returns whether the world is still whole.
+    /// Runs one environment step with one control per motor. Returns whether the state is still finite.
     pub fn step(&mut self, controls: &[f32]) -> bool {
         self.command(controls);
         (0..self.substeps).all(|_| self.substep())
     }
 
-    /// Sets the motors' controls, each clamped to its range, for the physics steps that follow.
+    /// Sets the motors' controls, each clamped to its range, for the next physics steps.
     pub fn command(&mut self, controls: &[f32]) {
         for (index, control) in controls.iter().enumerate() {
             let motor = self.robot.layout().motors[index];
@@ -95,8 +95,8 @@ impl World {
         }
     }
 
-    /// One physics step under the last command. Returns whether the world is still whole: rapier disables bodies
-    /// whose numbers are no longer finite, and says so only here.
+    /// Runs one physics step with the last controls. Returns whether the state is still finite: rapier disables bodies
+    /// with non-finite values and reports this only here.
     pub fn substep(&mut self) -> bool {
         let layout = self.robot.layout();
         let set = &mut self.physics.multibody_joints;
@@ -109,7 +109,7 @@ impl World {
         self.physics.quarantine().is_empty()
     }
 
-    /// Generalised coordinates `[nq]` relative to the rest pose, m and rad.
+    /// Writes the generalised coordinates `[nq]` relative to the rest pose, m and rad.
     pub fn coordinates(&self, out: &mut [f32]) {
         let multibody = self.multibody();
         for joint in &self.robot.layout().joints {
@@ -117,7 +117,7 @@ impl World {
         }
     }
 
-    /// Generalised velocities `[nv]`, m/s and rad/s.
+    /// Writes the generalised velocities `[nv]`, m/s and rad/s.
     pub fn velocities(&self, out: &mut [f32]) {
         let velocities = self.multibody().generalized_velocity();
         for joint in &self.robot.layout().joints {
@@ -132,7 +132,7 @@ impl World {
         }
     }
 
-    /// Every link's frame in the world.
+    /// Frames of all links in the world.
     pub(crate) fn link_poses(&self) -> Vec<LinkPose> {
         let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
         links
@@ -143,7 +143,7 @@ impl World {
             .collect()
     }
 
-    /// Every hinge's angle.
+    /// Angles and speeds of all hinges.
     pub(crate) fn joint_poses(&self) -> Vec<JointPose> {
         let robot = &self.robot;
         let mut coordinates = vec![0.0; robot.coordinate_names().len()];
@@ -167,7 +167,7 @@ impl World {
         self.write(coordinates, velocities);
     }
 
-    /// Sets every joint, link and collider to these numbers; what the contacts remember stays.
+    /// Sets all joints, links and colliders to this motion. The contacts keep their impulses.
     fn write(&mut self, coordinates: &[f32], velocities: &[f32]) {
         for index in 0..self.robot.layout().joints.len() {
             let joint = self.robot.layout().joints[index];
@@ -210,7 +210,7 @@ impl World {
                 (1, sign)
             }
             MapKind::Free => {
-                // Not renormalised: the bytes are the state.
+                // Not renormalised, because the encoded state must be restored exactly.
                 let pose = Pose::from_parts(
                     Vector::new(q[0], q[1], q[2]),
                     Rotation::from_xyzw(q[4], q[5], q[6], q[3]),
@@ -225,8 +225,8 @@ impl World {
         }
     }
 
-    /// `update_rigid_bodies` leaves the colliders at the template's pose, and the first step would have the
-    /// template's contacts: no floor.
+    /// `update_rigid_bodies` leaves the colliders in the template's pose. Without this function the first step would
+    /// use the template's contacts and miss the floor.
     fn move_colliders(&mut self) {
         for (_, collider) in self.physics.colliders.iter_mut() {
             let parent = collider.parent().and_then(|parent| self.physics.bodies.get(parent));
@@ -237,7 +237,7 @@ impl World {
     }
 }
 
-/// Adding zero makes -0 a 0, as writing it back would.
+/// Adds zero to turn -0 into 0, as writing the value back would.
 fn read_coordinates(multibody: &Multibody, joint: &JointMap, out: &mut [f32]) {
     let link = multibody.link(joint.link).expect("the layout is this robot's");
     let coords = link.joint().coords();

@@ -1,4 +1,4 @@
-//! Stepping allocates nothing of its own: what is allocated in a step is the physics engine's.
+//! Environments allocate nothing while stepping; only the physics engine does.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use allocation_counter::measure;
 use sim::{Outcome, Robot, World};
 
 #[test]
-fn a_slots_step_allocates_no_more_than_its_physics_does() {
+fn stepping_a_slot_allocates_only_in_the_physics_engine() {
     for task in ["halfcheetah-2x3", "walker2d-2x3", "ant-2x4"] {
         let config = serde_json::from_value(serde_json::json!({
             "task": task, "partition": "actuator_slices",

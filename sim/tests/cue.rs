@@ -1,4 +1,4 @@
-//! The cue game from outside: its information in closed form, its states, its refusals.
+//! Tests of the cue game: information in closed form, states, rejected inputs.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use rand_chacha::ChaCha8Rng;
@@ -44,7 +44,7 @@ fn cue_of(game: &dyn EnvironmentBatch, environment: usize, agent: usize) -> usiz
     observe(game, environment, agent)[PLACES..][..CUES].iter().position(|&x| x == 1.0).unwrap()
 }
 
-/// The state in which the game stands at `place` and shows `cue`.
+/// A game at `place` with the cue `cue`.
 fn at(place: usize, cue: usize) -> Box<dyn EnvironmentBatch> {
     let mut game = game(1);
     let mut state =
@@ -55,7 +55,7 @@ fn at(place: usize, cue: usize) -> Box<dyn EnvironmentBatch> {
     game
 }
 
-/// `I(a; b)` in nats of a joint distribution `[a][b]`.
+/// Mutual information `I(a; b)` of a joint distribution `[a][b]`, nats.
 fn information(joint: &[[f64; CUES]; CUES]) -> f64 {
     let own = |a: usize| joint[a].iter().sum::<f64>();
     let other = |b: usize| joint.iter().map(|row| row[b]).sum::<f64>();
@@ -64,8 +64,8 @@ fn information(joint: &[[f64; CUES]; CUES]) -> f64 {
     filled.map(|(a, b)| joint[a][b] * libm::log(joint[a][b] / (own(a) * other(b)))).sum()
 }
 
-/// Mean information between the actions given the place, and given place and cue, of agents that choose
-/// the cue they see with probability `1 - 2 slip` and each other choice with `slip`.
+/// Mean information between the actions given the place, and given place and cue, if each agent chooses the observed
+/// cue with probability `1 - 2 slip` and each other choice with `slip`.
 fn enumerate(slip: f64) -> (f64, f64) {
     let (mut by_place, mut by_both) = (0.0, 0.0);
     for place in 0..PLACES {
@@ -92,14 +92,14 @@ fn enumerate(slip: f64) -> (f64, f64) {
 }
 
 #[test]
-fn agents_that_follow_the_cue_share_log_three_nats_given_the_place_and_none_given_the_cue_too() {
+fn agents_that_follow_the_cue_share_log_3_nats_given_the_place_and_0_given_place_and_cue() {
     let (by_place, by_both) = enumerate(0.0);
     assert!((by_place - libm::log(3.0)).abs() < 1e-12 && by_both.abs() < 1e-12);
 }
 
 #[test]
-fn agents_that_slip_share_what_the_closed_form_says_and_agents_that_guess_nothing() {
-    // Both choose alike with probability (q q + 2 e e), q = 1 - 2 e, in three cells; the marginals are even.
+fn the_information_of_agents_that_slip_has_its_closed_form() {
+    // Both make the same choice with probability (q q + 2 e e), q = 1 - 2 e, in three cells; the marginals are uniform.
     for slip in [0.05, 0.2, 1.0 / 3.0] {
         let follow = 1.0 - 2.0 * slip;
         let alike = (follow * follow + 2.0 * slip * slip) / 3.0;
@@ -111,7 +111,7 @@ fn agents_that_slip_share_what_the_closed_form_says_and_agents_that_guess_nothin
 }
 
 #[test]
-fn cues_are_even_and_differ_from_step_to_step_and_from_reset_to_reset() {
+fn cues_are_uniform_and_independent_between_steps_and_resets() {
     let mut game = game(1);
     let mut counts = [[0_u32; CUES]; CUES];
     for seed in 0..400 {
@@ -122,12 +122,12 @@ fn cues_are_even_and_differ_from_step_to_step_and_from_reset_to_reset() {
             counts[before][cue_of(&*game, 0, 1)] += 1;
         }
     }
-    // 20,000 pairs of neighbours, 2,222 in each cell with a deviation of 44.
+    // 20,000 pairs of successive cues: 2,222 per cell with a standard deviation of 44.
     assert!(counts.iter().flatten().all(|&count| (2_000..2_450).contains(&count)), "{counts:?}");
 }
 
 #[test]
-fn only_two_matches_pay_and_move_the_place_around_the_ring() {
+fn only_two_matches_give_a_reward_and_advance_the_place() {
     for place in 0..PLACES {
         for (first, second) in [(0, 0), (0, 1), (1, 0), (1, 1), (2, 2)] {
             let mut game = at(place, 1);
@@ -141,7 +141,7 @@ fn only_two_matches_pay_and_move_the_place_around_the_ring() {
 }
 
 #[test]
-fn a_restored_game_goes_on_bit_for_bit_and_is_cut_at_its_limit() {
+fn a_restored_game_continues_bit_for_bit_and_is_truncated_at_its_limit() {
     let (mut straight, mut cut) = (game(2), game(2));
     (0..2).for_each(|e| reset(&mut *straight, e, e as u64));
     let mut outcomes = [[Outcome::default(); 2]; 2];
@@ -164,7 +164,7 @@ fn a_restored_game_goes_on_bit_for_bit_and_is_cut_at_its_limit() {
 }
 
 #[test]
-fn an_action_that_is_no_choice_is_refused_and_moves_nothing() {
+fn an_action_that_is_not_a_choice_is_rejected_without_a_step() {
     for wrong in [3.0, 7.0, 0.5, -1.0, f32::NAN, f32::INFINITY] {
         let mut game = at(2, 1);
         let error = game.step(&[1.0, wrong], &mut [Outcome::default()]).unwrap_err();
@@ -176,7 +176,7 @@ fn an_action_that_is_no_choice_is_refused_and_moves_nothing() {
 }
 
 #[test]
-fn states_that_no_game_is_in_are_refused_and_change_nothing() {
+fn invalid_states_are_rejected_without_a_change() {
     let mut game = game(1);
     reset(&mut *game, 0, 1);
     let good = game.encode(0).unwrap();
@@ -200,7 +200,7 @@ fn states_that_no_game_is_in_are_refused_and_change_nothing() {
 }
 
 #[test]
-fn an_observation_that_is_not_plain_one_hot_is_refused_in_so_many_words() {
+fn a_scaled_observation_is_rejected_with_the_task_and_the_setting() {
     let error = sim::environments(&config("feature_z"), 1).err().unwrap().to_string();
     assert!(error.contains("cue-2x1") && error.contains("observation.norm"), "{error}");
 }

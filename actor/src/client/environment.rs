@@ -1,5 +1,5 @@
-//! A program that offers environments, as actors and learners call it: what it is once, then a stream of requests, each
-//! with its answer.
+//! Client of a program that provides environments: one call for the specification, then a stream of requests and
+//! answers.
 
 use std::time::Duration;
 
@@ -14,18 +14,18 @@ use tonic::{Status, Streaming};
 use super::{CALL_DEADLINE, within};
 use crate::error::{ActorError, EnvironmentError, causes};
 
-/// Longest wait for an answer while playing.
+/// Deadline of an answer on the stream.
 const ANSWER_DEADLINE: Duration = Duration::from_secs(60);
 
-/// A connection to a program that offers an environment.
+/// A connection to a program that provides an environment.
 #[derive(Clone, Debug)]
 pub(crate) struct EnvironmentClient {
     url: String,
     service: EnvironmentServiceClient<Channel>,
 }
 
-/// A stream of requests, called from a thread that may block. It opens with the first request, because some servers
-/// say nothing before.
+/// A stream of requests, used on a thread that may block. It is opened with the first request, because some servers
+/// send nothing before it.
 #[derive(Debug)]
 pub(crate) struct Play {
     client: EnvironmentClient,
@@ -36,13 +36,13 @@ pub(crate) struct Play {
 
 #[derive(Debug)]
 struct Open {
-    /// Holds the one request that waits for its answer.
+    /// Capacity 1: only one request waits for its answer.
     requests: mpsc::Sender<wire::PlayRequest>,
     answers: Streaming<wire::PlayResponse>,
 }
 
 impl EnvironmentClient {
-    /// Connects. No pings go over this connection: servers of other projects take frequent ones for an attack.
+    /// Connects, without keep-alive pings: some servers treat frequent pings as an attack.
     pub(crate) async fn connect(url: &str) -> Result<Self, ActorError> {
         let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|error| {
             ActorError::EnvironmentUrl { url: url.to_owned(), why: causes(&error) }
@@ -58,7 +58,7 @@ impl EnvironmentClient {
         Ok(Self { url: url.to_owned(), service })
     }
 
-    /// What the environment is.
+    /// Requests the environment's specification.
     pub(crate) async fn describe(&mut self) -> Result<EnvironmentSpec, ActorError> {
         let request = within(CALL_DEADLINE, wire::DescribeEnvironmentRequest {});
         let answer = self.service.describe_environment(request).await;
@@ -66,7 +66,7 @@ impl EnvironmentClient {
         Ok(EnvironmentSpec::from_service(answer).map_err(|refusal| wrong(&self.url, refusal))?)
     }
 
-    /// A stream for environments that `spec` describes. Must be called where the network's threads are.
+    /// Creates a stream for environments with the specification `spec`. Call it inside the tokio runtime.
     pub(crate) fn play(&self, spec: &EnvironmentSpec) -> Play {
         let (client, spec) = (self.clone(), spec.clone());
         Play { client, spec, runtime: Handle::current(), open: None }
@@ -89,7 +89,7 @@ impl Play {
         self.read(proto::saved_state(&answer, &self.spec))
     }
 
-    /// `actions` for each agent `[n, act]`.
+    /// Steps environments; `actions` is `[n, act]` for each agent.
     pub(crate) fn step(&mut self, environments: Vec<u32>, actions: Vec<Vec<f32>>) -> Answer<Steps> {
         let count = environments.len();
         let answer = self.ask(&PlayRequest::Step { environments, actions })?;
@@ -100,12 +100,12 @@ impl Play {
         answer.map_err(|refusal| wrong(&self.client.url, refusal))
     }
 
-    /// Blocks until the answer is there. After a failure the stream is done with.
+    /// Sends a request and blocks until the answer arrives. A failure closes the stream.
     fn ask(&mut self, request: &PlayRequest) -> Answer<wire::PlayResponse> {
         let (runtime, request) = (self.runtime.clone(), request.to_wire());
         let answered = runtime.block_on(async {
             let answered = tokio::time::timeout(ANSWER_DEADLINE, self.exchange(request)).await;
-            answered.unwrap_or_else(|_| Err(Status::deadline_exceeded("no answer for a minute")))
+            answered.unwrap_or_else(|_| Err(Status::deadline_exceeded("no answer within 60 s")))
         });
         answered.map_err(|status| {
             self.open = None;
@@ -117,7 +117,7 @@ impl Play {
         let closed = || Status::unavailable("the stream was closed");
         let open = match &mut self.open {
             Some(open) => {
-                // If the stream is closed, its status says why.
+                // If the stream is closed, its status has the reason.
                 let _ = open.requests.send(request).await;
                 open
             }
@@ -134,7 +134,7 @@ async fn begin(
     first: wire::PlayRequest,
 ) -> Result<Open, Status> {
     let (requests, queue) = mpsc::channel(1);
-    requests.send(first).await.map_err(|_| Status::internal("the queue is held"))?;
+    requests.send(first).await.map_err(|_| Status::internal("the queue is closed"))?;
     let answers = service.play(ReceiverStream::new(queue)).await?.into_inner();
     Ok(Open { requests, answers })
 }

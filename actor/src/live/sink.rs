@@ -1,4 +1,4 @@
-//! A live view as a sink of episodes: its messages bear the time of day, and simulated time passes as fast as real time.
+//! Sink of a live view. Messages have wall-clock timestamps, and simulated time passes in real time.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -6,28 +6,28 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use foxglove::Context;
 use tokio::runtime::Handle;
 
-use super::shelf::Shelf;
+use super::topic_cache::TopicCache;
 use crate::recording::RecordError;
 use crate::recording::sink::{Channel, Schema, Sink};
 
-/// Shows at the pace of real time.
+/// Sink that sends messages in real time.
 pub(super) struct LiveSink {
     context: Arc<Context>,
     network: Handle,
-    shelf: Arc<Shelf>,
-    /// Since 1970.
+    cache: Arc<TopicCache>,
+    /// Time of messages, nanoseconds since 1970.
     nanos: u64,
-    /// When that time has come.
+    /// Instant at which `nanos` is reached.
     due: Instant,
 }
 
 impl LiveSink {
-    /// At the time that it is.
-    pub(super) fn new(context: Arc<Context>, network: Handle, shelf: Arc<Shelf>) -> Self {
-        Self { context, network, shelf, nanos: now_nanos(), due: Instant::now() }
+    /// Creates a sink with the current time.
+    pub(super) fn new(context: Arc<Context>, network: Handle, cache: Arc<TopicCache>) -> Self {
+        Self { context, network, cache, nanos: now_nanos(), due: Instant::now() }
     }
 
-    /// Sets the clock, which stood still while nothing was shown; never back.
+    /// Sets the clock, which stops while nothing is shown, to the current time; never backwards.
     pub(super) fn set_clock(&mut self) {
         self.nanos = self.nanos.max(now_nanos());
         self.due = Instant::now();
@@ -37,14 +37,14 @@ impl LiveSink {
 impl Sink for LiveSink {
     fn channel(&mut self, topic: &str, schema: &Schema<'_>) -> Result<Channel, RecordError> {
         let place =
-            self.shelf.add((&self.context, &self.network), topic, schema).map_err(|error| {
+            self.cache.add((&self.context, &self.network), topic, schema).map_err(|error| {
                 RecordError::Message { topic: topic.to_owned(), why: error.to_string() }
             })?;
         Ok(Channel::new(u16::try_from(place).expect("a handful of topics"), topic))
     }
 
     fn write(&mut self, channel: &mut Channel, data: &[u8]) -> Result<(), RecordError> {
-        self.shelf.show(channel.id().into(), self.nanos, data);
+        self.cache.show(channel.id().into(), self.nanos, data);
         Ok(())
     }
 
@@ -52,7 +52,7 @@ impl Sink for LiveSink {
         self.nanos
     }
 
-    /// Waits until it is so late. Whoever is late already goes on from there, rather than hurry.
+    /// Waits until the new time. If it has already passed, later times are relative to now instead of catching up.
     fn advance(&mut self, nanos: u64) {
         self.nanos += nanos;
         self.due += Duration::from_nanos(nanos);
@@ -63,7 +63,7 @@ impl Sink for LiveSink {
     }
 }
 
-/// The time of day, nanoseconds since 1970.
+/// Current wall-clock time, nanoseconds since 1970.
 pub(super) fn now_nanos() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)

@@ -1,4 +1,4 @@
-//! The channels on which an episode is shown, and what stands on them after each step.
+//! Channels of an episode and their messages after each step.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -13,24 +13,24 @@ use super::writer::McapFile;
 use super::{METADATA_NAME, RecordError};
 use crate::evaluation::PlayedStep;
 
-/// Episodes on their way to a sink.
+/// Channels on which episodes are written to a sink.
 pub(crate) struct Channels<S> {
     pub(crate) sink: S,
-    show: Show,
+    world: WorldChannels,
     episode: Channel,
-    /// For each agent its channel and how many numbers of the joint action are its own.
+    /// Channel and action size of each agent.
     actions: Vec<(Channel, usize)>,
     dt_nanos: u64,
 }
 
-/// How the world is shown.
-enum Show {
+/// Channels for the state of the world.
+enum WorldChannels {
     Robot(RobotChannels),
-    /// A game: the channel `/state` and the names of its global state's features.
+    /// No robot: the channel `/state` and the names of the global state's features.
     Game(Channel, Vec<String>),
 }
 
-impl Show {
+impl WorldChannels {
     fn create(sink: &mut impl Sink, world: &dyn EnvironmentBatch) -> Result<Self, RecordError> {
         if !world.pose(0).links.is_empty() {
             return Ok(Self::Robot(RobotChannels::create(sink)?));
@@ -40,8 +40,8 @@ impl Show {
         Ok(Self::Game(sink.json_channel("/state", &state_schema(&features))?, features))
     }
 
-    /// The world as it stands.
-    fn stand(
+    /// Writes the current state of the world.
+    fn write_state(
         &mut self,
         sink: &mut impl Sink,
         world: &dyn EnvironmentBatch,
@@ -59,7 +59,7 @@ impl Show {
 }
 
 impl<S: Sink> Channels<S> {
-    /// Declares every channel, schemas embedded.
+    /// Creates all channels with their schemas.
     pub(crate) fn create(mut sink: S, world: &dyn EnvironmentBatch) -> Result<Self, RecordError> {
         let description = world.description();
         let mut actions = Vec::new();
@@ -69,7 +69,7 @@ impl<S: Sink> Channels<S> {
             actions.push((sink.json_channel(&topic, &schema)?, agent.action.size));
         }
         Ok(Self {
-            show: Show::create(&mut sink, world)?,
+            world: WorldChannels::create(&mut sink, world)?,
             episode: sink.json_channel("/episode", &episode_schema())?,
             actions,
             sink,
@@ -77,15 +77,15 @@ impl<S: Sink> Channels<S> {
         })
     }
 
-    /// The shapes and the world, at an episode's start.
+    /// Writes the shapes and the world at the start of an episode.
     pub(crate) fn begin(&mut self, world: &dyn EnvironmentBatch) -> Result<(), RecordError> {
-        if let Show::Robot(channels) = &mut self.show {
+        if let WorldChannels::Robot(channels) = &mut self.world {
             channels.scene(&mut self.sink, &world.description().task)?;
         }
-        self.show.stand(&mut self.sink, world)
+        self.world.write_state(&mut self.sink, world)
     }
 
-    /// A step of episode `episode` whose rewards add up to `total` so far.
+    /// Writes a step of episode `episode`; `total` is the sum of its rewards so far.
     pub(crate) fn step(
         &mut self,
         step: &PlayedStep<'_>,
@@ -93,7 +93,7 @@ impl<S: Sink> Channels<S> {
         total: f64,
     ) -> Result<(), RecordError> {
         self.sink.advance(self.dt_nanos);
-        self.show.stand(&mut self.sink, step.world)?;
+        self.world.write_state(&mut self.sink, step.world)?;
         let mut from = 0;
         for (channel, size) in &mut self.actions {
             let text = json!({ "action": step.action[from..from + *size] }).to_string();
@@ -111,14 +111,14 @@ impl<S: Sink> Channels<S> {
         self.sink.write(&mut self.episode, text.to_string().as_bytes())
     }
 
-    /// Lets simulated time pass before the next episode.
+    /// Advances simulated time before the next episode.
     pub(crate) fn pause(&mut self) {
         self.sink.pause();
     }
 }
 
 impl Channels<McapFile<BufWriter<File>>> {
-    /// Which run and policy the file shows, and the task's settings if it has any.
+    /// Writes the run and the policy, and the task's settings, if any.
     pub(super) fn describe(
         &mut self,
         task: Option<&TaskConfig>,
@@ -129,7 +129,7 @@ impl Channels<McapFile<BufWriter<File>>> {
         self.sink.attach("task.json", "application/json", json!(task).to_string().as_bytes())
     }
 
-    /// Closes the file, on the disk, and gives the number of its messages.
+    /// Flushes and closes the file; returns the number of its messages.
     pub(super) fn finish(self) -> Result<u64, RecordError> {
         self.sink.finish()
     }

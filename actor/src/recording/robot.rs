@@ -1,4 +1,4 @@
-//! How a robot is shown: its links' frames, its joints, and its real shapes as a scene.
+//! Channels of a robot: frames of its links, joints, and shapes as a scene.
 
 use foxglove::messages::{
     FrameTransform, FrameTransforms, JointState, JointStates, Quaternion, SceneUpdate, Vector3,
@@ -16,7 +16,7 @@ pub(crate) struct RobotChannels {
 }
 
 impl RobotChannels {
-    /// Declares the channels.
+    /// Creates the channels.
     pub(crate) fn create(sink: &mut impl Sink) -> Result<Self, RecordError> {
         Ok(Self {
             transforms: sink.foxglove_channel::<FrameTransforms>("/tf")?,
@@ -25,13 +25,13 @@ impl RobotChannels {
         })
     }
 
-    /// The shapes, at an episode's start.
+    /// Writes the shapes at the start of an episode.
     pub(crate) fn scene(&mut self, sink: &mut impl Sink, task: &str) -> Result<(), RecordError> {
         let scene = scene::update(task, sink.now())?;
         sink.foxglove(&mut self.scene, &scene)
     }
 
-    /// Where links and joints are.
+    /// Writes the poses of links and joints.
     pub(crate) fn pose(&mut self, sink: &mut impl Sink, pose: &Pose) -> Result<(), RecordError> {
         let now = sink.now();
         let transform = |link: &sim::LinkPose| FrameTransform {

@@ -1,4 +1,4 @@
-//! The robot's real shapes as a Foxglove scene.
+//! Shapes of a robot as a Foxglove scene.
 
 use foxglove::messages::{
     Color, CubePrimitive, CylinderPrimitive, Pose, SceneEntity, SceneUpdate, SpherePrimitive,
@@ -10,11 +10,11 @@ use super::robot::{quaternion, vector};
 
 const LINK: Color = Color { r: 0.90, g: 0.56, b: 0.20, a: 1.0 };
 const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };
-/// Length and width of the floor's part that is drawn, metres.
+/// Length and width of the drawn part of the floor, metres.
 const FLOOR_SIZE: (f64, f64) = (400.0, 4.0);
 const FLOOR_THICKNESS: f64 = 0.02;
 
-/// One entity per shape, locked to its link's frame, and the floor.
+/// Builds a scene with one entity per shape, locked to its link's frame, and the floor.
 pub(super) fn update(task: &str, now: Timestamp) -> Result<SceneUpdate, SimError> {
     let shapes = sim::shapes(task)?;
     let mut entities = vec![floor(now)];
@@ -70,7 +70,7 @@ fn cylinder(shape: &LinkShape, half_length: f32, radius: f32) -> CylinderPrimiti
     }
 }
 
-/// A ball on the shape's axis, `along` metres from its middle.
+/// A ball on the shape's axis, `along` metres from its centre.
 fn sphere(shape: &LinkShape, along: f32, radius: f32) -> SpherePrimitive {
     SpherePrimitive {
         pose: Some(pose(shape, along)),
@@ -88,7 +88,7 @@ fn pose(shape: &LinkShape, along: f32) -> Pose {
     }
 }
 
-/// Where a rotation takes the z axis.
+/// The z axis after a rotation.
 fn z_axis([x, y, z, w]: [f32; 4]) -> [f32; 3] {
     [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
 }
@@ -98,14 +98,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quarter_turn_about_y_takes_z_to_x() {
+    fn a_quarter_turn_about_y_rotates_z_to_x() {
         let half = core::f32::consts::FRAC_1_SQRT_2;
         let axis = z_axis([0.0, half, 0.0, half]);
         assert!((axis[0] - 1.0).abs() < 1e-6 && axis[1].abs() < 1e-6 && axis[2].abs() < 1e-6);
     }
 
     #[test]
-    fn every_capsule_has_two_round_ends_and_the_floor_is_there() {
+    fn a_scene_has_two_spheres_per_capsule_and_a_floor() {
         let scene = update("halfcheetah-2x3", Timestamp::MIN).expect("a task");
         let (cylinders, spheres): (usize, usize) =
             scene.entities.iter().fold((0, 0), |sum, entity| {

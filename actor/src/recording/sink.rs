@@ -1,5 +1,4 @@
-//! Where messages about an episode go, whatever takes them: channels with schemas, and a clock that stamps what is
-//! written on them.
+//! The interface of message sinks: channels with schemas, and a clock for their timestamps.
 
 use foxglove::Encode;
 use foxglove::messages::Timestamp;
@@ -8,7 +7,7 @@ use super::RecordError;
 
 const NANOS_PER_SEC: u64 = 1_000_000_000;
 
-/// A topic of a sink.
+/// A channel of a sink.
 #[derive(Clone, Debug)]
 pub(crate) struct Channel {
     pub(super) id: u16,
@@ -18,44 +17,44 @@ pub(crate) struct Channel {
 }
 
 impl Channel {
-    /// The sink's channel number `id`.
+    /// Creates a channel with the sink's id `id`.
     pub(crate) fn new(id: u16, topic: &str) -> Self {
         Self { id, topic: topic.to_owned(), sequence: 0, buffer: Vec::new() }
     }
 
-    /// Its number in the sink.
+    /// Id of the channel in its sink.
     pub(crate) fn id(&self) -> u16 {
         self.id
     }
 }
 
-/// How a channel's messages are written.
+/// Schema and encoding of a channel's messages.
 pub(crate) struct Schema<'a> {
-    /// The type's full name.
+    /// Full name of the message type.
     pub(crate) name: &'a str,
-    /// Of the schema.
+    /// Schema encoding.
     pub(crate) encoding: &'a str,
-    /// The schema.
+    /// Encoded schema.
     pub(crate) data: &'a [u8],
-    /// Of the messages.
+    /// Message encoding.
     pub(crate) messages: &'a str,
 }
 
-/// Takes messages.
+/// A destination of messages.
 pub(crate) trait Sink {
-    /// A channel; its schema goes with it.
+    /// Creates a channel with a schema.
     fn channel(&mut self, topic: &str, schema: &Schema<'_>) -> Result<Channel, RecordError>;
 
-    /// An encoded message, now.
+    /// Writes an encoded message with the current time.
     fn write(&mut self, channel: &mut Channel, data: &[u8]) -> Result<(), RecordError>;
 
-    /// The time that messages bear, nanoseconds.
+    /// Current time of messages, nanoseconds.
     fn nanos(&self) -> u64;
 
-    /// Lets simulated time pass.
+    /// Advances simulated time.
     fn advance(&mut self, nanos: u64);
 
-    /// A channel of one of Foxglove's messages.
+    /// Creates a channel for a Foxglove message type.
     fn foxglove_channel<M: Encode>(&mut self, topic: &str) -> Result<Channel, RecordError> {
         let missing =
             || RecordError::Message { topic: topic.to_owned(), why: "no schema".to_owned() };
@@ -65,7 +64,7 @@ pub(crate) trait Sink {
         self.channel(topic, &Schema { name, encoding, data: &schema.data, messages: &messages })
     }
 
-    /// A channel of JSON objects; `schema` is a JSON schema with a title.
+    /// Creates a channel of JSON objects; `schema` is a JSON schema with a title.
     fn json_channel(
         &mut self,
         topic: &str,
@@ -76,7 +75,7 @@ pub(crate) trait Sink {
         self.channel(topic, &Schema { name, encoding: "jsonschema", data: &data, messages: "json" })
     }
 
-    /// One of Foxglove's messages, now.
+    /// Writes a Foxglove message with the current time.
     fn foxglove<M: Encode>(
         &mut self,
         channel: &mut Channel,
@@ -93,13 +92,13 @@ pub(crate) trait Sink {
         written
     }
 
-    /// The time that messages bear, as Foxglove's messages tell it.
+    /// Current time of messages as a Foxglove timestamp.
     fn now(&self) -> Timestamp {
         let nanos = self.nanos();
         Timestamp::new((nanos / NANOS_PER_SEC) as u32, (nanos % NANOS_PER_SEC) as u32)
     }
 
-    /// Lets a second pass before the next episode.
+    /// Advances time by a second before the next episode.
     fn pause(&mut self) {
         self.advance(NANOS_PER_SEC);
     }

@@ -1,4 +1,4 @@
-//! An MCAP file in the making, with the simulated clock that stamps its messages: from 0, only forwards.
+//! Writer of an MCAP file, with a simulated clock that starts at 0.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -11,10 +11,10 @@ use mcap::{Attachment, WriteOptions, Writer};
 use super::RecordError;
 use super::sink::{Channel, Schema, Sink};
 
-/// Bytes of a chunk before it is compressed.
+/// Size of a chunk before compression, bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-/// The file. Chunks are compressed and carry checksums.
+/// An MCAP file being written. Chunks are compressed and have checksums.
 pub(crate) struct McapFile<W: Write + Seek> {
     writer: Writer<W>,
     nanos: u64,
@@ -22,18 +22,18 @@ pub(crate) struct McapFile<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> McapFile<W> {
-    /// An empty file at time 0.
+    /// Creates an empty file at time 0.
     pub(crate) fn create(target: W) -> Result<Self, RecordError> {
         Self::in_chunks_of(CHUNK_BYTES, target)
     }
 
-    /// As [`Self::create`], with chunks of another size.
+    /// As [`Self::create`], with a different chunk size.
     pub(crate) fn in_chunks_of(chunk_bytes: u64, target: W) -> Result<Self, RecordError> {
         let options = WriteOptions::new().library("s2mia").chunk_size(Some(chunk_bytes));
         Ok(Self { writer: options.create(target)?, nanos: 0, messages: 0 })
     }
 
-    /// Words about the file.
+    /// Writes a metadata record.
     pub(crate) fn metadata(
         &mut self,
         name: &str,
@@ -43,7 +43,7 @@ impl<W: Write + Seek> McapFile<W> {
         Ok(self.writer.write_metadata(&record)?)
     }
 
-    /// A file within the file.
+    /// Writes an attachment.
     pub(crate) fn attach(
         &mut self,
         name: &str,
@@ -91,7 +91,7 @@ impl<W: Write + Seek> Sink for McapFile<W> {
 
 #[cfg(test)]
 impl<W: Write + Seek> McapFile<W> {
-    /// The target with the whole file in it.
+    /// Finishes the file and returns the target.
     pub(crate) fn into_finished(mut self) -> Result<W, RecordError> {
         self.writer.finish()?;
         Ok(self.writer.into_inner())
@@ -99,7 +99,7 @@ impl<W: Write + Seek> McapFile<W> {
 }
 
 impl McapFile<BufWriter<File>> {
-    /// Closes the file, on the disk, and gives the number of its messages.
+    /// Flushes and closes the file; returns the number of its messages.
     pub(crate) fn finish(mut self) -> Result<u64, RecordError> {
         self.writer.finish()?;
         let file = self.writer.into_inner().into_inner().map_err(IntoInnerError::into_error)?;

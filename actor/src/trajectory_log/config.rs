@@ -1,4 +1,4 @@
-//! What is logged, and where to.
+//! Settings of trajectory logs.
 
 use std::path::PathBuf;
 
@@ -7,40 +7,40 @@ use serde::Deserialize;
 
 use crate::error::ActorError;
 
-/// The largest file that may be asked for, MiB.
+/// Upper bound of the file size, MiB.
 const MOST_FILE_MIB: u64 = 1 << 16;
 
 /// Section `log` of the settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LogSettings {
-    /// Which episodes.
+    /// Episodes that are logged.
     pub episodes: Episodes,
-    /// Size after which a log goes on in another file, MiB.
+    /// Size at which a log continues in a new file, MiB.
     pub max_file_mib: u64,
 }
 
 impl LogSettings {
-    /// Refuses a file size that is none.
+    /// Checks the file size.
     ///
     /// # Errors
-    /// Names the setting, its value and what is allowed.
+    /// If the file size is out of range.
     pub fn validate(&self) -> Result<(), ActorError> {
         match self.max_file_mib {
             1..=MOST_FILE_MIB => Ok(()),
             size => Err(ActorError::Log(format!(
-                "log.max_file_mib must lie in 1..={MOST_FILE_MIB}, is {size}"
+                "log.max_file_mib must be in 1..={MOST_FILE_MIB}, is {size}"
             ))),
         }
     }
 }
 
-/// What an actor is told about its log.
+/// Log settings of an actor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogConfig {
-    /// Folder of the files; made if it is not there.
+    /// Folder of the files; created if it does not exist.
     pub folder: PathBuf,
-    /// What goes into them.
+    /// Content and size of the files.
     pub settings: LogSettings,
 }
 
@@ -49,13 +49,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_size_of_nothing_is_refused() {
+    fn a_file_size_of_zero_is_rejected() {
         let refusal = |max_file_mib| {
             let settings = LogSettings { episodes: Episodes::All, max_file_mib };
             settings.validate().map_err(|error| error.to_string())
         };
         assert_eq!(refusal(64), Ok(()));
         let line = refusal(0).unwrap_err();
-        assert!(line.contains("log.max_file_mib must lie in 1..=65536, is 0"), "{line}");
+        assert!(line.contains("log.max_file_mib must be in 1..=65536, is 0"), "{line}");
     }
 }

@@ -1,19 +1,19 @@
-//! From a finished slot's chunks to the shares of its episodes.
+//! Splits the chunks of a finished slot into the shares of its episodes.
 
 use proto::trajectory_log::{AgentStep, FinalObservation, ShareEnd, Step};
 use proto::{FinalStep, TrajectoryChunk};
 
+use super::collector::{PartialShare, Rollout};
 use super::shares::{LoggedShare, LoggedStep};
-use super::witness::{Begun, Rollout};
 
-/// All shares of a slot, in the order in which they began.
+/// All shares of a slot, in the order of their starts.
 pub(super) fn shares(rollout: Rollout) -> Vec<LoggedShare> {
     let Rollout { begun, chunks } = rollout;
     begun.into_iter().map(|begun| share(begun, &chunks)).collect()
 }
 
-fn share(begun: Begun, chunks: &[TrajectoryChunk]) -> LoggedShare {
-    let Begun { head, position, slot_step, poses } = begun;
+fn share(begun: PartialShare, chunks: &[TrajectoryChunk]) -> LoggedShare {
+    let PartialShare { head, position, slot_step, poses } = begun;
     let first = head.first_step;
     let steps: Vec<LoggedStep> = poses
         .into_iter()
@@ -29,7 +29,7 @@ fn share(begun: Begun, chunks: &[TrajectoryChunk]) -> LoggedShare {
     LoggedShare { end: end(chunks, position, last, steps.len()), steps, head }
 }
 
-/// The chunk with step `step` of the slot, and the row in it.
+/// Chunk with step `step` of the slot, and the row of `position` in it.
 fn place(chunks: &[TrajectoryChunk], step: u32, position: usize) -> (&TrajectoryChunk, usize) {
     let holds = |chunk: &&TrajectoryChunk| {
         (chunk.first_step..chunk.first_step + chunk.steps).contains(&step)
@@ -65,12 +65,12 @@ fn step(chunk: &TrajectoryChunk, row: usize, step: u32) -> Step {
     }
 }
 
-/// How a share ends whose last step is step `last` of the slot.
+/// End of a share whose last step is step `last` of the slot.
 fn end(chunks: &[TrajectoryChunk], position: usize, last: u32, steps: usize) -> ShareEnd {
     let (chunk, row) = place(chunks, last, position);
     let is_last = |end: &&FinalStep| end.step == last && end.environment as usize == position;
     let FinalStep { state, observation: rows, .. } =
-        chunk.finals.iter().find(is_last).expect("where a share ends, its last state is kept");
+        chunk.finals.iter().find(is_last).expect("chunks contain the final state of each share");
     let over = chunk.terminated[row] || chunk.truncated[row];
     let environment_state = match &chunk.end {
         Some(end) if !over => end.environments[position].clone(),

@@ -1,4 +1,4 @@
-//! What is wrong with a log.
+//! Errors of trajectory logs.
 
 use thiserror::Error;
 
@@ -10,29 +10,29 @@ pub enum LogError {
     /// The file cannot be read.
     #[error("cannot read it: {0}")]
     Read(std::io::Error),
-    /// The file is of another kind.
-    #[error("no MCAP file: it does not begin as one")]
+    /// The file is not an MCAP file.
+    #[error("not an MCAP file: it does not start with the MCAP magic bytes")]
     NotMcap,
-    /// The file has no end.
+    /// The end of the file is missing.
     #[error(
-        "not finished: its end is missing, so it is still being written or was cut off; \
-         `s2mia log recover` saves what is whole"
+        "not finished: its end is missing, so it is still being written or was truncated; `s2mia log recover` saves \
+         the intact part"
     )]
     Unfinished,
-    /// The file's bytes contradict each other.
-    #[error("damaged: {0}; `s2mia log recover` saves what is whole")]
+    /// The file is corrupted.
+    #[error("damaged: {0}; `s2mia log recover` saves the intact part")]
     Damaged(String),
-    /// An MCAP file of something else.
-    #[error("an MCAP file, but no trajectory log: {0}")]
+    /// The file is an MCAP file, but not a trajectory log.
+    #[error("an MCAP file, but not a trajectory log: {0}")]
     Foreign(String),
-    /// The log cannot be continued or repeated here.
+    /// The log cannot be joined or replayed by this program.
     #[error("{0}")]
     Unfit(String),
     /// The output cannot be written.
     #[error(transparent)]
     Write(#[from] RecordError),
-    /// The output is there already; it may be the input.
-    #[error("is there already; name another file")]
+    /// The output file already exists.
+    #[error("already exists; choose another file")]
     Taken,
 }
 

@@ -1,4 +1,4 @@
-//! One file of a log: shares go in, an MCAP file that explains itself comes out.
+//! Writes shares to a log file: MCAP with embedded schemas.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -17,10 +17,10 @@ use crate::recording::sink::{Channel, Schema, Sink as _};
 use crate::recording::writer::McapFile;
 use crate::recording::{RecordError, verify};
 
-/// Where the shares of a file come from.
+/// Origin of the shares of a file.
 #[derive(Clone, Debug)]
 pub(super) struct Origin {
-    /// Which run, task and actor.
+    /// Metadata: run, task, actor.
     words: BTreeMap<String, String>,
     settings_toml: String,
     task_settings: String,
@@ -30,7 +30,7 @@ pub(super) struct Origin {
 }
 
 impl Origin {
-    /// What an actor does for a run.
+    /// Origin of the shares of an actor in a run.
     pub(super) fn of_run(
         run: &RunDescription,
         task: &TaskConfig,
@@ -59,7 +59,7 @@ impl Origin {
         }
     }
 
-    /// What a log tells of its own origin.
+    /// Origin from the metadata of a log.
     pub(super) fn of_log(log: &ReadShares) -> Result<Self, LogError> {
         let task = log.task()?;
         let world = sim::environments(&task, 1).map_err(|e| LogError::Unfit(e.to_string()))?;
@@ -73,33 +73,33 @@ impl Origin {
         })
     }
 
-    /// The same with another word.
+    /// Adds a metadata entry.
     pub(super) fn with(mut self, name: &str, value: String) -> Self {
         self.words.insert(name.to_owned(), value);
         self
     }
 }
 
-/// A file in the making.
+/// A log file being written.
 pub(super) struct LogFile {
     path: PathBuf,
     task: String,
     file: McapFile<BufWriter<File>>,
-    /// `None`: a game has no links.
+    /// `None` for a game, which has no links.
     robot: Option<RobotChannels>,
     share: Channel,
     agents: Vec<Channel>,
     step: Channel,
     share_end: Channel,
     dt_nanos: u64,
-    /// Episode and next step of the last share.
+    /// Episode of the last share and the step after it.
     last: Option<(String, u32)>,
-    /// Shares and steps.
+    /// Written shares and steps.
     written: (u64, u64),
 }
 
 impl LogFile {
-    /// Begins a file: words about its origin, and channels.
+    /// Starts a file: metadata and channels.
     pub(super) fn begin(
         (path, target): (PathBuf, File),
         origin: &Origin,
@@ -126,7 +126,7 @@ impl LogFile {
         })
     }
 
-    /// A share. A second passes before it, unless it goes on where the one before ended.
+    /// Writes a share. Adds a second of simulated time before it, unless it continues the previous share.
     pub(super) fn write(&mut self, share: &LoggedShare) -> Result<(), RecordError> {
         let place = (share.head.episode_id.clone(), share.head.first_step);
         if self.last.as_ref().is_some_and(|last| *last != place) {
@@ -155,12 +155,12 @@ impl LogFile {
         Ok(())
     }
 
-    /// Bytes of the file so far, without the chunk that is being filled.
+    /// Current size of the file without the open chunk, bytes.
     pub(super) fn bytes(&self) -> Result<u64, RecordError> {
         Ok(std::fs::metadata(&self.path)?.len())
     }
 
-    /// Closes the file, on the disk, and reads it back. `lost` are shares and steps.
+    /// Flushes, closes and verifies the file. `lost` has the lost shares and steps.
     pub(super) fn finish(mut self, lost: (u64, u64)) -> Result<(), RecordError> {
         self.file.metadata(TOTALS_NAME, &totals(self.written, lost))?;
         let messages = self.file.finish()?;
@@ -168,7 +168,7 @@ impl LogFile {
     }
 }
 
-/// What a log says of itself at its end.
+/// Metadata at the end of a log.
 fn totals(written: (u64, u64), lost: (u64, u64)) -> BTreeMap<String, String> {
     let figures = [
         ("shares", written.0),
@@ -179,7 +179,7 @@ fn totals(written: (u64, u64), lost: (u64, u64)) -> BTreeMap<String, String> {
     figures.map(|(name, value)| (name.to_owned(), value.to_string())).into()
 }
 
-/// A channel of one of this project's messages.
+/// Creates a channel for a message of this project.
 fn own(
     file: &mut McapFile<BufWriter<File>>,
     topic: &str,

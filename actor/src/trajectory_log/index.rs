@@ -1,4 +1,4 @@
-//! What shares several logs hold together: what is there twice, what contradicts, what is missing.
+//! Index of the shares of several logs: duplicates, contradictions and gaps.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,21 +14,21 @@ use super::rewards::{About, RewardLines, known};
 use super::shares::{LoggedShare, ReadShares, read_shares};
 use super::{LogError, read_bytes};
 
-/// An episode's name; rollouts come before evaluations.
+/// Id of an episode; rollouts sort before evaluations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum EpisodeId {
-    /// Of training.
+    /// Episode of a training rollout.
     Rollout {
-        /// Index over the whole run.
+        /// Global index of the environment.
         environment: u32,
-        /// Index in the environment.
+        /// Index of the episode in its environment.
         episode: u64,
     },
-    /// Of an evaluation.
+    /// Episode of an evaluation.
     Evaluation {
-        /// Whose weights it evaluates.
+        /// Iteration of the evaluated weights.
         iteration: u64,
-        /// Index in the evaluation.
+        /// Index of the episode in its evaluation.
         episode: u64,
     },
 }
@@ -56,21 +56,21 @@ impl fmt::Display for EpisodeId {
     }
 }
 
-/// A share in one of the files.
+/// A share in a file.
 #[derive(Clone, Debug)]
 pub(super) struct Part {
     pub(super) file: usize,
-    /// Times of its first and last message.
+    /// Times of the first and last message, nanoseconds.
     pub(super) nanos: (u64, u64),
     about: About,
-    /// Of everything in it but who computed it and what a learner makes of it.
+    /// Digest of the share without its header's metadata and the intrinsic rewards.
     digest: [u8; 32],
-    /// Its own intrinsic rewards, if it holds them.
+    /// Digest of its intrinsic rewards, if it contains them.
     known: Option<Digest>,
 }
 
 impl Part {
-    /// Whether both say the same, of what both say.
+    /// Whether the data that both shares contain is equal.
     fn agrees(&self, other: &Self) -> bool {
         let paid_alike = match (self.known, other.known) {
             (Some(one), Some(other)) => one == other,
@@ -80,27 +80,27 @@ impl Part {
     }
 }
 
-/// Shares of several logs of one run.
+/// Index of the shares of several logs of one run.
 #[derive(Debug, Default)]
 pub struct Index {
     pub(super) files: Vec<PathBuf>,
-    /// Of the first file.
+    /// Metadata of the first file.
     pub(super) log: ReadShares,
-    /// By episode and first step; only shares that differ have more than one part.
+    /// Shares by episode and first step; several only if they differ.
     pub(super) parts: BTreeMap<EpisodeId, BTreeMap<u32, Vec<Part>>>,
     pub(super) rewards: RewardLines,
     copies: u64,
     torn_steps: u64,
-    /// Shares and steps.
+    /// Lost shares and steps.
     lost: (u64, u64),
 }
 
 impl Index {
-    /// Reads a log and takes its shares in; every checksum and schema is checked. Of a learner's reward log, which is
-    /// known by its name, it takes the intrinsic rewards.
+    /// Adds the shares of a log, or the intrinsic rewards of a reward log, which is recognised by its file name. Checks
+    /// all checksums and schemas.
     ///
     /// # Errors
-    /// If the file cannot be read whole, or is of another run than those before.
+    /// If the file cannot be read completely, or belongs to a different run than earlier files.
     pub fn add(&mut self, path: &Path) -> Result<(), LogError> {
         let name = path.file_name().and_then(|name| name.to_str());
         match name.is_some_and(is_reward_log_name) {
@@ -119,8 +119,9 @@ impl Index {
         if file > 0 && !same_run(&self.log, &log) {
             let of = |log: &ReadShares| log.words.get("run_id").cloned().unwrap_or_default();
             let (run, other) = (of(&log), of(&self.log));
-            let why =
-                format!("of run {run}, or of other settings, not of {other} as the file before");
+            let why = format!(
+                "it belongs to run {run} or has other settings; earlier files belong to run {other}"
+            );
             return Err(LogError::Unfit(why));
         }
         self.torn_steps += log.torn_steps;
@@ -155,13 +156,13 @@ impl Index {
         self.files.len()
     }
 
-    /// Number of episodes of which something is there.
+    /// Number of episodes with at least one share.
     #[must_use]
     pub fn episodes(&self) -> usize {
         self.parts.len()
     }
 
-    /// Number of shares and of steps, copies left out.
+    /// Number of shares and of steps, without duplicates.
     #[must_use]
     pub fn shares_and_steps(&self) -> (u64, u64) {
         let parts = self.parts.values().flat_map(BTreeMap::values).flatten();
@@ -169,7 +170,7 @@ impl Index {
             .fold((0, 0), |(shares, steps), part| (shares + 1, steps + u64::from(part.about.steps)))
     }
 
-    /// Shares of training whose intrinsic rewards are known, and all of them.
+    /// Number of training shares with intrinsic rewards, and of all training shares.
     #[must_use]
     pub fn paid(&self) -> (u64, u64) {
         let (mut paid, mut all) = (0, 0);
@@ -187,37 +188,37 @@ impl Index {
         (paid, all)
     }
 
-    /// What was passed over in reward logs although nothing is wrong: half a line where a learner was killed.
+    /// Reports of incomplete last lines in reward logs, which killed learners leave.
     #[must_use]
     pub fn remarks(&self) -> &[String] {
         self.rewards.remarks()
     }
 
-    /// Reward logs of which something was passed over because it is damaged.
+    /// Reports of reward logs with damaged lines, which were skipped.
     #[must_use]
     pub fn damaged(&self) -> &[String] {
         self.rewards.damaged()
     }
 
-    /// Shares that were computed once more, alike.
+    /// Number of duplicate shares.
     #[must_use]
     pub fn copies(&self) -> u64 {
         self.copies
     }
 
-    /// Steps of shares whose other steps were lost with a part of their file.
+    /// Number of steps of incomplete shares.
     #[must_use]
     pub fn torn_steps(&self) -> u64 {
         self.torn_steps
     }
 
-    /// Shares and steps that the actors themselves count as lost.
+    /// Shares and steps that the actors reported as lost.
     #[must_use]
     pub fn lost(&self) -> (u64, u64) {
         self.lost
     }
 
-    /// Where two shares say different things about the same steps, or intrinsic rewards belong to others.
+    /// Descriptions of shares that contradict each other or the intrinsic rewards.
     #[must_use]
     pub fn contradictions(&self) -> Vec<String> {
         let mut found = self.rewards.foreign(self.log.words.get("config_sha256"));
@@ -242,7 +243,7 @@ impl Index {
         found
     }
 
-    /// Steps before the last known one that are in no share.
+    /// Descriptions of missing steps before the last known step of each episode.
     #[must_use]
     pub fn gaps(&self) -> Vec<String> {
         let mut found = Vec::new();
@@ -260,17 +261,17 @@ impl Index {
 }
 
 impl ReadShares {
-    /// Shares and steps, by the log's own account.
+    /// Lost shares and steps that the log reports.
     fn lost(&self) -> (u64, u64) {
-        let told = |name: &str| {
-            let told = self.totals.as_ref().and_then(|totals| totals.get(name));
-            told.and_then(|count| count.parse().ok()).unwrap_or(0)
+        let total = |name: &str| {
+            let count = self.totals.as_ref().and_then(|totals| totals.get(name));
+            count.and_then(|count| count.parse().ok()).unwrap_or(0)
         };
-        (told("lost_shares"), told("lost_steps"))
+        (total("lost_shares"), total("lost_steps"))
     }
 }
 
-/// A learner that was started again has the same run's name and settings.
+/// Whether two logs belong to the same run. A restarted learner keeps the run's id and settings.
 fn same_run(one: &ReadShares, other: &ReadShares) -> bool {
     ["run_id", "seed", "config_sha256"]
         .iter()

@@ -1,4 +1,4 @@
-//! Several logs of one run as one file, ordered by episode and step.
+//! Joins several logs of one run into one file, ordered by episode and step.
 
 use std::path::Path;
 
@@ -10,22 +10,22 @@ use super::shares::{Assembler, LoggedShare};
 use super::source::{Draft, read_part};
 use super::{LogError, read_bytes, records};
 
-/// What was joined.
+/// Content of a joined file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Joined {
-    /// Episodes of which something is there.
+    /// Number of episodes.
     pub episodes: usize,
-    /// Shares.
+    /// Number of shares.
     pub shares: u64,
-    /// Steps.
+    /// Number of steps.
     pub steps: u64,
 }
 
 /// Writes every share of `index` once to the new file `out`: rollouts by environment and episode, then evaluations.
-/// Only one share at a time is held in memory.
+/// Only one share is in memory at a time.
 ///
 /// # Errors
-/// If two shares contradict each other, a file has changed meanwhile, or `out` is there or cannot be written.
+/// If two shares contradict each other, a file has changed since it was indexed, or `out` exists or cannot be written.
 pub fn join(index: &Index, out: &Path) -> Result<Joined, LogError> {
     if let Some(contradiction) = index.contradictions().into_iter().next() {
         return Err(LogError::Unfit(contradiction));
@@ -46,11 +46,11 @@ pub fn join(index: &Index, out: &Path) -> Result<Joined, LogError> {
     Ok(Joined { episodes: index.episodes(), shares, steps })
 }
 
-/// A log of which single shares are read.
+/// A log from which single shares are read.
 struct Source<'a> {
     path: &'a Path,
     chunks: Vec<ChunkIndex>,
-    /// Knows the file's channels.
+    /// Assembler with the file's channels.
     assembler: Assembler,
 }
 
@@ -90,6 +90,6 @@ impl<'a> Source<'a> {
                 Ok(())
             })?;
         }
-        found.ok_or_else(|| LogError::Damaged("it has changed while it was read".to_owned()))
+        found.ok_or_else(|| LogError::Damaged("it changed while it was being read".to_owned()))
     }
 }

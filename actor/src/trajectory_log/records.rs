@@ -1,23 +1,23 @@
-//! The records of an MCAP file, read without trust: whatever the bytes are, the answer is records or an error.
+//! Reads the records of an untrusted MCAP file. Any bytes result in records or an error, never in a panic.
 
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::LogError;
 
-/// Opcode and length of a record.
+/// Size of a record's opcode and length, bytes.
 pub(super) const RECORD_HEAD: usize = 9;
-/// Of a chunk's record without its compression's name and its data.
+/// Size of a chunk record without the compression's name and the data, bytes.
 const CHUNK_HEAD: usize = 40;
-/// No record is larger, and no chunk once it is unpacked.
+/// Largest size of a record and of a decompressed chunk, bytes.
 const MOST_BYTES: usize = 1 << 30;
-/// Without the two names.
+/// Size of an attachment record without its two names and data, bytes.
 const ATTACHMENT_HEAD: usize = 36;
 
-/// All records of a finished file, chunks unpacked, every checksum checked.
+/// Reads all records of a finished file, including those in chunks, and checks all checksums.
 ///
 /// # Errors
-/// If the end is missing, a checksum does not fit, a record cannot be read, or `each` refuses one.
+/// If the end is missing, a checksum is wrong, a record is invalid, or `each` fails.
 pub(super) fn read(
     bytes: &[u8],
     each: impl FnMut(Record<'_>) -> Result<(), LogError>,
@@ -28,7 +28,7 @@ pub(super) fn read(
     read_data(bytes, each)
 }
 
-/// As [`read`], of a file whose end may be missing: what is there of it is read before the error.
+/// As [`read`], but passes all records before a missing end to `each`.
 pub(super) fn read_data(
     bytes: &[u8],
     mut each: impl FnMut(Record<'_>) -> Result<(), LogError>,
@@ -44,13 +44,13 @@ pub(super) fn read_data(
     })
 }
 
-/// The records of a chunk whose body this is, after its checksum was found right.
+/// Reads the records of a chunk with this body, after checking its checksum.
 pub(super) fn unpack(
     body: &[u8],
     each: &mut impl FnMut(Record<'_>) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
     if !is_chunk(body) {
-        return Err(LogError::Damaged("a chunk contradicts its own sizes".to_owned()));
+        return Err(LogError::Damaged("the sizes in a chunk are inconsistent".to_owned()));
     }
     let mut record = vec![op::CHUNK];
     record.extend_from_slice(&(body.len() as u64).to_le_bytes());
@@ -62,7 +62,7 @@ pub(super) fn unpack(
     scan(&record, options, &mut |opcode, body| each(parse(opcode, body)?))
 }
 
-/// Feeds `bytes` to a reader.
+/// Passes `bytes` to a reader and each record to `each`.
 fn scan(
     mut bytes: &[u8],
     options: LinearReaderOptions,
@@ -83,16 +83,16 @@ fn scan(
     Ok(())
 }
 
-/// One record.
+/// Parses a record.
 pub(super) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, LogError> {
     if opcode == op::ATTACHMENT && !is_attachment(body) {
-        return Err(LogError::Damaged("an attachment contradicts its own sizes".to_owned()));
+        return Err(LogError::Damaged("the sizes in an attachment are inconsistent".to_owned()));
     }
     Ok(mcap::parse_record(opcode, body)?)
 }
 
-/// Whether the sizes in a chunk's body fit each other, with at most [`MOST_BYTES`] unpacked. Of a chunk that is not
-/// compressed the records fit it, too.
+/// Whether the sizes in a chunk's body are consistent and at most [`MOST_BYTES`] decompressed. The records of an
+/// uncompressed chunk must fill it exactly.
 pub(super) fn is_chunk(body: &[u8]) -> bool {
     if body.len() < CHUNK_HEAD {
         return false;
@@ -122,7 +122,7 @@ fn fits(mut bytes: &[u8]) -> bool {
     bytes.is_empty()
 }
 
-/// Whether the sizes in an attachment's body fit each other.
+/// Whether the sizes in an attachment's body are consistent.
 fn is_attachment(body: &[u8]) -> bool {
     let mut at = 16;
     for _ in 0..2 {
@@ -134,7 +134,7 @@ fn is_attachment(body: &[u8]) -> bool {
     number(body, at) == rest as u64
 }
 
-/// Eight bytes that are there.
+/// Reads a little-endian u64 at `at`, which must be within bounds.
 pub(super) fn number(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().expect("the slice was cut to this length"))
 }

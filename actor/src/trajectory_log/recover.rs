@@ -1,4 +1,4 @@
-//! Saving what is whole in a damaged or unfinished MCAP file, whatever it holds.
+//! Recovers the intact records of a damaged or unfinished MCAP file of any content.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,54 +13,52 @@ use super::{LogError, records};
 use crate::recording::RecordError;
 use records::{RECORD_HEAD, number};
 
-/// Highest opcode that the format knows; those from [`PRIVATE`] on are for everyone's own use.
+/// Highest opcode of the format; opcodes from [`PRIVATE`] on are application-specific.
 const HIGHEST: u8 = op::DATA_END;
 const PRIVATE: u8 = 0x80;
 
-/// Something that is not in the new file.
+/// Data that is missing in the new file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Loss {
-    /// These bytes of the old one are no records, or none that fit their checksum.
+    /// Bytes of the old file that are not valid records, or have wrong checksums.
     Bytes {
-        /// The first of them.
+        /// Offset of the first byte.
         offset: usize,
-        /// How many there are.
+        /// Number of bytes.
         length: usize,
     },
-    /// Messages on a channel whose description is lost.
+    /// Messages on channels whose descriptions are lost.
     Messages(u64),
-    /// The end is missing; how much was to come is not known.
+    /// The end is missing; the amount of lost data is unknown.
     End,
-    /// The file's own checksum does not fit, though every part that has one of its own is whole.
+    /// The checksum of the file is wrong, although the checksums of all its parts are correct.
     Unlocated,
 }
 
 impl fmt::Display for Loss {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Bytes { offset, length } => write!(f, "{length} bytes from offset {offset} on"),
-            Self::Messages(count) => write!(f, "{count} messages whose channel is not described"),
-            Self::End => f.write_str("whatever came after the end of the file"),
-            Self::Unlocated => {
-                f.write_str("bytes outside of all chunks are not as they were written")
-            }
+            Self::Bytes { offset, length } => write!(f, "{length} bytes at offset {offset}"),
+            Self::Messages(count) => write!(f, "{count} messages on unknown channels"),
+            Self::End => f.write_str("all data after the end of the file"),
+            Self::Unlocated => f.write_str("changed bytes outside all chunks"),
         }
     }
 }
 
-/// What became of a file.
+/// Result of a recovery.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Recovered {
-    /// Messages in the new file.
+    /// Number of messages in the new file.
     pub messages: u64,
-    /// What is not; empty if nothing was lost.
+    /// Lost data; empty if nothing was lost.
     pub losses: Vec<Loss>,
 }
 
-/// Copies every record that is whole from `bytes` into the new file `out`, which appears whole or not at all.
+/// Copies every intact record from `bytes` to the new file `out`, which appears atomically.
 ///
 /// # Errors
-/// If `bytes` do not begin as an MCAP file, or `out` is there already or cannot be written.
+/// If `bytes` is not an MCAP file, or `out` exists or cannot be written.
 pub fn recover(bytes: &[u8], out: &Path) -> Result<Recovered, LogError> {
     if !bytes.starts_with(mcap::MAGIC) {
         return Err(LogError::NotMcap);
@@ -73,7 +71,7 @@ pub fn recover(bytes: &[u8], out: &Path) -> Result<Recovered, LogError> {
     Ok(recovered)
 }
 
-/// As [`recover`], into any target.
+/// As [`recover`], to any target.
 pub(super) fn copy<W: Write + Seek>(bytes: &[u8], target: W) -> Result<(Recovered, W), LogError> {
     let options = WriteOptions::new().library("s2mia");
     let writer = options.create(target).map_err(RecordError::Format)?;
@@ -86,10 +84,10 @@ pub(super) fn copy<W: Write + Seek>(bytes: &[u8], target: W) -> Result<(Recovere
     Ok((recovered, copy.writer.into_inner()))
 }
 
-/// The data's own checksum does not fit.
+/// Whether the checksum of the data section is wrong.
 fn is_contradicted(bytes: &[u8]) -> bool {
     let mut ended = false;
-    // What is wrong behind the data's end costs nothing: indexes are written anew.
+    // Damage after the data section loses nothing, because indexes are rewritten.
     let read = records::read_data(bytes, |record| {
         ended |= matches!(record, Record::DataEnd(_));
         Ok(())
@@ -97,7 +95,7 @@ fn is_contradicted(bytes: &[u8]) -> bool {
     read.is_err() && !ended
 }
 
-/// Descriptions at the file's end, for chunks whose own are lost.
+/// Channel descriptions at the end of the file, for chunks whose descriptions are lost.
 fn summary_channels(bytes: &[u8]) -> BTreeMap<u16, Described> {
     let Ok(Some(summary)) = mcap::Summary::read(bytes) else { return BTreeMap::new() };
     let described = |channel: &std::sync::Arc<mcap::Channel<'_>>| Described {
@@ -128,11 +126,11 @@ struct Described {
     encoding: String,
     metadata: BTreeMap<String, String>,
     schema: Option<Schema>,
-    /// In the new file.
+    /// Id in the new file.
     id: Option<u16>,
 }
 
-/// The new file in the making.
+/// The new file being written.
 struct Copy<W: Write + Seek> {
     writer: Writer<W>,
     schemas: BTreeMap<u16, Schema>,
@@ -152,8 +150,8 @@ impl<W: Write + Seek> Copy<W> {
                     break;
                 }
                 Next::Record(opcode, body) => {
-                    let (messages, strangers) = (&mut recovered.messages, &mut unknown);
-                    if self.record(opcode, body, messages, strangers)? {
+                    let (messages, unknowns) = (&mut recovered.messages, &mut unknown);
+                    if self.record(opcode, body, messages, unknowns)? {
                         at += RECORD_HEAD + body.len();
                         continue;
                     }
@@ -170,7 +168,7 @@ impl<W: Write + Seek> Copy<W> {
         Ok(recovered)
     }
 
-    /// Copies a record; false if it is not whole.
+    /// Copies a record; returns false if it is damaged.
     fn record(
         &mut self,
         opcode: u8,
@@ -181,7 +179,7 @@ impl<W: Write + Seek> Copy<W> {
         let mut each = |copy: &mut Self, record: Record<'_>| {
             match copy.copy(record)? {
                 Copied::Message => *messages += 1,
-                Copied::Stranger => *unknown += 1,
+                Copied::Unknown => *unknown += 1,
                 Copied::Other => {}
             }
             Ok(())
@@ -192,7 +190,7 @@ impl<W: Write + Seek> Copy<W> {
                 Err(_) => Ok(false),
             };
         }
-        // The whole chunk is read before anything of it is copied.
+        // The whole chunk is checked before any of its records are copied.
         if records::unpack(body, &mut |_| Ok(())).is_err() {
             return Ok(false);
         }
@@ -235,7 +233,7 @@ impl<W: Write + Seek> Copy<W> {
 
     fn message(&mut self, mut header: MessageHeader, data: &[u8]) -> Result<Copied, LogError> {
         let Some(channel) = self.channels.get_mut(&header.channel_id) else {
-            return Ok(Copied::Stranger);
+            return Ok(Copied::Unknown);
         };
         header.channel_id = match channel.id {
             Some(id) => id,
@@ -246,35 +244,35 @@ impl<W: Write + Seek> Copy<W> {
     }
 }
 
-/// What became of a record.
+/// Result of copying a record.
 enum Copied {
     Message,
-    /// A message on a channel that nothing describes.
-    Stranger,
+    /// A message on an unknown channel.
+    Unknown,
     Other,
 }
 
-/// The channel in the new file.
+/// Adds a channel to the new file.
 fn declare(
     writer: &mut Writer<impl Write + Seek>,
     channel: &Described,
 ) -> Result<u16, RecordError> {
     let schema = match &channel.schema {
         Some(schema) => writer.add_schema(&schema.name, &schema.encoding, &schema.data)?,
-        // The format's number for none.
+        // The format's id for no schema.
         None => 0,
     };
     Ok(writer.add_channel(schema, &channel.topic, &channel.encoding, &channel.metadata)?)
 }
 
-/// What stands at a place between records.
+/// Data at a record boundary.
 enum Next<'a> {
     Record(u8, &'a [u8]),
-    /// The messages' end; behind it are indexes only.
+    /// End of the data section; only indexes follow.
     DataEnd,
-    /// Nothing.
+    /// End of the file.
     Eof,
-    /// No record.
+    /// Not a valid record.
     Broken,
 }
 
@@ -295,7 +293,7 @@ fn next(bytes: &[u8], at: usize) -> Next<'_> {
     }
 }
 
-/// The first place from `from` on where a chunk begins, or the end.
+/// First offset from `from` on at which a chunk starts, or the end of the file.
 fn resume(bytes: &[u8], from: usize) -> usize {
     let begins = |at: &usize| match next(bytes, *at) {
         Next::Record(op::CHUNK, body) => records::is_chunk(body),

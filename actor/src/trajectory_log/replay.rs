@@ -1,5 +1,5 @@
-//! Playing a log once more: the simulator steps from each stored state with the logged actions, and must come to the
-//! same observations, states and rewards, bit for bit.
+//! Replays a log: the simulator steps from each stored state with the logged actions and must reproduce the
+//! observations, states and rewards bit for bit.
 
 use std::fmt;
 
@@ -9,48 +9,48 @@ use sim::{EnvironmentBatch, Outcome};
 use super::LogError;
 use super::shares::{LoggedShare, LoggedStep, read_shares};
 
-/// Where the simulator and a log part.
+/// First difference between the simulator and a log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// The episode.
     pub episode_id: String,
     /// The step of the episode.
     pub step: u32,
-    /// What differs.
+    /// Quantity that differs.
     pub what: String,
-    /// What the log says.
+    /// Value in the log.
     pub logged: String,
-    /// What came out.
+    /// Value of the simulator.
     pub found: String,
 }
 
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { episode_id, step, what, logged, found } = self;
-        write!(f, "{episode_id}, step {step}: {what} was {logged}, is {found} now")
+        write!(f, "{episode_id}, step {step}: {what} differs: logged {logged}, replayed {found}")
     }
 }
 
-/// What was played once more.
+/// Result of a replay.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Replayed {
-    /// Shares that came out the same.
+    /// Number of identical shares.
     pub shares: u64,
-    /// Steps that did.
+    /// Number of steps of these shares.
     pub steps: u64,
-    /// The first that did not; nothing behind it was played.
+    /// First difference; nothing after it was replayed.
     pub difference: Option<Difference>,
-    /// The fingerprint of the program that wrote the log, if it is not this program's.
+    /// Fingerprint of the program that wrote the log, if it differs from this program's.
     pub other_program: Option<String>,
 }
 
-/// Plays every whole share of a log.
+/// Replays all complete shares of a log.
 ///
 /// # Errors
-/// If the file is damaged or no trajectory log, or its task or a state is none of this program's.
+/// If the file is damaged or not a trajectory log, or this program does not support its task or a state.
 pub fn replay(bytes: &[u8]) -> Result<Replayed, LogError> {
-    let told = read_shares(bytes, |_, _| Ok(()))?;
-    let world = sim::environments(&told.task()?, 1);
+    let log = read_shares(bytes, |_, _| Ok(()))?;
+    let world = sim::environments(&log.task()?, 1);
     let mut player = Player::new(world.map_err(|error| LogError::Unfit(error.to_string()))?);
     let mut replayed = Replayed::default();
     read_shares(bytes, |share, _| {
@@ -67,11 +67,11 @@ pub fn replay(bytes: &[u8]) -> Result<Replayed, LogError> {
     })?;
     let own = crate::rollout_fingerprint().to_string();
     replayed.other_program =
-        told.words.get("rollout_fingerprint").filter(|logged| **logged != own).cloned();
+        log.words.get("rollout_fingerprint").filter(|logged| **logged != own).cloned();
     Ok(replayed)
 }
 
-/// A world of one environment, and room for what is read from it.
+/// One environment, with buffers for its state and observations.
 struct Player {
     world: Box<dyn EnvironmentBatch>,
     state: Vec<f32>,
@@ -87,24 +87,24 @@ impl Player {
         Self { world, state, observations }
     }
 
-    /// The first difference in a share, if there is one.
+    /// Replays a share; returns the first difference, if any.
     fn play(&mut self, share: &LoggedShare) -> Result<Option<Difference>, LogError> {
         let (episode, first) = (&share.head.episode_id, share.head.first_step);
         let unfit = |why: String| LogError::Unfit(format!("{episode} from step {first} on: {why}"));
         self.world.restore(0, &share.head.environment_state).map_err(|e| unfit(e.to_string()))?;
         for step in &share.steps {
-            let parted = self.step(step).map_err(unfit)?;
-            if let Some(parted) = parted {
-                return Ok(Some(parted.of(episode, step.step.step)));
+            let mismatch = self.step(step).map_err(unfit)?;
+            if let Some(mismatch) = mismatch {
+                return Ok(Some(mismatch.of(episode, step.step.step)));
             }
         }
-        Ok(self.arrive(&share.end).map(|parted| parted.of(episode, share.next_step())))
+        Ok(self.compare_end(&share.end).map(|mismatch| mismatch.of(episode, share.next_step())))
     }
 
-    fn step(&mut self, logged: &LoggedStep) -> Result<Option<Parted>, String> {
+    fn step(&mut self, logged: &LoggedStep) -> Result<Option<Mismatch>, String> {
         let observations = logged.agents.iter().map(|agent| agent.observation.as_slice());
-        if let Some(parted) = self.look(&logged.step.state, observations) {
-            return Ok(Some(parted));
+        if let Some(mismatch) = self.compare(&logged.step.state, observations) {
+            return Ok(Some(mismatch));
         }
         let actions: Vec<f32> =
             logged.agents.iter().flat_map(|agent| agent.action.iter().copied()).collect();
@@ -117,34 +117,34 @@ impl Player {
             .or_else(|| value("truncated", step.truncated, truncated)))
     }
 
-    /// Behind a share's last step.
-    fn arrive(&mut self, end: &ShareEnd) -> Option<Parted> {
+    /// Compares the state after the last step of a share.
+    fn compare_end(&mut self, end: &ShareEnd) -> Option<Mismatch> {
         let observations = end.observations.iter().map(|row| row.observation.as_slice());
-        self.look(&end.state, observations).or_else(|| {
+        self.compare(&end.state, observations).or_else(|| {
             let logged = &end.environment_state;
             let same =
                 logged.is_empty() || self.world.encode(0).is_ok_and(|found| found == *logged);
-            value("the encoded state is the logged one", true, same)
+            value("the equality of encoded states", true, same)
         })
     }
 
-    /// Whether the world looks as it was logged.
-    fn look<'a>(
+    /// Compares the current state and observations with the logged ones.
+    fn compare<'a>(
         &mut self,
         state: &[f32],
         observations: impl ExactSizeIterator<Item = &'a [f32]>,
-    ) -> Option<Parted> {
+    ) -> Option<Mismatch> {
         self.world.state(0, &mut self.state);
         let name = |index: usize| {
             let feature = &self.world.description().state[index].name;
             format!("the global state's {feature}")
         };
-        if let Some(parted) = numbers("the global state", state, &self.state, name) {
-            return Some(parted);
+        if let Some(mismatch) = numbers("the global state", state, &self.state, name) {
+            return Some(mismatch);
         }
         let agents = (observations.len(), self.observations.len());
-        if let Some(parted) = value("the number of agents", agents.0, agents.1) {
-            return Some(parted);
+        if let Some(mismatch) = value("the number of agents", agents.0, agents.1) {
+            return Some(mismatch);
         }
         for (agent, logged) in observations.enumerate() {
             self.world.observation(0, agent, &mut self.observations[agent]);
@@ -152,55 +152,55 @@ impl Player {
             let name =
                 |index: usize| format!("agent {agent}'s observation of {}", features[index].name);
             let what = format!("agent {agent}'s observation");
-            if let Some(parted) = numbers(&what, logged, &self.observations[agent], name) {
-                return Some(parted);
+            if let Some(mismatch) = numbers(&what, logged, &self.observations[agent], name) {
+                return Some(mismatch);
             }
         }
         None
     }
 }
 
-/// A difference whose place is not known yet.
-struct Parted {
+/// A difference without its episode and step.
+struct Mismatch {
     what: String,
     logged: String,
     found: String,
 }
 
-impl Parted {
+impl Mismatch {
     fn of(self, episode_id: &str, step: u32) -> Difference {
         let Self { what, logged, found } = self;
         Difference { episode_id: episode_id.to_owned(), step, what, logged, found }
     }
 }
 
-/// The first numbers whose bits differ.
+/// First pair of numbers with different bits.
 fn numbers(
     what: &str,
     logged: &[f32],
     found: &[f32],
     name: impl Fn(usize) -> String,
-) -> Option<Parted> {
+) -> Option<Mismatch> {
     value(&format!("the length of {what}"), logged.len(), found.len()).or_else(|| {
         let at = logged.iter().zip(found).position(|(a, b)| a.to_bits() != b.to_bits())?;
         number(&name(at), logged[at], found[at])
     })
 }
 
-fn number(what: &str, logged: f32, found: f32) -> Option<Parted> {
-    let parted = || Parted {
+fn number(what: &str, logged: f32, found: f32) -> Option<Mismatch> {
+    let mismatch = || Mismatch {
         what: what.to_owned(),
         logged: format!("{logged:?}"),
         found: format!("{found:?}"),
     };
-    (logged.to_bits() != found.to_bits()).then(parted)
+    (logged.to_bits() != found.to_bits()).then(mismatch)
 }
 
-fn value<T: PartialEq + fmt::Debug>(what: &str, logged: T, found: T) -> Option<Parted> {
-    let parted = || Parted {
+fn value<T: PartialEq + fmt::Debug>(what: &str, logged: T, found: T) -> Option<Mismatch> {
+    let mismatch = || Mismatch {
         what: what.to_owned(),
         logged: format!("{logged:?}"),
         found: format!("{found:?}"),
     };
-    (logged != found).then(parted)
+    (logged != found).then(mismatch)
 }

@@ -1,4 +1,4 @@
-//! Intrinsic rewards, which learners log beside the actors, found for the shares that they belong to.
+//! Intrinsic rewards from learners' reward logs, matched with the shares that they belong to.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::BufRead;
@@ -10,42 +10,42 @@ use super::LogError;
 use super::shares::LoggedShare;
 use super::source::{open_lines, read_part};
 
-/// The lines of a run's reward logs. They stay in their files.
+/// Index of the lines of a run's reward logs. Their content stays in the files.
 #[derive(Debug, Default)]
 pub(super) struct RewardLines {
     files: Vec<PathBuf>,
-    /// Hashes of the settings and seeds that the lines name, with the first file that does.
+    /// Configuration hashes in the lines, each with the first file that contains it.
     configs: BTreeMap<String, usize>,
-    /// By episode and first step; only lines that differ have more than one place.
+    /// Lines by episode and first step; several only if they differ.
     places: BTreeMap<(String, u32), Vec<Place>>,
     remarks: Vec<String>,
     damaged: Vec<String>,
 }
 
-/// Where a line stands, and what it is about.
+/// Position and key data of a line.
 #[derive(Clone, Debug)]
 struct Place {
     file: usize,
-    /// First byte and number of bytes.
+    /// Offset and length, bytes.
     bytes: (u64, u64),
     about: About,
     paid: Digest,
 }
 
-/// What a line and its share must have in common.
+/// Data that a line and its share must have in common.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct About {
-    /// Steps of the share.
+    /// Number of steps of the share.
     pub(super) steps: u32,
-    /// The iteration that they belong to.
+    /// Iteration of the share.
     pub(super) iteration: u64,
-    /// The weights that acted, hexadecimal.
+    /// SHA-256 of the acting weights, hexadecimal.
     pub(super) weights_sha256: String,
 }
 
 impl RewardLines {
-    /// Takes the lines of a file in. Damaged ones are passed over and told, and so is half a line at the end, which a
-    /// learner that was killed left.
+    /// Adds the lines of a file. Damaged lines and an incomplete last line, which a killed learner leaves, are skipped
+    /// and reported.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -61,7 +61,9 @@ impl RewardLines {
                     Err(why) => damaged.push((number, why)),
                 },
                 None if bytes.is_empty() => break,
-                None => self.remarks.push(format!("{} ends in half a line", path.display())),
+                None => {
+                    self.remarks.push(format!("{} ends with an incomplete line", path.display()))
+                }
             }
             begin += bytes.len() as u64;
         }
@@ -93,35 +95,36 @@ impl RewardLines {
         self.places.get(&(episode.to_owned(), first_step)).map_or(&[], Vec::as_slice)
     }
 
-    /// Whether there are intrinsic rewards for a share.
+    /// Whether there are rewards for a share.
     pub(super) fn hold(&self, episode: &str, first_step: u32) -> bool {
         !self.places(episode, first_step).is_empty()
     }
 
-    /// What was passed over although nothing is wrong.
+    /// Reports of skipped incomplete lines.
     pub(super) fn remarks(&self) -> &[String] {
         &self.remarks
     }
 
-    /// Files of which something was passed over because it is damaged.
+    /// Reports of files with damaged lines.
     pub(super) fn damaged(&self) -> &[String] {
         &self.damaged
     }
 
-    /// Files of other runs than the one of these settings and this seed.
+    /// Reports of files whose configuration hash differs from `config_sha256`.
     pub(super) fn foreign(&self, config_sha256: Option<&String>) -> Vec<String> {
         let others = self.configs.iter().filter(|(config, _)| Some(*config) != config_sha256);
         let files: BTreeSet<usize> = others.map(|(_, file)| *file).collect();
         let foreign = |file: &usize| {
             format!(
-                "{} is of a run with other settings or another seed",
+                "{} belongs to a run with other settings or another seed",
                 self.files[*file].display()
             )
         };
         files.iter().map(foreign).collect()
     }
 
-    /// What two lines for one share, or a line and its share, say differently. `known` are the share's own rewards.
+    /// Describes a contradiction between two lines for a share, or a line and its share. `known` is the digest of the
+    /// share's own rewards.
     pub(super) fn contradiction(
         &self,
         (episode, first_step): (&str, u32),
@@ -132,10 +135,10 @@ impl RewardLines {
         let why = match self.places(episode, first_step) {
             [one, other, ..] => format!("{} and {} differ", file(one), file(other)),
             [place] if place.about != *share => {
-                format!("{} is about other steps or weights than the share", file(place))
+                format!("{} has other steps or weights than the share", file(place))
             }
             [place] if known.is_some_and(|known| known != place.paid) => {
-                format!("{} pays other rewards than the share holds", file(place))
+                format!("{} has other rewards than the share", file(place))
             }
             _ => return None,
         };
@@ -145,7 +148,7 @@ impl RewardLines {
     /// Sets the intrinsic rewards of a share's steps, if there are any.
     ///
     /// # Errors
-    /// If the file has changed since it was taken in, or is about another number of agents.
+    /// If the file has changed since it was added, or has rewards for a different number of agents.
     pub(super) fn fill(&self, share: &mut LoggedShare) -> Result<(), LogError> {
         let (episode, first) = (&share.head.episode_id, share.head.first_step);
         let Some(place) = self.places(episode, first).first() else { return Ok(()) };
@@ -156,7 +159,10 @@ impl RewardLines {
         for (index, step) in share.steps.iter_mut().enumerate() {
             let agents = (line.intrinsic_reward.len(), step.agents.len());
             if agents.0 != agents.1 {
-                let why = format!("{episode} is paid to {} agents, not to {}", agents.0, agents.1);
+                let why = format!(
+                    "{episode} has rewards for {} agents, but the log has {} agents",
+                    agents.0, agents.1
+                );
                 return Err(unfit(why));
             }
             for (agent, rewards) in step.agents.iter_mut().zip(&line.intrinsic_reward) {
@@ -167,7 +173,7 @@ impl RewardLines {
     }
 }
 
-/// The intrinsic rewards that a share holds itself; `None` if there are none.
+/// Digest of the intrinsic rewards that a share contains; `None` if it has none.
 pub(super) fn known(share: &LoggedShare) -> Option<Digest> {
     let agents = share.steps.first().map_or(0, |step| step.agents.len());
     let of =
@@ -177,7 +183,7 @@ pub(super) fn known(share: &LoggedShare) -> Option<Digest> {
     any.then(|| paid((0..agents).flat_map(of).map(finite)))
 }
 
-/// Names some rewards, agent after agent.
+/// Digest of rewards, in agent order.
 fn paid(rewards: impl Iterator<Item = Option<f32>>) -> Digest {
     let bits = |reward: Option<f32>| reward.unwrap_or(f32::NAN).to_le_bytes();
     Digest::of(&rewards.flat_map(bits).collect::<Vec<u8>>())
@@ -185,9 +191,9 @@ fn paid(rewards: impl Iterator<Item = Option<f32>>) -> Digest {
 
 fn parse(text: &[u8]) -> Result<ShareRewards, String> {
     let line: ShareRewards = serde_json::from_slice(text).map_err(|error| {
-        // Where in the line stands behind it, as if the line were a file.
-        let told = error.to_string();
-        told.split(" at line ").next().unwrap_or_default().to_owned()
+        // The message ends with a position, as if the line were a file.
+        let text = error.to_string();
+        text.split(" at line ").next().unwrap_or_default().to_owned()
     })?;
     line.check().map(|()| line)
 }

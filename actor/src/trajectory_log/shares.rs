@@ -1,4 +1,4 @@
-//! Reading a log: from its messages to its shares, whole and in their order.
+//! Reads the complete shares of a log in order.
 
 use std::collections::BTreeMap;
 
@@ -10,68 +10,66 @@ use sim::{JointPose, LinkPose, Pose};
 
 use super::{LogError, METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME, records};
 
-/// A share, whole.
+/// A complete share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoggedShare {
-    /// Whose steps they are, and from where they start.
+    /// Episode and start state of the share.
     pub head: Share,
-    /// The steps, in their order.
+    /// Steps in order.
     pub steps: Vec<LoggedStep>,
-    /// Where they lead.
+    /// Final state and observations.
     pub end: ShareEnd,
 }
 
 /// A step of a share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoggedStep {
-    /// Where the robot was before the step; empty for a game.
+    /// Pose of the robot before the step; empty for a game.
     pub pose: Pose,
-    /// What each agent saw and did, `[N]`.
+    /// Observation and action of each agent, `[N]`.
     pub agents: Vec<AgentStep>,
-    /// What came of it.
+    /// State before the step, and its result.
     pub step: Step,
 }
 
-/// A share with the times of its first and last message.
+/// A share with the times of its first and last message, nanoseconds.
 type Timed = (LoggedShare, (u64, u64));
 
-/// What a log says besides its shares.
+/// Metadata and attachments of a log.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReadShares {
-    /// Which run, task and actor it is of.
+    /// Run, task and actor.
     pub words: BTreeMap<String, String>,
-    /// What it held and lost when it was finished; none where the end was lost.
+    /// Written and lost shares and steps; `None` if the end of the file is missing.
     pub totals: Option<BTreeMap<String, String>>,
     /// The task's settings as JSON.
     pub task_settings: String,
     /// The run's resolved settings as TOML.
     pub settings_toml: String,
-    /// Steps that belong to no whole share.
+    /// Number of steps of incomplete shares.
     pub torn_steps: u64,
 }
 
-/// Reads a finished log, checks every checksum and schema, and shows each whole share to `on_share`, with the times of
-/// its first and last message.
+/// Reads a finished log, checks all checksums and schemas, and passes each complete share to `on_share`, with the times
+/// of its first and last message, nanoseconds.
 ///
 /// # Errors
-/// If the file is damaged or no trajectory log, or `on_share` refuses a share.
+/// If the file is damaged or not a trajectory log, or `on_share` fails.
 pub fn read_shares(
     bytes: &[u8],
     mut on_share: impl FnMut(LoggedShare, (u64, u64)) -> Result<(), LogError>,
 ) -> Result<ReadShares, LogError> {
     let mut assembler = Assembler::default();
-    let mut told = ReadShares::default();
+    let mut log = ReadShares::default();
     records::read(bytes, |record| {
         match record {
-            Record::Metadata(record) if record.name == METADATA_NAME => {
-                told.words = record.metadata
-            }
+            Record::Metadata(record) if record.name == METADATA_NAME => log.words = record.metadata,
             Record::Metadata(record) if record.name == TOTALS_NAME => {
-                told.totals = Some(record.metadata);
+                log.totals = Some(record.metadata);
             }
             Record::Attachment { header, data, .. } => match header.name.as_str() {
-                TASK_NAME => told.task_settings = text(&data)?,
-                SETTINGS_NAME => told.settings_toml = text(&data)?,
+                TASK_NAME => log.task_settings = text(&data)?,
+                SETTINGS_NAME => log.settings_toml = text(&data)?,
                 _ => {}
             },
             other => {
@@ -82,19 +80,19 @@ pub fn read_shares(
         }
         Ok(())
     })?;
-    if told.words.is_empty() || told.task_settings.is_empty() {
-        return Err(LogError::Foreign("it does not say of which run and task".to_owned()));
+    if log.words.is_empty() || log.task_settings.is_empty() {
+        return Err(LogError::Foreign("it does not name its run and task".to_owned()));
     }
-    told.torn_steps = assembler.torn_steps + assembler.open_steps();
-    Ok(told)
+    log.torn_steps = assembler.torn_steps + assembler.open_steps();
+    Ok(log)
 }
 
 fn text(data: &[u8]) -> Result<String, LogError> {
-    let wrong = |_| LogError::Damaged("an attachment is no text".to_owned());
+    let wrong = |_| LogError::Damaged("an attachment is not UTF-8 text".to_owned());
     String::from_utf8(data.to_vec()).map_err(wrong)
 }
 
-/// What a channel carries.
+/// Content of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Role {
     Share,
@@ -107,7 +105,7 @@ enum Role {
 }
 
 impl Role {
-    /// By topic, with the schema that it must have.
+    /// Content of a topic, and the schema that it must have.
     fn of(topic: &str) -> (Self, &'static str) {
         match topic {
             "/share" => (Self::Share, "s2mia.log.v1.Share"),
@@ -123,10 +121,10 @@ impl Role {
     }
 }
 
-/// Puts messages together. A share of which anything is missing is left out, and its steps are counted.
+/// Assembles messages to shares. Incomplete shares are skipped and their steps counted.
 #[derive(Clone, Default)]
 pub(super) struct Assembler {
-    /// Name and encoding.
+    /// Name and encoding of each schema.
     schemas: BTreeMap<u16, (String, String)>,
     roles: BTreeMap<u16, Role>,
     agents: usize,
@@ -137,7 +135,7 @@ pub(super) struct Assembler {
 }
 
 impl Assembler {
-    /// Takes a record in; a share and its times, if it was the last one of that.
+    /// Adds a record; returns a share if the record completes it.
     pub(super) fn take(&mut self, record: Record<'_>) -> Result<Option<Timed>, LogError> {
         match record {
             Record::Schema { header, .. } => {
@@ -155,7 +153,9 @@ impl Assembler {
         let (name, encoding) = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
         if role != Role::Other && (name.as_str(), encoding.as_str()) != (expected, "protobuf") {
             let topic = &channel.topic;
-            return Err(LogError::Foreign(format!("{topic} holds {name:?} instead of {expected}")));
+            return Err(LogError::Foreign(format!(
+                "{topic} has the schema {name:?} instead of {expected}"
+            )));
         }
         if self.roles.insert(channel.id, role).is_none() && matches!(role, Role::Agent(_)) {
             self.agents += 1;
@@ -164,7 +164,7 @@ impl Assembler {
     }
 
     fn message(&mut self, header: &MessageHeader, data: &[u8]) -> Result<Option<Timed>, LogError> {
-        let unknown = || LogError::Damaged("a message on no channel".to_owned());
+        let unknown = || LogError::Damaged("a message has an unknown channel".to_owned());
         match self.roles.get(&header.channel_id).copied().ok_or_else(unknown)? {
             Role::Share => self.begin(Share::decode(data)?, header.log_time),
             Role::Transforms => self.pose.links = links(&FrameTransforms::decode(data)?),
@@ -218,18 +218,18 @@ impl Assembler {
 }
 
 impl ReadShares {
-    /// The task that was played.
+    /// Settings of the task.
     ///
     /// # Errors
-    /// If its settings are none of this program's.
+    /// If this program does not support the settings.
     pub fn task(&self) -> Result<sim::TaskConfig, LogError> {
         serde_json::from_str(&self.task_settings)
-            .map_err(|error| LogError::Unfit(format!("its task's settings: {error}")))
+            .map_err(|error| LogError::Unfit(format!("invalid task settings: {error}")))
     }
 }
 
 impl LoggedShare {
-    /// Number, in the episode, of the step behind the last one.
+    /// Episode step after the last step of the share.
     #[must_use]
     pub fn next_step(&self) -> u32 {
         self.head.first_step.saturating_add(self.steps.len() as u32)
@@ -238,7 +238,7 @@ impl LoggedShare {
 
 impl From<prost::DecodeError> for LogError {
     fn from(error: prost::DecodeError) -> Self {
-        Self::Damaged(format!("a message is none of its schema: {error}"))
+        Self::Damaged(format!("a message does not match its schema: {error}"))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Where logs lie: their names, their folder, their bytes, and new files that are there whole or not at all.
+//! Files of logs: names, folder, content, and new files that appear atomically.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufReader, ErrorKind, Read as _, Seek as _, SeekFrom};
@@ -11,26 +11,26 @@ use crate::recording::RecordError;
 const PREFIX: &str = "trajectories-";
 const SUFFIX: &str = ".mcap";
 
-/// Makes the folder of a log.
+/// Creates the folder of a log.
 pub(super) fn make_folder(folder: &Path) -> Result<(), ActorError> {
     std::fs::create_dir_all(folder)
-        .map_err(|error| ActorError::Log(format!("cannot make {}: {error}", folder.display())))
+        .map_err(|error| ActorError::Log(format!("cannot create {}: {error}", folder.display())))
 }
 
-/// Name of an actor's file number `number`. Whatever does not belong into a file's name becomes `_`.
+/// Name of file number `number` of an actor. Characters that are not safe in file names become `_`.
 fn log_name(actor: &str, number: u32) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "._-".contains(letter);
     let actor: String = actor.chars().map(|c| if plain(c) { c } else { '_' }).collect();
     format!("{PREFIX}{actor}-{number:04}{SUFFIX}")
 }
 
-/// Whether a file of this name is an actor's log.
+/// Whether a file with this name is a trajectory log.
 #[must_use]
 pub fn is_log_name(name: &str) -> bool {
     name.starts_with(PREFIX) && name.ends_with(SUFFIX)
 }
 
-/// A new file with the first number that no file of this actor has.
+/// Creates a file with the first unused number of this actor.
 pub(super) fn new_log(folder: &Path, actor: &str) -> Result<(PathBuf, File), RecordError> {
     let mut number = 0;
     loop {
@@ -42,26 +42,26 @@ pub(super) fn new_log(folder: &Path, actor: &str) -> Result<(PathBuf, File), Rec
     }
 }
 
-/// A file's bytes, which begin as those of an MCAP file.
+/// Reads an MCAP file.
 ///
 /// # Errors
-/// If the file cannot be read or is of another kind.
+/// If the file cannot be read or is not an MCAP file.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, LogError> {
     let bytes = std::fs::read(path).map_err(LogError::Read)?;
     if bytes.starts_with(mcap::MAGIC) { Ok(bytes) } else { Err(LogError::NotMcap) }
 }
 
-/// A file to be read in parts.
+/// Opens a file.
 pub(super) fn open(path: &Path) -> Result<File, LogError> {
     File::open(path).map_err(LogError::Read)
 }
 
-/// A file to be read line by line.
+/// Opens a file for reading by lines.
 pub(super) fn open_lines(path: &Path) -> Result<BufReader<File>, LogError> {
     Ok(BufReader::new(open(path)?))
 }
 
-/// `length` bytes of a file from `offset` on.
+/// Reads `length` bytes of a file at `offset`.
 pub(super) fn read_part(path: &Path, offset: u64, length: u64) -> Result<Vec<u8>, LogError> {
     let mut file = open(path)?;
     file.seek(SeekFrom::Start(offset)).map_err(LogError::Read)?;
@@ -70,14 +70,14 @@ pub(super) fn read_part(path: &Path, offset: u64, length: u64) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// A new file under another name until it is whole. Dropped before that, it is gone.
+/// A new file with a temporary name until it is complete; deleted if it is dropped before.
 pub(super) struct Draft {
     part: PathBuf,
     path: PathBuf,
 }
 
 impl Draft {
-    /// Begins a file that will be `path`, beside it.
+    /// Creates a temporary file in the folder of `path`.
     pub(super) fn begin(path: &Path) -> Result<(Self, (PathBuf, File)), LogError> {
         if path.symlink_metadata().is_ok() {
             return Err(LogError::Taken);
@@ -87,14 +87,14 @@ impl Draft {
         Ok((Self { part: part.clone(), path: path.to_path_buf() }, (part, file)))
     }
 
-    /// The file is whole and on the disk: it gets its name. Another file that has got it meanwhile stays.
+    /// Renames the file, which must be complete and on disk, to its final name. Does not replace an existing file.
     pub(super) fn publish(self) -> Result<(), LogError> {
         match std::fs::hard_link(&self.part, &self.path) {
             Ok(()) => {}
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {
                 return Err(LogError::Taken);
             }
-            // Not every file system has links.
+            // Not every file system supports links.
             Err(_) => std::fs::rename(&self.part, &self.path).map_err(RecordError::File)?,
         }
         let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -105,8 +105,8 @@ impl Draft {
 
 impl Drop for Draft {
     fn drop(&mut self) {
-        // After a rename it is gone already.
-        let _gone = std::fs::remove_file(&self.part);
+        // After a rename the temporary file does not exist.
+        let _removed = std::fs::remove_file(&self.part);
     }
 }
 
@@ -115,14 +115,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_log_is_named_for_its_actor_without_leaving_its_folder() {
+    fn a_log_has_the_name_of_its_actor_and_stays_in_its_folder() {
         assert_eq!(log_name("local-0", 3), "trajectories-local-0-0003.mcap");
         assert_eq!(log_name("../a b/ü", 0), "trajectories-.._a_b__-0000.mcap");
         assert!(is_log_name(&log_name("host-17", 12)) && !is_log_name("iter_00000004.mcap"));
     }
 
     #[test]
-    fn a_draft_takes_no_other_file_s_name_and_leaves_nothing_behind() {
+    fn a_draft_replaces_no_file_and_leaves_no_temporary_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.mcap");
         let count = || std::fs::read_dir(folder.path()).unwrap().count();

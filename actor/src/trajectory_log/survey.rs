@@ -1,4 +1,4 @@
-//! What an MCAP file holds, topic by topic.
+//! Summary of an MCAP file, by topic.
 
 use std::collections::BTreeMap;
 use std::io::{Read as _, Seek as _};
@@ -9,32 +9,32 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 
 use super::{LogError, METADATA_NAME, TOTALS_NAME, records, source};
 
-/// A file at a glance.
+/// Summary of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
-    /// What it says of its origin, if it is a trajectory log.
+    /// Metadata with the origin, if it is a trajectory log.
     pub words: BTreeMap<String, String>,
-    /// What it says of itself at its end.
+    /// Metadata at the end, with written and lost shares and steps.
     pub totals: BTreeMap<String, String>,
-    /// By name.
+    /// Topics by name.
     pub topics: BTreeMap<String, Topic>,
-    /// From the first message to the last, simulated.
+    /// Simulated time from the first to the last message, seconds.
     pub secs: f64,
 }
 
-/// A topic.
+/// Summary of a topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Topic {
-    /// Name of its messages' type.
+    /// Name of the message type.
     pub schema: String,
     /// Number of messages.
     pub messages: u64,
 }
 
-/// Reads a finished MCAP file through, whatever is in it, and checks every checksum.
+/// Reads a finished MCAP file of any content and checks all checksums.
 ///
 /// # Errors
-/// If it is not finished or damaged.
+/// If the file is unfinished or damaged.
 pub fn survey(bytes: &[u8]) -> Result<Survey, LogError> {
     let mut survey = Survey::default();
     let (mut schemas, mut channels) = (BTreeMap::new(), BTreeMap::new());
@@ -69,11 +69,11 @@ pub fn survey(bytes: &[u8]) -> Result<Survey, LogError> {
     Ok(survey)
 }
 
-/// What a finished log says of itself at its end, read from there alone: `shares`, `steps`, `lost_shares` and
+/// Reads the totals of a finished log, without reading the whole file: `shares`, `steps`, `lost_shares` and
 /// `lost_steps`.
 ///
 /// # Errors
-/// If the file cannot be read or has no such end.
+/// If the file cannot be read or has no totals.
 pub fn totals(path: &Path) -> Result<BTreeMap<String, String>, LogError> {
     let mut file = source::open(path)?;
     let mut reader = SummaryReader::new();
@@ -90,10 +90,10 @@ pub fn totals(path: &Path) -> Result<BTreeMap<String, String>, LogError> {
     }
     let summary = reader.finish().ok_or(LogError::Unfinished)?;
     let last = summary.metadata_indexes.iter().find(|index| index.name == TOTALS_NAME);
-    let last = last.ok_or_else(|| LogError::Foreign("it does not say what it holds".to_owned()))?;
+    let last = last.ok_or_else(|| LogError::Foreign("it has no totals".to_owned()))?;
     let record = source::read_part(path, last.offset, last.length)?;
     match records::parse(op::METADATA, record.get(records::RECORD_HEAD..).unwrap_or_default())? {
         Record::Metadata(record) => Ok(record.metadata),
-        _ => Err(LogError::Damaged("no metadata where there should be".to_owned())),
+        _ => Err(LogError::Damaged("the metadata index points to another record".to_owned())),
     }
 }

@@ -1,4 +1,4 @@
-//! What a log holds, and what its tools make of it. Slots are rolled out as an actor does, without a learner.
+//! Tests of logs and log tools. Slots are rolled out as in an actor, without a learner.
 
 mod damage;
 #[path = "../../tests/actor/fixture.rs"]
@@ -20,7 +20,7 @@ use sim::EnvironmentBatch;
 
 use super::shares::{LoggedShare, ReadShares, read_shares};
 use super::source::read_bytes;
-use super::{Desk, Log, LogConfig, LogSettings};
+use super::{Log, LogConfig, LogHandle, LogSettings};
 use crate::evaluation::play_on;
 use fixture::{fresh_work, policy, run, task, world};
 
@@ -29,12 +29,12 @@ pub(super) fn start(
     actor: &str,
     episodes: Episodes,
     max_file_mib: u64,
-) -> (Log, Desk) {
+) -> (Log, LogHandle) {
     let settings = LogSettings { episodes, max_file_mib };
     let config = LogConfig { folder: folder.to_path_buf(), settings };
     let log = Log::start(&config, actor).unwrap();
-    let desk = log.desk(&Arc::new(run()), &task());
-    (log, desk)
+    let handle = log.handle(&Arc::new(run()), &task());
+    (log, handle)
 }
 
 fn lease(work: Work) -> Lease {
@@ -42,26 +42,27 @@ fn lease(work: Work) -> Lease {
     Lease { id: LeaseId(1), incarnation: Incarnation(1), weights, attempt: 1, work }
 }
 
-/// Rolls a slot out under the eyes of `desk`; breaks off after `most` chunks.
-fn roll(desk: &Desk, work: &RolloutWork, most: usize) -> Vec<TrajectoryChunk> {
-    let witness = std::cell::RefCell::new(desk.rollout(&lease(Work::Rollout(work.clone())), work));
+/// Rolls out a slot and logs it to `handle`; stops after `most` chunks.
+fn roll(handle: &LogHandle, work: &RolloutWork, most: usize) -> Vec<TrajectoryChunk> {
+    let collector =
+        std::cell::RefCell::new(handle.rollout(&lease(Work::Rollout(work.clone())), work));
     let mut chunks = Vec::new();
     let see = |step, world: &dyn EnvironmentBatch| {
-        witness.borrow_mut().see(step, world);
+        collector.borrow_mut().collect(step, world);
     };
     crate::roll_out(&run(), work, &policy(), &mut *world(), see, |chunk| {
-        witness.borrow_mut().keep(chunk.clone());
+        collector.borrow_mut().keep(chunk.clone());
         chunks.push(chunk);
         if chunks.len() == most { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })
     .unwrap();
-    desk.take_rollout(witness.into_inner());
+    handle.send_rollout(collector.into_inner());
     chunks
 }
 
 const WHOLE: usize = usize::MAX;
 
-/// The slot that goes on where `chunks` ended, an iteration later.
+/// The work of the next iteration, which continues `chunks`.
 fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
     let end = chunks.last().unwrap().end.clone().unwrap();
     let start = |(position, state): (usize, Vec<u8>)| {
@@ -74,17 +75,18 @@ fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
     RolloutWork { iteration: 5, slot: 3, environments }
 }
 
-pub(super) fn evaluate(desk: &Desk, work: EvaluationWork) {
+pub(super) fn evaluate(handle: &LogHandle, work: EvaluationWork) {
     let mut world = sim::environments(&task(), 1).unwrap();
     let key = Key::of(RunSeed(3), Draw::of(Purpose::EvaluationReset));
     world.reset(0, 0, 25, key.0).unwrap();
     let lease = lease(Work::Evaluation(work));
-    let Some(mut witness) = desk.evaluation(&lease, work, &*world) else { return };
-    play_on(&mut *world, (&policy(), ActionChoice::Mean), &mut |step| witness.see(step)).unwrap();
-    desk.take_evaluation(witness);
+    let Some(mut collector) = handle.evaluation(&lease, work, &*world) else { return };
+    play_on(&mut *world, (&policy(), ActionChoice::Mean), &mut |step| collector.collect(step))
+        .unwrap();
+    handle.send_evaluation(collector);
 }
 
-/// The logs in a folder, by name.
+/// Files in a folder, sorted by name.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap();
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
@@ -94,17 +96,17 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 fn read(path: &Path) -> (ReadShares, Vec<LoggedShare>) {
     let mut shares = Vec::new();
-    let told = read_shares(&read_bytes(path).unwrap(), |share, _| {
+    let log = read_shares(&read_bytes(path).unwrap(), |share, _| {
         shares.push(share);
         Ok(())
     });
-    (told.unwrap(), shares)
+    (log.unwrap(), shares)
 }
 
-/// One log with a slot's shares.
+/// Writes a log of one slot.
 fn slot_log(folder: &Path) -> (PathBuf, Vec<TrajectoryChunk>) {
-    let (log, desk) = start(folder, "a", Episodes::All, 64);
-    let chunks = roll(&desk, &fresh_work(), WHOLE);
+    let (log, handle) = start(folder, "a", Episodes::All, 64);
+    let chunks = roll(&handle, &fresh_work(), WHOLE);
     log.close();
     (files(folder)[0].clone(), chunks)
 }

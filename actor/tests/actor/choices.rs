@@ -1,5 +1,4 @@
-//! A task of choices goes the same way: chunks that the wire takes, log-probabilities that the policy gives
-//! again, episodes and recordings.
+//! Tests with discrete actions: chunks in the protocol, log-probabilities, episodes and recordings.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -70,7 +69,7 @@ fn roll(world: &mut dyn EnvironmentBatch) -> Vec<TrajectoryChunk> {
 }
 
 #[test]
-fn a_slot_of_choices_repeats_bit_for_bit_and_the_wire_takes_it() {
+fn a_slot_with_choices_is_repeatable_and_survives_the_protocol() {
     let mut used = world();
     let first = roll(&mut *used);
     assert_eq!(roll(&mut *used), first);
@@ -87,7 +86,7 @@ fn a_slot_of_choices_repeats_bit_for_bit_and_the_wire_takes_it() {
 }
 
 #[test]
-fn the_stored_states_reproduce_the_log_probs_of_choices() {
+fn stored_hidden_states_reproduce_the_log_probabilities_of_choices() {
     let (chunks, policy) = (roll(&mut *world()), policy());
     let rows = fixture::ENVIRONMENTS;
     for (own, agent) in policy.agents.iter().zip(&chunks[0].agents) {
@@ -105,7 +104,7 @@ fn the_stored_states_reproduce_the_log_probs_of_choices() {
 }
 
 #[test]
-fn a_game_is_recorded_without_links_by_its_states_and_choices() {
+fn a_recorded_game_has_states_and_choices_but_no_links() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("game.mcap");
     let none = BTreeMap::new();

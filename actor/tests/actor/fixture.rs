@@ -1,4 +1,4 @@
-//! A small run on a real task: description, policy, leases.
+//! A small run of a real task: description, policy, work.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, CoreKind, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden};
@@ -81,7 +81,7 @@ pub(crate) fn run() -> RunDescription {
     }
 }
 
-/// Slot 3, whose first environment is truncated inside the slot.
+/// Work of slot 3, whose first environment is truncated inside the slot.
 pub(crate) fn fresh_work() -> RolloutWork {
     let start = |environment, limit| EnvironmentStart {
         environment,

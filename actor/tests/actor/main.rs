@@ -1,4 +1,4 @@
-//! The actor from outside: roll-outs, recordings, sessions with a learner.
+//! Integration tests of the actor: rollouts, recordings, sessions with a learner.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod choices;

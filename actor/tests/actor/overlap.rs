@@ -1,4 +1,4 @@
-//! Two leases overlap: an actor steps the next while the last messages of one wait for their acknowledgements.
+//! Tests that two leases overlap: an actor steps the next while the last messages of one are unacknowledged.
 
 use std::pin::Pin;
 use std::sync::Mutex;
@@ -23,13 +23,13 @@ use crate::fixture::{CHUNK, STEPS, fresh_work, policy, run};
 
 const LEASES: u64 = 3;
 
-/// Keeps every slot's last acknowledgement until the next slot's first chunk has come.
+/// A learner that delays the last acknowledgement of each slot until the first chunk of the next slot arrives.
 struct Withholding {
     weights: Vec<u8>,
     leased: AtomicU64,
-    /// The highest lease that a chunk has come of.
+    /// The highest lease of which a chunk has arrived.
     begun: watch::Sender<u64>,
-    /// Leases in the order of their last acknowledgements.
+    /// Leases, in the order of their last acknowledgements.
     finished: Mutex<Vec<u64>>,
     over: watch::Sender<bool>,
 }
@@ -52,7 +52,7 @@ impl Withholding {
 
 type Answers<M> = Pin<Box<dyn Stream<Item = Result<M, Status>> + Send>>;
 
-/// The service is shared with the test, which reads the order from it afterwards.
+/// The service, shared with the test, which reads the order of leases.
 struct Shared(std::sync::Arc<Withholding>);
 
 #[tonic::async_trait]
@@ -145,7 +145,7 @@ async fn acknowledge(
 }
 
 #[tokio::test]
-async fn an_actor_steps_the_next_slot_while_the_last_one_waits_for_its_acknowledgement() {
+async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let learner = format!("http://{}", listener.local_addr().unwrap());
     let withholding = std::sync::Arc::new(Withholding::new());
@@ -162,6 +162,8 @@ async fn an_actor_steps_the_next_slot_while_the_last_one_waits_for_its_acknowled
     };
     let (_stop, never) = watch::channel(false);
     let run = tokio::time::timeout(Duration::from_secs(60), actor::run(config, never));
-    run.await.expect("the actor waits for an acknowledgement before it steps on").unwrap();
+    run.await
+        .expect("the actor waits for an acknowledgement before it steps the next lease")
+        .unwrap();
     assert_eq!(*withholding.finished.lock().unwrap(), [1, 2, 3]);
 }

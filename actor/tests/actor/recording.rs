@@ -1,4 +1,4 @@
-//! Recordings open, verify and hold what they claim.
+//! Tests of recordings: topics, schemas, messages, times.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ fn a_recording_holds_every_topic_with_its_schema_and_a_message_per_step() {
     let mut last = 0;
     for message in mcap::MessageStream::new(&bytes).unwrap() {
         let message = message.unwrap();
-        assert!(message.log_time >= last, "time runs forwards");
+        assert!(message.log_time >= last, "times do not decrease");
         last = message.log_time;
         let schema = message.channel.schema.as_ref().unwrap();
         assert!(!schema.data.is_empty());
@@ -51,7 +51,7 @@ fn a_recording_holds_every_topic_with_its_schema_and_a_message_per_step() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_an_error_and_no_panic() {
+fn a_missing_folder_is_an_error() {
     let path = std::path::Path::new("/nowhere/at/all.mcap");
     let (mut world, none) = (sim::environments(&task(), 1).unwrap(), BTreeMap::new());
     assert!(actor::record((&mut *world, None), &policy(), RunSeed(1), 1, path, &none).is_err());

@@ -1,4 +1,4 @@
-//! A slot's roll-out is a pure function of its lease and weights.
+//! Tests that the rollout of a slot is a pure function of its lease and weights.
 
 use std::ops::ControlFlow;
 
@@ -18,7 +18,7 @@ fn roll(work: &RolloutWork, world: &mut dyn sim::EnvironmentBatch) -> Vec<Trajec
     chunks
 }
 
-/// The slot that goes on where `chunks` ended.
+/// The work of the next iteration, which continues `chunks`.
 fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
     let end = chunks.last().unwrap().end.clone().unwrap();
     let start = |(position, state): (usize, Vec<u8>)| {
@@ -34,7 +34,7 @@ fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
 }
 
 #[test]
-fn a_slot_repeats_bit_for_bit_in_a_used_world_and_in_a_new_one() {
+fn a_slot_is_repeatable_in_used_and_new_environments() {
     let mut used = world();
     let first = roll(&fresh_work(), &mut *used);
     assert_eq!(roll(&fresh_work(), &mut *used), first);
@@ -45,7 +45,7 @@ fn a_slot_repeats_bit_for_bit_in_a_used_world_and_in_a_new_one() {
 }
 
 #[test]
-fn chunks_have_the_shapes_of_the_run_and_number_their_steps() {
+fn chunks_have_the_shapes_of_the_run_and_consecutive_steps() {
     let chunks = roll(&fresh_work(), &mut *world());
     assert_eq!(chunks.len() as u32, STEPS / CHUNK);
     let rows = CHUNK as usize * ENVIRONMENTS;
@@ -63,7 +63,7 @@ fn chunks_have_the_shapes_of_the_run_and_number_their_steps() {
 }
 
 #[test]
-fn the_wire_takes_every_chunk_as_it_was_built() {
+fn chunks_survive_the_protocol() {
     for chunk in roll(&fresh_work(), &mut *world()) {
         let (message, digest) = chunk.to_wire(&run(), &fresh_work().origin());
         assert_eq!(
@@ -75,7 +75,7 @@ fn the_wire_takes_every_chunk_as_it_was_built() {
 }
 
 #[test]
-fn a_truncated_episode_leaves_its_true_next_state_and_a_reset_memory() {
+fn a_truncated_episode_has_its_final_state_and_resets_the_recurrent_state() {
     let chunks = roll(&fresh_work(), &mut *world());
     let ends: Vec<(u32, u32)> =
         chunks.iter().flat_map(|c| &c.finals).map(|last| (last.step, last.environment)).collect();
@@ -92,7 +92,7 @@ fn a_truncated_episode_leaves_its_true_next_state_and_a_reset_memory() {
 }
 
 #[test]
-fn the_stored_states_reproduce_the_sent_log_probs() {
+fn stored_hidden_states_reproduce_the_sent_log_probabilities() {
     let (chunks, policy) = (roll(&fresh_work(), &mut *world()), policy());
     let mut scratch = Scratch::default();
     for (index, own) in policy.agents.iter().enumerate() {
@@ -113,7 +113,7 @@ fn the_stored_states_reproduce_the_sent_log_probs() {
 }
 
 #[test]
-fn a_state_of_another_kind_is_refused_and_not_stepped() {
+fn an_invalid_state_is_rejected_without_a_step() {
     let mut work = next_work(&roll(&fresh_work(), &mut *world()));
     work.environments[0].start =
         Start::Continue { state: vec![7; 10], recurrent: vec![vec![0.0; HIDDEN]; 2] };
@@ -123,7 +123,7 @@ fn a_state_of_another_kind_is_refused_and_not_stepped() {
 }
 
 #[test]
-fn an_evaluation_episode_repeats_itself_and_lasts_to_the_limit_with_mean_and_with_drawn_actions() {
+fn evaluation_episodes_are_repeatable_with_mean_and_sampled_actions() {
     use policy::randomness::{Draw, Key, Purpose, RunSeed};
     let play_by = |seed: u64, choice: ActionChoice| {
         let mut world = sim::environments(&task(), 1).unwrap();

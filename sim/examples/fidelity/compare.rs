@@ -1,26 +1,26 @@
-//! How far a robot's motion is from MuJoCo's recorded one.
+//! Differences between a robot's motion and MuJoCo's recorded motion.
 
 use std::sync::Arc;
 
 use serde_json::Value;
 use sim::{Robot, World};
 
-/// Robots of the traces and a task of each.
+/// Robots of the traces, with one task each.
 pub(crate) const ROBOTS: [(&str, &str); 3] =
     [("halfcheetah", "halfcheetah-2x3"), ("walker2d", "walker2d-2x3"), ("ant", "ant-2x4")];
 
-/// Mean differences at one moment.
+/// Mean differences at one time.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Difference {
-    /// Of the root's place along x, m.
+    /// Difference of the root's x position, m.
     pub(crate) place: f64,
-    /// Of a hinge's angle, rad.
+    /// Mean difference of the hinge angles, rad.
     pub(crate) angle: f64,
-    /// Largest of any coordinate, m or rad.
+    /// Largest difference of any coordinate, m or rad.
     pub(crate) largest: f64,
 }
 
-/// MuJoCo's traces.
+/// MuJoCo's recorded traces.
 pub(crate) struct Traces(Value);
 
 impl Traces {
@@ -30,14 +30,14 @@ impl Traces {
     }
 
     pub(crate) fn source(&self) -> &str {
-        self.0["source"].as_str().expect("the traces say where they come from")
+        self.0["source"].as_str().expect("the traces name their source")
     }
 
     pub(crate) fn times_secs(&self) -> Vec<f64> {
         numbers(&self.0["times_secs"])
     }
 
-    /// Differences in free flight at the recorded times, every physics step split into `parts`.
+    /// Differences in free flight at the recorded times, with every physics step split into `parts`.
     pub(crate) fn flight(&self, (name, task): (&str, &str), parts: u32) -> Vec<Difference> {
         const HIGH: f64 = 8.0;
         let episode = &self.0["robots"][name]["flight"];
@@ -50,8 +50,8 @@ impl Traces {
         differences(&robot, &seen, &episode["exact"])
     }
 
-    /// Mean differences on the ground over all sequences: ours from MuJoCo's at the task's step, and MuJoCo's
-    /// from its own at a quarter of it.
+    /// Mean differences on the ground over all sequences: between ours and MuJoCo's at the task's step, and between
+    /// MuJoCo's and its own at a quarter of that step.
     pub(crate) fn ground(&self, (name, task): (&str, &str), drive: &str) -> [Vec<Difference>; 2] {
         let robot = Arc::new(Robot::of_task(task).expect("the task is known"));
         let episodes = self.0["robots"][name][drive].as_array().expect("a list of sequences");
@@ -59,14 +59,14 @@ impl Traces {
         for episode in episodes {
             let seen = self.play(&robot, &numbers(&episode["start"]), &episode["controls"], 1);
             ours.push(differences(&robot, &seen, &episode["task_step"]));
-            let coarse = episode["task_step"].as_array().expect("a list of moments");
+            let coarse = episode["task_step"].as_array().expect("a list of times");
             let coarse: Vec<Vec<f64>> = coarse.iter().map(numbers).collect();
             own.push(differences(&robot, &coarse, &episode["quarter_step"]));
         }
         [mean(&ours), mean(&own)]
     }
 
-    /// Coordinates as the model counts them, at the recorded times.
+    /// The model's own coordinates at the recorded times.
     fn play(
         &self,
         robot: &Arc<Robot>,
@@ -85,7 +85,7 @@ impl Traces {
         for (segment, row) in controls.as_array().expect("a list of controls").iter().enumerate() {
             world.command(&numbers(row).iter().map(|c| *c as f32).collect::<Vec<f32>>());
             for _ in 0..steps {
-                assert!(world.substep(), "the world is whole");
+                assert!(world.substep(), "the state is finite");
             }
             let now = (segment + 1) as f64 * hold_secs;
             if times.iter().any(|time| (time - now).abs() < 1e-9) {
@@ -99,14 +99,14 @@ impl Traces {
     }
 }
 
-/// Place of the root's height among the coordinates.
+/// Index of the root's height in the coordinates.
 fn height(robot: &Robot) -> usize {
     let names = robot.coordinate_names();
     names.iter().position(|name| name == "rootz" || name == "root.z").expect("a root has a height")
 }
 
 fn differences(robot: &Robot, seen: &[Vec<f64>], expected: &Value) -> Vec<Difference> {
-    let expected = expected.as_array().expect("a list of moments").iter().map(numbers);
+    let expected = expected.as_array().expect("a list of times").iter().map(numbers);
     let hinges = robot.hinges().count();
     let at = |(got, expected): (&Vec<f64>, Vec<f64>)| {
         let off: Vec<f64> = got.iter().zip(expected).map(|(g, e)| (g - e).abs()).collect();

@@ -1,4 +1,4 @@
-//! How far a robot's motion is from MuJoCo's under a second set of controls and starts.
+//! Differences between a robot's motion and MuJoCo's for a second set of controls and starts.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use sim::{Robot, World};
 
 use crate::compare::numbers;
 
-/// Ways to drive and start robots.
+/// Names and descriptions of the controls and starts.
 pub(crate) const DRIVES: [(&str, &str); 6] = [
     ("square_slow", "square wave 0.5 Hz"),
     ("square_fast", "square wave 2 Hz"),
@@ -17,20 +17,20 @@ pub(crate) const DRIVES: [(&str, &str); 6] = [
     ("spin", "spin 3 rad/s"),
 ];
 
-/// Mean absolute differences over starts and moments.
+/// Mean absolute differences over starts and times.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Errors {
-    /// Of the root's place along x, m.
+    /// Error of the root's x position, m.
     pub(crate) place: f64,
-    /// Of the root's height, m.
+    /// Error of the root's height, m.
     pub(crate) height: f64,
-    /// Of a planar root's pitch, rad; 0 for a free root.
+    /// Error of a planar root's pitch, rad; 0 for a free root.
     pub(crate) pitch: f64,
-    /// Of a hinge's angle, rad.
+    /// Mean error of the hinge angles, rad.
     pub(crate) angle: f64,
 }
 
-/// MuJoCo's traces and statistics.
+/// MuJoCo's recorded traces and statistics.
 pub(crate) struct HeldOut(Value);
 
 impl HeldOut {
@@ -48,7 +48,7 @@ impl HeldOut {
         &self.0["robots"][name]["random"]
     }
 
-    /// Errors of this engine, and those of MuJoCo's own step against a quarter of it.
+    /// Errors of this simulator, and those of MuJoCo between the task's step and a quarter of it.
     pub(crate) fn errors(&self, (name, task): (&str, &str), drive: &str) -> [Errors; 2] {
         let robot = Arc::new(Robot::of_task(task).expect("the task is known"));
         let episodes =
@@ -62,7 +62,7 @@ impl HeldOut {
         [mean(&ours), mean(&own)]
     }
 
-    /// Coordinates as the model counts them, at the recorded times.
+    /// The model's own coordinates at the recorded times.
     fn play(&self, robot: &Arc<Robot>, episode: &Value) -> Vec<Vec<f64>> {
         let mut world = World::new(Arc::clone(robot));
         let reference = robot.reference();
@@ -76,7 +76,7 @@ impl HeldOut {
         for (segment, row) in episode["controls"].as_array().expect("a list").iter().enumerate() {
             world.command(&singles(row));
             for _ in 0..steps {
-                assert!(world.substep(), "the world is whole");
+                assert!(world.substep(), "the state is finite");
             }
             let now = (segment + 1) as f64 * hold_secs;
             if times.iter().any(|time| (time - now).abs() < 1e-9) {
@@ -117,7 +117,7 @@ pub(crate) fn mean(errors: &[Errors]) -> Errors {
 }
 
 fn rows(value: &Value) -> Vec<Vec<f64>> {
-    value.as_array().expect("a list of moments").iter().map(numbers).collect()
+    value.as_array().expect("a list of times").iter().map(numbers).collect()
 }
 
 fn singles(value: &Value) -> Vec<f32> {

@@ -8,10 +8,10 @@ use compare::{Difference, ROBOTS, Traces};
 use held_out::{DRIVES, Errors, HeldOut};
 use random::Statistics;
 
-/// Controls of the robots on the ground.
+/// Controls for the robots on the ground.
 const GROUND: [&str; 3] = ["passive", "tenth", "full"];
 
-/// Name of a row and the quantity that it shows.
+/// Name of a row and its quantity.
 type Row<T> = (&'static str, fn(&T) -> f64);
 
 fn main() {
@@ -59,7 +59,7 @@ fn ground(traces: &Traces) {
     }
 }
 
-/// One cell for each robot and drive: difference from MuJoCo / of MuJoCo from itself at a quarter of its step.
+/// Prints one cell per robot and drive: difference from MuJoCo / of MuJoCo from itself at a quarter of its step.
 fn other_controls(held_out: &HeldOut) {
     println!(
         "Other controls and starts, mean difference (x in m; hinge in rad), ours / MuJoCo's own:\n"

@@ -1,4 +1,4 @@
-//! Episodes under uniform random actions, with the starts and actions that MuJoCo's statistics come from.
+//! Episodes under uniform random actions, with the same starts and actions as MuJoCo's statistics.
 
 use std::sync::Arc;
 
@@ -10,18 +10,18 @@ use sim::{Robot, World};
 pub(crate) struct Statistics {
     /// The root's height in the model's coordinates, m.
     pub(crate) height: f64,
-    /// Share of steps that end with a contact force.
+    /// Fraction of steps that end with a contact force.
     pub(crate) contact: f64,
-    /// 99.9 % quantile of how far a hinge is beyond a limit, rad.
+    /// 99.9 % quantile of the violation of a hinge's limit, rad.
     pub(crate) overshoot: f64,
-    /// Of a hinge, rad/s.
+    /// Mean speed of the hinges, rad/s.
     pub(crate) joint_speed: f64,
-    /// Steps.
+    /// Episode length, steps.
     pub(crate) length: f64,
 }
 
 impl Statistics {
-    /// What the record holds of MuJoCo.
+    /// Reads MuJoCo's recorded statistics.
     pub(crate) fn recorded(value: &Value) -> Self {
         let number = |name: &str| value[name].as_f64().expect("a number");
         Self {
@@ -34,7 +34,7 @@ impl Statistics {
     }
 }
 
-/// The same episodes here.
+/// Plays the same episodes in this simulator.
 pub(crate) fn play((name, task): (&str, &str), record: &Value) -> Statistics {
     let robot = Arc::new(Robot::of_task(task).expect("the task is known"));
     let whole = |name: &str| record[name].as_u64().expect("a whole number");
@@ -119,12 +119,12 @@ fn episode_length(
     let mut motion = vec![0.0; world.robot().velocity_names().len()];
     for step in 1..=longest {
         let controls: Vec<f32> = (0..motors).map(|k| draw(episode, step, k) as f32).collect();
-        assert!(world.step(&controls), "the world is whole");
+        assert!(world.step(&controls), "the state is finite");
         world.coordinates(&mut at);
         world.velocities(&mut motion);
         let height = at[place] + reference[place];
         sums.add(world, &motion, height);
-        // Ant's start has its ankles outside their limits.
+        // Ant starts with its ankles outside their limits.
         if step > 20 || name != "ant" {
             sums.add_overshoots(world.robot(), &at);
         }
@@ -140,7 +140,7 @@ fn episode_length(
     longest as f64
 }
 
-/// Uniform in [-1, 1) with 24 bits: the draw of the script that recorded MuJoCo's statistics.
+/// Draws uniformly from [-1, 1) with 24 bits, as the script that recorded MuJoCo's statistics does.
 fn draw(episode: u64, step: u64, index: u64) -> f64 {
     (mixed((episode << 32) + (step << 8) + index) >> 40) as f64 / 8_388_608.0 - 1.0
 }

@@ -1,4 +1,4 @@
-//! A task's description, from its row, its robot and its partition.
+//! Builds a task's description from its row, its robot and its partition.
 
 use crate::config::ObservationConfig;
 use crate::description::{ActionRange, AgentDescription, Description};
@@ -44,7 +44,7 @@ pub(super) fn describe(
     Ok((description, observation))
 }
 
-/// One range for the whole action, so the agent's motors must share theirs.
+/// The control range of an agent's action, which must be the same for all its motors.
 fn action_range(robot: &Robot, motors: &[usize]) -> Result<ActionRange, SimError> {
     let ranges = motors.iter().map(|&motor| robot.layout().motors[motor].range);
     let mut ranges = ranges.collect::<Vec<_>>();

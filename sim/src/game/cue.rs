@@ -1,11 +1,11 @@
-//! `cue-2x1`: two agents see a cue of three and are paid when both choose it. Small enough to know by heart: for
-//! agents that follow the cue, their actions share `log 3` nats of information given the counted place, and none
-//! once the cue is counted in.
+//! `cue-2x1`: two agents observe one of three cues and are rewarded if both choose it. Its information is known in
+//! closed form: the actions of agents that follow the cue share `log 3` nats given the place, and none given place and
+//! cue.
 //!
-//! The place is one of four on a ring and goes on by one whenever both match. The global state is the place alone.
-//! Each agent observes the place, the cue and its own number, all one-hot. An episode's cues, one for each step and
-//! one to be seen after the last, are drawn when it starts and stand in its state, so that the cue of a step is a
-//! function of the reset's key and the step.
+//! The place is one of four on a ring and advances by one if both agents match the cue. The global state is the place.
+//! Each agent observes the place, the cue and its own index, all one-hot. An episode's cues, one for each step and one
+//! after the last, are drawn at its start and are part of its state. The cue of a step is therefore a function of the
+//! reset key and the step.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -17,40 +17,40 @@ use crate::error::{ActionError, SimError, StateError};
 use crate::noise;
 use crate::state::{STATE_VERSION, State, StateBounds};
 
-/// The task's name.
+/// Name of the task.
 pub(crate) const NAME: &str = "cue-2x1";
 
 const AGENTS: usize = 2;
 const CUES: usize = 3;
 const PLACES: usize = 4;
 const EPISODE_STEPS: u32 = 50;
-/// Numbers of an observation: place, cue, own number.
+/// Size of an observation: place, cue, own index.
 const OBSERVATION: usize = PLACES + CUES + AGENTS;
-/// What a step is worth in which both agents choose the cue.
+/// Reward of a step in which both agents choose the cue.
 const REWARD: f32 = 1.0;
-/// Nothing moves in continuous time here; a recording shows ten steps a second.
+/// Duration of a step in recordings; the game itself has no time.
 const STEP_SECS: f64 = 0.1;
 
-/// A slot's games.
+/// The games of a slot.
 pub(crate) struct CueEnvironments {
     description: Description,
     bounds: StateBounds,
     games: Vec<Game>,
 }
 
-/// One game: its whole state.
+/// Complete state of a game.
 #[derive(Clone)]
 struct Game {
     episode: u64,
     step: u32,
     limit: u32,
     place: usize,
-    /// `[EPISODE_STEPS + 1]`, the cue before each step and after the last.
+    /// Cue before each step and after the last, `[EPISODE_STEPS + 1]`.
     cues: Vec<usize>,
 }
 
 impl CueEnvironments {
-    /// `count` games at place 0 whose cues are all 0, episode 0.
+    /// Returns `count` games at place 0 with all cues 0, in episode 0.
     pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
         let (mode, norm) = (config.observation.mode, config.observation.norm);
         if (mode, norm) != (ObservationMode::FullId, ObservationNorm::None) {
@@ -172,7 +172,7 @@ impl EnvironmentBatch for CueEnvironments {
 }
 
 impl Game {
-    /// The cue before the next step; after the last step the last one.
+    /// Cue before the next step; the last cue after the last step.
     fn cue(&self) -> usize {
         self.cues[(self.step as usize).min(self.cues.len() - 1)]
     }
@@ -192,7 +192,7 @@ impl Game {
     }
 }
 
-/// A number within bounds, as the count that it is.
+/// Converts a value within bounds to an integer.
 fn whole(index: usize, value: f32) -> Result<usize, StateError> {
     if value.fract() != 0.0 {
         return Err(StateError::Fraction { field: "coordinate", index, value });
@@ -225,7 +225,7 @@ fn describe(bounds: &StateBounds) -> Description {
         name: format!("agent_{index}"),
         joints: Vec::new(),
         observation: [state.clone(), cue.clone(), number.clone()].concat(),
-        // The state does not tell the cue.
+        // The global state does not contain the cue.
         seen: Vec::new(),
         near: Vec::new(),
         action: ActionRange {

@@ -1,4 +1,4 @@
-//! Builds a robot's template world on rapier: one multibody, one floor without a parent, floor contacts only.
+//! Builds a robot's template world in rapier: one multibody, one floor without a parent body, floor contacts only.
 
 use rapier3d::prelude::*;
 
@@ -7,7 +7,7 @@ use super::blueprint::{Blueprint, Floor, Hinge, JointPlan, LinkPlan, ShapePlan};
 use super::layout::Layout;
 use crate::scene::Shape;
 
-/// Everything of a world that its history is in; cloning it is a reset.
+/// All parts of a world with state. Cloning them resets the world.
 #[derive(Clone)]
 pub(crate) struct Template {
     pub(crate) islands: IslandManager,
@@ -22,7 +22,7 @@ pub(crate) struct Template {
 const FLOOR: Group = Group::GROUP_1;
 const ROBOT: Group = Group::GROUP_2;
 
-/// The template in its rest pose, and where in it the robot's numbers are.
+/// Builds the template in its rest pose, and the layout of the robot's coordinates in it.
 pub(super) fn assemble(
     blueprint: &Blueprint,
     row: &RobotRow,
@@ -39,15 +39,15 @@ pub(super) fn assemble(
         let parent = link.parent.map_or(ground, |parent| handles[parent]);
         if let Some(joint) = joint(link) {
             let inserted = world.multibody_joints.insert(parent, body, joint, true);
-            inserted.ok_or_else(|| format!("{}: rapier refuses the joint", link.name))?;
+            inserted.ok_or_else(|| format!("{}: rapier rejects the joint", link.name))?;
         }
         handles.push(body);
     }
-    settle_root(&mut world, handles[0]);
+    update_root(&mut world, handles[0]);
     let mut layout = Layout::new(blueprint, &world, &handles)?;
     set_passive_terms(&mut world, blueprint, &layout);
     fill_broad_phase(&mut world);
-    weigh(&world, &mut layout);
+    set_inverse_masses(&world, &mut layout);
     Ok((Template::of(world), layout))
 }
 
@@ -64,7 +64,7 @@ impl Template {
         }
     }
 
-    /// Puts a copy of the template into `world`, whatever was there.
+    /// Replaces the content of `world` with a copy of the template.
     pub(crate) fn copy_into(&self, world: &mut PhysicsWorld) {
         world.islands = self.islands.clone();
         world.broad_phase = self.broad_phase.clone();
@@ -76,14 +76,14 @@ impl Template {
     }
 }
 
-/// A world with the robot's gravity and its physics step split into `parts`, and nothing in it.
+/// Creates an empty world with the robot's gravity and its physics step split into `parts`.
 ///
-/// The contacts' springs are in [`ContactLaw`](crate::world::ContactLaw); what the engine does itself is to hold their
-/// target speeds, with a compliance of `row.contact_compliance`: without damping `erp = 1`, and the compliance is
-/// `1 / (dt w)^2`. One pass solves contacts and friction: a second one without bias would take the springs' rebound away.
+/// [`ContactLaw`](crate::world::ContactLaw) implements the contacts' springs. The engine only enforces their target
+/// speeds, with a compliance of `row.contact_compliance`: without damping `erp = 1`, and the compliance is `1 / (dt
+/// w)^2`. One pass solves contacts and friction, because a second pass without bias would remove the springs' rebound.
 pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> PhysicsWorld {
     let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
-    // A dozen shapes need no balanced tree, and balancing calls the platform's logarithm.
+    // Balancing the tree would call the platform's logarithm. A dozen shapes do not need it.
     world.broad_phase = BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None);
     let parameters = &mut world.integration_parameters;
     parameters.dt = blueprint.timestep_secs as f32 / parts as f32;
@@ -92,7 +92,7 @@ pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> 
     parameters.num_internal_stabilization_iterations = 0;
     parameters.max_ccd_substeps = 0;
     parameters.contact_recycling = false;
-    // As in MuJoCo, nothing touches before it is within the margin.
+    // As in MuJoCo, contacts exist only within the margin.
     parameters.normalized_prediction_distance = 1e-4;
     parameters.normalized_max_corrective_velocity = f32::MAX;
     let turn = parameters.dt * row.contact_compliance.sqrt() * std::f32::consts::TAU;
@@ -100,8 +100,8 @@ pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> 
     world
 }
 
-/// The floor has no parent: attached to the multibody's fixed root it would count as one of the robot's own parts,
-/// and self contacts are off.
+/// Inserts the floor without a parent. Attached to the multibody's fixed root, it would be a part of the robot, and
+/// contacts between these are disabled.
 fn insert_floor(world: &mut PhysicsWorld, floor: &Floor) {
     let collider = ColliderBuilder::new(SharedShape::halfspace(Vector::Z)).position(floor.pose);
     world.colliders.insert(touching(collider, floor.friction, FLOOR, ROBOT));
@@ -128,9 +128,9 @@ fn insert_link(
     handle
 }
 
-/// A shape without mass. The engine adds mass properties up unless they are exactly zero in the link's frame, and sums are
-/// diagonalised by the platform's mathematics: so a capsule lies in that frame by its ends, and a ball's mass centre
-/// of no mass is moved back to the link's origin.
+/// Builds a shape without mass. The engine sums mass properties unless they are exactly zero in the link's frame, and
+/// diagonalises sums with the platform's mathematical functions. A capsule is therefore defined by its ends in that
+/// frame, and the massless centre of a ball is moved to the link's origin.
 fn collider(plan: &ShapePlan) -> ColliderBuilder {
     let at = plan.pose.translation;
     match plan.shape {
@@ -153,7 +153,7 @@ fn touching(collider: ColliderBuilder, friction: f32, own: Group, other: Group) 
         .collision_groups(InteractionGroups::new(own, other, InteractionTestMode::And))
 }
 
-/// A free root is the multibody's own root and needs no joint.
+/// Joint of a link. A free root is the root of the multibody and needs none.
 fn joint(link: &LinkPlan) -> Option<GenericJoint> {
     match &link.joint {
         JointPlan::Free(_) => None,
@@ -166,7 +166,7 @@ fn joint(link: &LinkPlan) -> Option<GenericJoint> {
     }
 }
 
-/// Without limits: those are springs of [`HingeDrives`](crate::world::HingeDrives).
+/// Builds a hinge without limits, which [`HingeDrives`](crate::world::HingeDrives) implements as springs.
 fn hinge_joint(link: &LinkPlan, hinge: &Hinge) -> GenericJoint {
     let masks = [JointAxesMask::ANG_X, JointAxesMask::ANG_Y, JointAxesMask::ANG_Z];
     let inside = Pose::from_parts(hinge.anchor, hinge.axis.frame);
@@ -177,16 +177,17 @@ fn hinge_joint(link: &LinkPlan, hinge: &Hinge) -> GenericJoint {
         .build()
 }
 
-/// Until its first kinematics a multibody counts a fixed root's six freedoms too, and every row is off by six.
-fn settle_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
+/// Runs the first kinematics. Before it, a multibody also counts the six freedoms of a fixed root, and all rows are off
+/// by six.
+fn update_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
     let index = world.multibody_joints.rigid_body_link(root).map(|link| link.multibody);
     if let Some(robot) = index.and_then(|index| world.multibody_joints.get_multibody_mut(index)) {
         robot.forward_kinematics(&world.bodies, true);
     }
 }
 
-/// Damping and armature, after all inserts: inserting moves the multibody's rows. Everything else is set to zero, because
-/// rapier gives every angular freedom a damping of 0.1 that no model asked for.
+/// Sets damping and armature after all inserts, because each insert moves the multibody's rows. Other freedoms are set
+/// to zero, because rapier's default damping of angular freedoms is 0.1.
 fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &Layout) {
     let Some(robot) = world.multibody_joints.get_multibody_mut(layout.multibody) else { return };
     robot.set_self_contacts_enabled(false);
@@ -199,14 +200,16 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
     }
 }
 
-/// The bodies know their masses only after a step. A copy is weighed, so that the template stays as that step left it.
-fn weigh(world: &PhysicsWorld, layout: &mut Layout) {
+/// Computes inverse masses and inertias. Bodies have masses only after a step. A copy is used, so that the template
+/// does not change.
+fn set_inverse_masses(world: &PhysicsWorld, layout: &mut Layout) {
     let robot = world.multibody_joints.get_multibody(layout.multibody);
     let mut robot = robot.expect("the layout was read from this world").clone();
-    layout.weigh(&mut robot, &world.bodies);
+    layout.set_inverse_masses(&mut robot, &world.bodies);
 }
 
-/// A step of no time fills the islands and the broad phase, so that clones start from the same history.
+/// Runs a step of zero duration, which fills the islands and the broad phase. All clones then start from the same
+/// state.
 fn fill_broad_phase(world: &mut PhysicsWorld) {
     let dt = std::mem::replace(&mut world.integration_parameters.dt, 0.0);
     world.step();

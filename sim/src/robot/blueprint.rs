@@ -1,69 +1,69 @@
-//! What a robot's world is built from, free of any file format: links, joints, motors, floor.
+//! Description of a robot's world, independent of file formats: links, joints, motors, floor.
 
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
 use crate::scene::Shape;
 
-/// A robot's plan.
+/// Description of a robot and its floor.
 #[derive(Debug)]
 pub(crate) struct Blueprint {
     /// Seconds of one physics step.
     pub(crate) timestep_secs: f64,
     /// Gravity in the world, m/s^2.
     pub(crate) gravity: Vector,
-    /// The ground.
+    /// The floor.
     pub(crate) floor: Floor,
-    /// Links, parents before children; the first is the root.
+    /// Links, parents before children. The first is the root.
     pub(crate) links: Vec<LinkPlan>,
     /// Motors in the order of the model's actuators.
     pub(crate) motors: Vec<MotorPlan>,
-    /// The model's bodies in its order, the world first; those without a joint are part of a link.
+    /// Names of the model's bodies in its order, the world first. Bodies without a joint are part of a link.
     pub(crate) bodies: Vec<String>,
 }
 
-/// A half-space whose free side is its z.
+/// A half-space below the plane z = 0 of its pose.
 #[derive(Debug)]
 pub(crate) struct Floor {
     pub(crate) pose: Pose,
     pub(crate) friction: f32,
 }
 
-/// One link. Bodies without a joint are merged into the link that carries them.
+/// A link. Bodies without a joint are merged into the link of their parent.
 #[derive(Debug)]
 pub(crate) struct LinkPlan {
     pub(crate) name: String,
-    /// Index of the parent link; the root has none.
+    /// Index of the parent link; `None` for the root.
     pub(crate) parent: Option<usize>,
-    /// Rest pose in the parent link's frame; the root's in the world.
+    /// Rest pose in the frame of the parent link, or in the world for the root.
     pub(crate) rest: Pose,
     pub(crate) joint: JointPlan,
     pub(crate) mass: MassProperties,
     pub(crate) shapes: Vec<ShapePlan>,
 }
 
-/// One collision shape in its link's frame.
+/// A collision shape in its link's frame.
 #[derive(Debug)]
 pub(crate) struct ShapePlan {
     pub(crate) shape: Shape,
     pub(crate) pose: Pose,
     pub(crate) friction: f32,
-    /// Index of the model's body that it belongs to.
+    /// Index of its body in the model.
     pub(crate) body: usize,
 }
 
-/// How a link moves against its parent.
+/// Motion of a link relative to its parent.
 #[derive(Debug)]
 pub(crate) enum JointPlan {
-    /// Slide along x, slide along z, turn about y, against the world.
+    /// Translation along x and z and rotation about y, relative to the world.
     Planar(Planar),
-    /// All six, against the world.
+    /// All six degrees of freedom, relative to the world; the value is the joint's name.
     Free(String),
-    /// One turn against the parent link.
+    /// One rotation relative to the parent link.
     Hinge(Hinge),
 }
 
-/// The planar root's joint names (x, z, turn about y) and what 0 stands for in the model's coordinates.
+/// Joint names of the planar root (x, z, rotation about y) and offsets to the model's own coordinates.
 #[derive(Debug)]
 pub(crate) struct Planar {
     pub(crate) names: [String; 3],
@@ -74,14 +74,14 @@ pub(crate) struct Planar {
 #[derive(Debug)]
 pub(crate) struct Hinge {
     pub(crate) name: String,
-    /// In the child link's frame, m.
+    /// Position in the frame of the child link, m.
     pub(crate) anchor: Vector,
     pub(crate) axis: HingeAxis,
     /// rad.
     pub(crate) range: Option<[f32; 2]>,
     /// N m / rad.
     pub(crate) stiffness: f32,
-    /// Where the spring rests, rad.
+    /// Rest angle of the spring, rad.
     pub(crate) spring_rest: f32,
     /// N m s / rad.
     pub(crate) damping: f32,
@@ -89,20 +89,21 @@ pub(crate) struct Hinge {
     pub(crate) armature: f32,
 }
 
-/// A hinge's axis as the solver takes it: one of the joint frame's own axes.
+/// Axis of a hinge, as an axis of the joint's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct HingeAxis {
     /// 0, 1 or 2 for x, y or z of the joint's frame.
     pub(crate) free: usize,
-    /// -1 where the model's axis points against that frame's axis.
+    /// -1 if the model's axis points in the opposite direction.
     pub(crate) sign: f32,
-    /// The joint's frame in both links.
+    /// Orientation of the joint's frame in both links.
     pub(crate) frame: Rotation,
 }
 
 impl HingeAxis {
-    /// Axes along a link axis keep the frame unrotated: rotated frames leave round-off in the tangents that a
-    /// planar robot cannot move along, and that eats its friction. Other axes turn the frame's x to them.
+    /// Frame for a hinge axis. An axis of the link keeps the frame unrotated, because a rotated frame causes round-off
+    /// in tangents along which a planar robot cannot move, and this reduces its friction. For other axes, the frame's x
+    /// axis is rotated to them.
     pub(crate) fn along(axis: Vector) -> Self {
         let axis = axis.normalize();
         let units = axis.to_array();
@@ -115,7 +116,7 @@ impl HingeAxis {
     }
 }
 
-/// One motor: torque = gear x control.
+/// A motor: torque = gear x control.
 #[derive(Debug)]
 pub(crate) struct MotorPlan {
     /// The hinge it drives.

@@ -1,7 +1,7 @@
-//! A link's mass properties from its shapes, with principal inertias that no C library computes.
+//! Mass properties of a link from its shapes.
 //!
-//! rapier finds principal axes by the platform's `acos` and `cos`, whose last bits differ between C libraries. Here
-//! Jacobi's rotations find them by arithmetic and square roots alone, which are exact everywhere.
+//! rapier computes principal axes with the platform's `acos` and `cos`, whose last bits differ between C libraries.
+//! Here Jacobi rotations compute them with arithmetic and square roots only, which are exact on every platform.
 
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::{MassProperties, SharedShape};
@@ -9,7 +9,7 @@ use rapier3d::prelude::{MassProperties, SharedShape};
 type Matrix = [[f64; 3]; 3];
 
 const IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-/// Sweeps of Jacobi's method; it converges quadratically, and five reach the last bit of a 3 x 3 matrix.
+/// Sweeps of Jacobi's method. It converges quadratically; five sweeps reach the last bit of a 3 x 3 matrix.
 const SWEEPS: usize = 8;
 
 /// Mass, first moments and inertia about the link's origin, summed over shapes.
@@ -24,7 +24,7 @@ pub(super) struct MassSum {
 }
 
 impl MassSum {
-    /// Adds a shape at `pose` in the link's frame.
+    /// Adds a shape with the pose `pose` in the link's frame.
     pub(super) fn add(&mut self, shape: &SharedShape, density: f32, pose: &Pose) {
         let part = shape.mass_properties(density);
         let mass = f64::from(part.mass());
@@ -50,7 +50,7 @@ impl MassSum {
         self.mass
     }
 
-    /// Mass properties with the mass and inertia times `factor`.
+    /// Mass properties, with mass and inertia multiplied by `factor`.
     pub(super) fn properties(&self, factor: f64) -> MassProperties {
         let centre = self.moments.map(|moment| moment / self.mass);
         let square: f64 = centre.iter().map(|x| x * x).sum();
@@ -75,7 +75,7 @@ fn vector(numbers: [f64; 3]) -> Vector {
     Vector::from_array(numbers.map(|number| number as f32))
 }
 
-/// The rotation matrix of a unit quaternion.
+/// Rotation matrix of a unit quaternion.
 fn matrix(rotation: Rotation) -> Matrix {
     let [x, y, z, w] = rotation.to_array().map(f64::from);
     [
@@ -85,8 +85,8 @@ fn matrix(rotation: Rotation) -> Matrix {
     ]
 }
 
-/// Eigenvalues of a symmetric matrix and the rotation from its eigenvectors' frame, by Jacobi's method. The rotation is
-/// kept as a quaternion, so that a diagonal matrix gives exactly none.
+/// Eigenvalues of a symmetric matrix and the rotation from the frame of its eigenvectors, by Jacobi's method. The
+/// rotation is a quaternion, so that a diagonal matrix gives exactly the identity.
 fn principal_axes(mut inertia: Matrix) -> ([f64; 3], Rotation) {
     let mut frame = [0.0, 0.0, 0.0, 1.0];
     for _ in 0..SWEEPS {
@@ -103,22 +103,22 @@ fn principal_axes(mut inertia: Matrix) -> ([f64; 3], Rotation) {
     ([inertia[0][0], inertia[1][1], inertia[2][2]], Rotation::from_xyzw(x, y, z, w))
 }
 
-/// Cosine and sine of the turn from `p` to `q` that takes `inertia[p][q]` to zero; `None` if it is zero already.
+/// Cosine and sine of the rotation from `p` to `q` that makes `inertia[p][q]` zero; `None` if it is already zero.
 fn jacobi_rotation(inertia: &Matrix, p: usize, q: usize) -> Option<[f64; 2]> {
     let off = inertia[p][q];
     let size = inertia[p][p].abs() + inertia[q][q].abs();
-    // What f32 quaternions of the shapes leave where an exact one would leave zero.
+    // Round-off of the shapes' f32 quaternions counts as zero.
     if off.abs() <= 1e-9 * size {
         return None;
     }
     let ratio = (inertia[q][q] - inertia[p][p]) / (2.0 * off);
     let tangent = ratio.signum() / (ratio.abs() + (ratio * ratio + 1.0).sqrt());
     let cos = 1.0 / (tangent * tangent + 1.0).sqrt();
-    // The eigenvectors' frame turns against the matrix's own turn.
+    // The frame of the eigenvectors rotates in the opposite direction.
     Some([cos, -tangent * cos])
 }
 
-/// `J^T inertia J` with `J` the turn from `p` to `q`.
+/// `J^T inertia J`, where `J` is the rotation from `p` to `q`.
 fn rotate(inertia: &mut Matrix, [p, q]: [usize; 2], [cos, sin]: [f64; 2]) {
     for row in inertia.iter_mut() {
         (row[p], row[q]) = (cos * row[p] + sin * row[q], cos * row[q] - sin * row[p]);
@@ -130,7 +130,7 @@ fn rotate(inertia: &mut Matrix, [p, q]: [usize; 2], [cos, sin]: [f64; 2]) {
     }
 }
 
-/// The quaternion (x y z w) followed by a turn about its own `axis`.
+/// The quaternion (x y z w) followed by a rotation about its own `axis`.
 fn turned([x, y, z, w]: [f64; 4], axis: usize, [cos, sin]: [f64; 2]) -> [f64; 4] {
     let half_cos = ((1.0 + cos) / 2.0).sqrt();
     let half_sin = sin / (2.0 * half_cos);
@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn principal_axes_rebuild_the_matrix() {
+    fn principal_axes_reconstruct_the_matrix() {
         let inertia = [[2.0, 0.3, -0.4], [0.3, 1.5, 0.2], [-0.4, 0.2, 0.7]];
         let (principal, frame) = principal_axes(inertia);
         let turn = matrix(frame);
@@ -163,14 +163,14 @@ mod tests {
     }
 
     #[test]
-    fn a_diagonal_matrix_is_not_turned() {
+    fn a_diagonal_matrix_is_not_rotated() {
         let (principal, frame) =
             principal_axes([[3.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]]);
         assert_eq!((principal, frame), ([3.0, 1.0, 2.0], Rotation::IDENTITY));
     }
 
     #[test]
-    fn two_balls_make_a_dumbbell() {
+    fn two_balls_have_the_inertia_of_a_dumbbell() {
         let ball = SharedShape::ball(0.1);
         let mut sum = MassSum::default();
         for side in [-1.0, 1.0] {

@@ -1,44 +1,44 @@
-//! Where in a robot's multibody its coordinates, velocities and motors are.
+//! Positions of a robot's coordinates, velocities and motors in its multibody.
 
 use rapier3d::dynamics::Multibody;
 use rapier3d::prelude::*;
 
 use super::blueprint::{Blueprint, Hinge, JointPlan, LinkPlan, MotorPlan};
 
-/// Largest speed in a state, m/s or rad/s: an order beyond anything the robots reach.
+/// Largest speed in a state, m/s or rad/s: ten times the speeds that the robots reach.
 pub(super) const FASTEST: f32 = 1e3;
-/// Farthest from the origin, m; f32 still resolves 8 mm there. Also the bound on a planar root's turns, rad.
+/// Largest distance from the origin, m, where f32 resolves 8 mm. Also the bound of a planar root's rotation, rad.
 const FARTHEST: f32 = 1e5;
-/// How far beyond its limits a hinge may be in a state, rad.
+/// Largest violation of a hinge's limits in a state, rad.
 const LIMIT_SLACK: f32 = 3.0;
 
-/// The robot's numbers in its world. The order is the model's: the root first, then hinges as their bodies come.
+/// Layout of a robot's coordinates. The order is the model's: the root, then the hinges in the order of their bodies.
 pub(crate) struct Layout {
     pub(crate) multibody: MultibodyIndex,
-    /// One per link of the plan.
+    /// Joints, one per link of the blueprint.
     pub(crate) joints: Vec<JointMap>,
-    /// In the order of their links.
+    /// Hinges in the order of their links.
     pub(crate) hinges: Vec<HingeMap>,
     pub(crate) motors: Vec<MotorMap>,
-    /// For each link the mean of its mass centre's inverse mass over three directions, in the rest pose, 1/kg: what
-    /// MuJoCo calls `body_invweight0`.
+    /// Mean inverse mass of each link's mass centre over three directions, in the rest pose, 1/kg: MuJoCo's
+    /// `body_invweight0`.
     pub(crate) inverse_masses: Vec<f32>,
     pub(crate) coordinate_names: Vec<String>,
     pub(crate) velocity_names: Vec<String>,
     pub(crate) coordinate_bounds: Vec<[f32; 2]>,
     pub(crate) reference: Vec<f32>,
     pub(crate) rest: Vec<f32>,
-    /// First coordinate of the free root's quaternion (w x y z).
+    /// First coordinate of the free root's quaternion (w x y z), if any.
     pub(crate) orientation: Option<usize>,
 }
 
-/// One link's joint.
+/// Joint of a link.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct JointMap {
     pub(crate) body: RigidBodyHandle,
     /// The link's index in the multibody.
     pub(crate) link: usize,
-    /// First row of its velocities in the multibody.
+    /// First row of the joint's velocities in the multibody.
     pub(crate) dof: usize,
     /// First coordinate in a state.
     pub(crate) coordinate: usize,
@@ -47,23 +47,23 @@ pub(crate) struct JointMap {
     pub(crate) kind: MapKind,
 }
 
-/// How a joint's coordinates are read and written.
+/// Coordinates of a joint.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum MapKind {
-    /// x, z, turn about y.
+    /// x, z, rotation about y.
     Planar,
-    /// Position, quaternion (w x y z); velocities linear and angular, both in the world's axes.
+    /// Position and quaternion (w x y z); linear and angular velocities, both in world axes.
     Free,
     /// One angle about the joint frame's axis `free`, times `sign`.
     Hinge { free: usize, sign: f32 },
 }
 
-/// One hinge.
+/// A hinge.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HingeMap {
     /// The link's index in the multibody.
     pub(crate) link: usize,
-    /// Row of its velocity in the multibody.
+    /// Row of the hinge's velocity in the multibody.
     pub(crate) dof: usize,
     /// Axis among the joint's six coordinates.
     pub(crate) axis: usize,
@@ -76,11 +76,11 @@ pub(crate) struct HingeMap {
     pub(crate) spring_rest: f32,
     /// kg m^2.
     pub(crate) armature: f32,
-    /// Inverse inertia with all other freedoms loose, in the rest pose, 1/(kg m^2): what MuJoCo calls `dof_invweight0`.
+    /// Inverse inertia with all other joints free, in the rest pose, 1/(kg m^2): MuJoCo's `dof_invweight0`.
     pub(crate) inverse_inertia: f32,
 }
 
-/// One motor.
+/// A motor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MotorMap {
     /// Index into [`Layout::hinges`].
@@ -91,8 +91,8 @@ pub(crate) struct MotorMap {
 }
 
 impl Layout {
-    /// Inverse masses and inertias in the pose where `robot` stands.
-    pub(super) fn weigh(&mut self, robot: &mut Multibody, bodies: &RigidBodySet) {
+    /// Computes inverse masses and inertias in the current pose of `robot`.
+    pub(super) fn set_inverse_masses(&mut self, robot: &mut Multibody, bodies: &RigidBodySet) {
         let inverse_inertias = robot.dof_inverse_inertia(bodies);
         for hinge in &mut self.hinges {
             hinge.inverse_inertia = inverse_inertias[hinge.dof];
@@ -115,7 +115,7 @@ impl Layout {
         world: &PhysicsWorld,
         handles: &[RigidBodyHandle],
     ) -> Result<Self, String> {
-        let lost = || "the robot is no multibody".to_owned();
+        let lost = || "the robot is not a multibody".to_owned();
         let joints = &world.multibody_joints;
         let multibody = joints.rigid_body_link(handles[0]).ok_or_else(lost)?.multibody;
         let mut layout = Self::empty(multibody);
@@ -177,12 +177,15 @@ impl Layout {
         Ok(())
     }
 
-    /// A free root whose centre of mass is not at its origin is refused: rapier turns it about the origin, which
-    /// bends its flight.
+    /// Adds a free root. Its centre of mass must be at its origin, because rapier rotates it about the origin, which
+    /// would make its flight wrong.
     fn add_free(&mut self, name: &str, plan: &LinkPlan) -> Result<MapKind, String> {
         let offset = plan.mass.local_com.length();
         if offset > 1e-5 {
-            return Err(format!("{}: the root's mass centre is {offset} m off", plan.name));
+            return Err(format!(
+                "{}: the root's mass centre is {offset} m from its origin",
+                plan.name
+            ));
         }
         let position = plan.rest.translation.to_array();
         for (axis, rest) in ["x", "y", "z"].iter().zip(position) {
@@ -228,6 +231,6 @@ fn motor_map(blueprint: &Blueprint, motor: &MotorPlan) -> Result<MotorMap, Strin
     });
     let hinge = hinges
         .position(|hinge| hinge.name == motor.joint)
-        .ok_or_else(|| format!("{}: a motor drives no hinge of this name", motor.joint))?;
+        .ok_or_else(|| format!("{}: the motor's joint is not a hinge", motor.joint))?;
     Ok(MotorMap { hinge, gear: motor.gear, range: motor.range })
 }

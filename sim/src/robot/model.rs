@@ -1,4 +1,4 @@
-//! Reads a robot's plan from an MJCF document. What the builder does not build is refused by name, never ignored.
+//! Reads a robot's blueprint from an MJCF document. Unsupported elements are errors, never ignored.
 
 use mjcf_rs::Model;
 use mjcf_rs::body::{Body, Geom, GeomType, Joint, JointType};
@@ -12,7 +12,7 @@ use super::blueprint::{
 use super::inertia::MassSum;
 use crate::scene::Shape;
 
-/// Parses and converts; the error names the element.
+/// Reads an MJCF document. Errors name the element.
 pub(super) fn read(mjcf: &str) -> Result<Blueprint, String> {
     let model = Model::from_str(mjcf, ".").map_err(|error| error.to_string())?;
     let links = read_links(&model)?;
@@ -31,7 +31,7 @@ pub(super) fn read(mjcf: &str) -> Result<Blueprint, String> {
 fn read_links(model: &Model) -> Result<Vec<LinkPlan>, String> {
     let mut links: Vec<LinkPlan> = Vec::new();
     let mut masses: Vec<MassSum> = Vec::new();
-    // For each body: the link it belongs to, and its frame in that link.
+    // Link of each body, and the body's frame in that link.
     let mut homes: Vec<Option<(usize, Pose)>> = vec![None; model.bodies.len()];
     for (id, entry) in model.bodies_iter() {
         let parent = entry.parent.and_then(|parent| homes[parent]);
@@ -51,7 +51,7 @@ fn read_links(model: &Model) -> Result<Vec<LinkPlan>, String> {
     set_masses(&mut links, &masses, model.compiler.set_total_mass);
     match links.iter().filter(|link| link.parent.is_none()).count() {
         1 => Ok(links),
-        roots => Err(format!("one robot has one root, found {roots}")),
+        roots => Err(format!("a robot must have one root; found {roots}")),
     }
 }
 
@@ -62,13 +62,19 @@ fn read_link(
     rest: Pose,
 ) -> Result<LinkPlan, String> {
     if body.inertial.is_some() {
-        return Err(format!("{}: masses come from shapes, not <inertial>", name(body)));
+        return Err(format!("{}: masses must come from shapes, not from <inertial>", name(body)));
     }
     let joint = match (parent, body.joints.as_slice()) {
         (None, [free]) if free.type_ == JointType::Free => JointPlan::Free(joint_name(free)),
         (None, [x, z, turn]) => JointPlan::Planar(read_planar([x, z, turn])?),
         (Some(_), [hinge]) => JointPlan::Hinge(read_hinge(model, hinge)?),
-        (_, joints) => return Err(format!("{}: {} joints do not fit", name(body), joints.len())),
+        (_, joints) => {
+            return Err(format!(
+                "{}: unsupported combination of {} joints",
+                name(body),
+                joints.len()
+            ));
+        }
     };
     let mass = MassProperties::default();
     Ok(LinkPlan { name: name(body), parent, rest, joint, mass, shapes: Vec::new() })
@@ -81,10 +87,15 @@ fn read_planar(joints: [&Joint; 3]) -> Result<Planar, String> {
         let passive = [joint.stiffness, joint.damping, joint.armature, joint.frictionloss];
         if joint.type_ != kind || joint.axis != axis || joint.pos != [0.0; 3] {
             let joint = joint_name(joint);
-            return Err(format!("{joint}: a planar root slides along x and z and turns about +y"));
+            return Err(format!(
+                "{joint}: a planar root must slide along x and z and rotate about +y"
+            ));
         }
         if passive != [0.0; 4] {
-            return Err(format!("{}: a planar root has no passive terms", joint_name(joint)));
+            return Err(format!(
+                "{}: a planar root must not have passive terms",
+                joint_name(joint)
+            ));
         }
     }
     Ok(Planar { names: joints.map(joint_name), reference: joints.map(|joint| joint.ref_ as f32) })
@@ -94,7 +105,7 @@ fn read_hinge(model: &Model, joint: &Joint) -> Result<Hinge, String> {
     if joint.type_ != JointType::Hinge || joint.frictionloss != 0.0 || joint.ref_ != 0.0 {
         let joint = joint_name(joint);
         return Err(format!(
-            "{joint}: links below the root hang on hinges without friction or ref"
+            "{joint}: links below the root must have hinges without friction or ref"
         ));
     }
     let limited = joint.limited.resolve(model.compiler.autolimits, joint.range.is_some());
@@ -118,7 +129,10 @@ fn add_shapes(
 ) -> Result<(), String> {
     for geom in &body.geoms {
         if geom.contype != 0 && geom.conaffinity != 0 {
-            return Err(format!("{}: links touch only the floor", name(body)));
+            return Err(format!(
+                "{}: links collide only with the floor; set contype or conaffinity to 0",
+                name(body)
+            ));
         }
         let (shape, inside) = read_shape(geom).ok_or_else(|| unsupported(body, geom))?;
         let pose = *frame * inside;
@@ -154,7 +168,7 @@ fn read_floor(world: &Body) -> Result<Floor, String> {
         [plane] if plane.type_ == GeomType::Plane => {
             Ok(Floor { pose: pose(&plane.pose), friction: plane.friction[0] as f32 })
         }
-        geoms => Err(format!("the world has one plane, found {} shapes", geoms.len())),
+        geoms => Err(format!("the world must have one plane; found {} shapes", geoms.len())),
     }
 }
 
@@ -165,11 +179,11 @@ fn read_motor(actuator: &Actuator) -> Result<MotorPlan, String> {
             gear: actuator.gear[0] as f32,
             range: range.map(|end| end as f32),
         }),
-        _ => Err(format!("{:?}: only joint motors with a ctrlrange are driven", actuator.name)),
+        _ => Err(format!("{:?}: only joint motors with a ctrlrange are supported", actuator.name)),
     }
 }
 
-/// The links' mass properties. `settotalmass` brings all masses and inertias to one total; MJCF's -1 leaves them.
+/// Sets the links' mass properties. `settotalmass` scales all masses and inertias to this total; -1 does not scale.
 fn set_masses(links: &mut [LinkPlan], masses: &[MassSum], target: f64) {
     let total: f64 = masses.iter().map(MassSum::mass).sum();
     let factor = if target > 0.0 { target / total } else { 1.0 };
@@ -180,7 +194,7 @@ fn set_masses(links: &mut [LinkPlan], masses: &[MassSum], target: f64) {
 
 fn unsupported(body: &Body, geom: &Geom) -> String {
     let geom = geom.name.as_deref().unwrap_or("unnamed");
-    format!("{}: {geom} is no sphere or capsule with a density", name(body))
+    format!("{}: {geom} is not a sphere or capsule with a density", name(body))
 }
 
 fn name(body: &Body) -> String {

@@ -1,19 +1,19 @@
-//! Which joints are near which, as Multi-Agent MuJoCo and Gymnasium-Robotics have it.
+//! Graph of neighbouring joints, as in Multi-Agent MuJoCo and Gymnasium-Robotics.
 
 use std::collections::BTreeSet;
 
-/// A robot's graph of joints.
+/// Joint graph of a robot.
 #[derive(Debug)]
 pub(crate) struct Neighbourhood {
-    /// Joints of one edge are at distance 1 of each other.
+    /// Joints of an edge have distance 1 from each other.
     pub(crate) edges: &'static [&'static [&'static str]],
-    /// The model's bodies that belong to a joint, where contact forces are observed.
+    /// Bodies of the model whose contact forces belong to a joint.
     pub(crate) touching: &'static [(&'static str, &'static [&'static str])],
     /// Features of the global state that describe the root.
     pub(crate) globals: &'static [&'static str],
 }
 
-/// One chain from the back foot to the front foot.
+/// A chain from the back foot to the front foot.
 pub(super) const HALFCHEETAH: Neighbourhood = Neighbourhood {
     edges: &[
         &["bfoot", "bshin"],
@@ -26,7 +26,7 @@ pub(super) const HALFCHEETAH: Neighbourhood = Neighbourhood {
     globals: PLANAR_ROOT,
 };
 
-/// One chain from the right foot to the left foot.
+/// A chain from the right foot to the left foot.
 pub(super) const WALKER2D: Neighbourhood = Neighbourhood {
     edges: &[
         &["foot", "leg"],
@@ -39,7 +39,7 @@ pub(super) const WALKER2D: Neighbourhood = Neighbourhood {
     globals: PLANAR_ROOT,
 };
 
-/// All hips meet in the torso.
+/// All hips are connected by the torso.
 pub(super) const ANT: Neighbourhood = Neighbourhood {
     edges: &[
         &["hip_1", "hip_2", "hip_3", "hip_4"],
@@ -77,7 +77,7 @@ const PLANAR_ROOT: &[&str] =
     &["rootz.position", "rooty.position", "rootx.velocity", "rootz.velocity", "rooty.velocity"];
 
 impl Neighbourhood {
-    /// Joints at distance 0, 1, ..., `reach` of `own`, each level sorted by name.
+    /// Joints at distance 0, 1, ..., `reach` from `own`, each level sorted by name.
     pub(crate) fn levels<'a>(&self, own: &[&'a str], reach: usize) -> Vec<BTreeSet<&'a str>>
     where
         'static: 'a,
@@ -96,7 +96,7 @@ impl Neighbourhood {
         levels
     }
 
-    /// Bodies that belong to these joints, each once, in the joints' order.
+    /// Bodies that belong to these joints, without duplicates, in the order of the joints.
     pub(crate) fn bodies(&self, joints: &BTreeSet<&str>) -> Vec<&'static str> {
         let mut bodies = Vec::new();
         for (_, touching) in self.touching.iter().filter(|(joint, _)| joints.contains(joint)) {
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_follow_the_graph_and_never_repeat_a_joint() {
+    fn levels_follow_the_graph_without_repeated_joints() {
         let levels = ANT.levels(&["hip_4", "ankle_4"], 2);
         let names: Vec<Vec<&str>> =
             levels.iter().map(|level| level.iter().copied().collect()).collect();

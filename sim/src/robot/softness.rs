@@ -1,11 +1,11 @@
-//! MuJoCo's soft constraints, which hold its contacts and joint limits: how hard they push at which violation.
+//! MuJoCo's soft constraints, used for contacts and joint limits: their force as a function of the violation.
 
-/// How MuJoCo integrates a robot's motion over a physics step. A soft constraint's spring is integrated in the same way.
+/// MuJoCo's integrator for a robot. The springs of soft constraints are integrated in the same way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Integration {
-    /// Semi-implicit Euler: the spring's acceleration at the start of the step.
+    /// Semi-implicit Euler, with the spring's acceleration at the start of the step.
     Euler,
-    /// Fourth order, here the exact motion of the spring.
+    /// Runge-Kutta of fourth order; here the exact motion of the spring.
     RungeKutta,
 }
 
@@ -14,7 +14,7 @@ pub(crate) enum Integration {
 pub(crate) struct Softness {
     /// First number of `solref`, s.
     pub(crate) time_constant_secs: f32,
-    /// Impedance without violation and from `width` on, each in `[0, 1)`.
+    /// Impedance without violation and at violations of `width` or more, each in `[0, 1)`.
     pub(crate) impedance: [f32; 2],
     /// Violation at which the impedance is largest, m or rad.
     pub(crate) width: f32,
@@ -24,17 +24,17 @@ pub(crate) struct Softness {
 pub(crate) const DEFAULT: Softness =
     Softness { time_constant_secs: 0.02, impedance: [0.9, 0.95], width: 0.001 };
 
-/// Impedance of a constraint that is hardly violated: MuJoCo's own bound.
+/// Smallest impedance, as in MuJoCo.
 const SMALLEST_IMPEDANCE: f32 = 1e-4;
 
 impl Softness {
-    /// `R / A = (1 - d) / d`: the compliance of a constraint in units of its inverse mass.
+    /// Compliance of a constraint in units of its inverse mass, `R / A = (1 - d) / d`.
     pub(crate) fn compliance(&self, violation: f32) -> f32 {
         let impedance = self.impedance_at(violation);
         (1.0 - impedance) / impedance
     }
 
-    /// `d`, from the one impedance to the other over `width` by two parabolas.
+    /// Impedance `d`, interpolated over `width` by two parabolas.
     fn impedance_at(&self, violation: f32) -> f32 {
         let [first, last] = self.impedance;
         let x = (violation / self.width).clamp(0.0, 1.0);
@@ -42,7 +42,7 @@ impl Softness {
         (first + (last - first) * y).max(SMALLEST_IMPEDANCE)
     }
 
-    /// The constraint's spring over a step of `step_secs`.
+    /// Spring of the constraint for steps of `step_secs`.
     pub(crate) fn spring(&self, integration: Integration, step_secs: f32) -> Spring {
         let rate = 1.0 / (self.impedance[1] * self.time_constant_secs);
         Spring { integration, rate, decay: libm::expf(-rate * step_secs), step_secs }
@@ -61,7 +61,7 @@ pub(crate) struct Spring {
 }
 
 impl Spring {
-    /// The speed at the end of a step that starts at `speed` and `position`; a violation's position is negative.
+    /// Speed at the end of a step that starts with `speed` and `position`, which is negative for a violation.
     pub(crate) fn next_speed(&self, speed: f32, position: f32) -> f32 {
         let turn = self.rate * self.step_secs;
         match self.integration {
@@ -70,7 +70,7 @@ impl Spring {
         }
     }
 
-    /// Mean speed that the damping takes from a sliding contact in a step, per m/s.
+    /// Relative loss of a sliding contact's speed by damping in a step.
     pub(crate) fn damping(&self) -> f32 {
         2.0 * self.rate * self.step_secs
     }
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_impedance_grows_from_the_first_to_the_last() {
+    fn the_impedance_rises_from_its_first_to_its_last_value() {
         let softness = Softness { impedance: [0.0, 0.8], width: 0.01, ..DEFAULT };
         assert_eq!(softness.impedance_at(0.0), SMALLEST_IMPEDANCE);
         assert!((softness.impedance_at(0.005) - 0.4).abs() < 1e-6);

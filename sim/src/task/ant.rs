@@ -1,4 +1,4 @@
-//! Ant: run along +x on four legs without falling over.
+//! Ant: run along +x on four legs without falling.
 
 use rand::RngCore;
 use rapier3d::math::{Rotation, Vector};
@@ -8,22 +8,22 @@ use crate::description::Feature;
 use crate::noise;
 use crate::robot::{ANT, Robot};
 
-/// Two neighbouring legs each.
+/// Two neighbouring legs per agent.
 pub(super) const TWO: Task = task(
     "ant-2x4",
     &[&["hip_1", "ankle_1", "hip_2", "ankle_2"], &["hip_3", "ankle_3", "hip_4", "ankle_4"]],
 );
-/// Two opposite legs each.
+/// Two opposite legs per agent.
 pub(super) const TWO_DIAGONAL: Task = task(
     "ant-2x4d",
     &[&["hip_1", "ankle_1", "hip_3", "ankle_3"], &["hip_2", "ankle_2", "hip_4", "ankle_4"]],
 );
-/// One leg each.
+/// One leg per agent.
 pub(super) const FOUR: Task = task(
     "ant-4x2",
     &[&["hip_1", "ankle_1"], &["hip_2", "ankle_2"], &["hip_3", "ankle_3"], &["hip_4", "ankle_4"]],
 );
-/// One joint each.
+/// One joint per agent.
 pub(super) const EIGHT: Task = task(
     "ant-8x1",
     &[
@@ -42,20 +42,20 @@ const fn task(name: &'static str, agents: &'static [&'static [&'static str]]) ->
     Task { name, robot: &ANT, agents, episode_steps: 1000, rules: &Ant }
 }
 
-/// Price of a squared unit of action.
+/// Cost per squared unit of action.
 const CONTROL_COST: f32 = 0.5;
-/// Price of a squared newton or newton metre of contact, where contacts are observed.
+/// Cost per squared newton or newton metre of contact, if contacts are observed.
 const CONTACT_COST: f32 = 5e-4;
-/// Paid for every step, the last one included.
+/// Reward for every step, including the last.
 const ALIVE: f32 = 1.0;
 /// Half-width of the uniform noise on each start coordinate, m or rad.
 const POSITION_NOISE: f32 = 0.1;
-/// Deviation of the normal noise on each start velocity, m/s or rad/s.
+/// Standard deviation of the normal noise on each start velocity, m/s or rad/s.
 const VELOCITY_NOISE: f32 = 0.1;
-/// Height of the torso (m) between which the robot stands, ends included.
+/// Range of the torso's height while the robot stands, m, bounds included.
 const HEIGHT: [f32; 2] = [0.2, 1.0];
 
-/// Places of the torso's quaternion (w x y z) among the coordinates and of its turning among the velocities.
+/// Indices of the torso's quaternion (w x y z) in the coordinates and of its angular velocity in the velocities.
 const QUATERNION: std::ops::Range<usize> = 3..7;
 const TURNING: std::ops::Range<usize> = 3..6;
 
@@ -74,8 +74,8 @@ impl Rules for Ant {
         }
     }
 
-    /// `dx/dt + 1 - 0.5 sum a^2 - 0.0005 sum c^2` with the action as it was asked for and the contacts `c` as they
-    /// are observed.
+    /// `dx/dt + 1 - 0.5 sum a^2 - 0.0005 sum c^2` with the action `a` before clamping and the observed contact forces
+    /// `c`.
     fn reward(&self, before: &Motion<'_>, after: &Motion<'_>, action: &[f32], dt_secs: f32) -> f32 {
         let squares = |numbers: &[f32]| numbers.iter().map(|x| x * x).sum::<f32>();
         let speed = (after.position(0) - before.position(0)) / dt_secs;
@@ -95,7 +95,7 @@ impl Rules for Ant {
         motion_features(&robot.coordinate_names()[2..], robot.velocity_names())
     }
 
-    /// All coordinates but the place on the floor, then all velocities; the torso turns about its own axes.
+    /// All coordinates except x and y, then all velocities. The torso's angular velocity is in its own axes.
     fn state(&self, motion: &Motion<'_>, out: &mut [f32]) {
         let positions = motion.coordinates.len() - 2;
         for (index, to) in out[..positions].iter_mut().enumerate() {

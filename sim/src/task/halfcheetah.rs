@@ -1,4 +1,4 @@
-//! HalfCheetah: run forwards as fast as the torques are worth. Never ends before its limit.
+//! HalfCheetah: run forwards at a low control cost. Episodes never terminate before their limit.
 
 use rand::RngCore;
 
@@ -13,7 +13,7 @@ pub(super) const TWO: Task =
 /// Neighbours in the chain from one foot to the other.
 pub(super) const THREE: Task =
     task("halfcheetah-3x2", &[&["bfoot", "bshin"], &["bthigh", "ffoot"], &["fshin", "fthigh"]]);
-/// One joint each.
+/// One joint per agent.
 pub(super) const SIX: Task = task(
     "halfcheetah-6x1",
     &[&["bfoot"], &["bshin"], &["bthigh"], &["ffoot"], &["fshin"], &["fthigh"]],
@@ -23,11 +23,11 @@ const fn task(name: &'static str, agents: &'static [&'static [&'static str]]) ->
     Task { name, robot: &HALFCHEETAH, agents, episode_steps: 1000, rules: &HalfCheetah }
 }
 
-/// Price of a squared unit of action.
+/// Cost per squared unit of action.
 const CONTROL_COST: f32 = 0.1;
 /// Half-width of the uniform noise on each start coordinate, m or rad.
 const POSITION_NOISE: f32 = 0.1;
-/// Deviation of the normal noise on each start velocity, m/s or rad/s.
+/// Standard deviation of the normal noise on each start velocity, m/s or rad/s.
 const VELOCITY_NOISE: f32 = 0.1;
 
 struct HalfCheetah;
@@ -43,7 +43,7 @@ impl Rules for HalfCheetah {
         }
     }
 
-    /// `dx/dt - 0.1 sum a^2` with the action as it was asked for.
+    /// `dx/dt - 0.1 sum a^2` with the action before clamping.
     fn reward(&self, before: &Motion<'_>, after: &Motion<'_>, action: &[f32], dt_secs: f32) -> f32 {
         let speed = (after.position(0) - before.position(0)) / dt_secs;
         speed - CONTROL_COST * action.iter().map(|a| a * a).sum::<f32>()
@@ -57,7 +57,7 @@ impl Rules for HalfCheetah {
         motion_features(&robot.coordinate_names()[1..], robot.velocity_names())
     }
 
-    /// All coordinates but the distance run, then all velocities.
+    /// All coordinates except x, then all velocities.
     fn state(&self, motion: &Motion<'_>, out: &mut [f32]) {
         let positions = motion.coordinates.len() - 1;
         for (index, to) in out[..positions].iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! Hopper, the example of docs/ADDING_A_TASK.md: hop forwards without falling over. Only tests know it.
+//! Hopper, the example of docs/ADDING_A_TASK.md: hop forwards without falling. Compiled only for tests.
 
 use rand::RngCore;
 
@@ -23,7 +23,7 @@ const HOPPER: RobotRow = RobotRow {
     contact_compliance: 0.1,
 };
 
-/// One agent in the hip, one in the knee.
+/// One agent for the hip, one for the knee.
 pub(super) const TWO: Task = Task {
     name: "hopper-2x1",
     robot: &HOPPER,
@@ -32,7 +32,7 @@ pub(super) const TWO: Task = Task {
     rules: &Hopper,
 };
 
-/// Lowest height of the torso at which the hopper still stands, m.
+/// Lowest height of the torso while the hopper stands, m.
 const LOWEST: f32 = 0.7;
 
 struct Hopper;
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn the_example_is_a_task_like_any_other_and_falls_over_when_nobody_steers() {
+    fn the_example_task_runs_and_terminates_without_control() {
         let mut world = hopper(ObservationMode::FullId);
         assert_eq!((world.description().agents.len(), world.description().state.len()), (2, 9));
         world.reset(0, 0, 1000, [1; 32]).unwrap();
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn an_agent_of_the_example_sees_its_joint_its_neighbours_angle_and_the_root() {
+    fn an_agent_of_the_example_observes_its_joint_the_neighbouring_angle_and_the_root() {
         let world = hopper(ObservationMode::KNearest);
         let names = world.description().agents[1].observation.iter();
         let names: Vec<&str> = names.map(|feature| feature.name.as_str()).collect();

@@ -1,4 +1,4 @@
-//! Walker2d: walk forwards without falling over.
+//! Walker2d: walk forwards without falling.
 
 use rand::RngCore;
 
@@ -13,7 +13,7 @@ pub(super) const TWO: Task =
 /// Neighbours in the chain from one foot to the other.
 pub(super) const THREE: Task =
     task("walker2d-3x2", &[&["foot", "leg"], &["thigh", "foot_left"], &["leg_left", "thigh_left"]]);
-/// One joint each.
+/// One joint per agent.
 pub(super) const SIX: Task = task(
     "walker2d-6x1",
     &[&["foot"], &["leg"], &["thigh"], &["foot_left"], &["leg_left"], &["thigh_left"]],
@@ -23,13 +23,13 @@ const fn task(name: &'static str, agents: &'static [&'static [&'static str]]) ->
     Task { name, robot: &WALKER2D, agents, episode_steps: 1000, rules: &Walker2d }
 }
 
-/// Price of a squared unit of action.
+/// Cost per squared unit of action.
 const CONTROL_COST: f32 = 1e-3;
-/// Paid for every step, the last one included.
+/// Reward for every step, including the last.
 const ALIVE: f32 = 1.0;
 /// Half-width of the uniform noise on each start coordinate (m or rad) and velocity (m/s or rad/s).
 const NOISE: f32 = 0.005;
-/// Height of the torso (m) and its lean (rad) between which the walker stands, ends excluded.
+/// Ranges of the torso's height (m) and pitch (rad) while the walker stands, bounds excluded.
 const HEIGHT: [f32; 2] = [0.8, 2.0];
 const LEAN: [f32; 2] = [-1.0, 1.0];
 /// Observed velocities are clipped to this, m/s or rad/s.
@@ -45,7 +45,7 @@ impl Rules for Walker2d {
         }
     }
 
-    /// `dx/dt + 1 - 0.001 sum a^2` with the action as it was asked for.
+    /// `dx/dt + 1 - 0.001 sum a^2` with the action before clamping.
     fn reward(&self, before: &Motion<'_>, after: &Motion<'_>, action: &[f32], dt_secs: f32) -> f32 {
         let speed = (after.position(0) - before.position(0)) / dt_secs;
         speed + ALIVE - CONTROL_COST * action.iter().map(|a| a * a).sum::<f32>()
@@ -60,7 +60,7 @@ impl Rules for Walker2d {
         motion_features(&robot.coordinate_names()[1..], robot.velocity_names())
     }
 
-    /// All coordinates but the distance walked, then all velocities, clipped.
+    /// All coordinates except x, then all velocities, clipped.
     fn state(&self, motion: &Motion<'_>, out: &mut [f32]) {
         let positions = motion.coordinates.len() - 1;
         for (index, to) in out[..positions].iter_mut().enumerate() {

@@ -1,23 +1,23 @@
-//! What the floor does to each of the model's bodies, as the published Ant observes it.
+//! Contact forces of the floor on each of the model's bodies, as the published Ant observes them.
 
 use rapier3d::math::Vector;
 
 use super::World;
 
-/// Numbers for each body: torque, then force.
+/// Values per body: torque, then force.
 pub(crate) const PER_BODY: usize = 6;
-/// Index of the body that stands still.
+/// Index of the static body.
 pub(crate) const WORLD: usize = 0;
-/// Torques (N m) and forces (N) are clipped to this on either side.
+/// Torques (N m) and forces (N) are clipped to plus and minus this value.
 pub(crate) const LARGEST: f32 = 1.0;
 
 impl World {
-    /// For each of the model's bodies, the world first, torque about the robot's mass centre and force of the
-    /// contacts in the last physics step, in the world's axes and clipped: `[bodies, 6]`, N m and N. The world, which the
-    /// floor belongs to, feels nothing, as in MuJoCo.
+    /// Writes the contact torque about the robot's centre of mass and the contact force on each of the model's bodies
+    /// in the last physics step, in world axes and clipped: `[bodies, 6]`, N m and N. The world is the first body; its
+    /// values are zero, as in MuJoCo.
     ///
     /// # Panics
-    /// If `out` has another length.
+    /// If `out` has a wrong length.
     pub(crate) fn contact_forces(&self, out: &mut [f32]) {
         assert_eq!(out.len(), PER_BODY * self.robot.blueprint().bodies.len(), "contact forces");
         out.fill(0.0);
@@ -39,7 +39,7 @@ impl World {
         out.iter_mut().for_each(|number| *number = number.clamp(-LARGEST, LARGEST));
     }
 
-    /// Index of the model's body that a collider belongs to; the floor belongs to the world.
+    /// Index of a collider's body in the model; the floor belongs to the world.
     fn body_of(&self, collider: rapier3d::prelude::ColliderHandle) -> usize {
         self.physics.colliders.get(collider).map_or(WORLD, |collider| collider.user_data as usize)
     }

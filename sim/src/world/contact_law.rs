@@ -1,12 +1,12 @@
-//! MuJoCo's contact law on rapier's solver: where a contact is to move in the next step, and how much it may rub.
+//! MuJoCo's contact law on rapier's solver: target normal speed and friction of each contact in the next step.
 //!
 //! MuJoCo's friction pyramid is four soft constraints `n + mu t` along the axes of the contact's frame, each with the
-//! spring of [`Softness`] and the compliance `2 mu^2 R`. Three things follow that a rigid contact does not do:
-//! - It gives way: along the normal by `mu^2 R / 2`, along the floor by `R`. A loaded foot creeps.
+//! spring of [`Softness`] and the compliance `2 mu^2 R`. It differs from a rigid contact in three ways:
+//! - It is compliant: along the normal by `mu^2 R / 2`, along the floor by `R`. A loaded foot creeps.
 //! - Friction is `mu` along the frame's axes and `mu / sqrt 2` between them; one axis follows the capsule.
-//! - Sliding lifts. The edge against the slide holds `v_n - mu v_t`, so the faster a foot slides, the faster it rises.
+//! - Sliding causes lift. The edge against the slide constrains `v_n - mu v_t`, so a faster slide gives a faster rise.
 //!
-//! rapier solves one target speed along the normal and one friction coefficient for each contact; both are set here from
+//! rapier solves for one target speed along the normal and one friction coefficient per contact. Both are set here from
 //! the contact's motion and its impulse in the last step.
 
 use rapier3d::dynamics::Multibody;
@@ -15,50 +15,50 @@ use rapier3d::prelude::{ContactModificationContext, PhysicsHooks, RigidBodyHandl
 
 use crate::robot::{Layout, Robot, Softness, Spring};
 
-/// Largest compliance along the normal that is taken from the last impulse, in units of the inverse mass: one of 1 would
-/// never settle.
+/// Largest compliance along the normal that is computed from the last impulse, in units of the inverse mass. With 1,
+/// the contact would oscillate.
 const LARGEST_LAGGING: f32 = 0.5;
-/// Slower than this a contact slides in no direction, m/s.
+/// Below this speed, a contact has no sliding direction, m/s.
 const SLOWEST_SLIDE: f32 = 1e-4;
-/// Keeps a quotient finite, m/s.
+/// Prevents a division by zero, m/s.
 const TINY: f32 = 1e-9;
 
-/// The law for physics steps of one length, and the links' motion at the start of the step.
+/// The contact law for one step length, and the links' motion at the start of the step.
 pub(crate) struct ContactLaw {
     softness: Softness,
     spring: Spring,
     step_secs: f32,
-    /// Compliance that the engine's solver takes, in units of the inverse mass.
+    /// Compliance of the engine's solver, in units of the inverse mass.
     solved_compliance: f32,
     motions: Vec<LinkMotion>,
 }
 
-/// A link's motion in the world.
+/// Motion of a link in the world.
 #[derive(Clone, Copy, Debug)]
 struct LinkMotion {
     body: RigidBodyHandle,
-    /// m.
+    /// Position, m.
     mass_centre: Vector,
-    /// Of the mass centre, m/s.
+    /// Velocity of the mass centre, m/s.
     linear: Vector,
-    /// rad/s.
+    /// Angular velocity, rad/s.
     angular: Vector,
     /// 1/kg.
     inverse_mass: f32,
 }
 
-/// A touching point's motion against the floor.
+/// Motion of a contact point relative to the floor.
 struct Touch {
-    /// Upwards, m/s.
+    /// Speed upwards, m/s.
     rise: f32,
-    /// Along the floor, m/s.
+    /// Speed along the floor, m/s.
     slide: f32,
-    /// Friction's share of `mu` in the direction of the slide: 1 along an axis of the frame, `1 / sqrt 2` between.
+    /// Friction in the direction of the slide as a fraction of `mu`: 1 along a frame axis, `1 / sqrt 2` between axes.
     share: f32,
 }
 
 impl ContactLaw {
-    /// The law of a robot for physics steps of `step_secs`.
+    /// Creates the contact law of a robot for physics steps of `step_secs`.
     pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
         let row = robot.row();
         Self {
@@ -70,7 +70,7 @@ impl ContactLaw {
         }
     }
 
-    /// Takes up the links' motion. The rigid bodies' own velocities are a step old.
+    /// Reads the links' motion from the joints, because the rigid bodies' velocities are one step old.
     pub(crate) fn observe(&mut self, robot: &Robot, multibody: &Multibody) {
         let Layout { joints, inverse_masses, .. } = robot.layout();
         let speeds = multibody.generalized_velocity();
@@ -90,15 +90,15 @@ impl ContactLaw {
         }
     }
 
-    /// Sets the distance from which the engine makes the contact's next rise: it moves by `-distance / dt` where
-    /// nothing pushes harder. Returns the friction coefficient.
-    fn judge(&self, contact: &mut SolverContact, touch: &Touch, mass: f32, held: Held) -> f32 {
+    /// Sets the contact's distance, from which the engine computes its target speed `-distance / dt`. Returns the
+    /// friction coefficient.
+    fn set_target(&self, contact: &mut SolverContact, touch: &Touch, mass: f32, held: Held) -> f32 {
         let Held { mu, impulse } = held;
         let compliance = self.softness.compliance(-contact.dist) * (1.0 + mu * mu);
         let give =
             (0.5 * mu * mu * compliance - self.solved_compliance).clamp(0.0, LARGEST_LAGGING);
         let pressed = self.spring.next_speed(touch.rise, contact.dist) - give * mass * impulse;
-        // The edges against the slide alone: one along an axis, two between.
+        // Number of pyramid edges against the slide: one along an axis, two between axes.
         let edges = 1.0 / (touch.share * touch.share);
         let edge = touch.rise - mu * touch.share * touch.slide;
         let shift = self.spring.next_speed(edge, contact.dist) - edge;
@@ -109,12 +109,12 @@ impl ContactLaw {
     }
 }
 
-/// What a contact brings from before the step.
+/// State of a contact before the step.
 #[derive(Clone, Copy)]
 struct Held {
     /// Friction coefficient.
     mu: f32,
-    /// Along the normal in the last step, N s.
+    /// Impulse along the normal in the last step, N s.
     impulse: f32,
 }
 
@@ -141,14 +141,14 @@ impl PhysicsHooks for ContactLaw {
             let point = (contact.contact_id[0] & !rapier3d::geometry::NEW_CONTACT_BIT) as usize;
             let impulse = pair.manifold.points[point].data.impulse;
             let held = Held { mu: *pair.friction, impulse };
-            friction = friction.min(self.judge(contact, &touch, motion.inverse_mass, held));
+            friction = friction.min(self.set_target(contact, &touch, motion.inverse_mass, held));
         }
         *pair.friction = friction;
     }
 }
 
 impl LinkMotion {
-    /// The motion of a point of the link on a floor whose normal is `up`; `along` is the capsule's axis.
+    /// Motion of a point of the link on a floor with normal `up`; `along` is the capsule's axis.
     fn touch(&self, point_in_world: Vector, up: Vector, along: Vector) -> Touch {
         let velocity = self.linear + self.angular.cross(point_in_world - self.mass_centre);
         let rise = velocity.dot(up);

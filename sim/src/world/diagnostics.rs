@@ -1,5 +1,5 @@
-//! What the physics is judged by: energy, mass centre, depth under the floor, contact impulse. Allocates; not for
-//! the stepping path.
+//! Physics diagnostics: energy, centre of mass, lowest point, contact impulse. They allocate; do not use them while
+//! stepping.
 
 use rapier3d::math::Vector;
 
@@ -8,19 +8,19 @@ use crate::robot::{JointPlan, LinkPlan};
 use crate::scene::Shape;
 
 impl World {
-    /// Kinetic energy (armature included), weight and springs, J. With controls at zero this never rises.
+    /// Kinetic energy (with armature) plus potential energy of weight and springs, J. Without control it never rises.
     pub fn mechanical_energy(&self) -> f64 {
         self.kinetic_energy() + self.potential_energy()
     }
 
-    /// The robot's mass centre in the world, m.
+    /// Centre of mass of the robot in the world, m.
     pub fn centre_of_mass(&self) -> [f32; 3] {
         let total: f32 = self.robot.masses().map(|(_, mass, _)| mass).sum();
         let weighted = self.mass_centres().map(|(link, centre)| centre * link.mass.mass());
         (weighted.fold(Vector::ZERO, |sum, part| sum + part) / total).to_array()
     }
 
-    /// Height of the robot's lowest point over a floor at z = 0, m; negative is penetration.
+    /// Height of the robot's lowest point above a floor at z = 0, m; negative for penetration.
     pub fn lowest_point(&self) -> f32 {
         let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
         let heights = links.flat_map(|(plan, joint)| {

@@ -1,51 +1,51 @@
-//! What turns the hinges: motors, springs, and limits after MuJoCo's law.
+//! Hinge torques: motors, springs, and joint limits by MuJoCo's law.
 //!
-//! A violated limit is MuJoCo's soft constraint `f = (a_ref - a) / R`, which pushes only. Its `a` is the acceleration that
-//! the force itself makes, so the law is an armature of `1 / R` and a torque of `a_ref / R`. Whether it pushes depends
-//! on the acceleration without it, which is predicted from the last step's.
+//! A violated limit is MuJoCo's soft constraint `f = (a_ref - a) / R`, which acts only towards the range. `a` includes
+//! the effect of the force itself, so the constraint is an armature of `1 / R` and a torque of `a_ref / R`. Whether it
+//! is active depends on the acceleration without it, which is predicted from the last step.
 
 use rapier3d::dynamics::Multibody;
 
 use crate::robot::{HingeMap, Layout, RobotRow, Softness, Spring};
 
-/// Stiffness through which torques enter a hinge, N m / rad: what a torque loses when the hinge turns by a radian.
+/// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
 const WEAK_SPRING: f32 = 0.01;
 
-/// The hinges' torques and what a step leaves for the next.
+/// Torques of the hinges and their state between steps.
 pub(crate) struct HingeDrives {
     softness: Softness,
     spring: Spring,
     step_secs: f32,
-    /// In the order of [`Layout::hinges`].
+    /// Drives in the order of [`Layout::hinges`].
     drives: Vec<Drive>,
 }
 
-/// One hinge's. Angles, speeds and torques count as the model's do.
+/// Drive of one hinge. Angles, speeds and torques have the model's sign.
 #[derive(Clone, Copy, Debug, Default)]
 struct Drive {
-    /// Of the motor under the last command, N m.
+    /// Torque of the motor for the last control, N m.
     torque: f32,
-    /// The motor's torque in the last step, N m.
+    /// Torque of the motor in the last step, N m.
     last_torque: f32,
     /// Speed at the start of the step, rad/s.
     speed: f32,
-    /// Acceleration of the last step without the limit's torque, rad/s^2.
+    /// Acceleration in the last step without the limit's torque, rad/s^2.
     free_acceleration: f32,
-    /// The limit in this step.
+    /// Limit in this step.
     limit: Limit,
 }
 
-/// A limit's part of a step; all zero while it does not push.
+/// Effect of a limit in a step; all zero while it is inactive.
 #[derive(Clone, Copy, Debug, Default)]
 struct Limit {
     /// `1 / R`, kg m^2.
     armature: f32,
-    /// `a_ref` towards larger angles, rad/s^2.
+    /// `a_ref`, positive towards larger angles, rad/s^2.
     reference: f32,
 }
 
 impl HingeDrives {
-    /// Drives at rest, for physics steps of `step_secs`.
+    /// Creates drives at rest, for physics steps of `step_secs`.
     pub(crate) fn new(row: &RobotRow, layout: &Layout, step_secs: f32) -> Self {
         Self {
             softness: row.limits,
@@ -55,18 +55,18 @@ impl HingeDrives {
         }
     }
 
-    /// Forgets torques and past steps.
+    /// Resets torques and past steps.
     pub(crate) fn clear(&mut self) {
         self.drives.fill(Drive::default());
     }
 
-    /// Sets a motor's torque, N m.
+    /// Sets the torque of a motor, N m.
     pub(crate) fn command(&mut self, hinge: usize, torque: f32) {
         self.drives[hinge].torque = torque;
     }
 
-    /// Puts the torques of the coming physics step into the robot. The engine's spring pulls with `-k (q - rest)`; a weak
-    /// one that rests `torque / k` away adds a torque without a constraint.
+    /// Applies the torques of the next physics step to the robot. The engine's spring has the torque `-k (q - rest)`. A
+    /// weak spring with its rest at distance `torque / k` therefore adds a torque without a constraint.
     pub(crate) fn apply(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
         for (index, hinge) in hinges.iter().enumerate() {
             let at = robot.link(hinge.link).expect("the layout is this robot's").joint().coords();
@@ -87,7 +87,7 @@ impl HingeDrives {
         }
     }
 
-    /// Notes the accelerations of the physics step that has ended.
+    /// Stores the accelerations of the last physics step.
     pub(crate) fn note(&mut self, robot: &Multibody, hinges: &[HingeMap]) {
         let speeds = robot.generalized_velocity();
         for (drive, hinge) in self.drives.iter_mut().zip(hinges) {
@@ -97,10 +97,10 @@ impl HingeDrives {
         }
     }
 
-    /// The limit that the angle violates, if it would push.
+    /// Limit that the angle violates; zero if it is inactive.
     fn limit(&self, index: usize, hinge: &HingeMap, angle: f32, speed: f32) -> Limit {
         let Some([low, high]) = hinge.range else { return Limit::default() };
-        // Towards the range is positive, and a violation negative.
+        // Positive towards the range; a violation is negative.
         let (position, inward) = if angle < low {
             (angle - low, 1.0)
         } else if angle > high {

@@ -1,5 +1,5 @@
-//! Tests of what the HalfCheetah does not use: a free root, skew and reversed hinge axes, merged bodies, motors on
-//! hinges without a spring, and models that are refused.
+//! Tests of features that the HalfCheetah does not use: a free root, skew and reversed hinge axes, merged bodies,
+//! motors on hinges without a spring, and unsupported models.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use super::World;
 use crate::error::SimError;
 use crate::robot::{DEFAULT_SOFTNESS, Integration, Neighbourhood, Robot, RobotRow};
 
-/// A ball with two opposite arms fixed to it, one leg about a skew axis and one about -y.
+/// A ball with two fixed opposite arms, a leg on a skew hinge axis and a leg on the axis -y.
 const STRIDER: RobotRow = RobotRow {
     name: "strider",
     mjcf: r#"<mujoco>
@@ -64,7 +64,7 @@ fn bodies_without_a_joint_are_part_of_their_parents() {
 }
 
 #[test]
-fn what_is_written_is_read_and_goes_on_bit_for_bit() {
+fn a_rebuilt_world_returns_its_numbers_and_continues_bit_for_bit() {
     let mut world = strider();
     let half = 0.5_f32;
     let at = [1.0, -2.0, 4.0, half, half, -half, half, 0.3, -0.2];
@@ -85,7 +85,7 @@ fn what_is_written_is_read_and_goes_on_bit_for_bit() {
 }
 
 #[test]
-fn a_reversed_axis_turns_the_other_way_and_a_motor_follows_it() {
+fn a_reversed_axis_reverses_the_rotation_and_the_motor() {
     let mut world = strider();
     let mut at = world.robot().rest().to_vec();
     at[8] = 0.4;
@@ -137,15 +137,15 @@ fn refusal(from: &str, to: &str) -> String {
 }
 
 #[test]
-fn models_that_would_be_built_wrongly_are_refused_by_name() {
+fn unsupported_models_are_rejected_with_the_name_of_the_element() {
     let off_centre = refusal(r#"name="right" pos="0 -0.3 0""#, r#"name="right" pos="0 -0.2 0""#);
     assert!(off_centre.contains("ball: the root's mass centre"), "{off_centre}");
     let touching = refusal(r#"<geom conaffinity="0""#, r#"<geom conaffinity="1""#);
-    assert!(touching.contains("links touch only the floor"), "{touching}");
+    assert!(touching.contains("links collide only with the floor"), "{touching}");
     let boxed = refusal(r#"type="sphere" size="0.2""#, r#"type="box" size="0.2 0.2 0.2""#);
-    assert!(boxed.contains("no sphere or capsule"), "{boxed}");
+    assert!(boxed.contains("not a sphere or capsule"), "{boxed}");
     let unknown = refusal(r#"motor joint="skew""#, r#"motor joint="lost""#);
-    assert!(unknown.contains("lost: a motor drives no hinge"), "{unknown}");
+    assert!(unknown.contains("lost: the motor's joint is not a hinge"), "{unknown}");
     let friction = refusal(r#"damping="0.1" armature"#, r#"frictionloss="0.1" armature"#);
     assert!(friction.contains("reversed: links below the root"), "{friction}");
 }

@@ -1,10 +1,10 @@
-//! What random and violent control may do to a cheetah.
+//! Bounds of a HalfCheetah's motion under random and extreme controls.
 
 use crate::{coordinates, environments, key, seeded, uniform, velocities};
 use rand_chacha::ChaCha8Rng;
 use sim::{EnvironmentBatch, Outcome};
 
-/// Largest violation of a joint limit (rad), deepest point (m), fastest number seen.
+/// Largest violation of a joint limit (rad), largest depth (m) and largest velocity.
 #[derive(Debug, Default)]
 struct Extremes {
     beyond_limit: f32,
@@ -71,7 +71,7 @@ fn slow_full_torque_swings_stay_within_limits_and_above_the_floor() {
 }
 
 #[test]
-fn actions_beyond_the_range_cost_what_they_are_and_do_what_the_range_does() {
+fn actions_outside_the_range_act_clamped_and_cost_unclamped() {
     let (mut within, mut beyond) =
         (environments("halfcheetah-2x3", 1), environments("halfcheetah-2x3", 1));
     let inside = crate::step(&mut *within, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0]);
@@ -82,7 +82,7 @@ fn actions_beyond_the_range_cost_what_they_are_and_do_what_the_range_does() {
 }
 
 #[test]
-fn actions_that_are_no_actions_are_refused_with_agent_and_index_and_move_nothing() {
+fn invalid_actions_are_rejected_with_agent_and_index_without_a_step() {
     let mut world = environments("halfcheetah-2x3", 2);
     let (mut outcome, before) = ([Outcome::default(); 2], world.encode(0).unwrap());
     let mut actions = [0.2; 12];
@@ -90,18 +90,18 @@ fn actions_that_are_no_actions_are_refused_with_agent_and_index_and_move_nothing
     let error = world.step(&actions, &mut outcome).unwrap_err();
     assert_eq!(error.to_string(), "the action of agent 1 in environment 1 is NaN at index 1");
     let error = world.step(&[0.2; 11], &mut outcome).unwrap_err();
-    assert_eq!(error.to_string(), "11 numbers of actions, 2 environments need 2 x 6");
+    assert_eq!(error.to_string(), "got 11 action values; 2 environments need 2 x 6");
     assert_eq!(world.encode(0).unwrap(), before);
     assert_eq!(world.episode_step(0), 0);
 }
 
 #[test]
-fn a_fault_gives_back_the_last_good_state_and_a_reset_heals_it() {
+fn a_fault_restores_the_last_valid_state_and_a_reset_recovers() {
     let mut world = environments("halfcheetah-2x3", 2);
     let mut outcome = [Outcome::default(); 2];
     let mut state =
         sim::State::from_bytes(&world.encode(0).unwrap(), world.state_bounds().unwrap()).unwrap();
-    // At the very edge of what a state may hold: the next step leaves it.
+    // At the bounds of a state: the next step leaves them.
     state.velocities[0] = world.state_bounds().unwrap().fastest;
     state.coordinates[0] = world.state_bounds().unwrap().coordinates[0][1];
     world.restore(0, &state.to_bytes(&world.state_bounds().unwrap().kind)).unwrap();
@@ -109,7 +109,7 @@ fn a_fault_gives_back_the_last_good_state_and_a_reset_heals_it() {
     world.step(&[0.2; 12], &mut outcome).unwrap();
     let fault = Outcome { fault: true, truncated: true, ..Outcome::default() };
     assert_eq!(outcome[0], fault);
-    assert!(!outcome[1].fault, "the neighbour is not touched");
+    assert!(!outcome[1].fault, "the other environment has no fault");
     assert_eq!(crate::coordinates(world.world(0).unwrap()), good);
     world.reset(0, 1, 1000, [1; 32]).unwrap();
     world.step(&[0.2; 12], &mut outcome).unwrap();
@@ -117,7 +117,7 @@ fn a_fault_gives_back_the_last_good_state_and_a_reset_heals_it() {
 }
 
 #[test]
-fn a_world_torn_apart_by_its_speed_is_a_fault_and_not_a_nan() {
+fn an_unstable_world_reports_a_fault_instead_of_nan() {
     let mut world = environments("halfcheetah-2x3", 1);
     let mut state =
         sim::State::from_bytes(&world.encode(0).unwrap(), world.state_bounds().unwrap()).unwrap();

@@ -1,4 +1,4 @@
-//! Contacts after a rebuild: colliders must stand where the links stand, or the first step has no floor.
+//! Contacts after a rebuild. Colliders must be at the links' poses, or the first step misses the floor.
 
 use crate::{cheetah, coordinates, random_actions, seeded, velocities};
 
@@ -28,12 +28,12 @@ fn rebuilt_contact_states_keep_their_contacts() {
 }
 
 #[test]
-fn only_the_floor_carries_the_cheetah() {
+fn the_floor_supports_the_whole_weight_of_the_cheetah() {
     let mut world = cheetah();
     for _ in 0..200 {
         world.step(&[0.0; 6]);
     }
-    // Seven links rest on the floor with 14 kg: the impulse of one physics step is m g h.
+    // The robot has 14 kg: the impulse of one physics step is m g h.
     let weight = 14.0 * 9.81 * 0.01;
     let impulse = world.contact_impulse();
     println!("{impulse} N s against {weight}");

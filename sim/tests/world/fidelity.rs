@@ -1,4 +1,4 @@
-//! All robots against MuJoCo's recorded motion; the whole table is what the `fidelity` example prints.
+//! All robots compared with MuJoCo's recorded motion. The `fidelity` example prints the whole table.
 
 #[path = "../../examples/fidelity/compare.rs"]
 mod compare;
@@ -6,7 +6,7 @@ mod compare;
 use compare::{ROBOTS, Traces};
 
 #[test]
-fn in_free_flight_with_short_steps_every_robot_moves_as_mujocos_does() {
+fn in_free_flight_with_short_steps_every_robot_moves_as_in_mujoco() {
     let traces = Traces::read();
     println!("against {}", traces.source());
     for robot in ROBOTS {
@@ -17,9 +17,9 @@ fn in_free_flight_with_short_steps_every_robot_moves_as_mujocos_does() {
 }
 
 #[test]
-fn on_the_ground_every_robot_stays_as_near_to_mujoco_as_the_table_says() {
+fn on_the_ground_differences_from_mujoco_stay_within_the_documented_table() {
     let traces = Traces::read();
-    // Place (m) and hinge (rad) after half a second under full torque, with a little room.
+    // Bounds of x (m) and hinge angles (rad) after half a second under full torque, with a small margin.
     for (robot, [place, angle]) in
         ROBOTS.into_iter().zip([[0.05, 0.04], [0.17, 0.45], [0.16, 0.04]])
     {

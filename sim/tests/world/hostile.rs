@@ -1,4 +1,4 @@
-//! States from untrusted hands.
+//! States from untrusted sources.
 
 use crate::{environments, step};
 use sim::{SimError, State, StateError};
@@ -11,7 +11,7 @@ fn refusal(change: impl Fn(&mut Vec<u8>)) -> StateError {
     let mut bytes = before.clone();
     change(&mut bytes);
     let refused = world.restore(0, &bytes).unwrap_err();
-    assert_eq!(world.encode(0).unwrap(), before, "a refused state changes nothing");
+    assert_eq!(world.encode(0).unwrap(), before, "a rejected state changes nothing");
     let SimError::State(error) = refused else { panic!("{refused}") };
     error
 }
@@ -21,7 +21,7 @@ fn set(bytes: &mut [u8], at: usize, value: [u8; 4]) {
 }
 
 #[test]
-fn every_lie_in_a_state_is_refused_by_name() {
+fn every_invalid_field_of_a_state_is_rejected_by_name() {
     let numbers = 28;
     assert!(matches!(refusal(Vec::clear), StateError::Length { got: 0, expected: 100, .. }));
     assert!(matches!(refusal(|b| b.push(0)), StateError::Length { got: 101, .. }));
@@ -56,7 +56,7 @@ fn every_lie_in_a_state_is_refused_by_name() {
 }
 
 #[test]
-fn any_flipped_byte_is_refused_or_leads_to_a_finite_world() {
+fn a_changed_byte_is_rejected_or_gives_a_finite_state() {
     let mut world = environments("halfcheetah-6x1", 1);
     let bytes = world.encode(0).unwrap();
     for at in 0..bytes.len() {

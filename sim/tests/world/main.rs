@@ -1,4 +1,4 @@
-//! The simulator from outside: physics, restoring, bounds, observations, and MuJoCo's traces.
+//! Tests of the simulator: physics, restoring, bounds, observations, and MuJoCo's traces.
 
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -43,14 +43,14 @@ fn seeded(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
 }
 
-/// The next 32 bytes, to reset with.
+/// Draws a reset key.
 fn key(rng: &mut ChaCha8Rng) -> [u8; 32] {
     let mut key = [0; 32];
     rng.fill_bytes(&mut key);
     key
 }
 
-/// Uniform in [-1, 1).
+/// Draws uniformly from [-1, 1).
 fn uniform(rng: &mut ChaCha8Rng) -> f32 {
     (rng.next_u32() >> 8) as f32 / 8_388_608.0 - 1.0
 }
@@ -59,7 +59,7 @@ fn random_actions(rng: &mut ChaCha8Rng, actions: &mut [f32]) {
     actions.iter_mut().for_each(|action| *action = uniform(rng));
 }
 
-/// One step of a single cheetah.
+/// Steps the only environment.
 fn step(world: &mut dyn EnvironmentBatch, actions: &[f32]) -> Outcome {
     let mut outcome = [Outcome::default()];
     world.step(actions, &mut outcome).unwrap();

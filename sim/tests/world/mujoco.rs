@@ -1,16 +1,16 @@
-//! MuJoCo's open-loop motion of the same robot under the same controls.
+//! Comparison with MuJoCo's open-loop motion of the same robot under the same controls.
 //!
-//! Both integrators are of first order and the robot is stiff: MuJoCo's own trace is 0.013 rad from the exact motion
-//! after one step of 0.05 s (explicit springs), this one's 0.010 rad on the other side (implicit springs); over half a
-//! second in flight the largest are 0.022 and 0.035 rad. So the model is compared where both converge, and the traces
-//! at the task's own step only to that accuracy.
+//! Both integrators are of first order and the robot is stiff. After one step of 0.05 s, MuJoCo's trace is 0.013 rad
+//! from the exact motion (explicit springs) and this one 0.010 rad in the opposite direction (implicit springs). Over
+//! half a second in flight, the largest errors are 0.022 and 0.035 rad. The model is therefore compared with short
+//! steps, where both converge; at the task's step the traces are compared only to this accuracy.
 
 use std::sync::Arc;
 
 use crate::{coordinates, velocities};
 use sim::{Robot, World};
 
-/// Coordinates and velocities after each step.
+/// Coordinates and velocities after each step of a trace.
 type Trace = Vec<(Vec<f64>, Vec<f64>)>;
 
 fn reference(name: &str) -> Trace {
@@ -51,21 +51,21 @@ fn worst(differences: &[(f64, f64)]) -> (f64, f64) {
 }
 
 #[test]
-fn in_flight_with_short_steps_the_cheetah_moves_as_mujoco_does_with_short_steps() {
+fn in_flight_with_short_steps_the_cheetah_moves_as_in_mujoco() {
     let (position, velocity) = worst(&differences(64, 8.0, &reference("flight")));
     assert!(position < 2e-3, "{position} m or rad");
     assert!(velocity < 5e-2, "{velocity} m/s or rad/s");
 }
 
 #[test]
-fn in_flight_with_the_tasks_step_the_cheetah_stays_near_the_exact_motion() {
+fn in_flight_with_the_tasks_step_the_cheetah_stays_close_to_the_exact_motion() {
     let (position, velocity) = worst(&differences(1, 8.0, &reference("flight")));
     assert!(position < 0.04, "{position} m or rad");
     assert!(velocity < 0.8, "{velocity} m/s or rad/s");
 }
 
 #[test]
-fn over_half_a_second_with_contacts_the_cheetah_stays_near_mujocos_trace() {
+fn over_half_a_second_with_contacts_the_cheetah_stays_close_to_mujocos_trace() {
     let (position, _) = worst(&differences(1, 0.0, &reference("steps"))[..10]);
     assert!(position < 0.1, "{position} m or rad");
 }

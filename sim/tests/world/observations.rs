@@ -69,7 +69,7 @@ fn partitions_are_the_published_ones() {
 }
 
 #[test]
-fn labels_drive_the_joints_they_name() {
+fn labels_assign_the_joints_that_they_name() {
     let mut slices =
         sim::environments(&config("halfcheetah-3x2", "none", "actuator_slices"), 1).unwrap();
     let mut labels = sim::environments(&config("halfcheetah-3x2", "none", "labels"), 1).unwrap();
@@ -80,7 +80,7 @@ fn labels_drive_the_joints_they_name() {
 }
 
 #[test]
-fn in_full_id_all_agents_see_the_same_signals() {
+fn in_full_id_all_agents_observe_the_same_signals() {
     for norm in ["none", "feature_z"] {
         let mut world = sim::environments(&config("halfcheetah-6x1", norm, "labels"), 1).unwrap();
         let (mut rng, mut actions) = (seeded(4), [0.0; 6]);
@@ -115,7 +115,7 @@ fn a_standardised_observation_has_mean_zero_and_deviation_one() {
 }
 
 #[test]
-fn starts_are_spread_as_published_and_follow_the_generator() {
+fn start_noise_has_the_published_widths() {
     let mut world = environments("halfcheetah-2x3", 1);
     let mut rng = seeded(13);
     let (mut widest, mut square, episodes) = (0.0_f32, 0.0_f64, 500);
@@ -133,11 +133,11 @@ fn starts_are_spread_as_published_and_follow_the_generator() {
     assert!((deviation - 0.1).abs() < 0.005, "{deviation}");
     world.reset(0, 1, 0, [14; 32]).unwrap();
     let outcome = step(&mut *world, &[0.0; 6]);
-    assert!(outcome.truncated, "a limit of 0 is brought to 1");
+    assert!(outcome.truncated, "a limit of 0 is clamped to 1");
 }
 
 #[test]
-fn reward_is_speed_less_the_price_of_control() {
+fn the_reward_is_the_speed_minus_the_control_cost() {
     let mut world = environments("halfcheetah-2x3", 1);
     let before = crate::coordinates(world.world(0).unwrap())[0];
     let outcome = step(&mut *world, &[0.5, -0.5, 0.5, -0.5, 0.5, 2.0]);
@@ -146,7 +146,7 @@ fn reward_is_speed_less_the_price_of_control() {
 }
 
 #[test]
-fn tasks_and_slots_that_cannot_be_are_refused() {
+fn unknown_tasks_and_empty_slots_are_rejected() {
     let unknown = sim::environments(&config("halfcheeta-2x3", "none", "labels"), 1).err().unwrap();
     assert!(unknown.to_string().contains("did you mean `halfcheetah-2x3`"), "{unknown}");
     let none = sim::environments(&config("halfcheetah-2x3", "none", "labels"), 0).err().unwrap();
@@ -154,7 +154,7 @@ fn tasks_and_slots_that_cannot_be_are_refused() {
 }
 
 #[test]
-fn a_recording_gets_every_link_and_shape() {
+fn poses_and_shapes_cover_every_link() {
     let world = environments("halfcheetah-2x3", 1);
     let pose = world.pose(0);
     assert_eq!(pose.links.len(), 7);

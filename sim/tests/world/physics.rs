@@ -7,7 +7,7 @@ fn close(got: f64, expected: f64) -> bool {
 }
 
 #[test]
-fn masses_and_inertias_are_those_that_mujoco_compiles() {
+fn masses_and_inertias_are_equal_to_mujocos() {
     let expected = [
         ("torso", 6.250209, [0.01796092, 0.88565545, 0.89711769]),
         ("bthigh", 1.543515, [0.00157602, 0.01684434, 0.01684434]),
@@ -66,8 +66,8 @@ fn the_mass_centre_of_a_spinning_cheetah_in_flight_follows_a_parabola() {
         world.step(&[0.0; 6]);
     }
     let end = world.centre_of_mass();
-    // The start velocity of the mass centre from the first step: v = dx/dt, and dz/dt + g (dt + h) / 2 where the
-    // integrator, semi-implicit with h = 0.01 s, falls g h / 2 too far in each second.
+    // The start velocity of the mass centre comes from the first step: v = dx/dt, and dz/dt + g (dt + h) / 2, because
+    // the semi-implicit integrator with h = 0.01 s falls g h / 2 too far in each second.
     let (dt, h, g) = (0.05_f32, 0.01_f32, 9.81_f32);
     let seconds = steps as f32 * dt;
     let vx = (first[0] - start[0]) / dt;
@@ -77,7 +77,7 @@ fn the_mass_centre_of_a_spinning_cheetah_in_flight_follows_a_parabola() {
     let error = (0..3).map(|axis| (end[axis] - flight[axis]).abs()).fold(0.0, f32::max);
     println!("off the parabola by {error} m after {seconds} s");
     assert!(error < 0.03, "{end:?} against {flight:?}");
-    assert!(velocities(&world)[2].abs() > 0.5, "it still spins");
+    assert!(velocities(&world)[2].abs() > 0.5, "the robot still spins");
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn without_control_energy_never_rises() {
         let mut at = at.map(|number| 0.3 * number);
         let motion = motion.map(|number| 3.0 * number);
         world.rebuild(&at, &motion);
-        // Starting inside the floor would begin with energy that no spring accounts for.
+        // A start inside the floor would add energy that no spring contains.
         at[1] -= world.lowest_point();
         world.rebuild(&at, &motion);
         let mut energy = world.mechanical_energy();

@@ -1,4 +1,4 @@
-//! Reset and restore: what follows depends on the state's bytes and the actions alone.
+//! Reset and restore: later steps depend only on the encoded state and the actions.
 
 use crate::{cheetah, environments, key, random_actions, seeded, step};
 use sim::EnvironmentBatch;
@@ -26,7 +26,7 @@ fn a_reset_world_equals_a_fresh_one_bit_for_bit_over_a_thousand_steps() {
 }
 
 #[test]
-fn two_restores_of_the_same_bytes_go_on_alike_wherever_they_are() {
+fn two_restores_of_the_same_bytes_continue_identically_in_any_position() {
     let mut source = environments("halfcheetah-2x3", 1);
     let (mut rng, mut actions) = (seeded(8), [0.0; 6]);
     source.reset(0, 3, 900, key(&mut rng)).unwrap();
@@ -53,7 +53,7 @@ fn two_restores_of_the_same_bytes_go_on_alike_wherever_they_are() {
 }
 
 #[test]
-fn a_restored_episode_stays_near_the_one_that_was_not_interrupted() {
+fn a_restored_episode_stays_close_to_the_uninterrupted_one() {
     let (mut straight, mut cut) =
         (environments("halfcheetah-2x3", 1), environments("halfcheetah-2x3", 1));
     let (mut rng, mut actions) = (seeded(9), [0.0; 6]);
@@ -78,12 +78,12 @@ fn a_restored_episode_stays_near_the_one_that_was_not_interrupted() {
     }
     let mean = sum / states as f32;
     println!("after one step of full random torque: mean {mean} rad, largest {worst} rad");
-    // The contacts' impulses begin the solver's single iteration elsewhere, and nothing else differs.
+    // Only the contact impulses with which the solver's single iteration starts differ.
     assert!(mean < 0.006 && worst < 0.1, "mean {mean} rad, largest {worst} rad");
 }
 
 #[test]
-fn a_settled_cheetah_rebuilt_in_place_stays() {
+fn a_settled_cheetah_does_not_move_after_a_rebuild() {
     let mut world = cheetah();
     for _ in 0..200 {
         world.step(&[0.0; 6]);
@@ -102,7 +102,7 @@ fn a_settled_cheetah_rebuilt_in_place_stays() {
 }
 
 #[test]
-fn environments_can_be_handed_to_a_stepping_thread() {
+fn environments_can_be_sent_to_another_thread() {
     let mut world = environments("halfcheetah-2x3", 1);
     let here = step(&mut *environments("halfcheetah-2x3", 1), &[0.3; 6]);
     let there = std::thread::Builder::new()
@@ -113,7 +113,7 @@ fn environments_can_be_handed_to_a_stepping_thread() {
 }
 
 #[test]
-fn the_probe_is_the_same_twice_and_sees_contacts() {
+fn the_probe_is_repeatable_and_finite() {
     let probe = sim::probe();
     assert_eq!(probe, sim::probe());
     assert_eq!(probe.len(), 100 * (18 + 18 + 29) * 4);

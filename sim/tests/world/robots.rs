@@ -33,7 +33,7 @@ fn check_masses(task: &str, expected: &[(&str, f64, [f64; 3])], total: f64) {
 }
 
 #[test]
-fn the_walkers_masses_and_inertias_are_those_that_mujoco_compiles() {
+fn the_walkers_masses_and_inertias_are_equal_to_mujocos() {
     let thigh = (4.057891, [0.00494146, 0.09329876, 0.09329876]);
     let leg = (2.781357, [0.00218219, 0.07230254, 0.07230254]);
     let foot = (3.166725, [0.00537439, 0.02399775, 0.02399775]);
@@ -50,7 +50,7 @@ fn the_walkers_masses_and_inertias_are_those_that_mujoco_compiles() {
 }
 
 #[test]
-fn the_ants_masses_and_inertias_are_those_that_mujoco_compiles() {
+fn the_ants_masses_and_inertias_are_equal_to_mujocos() {
     let (thigh, shank) =
         ([0.00011844, 0.00056797, 0.00056797], [0.00020943, 0.00267479, 0.00267479]);
     // The jointless shoulders are part of the torso: moments about their common centre.
@@ -62,7 +62,7 @@ fn the_ants_masses_and_inertias_are_those_that_mujoco_compiles() {
     check_masses("ant-2x4", &expected, 0.91088008);
 }
 
-/// Slides a settled robot at 4 m/s and says how far it comes.
+/// Distance that a settled robot slides from 4 m/s until it stops, m.
 fn slide(task: &str, along: usize) -> f32 {
     let mut world = world(task);
     let controls = vec![0.0; world.robot().actuators().count()];
@@ -83,7 +83,7 @@ fn slide(task: &str, along: usize) -> f32 {
 }
 
 #[test]
-fn robots_sliding_at_four_metres_a_second_stop_where_friction_stops_them() {
+fn robots_sliding_at_four_metres_a_second_stop_near_mujocos_distance() {
     let (walker, ant) = (slide("walker2d-2x3", 0), slide("ant-2x4", 0));
     println!("walker {walker} m, ant {ant} m");
     assert!((1.5..2.1).contains(&walker), "walker slid {walker} m; MuJoCo 1.91");
@@ -117,7 +117,7 @@ fn the_mass_centre_of_a_spinning_ant_in_flight_follows_a_parabola() {
     for axis in 0..3 {
         assert!((end[axis] - expected[axis]).abs() < 0.05, "{end:?} against {expected:?}");
     }
-    assert!(velocities(&world)[5].abs() > 0.3, "it still spins");
+    assert!(velocities(&world)[5].abs() > 0.3, "the robot still spins");
 }
 
 /// Largest violation of a joint limit (rad) and deepest point (m) over episodes of 1,000 steps.
@@ -134,7 +134,7 @@ fn extremes(task: &str, control: impl Fn(&mut rand_chacha::ChaCha8Rng) -> f32) -
             let mut outcome = [Outcome::default()];
             world.step(&actions, &mut outcome).unwrap();
             assert!(!outcome[0].fault && outcome[0].reward.is_finite());
-            // The published start of the ant has its ankles 30 degrees outside their limits.
+            // In the published start, the ant's ankles are 30 degrees outside their limits.
             if step >= 20 {
                 let inner = world.world(0).unwrap();
                 let angles = coordinates(inner);
@@ -163,13 +163,13 @@ fn random_and_bang_bang_control_stay_within_limits_and_above_the_floor() {
     }
 }
 
-/// Puts the environment of `slot` at a start of its task.
+/// Starts an episode in the environment of `slot`.
 fn begin(slot: &mut dyn EnvironmentBatch, rng: &mut rand_chacha::ChaCha8Rng) {
     if !slot.description().task.starts_with("walker2d") {
         return slot.reset(0, 0, 1000, key(rng)).unwrap();
     }
-    // Walker2d's published noise, drawn here: the starts of the test must not depend on how resets draw. Energy rises
-    // by less than the test's bound from these starts, but by up to 7 J from one of fourteen starts in general.
+    // Walker2d's published noise is drawn here, because the test's starts must not depend on how resets draw. From
+    // these starts, energy rises by less than the test's bound; in general one start in fourteen rises by up to 7 J.
     let bounds = slot.state_bounds().unwrap().clone();
     let mut state = State::from_bytes(&slot.encode(0).unwrap(), &bounds).unwrap();
     for number in state.coordinates.iter_mut().chain(&mut state.velocities) {
@@ -190,7 +190,7 @@ fn without_control_energy_never_rises() {
             let start = coordinates(slot.world(0).unwrap());
             let controls = vec![0.0; world.robot().actuators().count()];
             world.rebuild(&start, &velocities(slot.world(0).unwrap()));
-            // Joints outside their limits begin with energy that no spring accounts for.
+            // Joints outside their limits add energy that no spring contains.
             hold(&mut world, &controls, 8);
             let mut energy = world.mechanical_energy();
             for _ in 0..100 {
@@ -202,14 +202,14 @@ fn without_control_energy_never_rises() {
             }
         }
         println!("{task}: largest rise {worst} J, lost {lost} J");
-        // What contacts and limits store is not counted: MuJoCo's Walker2d rises by up to 0.29 J, too.
+        // The energy stored in contacts and limits is not counted. MuJoCo's Walker2d rises by up to 0.29 J.
         assert!(worst < 0.7, "{task}: rose by {worst} J in a step");
         assert!(lost > 0.0);
     }
 }
 
 #[test]
-fn settled_robots_rebuilt_in_place_go_on_as_if_nothing_had_happened() {
+fn settled_robots_continue_unchanged_after_a_rebuild() {
     for (task, most) in [("walker2d-2x3", 1e-4), ("ant-2x4", 1e-3)] {
         let (mut straight, mut rebuilt) = (world(task), world(task));
         let controls = vec![0.0; straight.robot().actuators().count()];
@@ -226,8 +226,8 @@ fn settled_robots_rebuilt_in_place_go_on_as_if_nothing_had_happened() {
 
 #[test]
 fn rebuilt_contact_states_keep_their_contacts() {
-    // A foot that just taps the floor may miss it for one physics step, because the contacts forget. Without
-    // moved colliders nine states of ten lose the floor.
+    // A foot that barely touches the floor may miss it for one physics step, because the rebuild discards contacts.
+    // Without moved colliders, nine of ten states lose their contact.
     for (task, least) in [("walker2d-2x3", 80), ("ant-2x4", 80)] {
         let mut rng = seeded(11);
         let mut slot = environments(task, 1);
@@ -260,7 +260,7 @@ fn rebuilt_contact_states_keep_their_contacts() {
 }
 
 #[test]
-fn every_task_goes_on_bit_for_bit_from_its_bytes() {
+fn every_task_continues_bit_for_bit_from_an_encoded_state() {
     for task in sim::task_names().iter().filter(|task| Robot::of_task(task).is_ok()) {
         let mut source = environments(task, 1);
         let size = source.description().agents.iter().map(|agent| agent.action.size).sum();

@@ -1,4 +1,4 @@
-//! Walker2d and Ant: what each task shows, pays, and ends on.
+//! Walker2d and Ant: observations, rewards and terminations.
 
 use sim::{EnvironmentBatch, FeatureRole, Outcome, TaskConfig};
 
@@ -18,7 +18,7 @@ fn sizes(world: &dyn EnvironmentBatch) -> Vec<usize> {
 }
 
 #[test]
-fn whole_views_have_the_published_sizes() {
+fn full_observations_have_the_published_sizes() {
     let n = |changes, task| {
         let world = with(task, &changes);
         (world.description().state.len(), sizes(&*world)[0])
@@ -39,7 +39,7 @@ fn whole_views_have_the_published_sizes() {
 }
 
 #[test]
-fn local_views_have_the_published_sizes() {
+fn local_observations_have_the_published_sizes() {
     let seen = |task: &str, globals: &str, forces: &str| {
         let changes = serde_json::json!({
             "mode": "k_nearest", "nearest": 1, "globals": globals, "contact_forces": forces,
@@ -87,10 +87,10 @@ fn an_ants_slices_are_the_published_ones() {
 }
 
 #[test]
-fn a_standing_ant_feels_its_weight_through_its_shanks() {
+fn a_standing_ant_has_contact_forces_on_its_shanks() {
     let mut world = with("ant-2x4", &serde_json::json!({ "contact_forces": "real" }));
     let mut outcome = [Outcome::default()];
-    // As in MuJoCo it sinks for 20 s until its ankles are at their limits: loaded feet creep.
+    // As in MuJoCo, it sinks for 20 s until its ankles reach their limits, because loaded feet creep.
     for _ in 0..900 {
         world.step(&[0.0; 8], &mut outcome).unwrap();
     }
@@ -100,11 +100,11 @@ fn a_standing_ant_feels_its_weight_through_its_shanks() {
         let at = world.description().state.iter().position(|feature| feature.name == name).unwrap();
         state[at]
     };
-    // 0.91 kg weigh 8.9 N: each of four feet bears more than the 1 N at which features are clipped.
+    // 0.91 kg weigh 8.9 N: the load on each of four feet exceeds 1 N, where features are clipped.
     for leg in 1..=4 {
         assert_eq!(force(&format!("contact.shank_{leg}.force.z")), 1.0, "leg {leg}");
     }
-    // MuJoCo's world, of which the floor is a part, feels no contact.
+    // MuJoCo's world body, which includes the floor, has no contact forces.
     assert!(state[27..33].iter().all(|number| *number == 0.0));
     assert_eq!(force("contact.world.force.z"), 0.0);
     assert_eq!(force("contact.torso.force.z"), 0.0);
@@ -116,7 +116,7 @@ fn a_standing_ant_feels_its_weight_through_its_shanks() {
 }
 
 #[test]
-fn walkers_and_ants_end_when_they_fall_and_are_paid_for_standing() {
+fn walkers_and_ants_terminate_when_they_fall_and_are_rewarded_for_standing() {
     for (task, pay) in [("walker2d-2x3", 1.0), ("ant-2x4", 1.0)] {
         let mut world = environments(task, 1);
         let size = world.description().agents.iter().map(|agent| agent.action.size).sum::<usize>();
@@ -136,7 +136,7 @@ fn walkers_and_ants_end_when_they_fall_and_are_paid_for_standing() {
     assert!(lifted("ant-2x4", 2, 0.4).terminated, "1.15 m is above 1 m");
 }
 
-/// One step from a start whose coordinate `index` was moved.
+/// One step from a start with coordinate `index` changed by `by`.
 fn lifted(task: &str, index: usize, by: f32) -> Outcome {
     let mut world = environments(task, 1);
     let size = world.description().agents.iter().map(|agent| agent.action.size).sum::<usize>();
@@ -150,7 +150,7 @@ fn lifted(task: &str, index: usize, by: f32) -> Outcome {
 }
 
 #[test]
-fn an_ants_start_has_a_unit_quaternion_and_turns_about_its_own_axes() {
+fn an_ants_start_has_a_unit_quaternion_and_angular_velocity_in_its_own_axes() {
     let mut world = with("ant-2x4", &serde_json::json!({}));
     world.reset(0, 0, 1000, [5; 32]).unwrap();
     let state =

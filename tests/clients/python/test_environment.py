@@ -66,7 +66,7 @@ def test_a_program_that_shows_something_else_than_it_says_ends_the_run_by_field(
     done = train(tmp_path / "run", offer("games:Liar", lie), "run.actors=1")
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()[-1:]
-    assert f"answers wrongly: {field}" in line
+    assert f"sent an invalid answer: {field}" in line
 
 
 def eventually(call):

@@ -1,4 +1,4 @@
-//! Files that are cut off, hold wrong bytes, or are none of ours.
+//! Tests of truncated, corrupted and foreign files.
 
 use std::io::Cursor;
 
@@ -12,10 +12,10 @@ use crate::trajectory_log::recover::{Loss, copy};
 use crate::trajectory_log::source::read_bytes;
 use crate::trajectory_log::{LogError, Recovered, read_shares, records, recover, survey};
 
-/// Topic number, sequence and data of a message.
+/// Channel id, sequence number and data of a message.
 type Message = (u16, u32, Vec<u8>);
 
-/// Two channels, four chunks, an attachment and words; small enough to be cut at every byte.
+/// A file with two channels, four chunks, an attachment and metadata, small enough to truncate at every byte.
 fn small_file() -> Vec<u8> {
     let mut file = McapFile::in_chunks_of(200, Cursor::new(Vec::new())).unwrap();
     let schema = json!({ "title": "test.Number", "type": "object" });
@@ -42,7 +42,7 @@ fn messages(bytes: &[u8]) -> Vec<Message> {
     found
 }
 
-/// What is saved of `bytes`: a file that can be read again.
+/// Recovers `bytes` and reads the result.
 fn saved(bytes: &[u8]) -> (Recovered, Vec<Message>) {
     let (recovered, target) = copy(bytes, Cursor::new(Vec::new())).unwrap();
     let messages = messages(&target.into_inner());
@@ -50,14 +50,14 @@ fn saved(bytes: &[u8]) -> (Recovered, Vec<Message>) {
     (recovered, messages)
 }
 
-/// Whether `part` is `whole` without some of its messages.
+/// Whether the messages of `part` are a subsequence of `whole`.
 fn is_part(part: &[Message], whole: &[Message]) -> bool {
     let mut rest = whole.iter();
     part.iter().all(|message| rest.any(|other| other.2 == message.2))
 }
 
 #[test]
-fn a_whole_file_is_saved_whole_and_nothing_is_lost() {
+fn an_intact_file_is_recovered_without_loss() {
     let file = small_file();
     let (recovered, found) = saved(&file);
     assert_eq!((found.len(), recovered.losses), (16, Vec::new()));
@@ -65,7 +65,7 @@ fn a_whole_file_is_saved_whole_and_nothing_is_lost() {
 }
 
 #[test]
-fn a_file_cut_at_any_byte_gives_its_first_messages_and_tells_that_it_was_cut() {
+fn a_truncated_file_keeps_its_first_messages_and_reports_the_loss() {
     let file = small_file();
     let all = messages(&file);
     let mut most = 0;
@@ -81,7 +81,7 @@ fn a_file_cut_at_any_byte_gives_its_first_messages_and_tells_that_it_was_cut() {
 }
 
 #[test]
-fn a_wrong_byte_anywhere_costs_messages_and_never_changes_one() {
+fn a_changed_byte_may_lose_messages_but_never_changes_one() {
     let file = small_file();
     let all = messages(&file);
     for place in mcap::MAGIC.len()..file.len() {
@@ -89,18 +89,18 @@ fn a_wrong_byte_anywhere_costs_messages_and_never_changes_one() {
             let mut damaged = file.clone();
             damaged[place] ^= pattern;
             let (recovered, found) = saved(&damaged);
-            assert!(is_part(&found, &all), "byte {place}: a message is none that was written");
+            assert!(is_part(&found, &all), "byte {place}: a message was changed");
             let silent = recovered.losses.is_empty();
-            assert!(!silent || found.len() == all.len(), "byte {place}: lost in silence");
+            assert!(!silent || found.len() == all.len(), "byte {place}: an unreported loss");
         }
     }
 }
 
 #[test]
-fn one_wrong_byte_costs_one_chunk() {
+fn one_changed_byte_loses_one_chunk() {
     let file = small_file();
     let all = messages(&file);
-    // In the middle of the second chunk's data: a chunk's opcode is 6, and its compression's name is in it.
+    // A byte in the data of the second chunk, which is found by the name of its compression.
     let second = file.windows(4).enumerate().filter(|(_, name)| *name == b"zstd").nth(1).unwrap().0;
     let mut damaged = file.clone();
     damaged[second + 30] ^= 0x10;
@@ -111,7 +111,7 @@ fn one_wrong_byte_costs_one_chunk() {
 }
 
 #[test]
-fn a_tail_of_zeros_is_a_loss_and_no_message() {
+fn trailing_zeros_are_a_loss_and_not_messages() {
     let file = small_file();
     let all = messages(&file);
     for length in (mcap::MAGIC.len()..file.len()).step_by(7) {
@@ -124,7 +124,7 @@ fn a_tail_of_zeros_is_a_loss_and_no_message() {
 }
 
 #[test]
-fn reading_refuses_every_cut_and_every_wrong_byte_without_a_panic() {
+fn reading_rejects_truncated_and_changed_files_without_a_panic() {
     let file = small_file();
     let read = |bytes: &[u8]| records::read(bytes, |_| Ok(()));
     assert!(read(&file).is_ok());
@@ -134,12 +134,12 @@ fn reading_refuses_every_cut_and_every_wrong_byte_without_a_panic() {
     for place in 0..file.len() {
         let mut damaged = file.clone();
         damaged[place] ^= 0x20;
-        assert!(read(&damaged).is_err(), "byte {place} is covered by no checksum");
+        assert!(read(&damaged).is_err(), "byte {place} is not covered by a checksum");
     }
 }
 
 #[test]
-fn a_log_that_was_cut_off_keeps_its_whole_shares() {
+fn a_truncated_log_keeps_its_complete_shares() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = read_bytes(&slot_log(folder.path()).0).unwrap();
     let refused = read_shares(&bytes[..bytes.len() - 1], |_, _| Ok(())).unwrap_err().to_string();
@@ -152,38 +152,38 @@ fn a_log_that_was_cut_off_keeps_its_whole_shares() {
                 let saved = read_bytes(&out).unwrap();
                 assert!(survey(&saved).is_ok());
                 let mut whole = 0;
-                let told = read_shares(&saved, |_, _| {
+                let log = read_shares(&saved, |_, _| {
                     whole += 1;
                     Ok(())
                 });
                 assert!(whole == 3 || !recovered.losses.is_empty(), "cut at {length}");
-                assert!(told.is_ok() || whole == 0, "cut at {length}");
+                assert!(log.is_ok() || whole == 0, "cut at {length}");
             }
         }
     }
 }
 
 #[test]
-fn other_files_are_refused_in_one_line() {
+fn other_files_are_rejected_with_a_one_line_error() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other");
     for text in ["", "no MCAP at all", "\u{89}MCAP"] {
         std::fs::write(&path, text).unwrap();
         let line = read_bytes(&path).unwrap_err().to_string();
-        assert!(line.contains("no MCAP file") && !line.contains('\n'), "{line}");
+        assert!(line.contains("not an MCAP file") && !line.contains('\n'), "{line}");
     }
     assert!(
         read_bytes(&folder.path().join("missing")).unwrap_err().to_string().contains("cannot read")
     );
     let foreign = read_shares(&small_file(), |_, _| Ok(())).unwrap_err().to_string();
-    assert!(foreign.contains("no trajectory log"), "{foreign}");
+    assert!(foreign.contains("not a trajectory log"), "{foreign}");
     let out = folder.path().join("out.mcap");
     assert!(matches!(recover(b"text", &out), Err(LogError::NotMcap)));
     assert!(!out.exists());
 }
 
 #[test]
-fn a_file_is_never_saved_over_itself_or_another() {
+fn recovery_never_overwrites_a_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = slot_log(folder.path()).0;
     let before = read_bytes(&path).unwrap();

@@ -1,4 +1,4 @@
-//! Intrinsic rewards, which a learner logs, find the steps that they were paid for.
+//! Tests of matching a learner's intrinsic rewards with logged steps.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use super::fixture::run;
 use super::{files, read, slot_log};
 use crate::trajectory_log::{Index, LoggedShare, join};
 
-/// What a learner would pay for a share: -1, -2, ... to the first agent, less by a tenth to every next one.
+/// Reward line of a share: -1, -2, ... for the first agent, lower by 0.1 for each further agent.
 fn paid(share: &LoggedShare) -> ShareRewards {
     let reward = |agent: usize, step: usize| -((step + 1) as f32) - 0.1 * agent as f32;
     let agents = 0..share.steps[0].agents.len();
@@ -26,7 +26,7 @@ fn paid(share: &LoggedShare) -> ShareRewards {
     unsealed.sealed()
 }
 
-/// A line that says something else, with the checksum of that.
+/// Changes a line and updates its checksum.
 fn alter(line: &mut ShareRewards, change: impl FnOnce(&mut ShareRewards)) {
     change(line);
     *line = line.clone().sealed();
@@ -36,7 +36,7 @@ fn lines(rewards: &[ShareRewards]) -> String {
     rewards.iter().map(|line| serde_json::to_string(line).unwrap() + "\n").collect()
 }
 
-/// A log of three shares, and what a learner would pay for them, in the order in which they are joined.
+/// Writes a log of three shares and returns their reward lines, in the order in which they are joined.
 fn logged(folder: &Path) -> Vec<ShareRewards> {
     let mut rewards: Vec<_> = read(&slot_log(folder).0).1.iter().map(paid).collect();
     rewards.sort_by_key(|line| line.episode_id.clone());
@@ -74,10 +74,10 @@ fn expected(rewards: &[ShareRewards]) -> Vec<Vec<Vec<Option<f32>>>> {
 }
 
 #[test]
-fn joined_steps_have_the_rewards_that_the_learner_logged_for_them() {
+fn joined_steps_have_the_rewards_that_the_learner_logged() {
     let folder = tempfile::tempdir().unwrap();
     let rewards = logged(folder.path());
-    // Whatever the order of the lines, and though a learner that was started again has paid some once more.
+    // The lines are not in order, and a restarted learner has logged some of them again.
     reward_log(folder.path(), 1, &lines(&[rewards[2].clone(), rewards[0].clone()]));
     reward_log(folder.path(), 2, &lines(&rewards));
     let paths = files(folder.path());
@@ -88,7 +88,7 @@ fn joined_steps_have_the_rewards_that_the_learner_logged_for_them() {
 }
 
 #[test]
-fn shares_without_a_line_stay_without_and_half_a_line_counts_as_none() {
+fn shares_without_a_line_have_no_rewards_and_incomplete_lines_are_skipped() {
     let folder = tempfile::tempdir().unwrap();
     let rewards = logged(folder.path());
     let text = lines(&rewards);
@@ -96,14 +96,14 @@ fn shares_without_a_line_stay_without_and_half_a_line_counts_as_none() {
     reward_log(folder.path(), 1, &text[..half]);
     let index = index(&files(folder.path()));
     assert_eq!((index.paid(), index.damaged().len()), ((2, 3), 0));
-    assert!(index.remarks()[0].ends_with("rewards-0001.jsonl ends in half a line"));
+    assert!(index.remarks()[0].ends_with("rewards-0001.jsonl ends with an incomplete line"));
     let shares = joined(folder.path(), &files(folder.path()));
     assert_eq!(found(&shares)[..2], expected(&rewards)[..2]);
     assert!(found(&shares)[2].iter().flatten().all(Option::is_none));
 }
 
 #[test]
-fn a_joined_log_keeps_its_rewards_when_it_is_joined_again_with_what_it_was_made_of() {
+fn a_joined_log_keeps_its_rewards_when_joined_again_with_its_sources() {
     let folder = tempfile::tempdir().unwrap();
     let rewards = logged(folder.path());
     let (raw, out) = (files(folder.path()).remove(0), folder.path().join("joined.mcap"));
@@ -119,7 +119,7 @@ fn a_joined_log_keeps_its_rewards_when_it_is_joined_again_with_what_it_was_made_
     }
 }
 
-/// The one contradiction of a log and the reward logs beside it, which keeps it from being joined.
+/// The only contradiction of the log and reward logs in a folder, which prevents a join.
 fn contradiction(folder: &Path) -> String {
     let index = index(&files(folder));
     let found = index.contradictions();
@@ -130,7 +130,7 @@ fn contradiction(folder: &Path) -> String {
 }
 
 #[test]
-fn rewards_of_other_steps_or_weights_contradict_the_share() {
+fn rewards_with_other_steps_or_weights_contradict_the_share() {
     let changes: [fn(&mut ShareRewards); 3] = [
         |line| line.weights_sha256 = "0".repeat(64),
         |line| line.iteration += 1,
@@ -141,14 +141,14 @@ fn rewards_of_other_steps_or_weights_contradict_the_share() {
         let mut rewards = logged(folder.path());
         alter(&mut rewards[1], change);
         let path = reward_log(folder.path(), 1, &lines(&rewards));
-        let expected = format!("{} is about other steps or weights than the share", path.display());
+        let expected = format!("{} has other steps or weights than the share", path.display());
         let found = contradiction(folder.path());
         assert_eq!(found, format!("rollout-6-1 from step 0 on: {expected}"));
     }
 }
 
 #[test]
-fn rewards_of_one_share_that_differ_are_a_contradiction() {
+fn different_rewards_of_a_share_are_a_contradiction() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
     let first = reward_log(folder.path(), 1, &lines(&rewards));
@@ -160,19 +160,22 @@ fn rewards_of_one_share_that_differ_are_a_contradiction() {
 }
 
 #[test]
-fn rewards_of_another_number_of_agents_are_refused_and_leave_no_file() {
+fn rewards_for_a_wrong_number_of_agents_are_rejected_without_a_file() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
     alter(&mut rewards[0], |line| drop(line.intrinsic_reward.pop()));
     reward_log(folder.path(), 1, &lines(&rewards));
     let paths = files(folder.path());
     let refused = join(&index(&paths), &folder.path().join("joined.mcap")).unwrap_err().to_string();
-    assert!(refused.contains("rollout-6-0 is paid to 1 agents, not to 2"), "{refused}");
+    assert!(
+        refused.contains("rollout-6-0 has rewards for 1 agents, but the log has 2 agents"),
+        "{refused}"
+    );
     assert_eq!(files(folder.path()), paths);
 }
 
 #[test]
-fn joined_logs_and_lines_that_disagree_about_rewards_are_contradictions() {
+fn joined_logs_and_lines_with_different_rewards_are_contradictions() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
     reward_log(folder.path(), 1, &lines(&rewards));
@@ -184,28 +187,28 @@ fn joined_logs_and_lines_that_disagree_about_rewards_are_contradictions() {
     let two = folder.path().join("other.mcap");
     join(&index(&[raw, line.clone()]), &two).unwrap();
     let first = &read(&two).1[1].steps[0].agents[0];
-    assert!(first.intrinsic_reward.unwrap().is_nan(), "no finite number stays none");
+    assert!(first.intrinsic_reward.unwrap().is_nan(), "a non-finite reward is NaN");
     let shown = [&one, &two, &line].map(|path| path.display().to_string());
     let place = "rollout-6-1 from step 0 on: ";
     let differ = format!("{place}{} and {} differ", shown[0], shown[1]);
     assert_eq!(index(&[one.clone(), two.clone()]).contradictions(), [differ]);
-    let pays = format!("{place}{} pays other rewards than the share holds", shown[2]);
+    let pays = format!("{place}{} has other rewards than the share", shown[2]);
     assert_eq!(index(&[one, line.clone()]).contradictions(), [pays]);
     assert_eq!(index(&[two, line]).contradictions(), [""; 0]);
 }
 
 #[test]
-fn rewards_of_another_run_are_a_contradiction_whatever_they_are_about() {
+fn rewards_of_another_run_are_a_contradiction() {
     let folder = tempfile::tempdir().unwrap();
     let mut rewards = logged(folder.path());
     alter(&mut rewards[1], |line| line.config_sha256 = "f".repeat(64));
     let path = reward_log(folder.path(), 1, &lines(&rewards));
-    let expected = "is of a run with other settings or another seed";
+    let expected = "belongs to a run with other settings or another seed";
     assert_eq!(contradiction(folder.path()), format!("{} {expected}", path.display()));
 }
 
 #[test]
-fn lines_that_are_damaged_are_passed_over_and_the_first_of_them_is_told() {
+fn damaged_lines_are_skipped_and_the_first_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let rewards = logged(folder.path());
     let mut changed = rewards[0].clone();
@@ -223,7 +226,7 @@ fn lines_that_are_damaged_are_passed_over_and_the_first_of_them_is_told() {
         let text = lines(&rewards[1..2]) + wrong.trim_end() + "\n" + &lines(&rewards[2..]);
         let path = reward_log(folder.path(), 1, &text);
         let index = index(&files(folder.path()));
-        let told = format!("{}: 1 damaged lines, first line 2: {why}", path.display());
-        assert_eq!((index.damaged(), index.paid()), (&[told][..], (2, 3)));
+        let report = format!("{}: 1 damaged lines, first line 2: {why}", path.display());
+        assert_eq!((index.damaged(), index.paid()), (&[report][..], (2, 3)));
     }
 }

@@ -1,4 +1,4 @@
-//! Several logs of one run, shares that are lost, and files that grow too large.
+//! Tests of several logs of one run, lost shares, and the file size limit.
 
 use std::collections::BTreeSet;
 
@@ -9,13 +9,13 @@ use super::{WHOLE, evaluate, files, next_work, read, roll, start};
 use crate::trajectory_log::source::read_bytes;
 use crate::trajectory_log::{Index, join, replay};
 
-/// Two slots, one after the other, by two actors; the second actor plays an evaluation, too.
+/// Logs two successive slots by two actors; the second actor also plays an evaluation.
 fn two_actors(folder: &std::path::Path) {
-    let (a, desk_of_a) = start(folder, "a", Episodes::All, 64);
-    let (b, desk_of_b) = start(folder, "b", Episodes::All, 64);
-    evaluate(&desk_of_b, EvaluationWork { iteration: 4, episode: 1 });
-    let chunks = roll(&desk_of_a, &fresh_work(), WHOLE);
-    roll(&desk_of_b, &next_work(&chunks), WHOLE);
+    let (a, handle_of_a) = start(folder, "a", Episodes::All, 64);
+    let (b, handle_of_b) = start(folder, "b", Episodes::All, 64);
+    evaluate(&handle_of_b, EvaluationWork { iteration: 4, episode: 1 });
+    let chunks = roll(&handle_of_a, &fresh_work(), WHOLE);
+    roll(&handle_of_b, &next_work(&chunks), WHOLE);
     a.close();
     b.close();
 }
@@ -27,7 +27,7 @@ fn index(paths: &[std::path::PathBuf]) -> Index {
 }
 
 #[test]
-fn another_actor_goes_on_where_a_share_ended() {
+fn another_actor_continues_where_a_share_ended() {
     let folder = tempfile::tempdir().unwrap();
     two_actors(folder.path());
     let logs = files(folder.path());
@@ -40,7 +40,7 @@ fn another_actor_goes_on_where_a_share_ended() {
 }
 
 #[test]
-fn joined_episodes_follow_one_another_step_by_step_and_can_be_repeated() {
+fn joined_shares_are_in_order_and_can_be_replayed() {
     let folder = tempfile::tempdir().unwrap();
     two_actors(folder.path());
     let out = folder.path().join("joined.mcap");
@@ -65,11 +65,11 @@ fn joined_episodes_follow_one_another_step_by_step_and_can_be_repeated() {
     assert_eq!(replay(&read_bytes(&out).unwrap()).unwrap().steps, 185);
     let parts = index(std::slice::from_ref(&out));
     assert_eq!((parts.gaps(), parts.copies()), (Vec::new(), 0));
-    assert!(join(&all, &out).unwrap_err().to_string().contains("there already"));
+    assert!(join(&all, &out).unwrap_err().to_string().contains("already exists"));
 }
 
 #[test]
-fn what_one_actor_did_not_log_is_named() {
+fn steps_that_are_not_in_the_given_logs_are_gaps() {
     let folder = tempfile::tempdir().unwrap();
     two_actors(folder.path());
     let second = index(&files(folder.path())[1..]);
@@ -78,11 +78,11 @@ fn what_one_actor_did_not_log_is_named() {
 }
 
 #[test]
-fn a_slot_that_was_computed_twice_is_counted_once() {
+fn a_slot_that_is_logged_twice_is_counted_once() {
     let folder = tempfile::tempdir().unwrap();
     for actor in ["a", "b"] {
-        let (log, desk) = start(folder.path(), actor, Episodes::All, 64);
-        roll(&desk, &fresh_work(), WHOLE);
+        let (log, handle) = start(folder.path(), actor, Episodes::All, 64);
+        roll(&handle, &fresh_work(), WHOLE);
         log.close();
     }
     let both = index(&files(folder.path()));
@@ -91,14 +91,14 @@ fn a_slot_that_was_computed_twice_is_counted_once() {
 }
 
 #[test]
-fn two_shares_that_differ_are_a_contradiction_and_not_joined() {
+fn two_different_shares_are_a_contradiction_and_are_not_joined() {
     let folder = tempfile::tempdir().unwrap();
-    let (log, desk) = start(folder.path(), "a", Episodes::All, 64);
-    roll(&desk, &fresh_work(), WHOLE);
+    let (log, handle) = start(folder.path(), "a", Episodes::All, 64);
+    roll(&handle, &fresh_work(), WHOLE);
     let mut other = fresh_work();
-    // Another iteration draws other actions, yet claims the same steps of the same episodes.
+    // Another iteration draws different actions for the same steps of the same episodes.
     other.iteration += 1;
-    roll(&desk, &other, WHOLE);
+    roll(&handle, &other, WHOLE);
     log.close();
     let index = index(&files(folder.path()));
     let found = index.contradictions();
@@ -106,36 +106,36 @@ fn two_shares_that_differ_are_a_contradiction_and_not_joined() {
     assert!(found[0].starts_with("rollout-6-0 from step 0 on: "), "{}", found[0]);
     let refused = join(&index, &folder.path().join("out.mcap")).unwrap_err().to_string();
     assert_eq!(refused, found[0]);
-    assert_eq!(files(folder.path()).len(), 1, "nothing is left of the refused file");
+    assert_eq!(files(folder.path()).len(), 1, "the rejected file is deleted");
 }
 
 #[test]
-fn a_slot_that_was_broken_off_is_not_logged() {
+fn an_unfinished_slot_is_not_logged() {
     let folder = tempfile::tempdir().unwrap();
-    let (log, desk) = start(folder.path(), "a", Episodes::All, 64);
-    assert_eq!(roll(&desk, &fresh_work(), 1).len(), 1);
+    let (log, handle) = start(folder.path(), "a", Episodes::All, 64);
+    assert_eq!(roll(&handle, &fresh_work(), 1).len(), 1);
     log.close();
     assert!(files(folder.path()).is_empty());
 }
 
 #[test]
-fn a_folder_that_goes_away_costs_the_log_and_nothing_else() {
+fn a_deleted_folder_ends_the_log_but_not_the_rollout() {
     let parent = tempfile::tempdir().unwrap();
     let folder = parent.path().join("logs");
-    let (log, desk) = start(&folder, "a", Episodes::All, 64);
+    let (log, handle) = start(&folder, "a", Episodes::All, 64);
     std::fs::remove_dir(&folder).unwrap();
-    assert_eq!(roll(&desk, &fresh_work(), WHOLE).len(), 2);
+    assert_eq!(roll(&handle, &fresh_work(), WHOLE).len(), 2);
     log.close();
     assert!(!folder.exists());
 }
 
 #[test]
-fn a_log_goes_on_in_another_file_before_it_grows_too_large() {
+fn a_log_continues_in_a_new_file_at_the_size_limit() {
     let folder = tempfile::tempdir().unwrap();
-    let (log, desk) = start(folder.path(), "a", Episodes::All, 1);
+    let (log, handle) = start(folder.path(), "a", Episodes::All, 1);
     let mut work = fresh_work();
     for _ in 0..60 {
-        work = next_work(&roll(&desk, &work, WHOLE));
+        work = next_work(&roll(&handle, &work, WHOLE));
     }
     log.close();
     let logs = files(folder.path());

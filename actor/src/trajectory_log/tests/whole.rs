@@ -1,4 +1,4 @@
-//! One log: what goes in, comes out.
+//! Tests of a single complete log.
 
 use proto::trajectory_log::Kind;
 use proto::{Episodes, EvaluationWork};
@@ -10,9 +10,9 @@ use crate::trajectory_log::source::{new_log, read_bytes};
 use crate::trajectory_log::{LoggedShare, replay, survey, totals};
 
 #[test]
-fn a_slot_is_cut_where_its_episodes_end() {
+fn a_slot_is_split_where_its_episodes_end() {
     let folder = tempfile::tempdir().unwrap();
-    let (told, shares) = read(&slot_log(folder.path()).0);
+    let (log, shares) = read(&slot_log(folder.path()).0);
     let found: Vec<_> = shares
         .iter()
         .map(|share| (share.head.episode_id.as_str(), share.head.first_step, share.end.steps))
@@ -24,14 +24,14 @@ fn a_slot_is_cut_where_its_episodes_end() {
     assert_eq!((head.iteration, head.slot, head.environment, head.episode), (4, 3, 6, 1));
     assert_eq!((head.attempt, head.seed, head.weights_version), (1, 3, 4));
     assert_eq!((head.kind(), head.weights_sha256.as_slice()), (Kind::Rollout, &[7; 32][..]));
-    assert_eq!(told.words["run_id"], "test");
-    assert_eq!(told.settings_toml, "task = \"halfcheetah-2x3\"");
-    assert_eq!(told.task().unwrap(), task());
-    assert!(shares[0].end.environment_state.is_empty(), "that episode is over");
+    assert_eq!(log.words["run_id"], "test");
+    assert_eq!(log.settings_toml, "task = \"halfcheetah-2x3\"");
+    assert_eq!(log.task().unwrap(), task());
+    assert!(shares[0].end.environment_state.is_empty(), "the episode is finished");
 }
 
 #[test]
-fn a_share_holds_what_the_learner_was_sent() {
+fn a_share_contains_the_data_sent_to_the_learner() {
     let folder = tempfile::tempdir().unwrap();
     let (path, chunks) = slot_log(folder.path());
     let shares = read(&path).1;
@@ -54,7 +54,7 @@ fn a_share_holds_what_the_learner_was_sent() {
 }
 
 #[test]
-fn a_log_has_a_schema_for_every_topic_and_tells_its_totals() {
+fn a_log_has_a_schema_for_every_topic_and_totals() {
     let folder = tempfile::tempdir().unwrap();
     let path = slot_log(folder.path()).0;
     let survey = survey(&read_bytes(&path).unwrap()).unwrap();
@@ -74,7 +74,7 @@ fn a_log_has_a_schema_for_every_topic_and_tells_its_totals() {
         ("/tf", "foxglove.FrameTransforms", 80),
     ];
     assert_eq!(topics, expected);
-    // 80 steps of 0.05 s, and a second between two shares.
+    // 80 steps of 0.05 s, and a second between successive shares.
     assert_eq!(survey.secs, 6.0);
     assert_eq!(totals(&path).unwrap(), survey.totals);
     assert_eq!(
@@ -84,14 +84,14 @@ fn a_log_has_a_schema_for_every_topic_and_tells_its_totals() {
 }
 
 #[test]
-fn an_evaluation_is_logged_whole_without_log_probabilities() {
+fn an_evaluation_is_logged_completely_without_log_probabilities() {
     let folder = tempfile::tempdir().unwrap();
-    let (log, desk) = start(folder.path(), "a", Episodes::Evaluation, 64);
-    roll(&desk, &fresh_work(), WHOLE);
-    evaluate(&desk, EvaluationWork { iteration: 9, episode: 2 });
+    let (log, handle) = start(folder.path(), "a", Episodes::Evaluation, 64);
+    roll(&handle, &fresh_work(), WHOLE);
+    evaluate(&handle, EvaluationWork { iteration: 9, episode: 2 });
     log.close();
     let shares = read(&files(folder.path())[0]).1;
-    assert_eq!(shares.len(), 1, "rollouts are left out");
+    assert_eq!(shares.len(), 1, "rollouts are not logged");
     let share = &shares[0];
     assert_eq!((share.head.episode_id.as_str(), share.end.steps), ("evaluation-9-2", 25));
     assert!(
@@ -101,20 +101,20 @@ fn an_evaluation_is_logged_whole_without_log_probabilities() {
 }
 
 #[test]
-fn the_simulator_repeats_a_log_bit_for_bit() {
+fn the_simulator_replays_a_log_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
-    let (log, desk) = start(folder.path(), "a", Episodes::All, 64);
-    let chunks = roll(&desk, &fresh_work(), WHOLE);
-    roll(&desk, &next_work(&chunks), WHOLE);
-    evaluate(&desk, EvaluationWork { iteration: 4, episode: 0 });
+    let (log, handle) = start(folder.path(), "a", Episodes::All, 64);
+    let chunks = roll(&handle, &fresh_work(), WHOLE);
+    roll(&handle, &next_work(&chunks), WHOLE);
+    evaluate(&handle, EvaluationWork { iteration: 4, episode: 0 });
     log.close();
     let replayed = replay(&read_bytes(&files(folder.path())[0]).unwrap()).unwrap();
     assert_eq!((replayed.shares, replayed.steps, replayed.difference), (6, 185, None));
     assert_eq!(replayed.other_program, None);
 }
 
-/// What a replay says of the slot's log after `change`.
-fn told_after(change: impl Fn(&mut LoggedShare)) -> String {
+/// Difference that a replay of the slot's log finds after `change`.
+fn difference_after(change: impl Fn(&mut LoggedShare)) -> String {
     let folder = tempfile::tempdir().unwrap();
     let mut shares = read(&slot_log(folder.path()).0).1;
     change(&mut shares[1]);
@@ -124,20 +124,21 @@ fn told_after(change: impl Fn(&mut LoggedShare)) -> String {
     shares.iter().for_each(|share| file.write(share).unwrap());
     file.finish((0, 0)).unwrap();
     let replayed = replay(&read_bytes(&path).unwrap()).unwrap();
-    assert_eq!(replayed.shares, 1, "the share before is as it was");
+    assert_eq!(replayed.shares, 1, "the share before is unchanged");
     replayed.difference.unwrap().to_string()
 }
 
 #[test]
 fn a_replay_names_the_first_step_that_differs() {
-    let told = told_after(|share| share.steps[20].step.reward += 1.0);
-    assert!(told.starts_with("rollout-7-0, step 20: the reward was "), "{told}");
-    let told = told_after(|share| share.steps[20].agents[1].observation[3] = 5.0);
-    let start = "rollout-7-0, step 20: agent 1's observation of bshin.position was 5.0, is ";
-    assert!(told.starts_with(start), "{told}");
-    let told = told_after(|share| share.steps[30].agents[0].action[1] -= 0.5);
-    assert!(told.starts_with("rollout-7-0, step 30: the reward was "), "{told}");
-    let told = told_after(|share| share.end.environment_state[40] ^= 1);
-    let end = "rollout-7-0, step 40: the encoded state is the logged one was true, is false now";
-    assert_eq!(told, end);
+    let found = difference_after(|share| share.steps[20].step.reward += 1.0);
+    assert!(found.starts_with("rollout-7-0, step 20: the reward differs: "), "{found}");
+    let found = difference_after(|share| share.steps[20].agents[1].observation[3] = 5.0);
+    let start =
+        "rollout-7-0, step 20: agent 1's observation of bshin.position differs: logged 5.0, ";
+    assert!(found.starts_with(start), "{found}");
+    let found = difference_after(|share| share.steps[30].agents[0].action[1] -= 0.5);
+    assert!(found.starts_with("rollout-7-0, step 30: the reward differs: "), "{found}");
+    let found = difference_after(|share| share.end.environment_state[40] ^= 1);
+    let what = "the equality of encoded states differs: logged true, replayed false";
+    assert_eq!(found, format!("rollout-7-0, step 40: {what}"));
 }

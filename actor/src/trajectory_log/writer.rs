@@ -1,4 +1,4 @@
-//! The thread that writes a log, and the desk at which the stepping thread hands in what belongs into it.
+//! The log-writer thread and the handle with which the stepping thread sends data to it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,197 +8,196 @@ use std::thread::JoinHandle;
 use proto::{Episodes, EvaluationWork, Lease, RolloutWork, RunDescription};
 use sim::{EnvironmentBatch, TaskConfig};
 
+use super::collector::{EvaluationCollector, Rollout, RolloutCollector};
 use super::config::LogConfig;
 use super::file::{LogFile, Origin};
 use super::shares::LoggedShare;
-use super::witness::{EvaluationWitness, Rollout, RolloutWitness};
 use super::{cut, source};
 use crate::error::ActorError;
 use crate::recording::RecordError;
 
-/// Leases that may wait to be written. When the queue is full, what is handed in is lost and counted: a slow disk
-/// costs part of the log and never a step of the roll-out.
+/// Capacity of the queue, leases. When it is full, new leases are dropped and counted: a slow disk loses a part of the
+/// log but never delays the rollout.
 const QUEUE: usize = 32;
 
-/// An actor's log, from its start to its end.
+/// The log of an actor.
 pub(crate) struct Log {
-    orders: SyncSender<Order>,
+    commands: SyncSender<Command>,
     lost: Arc<Lost>,
     episodes: Episodes,
     actor: String,
     thread: JoinHandle<()>,
 }
 
-/// Where the stepping thread of one session hands in.
-pub(crate) struct Desk {
-    orders: SyncSender<Order>,
+/// Sends the log data of a session to the log-writer thread.
+pub(crate) struct LogHandle {
+    commands: SyncSender<Command>,
     lost: Arc<Lost>,
     episodes: Episodes,
     run: Arc<RunDescription>,
     origin: Arc<Origin>,
 }
 
-enum Order {
+enum Command {
     Rollout(Arc<Origin>, Box<Rollout>),
     Evaluation(Arc<Origin>, Box<LoggedShare>),
-    /// Finish the last file; what is still on its way is lost.
+    /// Finishes the last file; later commands are ignored.
     Close,
 }
 
-/// What was logged and not written.
+/// Counts of logged but unwritten shares and steps.
 #[derive(Debug, Default)]
 struct Lost {
-    /// Since it was last asked for.
+    /// Shares since the last [`Self::take`].
     shares: AtomicU64,
-    /// Since it was last asked for.
+    /// Steps since the last [`Self::take`].
     steps: AtomicU64,
-    /// Steps that the learner has not been told of.
-    untold: AtomicU64,
+    /// Steps not yet reported to the learner.
+    unreported: AtomicU64,
 }
 
 impl Lost {
     fn add(&self, shares: usize, steps: usize) {
         self.shares.fetch_add(shares as u64, Ordering::Relaxed);
         self.steps.fetch_add(steps as u64, Ordering::Relaxed);
-        self.untold.fetch_add(steps as u64, Ordering::Relaxed);
+        self.unreported.fetch_add(steps as u64, Ordering::Relaxed);
     }
 
-    /// Shares and steps; counting begins again.
+    /// Returns shares and steps and resets them.
     fn take(&self) -> (u64, u64) {
         (self.shares.swap(0, Ordering::Relaxed), self.steps.swap(0, Ordering::Relaxed))
     }
 }
 
 impl Log {
-    /// Makes the folder and starts the thread. `actor` stands in the files' names.
+    /// Creates the folder and starts the thread. `actor` is part of the file names.
     pub(crate) fn start(config: &LogConfig, actor: &str) -> Result<Self, ActorError> {
         source::make_folder(&config.folder)?;
         let lost = Arc::new(Lost::default());
-        let clerk = Clerk {
+        let writer = LogWriter {
             config: config.clone(),
             actor: actor.to_owned(),
             lost: Arc::clone(&lost),
             file: None,
             broken: false,
             written: (0, 0),
-            gone: (0, 0),
+            lost_before: (0, 0),
         };
-        let (orders, queue) = sync_channel(QUEUE);
+        let (commands, queue) = sync_channel(QUEUE);
         let thread = std::thread::Builder::new().name("log".to_owned());
-        let thread = thread
-            .spawn(move || clerk.work(&queue))
-            .expect("a process can start its one log thread");
+        let thread =
+            thread.spawn(move || writer.work(&queue)).expect("a process can start the log thread");
         let (episodes, actor) = (config.settings.episodes, actor.to_owned());
-        Ok(Self { orders, lost, episodes, actor, thread })
+        Ok(Self { commands, lost, episodes, actor, thread })
     }
 
-    /// The desk for one session.
-    pub(crate) fn desk(&self, run: &Arc<RunDescription>, task: &TaskConfig) -> Desk {
+    /// Creates the handle of a session.
+    pub(crate) fn handle(&self, run: &Arc<RunDescription>, task: &TaskConfig) -> LogHandle {
         let origin = Origin::of_run(run, task, &self.actor, self.episodes);
-        Desk {
+        LogHandle {
             run: Arc::clone(run),
-            orders: self.orders.clone(),
+            commands: self.commands.clone(),
             lost: Arc::clone(&self.lost),
             episodes: self.episodes,
             origin: Arc::new(origin),
         }
     }
 
-    /// Lost steps that the learner has not been told of.
-    pub(crate) fn untold(&self) -> u64 {
-        self.lost.untold.load(Ordering::Relaxed)
+    /// Number of lost steps not yet reported to the learner.
+    pub(crate) fn unreported(&self) -> u64 {
+        self.lost.unreported.load(Ordering::Relaxed)
     }
 
-    /// The learner has been told of `steps` of them.
-    pub(crate) fn tell(&self, steps: u64) {
-        self.lost.untold.fetch_sub(steps, Ordering::Relaxed);
+    /// Marks `steps` lost steps as reported to the learner.
+    pub(crate) fn mark_reported(&self, steps: u64) {
+        self.lost.unreported.fetch_sub(steps, Ordering::Relaxed);
     }
 
-    /// Waits until everything is on the disk.
+    /// Closes the log and waits until all data is on disk.
     pub(crate) fn close(self) {
-        // Both fail only if the thread is gone; it has then said why.
-        let _asked = self.orders.send(Order::Close);
+        // Both fail only if the thread has ended, which it has then logged.
+        let _asked = self.commands.send(Command::Close);
         let _ended = self.thread.join();
     }
 }
 
-impl Desk {
-    /// Who watches a slot.
-    pub(crate) fn rollout<'a>(&self, lease: &Lease, work: &'a RolloutWork) -> RolloutWitness<'a> {
-        RolloutWitness::new(self.episodes, &self.run, lease, work)
+impl LogHandle {
+    /// Creates the collector of a slot.
+    pub(crate) fn rollout<'a>(&self, lease: &Lease, work: &'a RolloutWork) -> RolloutCollector<'a> {
+        RolloutCollector::new(self.episodes, &self.run, lease, work)
     }
 
-    /// Who watches an evaluation's episode, which stands at its start, if it is logged.
+    /// Creates the collector of an evaluation episode at its start; `None` if it is not logged.
     pub(crate) fn evaluation(
         &self,
         lease: &Lease,
         work: EvaluationWork,
         world: &dyn EnvironmentBatch,
-    ) -> Option<EvaluationWitness> {
+    ) -> Option<EvaluationCollector> {
         let held = self.episodes.include_evaluation(work.episode);
-        held.then(|| EvaluationWitness::new(&self.run, lease, work, world)).flatten()
+        held.then(|| EvaluationCollector::new(&self.run, lease, work, world)).flatten()
     }
 
-    /// Hands in what was seen of a slot.
-    pub(crate) fn take_rollout(&self, witness: RolloutWitness<'_>) {
-        let Some(rollout) = witness.finish() else { return };
+    /// Sends the data of a slot.
+    pub(crate) fn send_rollout(&self, collector: RolloutCollector<'_>) {
+        let Some(rollout) = collector.finish() else { return };
         let steps = rollout.begun.iter().map(|share| share.poses.len()).sum();
         let shares = rollout.begun.len();
-        self.hand_in(Order::Rollout(Arc::clone(&self.origin), Box::new(rollout)), shares, steps);
+        self.send(Command::Rollout(Arc::clone(&self.origin), Box::new(rollout)), shares, steps);
     }
 
-    /// Hands in an evaluation's episode.
-    pub(crate) fn take_evaluation(&self, witness: EvaluationWitness) {
-        let share = witness.finish();
+    /// Sends the data of an evaluation episode.
+    pub(crate) fn send_evaluation(&self, collector: EvaluationCollector) {
+        let share = collector.finish();
         let steps = share.steps.len();
-        self.hand_in(Order::Evaluation(Arc::clone(&self.origin), Box::new(share)), 1, steps);
+        self.send(Command::Evaluation(Arc::clone(&self.origin), Box::new(share)), 1, steps);
     }
 
-    fn hand_in(&self, order: Order, shares: usize, steps: usize) {
-        if self.orders.try_send(order).is_err() {
+    fn send(&self, command: Command, shares: usize, steps: usize) {
+        if self.commands.try_send(command).is_err() {
             self.lost.add(shares, steps);
         }
     }
 }
 
-/// The thread's side.
-struct Clerk {
+/// State of the log-writer thread.
+struct LogWriter {
     config: LogConfig,
     actor: String,
     lost: Arc<Lost>,
-    /// The open file, and what session it is of.
+    /// The open file and its origin.
     file: Option<(Arc<Origin>, LogFile)>,
-    /// Nothing is written any more.
+    /// Whether writing has failed; nothing is written any more.
     broken: bool,
-    /// Shares and steps so far.
+    /// Written shares and steps.
     written: (u64, u64),
-    /// Shares and steps that earlier files tell as lost.
-    gone: (u64, u64),
+    /// Lost shares and steps that are recorded in finished files.
+    lost_before: (u64, u64),
 }
 
-impl Clerk {
-    fn work(mut self, orders: &Receiver<Order>) {
-        while let Ok(order) = orders.recv() {
-            match order {
-                Order::Rollout(origin, rollout) => {
+impl LogWriter {
+    fn work(mut self, commands: &Receiver<Command>) {
+        while let Ok(command) = commands.recv() {
+            match command {
+                Command::Rollout(origin, rollout) => {
                     cut::shares(*rollout).iter().for_each(|share| self.write(&origin, share));
                 }
-                Order::Evaluation(origin, share) => self.write(&origin, &share),
-                Order::Close => break,
+                Command::Evaluation(origin, share) => self.write(&origin, &share),
+                Command::Close => break,
             }
         }
         let finished = self.finish();
-        self.survive(finished);
+        self.end_on_error(finished);
         self.report();
     }
 
-    /// Writes a share, or counts it as lost.
+    /// Writes a share or counts it as lost.
     fn write(&mut self, origin: &Arc<Origin>, share: &LoggedShare) {
         let written = match self.broken {
             true => false,
             false => {
                 let attempt = self.attempt(origin, share);
-                self.survive(attempt)
+                self.end_on_error(attempt)
             }
         };
         match written {
@@ -210,11 +209,13 @@ impl Clerk {
         }
     }
 
-    /// The first failure ends the log, not the actor.
-    fn survive(&mut self, attempt: Result<(), RecordError>) -> bool {
+    /// Ends the log after an error, but not the actor. Returns whether there was none.
+    fn end_on_error(&mut self, attempt: Result<(), RecordError>) -> bool {
         let Err(error) = attempt else { return true };
         let folder = self.config.folder.display();
-        tracing::warn!("the log in {folder} ends here, the roll-out goes on: {error}");
+        tracing::warn!(
+            "cannot write the log in {folder}; logging stops, the rollout continues: {error}"
+        );
         (self.broken, self.file) = (true, None);
         false
     }
@@ -240,16 +241,16 @@ impl Clerk {
     fn finish(&mut self) -> Result<(), RecordError> {
         let Some((_, file)) = self.file.take() else { return Ok(()) };
         let lost = self.lost.take();
-        self.gone = (self.gone.0 + lost.0, self.gone.1 + lost.1);
+        self.lost_before = (self.lost_before.0 + lost.0, self.lost_before.1 + lost.1);
         file.finish(lost)
     }
 
-    /// The last words, in the actor's own log.
+    /// Reports written and lost steps in the process log.
     fn report(&self) {
         let (folder, (shares, steps)) = (self.config.folder.display(), self.written);
         tracing::info!("logged {steps} steps in {shares} shares of episodes to {folder}");
         let late = self.lost.take();
-        let (shares, steps) = (self.gone.0 + late.0, self.gone.1 + late.1);
+        let (shares, steps) = (self.lost_before.0 + late.0, self.lost_before.1 + late.1);
         if shares > 0 {
             tracing::warn!("{steps} steps in {shares} shares of episodes are missing from the log");
         }
@@ -262,34 +263,38 @@ mod tests {
     use crate::trajectory_log::tests::{evaluate, start};
 
     #[test]
-    fn what_is_lost_is_told_once() {
+    fn lost_steps_are_counted_once() {
         let lost = Lost::default();
         lost.add(2, 30);
         lost.add(1, 5);
         assert_eq!((lost.take(), lost.take()), ((3, 35), (0, 0)));
-        assert_eq!(lost.untold.load(Ordering::Relaxed), 35, "the learner has not heard of them");
+        assert_eq!(
+            lost.unreported.load(Ordering::Relaxed),
+            35,
+            "they are not reported to the learner yet"
+        );
     }
 
     #[test]
-    fn a_full_queue_loses_what_comes_and_holds_nobody_up() {
+    fn a_full_queue_drops_new_data_without_blocking() {
         let folder = tempfile::tempdir().unwrap();
-        let (log, desk) = start(folder.path(), "a", Episodes::All, 1);
+        let (log, handle) = start(folder.path(), "a", Episodes::All, 1);
         log.close();
-        let ((orders, waiting), lost) = (sync_channel(1), Arc::new(Lost::default()));
-        let desk = Desk { orders, lost: Arc::clone(&lost), ..desk };
+        let ((commands, waiting), lost) = (sync_channel(1), Arc::new(Lost::default()));
+        let handle = LogHandle { commands, lost: Arc::clone(&lost), ..handle };
         for _ in 0..3 {
-            evaluate(&desk, EvaluationWork { iteration: 0, episode: 0 });
+            evaluate(&handle, EvaluationWork { iteration: 0, episode: 0 });
         }
-        assert_eq!(lost.take(), (2, 50), "one waits, two episodes of 25 steps are lost");
+        assert_eq!(lost.take(), (2, 50), "one is queued, two episodes of 25 steps are lost");
         assert_eq!(waiting.try_iter().count(), 1);
     }
 
     #[test]
-    fn a_folder_that_cannot_be_is_refused_in_one_line() {
+    fn a_folder_that_cannot_be_created_is_an_error_in_one_line() {
         let settings = crate::LogSettings { episodes: Episodes::All, max_file_mib: 1 };
         let folder = "/dev/null/logs".into();
         let refusal = Log::start(&LogConfig { folder, settings }, "a").err().map(|e| e.to_string());
         let line = refusal.unwrap_or_default();
-        assert!(line.contains("cannot make /dev/null/logs") && !line.contains('\n'), "{line}");
+        assert!(line.contains("cannot create /dev/null/logs") && !line.contains('\n'), "{line}");
     }
 }

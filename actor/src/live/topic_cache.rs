@@ -1,4 +1,4 @@
-//! What stands on the topics of a live view now, so that whoever comes late sees it at once.
+//! Newest message of each topic of a live view, which new subscribers receive immediately.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -8,21 +8,22 @@ use tokio::runtime::Handle;
 
 use crate::recording::sink::Schema;
 
-/// Every topic with its newest message.
+/// All topics with their newest messages.
 #[derive(Default)]
-pub(super) struct Shelf {
+pub(super) struct TopicCache {
     topics: Mutex<Vec<Topic>>,
 }
 
 struct Topic {
     channel: Arc<RawChannel>,
-    /// Time, nanoseconds since 1970, and message.
+    /// Time (nanoseconds since 1970) and message.
     newest: Option<(u64, Vec<u8>)>,
 }
 
-impl Shelf {
-    /// Declares a topic; gives its place. The server tells viewers of a topic shortly before it takes subscriptions to
-    /// it. On `network`, whose one thread hears them, no viewer can be faster.
+impl TopicCache {
+    /// Creates a topic and returns its index. The server announces a topic shortly before it accepts subscriptions to
+    /// it. The topic is created on `network`, whose only thread also receives subscriptions, so that none can arrive in
+    /// between.
     pub(super) fn add(
         self: &Arc<Self>,
         (context, network): (&Arc<Context>, &Handle),
@@ -31,27 +32,27 @@ impl Shelf {
     ) -> Result<usize, FoxgloveError> {
         let own = foxglove::Schema::new(schema.name, schema.encoding, schema.data.to_vec());
         let channel = context.channel_builder(topic).message_encoding(schema.messages).schema(own);
-        let shelf = Arc::clone(self);
+        let cache = Arc::clone(self);
         let added = network.spawn(async move {
-            let mut topics = shelf.topics();
+            let mut topics = cache.topics();
             topics.push(Topic { channel: channel.build_raw()?, newest: None });
             Ok(topics.len() - 1)
         });
         network.block_on(added).expect("the thread lives as long as the server")
     }
 
-    /// Topics so far.
+    /// Number of topics.
     pub(super) fn len(&self) -> usize {
         self.topics().len()
     }
 
-    /// Whether anybody looks at the topic.
+    /// Whether the topic has subscribers.
     pub(super) fn is_watched(&self, place: usize) -> bool {
         self.topics()[place].channel.has_sinks()
     }
 
-    /// Shows a message to all who look at the topic, and later to those who come. Nobody is waited for: what a viewer
-    /// does not read in time is lost for it.
+    /// Sends a message to all subscribers and stores it for later ones. Never blocks: a viewer loses messages that it
+    /// does not read in time.
     pub(super) fn show(&self, place: usize, nanos: u64, message: &[u8]) {
         let topic = &mut self.topics()[place];
         topic.channel.log_with_meta(message, PartialMetadata::with_log_time(nanos));
@@ -66,8 +67,8 @@ impl Shelf {
     }
 }
 
-impl ServerListener for Shelf {
-    // The lock keeps an older message from overtaking a newer one.
+impl ServerListener for TopicCache {
+    // The lock prevents a newer message from being sent before this one.
     fn on_subscribe(&self, viewer: Client, channel: ChannelView<'_>) {
         let topics = self.topics();
         let Some(topic) = topics.iter().find(|topic| topic.channel.id() == channel.id()) else {

@@ -1,4 +1,4 @@
-//! What the stepping thread collects for a log while it works a lease off. It only looks, and only at what is logged.
+//! Collectors of log data, which the stepping thread calls during a lease. They only collect what is logged.
 
 use proto::trajectory_log::{AgentStep, FinalObservation, Kind, Share, ShareEnd, Step};
 use proto::{
@@ -10,25 +10,25 @@ use sim::{EnvironmentBatch, Pose};
 use super::shares::{LoggedShare, LoggedStep};
 use crate::evaluation::PlayedStep;
 
-/// A finished slot of which something is logged.
+/// Log data of a finished slot.
 pub(crate) struct Rollout {
-    pub(crate) begun: Vec<Begun>,
-    /// In their order; those before the first share are left out.
+    pub(crate) begun: Vec<PartialShare>,
+    /// Chunks in order, without those before the first share.
     pub(crate) chunks: Vec<TrajectoryChunk>,
 }
 
-/// A share of a slot, as far as the chunks do not tell it.
-pub(crate) struct Begun {
+/// The data of a share that the chunks do not contain.
+pub(crate) struct PartialShare {
     pub(crate) head: Share,
-    /// Row of its environment in the slot.
+    /// Index of its environment in the slot.
     pub(crate) position: usize,
-    /// Step of the slot with which it begins.
+    /// First step of the share in the slot.
     pub(crate) slot_step: u32,
-    /// Before each of its steps.
+    /// Poses before each step.
     pub(crate) poses: Vec<Pose>,
 }
 
-/// What every share of a lease has in common.
+/// Header fields common to all shares of a lease.
 fn head(run: &RunDescription, lease: &Lease) -> Share {
     Share {
         attempt: lease.attempt,
@@ -39,18 +39,18 @@ fn head(run: &RunDescription, lease: &Lease) -> Share {
     }
 }
 
-/// Watches a slot.
-pub(crate) struct RolloutWitness<'a> {
+/// Collects the log data of a slot.
+pub(crate) struct RolloutCollector<'a> {
     episodes: Episodes,
     work: &'a RolloutWork,
     common: Share,
-    begun: Vec<Begun>,
-    /// For each environment which share its steps belong to, if they are logged.
+    begun: Vec<PartialShare>,
+    /// Index of the current share of each environment; `None` if it is not logged.
     open: Vec<Option<usize>>,
     chunks: Vec<TrajectoryChunk>,
 }
 
-impl<'a> RolloutWitness<'a> {
+impl<'a> RolloutCollector<'a> {
     pub(crate) fn new(
         episodes: Episodes,
         run: &RunDescription,
@@ -68,8 +68,8 @@ impl<'a> RolloutWitness<'a> {
         }
     }
 
-    /// Looks at the worlds before step `step` of the slot.
-    pub(crate) fn see(&mut self, step: u32, world: &dyn EnvironmentBatch) {
+    /// Collects poses before step `step` of the slot and starts shares.
+    pub(crate) fn collect(&mut self, step: u32, world: &dyn EnvironmentBatch) {
         for position in 0..self.open.len() {
             if step == 0 || world.episode_step(position) == 0 {
                 self.open[position] = self.begin(step, position, world);
@@ -80,7 +80,7 @@ impl<'a> RolloutWitness<'a> {
         }
     }
 
-    /// The share that begins here, if it is logged and its state can be encoded.
+    /// Starts a share and returns its index; `None` if it is not logged or its state cannot be encoded.
     fn begin(
         &mut self,
         slot_step: u32,
@@ -100,41 +100,41 @@ impl<'a> RolloutWitness<'a> {
             environment_state: world.encode(position).ok()?,
             ..self.common.clone()
         };
-        self.begun.push(Begun { head, position, slot_step, poses: Vec::new() });
+        self.begun.push(PartialShare { head, position, slot_step, poses: Vec::new() });
         Some(self.begun.len() - 1)
     }
 
-    /// Keeps a chunk that has been sent.
+    /// Stores a chunk.
     pub(crate) fn keep(&mut self, chunk: TrajectoryChunk) {
         if !self.begun.is_empty() {
             self.chunks.push(chunk);
         }
     }
 
-    /// The slot, if it was finished and something of it is logged.
+    /// Returns the data, if the slot is finished and has logged shares.
     pub(crate) fn finish(self) -> Option<Rollout> {
         let whole = self.chunks.last().is_some_and(|chunk| chunk.end.is_some());
         whole.then_some(Rollout { begun: self.begun, chunks: self.chunks })
     }
 }
 
-/// Watches an episode of an evaluation.
-pub(crate) struct EvaluationWitness {
+/// Collects the log data of an evaluation episode.
+pub(crate) struct EvaluationCollector {
     share: LoggedShare,
-    before: Sight,
-    /// Numbers of each agent's action.
+    before: WorldSnapshot,
+    /// Size of each agent's action.
     sizes: Vec<usize>,
 }
 
-/// A world at a moment.
-struct Sight {
+/// Pose, state and observations of an environment at one time.
+struct WorldSnapshot {
     pose: Pose,
     state: Vec<f32>,
     observations: Vec<Vec<f32>>,
 }
 
-impl Sight {
-    /// Environment 0.
+impl WorldSnapshot {
+    /// Reads environment 0.
     fn of(world: &dyn EnvironmentBatch) -> Self {
         let description = world.description();
         let mut state = vec![0.0; description.state.len()];
@@ -149,8 +149,8 @@ impl Sight {
     }
 }
 
-impl EvaluationWitness {
-    /// `world` is at the episode's start. `None` if its state cannot be encoded.
+impl EvaluationCollector {
+    /// Starts a collector for `world` at the start of an episode; `None` if its state cannot be encoded.
     pub(crate) fn new(
         run: &RunDescription,
         lease: &Lease,
@@ -168,13 +168,13 @@ impl EvaluationWitness {
         };
         let sizes = world.description().agents.iter().map(|agent| agent.action.size).collect();
         let share = LoggedShare { head, steps: Vec::new(), end: ShareEnd::default() };
-        Some(Self { share, before: Sight::of(world), sizes })
+        Some(Self { share, before: WorldSnapshot::of(world), sizes })
     }
 
-    /// Looks at a step that was played.
-    pub(crate) fn see(&mut self, played: &PlayedStep<'_>) {
-        let Sight { pose, state, observations } =
-            std::mem::replace(&mut self.before, Sight::of(played.world));
+    /// Collects a step.
+    pub(crate) fn collect(&mut self, played: &PlayedStep<'_>) {
+        let WorldSnapshot { pose, state, observations } =
+            std::mem::replace(&mut self.before, WorldSnapshot::of(played.world));
         let mut rest = played.action;
         let agent = |(observation, size): (Vec<f32>, &usize)| {
             let (action, others) = rest.split_at(*size);
@@ -187,9 +187,9 @@ impl EvaluationWitness {
         self.share.steps.push(LoggedStep { pose, agents, step });
     }
 
-    /// The whole episode.
+    /// Returns the share of the whole episode.
     pub(crate) fn finish(self) -> LoggedShare {
-        let Sight { state, observations, .. } = self.before;
+        let WorldSnapshot { state, observations, .. } = self.before;
         let observation = |observation| FinalObservation { observation };
         let end = ShareEnd {
             steps: self.share.steps.len() as u32,
