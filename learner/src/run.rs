@@ -23,8 +23,8 @@ const FAREWELL: Duration = Duration::from_secs(2);
 const CLOSING: Duration = Duration::from_secs(1);
 
 /// Runs from the start, or from the newest good checkpoint, to the last iteration and its evaluation,
-/// or until `stop` is true. Both ends leave a checkpoint and return within seconds. Actors are told that a
-/// run is done when it is; of one that was stopped they wait for the next learner. A `page` shows the run meanwhile.
+/// or until `stop` is true. Both ends leave a checkpoint and return within seconds. Actors end with a
+/// run that is complete or that a client stopped; after `stop` they wait for the next learner. A `page` shows the run meanwhile.
 ///
 /// # Errors
 /// Says what could not start or broke; a resume goes on from the last checkpoint.
@@ -55,9 +55,11 @@ pub async fn run(
     let outside = Outside { exchange: Arc::clone(&exchange), observer, stop: Box::new(stop) };
     let result = on_own_thread(trainer, outside).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
+    // After a signal actors wait for the next learner: it may be a restart.
+    let actors_end = complete || exchange.orders().is_stopped();
     exchange.orders().end();
     exchange.show_end(result.as_ref().ok());
-    let served = match complete {
+    let served = match actors_end {
         true => server.bid_farewell(&exchange).await.close().await,
         false => server.close().await,
     };
