@@ -100,7 +100,7 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
     let unguarded = learner.url.replace("https", "http");
     for question in [&["status", unguarded.as_str()][..], &["health", "--learner", &unguarded]] {
         let (_, told) = s2mia(question);
-        assert!(told.contains("asks for TLS") && told.contains("give --tls-ca"), "{told}");
+        assert!(told.contains("requires TLS") && told.contains("pass --tls-ca"), "{told}");
     }
 
     let told = learner.finish(&own.of_client(&own, "admin"));
@@ -108,7 +108,7 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
         "received fatal alert",
         "invalid peer certificate",
         "needs the role actor; the certificate carries viewer",
-        "speaks plain text, but this learner asks for TLS",
+        "speaks plain text, but this learner requires TLS",
     ] {
         assert!(told.contains(words), "{words}: {told}");
     }
