@@ -66,7 +66,7 @@ pub async fn run(
 
 /// Serves the run's page until the returned task set is dropped.
 fn show(page: Page, facts: Facts, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
-    let (facts, exchange) = (facts.taken_up_at(trainer.iteration), Arc::clone(exchange));
+    let (facts, exchange) = (facts.resumed_at(trainer.iteration), Arc::clone(exchange));
     let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();
     serving.spawn(page::serve(page, Arc::new(view)));
