@@ -14,7 +14,7 @@ use std::process::{Child, Command, Stdio};
 use serde_json::{Value, json};
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
 const THIRTY: &str = "run.iterations=30";
 
@@ -27,7 +27,7 @@ fn background(arguments: &[&str]) -> Child {
 fn begun(folder: &Path) -> Child {
     let dir = format!("run.dir={}", folder.display());
     let run = background(&[&["train"], TINY, &[dir.as_str(), THIRTY]].concat());
-    under_way(folder);
+    has_begun(folder);
     run
 }
 

@@ -17,7 +17,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use runs::{Runs, TINY, inspect, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
 /// What happens to a run of six iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -143,14 +143,14 @@ fn play(folder: &Path, (rule, happening, count, threads): Cell) {
         Nothing => drop(train(folder, &settings)),
         ActorKilled => {
             let mut run = start(folder, &settings);
-            under_way(folder);
+            has_begun(folder);
             signal(actors(&run, count)[0], "-KILL");
             assert!(run.wait().unwrap().success());
         }
         ActorFrozen => {
             let lease = ["lease.ttl_secs=0.4", "lease.heartbeat_secs=0.1"];
             let mut run = start(folder, &[&settings[..], &lease].concat());
-            under_way(folder);
+            has_begun(folder);
             let frozen = actors(&run, count)[0];
             signal(frozen, "-STOP");
             // Longer than the lease lives: with other actors the run goes on meanwhile, with one it waits.

@@ -14,7 +14,7 @@ use std::process::{Child, Command, Stdio};
 use serde_json::Value;
 
 use runs::{Runs, TINY, inspect, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
 /// A learner with its page, and the actors that it was given.
 struct Learner {
@@ -194,7 +194,7 @@ fn visitors_that_say_nothing_hold_up_neither_the_run_nor_for_long_other_visitors
     let mut learner = Learner::start(&folder, "127.0.0.1:0");
     let silent: Vec<_> = (0..40).map(|_| TcpStream::connect(&learner.page).unwrap()).collect();
     learner.add_actor(&[]);
-    under_way(&folder);
+    has_begun(&folder);
     assert_eq!(learner.json("/api/status")["status"]["run_id"], "run");
     drop(silent);
 }

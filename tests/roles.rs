@@ -14,7 +14,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use serde_json::json;
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
 const SIXTY: &str = "run.iterations=60";
 
@@ -69,7 +69,7 @@ fn an_actor_started_first_outlives_a_learner_that_is_stopped_and_started_again_i
     let address = free_address();
     let mut actor = actor(&format!("http://{address}"));
     let mut learner = Learner::start(&folder, &address);
-    under_way(&folder);
+    has_begun(&folder);
     assert!(learner.terminate().starts_with("stopped after iteration"));
     assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
     let mut learner = Learner::start(&folder, &address);
