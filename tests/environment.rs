@@ -22,7 +22,7 @@ use cue_service::{CueService, Faults};
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 use waiting::{eventually, has_begun};
 
-/// Episodes of up to 50 steps begin in one slot and end in another.
+/// Slots shorter than an episode of 50 steps.
 const CUE: &[&str] = &["task=cue-2x1", "run.iterations=6"];
 
 fn settings<'a>(folder: &'a str, more: &[&'a str]) -> Vec<&'a str> {
@@ -46,7 +46,7 @@ fn manifest(folder: &Path) -> serde_json::Value {
 }
 
 #[test]
-fn a_game_offered_by_another_program_gives_the_weights_of_our_own() {
+fn a_game_in_an_external_program_gives_the_weights_of_the_built_in_game() {
     let runs = Runs::new();
     let own = runs.folder("own");
     trained(&own, &["run.actors=1"]);
@@ -68,7 +68,7 @@ fn start(folder: &Path, more: &[&str]) -> Child {
     command.spawn().unwrap()
 }
 
-/// The actors of a run that is under way.
+/// Process ids of the actors of a running run.
 fn actors(run: &Child, folder: &Path) -> Vec<u32> {
     has_begun(folder);
     eventually(|| match processes::children(run.id()) {
@@ -78,7 +78,7 @@ fn actors(run: &Child, folder: &Path) -> Vec<u32> {
 }
 
 #[test]
-fn neither_a_killed_actor_nor_a_program_that_dies_or_breaks_off_changes_the_weights() {
+fn killed_actors_and_failures_of_the_program_do_not_affect_the_weights() {
     let runs = Runs::new();
     let [own, killed, died, broken] =
         ["own", "killed", "died", "broken"].map(|name| runs.folder(name));
@@ -106,7 +106,7 @@ fn neither_a_killed_actor_nor_a_program_that_dies_or_breaks_off_changes_the_weig
     assert_eq!(weights(&broken), weights(&own));
 }
 
-/// The one line with which training in `faults` ends.
+/// The one-line error of training with `faults`.
 fn refusal(faults: Faults) -> String {
     let (runs, service) = (Runs::new(), CueService::start(faults));
     let folder = runs.folder("refused");
@@ -125,7 +125,7 @@ fn refusal(faults: Faults) -> String {
 }
 
 #[test]
-fn a_program_that_lies_about_itself_is_refused_by_field_before_anything_starts() {
+fn an_invalid_description_is_rejected_by_field_before_the_run_starts() {
     type Lie = fn(&mut wire::EnvironmentSpec);
     let lies: [(Lie, &str); 6] = [
         (|spec| spec.agents.clear(), "environment.agents: must be at least 1"),
@@ -142,7 +142,7 @@ fn a_program_that_lies_about_itself_is_refused_by_field_before_anything_starts()
 }
 
 #[test]
-fn a_program_that_lies_in_its_answers_ends_its_actors_with_the_field() {
+fn an_invalid_answer_ends_the_actors_with_its_field() {
     type Lie = fn(&mut Answer);
     let lies: [(Lie, &str); 5] = [
         (
@@ -192,11 +192,11 @@ fn a_program_that_lies_in_its_answers_ends_its_actors_with_the_field() {
     }
 }
 
-/// Of another environment than the game.
+/// The description of another environment.
 const OTHER: Faults = Faults { description: |spec| spec.dt_secs = 0.2, ..Faults::NONE };
 
 #[test]
-fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
+fn a_run_can_be_resumed_only_in_its_environment() {
     let runs = Runs::new();
     let folder = runs.folder("resumed");
     let service = CueService::start(Faults::NONE);
@@ -229,7 +229,7 @@ fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
 }
 
 #[test]
-fn an_actor_that_is_not_told_where_the_environment_is_says_what_to_pass() {
+fn an_actor_without_the_environment_url_names_the_missing_option() {
     let runs = Runs::new();
     let service = CueService::start(Faults::NONE);
     let folder = dir(&runs.folder("untold"));
