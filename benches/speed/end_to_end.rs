@@ -18,7 +18,7 @@ use crate::update::TASKS;
 /// Iterations that are not counted, because caches are cold.
 pub(crate) const COLD: usize = 2;
 
-const GLANCE: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 const PATIENCE: Duration = Duration::from_secs(120);
 
 const WIDE: [&str; 2] = ["policy.encoder=128", "policy.hidden=128"];
@@ -133,7 +133,7 @@ pub(crate) fn watch(mut process: Child, metrics: &Path) -> anyhow::Result<Watche
             process.kill()?;
             bail!("{} stands still", metrics.display());
         }
-        sleep(GLANCE);
+        sleep(POLL_INTERVAL);
     }
     Ok(Watched { lines, learner, others: others.values().sum() })
 }

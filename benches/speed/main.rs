@@ -1,5 +1,6 @@
 //! Speed of s2mia on this machine. `cargo bench -p s2mia [-- SECTION ...] [--quick] [--json]` measures the named
-//! sections, or all but `instructions`, and prints one Markdown table each, or JSON. docs/PERFORMANCE.md explains the figures.
+//! sections, or all but `instructions`, and prints one Markdown table each, or JSON.
+//! docs/PERFORMANCE.md explains the figures.
 
 mod clock;
 mod end_to_end;

@@ -39,17 +39,17 @@ pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
 /// Fails with the case whose settings differ from its table's description.
 fn runs_are_as_their_tables_say() -> anyhow::Result<()> {
     for Case { name, settings, .. } in cases()? {
-        is_as_told(&name, &settings)?;
+        check(&name, &settings)?;
     }
     for task in TASKS {
         for (name, changes) in end_to_end::runs() {
-            is_as_told(&format!("{task} {name}"), &Settings::harl(task, &[&changes])?)?;
+            check(&format!("{task} {name}"), &Settings::harl(task, &[&changes])?)?;
         }
     }
     Ok(())
 }
 
-fn is_as_told(case: &str, settings: &Settings) -> anyhow::Result<()> {
+fn check(case: &str, settings: &Settings) -> anyhow::Result<()> {
     let (policy, update) = (&settings.policy, &settings.training.update);
     let epochs = if case.starts_with("halfcheetah") { 15 } else { 5 };
     let minibatches = if case.starts_with("walker2d") { 2 } else { 1 };
