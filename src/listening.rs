@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 
 use anyhow::Context as _;
-use learner::Door;
+use learner::Listener;
 use security::ServerTls;
 use tokio::net::TcpListener;
 
@@ -45,15 +45,15 @@ impl Listening {
     }
 
     /// Binds the address; returns the listener and its URL.
-    pub(crate) async fn open(self) -> anyhow::Result<(Door, String)> {
+    pub(crate) async fn open(self) -> anyhow::Result<(Listener, String)> {
         let address = self.address;
         let listener = TcpListener::bind(address)
             .await
             .with_context(|| format!("cannot listen on {address}"))?;
         let bound = listener.local_addr()?;
         Ok(match self.tls {
-            Some(tls) => (Door::guarded(listener, tls), format!("https://{bound}")),
-            None => (Door::from(listener), format!("http://{bound}")),
+            Some(tls) => (Listener::authenticated(listener, tls), format!("https://{bound}")),
+            None => (Listener::from(listener), format!("http://{bound}")),
         })
     }
 }

@@ -1,5 +1,5 @@
-//! Every learning rule, and actors without memory, with real processes: neither the number of actors
-//! nor a stop changes the result.
+//! Every learning rule, and policies without recurrence, with real processes: neither the number of actors nor a stop
+//! changes the result.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::path::Path;
@@ -43,7 +43,7 @@ fn inspect(folder: &Path) -> serde_json::Value {
     serde_json::from_str(&succeeded(&["inspect", folder.to_str().unwrap(), "--json"])).unwrap()
 }
 
-/// Five iterations with two actors, and three with one and then a resume, end in the same state.
+/// Checks that five iterations with two actors end in the same state as three with one actor and a resume.
 fn trains_exactly(settings: &[&str]) -> serde_json::Value {
     let runs = tempfile::tempdir().unwrap();
     let train = |name: &str, more: &[&str]| {
@@ -77,7 +77,7 @@ fn maddpg_trains_the_same_weights_with_any_number_of_actors_and_through_a_stop()
 }
 
 #[test]
-fn actors_without_memory_train_with_every_rule_of_the_policy_gradient() {
+fn policies_without_recurrence_train_with_every_policy_gradient_rule() {
     trains_exactly(&["algorithm=happo-s2mia", "policy.core=mlp"]);
     trains_exactly(&["algorithm=mappo", "policy.core=mlp"]);
 }
@@ -93,7 +93,7 @@ fn running_statistics_are_the_same_with_any_number_of_actors_and_through_a_stop(
 }
 
 #[test]
-fn a_run_whose_recurrent_states_are_computed_again_is_resumed_exactly() {
+fn a_run_that_recomputes_recurrent_states_is_resumed_exactly() {
     let stored = trains_exactly(&["algorithm=happo-s2mia"]);
     let settings = ["algorithm=happo-s2mia", "policy.refresh_hidden=every_epoch"];
     let chunks = ["policy.backpropagation_steps=5", "policy.burn_in=5"];

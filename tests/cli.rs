@@ -17,7 +17,7 @@ fn refusal(arguments: &[&str]) -> String {
 }
 
 #[test]
-fn wrong_settings_are_one_line_and_status_two() {
+fn invalid_settings_give_one_line_and_status_two() {
     for (arguments, part) in [
         (&["train", "update.lerning_rate=1"][..], "did you mean `update.learning_rate`?"),
         (&["train", "update.gamma=2"], "update.gamma"),
@@ -64,7 +64,7 @@ fn wrong_settings_are_one_line_and_status_two() {
 }
 
 #[test]
-fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
+fn an_environment_variable_is_a_setting_and_is_named_if_invalid() {
     let run = |name: &str, value: &str| {
         Command::new(env!("CARGO_BIN_EXE_s2mia")).arg("config").env(name, value).output().unwrap()
     };
@@ -79,7 +79,7 @@ fn an_environment_variable_is_a_setting_and_is_named_when_wrong() {
 }
 
 #[test]
-fn a_folder_that_holds_no_run_is_told_so_by_all_that_read_runs() {
+fn commands_that_read_runs_reject_a_folder_without_one() {
     let empty = tempfile::tempdir().unwrap();
     let path = empty.path().to_str().unwrap();
     for command in ["eval", "record", "film", "plot", "inspect", "status", "serve", "watch"]
@@ -93,7 +93,7 @@ fn a_folder_that_holds_no_run_is_told_so_by_all_that_read_runs() {
 }
 
 #[test]
-fn a_run_that_stopped_before_its_first_checkpoint_is_told_with_how_to_begin_it_again() {
+fn a_run_without_a_checkpoint_is_reported_with_the_command_that_restarts_it() {
     let folder = tempfile::tempdir().unwrap();
     let settings = s2mia(&["config", "cue-2x1", "run.iterations=3"]).stdout;
     std::fs::write(folder.path().join("config.toml"), settings).unwrap();

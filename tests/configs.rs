@@ -27,7 +27,7 @@ fn every_task_and_algorithm_file_is_found_by_its_name() {
         for algorithm in files("algorithms") {
             let (task, algorithm) = (task.file_stem().unwrap(), algorithm.file_stem().unwrap());
             let (task, algorithm) = (task.to_str().unwrap(), algorithm.to_str().unwrap());
-            // A task of choices, for which MADDPG is not defined.
+            // MADDPG is not defined for a task with discrete actions.
             if (task, algorithm) == ("cue-2x1", "maddpg") {
                 continue;
             }
@@ -41,7 +41,7 @@ fn every_task_and_algorithm_file_is_found_by_its_name() {
 }
 
 #[test]
-fn every_file_also_loads_as_a_layer_of_its_own() {
+fn every_file_also_loads_as_a_separate_layer() {
     for file in ["", "tasks", "algorithms"].into_iter().flat_map(files) {
         resolved(&["--config", file.to_str().unwrap()]);
     }
@@ -59,7 +59,7 @@ fn maddpg_leases_ten_slots_of_one_environment_and_fifty_steps() {
 }
 
 #[test]
-fn a_printed_configuration_reads_back_with_the_same_hash() {
+fn a_printed_configuration_can_be_read_with_the_same_hash() {
     let folder = tempfile::tempdir().unwrap();
     let first = resolved(&["halfcheetah-6x1", "algorithm=happo", "run.seed=9"]);
     let path = folder.path().join("mine.toml");

@@ -14,7 +14,7 @@ use std::process::{Child, Command, Stdio};
 use serde_json::{Value, json};
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
 const THIRTY: &str = "run.iterations=30";
 
@@ -23,11 +23,11 @@ fn background(arguments: &[&str]) -> Child {
     command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// A run of thirty iterations that has begun.
+/// Starts a run of thirty iterations and waits until it has begun.
 fn begun(folder: &Path) -> Child {
     let dir = format!("run.dir={}", folder.display());
     let run = background(&[&["train"], TINY, &[dir.as_str(), THIRTY]].concat());
-    under_way(folder);
+    has_begun(folder);
     run
 }
 
@@ -35,8 +35,8 @@ fn status(of: &str) -> Value {
     serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
 }
 
-/// The status of a paused run that has come to rest, and where its checkpoint is. A checkpoint is answered between
-/// updates only, so an update that was still to come shows in the status after it.
+/// The status of a paused run without open work, and the path of its checkpoint. Checkpoints are written between
+/// updates only, so the status after one includes a pending update.
 fn at_rest(of: &str) -> (Value, String) {
     eventually(|| {
         let before = status(of);
@@ -48,7 +48,7 @@ fn at_rest(of: &str) -> (Value, String) {
 }
 
 #[test]
-fn pauses_and_checkpoints_at_any_moment_change_not_one_bit() {
+fn pauses_and_checkpoints_at_any_time_do_not_affect_the_result() {
     let runs = Runs::new();
     let (disturbed, quiet) = (runs.folder("disturbed"), runs.folder("quiet"));
     let of = disturbed.to_str().unwrap();
@@ -57,7 +57,7 @@ fn pauses_and_checkpoints_at_any_moment_change_not_one_bit() {
     let (paused, line) = at_rest(of);
     assert_eq!(paused["state"], "paused");
     let health = ["health", "--learner", &address(&disturbed)];
-    assert!(succeeded(&health).contains("serves"), "a pause is no illness");
+    assert!(succeeded(&health).contains("serves"), "a paused learner is healthy");
     let iteration = &paused["iteration"];
     assert!(line.starts_with(&format!("iteration {iteration}: ")), "{line}");
     assert!(Path::new(line.trim().rsplit(": ").next().unwrap()).join("manifest.json").is_file());
@@ -70,14 +70,14 @@ fn pauses_and_checkpoints_at_any_moment_change_not_one_bit() {
     assert_eq!(inspect(&disturbed), inspect(&quiet));
 }
 
-/// Where the learner of a run listens.
+/// The URL of a run's learner.
 fn address(folder: &Path) -> String {
     let address = std::fs::read_to_string(folder.join("address")).unwrap();
     format!("http://{}", address.trim())
 }
 
 #[test]
-fn a_run_that_is_told_to_stop_while_it_is_paused_ends_as_by_a_signal_and_can_be_taken_up_again() {
+fn a_paused_run_can_be_stopped_and_resumed() {
     let runs = Runs::new();
     let (stopped, quiet) = (runs.folder("stopped"), runs.folder("quiet"));
     let of = stopped.to_str().unwrap();
@@ -99,7 +99,7 @@ fn a_run_that_is_told_to_stop_while_it_is_paused_ends_as_by_a_signal_and_can_be_
     assert_eq!(inspect(&stopped), inspect(&quiet));
 }
 
-/// A learner that goes on with the run in `folder`, and whoever watches it already.
+/// A learner that resumes the run in `folder` and has a watcher.
 fn watched(folder: &Path) -> Child {
     let dir = format!("run.dir={}", folder.display());
     let arguments = [&["learner", "--listen=127.0.0.1:0"], TINY, &[dir.as_str(), THIRTY]].concat();
@@ -108,13 +108,13 @@ fn watched(folder: &Path) -> Child {
     let mut learner = command.spawn().unwrap();
     let mut log = BufReader::new(learner.stderr.take().unwrap()).lines();
     assert!(log.any(|line| line.unwrap().contains("watch_run from")));
-    // Else the learner would have nowhere to write to.
+    // Otherwise the learner's output would be closed.
     std::thread::Builder::new().name("log".into()).spawn(move || log.for_each(drop)).unwrap();
     learner
 }
 
 #[test]
-fn whoever_waits_for_a_learner_is_told_once_what_it_waits_for() {
+fn waiting_for_a_learner_is_reported_once_with_its_reason() {
     let runs = Runs::new();
     let folder = runs.folder("stopped");
     let mut learner = begun(&folder);
@@ -131,7 +131,7 @@ fn whoever_waits_for_a_learner_is_told_once_what_it_waits_for() {
 }
 
 #[test]
-fn whoever_watches_sees_each_iteration_once_over_a_restart_and_then_the_end() {
+fn a_watcher_gets_each_iteration_once_across_a_restart_and_then_the_end() {
     let runs = Runs::new();
     let folder = runs.folder("watched");
     let of = folder.to_str().unwrap();

@@ -18,11 +18,11 @@ use std::process::{Child, Command, Stdio};
 use proto::wire;
 use proto::wire::play_response::Answer;
 
-use cue_service::{CueService, Manners};
+use cue_service::{CueService, Faults};
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
-/// Episodes of up to 50 steps begin in one slot and end in another.
+/// Slots shorter than an episode of 50 steps.
 const CUE: &[&str] = &["task=cue-2x1", "run.iterations=6"];
 
 fn settings<'a>(folder: &'a str, more: &[&'a str]) -> Vec<&'a str> {
@@ -46,13 +46,13 @@ fn manifest(folder: &Path) -> serde_json::Value {
 }
 
 #[test]
-fn a_game_offered_by_another_program_gives_the_weights_of_our_own() {
+fn a_game_in_an_external_program_gives_the_weights_of_the_built_in_game() {
     let runs = Runs::new();
     let own = runs.folder("own");
     trained(&own, &["run.actors=1"]);
     assert_eq!(manifest(&own)["environment_states"], "encoded");
-    for (manners, states) in [(Manners::GOOD, "saved"), (Manners::FORGETFUL, "replayed")] {
-        let service = CueService::start(manners);
+    for (faults, states) in [(Faults::NONE, "saved"), (Faults::STATELESS, "replayed")] {
+        let service = CueService::start(faults);
         for actors in ["run.actors=1", "run.actors=2"] {
             let folder = runs.folder(&format!("{states}-{actors}"));
             trained(&folder, &[actors, "--environment", &service.url]);
@@ -68,9 +68,9 @@ fn start(folder: &Path, more: &[&str]) -> Child {
     command.spawn().unwrap()
 }
 
-/// The actors of a run that is under way.
+/// Process ids of the actors of a running run.
 fn actors(run: &Child, folder: &Path) -> Vec<u32> {
-    under_way(folder);
+    has_begun(folder);
     eventually(|| match processes::children(run.id()) {
         found if found.len() >= 2 => Ok(found),
         found => Err(format!("{} of 2 actors have started", found.len())),
@@ -78,13 +78,13 @@ fn actors(run: &Child, folder: &Path) -> Vec<u32> {
 }
 
 #[test]
-fn neither_a_killed_actor_nor_a_program_that_dies_or_breaks_off_changes_the_weights() {
+fn killed_actors_and_failures_of_the_program_do_not_affect_the_weights() {
     let runs = Runs::new();
     let [own, killed, died, broken] =
         ["own", "killed", "died", "broken"].map(|name| runs.folder(name));
     let longer = ["run.iterations=30", "run.actors=2", "--environment"];
     trained(&own, &longer[..2]);
-    let service = CueService::start(Manners::GOOD);
+    let service = CueService::start(Faults::NONE);
     let in_service = [&longer[..], &[service.url.as_str()]].concat();
 
     let mut run = start(&killed, &in_service);
@@ -97,18 +97,18 @@ fn neither_a_killed_actor_nor_a_program_that_dies_or_breaks_off_changes_the_weig
     actors(&run, &died);
     let address = service.url.trim_start_matches("http://").to_owned();
     drop(service);
-    let _again = CueService::start_at(&address, Manners::GOOD);
+    let _again = CueService::start_at(&address, Faults::NONE);
     assert!(run.wait().unwrap().success());
     assert_eq!(weights(&died), weights(&own));
 
-    let service = CueService::start(Manners { breaks_off_every: 150, ..Manners::GOOD });
+    let service = CueService::start(Faults { abort_every: 150, ..Faults::NONE });
     trained(&broken, &[&longer[..], &[service.url.as_str()]].concat());
     assert_eq!(weights(&broken), weights(&own));
 }
 
-/// The one line with which training in `manners` ends.
-fn refusal(manners: Manners) -> String {
-    let (runs, service) = (Runs::new(), CueService::start(manners));
+/// The one-line error of training with `faults`.
+fn refusal(faults: Faults) -> String {
+    let (runs, service) = (Runs::new(), CueService::start(faults));
     let folder = runs.folder("refused");
     let output = s2mia(&settings(
         &dir(&folder),
@@ -125,7 +125,7 @@ fn refusal(manners: Manners) -> String {
 }
 
 #[test]
-fn a_program_that_lies_about_itself_is_refused_by_field_before_anything_starts() {
+fn an_invalid_description_is_rejected_by_field_before_the_run_starts() {
     type Lie = fn(&mut wire::EnvironmentSpec);
     let lies: [(Lie, &str); 6] = [
         (|spec| spec.agents.clear(), "environment.agents: must be at least 1"),
@@ -136,13 +136,13 @@ fn a_program_that_lies_about_itself_is_refused_by_field_before_anything_starts()
         (|spec| spec.dt_secs = 0.0, "environment.dt_secs"),
     ];
     for (description, field) in lies {
-        let line = refusal(Manners { description, ..Manners::GOOD });
+        let line = refusal(Faults { description, ..Faults::NONE });
         assert!(line.contains("sent an invalid answer") && line.contains(field), "{line}");
     }
 }
 
 #[test]
-fn a_program_that_lies_in_its_answers_ends_its_actors_with_the_field() {
+fn an_invalid_answer_ends_the_actors_with_its_field() {
     type Lie = fn(&mut Answer);
     let lies: [(Lie, &str); 5] = [
         (
@@ -187,19 +187,19 @@ fn a_program_that_lies_in_its_answers_ends_its_actors_with_the_field() {
         ),
     ];
     for (answer, field) in lies {
-        let line = refusal(Manners { answer, ..Manners::GOOD });
+        let line = refusal(Faults { answer, ..Faults::NONE });
         assert!(line.contains("sent an invalid answer") && line.contains(field), "{line}");
     }
 }
 
-/// Of another environment than the game.
-const OTHER: Manners = Manners { description: |spec| spec.dt_secs = 0.2, ..Manners::GOOD };
+/// The description of another environment.
+const OTHER: Faults = Faults { description: |spec| spec.dt_secs = 0.2, ..Faults::NONE };
 
 #[test]
-fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
+fn a_run_can_be_resumed_only_in_its_environment() {
     let runs = Runs::new();
     let folder = runs.folder("resumed");
-    let service = CueService::start(Manners::GOOD);
+    let service = CueService::start(Faults::NONE);
     trained(&folder, &["run.iterations=2", "--environment", &service.url]);
     let path = folder.to_str().unwrap();
     let resume =
@@ -211,7 +211,7 @@ fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
         assert_eq!((output.status.code(), line.lines().count()), (Some(2), 1), "{line}");
         assert!(line.contains("the run's environment is one with the description"), "{line}");
     }
-    let moved = CueService::start(Manners::GOOD);
+    let moved = CueService::start(Faults::NONE);
     assert!(resume(&moved.url).status.success());
     let told = succeeded(&["eval", path, "--episodes", "1", "--json"]);
     assert!(told.contains("\"task\":\"cue-2x1\"") && told.contains("\"steps\":50"), "{told}");
@@ -229,9 +229,9 @@ fn a_run_goes_on_only_in_the_environment_in_which_it_began() {
 }
 
 #[test]
-fn an_actor_that_is_not_told_where_the_environment_is_says_what_to_pass() {
+fn an_actor_without_the_environment_url_names_the_missing_option() {
     let runs = Runs::new();
-    let service = CueService::start(Manners::GOOD);
+    let service = CueService::start(Faults::NONE);
     let folder = dir(&runs.folder("untold"));
     let arguments = ["learner", "--listen=127.0.0.1:0", "--environment", &service.url, &folder];
     let mut learner = Command::new(env!("CARGO_BIN_EXE_s2mia"));

@@ -1,8 +1,8 @@
 //! With any number of actors and threads, and with killed, frozen or stopped processes,
 //! a run ends with the same weights, optimiser and densities, bit for bit.
 //!
-//! `cargo test` plays `CELLS`, in which every pair of values of two columns stands in some row. All combinations are
-//! played, and their table is printed, by `EXACTNESS_MATRIX=whole cargo test --test exactness -- --nocapture`.
+//! `cargo test` runs `CELLS`, which contain every pair of values of two columns. All combinations are run and printed
+//! as a table by `EXACTNESS_MATRIX=whole cargo test --test exactness -- --nocapture`.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/processes.rs"]
@@ -17,26 +17,26 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use runs::{Runs, TINY, inspect, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
-/// What happens to a run of six iterations.
+/// A disturbance of a run of six iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Happening {
+enum Disturbance {
     Nothing,
     /// An actor is killed while it steps.
     ActorKilled,
-    /// An actor is frozen for longer than its lease lives, and thawed.
+    /// An actor is frozen until its lease has expired, then continues.
     ActorFrozen,
-    /// The learner dies at this point, and the run is taken up again.
+    /// The learner is killed at this point, and the run is resumed.
     LearnerDies(&'static str),
-    /// Stopped after three iterations, and taken up again.
+    /// The run is stopped after three iterations and resumed.
     Stopped,
 }
 
-use Happening::{ActorFrozen, ActorKilled, LearnerDies, Nothing, Stopped};
+use Disturbance::{ActorFrozen, ActorKilled, LearnerDies, Nothing, Stopped};
 
-/// What happens, in the order of the table; each learner dies at an iteration of its own.
-const HAPPENINGS: [Happening; 8] = [
+/// Disturbances in the order of the table; the learner is killed at a different iteration in each.
+const DISTURBANCES: [Disturbance; 8] = [
     Nothing,
     ActorKilled,
     ActorFrozen,
@@ -50,19 +50,19 @@ const ACTORS: [u32; 3] = [1, 2, 4];
 const THREADS: [u32; 2] = [1, 2];
 const RULES: [Rule; 2] = [OnPolicy, Replay];
 
-/// How policies are learnt.
+/// The learning rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Rule {
     /// HAPPO-S2MIA.
     OnPolicy,
-    /// MADDPG, whose replay belongs to its state.
+    /// MADDPG, whose state includes the replay.
     Replay,
 }
 
 use Rule::{OnPolicy, Replay};
 
 impl Rule {
-    /// A replay and networks small enough for a test; two of the six iterations only warm up.
+    /// Settings with a small replay and small networks; two of the six iterations only warm up.
     fn settings(self) -> &'static [&'static str] {
         match self {
             OnPolicy => &[],
@@ -80,18 +80,18 @@ impl Rule {
     }
 }
 
-type Cell = (Rule, Happening, u32, u32);
+type Cell = (Rule, Disturbance, u32, u32);
 
-/// Rule, happening, actors, threads: every happening with every number of actors, and rules and threads
-/// turned round so that each meets everything else.
+/// Rule, disturbance, actors, threads: every disturbance with every number of actors, with rules and threads rotated to
+/// cover all pairs.
 const CELLS: [Cell; 24] = {
     let mut cells = [(OnPolicy, Nothing, 0, 0); 24];
     let mut index = 0;
     while index < 24 {
-        let (happening, actors) = (index / 3, index % 3);
-        let rule = RULES[(happening + actors) % 2];
-        let threads = THREADS[(happening + actors + actors.div_ceil(2)) % 2];
-        cells[index] = (rule, HAPPENINGS[happening], ACTORS[actors], threads);
+        let (disturbance, actors) = (index / 3, index % 3);
+        let rule = RULES[(disturbance + actors) % 2];
+        let threads = THREADS[(disturbance + actors + actors.div_ceil(2)) % 2];
+        cells[index] = (rule, DISTURBANCES[disturbance], ACTORS[actors], threads);
         index += 1;
     }
     cells
@@ -100,9 +100,9 @@ const CELLS: [Cell; 24] = {
 fn every_combination() -> Vec<Cell> {
     let mut cells = Vec::new();
     for rule in RULES {
-        for happening in HAPPENINGS {
+        for disturbance in DISTURBANCES {
             let pairs = ACTORS.iter().flat_map(|actors| THREADS.map(|threads| (*actors, threads)));
-            cells.extend(pairs.map(|(actors, threads)| (rule, happening, actors, threads)));
+            cells.extend(pairs.map(|(actors, threads)| (rule, disturbance, actors, threads)));
         }
     }
     cells
@@ -117,7 +117,7 @@ fn start(folder: &Path, more: &[&str]) -> Child {
     command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// The actor processes of a run, as soon as there are as many as it wants.
+/// Process ids of the run's actors, once all are started.
 fn actors(run: &Child, wanted: u32) -> Vec<u32> {
     eventually(|| match processes::children(run.id()) {
         found if found.len() as u32 >= wanted => Ok(found),
@@ -130,7 +130,7 @@ fn signal(process: u32, name: &str) {
     assert!(sent.success());
 }
 
-fn play(folder: &Path, (rule, happening, count, threads): Cell) {
+fn play(folder: &Path, (rule, disturbance, count, threads): Cell) {
     let (actors_setting, threads) =
         (format!("run.actors={count}"), format!("learner.threads={threads}"));
     let machine = [actors_setting.as_str(), threads.as_str()];
@@ -139,21 +139,21 @@ fn play(folder: &Path, (rule, happening, count, threads): Cell) {
         let again = ["train", "--resume", folder.to_str().unwrap(), SIX];
         succeeded(&[&again[..], &machine].concat());
     };
-    match happening {
+    match disturbance {
         Nothing => drop(train(folder, &settings)),
         ActorKilled => {
             let mut run = start(folder, &settings);
-            under_way(folder);
+            has_begun(folder);
             signal(actors(&run, count)[0], "-KILL");
             assert!(run.wait().unwrap().success());
         }
         ActorFrozen => {
             let lease = ["lease.ttl_secs=0.4", "lease.heartbeat_secs=0.1"];
             let mut run = start(folder, &[&settings[..], &lease].concat());
-            under_way(folder);
+            has_begun(folder);
             let frozen = actors(&run, count)[0];
             signal(frozen, "-STOP");
-            // Longer than the lease lives: with other actors the run goes on meanwhile, with one it waits.
+            // Until the lease has expired: with other actors the run continues meanwhile, with one it waits.
             std::thread::sleep(Duration::from_millis(800));
             signal(frozen, "-CONT");
             assert!(run.wait().unwrap().success());
@@ -170,19 +170,19 @@ fn play(folder: &Path, (rule, happening, count, threads): Cell) {
     }
 }
 
-/// Plays all cells and compares each with the first of its rule.
+/// Runs all cells and compares each with the first one of its rule.
 fn compare(cells: &[Cell]) {
     let runs = Runs::new();
     let mut firsts: Vec<(Rule, serde_json::Value)> = Vec::new();
-    println!("| rule | happening | actors | threads | state |");
+    println!("| rule | disturbance | actors | threads | state |");
     println!("| --- | --- | --- | --- | --- |");
     for (index, cell) in cells.iter().enumerate() {
         let folder = runs.folder(&index.to_string());
         play(&folder, *cell);
         let state = inspect(&folder);
-        let (rule, happening, actors, threads) = cell;
+        let (rule, disturbance, actors, threads) = cell;
         let hash = &state["state_sha256"].as_str().unwrap()[..16];
-        println!("| {rule:?} | {happening:?} | {actors} | {threads} | `{hash}` |");
+        println!("| {rule:?} | {disturbance:?} | {actors} | {threads} | `{hash}` |");
         assert_eq!(state["iteration"], 6);
         match firsts.iter().find(|(first, _)| first == rule) {
             Some((_, first)) => assert_eq!(&state, first, "{cell:?}"),
@@ -200,7 +200,7 @@ fn every_cell_ends_with_the_same_state_bit_for_bit() {
 }
 
 #[test]
-fn every_pair_of_values_stands_in_some_cell() {
+fn every_pair_of_values_is_in_some_cell() {
     type Same = fn(&Cell, &Cell) -> bool;
     let columns: [Same; 4] =
         [|a, b| a.0 == b.0, |a, b| a.1 == b.1, |a, b| a.2 == b.2, |a, b| a.3 == b.3];

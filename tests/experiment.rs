@@ -10,7 +10,7 @@ use std::path::Path;
 use experiments::{Experiment, s2mia};
 
 #[test]
-fn an_experiment_ends_in_a_table_and_figures_and_runs_nothing_twice() {
+fn an_experiment_writes_a_table_and_figures_and_runs_nothing_twice() {
     let experiment = Experiment::new();
     let told = experiment.run();
     assert!(
@@ -34,7 +34,7 @@ fn an_experiment_ends_in_a_table_and_figures_and_runs_nothing_twice() {
 }
 
 #[test]
-fn what_stands_in_the_record_is_compared_and_not_run_again_when_its_folders_are_gone() {
+fn recorded_runs_are_compared_and_not_repeated_without_their_folders() {
     let experiment = Experiment::new();
     let table = |told: &str| {
         told.lines().filter(|line| line.starts_with('|')).collect::<Vec<_>>().join("\n")
@@ -60,7 +60,7 @@ fn what_stands_in_the_record_is_compared_and_not_run_again_when_its_folders_are_
 }
 
 #[test]
-fn an_experiment_that_was_stopped_or_killed_ends_in_the_same_weights() {
+fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
     let whole = Experiment::new();
     whole.run();
     for signal in ["TERM", "KILL"] {
@@ -75,7 +75,7 @@ fn an_experiment_that_was_stopped_or_killed_ends_in_the_same_weights() {
 }
 
 #[test]
-fn a_run_whose_folder_holds_another_is_told_with_what_to_do_and_the_others_go_on() {
+fn a_run_whose_folder_contains_another_run_fails_with_advice_and_the_others_continue() {
     let experiment = Experiment::new();
     let wrong = experiment.folder().join("cue-2x1-short-seed0");
     std::fs::create_dir_all(&wrong).unwrap();

@@ -1,6 +1,6 @@
 //! Short runs end with the weights and the state whose SHA-256 are in `tests/data/golden.json`,
-//! on every machine and with every SIMD width of its processor. Where cargo runs tests of another architecture through
-//! a runner, the learner and the actor are started through the same one.
+//! on every machine and with every SIMD width of its processor. If cargo uses a runner for tests of another
+//! architecture, the learner and the actor use it too.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ const CASES: [[&str; 3]; 9] = [
 const REPEATED: [[&str; 3]; 3] = [CASES[0], CASES[5], CASES[8]];
 
 /// Three iterations of 4 environments x 40 steps, of which MADDPG learns in two. Widths are no multiples of 16 lanes,
-/// so that kernels also meet rests.
+/// so that kernels also process remainders.
 const SETTINGS: [&str; 20] = [
     "run.seed=7",
     "run.iterations=3",
@@ -53,10 +53,10 @@ const SETTINGS: [&str; 20] = [
 
 const RENEWAL: &str = "S2MIA_RENEW_GOLDEN=1 cargo test --test golden golden_file";
 
-/// SHA-256 by what it is of: `weights` and `state`.
+/// SHA-256 of `weights` and `state`, by name.
 type Hashes = BTreeMap<String, String>;
 
-/// The program with a SIMD width, or with the one it chooses; by the runner that cargo uses for its architecture.
+/// The program with a SIMD width or its default, through cargo's runner for the architecture if there is one.
 fn s2mia(width: Option<&str>) -> Command {
     let architecture = std::env::consts::ARCH.to_uppercase();
     let runner =
@@ -68,7 +68,7 @@ fn s2mia(width: Option<&str>) -> Command {
     command
 }
 
-/// A learner and one actor train a case; the hashes of its last checkpoint.
+/// Trains a case with one actor; returns the hashes of its last checkpoint.
 fn train([task, algorithm, core]: [&str; 3], width: Option<&str>) -> Hashes {
     let folder = tempfile::tempdir().unwrap();
     let chosen = [
@@ -89,8 +89,8 @@ fn train([task, algorithm, core]: [&str; 3], width: Option<&str>) -> Hashes {
     let url = first.split_whitespace().last().unwrap_or_default();
     let actor = s2mia(width).args(["actor", "--learner", url]).output().unwrap();
     if !actor.status.success() {
-        // Otherwise it would wait for another one. It may have ended already.
-        let _ended = learner.kill();
+        // Otherwise the learner would wait for another actor. It may have already exited.
+        let _killed = learner.kill();
     }
     let learner = learner.wait_with_output().unwrap();
     assert!(learner.status.success() && actor.status.success(), "{}{}", log(&learner), log(&actor));
@@ -110,7 +110,7 @@ fn log(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// SIMD widths by name, and whether this processor has them.
+/// Names of SIMD widths, and whether this processor supports them.
 fn widths() -> [(&'static str, bool); 4] {
     #[cfg(target_arch = "x86_64")]
     let (avx2, avx512) = (
@@ -144,12 +144,12 @@ fn every_case_ends_with_the_hashes_of_the_golden_file() {
     }
     assert!(
         differences.is_empty(),
-        "{differences}tests/data/golden.json is renewed only by a change that means to change bits: `{RENEWAL}`"
+        "{differences}tests/data/golden.json is renewed only if results change intentionally: `{RENEWAL}`"
     );
 }
 
 #[test]
-fn every_simd_width_of_this_processor_trains_the_same_bits() {
+fn every_simd_width_of_this_processor_gives_the_same_result() {
     for case in REPEATED {
         let chosen = train(case, None);
         for (width, _) in widths().into_iter().filter(|(_, here)| *here) {
@@ -159,7 +159,7 @@ fn every_simd_width_of_this_processor_trains_the_same_bits() {
 }
 
 #[test]
-fn a_simd_width_that_this_processor_lacks_and_an_unknown_one_are_refused_in_one_line() {
+fn an_unsupported_and_an_unknown_simd_width_are_rejected_in_one_line() {
     let absent = widths().into_iter().filter(|(_, here)| !here).map(|(width, _)| width);
     for width in absent.chain(["abacus"]) {
         let output = s2mia(Some(width)).arg("tasks").output().unwrap();

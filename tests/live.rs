@@ -30,14 +30,14 @@ fn trained() -> &'static Path {
     trained::folder("run.iterations=4")
 }
 
-/// A process that shows a run.
-struct Shown {
+/// A process that serves a live view.
+struct LiveView {
     process: Child,
     url: String,
     lines: std::io::Lines<BufReader<std::process::ChildStdout>>,
 }
 
-impl Shown {
+impl LiveView {
     fn by(arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
         command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null());
@@ -65,22 +65,22 @@ impl Shown {
     }
 }
 
-impl Drop for Shown {
+impl Drop for LiveView {
     fn drop(&mut self) {
-        // One that has trained to the end has ended already.
-        let _ended = self.process.kill();
+        // A finished training has already exited.
+        let _killed = self.process.kill();
         let _reaped = self.process.wait();
     }
 }
 
-/// All lines of `metrics.jsonl` of a kind.
+/// Lines of one kind in `metrics.jsonl`.
 fn metrics(folder: &Path, kind: &str) -> Vec<Value> {
     let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
     let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
     lines.filter(|line| line["kind"] == kind).collect()
 }
 
-/// The world of a run, its newest policy, and where that one's first evaluated episode begins.
+/// The environment of a run, its newest policy, and the key of that policy's first evaluation episode.
 fn evaluation(folder: &Path) -> (Box<dyn EnvironmentBatch>, PolicySnapshot, Key) {
     let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
     let policy = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
@@ -89,10 +89,10 @@ fn evaluation(folder: &Path) -> (Box<dyn EnvironmentBatch>, PolicySnapshot, Key)
 }
 
 #[test]
-fn a_finished_run_s_topics_are_those_of_a_recording_with_the_curves_and_what_is_shown() {
-    let shown = Shown::watch(trained());
+fn topics_of_a_finished_run_are_those_of_a_recording_plus_curves_and_run() {
+    let shown = LiveView::watch(trained());
     let mut viewer = Viewer::connect(&shown.url);
-    // The last one that is declared.
+    // The topic that is advertised last.
     viewer.wait_for("/episode");
     let named = |(topic, told): (&String, &Value)| {
         assert!(!told["schema"].as_str().unwrap().is_empty(), "{topic}");
@@ -114,9 +114,9 @@ fn a_finished_run_s_topics_are_those_of_a_recording_with_the_curves_and_what_is_
 }
 
 #[test]
-fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time() {
+fn an_evaluation_episode_of_the_newest_policy_is_shown_in_real_time() {
     let folder = trained();
-    let shown = Shown::watch(folder);
+    let shown = LiveView::watch(folder);
     let mut viewer = Viewer::connect(&shown.url);
     let begun = Instant::now();
     viewer.subscribe(&["/scene", "/run", "/tf", "/joint_states", "/episode"]);
@@ -150,7 +150,7 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
     assert!(torso.windows(2).any(|two| two[0] != two[1]), "the robot moves: {torso:?}");
     let apart = times.windows(2).map(|two| two[1] - two[0]).collect::<Vec<_>>();
     assert!(apart.iter().all(|nanos| nanos % 50_000_000 == 0), "{apart:?}");
-    // The first two may be one that was shown before, twice.
+    // The first two may be repetitions of an earlier step.
     assert!(took.as_millis() >= 18 * 50, "18 steps of 50 ms were shown within {took:?}");
     // Seven links with eight capsules, and the floor.
     assert_eq!((shapes, joints), (9, 6));
@@ -159,9 +159,9 @@ fn the_newest_policy_s_evaluation_is_seen_step_by_step_at_the_pace_of_its_time()
 }
 
 #[test]
-fn whoever_comes_late_gets_the_scene_and_all_curves_at_once() {
+fn a_late_viewer_gets_the_scene_and_all_curves_at_once() {
     let folder = trained();
-    let shown = Shown::watch(folder);
+    let shown = LiveView::watch(folder);
     let mut first = Viewer::connect(&shown.url);
     first.subscribe(&["/scene", "/tf", "/curves"]);
     first.next_on("/scene");
@@ -181,21 +181,21 @@ fn whoever_comes_late_gets_the_scene_and_all_curves_at_once() {
     let iterations = metrics(folder, "iteration");
     let sigma = iterations.iter().map(|line| line["agent0/sigma"].clone()).collect::<Value>();
     assert_eq!(curves["agent0"]["sigma"]["value"], sigma);
-    // The first viewer goes on when the other has left.
+    // The first viewer still gets messages after the other has disconnected.
     first.next_on("/tf");
 }
 
 #[test]
-fn a_run_under_way_shows_its_curves_before_its_first_checkpoint_and_then_its_robot() {
+fn a_running_run_shows_curves_before_its_first_checkpoint_and_then_its_robot() {
     let runs = Runs::new();
     let folder = runs.folder("begun");
-    let mut shown = Shown::train(&folder, &["run.iterations=100000", "checkpoint.every=100000"]);
+    let mut shown = LiveView::train(&folder, &["run.iterations=100000", "checkpoint.every=100000"]);
     let told = shown.lines.next().unwrap().unwrap();
     assert!(told.contains("until the first checkpoint"), "{told}");
     let mut viewer = Viewer::connect(&shown.url);
     viewer.subscribe(&["/run", "/curves"]);
     assert!(viewer.json_on("/run")["waits_for"].is_string());
-    // Of the robot that stands still, and was shown before.
+    // The initial pose of the robot, sent before the subscription.
     viewer.subscribe(&["/tf"]);
     viewer.next_on("/tf");
     let points = |curves: Value| curves["agent0"]["sigma"]["value"].as_array().map_or(0, Vec::len);
@@ -213,7 +213,7 @@ fn a_run_under_way_shows_its_curves_before_its_first_checkpoint_and_then_its_rob
 }
 
 #[test]
-fn of_an_environment_that_another_program_offers_the_curves_alone_are_shown() {
+fn only_curves_are_shown_for_an_external_environment() {
     let runs = Runs::new();
     let folder = runs.folder("outside");
     train(&folder, &["run.iterations=2", "observation.norm=none"]);
@@ -222,7 +222,7 @@ fn of_an_environment_that_another_program_offers_the_curves_alone_are_shown() {
     let theirs = own.replacen("\nurl = \"\"", "\nurl = \"http://127.0.0.1:1\"", 1);
     assert_ne!(own, theirs);
     std::fs::write(settings, theirs).unwrap();
-    let mut shown = Shown::watch(&folder);
+    let mut shown = LiveView::watch(&folder);
     let told = shown.lines.next().unwrap().unwrap();
     assert!(told.contains("only the learning curves"), "{told}");
     let mut viewer = Viewer::connect(&shown.url);
@@ -239,10 +239,10 @@ fn weights(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_run_whose_viewer_never_reads_ends_with_the_weights_of_one_without_viewers() {
+fn a_viewer_that_never_reads_does_not_affect_the_weights() {
     let runs = Runs::new();
     let (alone, watched) = (runs.folder("alone"), runs.folder("watched"));
-    let mut shown = Shown::train(&watched, &["run.iterations=150"]);
+    let mut shown = LiveView::train(&watched, &["run.iterations=150"]);
     let mut viewer = Viewer::connect(&shown.url);
     viewer.wait_for("/episode");
     let topics = viewer.topics.keys().cloned().collect::<Vec<_>>();
@@ -254,7 +254,7 @@ fn a_run_whose_viewer_never_reads_ends_with_the_weights_of_one_without_viewers()
 }
 
 #[test]
-fn whoever_asks_for_a_topic_as_soon_as_it_is_offered_gets_it() {
+fn an_immediate_subscription_to_a_new_topic_gets_its_messages() {
     let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "quick").unwrap();
     let mut viewer = Viewer::connect(&server.url());
     let topics: Vec<String> = (0..300).map(|number| format!("/number/{number}")).collect();
@@ -273,14 +273,14 @@ fn whoever_asks_for_a_topic_as_soon_as_it_is_offered_gets_it() {
 }
 
 #[test]
-fn whoever_reads_too_slowly_holds_nobody_up_and_misses_what_is_old() {
+fn a_slow_viewer_blocks_nothing_and_misses_old_messages() {
     let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "slow").unwrap();
     let topic = server.topic("/numbers", &json!({ "title": "Number", "type": "object" })).unwrap();
     let mut viewer = Viewer::connect(&server.url());
     topic.show(&json!({ "number": 0 }));
     viewer.subscribe(&["/numbers"]);
     assert_eq!(viewer.json_on("/numbers")["number"], 0);
-    // More than any socket takes in, and than may wait: no call returns before it is done.
+    // More data than socket buffers and the queue can hold.
     let filler = "x".repeat(1 << 20);
     (1..=700).for_each(|number| topic.show(&json!({ "number": number, "filler": filler })));
     let mut seen = vec![0];
@@ -291,7 +291,7 @@ fn whoever_reads_too_slowly_holds_nobody_up_and_misses_what_is_old() {
 }
 
 #[test]
-fn an_episode_at_which_nobody_looks_breaks_off_after_its_first_step() {
+fn an_episode_without_viewers_is_aborted_after_its_first_step() {
     let (mut world, policy, key) = evaluation(trained());
     let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "alone").unwrap();
     let mut scene = server.scene(&*world).unwrap();
@@ -308,7 +308,7 @@ fn refusal(arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn a_port_that_is_taken_is_named_before_a_run_begins() {
+fn a_port_in_use_is_reported_before_the_run_begins() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let (listen, watch) = (format!("--listen={address}"), format!("--watch={address}"));
@@ -323,7 +323,7 @@ fn a_port_that_is_taken_is_named_before_a_run_begins() {
 }
 
 #[test]
-fn a_folder_without_a_run_or_a_checkpoint_is_told_what_it_lacks() {
+fn a_folder_without_a_run_or_a_checkpoint_is_rejected() {
     let runs = Runs::new();
     let empty = runs.folder("empty");
     std::fs::create_dir(&empty).unwrap();
@@ -335,7 +335,7 @@ fn a_folder_without_a_run_or_a_checkpoint_is_told_what_it_lacks() {
 }
 
 #[test]
-fn other_machines_see_nothing_unless_they_are_let_in() {
+fn remote_viewers_require_an_option() {
     let of = trained().to_str().unwrap();
     for (arguments, permission) in [
         (&["watch", of, "--listen=0.0.0.0:0"][..], "--insecure-allow-remote "),

@@ -14,7 +14,7 @@ use runs::{Runs, inspect, s2mia, succeeded, train};
 /// Four iterations of two slots by two actors; evaluations before, between and after.
 const FOUR: [&str; 2] = ["run.iterations=4", "run.actors=2"];
 
-/// A run that logged everything, and what it printed.
+/// A run that logged all episodes, and its output.
 fn logged() -> &'static (Runs, PathBuf, String) {
     static RUN: OnceLock<(Runs, PathBuf, String)> = OnceLock::new();
     RUN.get_or_init(|| {
@@ -48,12 +48,12 @@ fn logs(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn a_log_changes_not_one_bit_of_the_run_and_its_settings_not_the_run_s_hash() {
+fn logging_does_not_affect_the_run_or_the_hash_of_its_settings() {
     let (runs, folder, _) = logged();
     let plain = runs.folder("plain");
     train(&plain, &FOUR);
     assert_eq!(inspect(&plain), inspect(folder));
-    assert!(logs(&plain).is_empty(), "nobody asked for a log");
+    assert!(logs(&plain).is_empty(), "there are logs without the option");
     let hash = |folder: &Path| {
         let text = std::fs::read_to_string(folder.join("manifest.json")).unwrap();
         serde_json::from_str::<serde_json::Value>(&text).unwrap()["config_sha256"].clone()
@@ -62,7 +62,7 @@ fn a_log_changes_not_one_bit_of_the_run_and_its_settings_not_the_run_s_hash() {
 }
 
 #[test]
-fn every_step_of_the_run_is_logged_once_and_can_be_repeated() {
+fn every_step_of_the_run_is_logged_once_and_can_be_replayed() {
     let (_, folder, closing) = logged();
     // 4 x 80 steps of training, 3 evaluations of an episode of 1,000.
     assert!(closing.contains("logged 3,320 steps in 19 shares of episodes"), "{closing}");
@@ -71,14 +71,14 @@ fn every_step_of_the_run_is_logged_once_and_can_be_repeated() {
     let (status, text) = told(&log(&["verify".as_ref(), &folder.join("logs")]));
     assert_eq!(status, Some(0), "{text}");
     assert!(text.contains("7 episodes, 19 shares, 3,320 steps"), "{text}");
-    // The run's folder stands for its logs, too.
+    // The run folder is accepted in place of its logs.
     let (status, text) = told(&log(&["replay".as_ref(), folder]));
     assert_eq!(status, Some(0), "{text}");
     assert!(text.contains("equal bit for bit"), "{text}");
 }
 
 #[test]
-fn joined_logs_hold_whole_episodes() {
+fn joined_logs_contain_whole_episodes() {
     let (runs, folder, _) = logged();
     let out = runs.folder("joined.mcap");
     let (status, text) =
@@ -95,14 +95,11 @@ fn joined_logs_hold_whole_episodes() {
     }
     let (status, text) = told(&log(&["verify".as_ref(), &out]));
     assert_eq!(status, Some(0), "{text}");
-    assert!(
-        text.contains("intrinsic rewards of 16 of 16 training shares"),
-        "the log has them now: {text}"
-    );
+    assert!(text.contains("intrinsic rewards of 16 of 16 training shares"), "{text}");
 }
 
 #[test]
-fn intrinsic_rewards_are_the_same_whether_a_run_goes_through_or_is_gone_on_with() {
+fn a_resumed_run_logs_the_same_intrinsic_rewards() {
     let (runs, folder, _) = logged();
     let resumed = runs.folder("resumed");
     // Every second episode of an environment, and every second environment.
@@ -123,7 +120,7 @@ fn intrinsic_rewards_are_the_same_whether_a_run_goes_through_or_is_gone_on_with(
 }
 
 #[test]
-fn a_learner_s_folder_and_an_actor_s_are_joined_though_each_has_one_kind_of_log() {
+fn separate_folders_of_learner_and_actors_can_be_joined() {
     let (runs, folder, _) = logged();
     let (rewards, trajectories) = (runs.folder("of_learner"), runs.folder("of_actors"));
     for (to, extension) in [(&rewards, "jsonl"), (&trajectories, "mcap")] {
@@ -143,7 +140,7 @@ fn a_learner_s_folder_and_an_actor_s_are_joined_though_each_has_one_kind_of_log(
 }
 
 #[test]
-fn a_damaged_line_of_rewards_is_named_and_costs_its_share_alone() {
+fn a_damaged_line_of_rewards_is_reported_and_only_its_share_is_lost() {
     let (runs, folder, _) = logged();
     let damaged = runs.folder("rewards-0009.jsonl");
     let text = std::fs::read_to_string(folder.join("logs/rewards-0001.jsonl")).unwrap();
@@ -163,7 +160,7 @@ fn a_damaged_line_of_rewards_is_named_and_costs_its_share_alone() {
 }
 
 #[test]
-fn reward_logs_alone_are_refused_in_one_line() {
+fn reward_logs_without_trajectory_logs_are_rejected_in_one_line() {
     let (_, folder, _) = logged();
     let alone = folder.join("logs/rewards-0001.jsonl");
     let (status, text) = told(&log(&["verify".as_ref(), &alone]));
@@ -175,7 +172,7 @@ fn reward_logs_alone_are_refused_in_one_line() {
 }
 
 #[test]
-fn a_cut_log_is_saved_with_a_status_that_tells_the_loss() {
+fn a_truncated_log_is_recovered_with_a_status_that_reports_the_loss() {
     let (runs, folder, _) = logged();
     let whole = logs(folder).into_iter().next().unwrap();
     let (cut, out) = (runs.folder("cut.mcap"), runs.folder("saved.mcap"));
@@ -198,7 +195,7 @@ fn a_cut_log_is_saved_with_a_status_that_tells_the_loss() {
 }
 
 #[test]
-fn what_is_no_log_is_refused_in_one_line() {
+fn files_that_are_not_logs_are_rejected_in_one_line() {
     let (runs, ..) = logged();
     let folder = runs.folder("empty");
     std::fs::create_dir(&folder).unwrap();

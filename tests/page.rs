@@ -14,9 +14,9 @@ use std::process::{Child, Command, Stdio};
 use serde_json::Value;
 
 use runs::{Runs, TINY, inspect, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
-/// A learner with its page, and the actors that it was given.
+/// A learner with its page, and its actors.
 struct Learner {
     processes: Vec<Child>,
     url: String,
@@ -77,8 +77,8 @@ impl Learner {
 impl Drop for Learner {
     fn drop(&mut self) {
         for process in &mut self.processes {
-            // Only a failed test leaves one that has ended already.
-            let _ended = process.kill();
+            // The process has already exited only if the test failed.
+            let _killed = process.kill();
             let _waited = process.wait();
         }
     }
@@ -90,7 +90,7 @@ fn sample(scrape: &str, name: &str) -> f64 {
     line.unwrap_or_else(|| panic!("no {name} in\n{scrape}")).parse().unwrap()
 }
 
-/// The last iteration that the run's metrics hold.
+/// The last iteration in the run's metrics.
 fn last_iteration(folder: &Path) -> Value {
     let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap_or_default();
     let mut lines = text.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
@@ -98,7 +98,7 @@ fn last_iteration(folder: &Path) -> Value {
 }
 
 #[test]
-fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_status() {
+fn the_figures_of_prometheus_and_of_the_page_equal_the_metrics_and_the_status() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     let mut learner = Learner::start(&folder, "127.0.0.1:0");
@@ -107,7 +107,7 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
         let iteration = last_iteration(&folder)["iteration"].as_u64().unwrap_or_default();
         if iteration >= 3 { Ok(()) } else { Err(format!("{iteration} iterations of 3")) }
     });
-    // Without an actor the run stands still, and everything can be read twice.
+    // Without an actor, the figures do not change between requests.
     learner.kill_actor();
     let still = |learner: &Learner| {
         let status = learner.json("/api/status");
@@ -145,7 +145,7 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
     assert!(chunks >= 4.0 * line["iteration"].as_f64().unwrap(), "{chunks} chunks");
     // Two environments, ten steps, a state of more than ten numbers of four bytes.
     assert!(sample(&scrape, "s2mia_ingest_bytes_total") > 800.0 * chunks);
-    // Evaluations are at every second iteration, and each is filmed.
+    // Every second iteration has an evaluation with a film.
     let film = learner.json("/api/film");
     assert_eq!(film["iteration"], shown["film"]);
     let numbers = film["ends"].as_array().unwrap().len();
@@ -157,10 +157,10 @@ fn the_figures_for_prometheus_and_for_the_page_are_those_of_the_metrics_and_the_
 }
 
 #[test]
-fn steps_that_an_actors_log_lost_are_seen_at_the_learner() {
+fn steps_lost_by_an_actors_log_are_reported_by_the_learner() {
     let runs = Runs::new();
     let mut learner = Learner::start(&runs.folder("run"), "127.0.0.1:0");
-    // A folder that is there and takes no file, even of root.
+    // An existing folder in which not even root can create a file.
     learner.add_actor(&["--log-dir", "/proc", "--log-episodes", "all"]);
     eventually(|| {
         let lost = sample(&learner.get("/metrics"), "s2mia_log_dropped_total");
@@ -170,7 +170,7 @@ fn steps_that_an_actors_log_lost_are_seen_at_the_learner() {
 }
 
 #[test]
-fn other_names_and_other_methods_are_refused_and_the_page_may_load_nothing_from_elsewhere() {
+fn other_hosts_and_methods_are_rejected_and_the_page_may_not_load_external_content() {
     let runs = Runs::new();
     let learner = Learner::start(&runs.folder("run"), "127.0.0.1:0");
     let code = |request: &str| learner.ask(request).0;
@@ -188,19 +188,19 @@ fn other_names_and_other_methods_are_refused_and_the_page_may_load_nothing_from_
 }
 
 #[test]
-fn visitors_that_say_nothing_hold_up_neither_the_run_nor_for_long_other_visitors() {
+fn idle_connections_do_not_block_the_run_and_other_viewers_only_briefly() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     let mut learner = Learner::start(&folder, "127.0.0.1:0");
     let silent: Vec<_> = (0..40).map(|_| TcpStream::connect(&learner.page).unwrap()).collect();
     learner.add_actor(&[]);
-    under_way(&folder);
+    has_begun(&folder);
     assert_eq!(learner.json("/api/status")["status"]["run_id"], "run");
     drop(silent);
 }
 
 #[test]
-fn a_page_that_is_looked_at_all_the_time_changes_no_weight() {
+fn continuous_page_requests_do_not_affect_the_weights() {
     let runs = Runs::new();
     let (plain, watched) = (runs.folder("plain"), runs.folder("watched"));
     train(&plain, &["run.iterations=3", "--page", "off"]);

@@ -14,18 +14,18 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use serde_json::json;
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, under_way};
+use waiting::{eventually, has_begun};
 
 const SIXTY: &str = "run.iterations=60";
 
-/// A learner in the background, and what it prints.
+/// A learner in the background and its output.
 struct Learner {
     process: Child,
     lines: Lines<BufReader<ChildStdout>>,
 }
 
 impl Learner {
-    /// Returns when it waits for actors.
+    /// Starts a learner and waits until it is ready for actors.
     fn start(folder: &Path, address: &str) -> Self {
         let dir = format!("run.dir={}", folder.display());
         let own = ["learner", "--listen", address, dir.as_str(), SIXTY];
@@ -43,7 +43,7 @@ impl Learner {
         self.end()
     }
 
-    /// The last line, after a good end.
+    /// The last line of output, after success.
     fn end(&mut self) -> String {
         let last = self.lines.by_ref().last().unwrap().unwrap();
         assert!(self.process.wait().unwrap().success());
@@ -51,7 +51,7 @@ impl Learner {
     }
 }
 
-/// An address on which nobody listens, a moment ago at least.
+/// An address that was unused a moment ago.
 fn free_address() -> String {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
 }
@@ -63,13 +63,13 @@ fn actor(url: &str) -> Child {
 }
 
 #[test]
-fn an_actor_started_first_outlives_a_learner_that_is_stopped_and_started_again_in_its_folder() {
+fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
     let runs = Runs::new();
     let (folder, undisturbed) = (runs.folder("roles"), runs.folder("undisturbed"));
     let address = free_address();
     let mut actor = actor(&format!("http://{address}"));
     let mut learner = Learner::start(&folder, &address);
-    under_way(&folder);
+    has_begun(&folder);
     assert!(learner.terminate().starts_with("stopped after iteration"));
     assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
     let mut learner = Learner::start(&folder, &address);
@@ -83,7 +83,7 @@ fn status(of: &str) -> serde_json::Value {
     serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
 }
 
-/// The status by address once the first iteration's slots are open: a learner listens a moment before.
+/// The status by address, once the first slots are open, which is shortly after the learner listens.
 fn status_when_open(url: &str) -> serde_json::Value {
     eventually(|| match status(url) {
         told if told["slots"] == json!(0) => Err(format!("no slot is open: {told}")),
@@ -92,7 +92,7 @@ fn status_when_open(url: &str) -> serde_json::Value {
 }
 
 #[test]
-fn a_run_says_where_it_stands_by_its_address_its_folder_and_when_it_has_ended() {
+fn status_works_by_address_by_folder_and_for_ended_runs() {
     let runs = Runs::new();
     let (folder, address) = (runs.folder("status"), free_address());
     let path = folder.to_str().unwrap();
@@ -114,7 +114,7 @@ fn a_run_says_where_it_stands_by_its_address_its_folder_and_when_it_has_ended() 
 }
 
 #[test]
-fn whoever_doubts_it_can_have_the_same_run_trained_three_times_and_compared() {
+fn verify_determinism_compares_three_runs() {
     let output = s2mia(&[&["train"], TINY, &["--verify-determinism=3"]].concat());
     let (told, log) =
         [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap()).into();
@@ -126,7 +126,7 @@ fn whoever_doubts_it_can_have_the_same_run_trained_three_times_and_compared() {
 }
 
 #[test]
-fn a_learner_counts_as_healthy_while_it_serves_and_no_longer() {
+fn a_learner_is_healthy_only_while_it_serves() {
     let runs = Runs::new();
     let address = free_address();
     let url = format!("http://{address}");

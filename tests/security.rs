@@ -27,7 +27,7 @@ fn s2mia(arguments: &[&str]) -> (i32, String) {
     (output.status.code().unwrap(), String::from_utf8(told).unwrap())
 }
 
-/// A folder of files as `s2mia certs` makes them.
+/// A folder of files created by `s2mia certs`.
 struct Certificates(PathBuf);
 
 impl Certificates {
@@ -50,7 +50,7 @@ impl Certificates {
         files.iter().flat_map(|(flag, name)| [(*flag).to_owned(), self.file(name)]).collect()
     }
 
-    /// Trusts `learners`, and shows the certificate called `role` of this folder.
+    /// Options of a client that trusts `learners` and presents this folder's certificate for `role`.
     fn of_client(&self, learners: &Self, role: &str) -> Vec<String> {
         let (certificate, key) = (format!("{role}.pem"), format!("{role}.key"));
         let files = [
@@ -72,7 +72,7 @@ fn actor(url: &str, tls: &[String]) -> (i32, String) {
     )
 }
 
-/// An actor that gives up at once, in a line that holds `words`.
+/// Checks that an actor exits at once with one line that contains `words`.
 fn refused(url: &str, tls: &[String], words: &str) {
     let (code, told) = actor(url, tls);
     assert_ne!(code, 0, "{told}");
@@ -80,7 +80,7 @@ fn refused(url: &str, tls: &[String], words: &str) {
 }
 
 #[test]
-fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
+fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
     let folder = tempfile::tempdir().unwrap();
     let (own, other) = (folder.path().join("own"), folder.path().join("other"));
     let (own, other) = (Certificates::make(own), Certificates::make(other));
@@ -100,7 +100,7 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
     let unguarded = learner.url.replace("https", "http");
     for question in [&["status", unguarded.as_str()][..], &["health", "--learner", &unguarded]] {
         let (_, told) = s2mia(question);
-        assert!(told.contains("asks for TLS") && told.contains("give --tls-ca"), "{told}");
+        assert!(told.contains("requires TLS") && told.contains("pass --tls-ca"), "{told}");
     }
 
     let told = learner.finish(&own.of_client(&own, "admin"));
@@ -108,7 +108,7 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
         "received fatal alert",
         "invalid peer certificate",
         "needs the role actor; the certificate carries viewer",
-        "speaks plain text, but this learner asks for TLS",
+        "speaks plain text, but this learner requires TLS",
     ] {
         assert!(told.contains(words), "{words}: {told}");
     }
@@ -117,7 +117,7 @@ fn a_run_over_tls_ends_in_the_same_state_whoever_was_refused_on_the_way() {
     assert_eq!(inspect(&guarded), inspect(&open));
 }
 
-/// What `s2mia` says in one line, and its status.
+/// Runs `s2mia`; returns its exit status and its one line of output.
 fn asked(question: &[&str], tls: &[String]) -> (i32, String) {
     let more = tls.iter().map(String::as_str);
     let (code, told) = s2mia(&question.iter().copied().chain(more).collect::<Vec<_>>());
@@ -126,7 +126,7 @@ fn asked(question: &[&str], tls: &[String]) -> (i32, String) {
 }
 
 #[test]
-fn over_tls_a_learner_tells_and_does_what_the_role_in_the_certificate_allows() {
+fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
     let other = Certificates::make(folder.path().join("other"));
@@ -168,7 +168,7 @@ fn over_tls_a_learner_tells_and_does_what_the_role_in_the_certificate_allows() {
     learner.stop();
 }
 
-/// A client that checks nothing of its own certificate before it shows it.
+/// Calls the learner with a certificate that the client does not check itself.
 async fn call(url: &str, authority: &Path, own: Option<Issued>) -> Result<(), tonic::Status> {
     let authority = std::fs::read(authority).unwrap();
     let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(authority));
@@ -183,7 +183,7 @@ async fn call(url: &str, authority: &Path, own: Option<Issued>) -> Result<(), to
 }
 
 #[tokio::test]
-async fn no_certificate_an_expired_one_and_one_without_a_role_are_refused() {
+async fn missing_expired_and_roleless_certificates_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
     let (day, now) = (Duration::from_secs(86_400), SystemTime::now());
@@ -214,7 +214,7 @@ async fn no_certificate_an_expired_one_and_one_without_a_role_are_refused() {
 }
 
 #[tokio::test]
-async fn changed_certificates_are_served_without_a_restart_and_broken_ones_are_not() {
+async fn changed_certificates_are_reloaded_without_a_restart_and_invalid_ones_are_not() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
     let other = Certificates::make(folder.path().join("other"));
@@ -224,7 +224,7 @@ async fn changed_certificates_are_served_without_a_restart_and_broken_ones_are_n
     let client = || issuer.client(Role::Actor).unwrap();
     std::fs::copy(own.file("ca.pem"), own.file("before.pem")).unwrap();
 
-    // From here on a client of `issuer` gets in as soon as its authority is read.
+    // From here on, a client of `issuer` is accepted as soon as its authority has been read.
     std::fs::write(own.file("ca.pem"), issuer.certificate()).unwrap();
     let before = PathBuf::from(own.file("before.pem"));
     let url = learner.url.clone();
@@ -245,13 +245,13 @@ async fn changed_certificates_are_served_without_a_restart_and_broken_ones_are_n
     tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
 }
 
-/// Tries again and again, for half a minute at most.
+/// Polls for up to half a minute.
 async fn until(happened: impl AsyncFn() -> bool) {
     let tries = async { while !happened().await {} };
     tokio::time::timeout(Duration::from_secs(30), tries).await.unwrap();
 }
 
-/// A server of the policies in `run`, and where it listens.
+/// A server of the policies in `run`, and its URL.
 fn served(run: &Path, tls: &[String]) -> (Child, String) {
     let own = ["serve", run.to_str().unwrap(), "--listen=127.0.0.1:0"];
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
@@ -263,7 +263,7 @@ fn served(run: &Path, tls: &[String]) -> (Child, String) {
 }
 
 #[tokio::test]
-async fn policies_are_served_over_tls_to_whoever_may_watch() {
+async fn policies_are_served_over_tls_to_viewers() {
     let folder = tempfile::tempdir().unwrap();
     let (own, run) = (Certificates::make(folder.path().join("own")), folder.path().join("run"));
     let mut learner = Learner::start(&run, &[]);
@@ -302,7 +302,7 @@ fn keys_are_readable_by_their_owner_only_and_never_overwritten() {
 }
 
 #[test]
-fn a_wrong_file_is_one_line_with_its_name() {
+fn an_invalid_file_is_reported_in_one_line_with_its_name() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
     let long_ago = SystemTime::UNIX_EPOCH + Duration::from_secs(86_400);
@@ -330,7 +330,7 @@ fn a_wrong_file_is_one_line_with_its_name() {
 }
 
 #[test]
-fn no_secret_stands_in_what_a_run_prints_or_leaves_behind() {
+fn output_and_files_of_a_run_contain_no_secret() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
     let run = folder.path().join("run");

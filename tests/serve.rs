@@ -30,7 +30,7 @@ fn trained() -> &'static Path {
     trained::folder("run.iterations=2")
 }
 
-/// A server of its policies.
+/// A server of policies.
 struct Server {
     process: Child,
     lines: Lines<BufReader<ChildStdout>>,
@@ -56,20 +56,20 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // One that was told to stop has ended already.
+        // A stopped server has already exited.
         let _ended = self.process.kill();
         let _reaped = self.process.wait();
     }
 }
 
-/// The first state of the evaluator's episode of this index, after two iterations.
+/// Resets to the first state of the evaluator's episode with this index, after two iterations.
 fn reset(world: &mut dyn EnvironmentBatch, episode: u32) {
     let key = Key::of_evaluation(RunSeed(7), 2, episode);
     let steps = world.description().episode_steps;
     world.reset(0, 0, steps, key.0).unwrap();
 }
 
-/// What each agent observes.
+/// The agents' observations.
 fn observations(world: &dyn EnvironmentBatch) -> Vec<(usize, Vec<f32>)> {
     let agents = world.description().agents.iter().enumerate();
     let seen = agents.map(|(agent, description)| {
@@ -124,12 +124,12 @@ fn next(observations: Vec<(usize, Vec<f32>)>) -> ActStep {
     ActStep { reset: false, observations }
 }
 
-/// One number after the other.
+/// The actions of all agents, concatenated.
 fn side_by_side(acted: &Acted) -> Vec<f32> {
     acted.actions.iter().flat_map(|(_, action)| action.clone()).collect()
 }
 
-/// Plays an episode to its end by what `acting` says; joint actions and return.
+/// Plays an episode with the actions of `acting`; returns the joint actions and the return.
 async fn play(
     acting: &mut Acting,
     world: &mut dyn EnvironmentBatch,
@@ -150,13 +150,13 @@ async fn play(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn whole_episodes_by_the_service_are_the_evaluator_s_bit_for_bit() {
+async fn episodes_with_the_service_equal_those_of_the_evaluator_bit_for_bit() {
     let folder = trained();
     let server = Server::start(folder, &[]);
     let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
     let snapshot = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
     let told = succeeded(&["eval", folder.to_str().unwrap(), "--episodes=2", "--json"]);
-    // As text: reading a number from JSON may miss its last bit.
+    // Compared as text, since parsing a JSON number may lose its last bit.
     let returns = told.split("\"return\":").skip(1).map(|rest| rest.split(',').next().unwrap());
     let returns: Vec<&str> = returns.collect();
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
@@ -179,7 +179,7 @@ async fn whole_episodes_by_the_service_are_the_evaluator_s_bit_for_bit() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_service_says_who_acts_and_by_which_weights() {
+async fn the_service_describes_its_agents_and_weights() {
     let folder = trained();
     let server = Server::start(folder, &[]);
     let described = server.client().await.describe_policy(wire::DescribePolicyRequest {}).await;
@@ -199,15 +199,14 @@ async fn the_service_says_who_acts_and_by_which_weights() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agents_are_asked_together()
- {
+async fn drawn_actions_depend_on_the_seed_but_not_on_other_streams_or_the_grouping_of_agents() {
     let folder = trained();
     let server = Server::start(folder, &[]);
     let mut world = world(folder);
     reset(&mut *world, 0);
     let seen = observations(&*world);
     let mut by_seed = Vec::new();
-    // A stream's first step begins an episode, whether it says so or not.
+    // The first step of a stream begins an episode, with or without `reset`.
     for (seed, begins) in [(1, first as Step), (1, next), (2, next)] {
         let mut acting = Acting::begin(&server, ActionChoice::Sampled { seed }).await;
         let mut actions = Vec::new();
@@ -220,7 +219,7 @@ async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agen
     let distinct = |a: &Vec<f32>, b: &Vec<f32>| a.iter().zip(b).all(|(a, b)| a != b);
     assert!(distinct(&by_seed[0][0], &by_seed[2][0]), "another seed draws other noise");
     assert!(distinct(&by_seed[0][0], &by_seed[0][2]), "so does another episode");
-    // One agent a message, in another order, beside a stream that is busy with something else.
+    // One agent per message, in another order, next to another active stream.
     let mut other = Acting::begin(&server, ActionChoice::Mean).await;
     let mut acting = Acting::begin(&server, ActionChoice::Sampled { seed: 1 }).await;
     let mut alone = vec![Vec::new(); seen.len()];
@@ -236,7 +235,7 @@ async fn drawn_actions_follow_from_the_seed_whoever_else_acts_and_whichever_agen
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
+async fn invalid_steps_are_rejected_by_field_and_do_not_affect_other_streams() {
     let folder = trained();
     let server = Server::start(folder, &[]);
     let seen = observations(&*world(folder));
@@ -264,13 +263,13 @@ async fn what_does_not_fit_is_refused_by_field_and_disturbs_no_other_stream() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_stream_ends_at_its_deadline_and_when_the_server_is_told_to_stop() {
+async fn a_stream_ends_at_its_deadline_and_when_the_server_stops() {
     let folder = trained();
     let mut server = Server::start(folder, &[]);
     let (sender, queue) = mpsc::channel(1);
     sender.send(ActionChoice::Mean.to_wire()).await.unwrap();
     let mut request = Request::new(ReceiverStream::new(queue));
-    // The client's own clock is left out: only the server is to notice.
+    // The header is set by hand, so that only the server enforces the deadline.
     request.metadata_mut().insert("grpc-timeout", "200m".parse().unwrap());
     let mut late = server.client().await.act(request).await.unwrap().into_inner();
     let ended = tokio::time::timeout(Duration::from_secs(20), late.message()).await;
@@ -286,7 +285,7 @@ async fn a_stream_ends_at_its_deadline_and_when_the_server_is_told_to_stop() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn newer_checkpoints_are_taken_up_between_episodes() {
+async fn newer_checkpoints_are_loaded_between_episodes() {
     let runs = Runs::new();
     let folder = runs.folder("followed");
     train(&folder, &["run.iterations=2"]);
@@ -307,7 +306,7 @@ async fn newer_checkpoints_are_taken_up_between_episodes() {
 }
 
 #[test]
-fn health_is_told_and_other_machines_are_let_in_on_request_only() {
+fn health_is_served_and_remote_clients_require_an_option() {
     let folder = trained();
     let server = Server::start(folder, &[]);
     assert!(succeeded(&["health", "--learner", &server.url]).contains("serves"));

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use runs::{Runs, TINY, inspect, s2mia, train};
 
-/// No stop takes longer.
+/// Maximum duration of a stop.
 const GRACE: Duration = Duration::from_secs(30);
 
 fn started(arguments: &[&str]) -> Child {
@@ -26,7 +26,7 @@ fn signal(process: &Child, name: &str) {
     assert!(sent.success());
 }
 
-/// A learner and an actor that has given it all that an update needs.
+/// A learner during an update, and its actor.
 struct Cluster {
     learner: Child,
     lines: Lines<BufReader<ChildStdout>>,
@@ -34,7 +34,7 @@ struct Cluster {
 }
 
 impl Cluster {
-    /// In the middle of an update of `epochs` passes.
+    /// Waits until the learner is in an update of `epochs` passes.
     fn in_an_update(folder: &Path, epochs: &str) -> Self {
         let (dir, epochs) =
             (format!("run.dir={}", folder.display()), format!("update.epochs={epochs}"));
@@ -51,7 +51,7 @@ impl Cluster {
         Self { learner, lines, actor }
     }
 
-    /// Waits for the line that says so.
+    /// Waits for the line that reports the stop.
     fn is_stopping(&mut self) {
         let stopping = |line: std::io::Result<String>| line.unwrap().starts_with("stopping after");
         assert!(self.lines.by_ref().any(stopping));
@@ -60,7 +60,7 @@ impl Cluster {
 
 impl Drop for Cluster {
     fn drop(&mut self) {
-        // Those that ended by themselves cannot be killed any more.
+        // Processes that have already exited cannot be killed.
         for process in [&mut self.learner, &mut self.actor] {
             let _ended = process.kill();
             let _reaped = process.wait();
@@ -75,7 +75,7 @@ fn all_collected(url: &str) -> bool {
 }
 
 #[test]
-fn the_second_signal_ends_a_learner_at_once_with_its_number_as_the_status() {
+fn the_second_signal_ends_a_learner_at_once_with_the_status_of_the_signal() {
     let runs = Runs::new();
     for (name, status) in [("-TERM", 143), ("-INT", 130)] {
         let mut cluster = Cluster::in_an_update(&runs.folder(name), "10000000");
@@ -90,7 +90,7 @@ fn the_second_signal_ends_a_learner_at_once_with_its_number_as_the_status() {
 }
 
 #[test]
-fn the_first_signal_in_the_middle_of_an_update_leaves_a_checkpoint_of_it_and_status_0() {
+fn the_first_signal_during_an_update_leads_to_a_checkpoint_of_it_and_status_0() {
     let runs = Runs::new();
     let (stopped, whole) = (runs.folder("stopped"), runs.folder("whole"));
     let mut cluster = Cluster::in_an_update(&stopped, "400");
@@ -102,7 +102,7 @@ fn the_first_signal_in_the_middle_of_an_update_leaves_a_checkpoint_of_it_and_sta
     let settings = ["run.iterations=1", "evaluation.every_steps=0", "update.epochs=400"];
     train(&whole, &settings);
     assert_eq!(inspect(&stopped), inspect(&whole));
-    // The actor, whose learner is gone, is told as well.
+    // The actor also has to be stopped, since its learner has exited.
     signal(&cluster.actor, "-TERM");
     assert_eq!(cluster.actor.wait().unwrap().code(), Some(0));
 }

@@ -27,7 +27,7 @@ fn environments(mode: &str, norm: &str) -> Box<dyn EnvironmentBatch> {
     sim::environments(&config, 1).unwrap()
 }
 
-/// What two agents of a HalfCheetah see while it is shaken.
+/// Observations of two agents of a HalfCheetah under periodic actions.
 fn shaken(environments: &mut dyn EnvironmentBatch) -> Batch {
     let width = environments.description().agents[0].observation.len();
     let mut batch = Batch {
@@ -55,7 +55,7 @@ fn shaken(environments: &mut dyn EnvironmentBatch) -> Batch {
     batch
 }
 
-/// Every agent's rewards, where the task pays nothing.
+/// Every agent's intrinsic rewards; the task's reward is zero.
 fn paid(environments: &mut dyn EnvironmentBatch, space: &str) -> Vec<Vec<f32>> {
     let mut surprise = base()["surprise"].clone();
     let table = surprise.as_table_mut().unwrap();
@@ -70,7 +70,7 @@ fn paid(environments: &mut dyn EnvironmentBatch, space: &str) -> Vec<Vec<f32>> {
 }
 
 #[test]
-fn agents_that_see_everything_share_their_surprise_unless_it_is_local() {
+fn agents_with_full_observations_share_their_surprise_unless_it_is_local() {
     let mut environments = environments("full_id", "feature_z");
     for shared in ["policy_obs", "raw"] {
         let rewards = paid(&mut *environments, shared);
@@ -81,7 +81,7 @@ fn agents_that_see_everything_share_their_surprise_unless_it_is_local() {
 }
 
 #[test]
-fn raw_surprise_does_not_ask_how_observations_are_scaled() {
+fn raw_surprise_does_not_depend_on_the_scaling_of_observations() {
     let raw = paid(&mut *environments("full_id", "feature_z"), "raw");
     assert_eq!(paid(&mut *environments("full_id", "none"), "raw"), raw);
     assert_eq!(paid(&mut *environments("full_id", "none"), "policy_obs"), raw);
@@ -89,7 +89,7 @@ fn raw_surprise_does_not_ask_how_observations_are_scaled() {
 }
 
 #[test]
-fn local_surprise_is_that_of_the_view_of_what_is_near() {
+fn local_surprise_equals_that_of_nearest_observations() {
     let local = paid(&mut *environments("full_id", "feature_z"), "local");
     assert_eq!(paid(&mut *environments("k_nearest", "none"), "policy_obs"), local);
 }

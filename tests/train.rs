@@ -26,14 +26,14 @@ fn one_actor_and_two_actors_train_the_same_weights() {
     assert_eq!(one, two);
 }
 
-/// The whole of a game's training, from its task file, in less time than a robot's first steps.
+/// Trains the game with the settings of its task file.
 fn train_cue(folder: &Path, more: &[&str]) -> String {
     let dir = format!("run.dir={}", folder.display());
     succeeded(&[&["train", "cue-2x1", "run.seed=3", dir.as_str()], more].concat())
 }
 
 #[test]
-fn one_actor_and_two_actors_train_the_same_choices() {
+fn one_actor_and_two_actors_train_the_same_weights_in_a_game() {
     let runs = Runs::new();
     let (one, two) = (runs.folder("one"), runs.folder("two"));
     train_cue(&one, &["run.iterations=6", "run.actors=1"]);
@@ -45,7 +45,7 @@ fn one_actor_and_two_actors_train_the_same_choices() {
 }
 
 #[test]
-fn a_cue_that_both_see_is_learnt_by_either_algorithm() {
+fn a_shared_cue_is_learnt_by_either_algorithm() {
     for algorithm in ["algorithm=happo", "algorithm=happo-s2mia"] {
         let runs = Runs::new();
         let folder = runs.folder("run");
@@ -70,7 +70,7 @@ fn robots_that_fall_train_the_same_weights_with_any_number_of_actors() {
         let weights = |actors: &str| {
             let folder = runs.folder(&format!("{task}-{actors}"));
             let actors = format!("run.actors={actors}");
-            // The task named last is the one that is trained.
+            // The last task named takes effect.
             let task = format!("task={task}");
             train(&folder, &[&task, setting, &actors, "run.iterations=3"]);
             inspect(&folder)
@@ -80,7 +80,7 @@ fn robots_that_fall_train_the_same_weights_with_any_number_of_actors() {
 }
 
 #[test]
-fn stopping_and_resuming_changes_nothing() {
+fn stopping_and_resuming_does_not_affect_the_result() {
     let runs = Runs::new();
     let (whole, parts) = (runs.folder("whole"), runs.folder("parts"));
     train(&whole, &["run.iterations=5", "run.actors=2"]);
@@ -91,7 +91,7 @@ fn stopping_and_resuming_changes_nothing() {
 }
 
 #[test]
-fn a_resume_refuses_what_would_make_it_another_run() {
+fn a_resume_rejects_changed_settings() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     train(&folder, &["run.iterations=1", "run.actors=1"]);
@@ -124,7 +124,7 @@ fn a_signal_leaves_a_checkpoint_and_status_zero() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // The third line comes after the first iteration or evaluation: the run is under way.
+    // The third line follows the first iteration or evaluation.
     lines.by_ref().take(3).for_each(|line| drop(line.unwrap()));
     let terminated = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(terminated.success());
@@ -137,7 +137,7 @@ fn a_signal_leaves_a_checkpoint_and_status_zero() {
 }
 
 #[test]
-fn every_tool_reads_what_a_run_leaves() {
+fn every_tool_reads_the_files_of_a_run() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     let told = train(&folder, &["run.iterations=4", "run.actors=2"]);
@@ -167,7 +167,7 @@ fn every_tool_reads_what_a_run_leaves() {
 }
 
 #[test]
-fn a_strip_that_cannot_be_drawn_is_refused_in_one_line() {
+fn invalid_film_options_are_rejected_in_one_line() {
     let runs = Runs::new();
     let (folder, empty) = (runs.folder("run"), runs.folder("empty"));
     train(&folder, &["run.iterations=1", "run.actors=1"]);
@@ -189,7 +189,7 @@ fn a_strip_that_cannot_be_drawn_is_refused_in_one_line() {
 }
 
 #[test]
-fn a_killed_actor_is_replaced_and_changes_nothing() {
+fn a_killed_actor_is_replaced_and_the_result_is_the_same() {
     let runs = Runs::new();
     let (killed, whole) = (runs.folder("killed"), runs.folder("whole"));
     let dir = format!("run.dir={}", killed.display());
@@ -201,7 +201,7 @@ fn a_killed_actor_is_replaced_and_changes_nothing() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // What runs, where its page is, and its first iteration.
+    // The run, the URL of its page, and its first iteration.
     lines.by_ref().take(3).for_each(|line| drop(line.unwrap()));
     let actors = children(child.id());
     assert_eq!(actors.len(), 1);

@@ -2,18 +2,18 @@
 
 use std::time::Instant;
 
-/// What something took, seconds. Other programs on the same cores add to the wall time alone.
+/// Duration of some work, seconds. Other programs on the same cores affect only the wall time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Took {
-    /// On the wall clock.
+    /// Wall time.
     pub(crate) wall: f64,
-    /// Processor time of all threads of this process together.
+    /// Processor time of all threads of this process.
     pub(crate) process: f64,
     /// Processor time of the calling thread.
     pub(crate) thread: f64,
 }
 
-/// What `work` takes, once.
+/// Measures `work` once.
 pub(crate) fn once<T>(work: impl FnOnce() -> T) -> (T, Took) {
     let (begin, process, thread) = (Instant::now(), process_secs(), thread_secs());
     let result = work();
@@ -25,7 +25,7 @@ pub(crate) fn once<T>(work: impl FnOnce() -> T) -> (T, Took) {
     (result, took)
 }
 
-/// Medians of `repeats` times, after one that does not count.
+/// Medians of `repeats` measurements, after one uncounted run.
 pub(crate) fn typical(repeats: usize, mut work: impl FnMut()) -> Took {
     work();
     let times: Vec<Took> = (0..repeats).map(|_| once(&mut work).1).collect();
@@ -37,7 +37,7 @@ pub(crate) fn typical(repeats: usize, mut work: impl FnMut()) -> Took {
     }
 }
 
-/// The middle one; the upper of two. NaN of nothing.
+/// The median, or the upper of the two middle values. NaN if there are none.
 pub(crate) fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
     let mut numbers: Vec<f64> = numbers.into_iter().collect();
     numbers.sort_by(f64::total_cmp);

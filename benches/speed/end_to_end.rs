@@ -15,15 +15,15 @@ use crate::settings::{self, Settings, program};
 use crate::table::Row;
 use crate::update::TASKS;
 
-/// Iterations that are not counted: pages and caches are cold.
+/// Iterations that are not counted, because caches are cold.
 pub(crate) const COLD: usize = 2;
 
-const GLANCE: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 const PATIENCE: Duration = Duration::from_secs(120);
 
 const WIDE: [&str; 2] = ["policy.encoder=128", "policy.hidden=128"];
 
-/// Names of the runs of each task, and their settings beside the preset's.
+/// Names of the runs of each task, and their changes to the preset.
 pub(crate) fn runs() -> [(&'static str, Vec<&'static str>); 3] {
     let gru = settings::core("gru");
     [
@@ -67,7 +67,7 @@ fn row(task: &str, name: &str, more: &[&str], effort: Effort) -> anyhow::Result<
     Ok(Row { case: format!("{task} {name}"), figures })
 }
 
-/// An iteration's line of metrics, and what was true when it came.
+/// An iteration's line of metrics, and processor times when it was read.
 struct Line {
     when: Instant,
     /// Processor time so far of the watched process and of this one, seconds.
@@ -75,17 +75,17 @@ struct Line {
     metrics: serde_json::Value,
 }
 
-/// A run that has been watched to its end.
+/// The measurements of a finished run.
 pub(crate) struct Watched {
     lines: Vec<Line>,
-    /// Most memory of the process itself, MB.
+    /// Peak memory of the process itself, MB.
     pub(crate) learner: f64,
-    /// Most memory of each of its children, added up, MB.
+    /// Sum of the peak memory of its children, MB.
     others: f64,
 }
 
 impl Watched {
-    /// Seconds from iteration to iteration, without the cold ones.
+    /// Seconds between iterations, without the cold ones.
     pub(crate) fn lasted(&self) -> Vec<f64> {
         self.between(|line, before| (line.when - before.when).as_secs_f64())
     }
@@ -114,7 +114,7 @@ impl Watched {
 /// Follows a run until its process ends.
 ///
 /// # Errors
-/// If nothing happens for so long that nothing will.
+/// The run makes no progress for too long.
 pub(crate) fn watch(mut process: Child, metrics: &Path) -> anyhow::Result<Watched> {
     let (mut lines, mut learner, mut others) = (Vec::<Line>::new(), 0.0_f64, BTreeMap::new());
     let mut moved = Instant::now();
@@ -133,7 +133,7 @@ pub(crate) fn watch(mut process: Child, metrics: &Path) -> anyhow::Result<Watche
             process.kill()?;
             bail!("{} stands still", metrics.display());
         }
-        sleep(GLANCE);
+        sleep(POLL_INTERVAL);
     }
     Ok(Watched { lines, learner, others: others.values().sum() })
 }

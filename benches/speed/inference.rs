@@ -1,4 +1,4 @@
-//! What a step costs an actor besides physics: every agent's network and draw.
+//! Cost of an actor's step besides physics: the networks and random draws of all agents.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{PolicySnapshot, Scratch};
@@ -43,7 +43,7 @@ fn row(task: &str, core: &str, environments: usize, effort: Effort) -> anyhow::R
     Ok(Row { case: format!("{task} {core}, {environments} environments"), figures })
 }
 
-/// The agents of a few environments, as `actor` holds them.
+/// The agents of a few environments, as in `actor`.
 struct Slot {
     policy: PolicySnapshot,
     environments: usize,
@@ -52,7 +52,7 @@ struct Slot {
     output: Vec<Vec<f32>>,
     scratch: Scratch,
     action: Vec<f32>,
-    /// Kept, so that nothing is left out as useless.
+    /// Kept, so that the compiler does not remove the computation.
     log_prob: f32,
 }
 

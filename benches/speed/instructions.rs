@@ -1,5 +1,5 @@
-//! Instructions of one short update, counted by valgrind's callgrind: a figure that other work on the machine does not change.
-//! valgrind knows no AVX-512, so the updates run with AVX2, on one thread.
+//! Instructions of one short update, counted by valgrind's callgrind, so that other work on the machine does not affect
+//! the figure. valgrind does not support AVX-512, so the updates run with AVX2, on one thread.
 
 use std::process::Command;
 
@@ -10,10 +10,10 @@ use crate::Effort;
 use crate::table::Row;
 use crate::update::{CORES, Case, TASKS, Updates};
 
-/// The option with which this program starts itself under valgrind, before the case.
+/// The option with which this program starts itself under valgrind; the case follows.
 pub(crate) const ONE_UPDATE: &str = "--one-update=";
 
-/// A whole update would take half an hour: valgrind computes each fused multiply-add in software.
+/// Shortens the update, which would take half an hour: valgrind emulates each fused multiply-add in software.
 const SHORT: [&str; 5] = [
     "environments.count=5",
     "environments.per_slot=1",
@@ -22,7 +22,7 @@ const SHORT: [&str; 5] = [
     "influence.epochs=1",
 ];
 
-/// The line of callgrind that holds the count.
+/// The line of callgrind's output with the count.
 const COUNT: &str = "Collected :";
 
 pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
@@ -53,9 +53,11 @@ fn counted(case: &str) -> anyhow::Result<f64> {
     Ok(count.trim().parse()?)
 }
 
-/// One update on one thread, for callgrind to look at.
+/// One update on one thread, run under callgrind.
 pub(crate) fn one_update(case: &str) -> anyhow::Result<()> {
-    let Some((task, core)) = case.split_once(' ') else { bail!("{case} names no task and core") };
+    let Some((task, core)) = case.split_once(' ') else {
+        bail!("{case} does not name a task and a core")
+    };
     let case = Case::of(task, core, core, &SHORT)?;
     let batch = case.batch();
     let mut updates = Updates::new(&case.settings, &case.problem, 1)?;
@@ -63,7 +65,7 @@ pub(crate) fn one_update(case: &str) -> anyhow::Result<()> {
     Ok(pool.install(|| counted_update(surprise, algorithm.as_mut(), &batch))?)
 }
 
-/// Callgrind counts while a function of this name runs; hence no closures in it, and it is never inlined.
+/// Callgrind counts while a function of this name runs, so it has no closures and is never inlined.
 #[inline(never)]
 fn counted_update(
     surprise: &mut Surprise,

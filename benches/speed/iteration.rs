@@ -1,4 +1,4 @@
-//! Iterations as the trainer tells them, with the times at which it did.
+//! Durations of iterations, from the times of the trainer's events.
 
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
@@ -8,14 +8,14 @@ use learner::Event;
 use crate::clock::{median, process_secs};
 use crate::processes::{self, children};
 
-/// What one iteration took, seconds.
+/// Durations of one iteration, seconds.
 #[derive(Clone, Copy)]
 pub(crate) struct Iteration {
-    /// From its slots' opening to the last chunk.
+    /// From the opening of its slots to the last chunk.
     pub(crate) rollout: f64,
-    /// From there to new weights.
+    /// From the last chunk to the new weights.
     pub(crate) update: f64,
-    /// From one iteration's end to the next.
+    /// From the end of the previous iteration to the end of this one.
     pub(crate) whole: f64,
     /// Processor time of this process and its children in the same span.
     pub(crate) processor: f64,
@@ -38,15 +38,15 @@ pub(crate) fn processor_secs() -> f64 {
     process_secs() + actors.sum::<f64>()
 }
 
-/// An iteration's end: on the wall clock, and in processor time so far.
+/// End of an iteration: wall time and processor time so far.
 type End = (Instant, f64);
 
-/// Collects iterations; the first one only starts the clocks.
+/// Collects iterations; the first one only starts the measurement.
 #[derive(Clone, Default)]
 pub(crate) struct Log(Arc<Mutex<Vec<(End, Iteration)>>>);
 
 impl Log {
-    /// What the trainer tells its events to.
+    /// The observer of the trainer's events.
     pub(crate) fn observer(&self) -> learner::trainer::Observer {
         let log = Arc::clone(&self.0);
         Box::new(move |event| {
@@ -62,7 +62,7 @@ impl Log {
         })
     }
 
-    /// All iterations but the first `cold`, which are at least one.
+    /// All iterations but the first `cold`; `cold` is at least one.
     pub(crate) fn after(&self, cold: usize) -> Vec<Iteration> {
         let log = self.0.lock().expect("no observer panics");
         log.iter().skip(cold).map(|(_, iteration)| *iteration).collect()

@@ -1,7 +1,6 @@
-//! Many actors against one learner: how much it takes in, what that costs it, and whether their number matters. The
-//! actors step no worlds: each sends the same recorded slot of the real policy, whose log-densities the learner
-//! checks as always. The policies stay what they are because the learner's steps are too small to be seen and nothing is
-//! scaled by running statistics.
+//! Load of one learner with many actors: throughput, processor time and memory by number of actors. The actors do not
+//! step environments; each sends the same recorded slot, whose log-densities the learner checks as usual. The policies
+//! do not change, because the learning rate is negligible and nothing is scaled by running statistics.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Stdio};
@@ -31,7 +30,7 @@ use crate::table::Row;
 const SLOTS: usize = 256;
 const STEPS: usize = 200;
 
-/// One environment to a slot, and as little training as there can be.
+/// One environment per slot, and minimal training.
 const SETTINGS: [&str; 14] = [
     "halfcheetah-2x3",
     "environments.count=256",
@@ -49,7 +48,7 @@ const SETTINGS: [&str; 14] = [
     "learner.threads=2",
 ];
 
-/// A recorded slot, as it travels.
+/// A recorded slot as encoded messages.
 struct Recording {
     chunks: Vec<(TrajectoryChunk, wire::TrajectoryChunk)>,
     bytes: usize,
@@ -75,7 +74,7 @@ fn row(actors: usize, effort: Effort) -> anyhow::Result<Row> {
     let recording = Arc::new(OnceCell::new());
     for _ in 0..actors {
         let (url, settings, recording) = (url.clone(), settings.clone(), Arc::clone(&recording));
-        // A call that fails ends an actor, as the end of the run does.
+        // A failed call ends an actor, like the end of the run.
         runtime.spawn(async move { act(url, &settings, &recording).await.ok() });
     }
     let watched = watch(learner, &folder.path().join("run/metrics.jsonl"))?;
@@ -97,12 +96,12 @@ fn figures(watched: &Watched, bytes: f64) -> Vec<(&'static str, f64)> {
     ]
 }
 
-/// Where a learner listens: the last word of its first line.
+/// The learner's URL: the last word of its first line.
 fn address(learner: &mut Child) -> anyhow::Result<String> {
-    let stdout = learner.stdout.take().context("the learner's output is piped")?;
+    let stdout = learner.stdout.take().context("the learner's output is not piped")?;
     let mut first = String::new();
     BufReader::new(stdout).read_line(&mut first)?;
-    Ok(first.split_whitespace().last().context("the learner has said where it is")?.to_owned())
+    Ok(first.split_whitespace().last().context("the learner printed no address")?.to_owned())
 }
 
 /// One actor, from its connection to the end of the run.
@@ -114,7 +113,7 @@ async fn act(
     let mut service = LearnerServiceClient::connect(url).await?;
     let answer = service.describe_run(wire::DescribeRunRequest {}).await?.into_inner();
     let run = RunDescription::from_wire(answer.run)?;
-    // Every slot gets the same recording, whose random draws are another slot's: only a foreign actor may send it.
+    // The recording has the random draws of another slot, so only an actor without a fingerprint may send it.
     let foreign = Registration { rollout_fingerprint: None, ..registration(&run) };
     let registered = service.register(foreign.to_wire()).await?.into_inner();
     let own = Registered::from_wire(&registered);
@@ -167,7 +166,7 @@ async fn push(
     Ok(())
 }
 
-/// One slot as the leased weights play it.
+/// Rolls out one slot with the leased weights.
 async fn record(
     service: LearnerServiceClient<Channel>,
     settings: &Settings,

@@ -1,5 +1,6 @@
-//! How fast s2mia is on this machine: `cargo bench -p s2mia [-- SECTION ...] [--quick] [--json]` measures the named
-//! sections, or all of them but `instructions`, and prints one Markdown table each, or JSON. docs/PERFORMANCE.md explains the figures.
+//! Speed of s2mia on this machine. `cargo bench -p s2mia [-- SECTION ...] [--quick] [--json]` measures the named
+//! sections, or all but `instructions`, and prints one Markdown table each, or JSON.
+//! docs/PERFORMANCE.md explains the figures.
 
 mod clock;
 mod end_to_end;
@@ -25,25 +26,25 @@ use anyhow::{bail, ensure};
 
 use crate::table::{Row, Section};
 
-// The allocator of the program itself: without it the figures are another program's.
+// The allocator of the program, so that the figures are comparable.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// How often things are measured.
+/// Numbers of repetitions.
 #[derive(Clone, Copy)]
 pub(crate) struct Effort {
-    /// Repetitions of what takes less than a few seconds.
+    /// Repetitions of short measurements.
     repeats: usize,
-    /// Iterations of a run that are measured, after two that are not.
+    /// Measured iterations of a run, after two unmeasured ones.
     iterations: usize,
-    /// Numbers of synthetic actors.
+    /// Numbers of actors in the load test.
     actors: &'static [usize],
 }
 
 const FULL: Effort = Effort { repeats: 5, iterations: 4, actors: &[1, 4, 16, 64, 256] };
 const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 
-/// A section's name, what its rows are, and who measures them.
+/// Name of a section, description of its rows, and the function that measures them.
 type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<Row>>);
 
 const SECTIONS: [Measurement; 13] = [
@@ -70,7 +71,7 @@ const SECTIONS: [Measurement; 13] = [
     ("scaling", "one update of a synthetic task, on two threads", scaling::rows),
 ];
 
-/// The section that is measured only if it is named: it takes minutes, and needs valgrind.
+/// The section that is measured only if named, because it takes minutes and needs valgrind.
 const ON_REQUEST: &str = "instructions";
 
 fn main() -> anyhow::Result<()> {
@@ -80,14 +81,14 @@ fn main() -> anyhow::Result<()> {
     if let Some(case) = options.iter().find_map(|o| o.strip_prefix(instructions::ONE_UPDATE)) {
         return instructions::one_update(case);
     }
-    // `cargo bench` adds --bench. `cargo test` does not: then only settings and shapes are looked at.
+    // `cargo bench` passes --bench. `cargo test` does not; then only settings and shapes are checked.
     let strange = options.iter().find(|o| !["--bench", "--quick", "--json"].contains(&o.as_str()));
     if let Some(strange) = strange {
-        bail!("{strange} is no option; there are --quick and --json");
+        bail!("unknown option {strange}; known are --quick and --json");
     }
     let names: Vec<&str> = SECTIONS.iter().map(|(name, ..)| *name).collect();
     if let Some(strange) = wanted.iter().find(|name| !names.contains(&name.as_str())) {
-        bail!("{strange} is no section; there are {}", names.join(", "));
+        bail!("unknown section {strange}; known are {}", names.join(", "));
     }
     let given = |option: &str| options.iter().any(|found| found == option);
     let wanted = if given("--bench") { wanted } else { vec!["shapes".to_owned()] };
@@ -110,7 +111,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `S2MIA_SIMD` chooses the registers of what is measured in this process, as it does in the program.
+/// Selects the SIMD width by `S2MIA_SIMD`, as in the program.
 fn choose_registers() -> anyhow::Result<()> {
     let Ok(name) = std::env::var("S2MIA_SIMD") else { return Ok(()) };
     ensure!(

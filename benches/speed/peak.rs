@@ -1,4 +1,4 @@
-//! How much of a core's peak rate of multiply-adds an update reaches, each measured right after the other.
+//! Share of a core's peak rate of multiply-adds that an update reaches. Both are measured directly after each other.
 
 use crate::clock::median;
 use crate::table::Row;

@@ -1,4 +1,4 @@
-//! How many floating-point operations an update asks for, and how many this core can do.
+//! Floating-point operations of an update, and the peak rate of this core.
 
 use marl::Problem;
 
@@ -7,7 +7,7 @@ use crate::clock::typical;
 use crate::settings::Settings;
 use crate::table::Row;
 
-/// Sides `(m, k, n)` of products: the square one shows the peak, the others are those of an update.
+/// Sides `(m, k, n)` of products: a square one for the peak rate, and those of an update.
 const SIDES: [(usize, usize, usize); 4] =
     [(512, 512, 512), (2000, 128, 128), (2000, 64, 64), (200, 64, 192)];
 
@@ -19,7 +19,7 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
     Ok(SIDES.into_iter().map(row).collect())
 }
 
-/// GFLOP/s of the largest product, which stands for this core's peak.
+/// Rate of the largest product, as this core's peak, GFLOP/s.
 pub(crate) fn peak(effort: Effort) -> f64 {
     rate(SIDES[0], effort.repeats)
 }
@@ -28,7 +28,7 @@ fn rate((m, k, n): (usize, usize, usize), repeats: usize) -> f64 {
     let (left, right) = (vec![0.5_f32; m * k], vec![0.25_f32; k * n]);
     let mut product = vec![0.0_f32; m * n];
     let flops = 2.0 * (m * k * n) as f64;
-    // Enough of them to take about a tenth of a second.
+    // Enough repetitions for about a tenth of a second.
     let times = (1e10 / flops).ceil() as usize;
     let took = typical(repeats.max(3), || {
         for _ in 0..times {
@@ -38,7 +38,7 @@ fn rate((m, k, n): (usize, usize, usize), repeats: usize) -> f64 {
     flops * times as f64 / took.thread / 1e9
 }
 
-/// `product = left right`, all row by row.
+/// `product = left right`, all row-major.
 #[expect(unsafe_code, reason = "gemm takes pointers")]
 fn multiply((m, k, n): (usize, usize, usize), left: &[f32], right: &[f32], product: &mut [f32]) {
     assert_eq!((left.len(), right.len(), product.len()), (m * k, k * n, m * n));
@@ -54,8 +54,8 @@ fn multiply((m, k, n): (usize, usize, usize), left: &[f32], right: &[f32], produ
     }
 }
 
-/// Floating-point operations of the matrix products of one update: `2 rows weights` for a pass forward, twice
-/// that for a pass back, less what would lead to a network's inputs, whose gradient nobody wants.
+/// Floating-point operations of the matrix products of one update: `2 rows weights` for a forward pass, twice
+/// that for a backward pass, without the gradient of a network's inputs.
 pub(crate) fn flops(settings: &Settings, problem: &Problem, rows: usize) -> f64 {
     let (policy, training) = (&settings.policy, &settings.training);
     let (gru, influence) = (policy.hidden_size() > 0, &training.influence);
@@ -70,7 +70,7 @@ pub(crate) fn flops(settings: &Settings, problem: &Problem, rows: usize) -> f64 
                 .and(3 * policy.hidden * (policy.encoder + policy.hidden)),
             false => network(&[agent.observation], policy.width, policy.layers),
         };
-        // Once for the behaviour, once for what has become of it.
+        // Once before and once after the policy's update.
         total += trunk.and(features * agent.action).flops(rows, 2, training.update.epochs);
         if influence.lambda > 0.0 {
             let inputs = (others - agent.action) * influence.encoder + features * influence.hidden;
@@ -83,14 +83,14 @@ pub(crate) fn flops(settings: &Settings, problem: &Problem, rows: usize) -> f64 
     total
 }
 
-/// Weights of a network's matrices, and how many of them stand at its inputs.
+/// Number of weights of a network's matrices, and of those at its inputs.
 #[derive(Clone, Copy)]
 struct Products {
     weights: usize,
     inputs: usize,
 }
 
-/// `layers` layers of `width` units over `inputs`.
+/// A network of `layers` layers of `width` units after `inputs`.
 fn network(inputs: &[usize], width: usize, layers: usize) -> Products {
     let first = inputs.iter().sum::<usize>() * width;
     Products { weights: first + (layers - 1) * width * width, inputs: first }
@@ -101,7 +101,7 @@ impl Products {
         Self { weights: self.weights + weights, ..self }
     }
 
-    /// `forwards` passes without gradient, and `epochs` with.
+    /// Operations of `forwards` passes without gradient and `epochs` passes with gradient.
     fn flops(self, rows: usize, forwards: usize, epochs: usize) -> f64 {
         let weights = forwards * self.weights + epochs * (3 * self.weights - self.inputs);
         2.0 * (rows * weights) as f64

@@ -1,5 +1,5 @@
-//! The same run without a wire: by plain calls alone, and with the trainer, its table of slots and its checks, but
-//! with actors that are threads and call the exchange.
+//! The same run without network: by function calls alone, and with the trainer, slot table and checks, but with actors
+//! as threads that call the exchange.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -24,10 +24,10 @@ use crate::iteration::{Iteration, Log};
 use crate::settings::Settings;
 use crate::update::Updates;
 
-/// Threads that roll out.
+/// Rollout threads.
 pub(crate) const ACTORS: usize = 2;
 
-/// Iterations by plain calls: a slot's function, the assembly of `D_k`, the update.
+/// Iterations by function calls: rollout of the slots, assembly of `D_k`, update.
 pub(crate) fn by_calls(
     settings: &Settings,
     folder: &Path,
@@ -61,7 +61,7 @@ fn per_slot(settings: &Settings) -> usize {
     settings.learner.environments.per_slot
 }
 
-/// All slots, dealt out to one thread for each world.
+/// Rolls out all slots, distributed over one thread per world.
 fn roll_out_all(
     run: &RunDescription,
     slots: &[RolloutWork],
@@ -74,7 +74,7 @@ fn roll_out_all(
             let work = move || roll_out_some(run, own, policy, world);
             Builder::new().name("actor".to_owned()).spawn_scoped(scope, work).expect("a thread")
         };
-        // All threads start before the first one is waited for.
+        // All threads are started before the first is joined.
         let threads: Vec<_> = slots.chunks(share).zip(worlds).map(start).collect();
         threads.into_iter().flat_map(|thread| thread.join().expect("no slot panics")).collect()
     })
@@ -96,7 +96,7 @@ fn roll_out_some(
     slots.iter().map(one).collect()
 }
 
-/// All chunks of a slot.
+/// Rolls out all chunks of a slot.
 pub(crate) fn roll_out(
     run: &RunDescription,
     work: &RolloutWork,
@@ -112,7 +112,7 @@ pub(crate) fn roll_out(
     chunks
 }
 
-/// Iterations of the real trainer whose actors share its memory.
+/// Iterations of the real trainer, with actors in the same process.
 pub(crate) fn through_the_exchange(
     settings: &Settings,
     folder: &Path,
@@ -140,7 +140,7 @@ pub(crate) fn through_the_exchange(
     })
 }
 
-/// An actor's life on this thread.
+/// Runs an actor on this thread.
 fn act(exchange: &Exchange, connection: ConnectionId, settings: &Settings) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build();
     let runtime = runtime.expect("a runtime without sockets can be built");
@@ -159,7 +159,7 @@ fn act(exchange: &Exchange, connection: ConnectionId, settings: &Settings) {
     exchange.disconnect(connection);
 }
 
-/// What an actor of this program says when it comes.
+/// The registration of an actor of this program.
 pub(crate) fn registration(run: &RunDescription) -> Registration {
     Registration {
         client: "speed".to_owned(),
@@ -182,7 +182,7 @@ fn perform(
     let origin = work.origin();
     let send = |chunk: TrajectoryChunk| {
         let header = PushHeader::of(lease, chunk.digest(&origin));
-        // A copy of a slot that somebody else has finished is not wanted any more.
+        // The backup of a slot that another actor has finished is refused.
         match exchange.accept_chunk(connection, &header, chunk.sequence, |_| Ok(chunk)) {
             Ok(_) => ControlFlow::Continue(()),
             Err(_) => ControlFlow::Break(()),

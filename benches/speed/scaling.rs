@@ -1,5 +1,5 @@
-//! What an update costs as agents, environments and units grow. The task is made up: 24 features and 2 joints for
-//! each agent; everything else is `s2mia train`'s default.
+//! Cost of an update by number of agents, environments and units. The task is synthetic, with 24 features and 2 joints
+//! per agent; all other settings are defaults of `s2mia train`.
 
 use marl::{Batch, Problem};
 
@@ -14,7 +14,7 @@ const FEATURES: usize = 24;
 const JOINTS: usize = 2;
 const STEPS: usize = 200;
 
-/// What grows.
+/// The varied sizes.
 #[derive(Clone, Copy)]
 struct Size {
     agents: usize,

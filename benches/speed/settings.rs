@@ -1,4 +1,4 @@
-//! The program's own settings, asked of the program itself, so that what is measured is what is run.
+//! The program's settings, as resolved by the program itself.
 
 use std::path::Path;
 use std::process::Command;
@@ -20,14 +20,15 @@ pub(crate) struct Settings {
     pub(crate) learner: learner::Config,
 }
 
-/// The program, built with the same profile.
+/// Path of the program, built with the same profile.
 pub(crate) fn program(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
     command.args(arguments);
     command
 }
 
-/// Settings of a core beside `preset=harl`, whose single rows are meant for `mlp`; HARL trains memories in chunks of 10.
+/// Settings of a core in addition to `preset=harl`, which is meant for `mlp`; HARL trains recurrent cores
+/// in chunks of 10.
 pub(crate) fn core(name: &str) -> &'static [&'static str] {
     match name {
         "gru" => &["policy.core=gru", "policy.backpropagation_steps=10"],
@@ -36,12 +37,12 @@ pub(crate) fn core(name: &str) -> &'static [&'static str] {
 }
 
 impl Settings {
-    /// Those of HARL's preset for a task, with changes.
+    /// The settings of HARL's preset for a task, with changes.
     pub(crate) fn harl(task: &str, changes: &[&[&str]]) -> anyhow::Result<Self> {
         Self::of(&[&[task, "preset=harl"], changes.concat().as_slice()].concat())
     }
 
-    /// As `s2mia config` resolves them.
+    /// The settings as `s2mia config` resolves them.
     pub(crate) fn of(arguments: &[&str]) -> anyhow::Result<Self> {
         let output = program(&[&["config"], arguments].concat()).output()?;
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -59,18 +60,18 @@ impl Settings {
         })
     }
 
-    /// `count` environments of the task.
+    /// Creates `count` environments of the task.
     pub(crate) fn world(&self, count: usize) -> anyhow::Result<Box<dyn sim::EnvironmentBatch>> {
         Ok(sim::environments(&self.task, count)?)
     }
 
-    /// The task's sizes as a learning rule is told them.
+    /// The task's sizes for a learning rule.
     pub(crate) fn problem(&self) -> anyhow::Result<Problem> {
         let world = self.world(1)?;
         Ok(learner::assemble::problem(&actor::environment_spec(world.description())))
     }
 
-    /// A new run in `folder`, without evaluations and with no checkpoint but the last.
+    /// A new run in `folder`, without evaluations and with only the last checkpoint.
     pub(crate) fn launch(&self, folder: &Path, iterations: usize) -> anyhow::Result<Launch> {
         let mut config = self.learner.clone();
         config.evaluation.every_steps = 0;

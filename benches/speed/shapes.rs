@@ -1,4 +1,4 @@
-//! Shapes of the measured updates, held to what docs/PERFORMANCE.md says of its tables. `cargo test` looks, too.
+//! Checks that the shapes of the measured updates match docs/PERFORMANCE.md. `cargo test` runs this check too.
 
 use anyhow::ensure;
 
@@ -8,7 +8,7 @@ use crate::settings::Settings;
 use crate::table::Row;
 use crate::update::{Case, TASKS, cases};
 
-/// What whoever times another program's update has to know.
+/// Shapes needed to time the update of another program.
 pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
     runs_are_as_their_tables_say()?;
     let row = |case: Case| {
@@ -36,20 +36,20 @@ pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
     Ok(cases()?.into_iter().map(row).collect())
 }
 
-/// Fails with the case whose settings differ from the words of its table.
+/// Fails with the case whose settings differ from its table's description.
 fn runs_are_as_their_tables_say() -> anyhow::Result<()> {
     for Case { name, settings, .. } in cases()? {
-        is_as_told(&name, &settings)?;
+        check(&name, &settings)?;
     }
     for task in TASKS {
         for (name, changes) in end_to_end::runs() {
-            is_as_told(&format!("{task} {name}"), &Settings::harl(task, &[&changes])?)?;
+            check(&format!("{task} {name}"), &Settings::harl(task, &[&changes])?)?;
         }
     }
     Ok(())
 }
 
-fn is_as_told(case: &str, settings: &Settings) -> anyhow::Result<()> {
+fn check(case: &str, settings: &Settings) -> anyhow::Result<()> {
     let (policy, update) = (&settings.policy, &settings.training.update);
     let epochs = if case.starts_with("halfcheetah") { 15 } else { 5 };
     let minibatches = if case.starts_with("walker2d") { 2 } else { 1 };

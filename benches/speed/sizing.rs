@@ -1,5 +1,5 @@
-//! From one core's rollouts and one core's update to the number of actor cores that suits a learner: rollouts end
-//! before the update begins, so with as many actor cores as the two costs' ratio each side works half of the time.
+//! The number of actor cores that suits a learner, from the costs of rollouts and update on one core. Rollouts end
+//! before the update begins, so with as many actor cores as the ratio of the costs, each side works half of the time.
 
 use marl::Problem;
 
@@ -41,7 +41,7 @@ fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<Row> {
     Ok(Row { case: format!("{task} {preset}"), figures })
 }
 
-/// What one actor needs for one slot.
+/// Time of one actor for one slot, seconds.
 fn slot_secs(settings: &Settings, problem: &Problem, effort: Effort) -> anyhow::Result<f64> {
     let folder = tempfile::tempdir()?;
     let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;

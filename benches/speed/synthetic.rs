@@ -1,10 +1,10 @@
-//! Experience made of random numbers: an update takes as long with it as with real experience.
+//! Random rollout data: an update takes as long with it as with real data.
 
 use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use policy::PolicyConfig;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
-/// A task without a name: `agents` agents that each see `features` features and move `joints` joints.
+/// A synthetic task: `agents` agents with `features` features and `joints` joints each.
 pub(crate) fn problem(agents: usize, features: usize, joints: usize) -> Problem {
     let shape = AgentShape {
         observation: features,
@@ -18,7 +18,7 @@ pub(crate) fn problem(agents: usize, features: usize, joints: usize) -> Problem 
     Problem { agents: vec![shape; agents], state: features }
 }
 
-/// Experience of `environments` environments of `steps` steps, in which no episode ends.
+/// Rollout data of `environments` environments and `steps` steps, without an end of an episode.
 pub(crate) fn batch(
     problem: &Problem,
     policy: &PolicyConfig,
@@ -31,7 +31,7 @@ pub(crate) fn batch(
         (steps * environments, steps / policy.backpropagation_steps * environments);
     let mut agent = |shape: &AgentShape| AgentBatch {
         observation: normals(rows * shape.observation),
-        // Near what a policy with small means would do, so that log-densities stay usual.
+        // Close to a policy with small means, so that log-densities have usual values.
         action: normals(rows * shape.action).iter().map(|x| 0.3 * x).collect(),
         log_prob: vec![0.0; rows],
         hidden: normals(chunks * policy.hidden_size()),

@@ -4,24 +4,24 @@ use serde_json::{Map, Value, json};
 
 /// One case and its figures; all rows of a section have the same names, units included.
 pub(crate) struct Row {
-    /// What was measured.
+    /// Name of the case.
     pub(crate) case: String,
-    /// Names with units, and values; NaN where this machine cannot tell.
+    /// Names with units, and values; NaN if unavailable on this machine.
     pub(crate) figures: Vec<(&'static str, f64)>,
 }
 
 /// The rows of one section.
 pub(crate) struct Section {
-    /// Under which it is asked for.
+    /// Name on the command line.
     pub(crate) name: &'static str,
-    /// What its rows are.
+    /// Description of the rows.
     pub(crate) caption: &'static str,
-    /// At least one.
+    /// The rows, at least one.
     pub(crate) rows: Vec<Row>,
 }
 
 impl Section {
-    /// A heading and a table.
+    /// Formats a heading and a table.
     pub(crate) fn to_markdown(&self) -> String {
         let names: Vec<&str> = self.rows[0].figures.iter().map(|(name, _)| *name).collect();
         let mut text = format!("### {}: {}\n\n", self.name, self.caption);

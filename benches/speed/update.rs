@@ -1,4 +1,4 @@
-//! The learner's update by its parts, for the shapes of HARL's tuned settings.
+//! The parts of the learner's update, for the shapes of HARL's tuned settings.
 
 use std::sync::{Mutex, Once};
 
@@ -22,7 +22,7 @@ use crate::{Effort, synthetic};
 pub(crate) const TASKS: [&str; 3] = ["halfcheetah-6x1", "walker2d-2x3", "ant-4x2"];
 pub(crate) const CORES: [&str; 2] = ["mlp", "gru"];
 
-/// The parts of an on-policy update: the names of its spans, in the order in which they begin.
+/// Names of the spans of an on-policy update, in the order in which they begin.
 const PHASES: [&str; 6] = ["values", "advantages", "behaviour", "posteriors", "policies", "critic"];
 
 /// One task with one core.
@@ -32,7 +32,7 @@ pub(crate) struct Case {
     pub(crate) problem: Problem,
 }
 
-/// Every task with every core, and one recurrent core through whole slots instead of chunks of 10.
+/// All tasks with all cores, and one recurrent core trained on whole slots instead of chunks of 10.
 pub(crate) fn cases() -> anyhow::Result<Vec<Case>> {
     let mut cases = Vec::new();
     for task in TASKS {
@@ -95,7 +95,7 @@ fn row(case: &Case, effort: Effort) -> anyhow::Result<Row> {
     Ok(Row { case: case.name.clone(), figures })
 }
 
-/// A learning rule and its densities on a pool of threads.
+/// A learning rule and its densities in a thread pool.
 pub(crate) struct Updates {
     pub(crate) surprise: Surprise,
     pub(crate) algorithm: Box<dyn Algorithm>,
@@ -103,13 +103,13 @@ pub(crate) struct Updates {
     iteration: u64,
 }
 
-/// What the parts of an update took, processor seconds of one thread: true where there is one.
+/// Processor time of the parts of an update on the calling thread, seconds; complete only with one thread.
 pub(crate) struct Parts {
     density: f64,
     relabel: f64,
-    /// In the order of [`PHASES`].
+    /// Parts in the order of [`PHASES`].
     phases: [f64; 6],
-    /// All of it.
+    /// The whole update.
     pub(crate) whole: Took,
 }
 
@@ -129,12 +129,12 @@ impl Updates {
         })
     }
 
-    /// The policies as they are now.
+    /// The current policies.
     pub(crate) fn snapshot(&self) -> anyhow::Result<policy::PolicySnapshot> {
         Ok(self.algorithm.snapshot()?)
     }
 
-    /// One update, as the learner makes it.
+    /// Runs one update, as in the learner.
     pub(crate) fn run(&mut self, batch: &Batch) -> anyhow::Result<Parts> {
         let Self { surprise, algorithm, pool, iteration } = self;
         let (updated, wall) = once(|| {
@@ -156,14 +156,14 @@ impl Updates {
     }
 }
 
-/// Processor time of a thread at the beginning of the span of each part, and what the last span of that name took.
+/// For each part, processor time at the beginning of its span, and the duration of the last span.
 static SPANS: Mutex<[(f64, f64); PHASES.len()]> = Mutex::new([(0.0, 0.0); PHASES.len()]);
 
-/// Times the spans of an update.
+/// Measures the spans of an update.
 struct Stopwatch;
 
 impl Stopwatch {
-    /// From now on; once for all updates of the process.
+    /// Starts measuring; called once per process.
     fn start() {
         static STARTED: Once = Once::new();
         let of_updates =

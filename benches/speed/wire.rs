@@ -1,4 +1,4 @@
-//! What the network costs: the same iterations by plain calls, through the exchange, and over gRPC on loopback.
+//! Cost of the network: the same iterations by function calls, through the exchange, and over gRPC on loopback.
 
 use std::path::Path;
 use std::process::{Child, Stdio};
@@ -22,7 +22,7 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
     let settings = Settings::of(&["halfcheetah-6x1"])?;
     let length = COLD + effort.iterations;
     let (mut calls, mut exchange, mut grpc) = (Vec::new(), Vec::new(), Vec::new());
-    // In turns, so that whatever else the machine does hits all of them.
+    // Interleaved, so that other work on the machine affects all of them equally.
     for round in 0..effort.repeats.min(2) {
         let folder = tempfile::tempdir()?;
         let place = |name: &str| folder.path().join(format!("{name}-{round}"));
@@ -53,7 +53,7 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// Iterations of the real trainer with actor processes.
+/// Iterations of the real trainer, with actor processes.
 fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::Result<Log> {
     let launch = settings.launch(folder, iterations)?;
     let runtime =
@@ -72,7 +72,7 @@ fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::R
     })
 }
 
-/// Bytes of the messages themselves, without HTTP/2's frames.
+/// Bytes of the messages, without HTTP/2 frames.
 pub(crate) fn traffic(_effort: Effort) -> anyhow::Result<Vec<Row>> {
     let mut rows = Vec::new();
     for task in TASKS {
@@ -96,7 +96,7 @@ fn traffic_row(task: &str, core: &str) -> anyhow::Result<Row> {
     Ok(Row { case: format!("{task} {core}"), figures })
 }
 
-/// A slot's messages.
+/// The messages of a slot.
 struct Slot {
     bytes: usize,
 }

@@ -6,8 +6,8 @@
 
 #[path = "../../learner/tests/slots/cluster.rs"]
 mod cluster;
-#[path = "../../learner/tests/slots/disturbances.rs"]
-mod disturbances;
+#[path = "../../learner/tests/slots/events.rs"]
+mod events;
 #[path = "../../learner/tests/slots/table.rs"]
 mod table;
 
@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};
 use cluster::Cluster;
-use disturbances::{Event, MOST_UNDER_WAY, SEATS};
+use events::{ACTORS, Event, MOST_IN_FLIGHT};
 use learner::slots::{ChunkPreview, ConnectionId, Effect, Offer, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
@@ -43,7 +43,7 @@ fn honest_cluster(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> 
         if unstructured.is_empty() {
             break;
         }
-        cluster.happen(event(unstructured)?);
+        cluster.apply(event(unstructured)?);
     }
     cluster.settle();
     Ok(())
@@ -52,17 +52,17 @@ fn honest_cluster(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> 
 fn event(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<Event> {
     let kind = unstructured.int_in_range(0..=11)?;
     let number = usize::from(u8::arbitrary(unstructured)?);
-    let (seat, message) = (number % SEATS, number % MOST_UNDER_WAY);
+    let (actor, message) = (number % ACTORS, number % MOST_IN_FLIGHT);
     Ok(match kind {
-        0 => Event::Act(seat),
-        1 => Event::Heartbeat(seat),
+        0 => Event::Act(actor),
+        1 => Event::Heartbeat(actor),
         2 => Event::Arrive(message),
         3 => Event::ArriveTwice(message),
         4 => Event::Lose(message),
-        5 => Event::Kill(seat),
-        6 => Event::Freeze(seat),
-        7 => Event::Thaw(seat),
-        8 => Event::Join(seat),
+        5 => Event::Kill(actor),
+        6 => Event::Freeze(actor),
+        7 => Event::Thaw(actor),
+        8 => Event::Join(actor),
         9 => Event::Learn,
         10 => Event::Restart,
         _ => Event::Pass(number as u32 % 16),

@@ -18,18 +18,18 @@ pub use config::{
     AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, LeaseConfig,
     MetricsConfig, Phase, ThreadsConfig,
 };
-pub use door::Door;
 pub use error::LearnerError;
 pub use event::{Event, IterationReport, Stage};
 pub use exchange::Exchange;
 pub use fault::Fault;
 pub use launch::Launch;
 pub use lease::{canary, exchange, published, slots};
+pub use listener::Listener;
 pub use observe::{event, metrics, page, snapshot};
 pub use page::{Hosts, Page};
 pub use run::run;
 use serve::team;
-pub use serve::{door, health, service};
+pub use serve::{health, listener, service};
 pub use snapshot::RunSnapshot;
 pub use store::{checkpoint, durable, json_lines, provenance, reward_log, run_folder};
 pub use train::{assemble, environments, evaluation, fault, trainer};

@@ -1,4 +1,4 @@
-//! Figures of a run for people and programs: events, the current snapshot, metrics files, and the page.
+//! Reporting of a run: events, the current snapshot, metrics files, and the web page.
 
 pub mod event;
 pub mod metrics;

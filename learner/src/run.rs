@@ -8,10 +8,10 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 
-use crate::door::Door;
 use crate::error::LearnerError;
 use crate::exchange::Exchange;
 use crate::launch::{Launch, prepare};
+use crate::listener::Listener;
 use crate::page::{self, Facts, Page, RunView};
 use crate::service;
 use crate::trainer::{Observer, Outside, Summary, Trainer};
@@ -30,7 +30,7 @@ const CLOSING: Duration = Duration::from_secs(1);
 /// Says what could not start or broke; a resume goes on from the last checkpoint.
 pub async fn run(
     launch: Launch,
-    door: impl Into<Door>,
+    door: impl Into<Listener>,
     page: Option<Page>,
     observer: Observer,
     stop: watch::Receiver<bool>,
@@ -68,7 +68,7 @@ pub async fn run(
 
 /// Serves the run's page until the returned task set is dropped.
 fn show(page: Page, facts: Facts, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
-    let (facts, exchange) = (facts.taken_up_at(trainer.iteration), Arc::clone(exchange));
+    let (facts, exchange) = (facts.resumed_at(trainer.iteration), Arc::clone(exchange));
     let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();
     serving.spawn(page::serve(page, Arc::new(view)));
@@ -84,7 +84,7 @@ struct Server {
 }
 
 impl Server {
-    fn start(door: Door, connections: usize, exchange: &Arc<Exchange>) -> Self {
+    fn start(door: Listener, connections: usize, exchange: &Arc<Exchange>) -> Self {
         let (close, closed) = oneshot::channel::<()>();
         let broken = Arc::new(AtomicBool::new(false));
         let serving = service::serve(Arc::clone(exchange), door, connections, async move {

@@ -1,6 +1,6 @@
-//! The network: the gRPC services and their clients.
+//! The gRPC services and their clients.
 
-pub mod door;
 pub mod health;
+pub mod listener;
 pub mod service;
 pub(crate) mod team;

@@ -1,4 +1,4 @@
-//! From complete slots to new weights: the training loop, the batch, the environments' states, and evaluations.
+//! Training: the training loop, the batch of an iteration, the states of environments, and evaluations.
 
 pub mod assemble;
 pub mod environments;

@@ -1,4 +1,4 @@
-//! Checkpoints survive crashes and never load damaged.
+//! Checkpoints survive crashes; damaged ones are never loaded.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::fs;
@@ -63,7 +63,7 @@ impl Run {
         checkpoint::folder(self.0.path())
     }
 
-    fn place(&self, iteration: u64) -> PathBuf {
+    fn path(&self, iteration: u64) -> PathBuf {
         self.folder().join(format!("iter_{iteration:08}"))
     }
 }
@@ -75,12 +75,12 @@ fn files(place: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The newest is passed over with a reason that names the file, and the one before it is loaded.
+/// Checks that the newest checkpoint is skipped with a reason that names `file`, and the previous one is loaded.
 fn falls_back(run: &Run, file: &Path) {
     let loaded = run.load();
     assert_eq!(loaded.checkpoint, checkpoint(1), "{}", file.display());
     let (path, reason) = &loaded.skipped[0];
-    assert_eq!(*path, run.place(2));
+    assert_eq!(*path, run.path(2));
     let name = file.file_name().unwrap().to_str().unwrap();
     assert!(reason.contains(name), "{name}: {reason}");
     let error = checkpoint::load(path).unwrap_err().to_string();
@@ -95,7 +95,7 @@ fn a_checkpoint_survives_a_round_trip_with_its_hashes() {
     assert_eq!(loaded.checkpoint, checkpoint(12));
     assert_eq!(loaded.saved(), saved);
     assert!(loaded.skipped.is_empty());
-    assert_eq!(saved.path, run.place(12));
+    assert_eq!(saved.path, run.path(12));
     assert_eq!(loaded.manifest.weights_sha256, checkpoint(12).weights_sha256());
     assert_eq!(loaded.manifest.state_sha256, checkpoint(12).state_sha256());
     assert_eq!(loaded.manifest.config_sha256, "c0ffee");
@@ -103,7 +103,7 @@ fn a_checkpoint_survives_a_round_trip_with_its_hashes() {
 }
 
 #[test]
-fn the_state_hash_sees_all_but_the_evaluation_and_the_weights_hash_sees_weights() {
+fn the_state_hash_covers_all_but_the_evaluation_and_the_weights_hash_the_weights() {
     let base = checkpoint(1);
     let with = |name: &str| {
         let mut other = base.clone();
@@ -119,7 +119,7 @@ fn the_state_hash_sees_all_but_the_evaluation_and_the_weights_hash_sees_weights(
 }
 
 #[test]
-fn the_newest_checkpoints_stay_and_older_ones_go() {
+fn the_newest_checkpoints_are_kept_and_older_ones_removed() {
     let run = Run::new();
     (1..=5).for_each(|iteration| drop(run.save(iteration, 2)));
     let names: Vec<String> = files(&run.folder())
@@ -130,48 +130,48 @@ fn the_newest_checkpoints_stay_and_older_ones_go() {
 }
 
 #[test]
-fn multiples_of_keep_every_stay_for_ever() {
+fn multiples_of_keep_every_are_always_kept() {
     let run = Run::new();
     for iteration in 1..=8 {
         run.try_save(iteration, keep(1, 3), &mut |_, _| Ok(())).unwrap();
     }
-    let stay = [3, 6, 8].map(|iteration| run.place(iteration));
-    assert_eq!(files(&run.folder())[1..], stay);
+    let kept = [3, 6, 8].map(|iteration| run.path(iteration));
+    assert_eq!(files(&run.folder())[1..], kept);
 }
 
-/// Saves iteration 2 on a disk that refuses the `at`-th step; for a file the disk takes half of it first.
-/// The step refused, if there are so many.
-fn refused_step(run: &Run, at: usize) -> Option<Step> {
-    let (mut count, mut refused) = (0, None);
+/// Saves iteration 2 on a disk that fails at step number `at`; a file is written in part before. Returns the failed
+/// step, if there are so many.
+fn failed_step(run: &Run, at: usize) -> Option<Step> {
+    let (mut count, mut failed) = (0, None);
     let saved = run.try_save(2, keep(10, 0), &mut |step, path| {
         count += 1;
         if count <= at {
             return Ok(());
         }
         if step == Step::WriteFile {
-            fs::write(path, "half of it")?;
+            fs::write(path, "partial")?;
         }
-        refused = Some(step);
+        failed = Some(step);
         Err(std::io::ErrorKind::StorageFull.into())
     });
-    assert_eq!(saved.is_err(), refused.is_some());
-    refused
+    assert_eq!(saved.is_err(), failed.is_some());
+    failed
 }
 
 #[test]
-fn a_disk_that_refuses_any_step_leaves_what_stood_and_the_next_attempt_succeeds() {
+fn a_disk_error_at_any_step_keeps_the_previous_checkpoint_and_a_retry_succeeds() {
     let mut seen = Vec::new();
     for at in 0.. {
         let run = Run::with(&[1]);
-        let Some(step) = refused_step(&run, at) else { break };
+        let Some(step) = failed_step(&run, at) else { break };
         seen.push(step);
         let loaded = run.load();
-        // Refused before its name stands, the new one does not count; after that it does.
+        // The new checkpoint counts once it has been renamed.
         let early =
             matches!(step, Step::MakeFolder | Step::WriteFile | Step::FlushFiles | Step::Rename);
         let newest = if early { 1 } else { 2 };
         assert_eq!((loaded.checkpoint, loaded.skipped), (checkpoint(newest), vec![]), "{step:?}");
-        assert_eq!(checkpoint::load(&run.place(1)).unwrap().checkpoint, checkpoint(1));
+        assert_eq!(checkpoint::load(&run.path(1)).unwrap().checkpoint, checkpoint(1));
         run.save(2, 10);
         assert_eq!(run.load().checkpoint, checkpoint(2), "{step:?}");
     }
@@ -181,11 +181,11 @@ fn a_disk_that_refuses_any_step_leaves_what_stood_and_the_next_attempt_succeeds(
 
 #[test]
 fn truncated_files_fall_back_to_the_previous_checkpoint() {
-    for file in files(&Run::with(&[1, 2]).place(2)) {
+    for file in files(&Run::with(&[1, 2]).path(2)) {
         let size = fs::metadata(&file).map_or(100, |found| found.len());
         for length in [0, 1, size / 2, size.saturating_sub(1)] {
             let run = Run::with(&[1, 2]);
-            let file = run.place(2).join(file.file_name().unwrap());
+            let file = run.path(2).join(file.file_name().unwrap());
             let bytes = fs::read(&file).unwrap();
             fs::write(&file, &bytes[..bytes.len().min(length as usize).min(bytes.len() - 1)])
                 .unwrap();
@@ -197,7 +197,7 @@ fn truncated_files_fall_back_to_the_previous_checkpoint() {
 #[test]
 fn a_flipped_bit_in_any_byte_of_any_file_falls_back() {
     let run = Run::with(&[1, 2]);
-    for file in files(&run.place(2)) {
+    for file in files(&run.path(2)) {
         let bytes = fs::read(&file).unwrap();
         let stride = if bytes.len() > 400 { 7 } else { 1 };
         for index in (0..bytes.len()).step_by(stride) {
@@ -213,16 +213,15 @@ fn a_flipped_bit_in_any_byte_of_any_file_falls_back() {
 
 #[test]
 fn a_missing_file_and_two_swapped_files_fall_back() {
-    let names = files(&Run::with(&[1, 2]).place(2));
+    let names = files(&Run::with(&[1, 2]).path(2));
     for file in &names {
         let run = Run::with(&[1, 2]);
-        let file = run.place(2).join(file.file_name().unwrap());
+        let file = run.path(2).join(file.file_name().unwrap());
         fs::remove_file(&file).unwrap();
         falls_back(&run, &file);
     }
     let run = Run::with(&[1, 2]);
-    let [one, two] =
-        ["optimizer", "weights"].map(|n| run.place(2).join(format!("{n}.safetensors")));
+    let [one, two] = ["optimizer", "weights"].map(|n| run.path(2).join(format!("{n}.safetensors")));
     let bytes = fs::read(&one).unwrap();
     fs::rename(&two, &one).unwrap();
     fs::write(&two, bytes).unwrap();
@@ -231,9 +230,9 @@ fn a_missing_file_and_two_swapped_files_fall_back() {
 
 #[cfg(unix)]
 #[test]
-fn a_symbolic_link_is_no_part_of_a_checkpoint() {
+fn symbolic_links_in_a_checkpoint_are_rejected() {
     let run = Run::with(&[1, 2]);
-    let file = run.place(2).join("weights.safetensors");
+    let file = run.path(2).join("weights.safetensors");
     let elsewhere = run.0.path().join("elsewhere");
     fs::rename(&file, &elsewhere).unwrap();
     std::os::unix::fs::symlink(&elsewhere, &file).unwrap();
@@ -241,14 +240,14 @@ fn a_symbolic_link_is_no_part_of_a_checkpoint() {
 }
 
 #[test]
-fn a_checkpoint_in_the_wrong_place_and_another_schema_are_refused() {
+fn a_checkpoint_in_the_wrong_folder_or_with_another_schema_is_rejected() {
     let run = Run::with(&[1, 2]);
-    fs::rename(run.place(2), run.place(3)).unwrap();
+    fs::rename(run.path(2), run.path(3)).unwrap();
     let loaded = run.load();
     assert_eq!(loaded.checkpoint, checkpoint(1));
     assert!(loaded.skipped[0].1.contains("its manifest is that of iter_00000002"));
 
-    let file = run.place(1).join("manifest.json");
+    let file = run.path(1).join("manifest.json");
     let newer = fs::read_to_string(&file).unwrap().replace("\"schema\": 2", "\"schema\": 3");
     fs::write(&file, newer).unwrap();
     let error = checkpoint::load_newest(run.0.path()).unwrap_err();
@@ -261,16 +260,16 @@ fn a_checkpoint_in_the_wrong_place_and_another_schema_are_refused() {
 }
 
 #[test]
-fn a_run_without_checkpoints_says_so() {
+fn a_run_without_checkpoints_is_an_error() {
     let error = checkpoint::load_newest(Run::new().0.path()).unwrap_err();
     assert!(matches!(error, CheckpointError::None { .. }), "{error}");
 }
 
 #[test]
-fn a_crash_at_any_step_leaves_the_old_one_or_the_new_one() {
+fn a_crash_at_any_step_leaves_the_old_or_the_new_checkpoint() {
     let whole = Run::with(&[2]);
-    let written = files(&whole.place(2));
-    // Before the rename: the draft holds the first n files, the last of them only in half.
+    let written = files(&whole.path(2));
+    // Before the rename: the draft contains the first n files, the last of them truncated.
     for count in 0..=written.len() {
         let run = Run::with(&[1]);
         let draft = run.folder().join(".tmp-iter_00000002");
@@ -282,38 +281,38 @@ fn a_crash_at_any_step_leaves_the_old_one_or_the_new_one() {
         }
         let loaded = run.load();
         assert_eq!((loaded.checkpoint, loaded.skipped), (checkpoint(1), vec![]));
-        // The next attempt clears the draft away.
+        // The next attempt removes the draft.
         run.save(2, 10);
         assert_eq!(run.load().checkpoint, checkpoint(2));
         assert!(!draft.exists());
     }
-    // After the rename, before LATEST is replaced: the new one counts.
+    // After the rename, before LATEST is replaced: the new checkpoint counts.
     let run = Run::with(&[1, 2]);
     fs::write(run.folder().join("LATEST"), "iter_00000001\n").unwrap();
     assert_eq!(run.load().checkpoint, checkpoint(2));
-    // In the middle of replacing LATEST.
+    // While LATEST is being replaced.
     fs::write(run.folder().join(".tmp-LATEST"), "iter_0").unwrap();
     assert_eq!(run.load().checkpoint, checkpoint(2));
 }
 
 #[test]
-fn a_damaged_checkpoint_is_replaced_when_its_iteration_comes_again() {
+fn a_damaged_checkpoint_is_replaced_when_its_iteration_is_repeated() {
     let run = Run::with(&[1, 3]);
-    fs::write(run.place(3).join("weights.safetensors"), "damaged").unwrap();
+    fs::write(run.path(3).join("weights.safetensors"), "damaged").unwrap();
     assert_eq!(run.load().checkpoint, checkpoint(1));
     run.save(2, 1);
-    // The damaged one neither counts as one of the last nor hides the good one.
+    // The damaged checkpoint neither counts towards `keep_last` nor hides the valid one.
     assert_eq!(run.load().checkpoint, checkpoint(2));
     run.save(3, 1);
     assert_eq!((run.load().checkpoint, run.load().skipped), (checkpoint(3), vec![]));
 }
 
 #[test]
-fn an_array_of_no_group_is_refused_by_name() {
+fn an_array_outside_all_groups_is_rejected_by_name() {
     let run = Run::new();
-    let mut odd = checkpoint(1);
-    odd.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
-    let saved = checkpoint::save(run.0.path(), &odd, SETTINGS, &keep(1, 0), &mut |_, _| Ok(()));
+    let mut invalid = checkpoint(1);
+    invalid.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
+    let saved = checkpoint::save(run.0.path(), &invalid, SETTINGS, &keep(1, 0), &mut |_, _| Ok(()));
     let error = saved.unwrap_err().to_string();
     assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
 }

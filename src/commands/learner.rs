@@ -34,7 +34,7 @@ async fn serve(
     arguments: &LearnerArguments,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let (door, url) = listening.open().await?;
+    let (listener, url) = listening.open().await?;
     output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = page::open(&arguments.page).await?;
     let (stop_sender, stop) = watch::channel(false);
@@ -42,7 +42,7 @@ async fn serve(
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary =
-        learner::run(launch, door, page, observer, stop).await.context("the learner failed")?;
+        learner::run(launch, listener, page, observer, stop).await.context("the learner failed")?;
     let done = if summary.stopped_early { "stopped" } else { "finished" };
     output::line(format!(
         "{done} after iteration {}: {}",

@@ -23,10 +23,10 @@ pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {
 }
 
 async fn serve(run: &Path, served: ServedPolicies, listening: Listening) -> anyhow::Result<()> {
-    let (door, url) = listening.open().await?;
+    let (listener, url) = listening.open().await?;
     let version = served.newest.borrow().name.version;
     output::line(format!("{} serves its policies of iteration {version} on {url}", run.display()));
     let (stop_sender, stop) = watch::channel(false);
     signals::stop_on_signal(stop_sender, || output::line("stopping"))?;
-    serve_policies(served, door, stop).await.context("the service ended")
+    serve_policies(served, listener, stop).await.context("the service ended")
 }

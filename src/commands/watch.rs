@@ -180,7 +180,7 @@ impl<'a> Watch<'a> {
 
 /// Whether another try would end in the same way.
 fn is_final(error: &anyhow::Error) -> bool {
-    let refused = |error: &HealthError| !matches!(error, HealthError::Silent { .. });
+    let refused = |error: &HealthError| !matches!(error, HealthError::Unreachable { .. });
     error.is::<Usage>() || error.downcast_ref().is_some_and(refused)
 }
 

@@ -8,7 +8,7 @@ use proto::{
 use tonic::Status;
 use tonic::transport::Channel;
 
-/// A separate connection for every attack, so that attacks do not affect each other.
+/// A registered client with a separate connection, so that attacks do not affect each other.
 pub(crate) struct Attacker {
     pub(crate) service: LearnerServiceClient<Channel>,
     pub(crate) run: RunDescription,
@@ -54,8 +54,8 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
     }
 }
 
-/// A first chunk of the right shape with arbitrary contents.
-pub(crate) fn invented(run: &RunDescription) -> TrajectoryChunk {
+/// A first chunk of the right shape with arbitrary values.
+pub(crate) fn arbitrary_chunk(run: &RunDescription) -> TrajectoryChunk {
     let rows = (run.chunk_steps * run.environments_per_slot) as usize;
     let stored = (run.chunk_steps / run.hidden_every * run.environments_per_slot) as usize;
     let agents = run.environment.agents.iter().zip(&run.hidden_sizes);

@@ -16,42 +16,42 @@ use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::transport::Server;
 use tonic::{Request, Response, Status, Streaming};
 
-/// Faults of the program.
+/// Faults of the environment service.
 #[derive(Clone)]
-pub(crate) struct Manners {
-    /// Changes its description.
+pub(crate) struct Faults {
+    /// Changes the description.
     pub(crate) description: fn(&mut wire::EnvironmentSpec),
-    /// Changes an answer.
+    /// Changes a response.
     pub(crate) answer: fn(&mut play_response::Answer),
-    /// Breaks off the stream of every such answer, counted over all streams; 0: none.
-    pub(crate) breaks_off_every: u32,
+    /// Aborts the stream at every response with a multiple of this number, over all streams; 0 for never.
+    pub(crate) abort_every: u32,
 }
 
-impl Manners {
-    pub(crate) const GOOD: Self = Self { description: |_| {}, answer: |_| {}, breaks_off_every: 0 };
-    /// Good ones, of a program that cannot save states.
-    pub(crate) const FORGETFUL: Self =
-        Self { description: |spec| spec.max_state_bytes = 0, ..Self::GOOD };
+impl Faults {
+    pub(crate) const NONE: Self = Self { description: |_| {}, answer: |_| {}, abort_every: 0 };
+    /// No faults, but the service cannot save states.
+    pub(crate) const STATELESS: Self =
+        Self { description: |spec| spec.max_state_bytes = 0, ..Self::NONE };
 }
 
-/// The program; it ends with this value.
+/// The running service; dropping it stops the service.
 pub(crate) struct CueService {
     pub(crate) url: String,
     _runtime: Runtime,
 }
 
 impl CueService {
-    pub(crate) fn start(manners: Manners) -> Self {
-        Self::start_at("127.0.0.1:0", manners)
+    pub(crate) fn start(faults: Faults) -> Self {
+        Self::start_at("127.0.0.1:0", faults)
     }
 
-    pub(crate) fn start_at(address: &str, manners: Manners) -> Self {
+    pub(crate) fn start_at(address: &str, faults: Faults) -> Self {
         let runtime =
             tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let runtime = runtime.unwrap();
         let listener = runtime.block_on(TcpListener::bind(address)).unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
-        let game = Game { manners, answers: Arc::default() };
+        let game = Game { faults, answers: Arc::default() };
         let server = Server::builder().add_service(EnvironmentServiceServer::new(game));
         runtime.spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
         Self { url, _runtime: runtime }
@@ -60,7 +60,7 @@ impl CueService {
 
 #[derive(Clone)]
 struct Game {
-    manners: Manners,
+    faults: Faults,
     answers: Arc<AtomicU32>,
 }
 
@@ -87,7 +87,7 @@ impl EnvironmentService for Game {
         _: Request<wire::DescribeEnvironmentRequest>,
     ) -> Result<Response<wire::DescribeEnvironmentResponse>, Status> {
         let mut environment = spec().to_wire();
-        (self.manners.description)(&mut environment);
+        (self.faults.description)(&mut environment);
         let environment = Some(environment);
         Ok(Response::new(wire::DescribeEnvironmentResponse { environment }))
     }
@@ -126,13 +126,12 @@ impl Game {
         request: PlayRequest,
     ) -> Result<PlayResponse, Status> {
         let count = self.answers.fetch_add(1, Ordering::Relaxed) + 1;
-        if self.manners.breaks_off_every > 0 && count.is_multiple_of(self.manners.breaks_off_every)
-        {
-            return Err(Status::unavailable("gone for a moment"));
+        if self.faults.abort_every > 0 && count.is_multiple_of(self.faults.abort_every) {
+            return Err(Status::unavailable("temporarily unavailable"));
         }
         let mut answer = play(games, request);
         if let Some(answer) = &mut answer.answer {
-            (self.manners.answer)(answer);
+            (self.faults.answer)(answer);
         }
         Ok(answer)
     }
@@ -145,7 +144,7 @@ fn play(
     match request {
         PlayRequest::Reset { environment: number, seed } => {
             let game = games.entry(number).or_insert_with(environment);
-            // The player cuts episodes; this game would at its own limit, which is never earlier.
+            // The client truncates episodes, never later than the game's own limit.
             game.reset(0, 0, u32::MAX, seed).unwrap();
             look(&**game).to_wire(1)
         }

@@ -4,7 +4,7 @@ use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Exit status, and everything that is printed.
+/// Runs `s2mia`; returns its exit status and output.
 pub(crate) fn s2mia(arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap();
     let text = [output.stdout, output.stderr].concat();
@@ -12,13 +12,13 @@ pub(crate) fn s2mia(arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 pub(crate) struct Experiment {
-    place: tempfile::TempDir,
+    directory: tempfile::TempDir,
     file: String,
 }
 
 impl Experiment {
     pub(crate) fn new() -> Self {
-        let place = tempfile::tempdir().unwrap();
+        let directory = tempfile::tempdir().unwrap();
         let text = format!(
             r#"
             folder = "{folder}/runs"
@@ -44,11 +44,11 @@ impl Experiment {
             seeds = [3]
             env_steps = 40_000
             "#,
-            folder = place.path().display()
+            folder = directory.path().display()
         );
-        let file = place.path().join("experiment.toml");
+        let file = directory.path().join("experiment.toml");
         std::fs::write(&file, text).unwrap();
-        Self { file: file.to_str().unwrap().to_owned(), place }
+        Self { file: file.to_str().unwrap().to_owned(), directory }
     }
 
     pub(crate) fn file(&self) -> &str {
@@ -56,21 +56,21 @@ impl Experiment {
     }
 
     pub(crate) fn record(&self) -> PathBuf {
-        self.place.path().join("record.csv")
+        self.directory.path().join("record.csv")
     }
 
     pub(crate) fn folder(&self) -> PathBuf {
-        self.place.path().join("runs")
+        self.directory.path().join("runs")
     }
 
-    /// To its end; gives back what it tells.
+    /// Runs the experiment; returns its output.
     pub(crate) fn run(&self) -> String {
-        let (status, told) = s2mia(&["experiment", &self.file, "--jobs", "2"]);
-        assert_eq!(status, Some(0), "{told}");
-        told
+        let (status, output) = s2mia(&["experiment", &self.file, "--jobs", "2"]);
+        assert_eq!(status, Some(0), "{output}");
+        output
     }
 
-    /// Sends the signal when the first run is finished, while the long one goes on.
+    /// Runs the experiment and sends it the signal when its first run has finished, while the long one continues.
     pub(crate) fn end_after_its_first_run(&self, signal: &str) -> (Option<i32>, String) {
         let mut child = Command::new(env!("CARGO_BIN_EXE_s2mia"))
             .args(["experiment", &self.file, "--jobs", "2"])
@@ -78,23 +78,23 @@ impl Experiment {
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap());
-        let mut told = String::new();
-        while !told.contains(" is finished\n") {
-            assert!(lines.read_line(&mut told).unwrap() > 0, "{told}");
+        let mut output = String::new();
+        while !output.contains(" is finished\n") {
+            assert!(lines.read_line(&mut output).unwrap() > 0, "{output}");
         }
         let id = child.id().to_string();
         assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
-        lines.read_to_string(&mut told).unwrap();
-        (child.wait().unwrap().code(), told)
+        lines.read_to_string(&mut output).unwrap();
+        (child.wait().unwrap().code(), output)
     }
 
-    /// Hashes of the whole state of every run, in the order of their names.
+    /// State hashes of all runs, in the order of their names.
     pub(crate) fn hashes(&self) -> Vec<String> {
         let names = ["cue-2x1-long-seed3", "cue-2x1-short-seed0", "cue-2x1-short-seed1"];
         let state = |name: &str| {
             let folder = self.folder().join(name);
-            let (_, told) = s2mia(&["inspect", folder.to_str().unwrap(), "--json"]);
-            let held: serde_json::Value = serde_json::from_str(&told).unwrap();
+            let (_, output) = s2mia(&["inspect", folder.to_str().unwrap(), "--json"]);
+            let held: serde_json::Value = serde_json::from_str(&output).unwrap();
             held["state_sha256"].as_str().unwrap().to_owned()
         };
         names.map(state).to_vec()

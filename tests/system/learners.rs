@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-/// Two iterations, small enough for a test.
+/// Settings of a small run of two iterations.
 const RUN: &[&str] = &[
     "halfcheetah-2x3",
     "run.seed=7",
@@ -34,7 +34,7 @@ pub(crate) fn inspect(folder: &Path) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// A learner, and where it listens.
+/// A learner process and its URL.
 pub(crate) struct Learner {
     pub(crate) process: Child,
     log: Arc<Mutex<String>>,
@@ -51,10 +51,10 @@ impl Learner {
         let mut process =
             s2mia(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let log = Arc::new(Mutex::new(String::new()));
-        let (told, stderr) = (Arc::clone(&log), process.stderr.take().unwrap());
+        let (lines, stderr) = (Arc::clone(&log), process.stderr.take().unwrap());
         let read = move || {
             for line in BufReader::new(stderr).lines().map_while(Result::ok) {
-                told.lock().unwrap().push_str(&format!("{line}\n"));
+                lines.lock().unwrap().push_str(&format!("{line}\n"));
             }
         };
         let reader = std::thread::Builder::new().name("log".into()).spawn(read).unwrap();
@@ -89,7 +89,7 @@ impl Learner {
         self.wait()
     }
 
-    /// What it has logged so far.
+    /// The log so far.
     pub(crate) fn log(&self) -> String {
         self.log.lock().unwrap().clone()
     }
@@ -97,7 +97,7 @@ impl Learner {
 
 impl Drop for Learner {
     fn drop(&mut self) {
-        // Only a failed test leaves a learner that still runs.
-        let _ended = self.process.kill();
+        // The learner still runs only if the test failed.
+        let _killed = self.process.kill();
     }
 }

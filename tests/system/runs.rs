@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// A run small enough for a test: 4 environments x 20 steps, two slots, short networks.
+/// Settings of a small run: 4 environments x 20 steps, two slots, small networks.
 pub(crate) const TINY: &[&str] = &[
     "halfcheetah-6x1",
     "run.seed=7",

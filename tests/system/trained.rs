@@ -1,4 +1,4 @@
-//! A finished run shared by the tests of one file, and its world.
+//! A finished run shared by the tests of one file, and its environment.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -7,7 +7,7 @@ use sim::EnvironmentBatch;
 
 use crate::runs::{Runs, train};
 
-/// The run's folder; whoever asks first trains it, with a setting such as `run.iterations=2`.
+/// The run's folder. The first call trains it, with a setting such as `run.iterations=2`.
 pub(crate) fn folder(iterations: &str) -> &'static Path {
     static RUN: OnceLock<(Runs, PathBuf)> = OnceLock::new();
     let (_, folder) = RUN.get_or_init(|| {
@@ -19,7 +19,7 @@ pub(crate) fn folder(iterations: &str) -> &'static Path {
     folder
 }
 
-/// The world of a run.
+/// The environment of a run.
 pub(crate) fn world(folder: &Path) -> Box<dyn EnvironmentBatch> {
     let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
     let settings: toml::Table = settings.parse().unwrap();

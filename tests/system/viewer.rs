@@ -8,22 +8,22 @@ use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
-/// The name under which the protocol is asked for.
+/// WebSocket subprotocol of Foxglove.
 const PROTOCOL: &str = "foxglove.sdk.v1";
-/// A message of data: its kind, the subscription, and the time.
+/// Header size of a data message: opcode, subscription id and time, bytes.
 const HEAD: usize = 1 + 4 + 8;
 
-/// A viewer.
+/// A connected viewer.
 pub(crate) struct Viewer {
     socket: WebSocket<TcpStream>,
-    /// What the server says of each topic.
+    /// The server's advertised channels by topic.
     pub(crate) topics: BTreeMap<String, Value>,
-    /// By the number of the subscription.
+    /// Topics by subscription id.
     subscribed: Vec<String>,
 }
 
 impl Viewer {
-    /// Connects.
+    /// Connects to `url`.
     pub(crate) fn connect(url: &str) -> Self {
         let stream = TcpStream::connect(url.strip_prefix("ws://").unwrap()).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
@@ -34,14 +34,14 @@ impl Viewer {
         Self { socket, topics: BTreeMap::new(), subscribed: Vec::new() }
     }
 
-    /// Reads until a topic is offered.
+    /// Waits until a topic is advertised.
     pub(crate) fn wait_for(&mut self, topic: &str) {
         while !self.topics.contains_key(topic) {
             self.read();
         }
     }
 
-    /// Asks for topics, as soon as they are offered.
+    /// Subscribes to topics as soon as they are advertised.
     pub(crate) fn subscribe(&mut self, topics: &[&str]) {
         topics.iter().for_each(|topic| self.wait_for(topic));
         let first = self.subscribed.len();
@@ -81,15 +81,15 @@ impl Viewer {
     fn read(&mut self) -> Option<(String, u64, Vec<u8>)> {
         match self.socket.read().unwrap() {
             Message::Text(text) => {
-                let told: Value = serde_json::from_str(&text).unwrap();
-                let channels = told["channels"].as_array().cloned().unwrap_or_default();
+                let message: Value = serde_json::from_str(&text).unwrap();
+                let channels = message["channels"].as_array().cloned().unwrap_or_default();
                 for channel in channels {
                     self.topics.insert(channel["topic"].as_str().unwrap().to_owned(), channel);
                 }
                 None
             }
             Message::Binary(bytes) => {
-                assert_eq!(bytes[0], 1, "a message of data");
+                assert_eq!(bytes[0], 1, "not a data message");
                 let number = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
                 let nanos = u64::from_le_bytes(bytes[5..HEAD].try_into().unwrap());
                 let topic = self.subscribed[number as usize].clone();

@@ -3,20 +3,20 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Asks again and again for half a minute; then fails with what is missing still.
-pub(crate) fn eventually<T>(mut ask: impl FnMut() -> Result<T, String>) -> T {
-    let patience = Instant::now() + Duration::from_secs(30);
+/// Polls `check` for up to 30 s; then panics with its error.
+pub(crate) fn eventually<T>(mut check: impl FnMut() -> Result<T, String>) -> T {
+    let deadline = Instant::now() + Duration::from_secs(30);
     loop {
-        match ask() {
+        match check() {
             Ok(answer) => return answer,
-            Err(missing) => assert!(Instant::now() < patience, "{missing}, after half a minute"),
+            Err(error) => assert!(Instant::now() < deadline, "{error}, after 30 s"),
         }
         std::thread::yield_now();
     }
 }
 
-/// Waits until the run's metrics hold a line: the run is under way.
-pub(crate) fn under_way(folder: &Path) {
+/// Waits for the first line of the run's metrics.
+pub(crate) fn has_begun(folder: &Path) {
     eventually(|| {
         let metrics = std::fs::metadata(folder.join("metrics.jsonl"));
         let begun = metrics.is_ok_and(|file| file.len() > 0);

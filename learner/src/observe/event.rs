@@ -1,79 +1,79 @@
-//! What a run tells whoever watches it.
+//! Events of a run, for its observers.
 
 use std::path::PathBuf;
 
 use crate::evaluation::Spread;
 
-/// Something happened that a watcher may show.
+/// An event of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// The trainer goes over to something else.
+    /// The trainer enters another stage.
     Stage(Stage),
     /// An iteration is finished.
     Iteration(IterationReport),
-    /// Rollouts are coming in.
+    /// Results have arrived for the open iteration.
     Collecting {
         /// Finished iterations.
         iteration: u64,
-        /// Environment steps so far, with those of the iteration that is being collected.
+        /// Environment steps so far, those of the open iteration included.
         env_steps: u64,
     },
     /// An evaluation is finished.
     Evaluation {
-        /// Iterations after which these were the policies.
+        /// Finished iterations of the evaluated policies.
         iteration: u64,
-        /// Environment steps of those iterations.
+        /// Environment steps of these iterations.
         env_steps: u64,
-        /// Of the extrinsic returns.
+        /// Statistics of the extrinsic returns.
         spread: Spread,
-        /// Episodes.
+        /// Number of episodes.
         episodes: usize,
     },
-    /// A checkpoint stands on disk.
+    /// A checkpoint has been written.
     Checkpoint {
-        /// Its directory.
+        /// Directory of the checkpoint.
         path: PathBuf,
-        /// Its iteration.
+        /// Iteration of the checkpoint.
         iteration: u64,
-        /// How long it took to write.
+        /// Duration of writing it, seconds.
         secs: f64,
         /// Size of its files.
         bytes: u64,
     },
-    /// A checkpoint could not be written; the next iteration tries again.
+    /// A checkpoint could not be written; it is retried after the next iteration.
     CheckpointFailed {
-        /// Those in a row that could not.
+        /// Consecutive failures.
         failures: u32,
     },
-    /// No work is handed out until somebody resumes.
+    /// The run is paused: no new leases until it is resumed.
     Paused,
-    /// Work is handed out again.
+    /// The run is resumed.
     Resumed,
-    /// Nothing has come in for a while.
+    /// No results have arrived for a while.
     Waiting {
-        /// Seconds since anything did.
+        /// Seconds since the last result.
         seconds: f64,
-        /// What is missing.
+        /// Why no results arrive.
         reason: String,
     },
 }
 
-/// What the trainer is at.
+/// The trainer's current activity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// It waits for rollouts.
+    /// Waiting for rollouts.
     Collect,
-    /// It learns from them.
+    /// Updating densities, policies and critics.
     Update,
-    /// It writes a checkpoint.
+    /// Writing a checkpoint.
     Save,
 }
 
 impl Stage {
-    /// All of them, in the order of an iteration.
+    /// All stages, in the order of an iteration.
     pub const ALL: [Self; 3] = [Self::Collect, Self::Update, Self::Save];
 
-    /// Its name in lower case.
+    /// The stage's name in lower case.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -84,35 +84,36 @@ impl Stage {
     }
 }
 
-/// What one iteration was like.
+/// The figures of one iteration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IterationReport {
     /// Finished iterations, this one included.
     pub iteration: u64,
-    /// Environment steps of all of them.
+    /// Environment steps of all finished iterations.
     pub env_steps: u64,
-    /// From the end of the iteration before, or from the learner's start, to this one's end, whatever came between.
+    /// From the end of the previous iteration, or the learner's start, to the end of this one, evaluations and
+    /// checkpoints included.
     pub iteration_secs: f64,
-    /// From the lease of its slots to the last chunk.
+    /// From the opening of its slots to the last chunk.
     pub rollout_secs: f64,
     /// From the last chunk to the new policies, densities included.
     pub update_secs: f64,
-    /// The part of it that densities took.
+    /// The part of `update_secs` spent on densities.
     pub density_secs: f64,
-    /// Mean extrinsic return of the last finished episodes, at most 20; `None` before the first.
+    /// Mean extrinsic return of the last 20 finished episodes; `None` before the first.
     pub episode_return: Option<f64>,
-    /// Actors connected.
+    /// Connected actors.
     pub actors: u64,
     /// Messages refused since the learner started.
     pub messages_refused: u64,
     /// Slots and episodes leased again since the learner started.
     pub leases_reissued: u64,
-    /// The densities' and the algorithm's figures.
+    /// Figures of the densities and the algorithm.
     pub metrics: Vec<(String, f64)>,
 }
 
 impl IterationReport {
-    /// Environment steps per second of this iteration; all iterations have equally many.
+    /// Environment steps per second of this iteration; all iterations have the same number of steps.
     #[must_use]
     pub fn env_steps_per_sec(&self) -> f64 {
         self.env_steps as f64 / self.iteration as f64 / self.iteration_secs

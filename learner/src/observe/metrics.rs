@@ -1,8 +1,8 @@
 //! `metrics.jsonl`: one line per iteration and one per evaluation, each exactly once.
 //!
-//! `iteration` counts finished iterations: the line of an iteration bears the number that its new
-//! policies have, and an evaluation that of the policies it measured. The same figures stand in
-//! `metrics.csv`, `evaluations.csv` and `tensorboard/`, as far as the settings ask for them.
+//! `iteration` is the number of finished iterations: in the line of an iteration, including that one; in the line of an
+//! evaluation, that of the evaluated policies. If enabled, `metrics.csv`, `evaluations.csv` and `tensorboard/` contain
+//! the same figures.
 
 mod curves;
 mod event_file;
@@ -31,7 +31,7 @@ pub const METRICS_FILE: &str = "metrics.jsonl";
 /// The tables beside it, and the lines that each holds.
 const TABLES: [(&str, &str); 2] = [("metrics.csv", "iteration"), ("evaluations.csv", "evaluation")];
 
-/// The metrics of a run, open for more.
+/// The metrics files of a run, open for appending.
 #[derive(Debug)]
 pub struct Metrics {
     lines: JsonLines,
@@ -40,11 +40,11 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Opens the metrics of a run that goes on after `iteration`; later lines are dropped. Returns
-    /// the iterations whose evaluation stands in them, too.
+    /// Opens the metrics of a run that resumes after `iteration` and drops later lines. Also returns the iterations
+    /// whose evaluations they contain.
     ///
     /// # Errors
-    /// Names the file if it cannot be read or written.
+    /// A file cannot be read or written.
     pub fn open(
         run_folder: &Path,
         config: &MetricsConfig,
@@ -60,7 +60,7 @@ impl Metrics {
         Ok((Self { lines, views, curves: Arc::new(Mutex::new(curves)) }, measured))
     }
 
-    /// All figures over the run so far, also those of iterations before a resume; they go on with the run.
+    /// The curves of all figures, those before a resume included. They are updated while the run continues.
     #[must_use]
     pub fn curves(&self) -> Arc<Mutex<Curves>> {
         Arc::clone(&self.curves)
@@ -69,11 +69,11 @@ impl Metrics {
     /// Adds an iteration.
     ///
     /// # Errors
-    /// Names the file if it cannot be written.
+    /// The file cannot be written.
     pub fn iteration(&mut self, report: &IterationReport) -> Result<(), FileError> {
         let mut line = Map::new();
         for (name, value) in &report.metrics {
-            // JSON has no number for what is not finite: such a figure becomes null.
+            // JSON cannot represent non-finite numbers; they become null.
             line.insert(name.clone(), json!(value));
         }
         let own = json!({
@@ -97,7 +97,7 @@ impl Metrics {
     /// Adds an evaluation of the policies after `iteration` iterations.
     ///
     /// # Errors
-    /// Names the file if it cannot be written.
+    /// The file cannot be written.
     pub fn evaluation(
         &mut self,
         iteration: u64,
@@ -124,10 +124,10 @@ impl Metrics {
         self.lines.append(&Value::Object(line))
     }
 
-    /// Waits until the disk has all lines.
+    /// Flushes all lines to disk.
     ///
     /// # Errors
-    /// Names the file if it cannot be flushed.
+    /// The file cannot be flushed.
     pub fn sync(&mut self) -> Result<(), FileError> {
         self.lines.sync()
     }
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_holds_the_figures_by_their_names() {
+    fn a_line_contains_every_figure_by_name() {
         let folder = tempfile::tempdir().unwrap();
         let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
         metrics.iteration(&report(1)).unwrap();
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_run_knows_which_evaluations_are_in() {
+    fn a_resumed_run_knows_which_evaluations_are_finished() {
         let folder = tempfile::tempdir().unwrap();
         let (mut metrics, measured) = Metrics::open(folder.path(), &ALL, 0).unwrap();
         assert!(measured.is_empty());
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resume_cuts_the_tables_back_with_the_lines() {
+    fn a_resume_truncates_the_tables_like_the_lines() {
         let folder = tempfile::tempdir().unwrap();
         let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
         (1..=4).for_each(|iteration| metrics.iteration(&report(iteration)).unwrap());
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_switched_off_is_not_written() {
+    fn disabled_files_are_not_written() {
         let folder = tempfile::tempdir().unwrap();
         let none = MetricsConfig { csv: false, tensorboard: false };
         let (mut metrics, _) = Metrics::open(folder.path(), &none, 0).unwrap();

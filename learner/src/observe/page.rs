@@ -1,5 +1,4 @@
-//! The run's page: what a browser and Prometheus are shown of a learner at work, over plain HTTP. Nothing that is
-//! asked here can change a run, and a run waits for no viewer.
+//! The run's web page: an HTTP server for browsers and Prometheus. Its requests are read-only and never delay the run.
 
 mod answers;
 mod exposition;
@@ -14,11 +13,11 @@ pub use hosts::Hosts;
 pub(crate) use server::serve;
 pub(crate) use view::{Facts, RunView};
 
-/// Where the page is shown, and to whom.
+/// The listening socket of the page and the accepted host names.
 #[derive(Debug)]
 pub struct Page {
-    /// Where browsers come in.
+    /// Listens for browsers.
     pub listener: TcpListener,
-    /// The names by which the page may be asked for.
+    /// Accepted values of the header `Host`.
     pub hosts: Hosts,
 }

@@ -1,4 +1,4 @@
-//! The current figures of a run: one value that the exchange publishes and that status, page, metrics and watchers read.
+//! The current figures of a run. The exchange publishes them; status, page, metrics and watchers read them.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -50,7 +50,7 @@ pub struct RunSnapshot {
     pub checkpoint: Option<WrittenCheckpoint>,
     /// Checkpoints that could not be written.
     pub checkpoint_failures: u64,
-    /// Episodes that were cut because of a fault of their world.
+    /// Episodes truncated because of a fault of their environment.
     pub environment_faults: u64,
     /// Updates that were skipped because returns were not finite.
     pub updates_skipped: u64,
@@ -62,9 +62,9 @@ pub struct RunSnapshot {
 /// A checkpoint on disk.
 #[derive(Clone, Copy, Debug)]
 pub struct WrittenCheckpoint {
-    /// Its iteration.
+    /// Iteration of the checkpoint.
     pub iteration: u64,
-    /// How long it took to write, seconds.
+    /// Duration of writing it, seconds.
     pub secs: f64,
     /// Size of its files, bytes.
     pub bytes: u64,
@@ -77,7 +77,7 @@ pub struct FilmedEpisode {
     pub version: PolicyVersion,
     /// The episode's result.
     pub result: EvaluationResult,
-    /// Its first frames.
+    /// The episode's first frames.
     pub film: Film,
 }
 
@@ -208,7 +208,7 @@ impl RunSnapshot {
     }
 }
 
-/// A figure of an iteration that counts something; 0 where it is missing.
+/// An integer figure of an iteration; 0 if it is missing.
 fn count(report: &IterationReport, name: &str) -> u64 {
     let found = report.metrics.iter().find(|(figure, _)| figure == name);
     found.map_or(0, |(_, value)| *value as u64)
@@ -227,7 +227,7 @@ mod tests {
         Event::Iteration(IterationReport {
             iteration,
             env_steps: iteration * 4000,
-            // An evaluation was waited for, too.
+            // Longer than rollout and update: the iteration also waited for an evaluation.
             iteration_secs: 2.0,
             rollout_secs: 1.0,
             update_secs: 0.5,

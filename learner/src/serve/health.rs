@@ -1,4 +1,4 @@
-//! Asking a learner whether it serves, by the standard gRPC health protocol.
+//! The client of the standard gRPC health protocol.
 
 use std::time::Duration;
 
@@ -9,71 +9,71 @@ use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
-/// Why a learner does not count as healthy, or does not do what it was asked for.
+/// Why a learner is not healthy, or why a call to it failed.
 #[derive(Debug, thiserror::Error)]
 pub enum HealthError {
-    /// The address is no URL.
-    #[error("`{url}` is no URL such as http://HOST:50051: {detail}")]
+    /// The URL is invalid.
+    #[error("`{url}` is not a URL such as http://HOST:50051: {detail}")]
     Address {
-        /// What was given.
+        /// The invalid URL.
         url: String,
-        /// What is wrong with it.
+        /// The reason.
         detail: String,
     },
-    /// A certificate or a key cannot be used.
+    /// A certificate or a key is invalid or unreadable.
     #[error(transparent)]
     Credentials(#[from] SecurityError),
-    /// Nobody answered there.
+    /// The learner cannot be reached or did not respond.
     #[error("{url} does not answer: {detail}")]
-    Silent {
-        /// Who was asked.
+    Unreachable {
+        /// URL of the learner.
         url: String,
-        /// What went wrong.
+        /// The reason.
         detail: String,
     },
-    /// Somebody answered, but not what was asked for.
-    #[error("{url} refuses: {detail}")]
+    /// The learner rejected the call.
+    #[error("{url} rejected the call: {detail}")]
     Refused {
-        /// Who was asked.
+        /// URL of the learner.
         url: String,
-        /// The reason given.
+        /// The learner's reason.
         detail: String,
     },
-    /// Somebody answered, but not that it serves.
-    #[error("{url} answers {status}")]
+    /// The learner reports another status than `SERVING`.
+    #[error("{url} reports {status}")]
     NotServing {
-        /// Who was asked.
+        /// URL of the learner.
         url: String,
-        /// The status, as the protocol names it.
+        /// The status, in the protocol's spelling.
         status: &'static str,
     },
 }
 
-/// Asks the learner at `url` once, over TLS with `tls`, and waits at most `patience`.
+/// Checks once that the learner at `url` reports `SERVING`, over TLS with `tls`.
 ///
 /// # Errors
-/// Says why it does not count as healthy.
+/// The learner is not healthy or does not respond within `timeout`.
 pub async fn demand_serving(
     url: &str,
     tls: Option<&ClientFiles>,
-    patience: Duration,
+    timeout: Duration,
 ) -> Result<(), HealthError> {
-    let asked = ask(url, endpoint(url, tls)?);
+    let check = check(url, endpoint(url, tls)?);
     let status =
-        tokio::time::timeout(patience, asked).await.map_err(|_| silent(url, patience))??;
+        tokio::time::timeout(timeout, check).await.map_err(|_| timed_out(url, timeout))??;
     match status {
         ServingStatus::Serving => Ok(()),
         other => Err(HealthError::NotServing { url: url.to_owned(), status: other.as_str_name() }),
     }
 }
 
-/// Where a question goes, and what is shown there.
+/// The endpoint at `url`, with the client certificate of `tls`.
 pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint, HealthError> {
-    let wrong = |error: tonic::transport::Error| HealthError::Address {
+    let invalid = |error: tonic::transport::Error| HealthError::Address {
         url: url.to_owned(),
         detail: innermost(&error),
     };
-    let endpoint = Endpoint::from_shared(url.to_owned()).map_err(wrong)?;
+    let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
     let Some(files) = tls else { return Ok(endpoint) };
     let own = files.read()?;
     let config = ClientTlsConfig::new()
@@ -83,56 +83,56 @@ pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint,
         Some(name) => config.domain_name(name),
         None => config,
     };
-    endpoint.tls_config(config).map_err(wrong)
+    endpoint.tls_config(config).map_err(invalid)
 }
 
-async fn ask(url: &str, endpoint: Endpoint) -> Result<ServingStatus, HealthError> {
-    let channel = endpoint.connect().await.map_err(|error| no_connection(url, &error))?;
-    // The empty name asks for the server as a whole.
+async fn check(url: &str, endpoint: Endpoint) -> Result<ServingStatus, HealthError> {
+    let channel = endpoint.connect().await.map_err(|error| connect_failed(url, &error))?;
+    // The empty name means the whole server.
     let request = HealthCheckRequest { service: String::new() };
     let answer = HealthClient::new(channel).check(request).await;
-    Ok(answer.map_err(|status| why_not(url, &status))?.into_inner().status())
+    Ok(answer.map_err(|status| call_failed(url, &status))?.into_inner().status())
 }
 
-/// Nothing came in time.
-pub(crate) fn silent(url: &str, patience: Duration) -> HealthError {
-    let detail = format!("nothing came for {} s", patience.as_secs_f64());
-    HealthError::Silent { url: url.to_owned(), detail }
+/// The error for a call without a response within `timeout`.
+pub(crate) fn timed_out(url: &str, timeout: Duration) -> HealthError {
+    let detail = format!("no response within {} s", timeout.as_secs_f64());
+    HealthError::Unreachable { url: url.to_owned(), detail }
 }
 
-/// Why no connection came about.
-pub(crate) fn no_connection(url: &str, error: &(dyn std::error::Error + 'static)) -> HealthError {
+/// The error for a failed connection attempt.
+pub(crate) fn connect_failed(url: &str, error: &(dyn std::error::Error + 'static)) -> HealthError {
     let detail = security::explain(error).unwrap_or_else(|| innermost(error));
-    HealthError::Silent { url: url.to_owned(), detail }
+    HealthError::Unreachable { url: url.to_owned(), detail }
 }
 
-/// Whether the learner at `url` itself said no to a call, or was lost on the way.
-pub(crate) fn why_not(url: &str, status: &tonic::Status) -> HealthError {
-    let (url, detail) = (url.to_owned(), denial(status));
+/// The error for a failed call: rejected by the learner at `url`, or lost in transit.
+pub(crate) fn call_failed(url: &str, status: &tonic::Status) -> HealthError {
+    let (url, detail) = (url.to_owned(), explanation(status));
     match status.code() {
         Code::InvalidArgument
         | Code::FailedPrecondition
         | Code::PermissionDenied
         | Code::Unimplemented => HealthError::Refused { url, detail },
-        _ => HealthError::Silent { url, detail },
+        _ => HealthError::Unreachable { url, detail },
     }
 }
 
-/// Why a call failed: the learner's own words, or what is behind a connection that broke.
-fn denial(status: &tonic::Status) -> String {
-    const TLS: &str = "give --tls-ca, --tls-certificate and --tls-key, and https:// in a URL";
+/// Why a call failed: the learner's message, or the cause of a broken connection.
+fn explanation(status: &tonic::Status) -> String {
+    const TLS: &str = "pass --tls-ca, --tls-certificate and --tls-key, and use https:// in the URL";
     let broken = status.message().starts_with("h2 protocol error");
-    let told = || match status.code() {
-        // How HTTP/2 names a goodbye for inadequate security; it may be lost on the way.
-        Code::PermissionDenied if broken => format!("it asks for TLS: {TLS}"),
-        Code::Cancelled => format!("it ended the connection at once; if it asks for TLS, {TLS}"),
-        _ if broken => "what listens there speaks no gRPC".to_owned(),
+    let by_code = || match status.code() {
+        // The GOAWAY frame for a server that requires TLS; it may be lost in transit.
+        Code::PermissionDenied if broken => format!("it requires TLS: {TLS}"),
+        Code::Cancelled => format!("it closed the connection at once; if it requires TLS, {TLS}"),
+        _ if broken => "the server does not speak gRPC".to_owned(),
         _ => proto::in_words(status),
     };
-    security::explain(status).unwrap_or_else(told)
+    security::explain(status).unwrap_or_else(by_code)
 }
 
-/// The last cause says what happened; those before it only that something did.
+/// The innermost cause, which is the most specific.
 fn innermost(error: &dyn std::error::Error) -> String {
     let mut cause = error;
     while let Some(next) = cause.source() {

@@ -1,5 +1,5 @@
-//! The gRPC service: it turns messages into calls of the exchange, and refusals into statuses. Limits,
-//! keepalive and deadlines stand here; what is allowed when is decided in the slot table.
+//! The gRPC service: it converts messages into calls of the exchange and refusals into statuses. Limits, keepalive and
+//! deadlines are set here; the slot table decides which calls are allowed when.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,64 +19,64 @@ use tonic::{Request, Response, Status, Streaming};
 use tonic_health::pb::health_server;
 use tonic_reflection::server::Builder;
 
-use crate::door::Door;
 use crate::exchange::{Caller, Exchange};
+use crate::listener::Listener;
 use crate::service::control::Control;
 use crate::service::ingest::Results;
 
 mod bodies;
 mod connections;
 mod control;
-mod crowd;
 mod deadline;
-mod greeting;
+mod handshake;
 mod ingest;
-mod opened;
 mod operator;
+mod per_address;
 mod policies;
 mod registry;
+mod replayed;
 mod snapshots;
 mod storage;
 
-pub use operator::{DistantCheckpoint, Operator, WatchedLines};
+pub use operator::{Operator, RemoteCheckpoint, WatchedLines};
 pub use policies::{ServedPolicies, serve_policies};
 pub use storage::STORAGE;
 
-/// A connection on which nothing came is asked for a sign of life after this long...
+/// Interval of keepalive pings on an idle connection.
 const KEEPALIVE: Duration = Duration::from_secs(20);
-/// ... and closed when none comes for this long: its leases are free again.
+/// A connection whose peer does not answer a ping for this long is closed, which frees its leases.
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
-/// Streams of one connection.
+/// Most concurrent streams of one connection.
 const MOST_STREAMS: u32 = 16;
-/// What one stream may have in flight, bytes.
+/// Flow-control window of one stream, bytes.
 const STREAM_WINDOW: u32 = 1 << 20;
-/// What one connection may have in flight, bytes.
+/// Flow-control window of one connection, bytes.
 const CONNECTION_WINDOW: u32 = 4 << 20;
-/// Largest HTTP/2 frame, bytes: most chunks arrive in one instead of in pieces of 16 KiB.
+/// Largest HTTP/2 frame, bytes. Most chunks fit into one, instead of many frames of the default 16 KiB.
 const MOST_FRAME_BYTES: u32 = 256 << 10;
-/// Size of all headers of one request, bytes.
+/// Most bytes of all headers of one request.
 const MOST_HEADER_BYTES: u32 = 16 << 10;
 
-/// What a learner serves besides health and reflection.
-const OF_LEARNERS: [&str; 2] =
+/// Services of a learner besides health and reflection.
+const LEARNER_SERVICES: [&str; 2] =
     [learner_service_server::SERVICE_NAME, control_service_server::SERVICE_NAME];
-/// Why reflection can always be built.
+/// Reason why building reflection cannot fail.
 const COMPILED: &str = "the descriptors were compiled with the program";
 
-/// Serves `exchange` at `door` until `shutdown` completes and the open calls have ended. At most `most_with_actors`
+/// Serves `exchange` at `listener` until `shutdown` completes and the open calls have ended. At most `most_with_actors`
 /// connections may have actors.
 ///
 /// # Errors
-/// Says why the service broke down.
+/// The service failed.
 pub async fn serve(
     exchange: Arc<Exchange>,
-    door: Door,
+    listener: Listener,
     most_with_actors: usize,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), tonic::transport::Error> {
-    let held = Arc::clone(&exchange);
-    let farewell = Arc::new(move |id| held.disconnect(id));
-    let incoming = connections::accept(door, most_with_actors, farewell);
+    let closed_on = Arc::clone(&exchange);
+    let on_close = Arc::new(move |id| closed_on.disconnect(id));
+    let incoming = connections::accept(listener, most_with_actors, on_close);
     let storage = exchange.storage();
     let control = ControlServiceServer::new(Control { exchange: Arc::clone(&exchange) });
     let learner = LearnerServiceServer::new(Learner { exchange })
@@ -90,13 +90,13 @@ pub async fn serve(
         .add_service(InterceptedService::new(learner, connections::needs(Role::Actor)))
         .add_service(control)
         .add_service(health)
-        .add_service(reflection(&OF_LEARNERS).build_v1().expect(COMPILED))
-        .add_service(reflection(&OF_LEARNERS).build_v1alpha().expect(COMPILED))
+        .add_service(reflection(&LEARNER_SERVICES).build_v1().expect(COMPILED))
+        .add_service(reflection(&LEARNER_SERVICES).build_v1alpha().expect(COMPILED))
         .serve_with_incoming_shutdown(incoming, shutdown)
         .await
 }
 
-/// A server with the limits that hold for all of ours.
+/// A server with the limits common to all services.
 fn server() -> Server {
     Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
@@ -108,7 +108,7 @@ fn server() -> Server {
         .http2_max_header_list_size(MOST_HEADER_BYTES)
 }
 
-/// Tells which of our services there are. Tools in use ask in either of two versions, so both are served.
+/// Server reflection for `services`. Tools use either of its two versions, so both are served.
 fn reflection(services: &[&str]) -> Builder<'static> {
     let configured = Builder::configure()
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
@@ -124,7 +124,7 @@ struct Learner {
 }
 
 impl Learner {
-    /// Tells and counts a refusal and makes it a status.
+    /// Logs and counts a refusal and converts it to a status.
     fn counted(&self, caller: &Caller, refusal: Refusal) -> Status {
         refused(&self.exchange, caller, None, refusal)
     }
@@ -194,7 +194,7 @@ impl LearnerService for Learner {
             let refusal = Refusal::new(Reason::UnknownActor, "connection", detail);
             return Err(self.counted(&caller, refusal));
         }
-        // Full when the actor does not take its acknowledgements away; then nothing more is read.
+        // A full channel means that the actor does not receive its acknowledgements; then no further message is read.
         let (acks, stream) = mpsc::channel(MAX_UNACKNOWLEDGED);
         let (pushes, share) = (connections::pushes(&request), request.extensions().get().cloned());
         let results = Results { messages: request.into_inner(), pushes, share };
@@ -214,7 +214,7 @@ impl LearnerService for Learner {
     }
 }
 
-/// A refusal of something that belongs to `lease`, told, counted and made a status.
+/// Logs and counts a refusal of a message for `lease` and converts it to a status.
 fn refused(
     exchange: &Exchange,
     caller: &Caller,

@@ -1,5 +1,4 @@
-//! A team that acts by trained policies in a world that somebody else steps: recurrent states and draws, episode by
-//! episode.
+//! Computes the actions of all agents for an environment that a client steps: recurrent states and random draws.
 
 use std::sync::Arc;
 
@@ -8,49 +7,49 @@ use proto::{ActStep, Acted, ActionChoice};
 
 use crate::published::Published;
 
-/// All agents of one world.
+/// All agents of one environment.
 #[derive(Debug)]
 pub(crate) struct Team {
     weights: Arc<Published>,
     choice: ActionChoice,
-    /// Episodes before the present one.
+    /// Episodes before the current one.
     episodes: u64,
     members: Vec<Member>,
     scratch: Scratch,
 }
 
-/// What one agent remembers of its episode.
+/// The state of one agent in the current episode.
 #[derive(Clone, Debug)]
 struct Member {
     /// `[H]`
     hidden: Vec<f32>,
-    /// Steps done.
+    /// Finished steps of the episode.
     steps: u32,
 }
 
 impl Team {
-    /// At the start of its first episode.
+    /// A team at the start of its first episode.
     pub(crate) fn new(weights: Arc<Published>, choice: ActionChoice) -> Self {
-        let members = beginners(&weights);
+        let members = initial_members(&weights);
         Self { weights, choice, episodes: 0, members, scratch: Scratch::default() }
     }
 
-    /// An episode begins, by these weights: all recurrent states are zero. One that nobody has acted in counts for none.
+    /// Starts an episode with these weights; all recurrent states become zero. Episodes without a step are not counted.
     pub(crate) fn reset(&mut self, weights: Arc<Published>) {
         self.episodes += u64::from(self.members.iter().any(|member| member.steps > 0));
-        self.members = beginners(&weights);
+        self.members = initial_members(&weights);
         self.weights = weights;
     }
 
-    /// Actions for the observations of a step, which has been checked. Each row is computed by itself, so no agent's
-    /// action depends on who else is asked, nor on other teams.
+    /// Computes actions for the observations of a validated step. Rows are computed separately, so an action depends
+    /// neither on the other agents in the step nor on other teams.
     pub(crate) fn act(&mut self, step: &ActStep) -> Acted {
         let rows = step.observations.iter();
         let actions = rows.map(|(agent, observation)| (*agent, self.action(*agent, observation)));
         Acted { actions: actions.collect(), weights: self.weights.name }
     }
 
-    /// `[act]` for `[obs]`; the agent's recurrent state moves on by a step.
+    /// Computes an action `[act]` from an observation `[obs]` and advances the agent's recurrent state.
     fn action(&mut self, agent: usize, observation: &[f32]) -> Vec<f32> {
         let policy = &self.weights.policy.agents[agent];
         let member = &mut self.members[agent];
@@ -72,7 +71,7 @@ impl Team {
     }
 }
 
-fn beginners(weights: &Published) -> Vec<Member> {
+fn initial_members(weights: &Published) -> Vec<Member> {
     let agents = weights.policy.agents.iter();
     agents.map(|agent| Member { hidden: vec![0.0; agent.hidden_size()], steps: 0 }).collect()
 }

@@ -1,17 +1,17 @@
-//! From the slots' rollouts to the iteration's batch `D_k`. Pure copying: whoever computed a slot,
-//! and in which order slots arrived, leaves no trace in the batch.
+//! Assembles the iteration's batch `D_k` from the rollouts of its slots. The batch depends neither on the actors that
+//! computed the slots nor on their order of arrival.
 
 use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use proto::{EnvironmentSpec, FeatureRole, FinalStep, RunDescription, TrajectoryChunk};
 
 use crate::exchange::SlotRollout;
 
-/// The sizes of one iteration.
+/// Sizes of an iteration's batch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// Slots.
+    /// Number of slots.
     pub slots: usize,
-    /// Environments in one slot.
+    /// Environments per slot.
     pub per_slot: usize,
     /// `T`, steps of each environment.
     pub steps: usize,
@@ -23,19 +23,19 @@ pub struct Layout {
     pub agents: Vec<AgentLayout>,
 }
 
-/// One agent's sizes.
+/// Sizes of one agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AgentLayout {
-    /// Features of its observation.
+    /// Features of the agent's observation.
     pub observation: usize,
-    /// Dimensions of its action.
+    /// Dimensions of the agent's action.
     pub action: usize,
-    /// Units of its recurrent state; 0 without one.
+    /// Units of the agent's recurrent state; 0 without one.
     pub hidden: usize,
 }
 
 impl Layout {
-    /// The sizes that `run` tells its actors, for `slots` slots.
+    /// The sizes in `run`, for `slots` slots.
     #[must_use]
     pub fn of(run: &RunDescription, slots: usize) -> Self {
         let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
@@ -55,14 +55,14 @@ impl Layout {
         }
     }
 
-    /// `B`, environments of the iteration.
+    /// `B`, number of environments.
     #[must_use]
     pub fn environments(&self) -> usize {
         self.slots * self.per_slot
     }
 }
 
-/// What the algorithm is told about the environment: sizes, kinds of action, and which features carry a signal.
+/// The environment as the algorithm sees it: sizes, kinds of actions, and which features carry a signal.
 #[must_use]
 pub fn problem(environment: &EnvironmentSpec) -> Problem {
     let is_signal = |place: &usize| environment.state[*place].role == FeatureRole::Signal;
@@ -89,15 +89,15 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
     }
 }
 
-/// `D_k` from all slots, ordered by slot: environment `slot * per_slot + position`, time-major.
+/// Assembles `D_k` from all slots, ordered by slot: environment `slot * per_slot + position`, time-major.
 ///
 /// # Panics
-/// If these are not exactly the iteration's slots with all their steps. What actors sent was checked when it came in, so
-/// nobody outside can bring that about.
+/// If `rollouts` are not exactly the iteration's slots with all their steps. Actors cannot cause this, because their
+/// messages were checked on arrival.
 #[must_use]
 pub fn assemble(layout: &Layout, rollouts: &[SlotRollout]) -> Batch {
     let slots = rollouts.iter().map(|rollout| rollout.slot as usize);
-    assert!(slots.eq(0..layout.slots), "an iteration is all of its slots, in their order");
+    assert!(slots.eq(0..layout.slots), "rollouts are not all slots in order");
     let mut batch = empty(layout);
     for SlotRollout { slot, chunks, .. } in rollouts {
         let mut steps = 0;
@@ -133,7 +133,7 @@ fn empty(layout: &Layout) -> Batch {
     }
 }
 
-/// Copies one chunk to its place.
+/// Copies one chunk into the batch.
 fn place(layout: &Layout, slot: usize, chunk: &TrajectoryChunk, batch: &mut Batch) {
     let window = Window {
         first: chunk.first_step as usize,
@@ -157,12 +157,12 @@ fn place(layout: &Layout, slot: usize, chunk: &TrajectoryChunk, batch: &mut Batc
     batch.finals.extend(chunk.finals.iter().map(|last| window.last(last)));
 }
 
-/// Where a chunk's rows stand in `D_k`.
+/// Position of a chunk's rows in `D_k`.
 #[derive(Clone, Copy)]
 struct Window {
-    /// First row of time.
+    /// First step.
     first: usize,
-    /// Rows of time.
+    /// Steps of the chunk.
     steps: usize,
     /// First environment.
     first_environment: usize,
@@ -173,7 +173,7 @@ struct Window {
 }
 
 impl Window {
-    /// `source` is `[t, per_slot, width]`, `target` is `[T, environments, width]`.
+    /// Copies `source`, `[t, per_slot, width]`, into `target`, `[T, environments, width]`.
     fn copy<T: Copy>(&self, source: &[T], target: &mut [T], width: usize) {
         let run = self.per_slot * width;
         assert_eq!(source.len(), self.steps * run, "a chunk's array");

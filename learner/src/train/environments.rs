@@ -1,5 +1,5 @@
-//! Where every environment of the run stands between two iterations: the state from which it goes
-//! on, the return and length of its running episode, and the returns of the last finished ones.
+//! State of all environments between two iterations: where each continues, the return and length of its current
+//! episode, and the returns of the last finished episodes.
 
 use std::collections::VecDeque;
 
@@ -12,10 +12,10 @@ use crate::checkpoint::{CheckpointError, fields};
 use crate::config::Phase;
 use crate::exchange::SlotRollout;
 
-/// Finished episodes whose mean is reported.
+/// Finished episodes in the reported mean return.
 const RECENT: usize = 20;
 
-/// Where every environment stands, in the order of their global index.
+/// State of all environments, in the order of their global index.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Environments {
     layout: Layout,
@@ -26,22 +26,22 @@ pub struct Environments {
     finished: Vec<u64>,
     recent: VecDeque<f64>,
     episode_steps: u32,
-    /// Episodes of the last iteration that were cut before their limit.
+    /// Episodes of the last iteration that were truncated before their limit.
     faults: u64,
 }
 
-/// What an iteration holds of one episode.
+/// The part of an episode within one iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Share {
-    /// Global index.
+    /// Global index of the environment.
     pub environment: u32,
-    /// Index in the environment.
+    /// Index of the episode in its environment.
     pub episode: u64,
-    /// Steps of the episode before this share.
+    /// Steps of the episode before this part.
     pub first_step: u32,
-    /// Steps of the slot before it.
+    /// Steps of the slot before this part.
     pub slot_step: usize,
-    /// Steps in it.
+    /// Steps in this part.
     pub steps: usize,
 }
 
@@ -49,13 +49,13 @@ pub struct Share {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Limit {
     steps: u32,
-    /// A shortened episode's return says nothing about the policy.
+    /// Whether the episode is shorter than usual; its return is then not comparable.
     shortened: bool,
 }
 
 impl Environments {
-    /// Before the first iteration. With `Phase::Staggered` the first episode of environment `e` of
-    /// `E` is cut after `episode_steps * (e + 1) / E` steps, at least one.
+    /// The state before the first iteration. With `Phase::Staggered`, the first episode of environment `e` of `E` is
+    /// truncated after `episode_steps * (e + 1) / E` steps, at least one.
     #[must_use]
     pub fn fresh(layout: Layout, episode_steps: u32, phase: Phase) -> Self {
         let count = layout.environments();
@@ -75,7 +75,7 @@ impl Environments {
         }
     }
 
-    /// The slots of an iteration, each with the states from which its environments go on.
+    /// The slots of an iteration, each with the start states of its environments.
     #[must_use]
     pub fn work(&self, iteration: u64) -> Vec<RolloutWork> {
         let slot = |(slot, starts): (usize, &[Start])| RolloutWork {
@@ -93,7 +93,7 @@ impl Environments {
         self.starts.chunks(self.layout.per_slot).enumerate().map(slot).collect()
     }
 
-    /// The shares that an iteration consists of, by environment and episode; to be asked for before it is taken in.
+    /// The parts of episodes in an iteration, by environment and episode. Must be called before [`Self::advance`].
     #[must_use]
     pub fn shares(&self, batch: &Batch) -> Vec<Share> {
         let environments = 0..batch.environments;
@@ -121,8 +121,8 @@ impl Environments {
         shares
     }
 
-    /// Takes in an iteration: its rewards, and the states at the slots' ends. `rollouts` are those
-    /// that `assemble` made `batch` of.
+    /// Advances to the end of an iteration with its rewards and the end states of its slots. `batch` is assembled from
+    /// `rollouts`.
     pub fn advance(&mut self, batch: &Batch, rollouts: &[SlotRollout]) {
         self.faults = 0;
         for row in 0..batch.rows() {
@@ -139,7 +139,7 @@ impl Environments {
         self.starts = rollouts.iter().flat_map(|rollout| self.continuations(rollout)).collect();
     }
 
-    /// Steps after which the environment's running episode is truncated by rule.
+    /// Step limit of the environment's current episode.
     fn limit(&self, environment: usize) -> u64 {
         match self.finished[environment] {
             0 => self.limits[environment].steps.into(),
@@ -147,7 +147,7 @@ impl Environments {
         }
     }
 
-    /// Episodes of the last iteration that a fault of their world cut before their limit.
+    /// Episodes of the last iteration that were truncated before their limit by a fault of their environment.
     #[must_use]
     pub fn faults(&self) -> u64 {
         self.faults
@@ -168,7 +168,7 @@ impl Environments {
 
     fn continuations(&self, rollout: &SlotRollout) -> Vec<Start> {
         let end = rollout.chunks.last().and_then(|chunk| chunk.end.as_ref());
-        let end = end.expect("a rollout that could be assembled has its end states");
+        let end = end.expect("an assembled rollout has end states");
         let row = |position: usize| -> Vec<Vec<f32>> {
             let agents = end.recurrent.iter().zip(&self.layout.agents);
             agents
@@ -181,14 +181,14 @@ impl Environments {
             .collect()
     }
 
-    /// Mean extrinsic return of the last finished whole episodes, at most 20; `None` before the first.
+    /// Mean extrinsic return of the last 20 finished episodes that were not shortened; `None` before the first.
     #[must_use]
     pub fn mean_return(&self) -> Option<f64> {
         let count = self.recent.len();
         (count > 0).then(|| self.recent.iter().sum::<f64>() / count as f64)
     }
 
-    /// Everything under `environments/`, and the finished returns under `counters/`.
+    /// The state as arrays under `environments/`, and recent returns under `counters/`.
     #[must_use]
     pub fn arrays(&self) -> NamedArrays {
         let mut arrays = NamedArrays::new();
@@ -215,8 +215,8 @@ impl Environments {
         arrays
     }
 
-    /// `environments/recurrent_I`, `[B, H]` of agent `I`; none before the first iteration and for
-    /// agents without a recurrent state.
+    /// Adds `environments/recurrent_I`, `[B, H]`, of every agent `I` with a recurrent state. Before the first iteration
+    /// there are none.
     fn add_recurrent(&self, arrays: &mut NamedArrays) {
         for (index, agent) in self.layout.agents.iter().enumerate() {
             let mut data = Vec::new();
@@ -232,10 +232,10 @@ impl Environments {
         }
     }
 
-    /// Takes over what [`Self::arrays`] wrote after `iteration` iterations.
+    /// Restores the state that [`Self::arrays`] returned after `iteration` iterations.
     ///
     /// # Errors
-    /// Names the array that is missing or has another length.
+    /// An array is missing or has the wrong type or length.
     pub fn restore(&mut self, arrays: &NamedArrays, iteration: u64) -> Result<(), CheckpointError> {
         let count = self.starts.len();
         self.episode_return = fields::f64s(arrays, "environments/episode_return", count)?.to_vec();

@@ -1,5 +1,5 @@
-//! When policies are evaluated and what of it a checkpoint keeps. At most one evaluation is
-//! outstanding; its result never touches training.
+//! Schedules evaluations and stores the outstanding one in checkpoints. At most one evaluation is outstanding; its
+//! result does not affect training.
 
 use std::collections::BTreeSet;
 
@@ -19,35 +19,35 @@ pub struct Evaluations {
     steps_per_iteration: u64,
     last_iteration: u64,
     latest: Option<Evaluated>,
-    /// Iterations whose result stands in the metrics.
+    /// Iterations whose results are in the metrics.
     measured: BTreeSet<u64>,
 }
 
-/// Policies that are or were evaluated.
+/// Policies whose evaluation has begun.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Evaluated {
-    /// Iterations after which these were the policies.
+    /// Finished iterations of these policies.
     pub iteration: u64,
-    /// A `policy::PolicySnapshot`.
+    /// An encoded `policy::PolicySnapshot`.
     pub policy: Bytes,
 }
 
-/// The spread of the extrinsic returns of one evaluation.
+/// Statistics of the extrinsic returns of one evaluation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// Mean.
+    /// Mean return.
     pub mean: f64,
-    /// Standard deviation of these episodes (divided by their number, not by one less).
+    /// Population standard deviation: divided by the number of episodes.
     pub standard_deviation: f64,
-    /// Smallest.
+    /// Smallest return.
     pub minimum: f64,
-    /// Largest.
+    /// Largest return.
     pub maximum: f64,
 }
 
 impl Evaluations {
-    /// For a run of `last_iteration` iterations; `measured` are the iterations whose result stands
-    /// in the metrics already.
+    /// The evaluations of a run of `last_iteration` iterations. `measured` are the iterations whose results are
+    /// already in the metrics.
     #[must_use]
     pub fn new(
         config: EvaluationConfig,
@@ -58,14 +58,14 @@ impl Evaluations {
         Self { config, steps_per_iteration, last_iteration, latest: None, measured }
     }
 
-    /// Episodes of one evaluation.
+    /// Number of episodes of one evaluation.
     #[must_use]
     pub fn episodes(&self) -> u32 {
         self.config.episodes
     }
 
-    /// Whether the policies after `iteration` iterations are to be evaluated and are not yet: at the
-    /// start, at the end, and where the steps pass a multiple of `evaluation.every_steps`.
+    /// Whether an evaluation of the policies after `iteration` iterations is due and has not begun. It is due at the
+    /// start, at the end, and when the steps pass a multiple of `evaluation.every_steps`.
     #[must_use]
     pub fn due(&self, iteration: u64) -> bool {
         let begun = self.latest.as_ref().is_some_and(|latest| latest.iteration == iteration);
@@ -79,7 +79,7 @@ impl Evaluations {
             || passed(iteration) > passed(iteration - 1)
     }
 
-    /// The evaluation whose result is still to come.
+    /// The evaluation whose result is outstanding.
     #[must_use]
     pub fn outstanding(&self) -> Option<&Evaluated> {
         let pending = |latest: &&Evaluated| {
@@ -88,18 +88,18 @@ impl Evaluations {
         self.latest.as_ref().filter(pending)
     }
 
-    /// An evaluation begins.
+    /// Begins an evaluation.
     pub fn begin(&mut self, evaluated: Evaluated) {
         self.latest = Some(evaluated);
     }
 
-    /// A result stands in the metrics.
+    /// Ends the evaluation of `iteration`, whose result is in the metrics.
     pub fn end(&mut self, iteration: u64) {
         self.measured.insert(iteration);
     }
 
-    /// The latest evaluation, under `evaluation/`, whether its result is in or not: which it is
-    /// depends on timing, and the metrics tell.
+    /// The latest evaluation as arrays under `evaluation/`, finished or not. Whether it is finished depends on timing
+    /// and is read from the metrics.
     #[must_use]
     pub fn arrays(&self) -> NamedArrays {
         let Some(latest) = &self.latest else { return NamedArrays::new() };
@@ -108,10 +108,10 @@ impl Evaluations {
         [(ITERATION.to_owned(), iteration), (POLICY.to_owned(), Array::U8 { shape, data })].into()
     }
 
-    /// Takes over what [`Self::arrays`] wrote.
+    /// Restores the state that [`Self::arrays`] returned.
     ///
     /// # Errors
-    /// Names the array that is missing or of another type.
+    /// An array is missing or has the wrong type.
     pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), CheckpointError> {
         if !arrays.contains_key(ITERATION) {
             return Ok(());
@@ -124,7 +124,7 @@ impl Evaluations {
 }
 
 impl Spread {
-    /// Of the extrinsic returns of at least one episode.
+    /// The statistics of the extrinsic returns of at least one episode.
     #[must_use]
     pub fn of(returns: impl ExactSizeIterator<Item = f64> + Clone) -> Self {
         let count = returns.len() as f64;
@@ -157,7 +157,7 @@ mod tests {
     fn the_start_the_end_and_every_multiple_are_due_once() {
         let mut all = evaluations(50_000);
         let due: Vec<u64> = (0..=30).filter(|iteration| all.due(*iteration)).collect();
-        // 13 x 4,000 = 52,000 is the first past 50,000; 25 x 4,000 = 100,000 is on its multiple.
+        // 13 x 4,000 = 52,000 is the first above 50,000; 25 x 4,000 = 100,000 is exactly a multiple.
         assert_eq!(due, [0, 13, 25, 30]);
         all.begin(evaluated(13));
         assert!(!all.due(13));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_checkpoint_keeps_an_evaluation_until_the_metrics_have_its_result() {
+    fn a_checkpoint_restores_an_evaluation_without_a_result() {
         let mut before = evaluations(50_000);
         before.begin(evaluated(13));
         let mut after = evaluations(50_000);
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn the_spread_of_two_episodes_is_that_worked_out_by_hand() {
+    fn the_statistics_of_two_episodes_match_a_hand_calculation() {
         let spread = Spread { mean: 3.0, standard_deviation: 2.0, minimum: 1.0, maximum: 5.0 };
         assert_eq!(Spread::of([1.0, 5.0].into_iter()), spread);
     }

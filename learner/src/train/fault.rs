@@ -1,5 +1,4 @@
-//! Faults on demand, at a named point of an iteration: a process that ends itself without any farewell, or a
-//! disk that is full, so that tests and soak runs can hit a learner where it hurts most.
+//! Fault injection for tests: aborts the process, or reports a full disk, at a named point of an iteration.
 
 use std::io;
 use std::str::FromStr;
@@ -7,22 +6,22 @@ use std::time::Duration;
 
 use crate::checkpoint::Step;
 
-/// Where in an iteration something goes wrong: the process dies, except at [`Point::Disk`].
+/// The point of an iteration at which the fault occurs. The process aborts, except at [`Point::Disk`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
-    /// Every slot is in, nothing has been learnt from it.
+    /// All slots are complete; the update has not begun.
     AfterCollect,
-    /// In the middle of the update.
+    /// During the update.
     MidUpdate,
-    /// The new weights are out, nothing has been written of them.
+    /// The new weights are published but not written.
     AfterPublish,
-    /// A checkpoint is written beside its place and not yet renamed.
+    /// A checkpoint is written but not yet renamed.
     MidCheckpoint,
-    /// The disk refuses one step of the checkpoint; nobody dies.
+    /// One step of writing the checkpoint fails with a full disk; the process continues.
     Disk(Step),
 }
 
-/// Names as they are given on the command line.
+/// Names on the command line.
 const NAMES: [(&str, Point); 11] = [
     ("after-collect", Point::AfterCollect),
     ("mid-update", Point::MidUpdate),
@@ -37,22 +36,22 @@ const NAMES: [(&str, Point); 11] = [
     ("disk-remove-old", Point::Disk(Step::RemoveOld)),
 ];
 
-/// How far into an update its middle is: far less than any update takes.
-const INTO_THE_UPDATE: Duration = Duration::from_millis(3);
+/// Delay after the start of the update; shorter than any update.
+const UPDATE_DELAY: Duration = Duration::from_millis(3);
 
-/// One fault: at a point, in an iteration.
+/// A fault at a point of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// Where.
+    /// The point.
     pub point: Point,
-    /// Finished iterations before it.
+    /// Finished iterations when it occurs.
     pub iteration: u64,
 }
 
 impl FromStr for Fault {
     type Err = String;
 
-    /// `POINT@ITERATION`, such as `after-publish@3`.
+    /// Parses `POINT@ITERATION`, for example `after-publish@3`.
     fn from_str(text: &str) -> Result<Self, String> {
         let names = NAMES.map(|(name, _)| name).join(", ");
         let form = || format!("expected POINT@ITERATION with one of {names}");
@@ -63,11 +62,11 @@ impl FromStr for Fault {
     }
 }
 
-/// Dies here if this is the moment of `fault`.
+/// Aborts the process if `fault` is for this point and iteration.
 pub(crate) fn at(fault: Option<Fault>, point: Point, iteration: u64) {
     if fault == Some(Fault { point, iteration }) {
         match point {
-            Point::MidUpdate => die_soon(),
+            Point::MidUpdate => abort_soon(),
             Point::AfterCollect | Point::AfterPublish | Point::MidCheckpoint => {
                 std::process::abort()
             }
@@ -76,7 +75,7 @@ pub(crate) fn at(fault: Option<Fault>, point: Point, iteration: u64) {
     }
 }
 
-/// The answer of a full disk, if `fault` has it refuse this step.
+/// Fails with a full disk if `fault` is for this step and iteration.
 pub(crate) fn on_disk(fault: Option<Fault>, step: Step, iteration: u64) -> io::Result<()> {
     match fault == Some(Fault { point: Point::Disk(step), iteration }) {
         true => Err(io::ErrorKind::StorageFull.into()),
@@ -84,10 +83,10 @@ pub(crate) fn on_disk(fault: Option<Fault>, step: Step, iteration: u64) -> io::R
     }
 }
 
-fn die_soon() {
+fn abort_soon() {
     let thread = std::thread::Builder::new().name("fault".to_owned());
     let started = thread.spawn(|| {
-        std::thread::sleep(INTO_THE_UPDATE);
+        std::thread::sleep(UPDATE_DELAY);
         std::process::abort();
     });
     if started.is_err() {
@@ -100,10 +99,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fault_is_named_by_its_point_and_its_iteration() {
+    fn a_fault_is_parsed_from_its_point_and_iteration() {
         let fault = Fault { point: Point::AfterPublish, iteration: 3 };
         assert_eq!("after-publish@3".parse(), Ok(fault));
-        for wrong in ["after-publish", "after-lunch@3", "mid-update@soon"] {
+        for wrong in ["after-publish", "unknown@3", "mid-update@x"] {
             assert!(wrong.parse::<Fault>().unwrap_err().contains("POINT@ITERATION"), "{wrong}");
         }
     }

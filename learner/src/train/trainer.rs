@@ -1,5 +1,5 @@
-//! The one loop that shows the data flow of the whole system, and what each of its steps means for
-//! the run. It runs on a thread of its own; time is measured here and reaches nothing but reports.
+//! The training loop, which shows the data flow of the whole system. It runs on a separate thread. Time is
+//! measured here and affects only reports.
 
 mod collect;
 mod save;
@@ -26,7 +26,7 @@ use crate::metrics::Metrics;
 use crate::provenance::{Origin, Provenance};
 use crate::reward_log::{Paid, RewardLog};
 use crate::run_folder::RunFolder;
-use crate::trainer::collect::{Collected, Patience};
+use crate::trainer::collect::{Collected, ProgressMonitor};
 
 /// Receives a run's events.
 pub type Observer = Box<dyn FnMut(&Event) + Send>;
@@ -36,11 +36,11 @@ pub type Observer = Box<dyn FnMut(&Event) + Send>;
 pub struct Summary {
     /// Finished iterations.
     pub iteration: u64,
-    /// Environment steps of all of them.
+    /// Environment steps of all finished iterations.
     pub env_steps: u64,
     /// The last checkpoint.
     pub checkpoint: std::path::PathBuf,
-    /// Whether the run was stopped before its last iteration, or before its last evaluation was in.
+    /// Whether the run was stopped before its last iteration or its last evaluation had finished.
     pub stopped_early: bool,
     /// Hash of the weights, hexadecimal.
     pub weights_sha256: String,
@@ -48,7 +48,7 @@ pub struct Summary {
     pub state_sha256: String,
 }
 
-/// A run between two iterations.
+/// The state of a run between two iterations.
 pub struct Trainer {
     pub(crate) config: Config,
     pub(crate) config_sha256: Digest,
@@ -63,12 +63,12 @@ pub struct Trainer {
     pub(crate) environments: Environments,
     pub(crate) evaluations: Evaluations,
     pub(crate) iteration: u64,
-    /// The newest policies, as actors get them.
+    /// The newest policies, encoded for actors.
     pub(crate) policy: Bytes,
     pub(crate) folder: RunFolder,
     pub(crate) metrics: Metrics,
     pub(crate) provenance: Provenance,
-    /// `None`: no episode of training is logged.
+    /// `None` if no training episodes are logged.
     pub(crate) reward_log: Option<RewardLog>,
     pub(crate) saved: Option<Saved>,
     pub(crate) failed_saves: u32,
@@ -76,31 +76,31 @@ pub struct Trainer {
     pub(crate) fault: Option<Fault>,
 }
 
-/// What a trainer has to do with the outside while it runs.
+/// Connections of a trainer to the rest of the learner.
 pub struct Outside {
-    /// Where actors' work is handed out and comes back.
+    /// Leases work to actors and receives their results.
     pub exchange: Arc<Exchange>,
     /// Receives the run's events, after the exchange.
     pub observer: Observer,
-    /// Says whether to stop after the last finished iteration.
+    /// Whether to stop after the last finished iteration.
     pub stop: Box<dyn Fn() -> bool + Send>,
 }
 
-/// A trainer at work.
+/// A running trainer.
 struct Work {
     trainer: Trainer,
     outside: Outside,
-    patience: Patience,
-    /// Rollouts that came in while something else was waited for.
+    progress: ProgressMonitor,
+    /// Rollouts that arrived while the trainer waited for an evaluation.
     arrived: Option<Collected>,
-    /// The weights with which the open iteration is rolled out.
+    /// The weights used for the rollouts of the open iteration.
     behaviour: Option<WeightsName>,
     /// When the last iteration ended.
     ended: Instant,
 }
 
-/// What an update made of `D_k`.
-struct Learnt {
+/// The result of an update.
+struct Update {
     report: Report,
     density_secs: f64,
     update_secs: f64,
@@ -113,28 +113,28 @@ impl Trainer {
         self.steps_after(self.iteration)
     }
 
-    /// Runs to the last iteration, or until told to stop; both leave a checkpoint.
+    /// Trains to the last iteration, or until stopped. Both end with a checkpoint.
     ///
     /// # Errors
-    /// Says what broke; the last checkpoint stands and can be resumed.
+    /// Training failed; the run can be resumed from the last checkpoint.
     pub fn train(self, outside: Outside) -> Result<Summary, LearnerError> {
         let mut work = Work {
             trainer: self,
             outside,
-            patience: Patience::new(Instant::now()),
+            progress: ProgressMonitor::new(Instant::now()),
             arrived: None,
             behaviour: None,
             ended: Instant::now(),
         };
         let result = work.run();
         if let Err(LearnerError::Exchange(_)) = &result {
-            // The state is that of the last finished iteration; what failed is somebody else's.
+            // The trainer's state is still that of the last finished iteration.
             work.save_now()?;
         }
         result
     }
 
-    /// Dies here if a test asked for it.
+    /// Aborts the process if a test injects a fault at `point`.
     pub(crate) fn fault_at(&self, point: Point) {
         fault::at(self.fault, point, self.iteration);
     }
@@ -155,21 +155,21 @@ impl Work {
             let batch = assemble(&self.trainer.layout, &collected.rollouts);
             let shares = self.trainer.environments.shares(&batch);
             self.trainer.environments.advance(&batch, &collected.rollouts);
-            let learnt = self.trainer.learn(&batch)?;
+            let update = self.trainer.update(&batch)?;
             self.trainer.iteration += 1;
             self.publish()?;
             self.lease();
             self.trainer.fault_at(Point::AfterPublish);
-            self.record(&collected, &learnt)?;
+            self.record(&collected, &update)?;
             self.log_rewards(&collected, &shares);
             self.evaluate_if_due()?;
             self.save_if_due();
-            self.save_if_asked();
+            self.save_if_requested();
         }
         self.end()
     }
 
-    /// Takes up a new run, or one that goes on from a checkpoint.
+    /// Begins a new run or resumes one from a checkpoint.
     fn begin(&mut self) -> Result<(), LearnerError> {
         if let Some(evaluated) = self.trainer.evaluations.outstanding().cloned() {
             self.open_evaluation(&evaluated)?;
@@ -179,10 +179,10 @@ impl Work {
         self.evaluate_if_due()
     }
 
-    /// The last checkpoint, then the last evaluation's result.
+    /// Writes the last checkpoint, then waits for the last evaluation.
     fn end(&mut self) -> Result<Summary, LearnerError> {
         let saved = self.save_now()?;
-        self.save_if_asked();
+        self.save_if_requested();
         let complete = self.trainer.iteration >= self.trainer.last_iteration;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.trainer.metrics.sync()?;
@@ -196,14 +196,14 @@ impl Work {
         })
     }
 
-    /// Hands the newest policies to the actors.
+    /// Publishes the newest policies for actors.
     fn publish(&mut self) -> Result<(), LearnerError> {
         let version = PolicyVersion(self.trainer.iteration);
         self.outside.exchange.publish(version, self.trainer.policy.clone())?;
         Ok(())
     }
 
-    /// Opens the slots of the next iteration, if there is one, to be rolled out with the weights just published.
+    /// Opens the slots of the next iteration, if there is one, for rollouts with the weights just published.
     fn lease(&mut self) {
         let iteration = self.trainer.iteration;
         if iteration < self.trainer.last_iteration {
@@ -214,20 +214,22 @@ impl Work {
         }
     }
 
-    /// Metrics and provenance of the iteration that has just been finished.
-    fn record(&mut self, collected: &Collected, learnt: &Learnt) -> Result<(), LearnerError> {
+    /// Writes metrics and provenance of the iteration just finished.
+    fn record(&mut self, collected: &Collected, update: &Update) -> Result<(), LearnerError> {
         let now = self.outside.exchange.run_snapshot();
         let begun = std::mem::replace(&mut self.ended, Instant::now());
         let trainer = &mut self.trainer;
         if now.foreign_actors > 0 {
-            // Tried again after every iteration until the manifest says it.
+            // Retried after every iteration until it succeeds.
             if let Err(error) = trainer.folder.note_foreign_actors() {
-                tracing::error!("the manifest does not name foreign actors yet: {error}");
+                tracing::error!(
+                    "cannot record foreign actors in the manifest: {error}; retrying after the next iteration"
+                );
             }
         }
         let mut metrics = trainer.surprise.report();
-        metrics.extend(learnt.report.iter().cloned());
-        // An environment of another program may have a time limit of its own, which is no fault.
+        metrics.extend(update.report.iter().cloned());
+        // An external environment may have its own time limit; reaching it is not a fault.
         if !self.outside.exchange.run().task_settings.is_empty() {
             metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
         }
@@ -237,8 +239,8 @@ impl Work {
             env_steps: trainer.env_steps(),
             iteration_secs: (self.ended - begun).as_secs_f64(),
             rollout_secs: collected.secs,
-            update_secs: learnt.update_secs,
-            density_secs: learnt.density_secs,
+            update_secs: update.update_secs,
+            density_secs: update.density_secs,
             episode_return: trainer.environments.mean_return(),
             actors: now.status.actors,
             messages_refused: now.status.messages_refused,
@@ -246,12 +248,12 @@ impl Work {
             metrics,
         };
         trainer.metrics.iteration(&report)?;
-        trainer.trace(collected.behaviour, &collected.rollouts, &learnt.report)?;
+        trainer.trace(collected.behaviour, &collected.rollouts, &update.report)?;
         self.tell(&Event::Iteration(report));
         Ok(())
     }
 
-    /// What the agents were paid for the steps of the iteration that has just been finished, besides the task's reward.
+    /// Logs the intrinsic rewards of the iteration just finished.
     fn log_rewards(&mut self, collected: &Collected, shares: &[Share]) {
         let Trainer { reward_log, surprise, layout, iteration, config_sha256, .. } =
             &mut self.trainer;
@@ -267,7 +269,7 @@ impl Work {
         self.outside.exchange.count_lost_log_steps(log.newly_lost());
     }
 
-    /// Begins an evaluation of the newest policies if it is due; one that is still out comes first.
+    /// Begins an evaluation of the newest policies if it is due, after waiting for the outstanding one.
     fn evaluate_if_due(&mut self) -> Result<(), LearnerError> {
         if !self.trainer.evaluations.due(self.trainer.iteration) || !self.settle_evaluation()? {
             return Ok(());
@@ -282,7 +284,7 @@ impl Work {
     fn open_evaluation(&mut self, evaluated: &Evaluated) -> Result<(), LearnerError> {
         let version = PolicyVersion(evaluated.iteration);
         let exchange = &self.outside.exchange;
-        // No open work may have named these weights for a while, so they may have been dropped.
+        // The exchange drops weights that no open work names, so they are published again.
         exchange.publish(version, evaluated.policy.clone())?;
         exchange.open_evaluation(evaluated.iteration, version, self.trainer.evaluations.episodes());
         Ok(())
@@ -299,10 +301,9 @@ impl Work {
 }
 
 impl Trainer {
-    /// Observations scaled as the policies saw them, densities fitted on `D_k` (Eq. 2), rewards relabelled by
-    /// them (Eq. 4, 9), policies and critics updated (Eq. 10). All arithmetic happens in the run's own pool of
-    /// threads.
-    fn learn(&mut self, batch: &Batch) -> Result<Learnt, LearnerError> {
+    /// Scales observations as in acting, fits densities on `D_k` (Eq. 2), relabels rewards (Eq. 4, 9), and updates
+    /// policies and critics (Eq. 10). All arithmetic runs in the run's thread pool.
+    fn update(&mut self, batch: &Batch) -> Result<Update, LearnerError> {
         let begin = Instant::now();
         self.fault_at(Point::MidUpdate);
         let Self { pool, observations, surprise, algorithm, iteration, .. } = self;
@@ -319,7 +320,7 @@ impl Trainer {
         pool.install(|| observations.take_in(batch));
         self.policy = policy_bytes(self.algorithm.as_ref(), &self.observations)?;
         let update_secs = begin.elapsed().as_secs_f64();
-        Ok(Learnt { report, density_secs, update_secs })
+        Ok(Update { report, density_secs, update_secs })
     }
 
     fn trace(
@@ -342,7 +343,7 @@ impl Trainer {
     }
 }
 
-/// The policies as actors get them.
+/// The policies, encoded for actors.
 pub(crate) fn policy_bytes(
     algorithm: &dyn Algorithm,
     observations: &ObservationMoments,

@@ -1,57 +1,28 @@
-//! A whole cluster in one thread: a slot table, actors and the network between them, to which events happen. A model of
-//! what must hold looks on.
+//! A simulated cluster in one thread: a slot table, actors and the network between them. A model checks its invariants
+//! after every event.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use learner::slots::{ConnectionId, Effect, Offer, SlotRollout, SlotTable, Trust};
 use proto::{
-    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, LeaseId, PushHeader, Reason, Refusal,
-    Work,
+    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, PushHeader, Reason, Refusal, Work,
 };
 
-use crate::disturbances::{Event, MOST_UNDER_WAY, SEATS};
+use crate::events::{ACTORS, Event, Key, MOST_IN_FLIGHT, Message, Packet, key};
 use crate::table::{CHUNKS, TTL, chunk, half_audited, honest, weights, works};
 
 const SLOTS: u32 = 3;
-/// A lease of any start of the learner.
-type Key = (Incarnation, LeaseId);
-
-fn key(lease: &Lease) -> Key {
-    (lease.incarnation, lease.id)
-}
-
-#[derive(Clone, Debug)]
-enum Message {
-    Ask(ActorId),
-    Chunk(Lease, u32),
-    Episode(Lease),
-    Beat(Heartbeat),
-    Offered(Offer),
-    Taken { lease: Key, sequence: u32, finished: bool },
-    Ended(Key),
-    Unknown,
-}
-
-/// A message to or from an actor in one of its lives.
-#[derive(Clone, Debug)]
-struct Letter {
-    seat: usize,
-    connection: ConnectionId,
-    actor: ActorId,
-    incarnation: Incarnation,
-    message: Message,
-}
 
 #[derive(Default)]
-struct Seat {
+struct ActorState {
     connection: Option<ConnectionId>,
     actor: Option<(ActorId, Incarnation)>,
     frozen: bool,
-    work: Option<Doing>,
+    work: Option<Progress>,
 }
 
-struct Doing {
+struct Progress {
     lease: Lease,
     sent: u32,
     acknowledged: u32,
@@ -62,12 +33,12 @@ pub(crate) struct Cluster {
     incarnation: Incarnation,
     now: Duration,
     connections: u64,
-    seats: Vec<Seat>,
-    network: Vec<Letter>,
+    actors: Vec<ActorState>,
+    network: Vec<Packet>,
     iteration: u64,
     /// A complete iteration that the trainer has not taken yet.
     ready: Option<Vec<SlotRollout>>,
-    /// The model: what was consumed, and which leases each slot of this start and iteration had.
+    /// The model: consumed slots, and the leases of each slot since the last restart.
     consumed: BTreeSet<(u64, u32)>,
     evaluated: BTreeSet<u64>,
     finished: BTreeSet<Key>,
@@ -81,7 +52,7 @@ impl Cluster {
             incarnation: Incarnation(1),
             now: Duration::ZERO,
             connections: 0,
-            seats: (0..SEATS).map(|_| Seat::default()).collect(),
+            actors: (0..ACTORS).map(|_| ActorState::default()).collect(),
             network: Vec::new(),
             iteration: 0,
             ready: None,
@@ -91,14 +62,14 @@ impl Cluster {
             issued: BTreeMap::new(),
         };
         cluster.open();
-        (0..SEATS).for_each(|seat| cluster.join(seat));
+        (0..ACTORS).for_each(|index| cluster.join(index));
         cluster
     }
 
-    pub(crate) fn happen(&mut self, event: Event) {
+    pub(crate) fn apply(&mut self, event: Event) {
         match event {
-            Event::Act(seat) => self.act(seat),
-            Event::Heartbeat(seat) => self.beat(seat),
+            Event::Act(index) => self.act(index),
+            Event::Heartbeat(index) => self.beat(index),
             Event::Arrive(at) => self.arrive(at),
             Event::ArriveTwice(at) => {
                 let again = self.network.get(at).cloned();
@@ -107,139 +78,144 @@ impl Cluster {
             }
             Event::Lose(at) if at < self.network.len() => drop(self.network.remove(at)),
             Event::Lose(_) => {}
-            Event::Kill(seat) => self.kill(seat),
-            Event::Freeze(seat) => self.seats[seat].frozen = true,
-            Event::Thaw(seat) => self.seats[seat].frozen = false,
-            Event::Join(seat) => self.join(seat),
+            Event::Kill(index) => self.kill(index),
+            Event::Freeze(index) => self.actors[index].frozen = true,
+            Event::Thaw(index) => self.actors[index].frozen = false,
+            Event::Join(index) => self.join(index),
             Event::Learn => self.learn(),
             Event::Restart => self.restart(),
             Event::Pass(tenths) => self.now += TTL * tenths / 10,
         }
         self.table.tick(self.now);
         self.take_effects();
-        self.network.truncate(MOST_UNDER_WAY);
-        self.is_bounded();
+        self.network.truncate(MOST_IN_FLIGHT);
+        self.check_footprint();
     }
 
-    // What actors do.
+    // The actors.
 
-    fn send(&mut self, seat: usize, message: Message) {
-        let own = &self.seats[seat];
+    fn send(&mut self, index: usize, message: Message) {
+        let own = &self.actors[index];
         if let (Some((actor, incarnation)), Some(connection)) = (own.actor, own.connection) {
-            self.network.push(Letter { seat, connection, actor, incarnation, message });
+            self.network.push(Packet { index, connection, actor, incarnation, message });
         }
     }
 
-    fn act(&mut self, seat: usize) {
-        let Some((actor, _)) = self.seats[seat].actor.filter(|_| !self.seats[seat].frozen) else {
-            return;
-        };
-        let message = match &mut self.seats[seat].work {
-            None => Message::Ask(actor),
-            Some(doing) => match doing.lease.work {
-                Work::Evaluation(_) => Message::Episode(doing.lease.clone()),
-                // Everything is out: what was not acknowledged is sent once more.
-                Work::Rollout(_) if doing.sent == CHUNKS => {
-                    doing.sent = doing.acknowledged + 1;
-                    Message::Chunk(doing.lease.clone(), doing.acknowledged)
-                }
-                Work::Rollout(_) => {
-                    doing.sent += 1;
-                    Message::Chunk(doing.lease.clone(), doing.sent - 1)
-                }
-            },
-        };
-        self.send(seat, message);
-    }
-
-    fn beat(&mut self, seat: usize) {
-        let own = &self.seats[seat];
-        let (Some((actor, incarnation)), Some(doing), false) = (own.actor, &own.work, own.frozen)
+    fn act(&mut self, index: usize) {
+        let Some((actor, _)) = self.actors[index].actor.filter(|_| !self.actors[index].frozen)
         else {
             return;
         };
-        let (lease, slot_step) = (doing.lease.id, doing.sent);
-        self.send(seat, Message::Beat(Heartbeat { actor, incarnation, lease, slot_step }));
+        let message = match &mut self.actors[index].work {
+            None => Message::Ask(actor),
+            Some(progress) => match progress.lease.work {
+                Work::Evaluation(_) => Message::Episode(progress.lease.clone()),
+                // All chunks are sent: repeat from the first unacknowledged one.
+                Work::Rollout(_) if progress.sent == CHUNKS => {
+                    progress.sent = progress.acknowledged + 1;
+                    Message::Chunk(progress.lease.clone(), progress.acknowledged)
+                }
+                Work::Rollout(_) => {
+                    progress.sent += 1;
+                    Message::Chunk(progress.lease.clone(), progress.sent - 1)
+                }
+            },
+        };
+        self.send(index, message);
     }
 
-    fn kill(&mut self, seat: usize) {
-        let gone = std::mem::take(&mut self.seats[seat]);
-        gone.connection.into_iter().for_each(|connection| self.table.disconnect(connection));
+    fn beat(&mut self, index: usize) {
+        let own = &self.actors[index];
+        let (Some((actor, incarnation)), Some(progress), false) =
+            (own.actor, &own.work, own.frozen)
+        else {
+            return;
+        };
+        let (lease, slot_step) = (progress.lease.id, progress.sent);
+        self.send(index, Message::Beat(Heartbeat { actor, incarnation, lease, slot_step }));
+    }
+
+    fn kill(&mut self, index: usize) {
+        let killed = std::mem::take(&mut self.actors[index]);
+        killed.connection.into_iter().for_each(|connection| self.table.disconnect(connection));
         let left = self.table.leases().into_iter().filter(|lease| {
-            // Another start of the learner gives the same numbers to other actors.
-            gone.actor == Some((lease.actor, self.incarnation))
+            // After a restart, the learner assigns the same ids to other actors.
+            killed.actor == Some((lease.actor, self.incarnation))
         });
         assert_eq!(left.count(), 0, "leases of a closed connection are open");
     }
 
-    fn join(&mut self, seat: usize) {
-        if self.seats[seat].actor.is_some() {
+    fn join(&mut self, index: usize) {
+        if self.actors[index].actor.is_some() {
             return;
         }
         self.connections += 1;
         let connection = ConnectionId(self.connections);
         let actor = self.table.register(connection, Trust::Exact);
         let actor = Some((actor, self.incarnation));
-        self.seats[seat] = Seat { connection: Some(connection), actor, ..Seat::default() };
+        self.actors[index] =
+            ActorState { connection: Some(connection), actor, ..ActorState::default() };
     }
 
-    fn hear(&mut self, letter: Letter) {
-        let Letter { seat, actor, incarnation, message, .. } = letter;
-        let own = &mut self.seats[seat];
-        // Answers to an earlier life reach nobody.
+    fn receive(&mut self, packet: Packet) {
+        let Packet { index, actor, incarnation, message, .. } = packet;
+        let own = &mut self.actors[index];
+        // Answers to an earlier process of this actor are dropped.
         if own.actor != Some((actor, incarnation)) {
             return;
         }
-        let held = own.work.as_ref().map(|doing| key(&doing.lease));
+        let held = own.work.as_ref().map(|progress| key(&progress.lease));
         match message {
             Message::Offered(Offer::Lease(lease)) if held.is_none() => {
-                own.work = Some(Doing { lease, sent: 0, acknowledged: 0 });
+                own.work = Some(Progress { lease, sent: 0, acknowledged: 0 });
             }
-            Message::Taken { lease, finished: true, .. } if held == Some(lease) => own.work = None,
-            Message::Taken { lease, sequence, .. } if held == Some(lease) => {
-                let doing = own.work.as_mut().unwrap();
-                doing.acknowledged = doing.acknowledged.max(sequence + 1);
-                doing.sent = doing.sent.max(doing.acknowledged);
+            Message::Acknowledged { lease, finished: true, .. } if held == Some(lease) => {
+                own.work = None
+            }
+            Message::Acknowledged { lease, sequence, .. } if held == Some(lease) => {
+                let progress = own.work.as_mut().unwrap();
+                progress.acknowledged = progress.acknowledged.max(sequence + 1);
+                progress.sent = progress.sent.max(progress.acknowledged);
             }
             Message::Ended(lease) if held == Some(lease) => own.work = None,
-            Message::Unknown => self.kill(seat),
+            Message::Unknown => self.kill(index),
             _ => {}
         }
     }
 
-    // What the learner does, as its service would.
+    // The learner.
 
     fn arrive(&mut self, at: usize) {
         if at >= self.network.len() {
             return;
         }
-        let letter = self.network.remove(at);
-        let Letter { seat, connection, actor, incarnation, message } = letter.clone();
+        let packet = self.network.remove(at);
+        let Packet { index, connection, actor, incarnation, message } = packet.clone();
         let answer = match message {
             Message::Ask(asking) => self.offer(connection, asking, incarnation),
             Message::Chunk(lease, sequence) => {
                 let header = PushHeader::of(&lease, honest(&lease, sequence));
-                let taken = self.table.chunk(connection, &header, chunk(&lease, sequence));
-                let finished = taken.as_ref().is_ok_and(|ack| ack.lease_finished);
-                self.answer(connection, &lease, taken.map(|_| (sequence, finished)))
+                let accepted = self.table.chunk(connection, &header, chunk(&lease, sequence));
+                let finished = accepted.as_ref().is_ok_and(|ack| ack.lease_finished);
+                self.answer(connection, &lease, accepted.map(|_| (sequence, finished)))
             }
             Message::Episode(lease) => {
                 let Work::Evaluation(work) = lease.work else { unreachable!("sent by act") };
                 let episode = work.episode;
                 let result = EvaluationResult { episode, extrinsic_return: 1.0, steps: 5 };
                 let header = PushHeader::of(&lease, result.digest(work.iteration));
-                let taken = self.table.evaluation(connection, &header, result);
-                self.answer(connection, &lease, taken.map(|_| (0, true)))
+                let accepted = self.table.evaluation(connection, &header, result);
+                self.answer(connection, &lease, accepted.map(|_| (0, true)))
             }
             Message::Beat(beat) => match self.table.heartbeat(connection, &beat) {
                 Ok(true) => return,
                 Ok(false) => Message::Ended((incarnation, beat.lease)),
                 Err(_) => Message::Unknown,
             },
-            _ if self.seats[seat].frozen => return self.network.push(letter),
-            _ => return self.hear(letter),
+            _ if self.actors[index].frozen => return self.network.push(packet),
+            _ => return self.receive(packet),
         };
-        self.network.push(Letter { seat, connection, actor, incarnation, message: answer });
+        self.network.push(Packet { index, connection, actor, incarnation, message: answer });
     }
 
     fn offer(
@@ -250,9 +226,12 @@ impl Cluster {
     ) -> Message {
         match self.table.lease(connection, actor, incarnation) {
             Ok(offer) => {
-                assert_eq!(incarnation, self.incarnation, "an offer to an earlier start's actor");
+                assert_eq!(
+                    incarnation, self.incarnation,
+                    "an offer to an actor of an earlier incarnation"
+                );
                 if let Offer::Lease(lease) = &offer {
-                    self.is_rightly_leased(lease);
+                    self.check_lease(lease);
                 }
                 Message::Offered(offer)
             }
@@ -263,16 +242,18 @@ impl Cluster {
         }
     }
 
-    /// An acknowledgement; a refusal ends the lease unless it had ended before.
+    /// The answer to a result. A refusal ends the lease unless it has already ended.
     fn answer(
         &mut self,
         connection: ConnectionId,
         lease: &Lease,
-        taken: Result<(u32, bool), Refusal>,
+        accepted: Result<(u32, bool), Refusal>,
     ) -> Message {
-        self.is_rightly_answered(lease, &taken);
-        match taken {
-            Ok((sequence, finished)) => Message::Taken { lease: key(lease), sequence, finished },
+        self.check_answer(lease, &accepted);
+        match accepted {
+            Ok((sequence, finished)) => {
+                Message::Acknowledged { lease: key(lease), sequence, finished }
+            }
             Err(refusal) => {
                 if !matches!(refusal.reason, Reason::UnknownLease | Reason::OtherIncarnation) {
                     self.table.refuse(connection, Some(lease.id));
@@ -284,7 +265,7 @@ impl Cluster {
 
     fn open(&mut self) {
         self.table.open_iteration(self.iteration, weights(), works(self.iteration, SLOTS));
-        // Evaluations come one at a time, as the trainer opens them.
+        // At most one evaluation is open at a time, as in the trainer.
         if self.evaluated.len() as u64 == self.iteration {
             self.table.open_evaluation(self.iteration, weights(), 1);
         }
@@ -305,9 +286,9 @@ impl Cluster {
         self.open();
     }
 
-    /// A new learner stands where the last one saved: no iteration that was not learnt from is missing.
+    /// Restarts the learner at the open iteration; no finished iteration is lost.
     fn restart(&mut self) {
-        // Another start gives the same numbers to its leases.
+        // The new table assigns the same lease ids again.
         self.issued.clear();
         self.incarnation = Incarnation(self.incarnation.0 + 1);
         self.table = SlotTable::new(half_audited(self.incarnation));
@@ -334,15 +315,15 @@ impl Cluster {
                 Effect::Evaluation(outcome) => {
                     assert!(self.evaluated.insert(outcome.iteration), "evaluated twice");
                 }
-                Effect::Failed(found) => panic!("honest actors never disagree: {found}"),
+                Effect::Failed(found) => panic!("results of correct actors differ: {found}"),
             }
         }
     }
 
-    // What must hold.
+    // The invariants.
 
-    /// No slot has more than two open leases at a time.
-    fn is_rightly_leased(&mut self, lease: &Lease) {
+    /// A slot has at most two open leases at a time.
+    fn check_lease(&mut self, lease: &Lease) {
         let Work::Rollout(work) = &lease.work else { return };
         let open = self.table.leases();
         let earlier = self.issued.entry((work.iteration, work.slot)).or_default();
@@ -351,48 +332,45 @@ impl Cluster {
         earlier.push(lease.clone());
     }
 
-    /// Nothing is taken from an earlier start's leases, and what was finished is acknowledged whenever it comes again.
-    fn is_rightly_answered(&mut self, lease: &Lease, taken: &Result<(u32, bool), Refusal>) {
+    /// Results for leases of an earlier incarnation are refused; repeated results for finished leases are acknowledged.
+    fn check_answer(&mut self, lease: &Lease, accepted: &Result<(u32, bool), Refusal>) {
         let current = lease.incarnation == self.incarnation;
-        assert!(current || taken.is_err(), "taken from an earlier start's lease");
+        assert!(current || accepted.is_err(), "accepted for a lease of an earlier incarnation");
         if current && self.finished.contains(&key(lease)) {
-            assert!(
-                matches!(taken, Ok((_, true))),
-                "a finished lease is not recognised: {taken:?}"
-            );
+            assert!(matches!(accepted, Ok((_, true))), "not acknowledged: {accepted:?}");
         }
-        if let Ok((_, true)) = taken {
+        if let Ok((_, true)) = accepted {
             self.finished.insert(key(lease));
         }
     }
 
-    fn is_bounded(&self) {
+    fn check_footprint(&self) {
         let held = self.table.footprint();
-        assert!(held.actors <= SEATS, "{held:?}");
+        assert!(held.actors <= ACTORS, "{held:?}");
         assert!(held.open_leases <= 2 * SLOTS as usize + 1 + 8, "{held:?}");
         assert!(held.chunks <= 2 * u64::from(SLOTS * CHUNKS), "{held:?}");
         assert!(held.open_audits <= 8 && held.earlier_results <= 9 * SLOTS as usize, "{held:?}");
         assert!(held.finished_leases <= 4096, "{held:?}");
     }
 
-    /// The faults are over: actors are back, nothing more is lost, and time goes by. In the end each slot of each
-    /// iteration was consumed exactly once.
+    /// Runs without faults until three more iterations are finished, then checks that each slot of each iteration was
+    /// consumed exactly once.
     pub(crate) fn settle(&mut self) {
         let target = self.iteration + 3;
-        (0..SEATS).for_each(|seat| self.happen(Event::Thaw(seat)));
+        (0..ACTORS).for_each(|index| self.apply(Event::Thaw(index)));
         let mut rounds = 0;
         while self.iteration < target {
-            for seat in 0..SEATS {
-                self.happen(Event::Join(seat));
-                self.happen(Event::Act(seat));
+            for index in 0..ACTORS {
+                self.apply(Event::Join(index));
+                self.apply(Event::Act(index));
             }
             while !self.network.is_empty() {
-                self.happen(Event::Arrive(0));
+                self.apply(Event::Arrive(0));
             }
-            self.happen(Event::Learn);
-            self.happen(Event::Pass(1));
+            self.apply(Event::Learn);
+            self.apply(Event::Pass(1));
             rounds += 1;
-            assert!(rounds < 500, "the run stands still: {:?}", self.table);
+            assert!(rounds < 500, "the run makes no progress: {:?}", self.table);
         }
         let expected = (0..self.iteration).flat_map(|k| (0..SLOTS).map(move |slot| (k, slot)));
         assert!(self.consumed.iter().copied().eq(expected));

@@ -1,5 +1,4 @@
-//! Whatever is lost, repeated, late or killed: each slot of each iteration is consumed exactly once, and
-//! whole.
+//! Each slot of each iteration is consumed exactly once and completely, with any sequence of faults.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -8,27 +7,27 @@ use learner::slots::{Effect, Offer, SlotTable};
 use proptest::prelude::*;
 use proto::{AckState, Heartbeat};
 
-use crate::schedules::for_all;
+use crate::random_cases::for_all;
 use crate::table::{
     Actor, CHUNKS, Held, INCARNATION, TTL, actor, honest, push, table, weights, works,
 };
 
 const SLOTS: u32 = 3;
 
-/// One thing that happens. Numbers choose among whatever there is.
+/// An event. Numbers are indices of actors or leases.
 #[derive(Clone, Debug)]
-enum Happening {
+enum Event {
     /// An actor joins.
     Register,
-    /// An actor asks for work.
+    /// An actor requests work.
     Lease(usize),
-    /// The next chunk of a lease comes in, or one that is `skip` further on.
+    /// The next chunk of a lease arrives, or the one `skip` chunks later.
     Push { lease: usize, skip: u32 },
-    /// The last chunk of a lease comes in again: its acknowledgement was lost.
+    /// The last chunk of a lease arrives again because its acknowledgement was lost.
     Repeat(usize),
-    /// Something of a lease was refused.
+    /// A message for a lease is refused.
     Refuse(usize),
-    /// An actor gives a sign of life.
+    /// An actor sends a heartbeat.
     Beat(usize),
     /// An actor is killed.
     Disconnect(usize),
@@ -36,56 +35,56 @@ enum Happening {
     Pass(u32),
 }
 
-fn happening() -> impl Strategy<Value = Happening> {
+fn event() -> impl Strategy<Value = Event> {
     let some = 0..64_usize;
     prop_oneof![
-        1 => Just(Happening::Register),
-        4 => some.clone().prop_map(Happening::Lease),
+        1 => Just(Event::Register),
+        4 => some.clone().prop_map(Event::Lease),
         12 => (some.clone(), prop_oneof![9 => Just(0), 1 => 1..3_u32])
-            .prop_map(|(lease, skip)| Happening::Push { lease, skip }),
-        2 => some.clone().prop_map(Happening::Repeat),
-        1 => some.clone().prop_map(Happening::Refuse),
-        2 => some.clone().prop_map(Happening::Beat),
-        1 => some.prop_map(Happening::Disconnect),
-        2 => (1..8_u32).prop_map(Happening::Pass),
+            .prop_map(|(lease, skip)| Event::Push { lease, skip }),
+        2 => some.clone().prop_map(Event::Repeat),
+        1 => some.clone().prop_map(Event::Refuse),
+        2 => some.clone().prop_map(Event::Beat),
+        1 => some.prop_map(Event::Disconnect),
+        2 => (1..8_u32).prop_map(Event::Pass),
     ]
 }
 
-/// The table under test, and what the world around it knows.
-struct World {
+/// The table under test and a model of its actors and trainer.
+struct Cluster {
     table: SlotTable,
     now: Duration,
     actors: Vec<Actor>,
-    /// Every lease ever given, and the chunks its actor has sent.
+    /// All leases and the number of chunks sent for each.
     leases: Vec<(Held, u32)>,
     iteration: u64,
     consumed: BTreeSet<(u64, u32)>,
 }
 
-impl World {
+impl Cluster {
     fn new() -> Self {
         let (actors, leases, consumed) = (Vec::new(), Vec::new(), BTreeSet::new());
         Self { table: table(SLOTS), now: Duration::ZERO, actors, leases, iteration: 0, consumed }
     }
 
-    fn happen(&mut self, happening: Happening) {
-        match happening {
-            Happening::Register => self.register(),
-            Happening::Lease(at) => self.lease(at),
-            Happening::Push { lease, skip } => self.push(lease, skip),
-            Happening::Repeat(at) => self.repeat(at),
-            Happening::Refuse(at) => {
+    fn apply(&mut self, event: Event) {
+        match event {
+            Event::Register => self.register(),
+            Event::Lease(at) => self.lease(at),
+            Event::Push { lease, skip } => self.push(lease, skip),
+            Event::Repeat(at) => self.repeat(at),
+            Event::Refuse(at) => {
                 if let Some((lease, _)) = pick(&self.leases, at) {
                     self.table.refuse(lease.connection, Some(lease.id));
                 }
             }
-            Happening::Beat(at) => self.beat(at),
-            Happening::Disconnect(at) => {
+            Event::Beat(at) => self.beat(at),
+            Event::Disconnect(at) => {
                 if let Some(actor) = pick(&self.actors, at) {
                     self.table.disconnect(actor.connection);
                 }
             }
-            Happening::Pass(tenths) => {
+            Event::Pass(tenths) => {
                 self.now += TTL * tenths / 10;
                 self.table.tick(self.now);
             }
@@ -94,7 +93,7 @@ impl World {
     }
 
     fn register(&mut self) {
-        // Each actor has a connection of its own.
+        // Each actor has a separate connection.
         let connection = self.actors.len() as u64 + 1;
         self.actors.push(actor(&mut self.table, connection));
     }
@@ -115,14 +114,14 @@ impl World {
             return;
         };
         let accepted = ack.state == AckState::Accepted;
-        assert!(!accepted || skip == 0, "a chunk was taken in although one before it is missing");
+        assert!(!accepted || skip == 0, "a chunk was accepted although an earlier one is missing");
         *sent += 1;
     }
 
     fn repeat(&mut self, at: usize) {
         let sent = pick(&self.leases, at).filter(|(_, sent)| *sent > 0);
         let Some((lease, sent)) = sent else { return };
-        // Refused if the lease has ended; never counted twice, which the end of the test shows.
+        // Refused if the lease has ended. The end of the test checks that no chunk is counted twice.
         let _ = push(&mut self.table, lease, sent - 1);
     }
 
@@ -136,7 +135,7 @@ impl World {
         let _ = self.table.heartbeat(connection, &beat);
     }
 
-    /// Takes complete iterations out, as the trainer does, and opens the next one.
+    /// Takes complete iterations, as the trainer does, and opens the next one.
     fn consume(&mut self) {
         for effect in self.table.effects() {
             match effect {
@@ -167,12 +166,12 @@ impl World {
                         works(self.iteration, SLOTS),
                     );
                 }
-                other => panic!("honest actors never cause {other:?}"),
+                other => panic!("unexpected with correct actors: {other:?}"),
             }
         }
     }
 
-    /// One honest actor is left, and time enough.
+    /// Completes the open iteration with one correct actor after all leases have expired.
     fn settle(&mut self) {
         let target = self.iteration + 1;
         self.now += 100 * TTL;
@@ -195,12 +194,12 @@ fn pick<T>(all: &[T], at: usize) -> Option<&T> {
 }
 
 #[test]
-fn every_slot_is_consumed_exactly_once_whatever_happens() {
-    for_all(256, &proptest::collection::vec(happening(), 0..300), |happenings| {
-        let mut world = World::new();
-        happenings.into_iter().for_each(|happening| world.happen(happening));
-        world.settle();
-        let expected = (0..world.iteration).flat_map(|k| (0..SLOTS).map(move |slot| (k, slot)));
-        assert!(world.consumed.iter().copied().eq(expected));
+fn every_slot_is_consumed_exactly_once_with_any_sequence_of_faults() {
+    for_all(256, &proptest::collection::vec(event(), 0..300), |events| {
+        let mut cluster = Cluster::new();
+        events.into_iter().for_each(|event| cluster.apply(event));
+        cluster.settle();
+        let expected = (0..cluster.iteration).flat_map(|k| (0..SLOTS).map(move |slot| (k, slot)));
+        assert!(cluster.consumed.iter().copied().eq(expected));
     });
 }

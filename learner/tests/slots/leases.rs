@@ -1,4 +1,4 @@
-//! How leases begin and end.
+//! Granting, renewal and expiry of leases.
 
 use std::time::Duration;
 
@@ -26,7 +26,7 @@ fn the_lowest_free_slot_is_leased_first() {
 }
 
 #[test]
-fn evaluations_are_leased_when_no_slot_is_free_and_end_once_all_episodes_are_in() {
+fn evaluations_are_leased_when_no_slot_is_free_and_end_after_their_last_episode() {
     let mut table = table(1);
     table.open_evaluation(7, weights(), 2);
     let a = actor(&mut table, 1);
@@ -46,7 +46,7 @@ fn evaluations_are_leased_when_no_slot_is_free_and_end_once_all_episodes_are_in(
 }
 
 #[test]
-fn a_silent_lease_ends_after_its_time_to_live_and_the_slot_starts_again() {
+fn a_lease_without_messages_expires_after_its_time_to_live_and_the_slot_starts_again() {
     let mut table = table(1);
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let late = lease(&mut table, a);
@@ -62,7 +62,7 @@ fn a_silent_lease_ends_after_its_time_to_live_and_the_slot_starts_again() {
 }
 
 #[test]
-fn heartbeats_extend_a_lease_until_no_chunk_came_for_long_whatever_steps_they_claim() {
+fn heartbeats_without_chunks_extend_a_lease_only_for_a_limited_time() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
@@ -78,8 +78,7 @@ fn heartbeats_extend_a_lease_until_no_chunk_came_for_long_whatever_steps_they_cl
 }
 
 #[test]
-fn an_episode_is_played_on_while_its_steps_rise_but_no_lease_grows_older_than_ninety_times_to_live()
-{
+fn an_evaluation_lease_is_extended_while_steps_rise_but_not_beyond_ninety_times_to_live() {
     let mut table = table(0);
     table.open_evaluation(0, weights(), 1);
     let a = actor(&mut table, 1);
@@ -117,7 +116,7 @@ fn a_closed_connection_frees_its_leases_at_once() {
 }
 
 #[test]
-fn another_incarnation_or_an_unknown_actor_is_refused() {
+fn another_incarnation_and_an_unknown_actor_are_refused() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let other = Incarnation(10);
@@ -182,7 +181,7 @@ fn a_finished_run_answers_done() {
 }
 
 #[test]
-fn a_paused_run_gives_no_work_lets_open_work_be_finished_and_goes_on() {
+fn a_paused_run_grants_no_leases_accepts_results_and_can_be_resumed() {
     let mut table = table(2);
     let a = actor(&mut table, 1);
     let open = lease(&mut table, a);
@@ -192,23 +191,23 @@ fn a_paused_run_gives_no_work_lets_open_work_be_finished_and_goes_on() {
     assert!((0..CHUNKS).all(|sequence| push(&mut table, &open, sequence).is_ok()));
     table.effects();
     table.resume();
-    assert_eq!(table.effects(), [Effect::WorkFreed], "whoever waits for a lease asks again");
+    assert_eq!(table.effects(), [Effect::WorkFreed], "waiting actors are notified");
     assert_eq!(slot(&lease(&mut table, a)), 1);
     table.pause();
     table.finish();
-    assert_eq!(a.ask(&mut table), Ok(Offer::Done), "a run that is over is over");
+    assert_eq!(a.ask(&mut table), Ok(Offer::Done), "a finished run stays finished");
 }
 
 #[test]
-fn a_connection_that_registers_for_the_seventeenth_time_loses_its_first_actor() {
+fn the_seventeenth_registration_of_a_connection_removes_its_first_actor() {
     let mut table = table(1);
     let first = actor(&mut table, 1);
     let held = lease(&mut table, first);
     (0..15).for_each(|_| assert_ne!(actor(&mut table, 1), first));
-    let elsewhere = actor(&mut table, 2);
-    assert_eq!((table.counts().actors, elsewhere.ask(&mut table)), (17, Ok(Offer::Nothing)));
+    let other = actor(&mut table, 2);
+    assert_eq!((table.counts().actors, other.ask(&mut table)), (17, Ok(Offer::Nothing)));
     actor(&mut table, 1);
     assert_eq!(table.counts().actors, 17);
     assert_eq!(push(&mut table, &held, 0).unwrap_err().reason, Reason::UnknownLease);
-    assert_eq!(slot(&lease(&mut table, elsewhere)), 0);
+    assert_eq!(slot(&lease(&mut table, other)), 0);
 }

@@ -1,26 +1,26 @@
-//! A whole cluster on a hostile network: messages are lost, doubled, late and out of order, actors die,
-//! freeze and come back, the learner restarts.
+//! A simulated cluster with faults: messages are lost, duplicated, delayed and reordered, actors are killed, frozen and
+//! restarted, and the learner restarts.
 
 use proptest::prelude::*;
 
 use crate::cluster::Cluster;
-use crate::disturbances::{Event, MOST_UNDER_WAY, SEATS};
-use crate::schedules::for_all;
+use crate::events::{ACTORS, Event, MOST_IN_FLIGHT};
+use crate::random_cases::for_all;
 
-/// What happens, and how often.
+/// Random events with their relative frequencies.
 fn event() -> impl Strategy<Value = Event> {
-    let seat = || 0..SEATS;
-    let message = || prop_oneof![3 => Just(0), 1 => 0..MOST_UNDER_WAY];
+    let actor = || 0..ACTORS;
+    let message = || prop_oneof![3 => Just(0), 1 => 0..MOST_IN_FLIGHT];
     prop_oneof![
-        24 => seat().prop_map(Event::Act),
-        4 => seat().prop_map(Event::Heartbeat),
+        24 => actor().prop_map(Event::Act),
+        4 => actor().prop_map(Event::Heartbeat),
         36 => message().prop_map(Event::Arrive),
         4 => message().prop_map(Event::ArriveTwice),
         2 => message().prop_map(Event::Lose),
-        1 => seat().prop_map(Event::Kill),
-        1 => seat().prop_map(Event::Freeze),
-        2 => seat().prop_map(Event::Thaw),
-        2 => seat().prop_map(Event::Join),
+        1 => actor().prop_map(Event::Kill),
+        1 => actor().prop_map(Event::Freeze),
+        2 => actor().prop_map(Event::Thaw),
+        2 => actor().prop_map(Event::Join),
         4 => Just(Event::Learn),
         1 => (0..12_u32).prop_map(|once| if once == 0 { Event::Restart } else { Event::Learn }),
         4 => (1..8_u32).prop_map(Event::Pass),
@@ -28,10 +28,10 @@ fn event() -> impl Strategy<Value = Event> {
 }
 
 #[test]
-fn a_cluster_on_a_hostile_network_consumes_each_slot_exactly_once_and_never_stands_still() {
+fn a_cluster_on_a_faulty_network_consumes_each_slot_exactly_once_and_makes_progress() {
     for_all(400, &proptest::collection::vec(event(), 0..600), |events| {
         let mut cluster = Cluster::new();
-        events.into_iter().for_each(|event| cluster.happen(event));
+        events.into_iter().for_each(|event| cluster.apply(event));
         cluster.settle();
     });
 }

@@ -1,4 +1,4 @@
-//! What is taken in, what is recognised, what is refused, and when results contradict each other.
+//! Accepted, repeated and refused results, and results that contradict each other.
 
 use learner::slots::{ConnectionId, Effect, SlotTable, Trust};
 use proto::{AckState, ActorId, Digest, PolicyVersion, Reason};
@@ -12,17 +12,17 @@ fn rollouts(effects: &[Effect]) -> Vec<(u32, ActorId)> {
     rollouts.iter().map(|rollout| (rollout.slot, rollout.actor)).collect()
 }
 
-/// Leases the slot, gives chunk 0 with `digest`, and goes away.
-fn vanish_after(table: &mut SlotTable, connection: u64, digest: Digest) {
-    let witness = actor(table, connection);
-    let lease = lease(table, witness);
+/// Leases the slot, pushes chunk 0 with `digest`, and disconnects.
+fn disconnect_after(table: &mut SlotTable, connection: u64, digest: Digest) {
+    let actor = actor(table, connection);
+    let lease = lease(table, actor);
     push_as(table, &lease, 0, digest).unwrap();
     table.disconnect(ConnectionId(connection));
     table.effects();
 }
 
 #[test]
-fn an_iteration_is_complete_when_every_slot_is_and_comes_in_the_order_of_slots() {
+fn an_iteration_is_complete_with_its_last_slot_and_ordered_by_slot() {
     let mut table = table(2);
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let (first, second) = (lease(&mut table, a), lease(&mut table, b));
@@ -47,7 +47,7 @@ fn a_repeated_chunk_is_acknowledged_again_even_when_the_lease_is_finished() {
 }
 
 #[test]
-fn chunks_out_of_order_or_with_another_content_or_weights_are_refused() {
+fn chunks_out_of_order_or_with_other_content_or_weights_are_refused() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let mut lease = lease(&mut table, a);
@@ -68,21 +68,21 @@ fn chunks_out_of_order_or_with_another_content_or_weights_are_refused() {
 }
 
 #[test]
-fn a_result_that_agrees_with_what_was_seen_before_stands() {
+fn a_result_that_agrees_with_an_unfinished_one_is_accepted() {
     let mut table = table(1);
     let probe = actor(&mut table, 1);
     let honest = crate::table::honest(&lease(&mut table, probe), 0);
     table.disconnect(ConnectionId(1));
-    vanish_after(&mut table, 2, honest);
+    disconnect_after(&mut table, 2, honest);
     let a = actor(&mut table, 3);
     let lease = lease(&mut table, a);
     assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, a.id)]);
 }
 
 #[test]
-fn a_result_that_contradicts_an_unfinished_one_stands_when_it_comes_out_again() {
+fn a_result_that_contradicts_an_unfinished_one_is_accepted_after_a_second_computation() {
     let mut table = table(1);
-    vanish_after(&mut table, 1, OTHER);
+    disconnect_after(&mut table, 1, OTHER);
     let (a, b) = (actor(&mut table, 2), actor(&mut table, 3));
     let first = lease(&mut table, a);
     assert_eq!(complete(&mut table, &first), [Effect::WorkFreed]);
@@ -91,9 +91,9 @@ fn a_result_that_contradicts_an_unfinished_one_stands_when_it_comes_out_again() 
 }
 
 #[test]
-fn two_complete_results_that_differ_stop_the_run_and_name_everybody() {
+fn two_complete_results_that_differ_stop_the_run_and_name_their_actors() {
     let mut table = table(1);
-    vanish_after(&mut table, 1, OTHER);
+    disconnect_after(&mut table, 1, OTHER);
     let (a, b) = (actor(&mut table, 2), actor(&mut table, 3));
     let first = lease(&mut table, a);
     assert_eq!(complete(&mut table, &first), [Effect::WorkFreed]);
@@ -109,7 +109,7 @@ fn two_complete_results_that_differ_stop_the_run_and_name_everybody() {
 #[test]
 fn results_of_a_foreign_actor_are_never_compared() {
     let mut table = table(1);
-    vanish_after(&mut table, 1, OTHER);
+    disconnect_after(&mut table, 1, OTHER);
     let connection = ConnectionId(2);
     let foreign = Actor { connection, id: table.register(connection, Trust::Foreign) };
     let lease = lease(&mut table, foreign);

@@ -1,4 +1,4 @@
-//! A slot table with small numbers, and an actor that does what a test says.
+//! A small slot table, and an actor controlled by the test.
 
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
@@ -28,7 +28,7 @@ pub(crate) fn works(iteration: u64, slots: u32) -> Vec<RolloutWork> {
         .collect()
 }
 
-/// The rules of a start of the learner, without audits.
+/// Rules without audits.
 pub(crate) fn rules(incarnation: Incarnation) -> SlotRules {
     SlotRules {
         incarnation,
@@ -47,16 +47,16 @@ pub(crate) fn half_audited(incarnation: Incarnation) -> SlotRules {
 
 /// A table with an open iteration of `slots` slots.
 pub(crate) fn table(slots: u32) -> SlotTable {
-    opened(SlotTable::new(rules(INCARNATION)), slots)
+    open(SlotTable::new(rules(INCARNATION)), slots)
 }
 
 /// A table whose slots are all audited.
 pub(crate) fn audited_table(slots: u32) -> SlotTable {
     let audit = AuditPlan { share: 1.0, secret: 5 };
-    opened(SlotTable::new(SlotRules { audit, ..rules(INCARNATION) }), slots)
+    open(SlotTable::new(SlotRules { audit, ..rules(INCARNATION) }), slots)
 }
 
-fn opened(mut table: SlotTable, slots: u32) -> SlotTable {
+fn open(mut table: SlotTable, slots: u32) -> SlotTable {
     table.open_iteration(0, weights(), works(0, slots));
     table.effects();
     table
@@ -70,13 +70,13 @@ pub(crate) struct Actor {
 }
 
 impl Actor {
-    /// Asks for work.
+    /// Requests a lease.
     pub(crate) fn ask(self, table: &mut SlotTable) -> Result<Offer, Refusal> {
         table.lease(self.connection, self.id, INCARNATION)
     }
 }
 
-/// A lease, and the connection that holds it.
+/// A lease and the connection that holds it.
 #[derive(Clone, Debug)]
 pub(crate) struct Held {
     pub(crate) connection: ConnectionId,
@@ -97,7 +97,7 @@ impl DerefMut for Held {
     }
 }
 
-/// An exact actor on this connection.
+/// Registers an exact actor on this connection.
 pub(crate) fn actor(table: &mut SlotTable, connection: u64) -> Actor {
     let connection = ConnectionId(connection);
     Actor { connection, id: table.register(connection, Trust::Exact) }
@@ -117,13 +117,13 @@ pub(crate) fn slot(lease: &Lease) -> u32 {
     }
 }
 
-/// What every honest actor computes for a chunk.
+/// The digest that every correct actor computes for a chunk.
 pub(crate) fn honest(lease: &Lease, sequence: u32) -> Digest {
     let Work::Rollout(work) = &lease.work else { panic!("expected a slot, got {lease:?}") };
     Digest::of(format!("{} {} {sequence}", work.iteration, work.slot).as_bytes())
 }
 
-/// A chunk that remembers under which lease it was computed.
+/// A chunk whose reward is the id of its lease.
 pub(crate) fn chunk(lease: &Lease, sequence: u32) -> TrajectoryChunk {
     TrajectoryChunk {
         sequence,
@@ -152,7 +152,7 @@ pub(crate) fn push_as(
     table.chunk(lease.connection, &PushHeader::of(lease, digest), chunk(lease, sequence))
 }
 
-/// Pushes everything honestly, and hands back what the table wants done.
+/// Pushes all chunks correctly and returns the table's effects.
 pub(crate) fn complete(table: &mut SlotTable, lease: &Held) -> Vec<Effect> {
     for sequence in 0..CHUNKS {
         push(table, lease, sequence).unwrap();

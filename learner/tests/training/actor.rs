@@ -1,4 +1,4 @@
-//! An actor on a thread of its own that plays the toy world for an exchange until the run is done.
+//! Actor threads that step the toy environment for an exchange until the run is done.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,36 +12,36 @@ use proto::{Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Registration, RunD
 
 use crate::toy;
 
-/// Actors at work.
+/// Running actor threads.
 pub(crate) struct Actors {
     threads: Vec<JoinHandle<()>>,
-    gone: Arc<AtomicBool>,
+    stop: Arc<AtomicBool>,
 }
 
 impl Actors {
-    /// Starts `count` of them.
+    /// Starts `count` actors.
     pub(crate) fn start(count: u64, exchange: &Arc<Exchange>) -> Self {
-        let gone = Arc::new(AtomicBool::new(false));
+        let stop = Arc::new(AtomicBool::new(false));
         let start = |index| {
-            let (exchange, gone) = (Arc::clone(exchange), Arc::clone(&gone));
+            let (exchange, stop) = (Arc::clone(exchange), Arc::clone(&stop));
             let thread = std::thread::Builder::new().name(format!("actor-{index}"));
-            thread.spawn(move || work(&exchange, ConnectionId(index), &gone)).unwrap()
+            thread.spawn(move || work(&exchange, ConnectionId(index), &stop)).unwrap()
         };
-        Self { threads: (0..count).map(start).collect(), gone }
+        Self { threads: (0..count).map(start).collect(), stop }
     }
 
-    /// Ends them, whatever they are at.
+    /// Stops all actors.
     pub(crate) fn end(self) {
-        self.gone.store(true, Ordering::Relaxed);
+        self.stop.store(true, Ordering::Relaxed);
         self.threads.into_iter().for_each(|thread| thread.join().unwrap());
     }
 }
 
-fn work(exchange: &Exchange, connection: ConnectionId, gone: &AtomicBool) {
+fn work(exchange: &Exchange, connection: ConnectionId, stop: &AtomicBool) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
     let run = exchange.run().clone();
     let registered = exchange.register(connection, &registration(&run)).unwrap();
-    while !gone.load(Ordering::Relaxed) {
+    while !stop.load(Ordering::Relaxed) {
         let answer = exchange.lease(
             connection,
             registered.actor,
@@ -66,7 +66,7 @@ fn registration(run: &RunDescription) -> Registration {
     }
 }
 
-/// A result that is not wanted any more is refused, as in a real run when the learner stops.
+/// Computes a lease and sends the results. The learner refuses results that arrive after its stop.
 fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, lease: &Lease) {
     let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };
     let policy = PolicySnapshot::from_bytes(&snapshot).unwrap();

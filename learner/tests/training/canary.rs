@@ -1,4 +1,4 @@
-//! Log-probabilities and recurrent states that actors sent, computed again.
+//! The canary recomputes log-probabilities and recurrent states that actors sent.
 
 use learner::assemble::problem;
 use learner::{canary, launch};
@@ -10,7 +10,7 @@ use proto::{
 use crate::settings::launch_in;
 use crate::toy;
 
-/// A slot whose first environment's episode ends with step 2, in the middle of a block of two steps.
+/// Rolls out a slot in which the first environment's episode ends with step 2, in the middle of a block of two steps.
 fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<TrajectoryChunk>) {
     let folder = tempfile::tempdir().unwrap();
     let mut launch = launch_in(folder.path(), 1);
@@ -28,13 +28,13 @@ fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<Trajectory
     (run, policy, chunks)
 }
 
-/// The slot that is rolled out.
+/// The origin of the slot.
 fn origin() -> RolloutOrigin {
     RolloutOrigin { iteration: 0, slot: 0, environments: vec![0, 1] }
 }
 
 #[test]
-fn a_chunk_of_another_slot_iteration_or_environment_is_refused_by_its_random_draws() {
+fn a_chunk_of_another_slot_iteration_or_environment_is_refused() {
     let (run, policy, chunks) = rolled_out(CoreKind::Gru);
     let others = [
         RolloutOrigin { environments: vec![2, 3], slot: 1, ..origin() },
@@ -52,7 +52,7 @@ fn a_chunk_of_another_slot_iteration_or_environment_is_refused_by_its_random_dra
 }
 
 #[test]
-fn chunks_of_the_named_policy_pass_with_and_without_memory() {
+fn chunks_of_the_named_policy_are_accepted_with_and_without_recurrence() {
     for core in [CoreKind::Gru, CoreKind::Mlp] {
         let (run, policy, chunks) = rolled_out(core);
         assert!(chunks.iter().any(|chunk| chunk.truncated.contains(&true)));
@@ -63,9 +63,9 @@ fn chunks_of_the_named_policy_pass_with_and_without_memory() {
 }
 
 #[test]
-fn a_changed_number_is_refused_by_agent_step_and_environment() {
-    type Spoil = fn(&mut TrajectoryChunk);
-    let spoiled: [(Spoil, &str, &str); 4] = [
+fn a_changed_number_is_refused_with_its_agent_step_and_environment() {
+    type Change = fn(&mut TrajectoryChunk);
+    let changes: [(Change, &str, &str); 4] = [
         (|c| c.agents[1].log_prob[5] += 0.01, "agents[1].log_prob", "step 2 of environment 1"),
         (|c| c.agents[0].hidden[2 * 8 + 3] += 0.01, "agents[0].hidden", "step 2 of environment 0"),
         (|c| c.agents[0].action[6] += 0.5, "agents[0].log_prob", "step 3 of environment 0"),
@@ -76,20 +76,20 @@ fn a_changed_number_is_refused_by_agent_step_and_environment() {
         ),
     ];
     let (run, policy, chunks) = rolled_out(CoreKind::Gru);
-    for (spoil, field, place) in spoiled {
+    for (change, field, position) in changes {
         let mut chunk = chunks.last().unwrap().clone();
-        spoil(&mut chunk);
+        change(&mut chunk);
         let refusal = canary::check(&policy, &run, &chunk, Some(&origin())).unwrap_err();
         assert_eq!(
             (refusal.reason, refusal.field),
             (Reason::CanaryMismatch, format!("chunk.{field}"))
         );
-        assert!(refusal.detail.contains(place), "{}", refusal.detail);
+        assert!(refusal.detail.contains(position), "{}", refusal.detail);
     }
 }
 
 #[test]
-fn of_several_differences_the_first_step_is_told() {
+fn the_first_of_several_differences_is_reported() {
     let (run, policy, mut chunks) = rolled_out(CoreKind::Gru);
     chunks[0].agents[0].log_prob[6] += 1.0;
     chunks[0].agents[0].log_prob[2] += 1.0;

@@ -1,4 +1,4 @@
-//! Films of evaluated episodes, as the exchange hands them on.
+//! Films of evaluation episodes in the exchange.
 
 use learner::exchange::FilmedEpisode;
 use learner::{Exchange, launch};
@@ -9,7 +9,7 @@ use proto::{
 use crate::settings::launch_in;
 
 #[test]
-fn a_film_of_older_policies_that_comes_late_does_not_replace_a_newer_one() {
+fn a_late_film_of_older_policies_does_not_replace_a_newer_one() {
     let folder = tempfile::tempdir().unwrap();
     let launch = launch_in(folder.path(), 1);
     let (lease, audit) = (launch.config.lease, launch.config.audit);

@@ -1,5 +1,5 @@
-//! Whole runs without sockets: a toy world, actors that call the exchange, and the trainer. What is
-//! trained depends on nothing but settings and seed.
+//! Whole runs without sockets: a toy environment, actors that call the exchange, and the trainer. The result depends
+//! only on settings and seed.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod actor;
@@ -22,7 +22,7 @@ use serde_json::Value;
 use actor::Actors;
 use settings::{launch_in, resumed};
 
-/// Trains with `actors` actors; stops as soon as `enough` says so of the events so far.
+/// Trains with `actors` actors; stops after the first event for which `enough` is true.
 fn train_until(
     launch: Launch,
     actors: u64,
@@ -31,18 +31,18 @@ fn train_until(
     let (lease, audit) = (launch.config.lease, launch.config.audit);
     let (trainer, run) = launch::prepare(launch).unwrap();
     let exchange = Exchange::new(run, lease, audit);
-    let crew = Actors::start(actors, &exchange);
+    let actors = Actors::start(actors, &exchange);
     let events = Arc::new(Mutex::new(Vec::new()));
     let stops = Arc::new(AtomicUsize::new(0));
-    let (kept, told) = (Arc::clone(&events), Arc::clone(&stops));
+    let (observed, stopping) = (Arc::clone(&events), Arc::clone(&stops));
     let observer = Box::new(move |event: &Event| {
-        told.fetch_add(usize::from(enough(event)), Ordering::Relaxed);
-        kept.lock().unwrap().push(event.clone());
+        stopping.fetch_add(usize::from(enough(event)), Ordering::Relaxed);
+        observed.lock().unwrap().push(event.clone());
     });
     let stop = Box::new(move || stops.load(Ordering::Relaxed) > 0);
     let summary = trainer.train(Outside { exchange: Arc::clone(&exchange), observer, stop });
     exchange.finish();
-    crew.end();
+    actors.end();
     let events = std::mem::take(&mut *events.lock().unwrap());
     (summary.unwrap(), events)
 }
@@ -56,8 +56,8 @@ fn lines(folder: &Path, name: &str) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// Fields that say how a run went, and differ from one run to the next.
-const OF_THE_DAY: [&str; 8] = [
+/// Fields that differ between equal runs.
+const VARYING_FIELDS: [&str; 8] = [
     "env_steps_per_sec",
     "iteration_secs",
     "rollout_secs",
@@ -68,19 +68,19 @@ const OF_THE_DAY: [&str; 8] = [
     "leases_reissued",
 ];
 
-/// The metrics without those fields.
-fn timeless(folder: &Path) -> Vec<Value> {
+/// The metrics without [`VARYING_FIELDS`].
+fn reproducible(folder: &Path) -> Vec<Value> {
     let mut lines = lines(folder, "metrics.jsonl");
     for line in &mut lines {
         if line["kind"] == "evaluation" {
             continue;
         }
         let line = line.as_object_mut().unwrap();
-        for name in OF_THE_DAY {
+        for name in VARYING_FIELDS {
             line.remove(name).unwrap();
         }
     }
-    // A result comes in when it comes in: only its line, not its place, is the same in every run.
+    // The position of an evaluation's line depends on timing.
     lines.sort_by_key(|line| (line["kind"].to_string(), line["iteration"].as_u64()));
     lines
 }
@@ -105,11 +105,11 @@ fn a_stopped_and_resumed_run_equals_an_undisturbed_one() {
     let ended = train(resumed(launch_in(parts.path(), 5)), 3);
     assert_eq!(ended.weights_sha256, undisturbed.weights_sha256);
     assert_eq!(ended.state_sha256, undisturbed.state_sha256);
-    assert_eq!(timeless(parts.path()), timeless(whole.path()));
+    assert_eq!(reproducible(parts.path()), reproducible(whole.path()));
 }
 
 #[test]
-fn step_sizes_that_decay_go_on_where_a_stopped_run_left_them() {
+fn decaying_learning_rates_continue_after_a_resume() {
     let (whole, parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let decaying = |folder: &Path| {
         let mut launch = launch_in(folder, 4);
@@ -125,7 +125,7 @@ fn step_sizes_that_decay_go_on_where_a_stopped_run_left_them() {
 }
 
 #[test]
-fn threads_and_actors_change_nothing() {
+fn the_result_is_independent_of_threads_and_actors() {
     let (one, many) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut launch = launch_in(one.path(), 2);
     launch.config.learner.threads = 1;
@@ -134,15 +134,15 @@ fn threads_and_actors_change_nothing() {
     launch.config.learner.threads = 3;
     let second = train(launch, 4);
     assert_eq!(first.state_sha256, second.state_sha256);
-    assert_eq!(timeless(one.path()), timeless(many.path()));
+    assert_eq!(reproducible(one.path()), reproducible(many.path()));
 }
 
 #[test]
-fn a_killed_run_goes_on_from_its_last_checkpoint_and_each_iteration_is_told_once() {
+fn a_killed_run_resumes_from_its_last_checkpoint_and_each_iteration_is_recorded_once() {
     let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let undisturbed = train(launch_in(whole.path(), 5), 2);
-    // What is on disk when the learner dies after iteration 5: the checkpoint of iteration 4 and
-    // lines that are past it. The last checkpoint of iteration 5 never came to be.
+    // The files after a crash in iteration 5: the checkpoint of iteration 4, later lines, and no checkpoint of
+    // iteration 5.
     train(launch_in(killed.path(), 5), 2);
     std::fs::remove_dir_all(killed.path().join("checkpoints/iter_00000005")).unwrap();
     let ended = train(resumed(launch_in(killed.path(), 5)), 2);
@@ -150,11 +150,11 @@ fn a_killed_run_goes_on_from_its_last_checkpoint_and_each_iteration_is_told_once
     let metrics = lines(killed.path(), "metrics.jsonl");
     assert_eq!(iterations(&metrics, Some("iteration")), [1, 2, 3, 4, 5]);
     assert_eq!(iterations(&lines(killed.path(), "provenance.jsonl"), None), [1, 2, 3, 4, 5]);
-    assert_eq!(timeless(killed.path()), timeless(whole.path()));
+    assert_eq!(reproducible(killed.path()), reproducible(whole.path()));
 }
 
 #[test]
-fn a_damaged_checkpoint_costs_iterations_and_no_bits() {
+fn a_run_with_a_damaged_checkpoint_repeats_iterations_and_ends_in_the_same_state() {
     let (whole, damaged) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let undisturbed = train(launch_in(whole.path(), 5), 2);
     train(launch_in(damaged.path(), 4), 2);
@@ -165,7 +165,7 @@ fn a_damaged_checkpoint_costs_iterations_and_no_bits() {
     assert!(load_newest(damaged.path()).unwrap().skipped.is_empty());
 }
 
-/// The run's end, and the checkpoints in a row that had failed at the end of each iteration.
+/// The run's summary, and the number of consecutive failed checkpoints at the end of each iteration.
 fn train_on_a_failing_disk(launch: Launch) -> (Summary, Vec<f64>) {
     let folder = launch.folder.clone();
     let summary = train(launch, 2);
@@ -175,7 +175,7 @@ fn train_on_a_failing_disk(launch: Launch) -> (Summary, Vec<f64>) {
 }
 
 #[test]
-fn a_disk_that_refuses_a_step_of_a_checkpoint_costs_that_checkpoint_and_no_training() {
+fn a_disk_error_at_any_step_of_a_checkpoint_does_not_affect_training() {
     let whole = tempfile::tempdir().unwrap();
     let undisturbed = train(launch_in(whole.path(), 4), 2);
     for step in Step::ALL {
@@ -185,13 +185,13 @@ fn a_disk_that_refuses_a_step_of_a_checkpoint_costs_that_checkpoint_and_no_train
         let (ended, failed) = train_on_a_failing_disk(launch);
         assert_eq!(ended.state_sha256, undisturbed.state_sha256, "{step:?}");
         assert_eq!(failed, [0.0, 0.0, 1.0, 0.0], "{step:?}");
-        // The attempt after the next iteration stands.
+        // The retry after the next iteration succeeded.
         assert!(folder.path().join("checkpoints/iter_00000003").is_dir(), "{step:?}");
     }
 }
 
 #[test]
-fn a_run_that_ended_before_its_first_checkpoint_begins_again() {
+fn a_run_without_a_checkpoint_starts_from_the_beginning() {
     let (whole, lost) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let undisturbed = train(launch_in(whole.path(), 2), 1);
     train(launch_in(lost.path(), 1), 1);
@@ -203,18 +203,18 @@ fn a_run_that_ended_before_its_first_checkpoint_begins_again() {
 }
 
 #[test]
-fn a_run_stopped_before_its_first_iteration_leaves_a_checkpoint_too() {
+fn a_run_stopped_before_its_first_iteration_writes_a_checkpoint() {
     let (whole, parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let undisturbed = train(launch_in(whole.path(), 2), 1);
     let (stopped, _) = train_until(launch_in(parts.path(), 2), 0, |_| true);
     assert_eq!((stopped.iteration, stopped.stopped_early), (0, true));
     let ended = train(resumed(launch_in(parts.path(), 2)), 1);
     assert_eq!(ended.state_sha256, undisturbed.state_sha256);
-    assert_eq!(timeless(parts.path()), timeless(whole.path()));
+    assert_eq!(reproducible(parts.path()), reproducible(whole.path()));
 }
 
 #[test]
-fn evaluations_are_told_once_each_at_the_start_the_multiples_and_the_end() {
+fn evaluations_are_reported_once_at_the_start_the_multiples_and_the_end() {
     let folder = tempfile::tempdir().unwrap();
     let (_, events) = train_until(launch_in(folder.path(), 5), 2, |_| false);
     // 32 steps per iteration, an evaluation every 64.
@@ -224,12 +224,12 @@ fn evaluations_are_told_once_each_at_the_start_the_multiples_and_the_end() {
     assert_eq!(evaluation["episodes"], 3);
     assert!(evaluation["minimum"].as_f64() <= evaluation["mean"].as_f64());
     assert!(evaluation["mean"].as_f64() <= evaluation["maximum"].as_f64());
-    let told = events.iter().filter(|event| matches!(event, Event::Evaluation { .. })).count();
-    assert_eq!(told, 4);
+    let reported = events.iter().filter(|event| matches!(event, Event::Evaluation { .. })).count();
+    assert_eq!(reported, 4);
 }
 
 #[test]
-fn provenance_names_slots_actors_and_hashes() {
+fn provenance_contains_slots_actors_and_hashes() {
     let folder = tempfile::tempdir().unwrap();
     let summary = train(launch_in(folder.path(), 2), 2);
     let provenance = lines(folder.path(), "provenance.jsonl");
@@ -246,7 +246,7 @@ fn provenance_names_slots_actors_and_hashes() {
 }
 
 #[test]
-fn other_semantic_settings_and_a_shorter_run_are_refused_by_name() {
+fn a_resume_with_other_settings_or_fewer_iterations_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     train(launch_in(folder.path(), 2), 1);
     let mut other = resumed(launch_in(folder.path(), 3));

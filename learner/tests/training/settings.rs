@@ -1,4 +1,4 @@
-//! A run small enough for a test: 4 environments x 8 steps, two slots, short networks.
+//! Settings of a small run: 4 environments x 8 steps, two slots, small networks.
 
 use std::path::Path;
 
@@ -36,7 +36,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
     }
 }
 
-/// The same run, gone on with.
+/// The same run, resumed.
 pub(crate) fn resumed(launch: Launch) -> Launch {
     Launch { resume: true, ..launch }
 }
@@ -77,8 +77,8 @@ fn policy() -> PolicyConfig {
     }
 }
 
-/// Read as the binary reads it, so that the test names no type that it does not need. The density is
-/// the one with the most to remember from one iteration to the next.
+/// Parsed from JSON, so that the test does not depend on all types of the settings. The density is the one with the
+/// largest state.
 fn training() -> marl::Config {
     serde_json::from_value(json!({
         "update": {

@@ -1,5 +1,5 @@
-//! A toy world for two agents, and an actor that plays it by calling the exchange directly: no
-//! simulator, no socket. Two points drift on a line each; each agent pushes one of them to its mark.
+//! A toy environment for two agents, and its rollouts. Two points move on one line each; each agent pushes one of them
+//! to its target.
 
 use policy::{
     ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator, standard_normal,
@@ -13,10 +13,10 @@ use proto::{
 /// Steps until an episode is truncated.
 const EPISODE_STEPS: u32 = 10;
 
-/// Where the agents should bring their points.
-const MARKS: [f32; 2] = [0.5, -0.5];
+/// Target positions of the points.
+const TARGETS: [f32; 2] = [0.5, -0.5];
 
-/// What the learner and the actor agree on.
+/// The environment's description.
 pub(crate) fn environment() -> EnvironmentSpec {
     let feature = |name: &str, role| FeatureSpec { name: name.to_owned(), role };
     let agent = |index: usize| AgentSpec {
@@ -32,7 +32,7 @@ pub(crate) fn environment() -> EnvironmentSpec {
         action: ActionSpec { size: 1, low: -1.0, high: 1.0, choices: None },
     };
     EnvironmentSpec {
-        task: "toy/marks-2x1".to_owned(),
+        task: "toy/targets-2x1".to_owned(),
         agents: vec![agent(0), agent(1)],
         state: vec![feature("x", FeatureRole::Signal), feature("y", FeatureRole::Signal)],
         dt_secs: 0.1,
@@ -43,7 +43,7 @@ pub(crate) fn environment() -> EnvironmentSpec {
     }
 }
 
-/// One world: its whole state.
+/// The state of one environment.
 #[derive(Clone, Copy)]
 struct World {
     points: [f32; 2],
@@ -77,14 +77,17 @@ impl World {
         Self { points: [point(0), point(1)], episode: counter(0), step, limit }
     }
 
-    /// The step's reward, and whether it was the episode's last.
+    /// Steps the environment. Returns the reward and whether the episode ended.
     fn step(&mut self, actions: [f32; 2]) -> (f32, bool) {
         for (point, action) in self.points.iter_mut().zip(actions) {
             *point = 0.9 * *point + 0.1 * action.clamp(-1.0, 1.0);
         }
         self.step += 1;
-        let miss =
-            self.points.iter().zip(MARKS).map(|(point, mark)| (point - mark) * (point - mark));
+        let miss = self
+            .points
+            .iter()
+            .zip(TARGETS)
+            .map(|(point, target)| (point - target) * (point - target));
         (-miss.sum::<f32>(), self.step >= self.limit)
     }
 
@@ -93,17 +96,17 @@ impl World {
     }
 }
 
-/// A slot being rolled out.
+/// The rollout of a slot.
 struct Slot<'a> {
     run: &'a RunDescription,
     policy: &'a PolicySnapshot,
     work: &'a RolloutWork,
     worlds: Vec<World>,
-    /// Per agent `[E, H]`.
+    /// Recurrent states `[E, H]` of each agent.
     hidden: Vec<Vec<f32>>,
 }
 
-/// All chunks of a slot.
+/// Rolls out all chunks of a slot.
 pub(crate) fn roll_out(
     run: &RunDescription,
     policy: &PolicySnapshot,
@@ -162,7 +165,7 @@ impl Slot<'_> {
         }
     }
 
-    /// One agent's actions in all environments.
+    /// Computes one agent's actions in all environments.
     fn act(&mut self, step: u32, agent: usize, chunk: &mut AgentChunk) -> Vec<f32> {
         if step.is_multiple_of(self.run.hidden_every) {
             chunk.hidden.extend_from_slice(&self.hidden[agent]);
@@ -233,7 +236,7 @@ fn empty(sequence: u32, first_step: u32, steps: u32) -> TrajectoryChunk {
     }
 }
 
-/// One evaluation episode with mean actions.
+/// Plays one evaluation episode with mean actions.
 pub(crate) fn evaluate(
     run: &RunDescription,
     policy: &PolicySnapshot,

@@ -1,26 +1,26 @@
-//! Every figure of `metrics.jsonl` over the run, thinned out so that a long run takes no more memory than a short one.
+//! Curves of all figures of `metrics.jsonl`, thinned out so that memory is bounded for long runs.
 
 use std::collections::BTreeMap;
 
 use serde_json::{Map, Value};
 
-/// Points of one curve; at twice as many every second one is dropped.
+/// Fewest points of a long curve; at twice as many, every second point is dropped.
 const FEWEST_KEPT: usize = 128;
 
-/// Figures that say where a line stands, not what was measured.
-const PLACES: [&str; 3] = ["kind", "iteration", "env_steps"];
+/// Fields of a line that are no measurements.
+const POSITIONS: [&str; 3] = ["kind", "iteration", "env_steps"];
 
-/// All curves by their names: an iteration's figures as in `metrics.jsonl`, an evaluation's under `evaluation/`.
+/// All curves by name: figures of iterations as in `metrics.jsonl`, figures of evaluations under `evaluation/`.
 #[derive(Clone, Debug, Default)]
 pub struct Curves {
     curves: BTreeMap<String, Curve>,
     lines: u64,
 }
 
-/// One figure over environment steps.
+/// One figure as a function of environment steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// Environment steps and the figure there, in the order of the run: evenly spread, and the newest.
+    /// Environment steps and figure, evenly spaced.
     points: Vec<(u64, f64)>,
     newest: (u64, f64),
     /// Lines from one point to the next.
@@ -29,12 +29,12 @@ pub struct Curve {
 }
 
 impl Curves {
-    /// Takes in a line of `metrics.jsonl`. What is no finite number is left out.
+    /// Adds a line of `metrics.jsonl`. Non-finite figures are left out.
     pub fn add(&mut self, line: &Map<String, Value>) {
         let Some(env_steps) = line.get("env_steps").and_then(Value::as_u64) else { return };
         let evaluation = line.get("kind").is_some_and(|kind| kind == "evaluation");
         self.lines += 1;
-        for (name, value) in line.iter().filter(|(name, _)| !PLACES.contains(&name.as_str())) {
+        for (name, value) in line.iter().filter(|(name, _)| !POSITIONS.contains(&name.as_str())) {
             let name = if evaluation { format!("evaluation/{name}") } else { name.clone() };
             if let Some(value) = value.as_f64() {
                 let point = (env_steps, value);
@@ -43,7 +43,7 @@ impl Curves {
         }
     }
 
-    /// Lines so far: equal numbers mean equal curves.
+    /// Number of lines so far; with equal numbers, the curves are equal.
     #[must_use]
     pub fn lines(&self) -> u64 {
         self.lines
@@ -55,7 +55,7 @@ impl Curves {
         self.curves.get(name).map(|curve| curve.newest.1)
     }
 
-    /// Every curve with its name, in alphabetical order.
+    /// All curves, in alphabetical order of their names.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &Curve)> {
         self.curves.iter().map(|(name, curve)| (name.as_str(), curve))
     }
@@ -82,7 +82,7 @@ impl Curve {
         }
     }
 
-    /// Environment steps and figures, in the order of the run; the newest is always there.
+    /// Environment steps and figures in the order of the run, always including the newest point.
     pub fn points(&self) -> impl Iterator<Item = (u64, f64)> {
         let shown = self.points.last() == Some(&self.newest);
         self.points.iter().copied().chain((!shown).then_some(self.newest))
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_stand_under_their_names_and_evaluations_apart() {
+    fn curves_have_the_names_of_figures_and_evaluations_a_prefix() {
         let mut curves = Curves::default();
         let line =
             json!({"kind": "iteration", "iteration": 1, "env_steps": 40, "a": 0.5, "b": null});
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_curve_keeps_its_ends_and_evenly_spread_points_between_them() {
+    fn a_long_curve_keeps_its_ends_and_evenly_spaced_points_between_them() {
         let mut curves = Curves::default();
         for k in 0..100_000_u64 {
             add(&mut curves, &json!({"kind": "iteration", "env_steps": k, "a": k}));

@@ -1,5 +1,5 @@
-//! Metrics as a TensorBoard event file: records of TFRecord framing, each a protocol buffer `Event` with the
-//! line's figures as scalars over environment steps. Only these few fields are written, by hand.
+//! Metrics as a TensorBoard event file: TFRecord records, each a protocol buffer `Event` with the figures of one line
+//! as scalars over environment steps. The few fields needed are encoded by hand.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Write as _};
@@ -12,10 +12,10 @@ use super::tags::scalars;
 use super::view::View;
 use crate::durable::{self, FileError};
 
-/// How TensorBoard knows an event file.
+/// Prefix by which TensorBoard recognises event files.
 const NAME: &str = "events.out.tfevents.";
 
-/// The scalars of a run, open for more.
+/// The event file of a run, open for appending.
 #[derive(Debug)]
 pub(super) struct EventFile {
     path: PathBuf,
@@ -23,31 +23,30 @@ pub(super) struct EventFile {
     clock: Clock,
 }
 
-/// When lines were written, as far as they tell: seconds since 1970 that rise by the time each iteration took.
+/// Reconstructed time of the lines: seconds since 1970, advanced by the duration of each iteration.
 #[derive(Debug)]
 struct Clock {
     secs: f64,
 }
 
 impl Clock {
-    /// The time of a line; it moves the clock on.
+    /// Advances the clock by a line's duration and returns the line's time.
     fn at(&mut self, line: &Map<String, Value>) -> f64 {
         self.secs += spent_secs(line);
         self.secs
     }
 }
 
-/// How long the line's iteration took; nothing for an evaluation, which overlaps with iterations.
+/// Duration of the line's iteration; 0 for an evaluation, which overlaps with iterations.
 fn spent_secs(line: &Map<String, Value>) -> f64 {
     ["rollout_secs", "update_secs"].iter().filter_map(|name| line.get(*name)?.as_f64()).sum()
 }
 
 impl EventFile {
-    /// Writes all lines afresh, in place of the event files that `folder` holds. The last line counts as
-    /// written at `now`.
+    /// Replaces the event files in `folder` by a new one with all lines. The last line gets the time `now`.
     ///
     /// # Errors
-    /// Names the file or folder that cannot be written.
+    /// A file or the folder cannot be written.
     pub(super) fn make(folder: &Path, lines: &[Value], now: SystemTime) -> Result<Self, FileError> {
         let now_secs = now.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
         let lines = || lines.iter().filter_map(Value::as_object);
@@ -121,14 +120,14 @@ fn wall_time(secs: f64) -> Vec<u8> {
     field
 }
 
-/// How a protocol buffer's field is stored.
+/// Wire types of protocol buffers.
 const VARINT: u8 = 0;
 const EIGHT_BYTES: u8 = 1;
 const LENGTH_AND_BYTES: u8 = 2;
 const FOUR_BYTES: u8 = 5;
 
-fn key(field: u8, stored: u8) -> u8 {
-    field << 3 | stored
+fn key(field: u8, wire_type: u8) -> u8 {
+    field << 3 | wire_type
 }
 
 fn put_bytes(message: &mut Vec<u8>, field: u8, bytes: &[u8]) {
@@ -137,7 +136,7 @@ fn put_bytes(message: &mut Vec<u8>, field: u8, bytes: &[u8]) {
     message.extend(bytes);
 }
 
-/// Seven bits a byte, the lowest first; the top bit says that more follow.
+/// Appends a varint: seven bits per byte, the lowest first; the top bit means that more bytes follow.
 fn put_varint(message: &mut Vec<u8>, mut number: u64) {
     while number >= 0x80 {
         message.push(number as u8 | 0x80);
@@ -146,7 +145,7 @@ fn put_varint(message: &mut Vec<u8>, mut number: u64) {
     message.push(number as u8);
 }
 
-/// TFRecord: length (8 bytes, little-endian), its masked checksum (4), the data, their masked checksum (4).
+/// A TFRecord record: length (8 bytes, little-endian), its masked checksum (4), data, their masked checksum (4).
 fn record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     let mut record = length.to_vec();
@@ -156,17 +155,17 @@ fn record(data: &[u8]) -> Vec<u8> {
     record
 }
 
-/// TFRecord's mask of a checksum: turned right by 15 bits, plus a constant.
+/// TFRecord's mask of a checksum: rotation to the right by 15 bits, plus a constant.
 fn masked(checksum: u32) -> u32 {
     checksum.rotate_right(15).wrapping_add(0xA282_EAD8)
 }
 
-/// CRC-32C (Castagnoli): polynomial `0x1EDC6F41`, bits reflected, begun and ended by inversion.
+/// CRC-32C (Castagnoli): polynomial `0x1EDC6F41`, reflected, initial value and final XOR all ones.
 fn crc32c(data: &[u8]) -> u32 {
     !data.iter().fold(!0, |sum, byte| TABLE[usize::from(sum as u8 ^ byte)] ^ (sum >> 8))
 }
 
-/// The remainder of every byte.
+/// CRC-32C of every byte.
 const TABLE: [u32; 256] = {
     let mut table = [0; 256];
     let mut byte = 0;
@@ -190,15 +189,15 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn the_checksum_is_castagnoli_s() {
-        // The check value of CRC-32C, and two of RFC 3720, B.4.
+    fn the_checksum_is_crc_32c() {
+        // The check value of CRC-32C, and two examples of RFC 3720, B.4.
         assert_eq!(crc32c(b"123456789"), 0xE306_9283);
         assert_eq!(crc32c(&[0; 32]), 0x8A91_36AA);
         assert_eq!(crc32c(&[0xFF; 32]), 0x62A8_AB43);
     }
 
     #[test]
-    fn a_scalar_is_the_protocol_buffer_that_the_schema_asks_for() {
+    fn a_scalar_is_encoded_as_its_schema_requires() {
         let line = json!({"kind": "iteration", "iteration": 1, "env_steps": 300, "a/b": 0.5});
         let event = scalar_event(2.0, line.as_object().unwrap());
         let (wall, rest) = event.split_at(9);
@@ -211,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_made_afresh_replaces_the_one_before_and_ends_at_the_present() {
+    fn a_new_file_replaces_the_old_one_and_ends_at_the_current_time() {
         let folder = tempfile::tempdir().unwrap();
         let line = |iteration: u64| {
             json!({"kind": "iteration", "iteration": iteration, "env_steps": 40 * iteration,

@@ -1,4 +1,4 @@
-//! Metrics as tables of comma-separated values: one row per line of `metrics.jsonl`, one column per figure.
+//! Metrics as CSV: one row per line of `metrics.jsonl`, one column per figure.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
@@ -9,11 +9,11 @@ use serde_json::{Map, Value};
 use super::view::View;
 use crate::durable::{self, FileError};
 
-/// The columns that every table begins with.
+/// First columns of every table.
 const FIRST_COLUMNS: [&str; 2] = ["iteration", "env_steps"];
 
-/// The lines of one kind as a table, open for more. A figure keeps its column: one that first occurs later
-/// gets a new column at the right, and is empty in the rows above.
+/// A table of the lines of one kind, open for appending. A figure keeps its column. A new figure gets a column at the
+/// right, which is empty in earlier rows.
 #[derive(Debug)]
 pub(super) struct Table {
     kind: &'static str,
@@ -23,10 +23,10 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Writes the table of all lines of `kind` afresh.
+    /// Writes a new table of all lines of `kind`.
     ///
     /// # Errors
-    /// Names the file if it cannot be written.
+    /// The file cannot be written.
     pub(super) fn make(
         path: PathBuf,
         kind: &'static str,
@@ -39,11 +39,11 @@ impl Table {
         }
         let rows = lines().map(|line| row(&columns, line)).collect::<String>();
         durable::replace(&path, format!("{}\n{rows}", columns.join(",")).as_bytes())?;
-        let file = opened(&path)?;
+        let file = append_to(&path)?;
         Ok(Self { kind, path, file, columns })
     }
 
-    /// Writes the file again with more columns, empty in every row so far.
+    /// Rewrites the file with more columns, which are empty in all rows so far.
     fn widen(&mut self, more: Vec<String>) -> Result<(), FileError> {
         let text =
             std::fs::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
@@ -51,7 +51,7 @@ impl Table {
         let rows = text.lines().skip(1).map(|row| row.to_owned() + &",".repeat(more.len()) + "\n");
         let wider = format!("{}\n{}", self.columns.join(","), rows.collect::<String>());
         durable::replace(&self.path, wider.as_bytes())?;
-        self.file = opened(&self.path)?;
+        self.file = append_to(&self.path)?;
         Ok(())
     }
 }
@@ -74,7 +74,7 @@ impl View for Table {
     }
 }
 
-fn opened(path: &Path) -> Result<File, FileError> {
+fn append_to(path: &Path) -> Result<File, FileError> {
     OpenOptions::new().append(true).open(path).map_err(FileError::of("open", path))
 }
 
@@ -82,13 +82,13 @@ fn of(line: &Map<String, Value>, kind: &str) -> bool {
     line.get("kind").is_some_and(|found| found == kind)
 }
 
-/// The line's figures that have no column yet, by name.
+/// Names of the line's figures without a column.
 fn new_columns(columns: &[String], line: &Map<String, Value>) -> Vec<String> {
     let new = |name: &&String| *name != "kind" && !columns.contains(name);
     line.keys().filter(new).cloned().collect()
 }
 
-/// Cells are numbers, so none needs quotes; what is missing or not finite is empty.
+/// One row. All cells are numbers, so none needs quotes; missing and non-finite figures are empty.
 fn row(columns: &[String], line: &Map<String, Value>) -> String {
     let cell = |column: &String| match line.get(column) {
         Some(Value::Number(number)) => number.to_string(),
@@ -103,7 +103,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_figure_that_first_occurs_later_gets_a_column_and_a_table_made_afresh_is_the_same() {
+    fn a_new_figure_gets_a_column_and_a_rewritten_table_is_the_same() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.csv");
         let lines = [

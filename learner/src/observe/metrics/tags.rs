@@ -1,19 +1,19 @@
-//! The names of figures in TensorBoard, by the habits of CleanRL and HARL: `charts/`, `losses/`, `agentI/`,
-//! `stats/`, and `s2mia/` for the paper's own terms, agents side by side.
+//! TensorBoard tags of the figures. They follow CleanRL and HARL: `charts/`, `losses/`, `agentI/`, `stats/`. The
+//! paper's own terms are grouped under `s2mia/`, with the agents of one figure next to each other.
 
 use serde_json::{Map, Value};
 
-/// Beginnings of the names of figures that belong to surprise or influence.
-const OF_THE_PAPER: [&str; 5] = ["surprise_", "influence_", "mi_", "posterior_", "policy_nll"];
+/// Name prefixes of the figures of surprise and influence.
+const PAPER_PREFIXES: [&str; 5] = ["surprise_", "influence_", "mi_", "posterior_", "policy_nll"];
 
-/// The scalars of one line of `metrics.jsonl` with their tags; figures that are no finite number are left out.
+/// The finite figures of one line of `metrics.jsonl`, with their tags.
 pub(super) fn scalars(line: &Map<String, Value>) -> Vec<(String, f64)> {
     let evaluation = line.get("kind").is_some_and(|kind| kind == "evaluation");
     let tag = if evaluation { evaluation_tag } else { iteration_tag };
     line.iter().filter_map(|(name, value)| Some((tag(name)?, value.as_f64()?))).collect()
 }
 
-/// `mean` of an evaluation is the return that learning curves show.
+/// The tag of an evaluation's figure. Its `mean` is the return shown in learning curves.
 fn evaluation_tag(name: &str) -> Option<String> {
     match name {
         "kind" | "env_steps" | "iteration" => None,
@@ -33,7 +33,9 @@ fn iteration_tag(name: &str) -> Option<String> {
         "density_secs" => "stats/density_time".to_owned(),
         _ => match name.split_once('/') {
             None => format!("stats/{name}"),
-            Some((agent, figure)) if OF_THE_PAPER.iter().any(|part| figure.starts_with(part)) => {
+            Some((agent, figure))
+                if PAPER_PREFIXES.iter().any(|prefix| figure.starts_with(prefix)) =>
+            {
                 format!("s2mia/{figure}/{agent}")
             }
             Some(_) => name.to_owned(),
@@ -52,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_an_iteration_stand_under_the_names_that_people_know() {
+    fn figures_of_an_iteration_have_the_usual_tags() {
         let line = json!({
             "kind": "iteration", "iteration": 2, "env_steps": 80, "episode_return": 5.0,
             "env_steps_per_sec": 20.0, "rollout_secs": 1.5, "update_secs": 0.5, "losses/value_loss": 0.25,
@@ -72,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn an_evaluation_is_a_return_and_its_spread() {
+    fn an_evaluation_has_a_return_and_its_statistics() {
         let line = json!({"kind": "evaluation", "iteration": 2, "env_steps": 80, "mean": 3.0, "minimum": 1.0});
         let expected = [("charts/evaluation_return", 3.0), ("evaluation/minimum", 1.0)];
         assert_eq!(tags(&line), expected.map(|(tag, value)| (tag.to_owned(), value)));

@@ -1,5 +1,5 @@
-//! Other forms of `metrics.jsonl`, for programs that do not read JSON lines. They are made afresh from its
-//! lines whenever a run starts or goes on, so they hold each iteration once, as it does.
+//! Other formats of `metrics.jsonl`. They are rewritten from its lines when a run starts or resumes, so they also
+//! contain each iteration exactly once.
 
 use std::fmt::Debug;
 use std::path::Path;
@@ -16,24 +16,24 @@ use crate::durable::FileError;
 /// Folder of the event file, in the run folder.
 const TENSORBOARD_FOLDER: &str = "tensorboard";
 
-/// A file that follows `metrics.jsonl`.
+/// A file with the figures of `metrics.jsonl` in another format.
 pub(super) trait View: Debug + Send {
     /// Adds one line.
     fn add(&mut self, line: &Map<String, Value>) -> Result<(), FileError>;
 
-    /// The file.
+    /// Path of the file.
     fn path(&self) -> &Path;
 }
 
-/// Everything that follows `metrics.jsonl` in a run folder.
+/// The enabled views of a run.
 #[derive(Debug)]
 pub(super) struct Views(Vec<Box<dyn View>>);
 
 impl Views {
-    /// Makes the views that `config` asks for from the lines so far.
+    /// Writes the views that `config` enables from the lines so far.
     ///
     /// # Errors
-    /// Names the file that cannot be written.
+    /// A file cannot be written.
     pub(super) fn make(
         run_folder: &Path,
         config: &MetricsConfig,
@@ -52,14 +52,14 @@ impl Views {
         Ok(Self(views))
     }
 
-    /// Adds a line to all of them. One that cannot be written is told and followed no further: it can be made
-    /// again from `metrics.jsonl`, so it must not end a run.
+    /// Adds a line to all views. A view that cannot be written is logged and dropped instead of ending the run, because
+    /// it can be rewritten from `metrics.jsonl`.
     pub(super) fn add(&mut self, line: &Map<String, Value>) {
         self.0.retain_mut(|view| match view.add(line) {
             Ok(()) => true,
             Err(error) => {
                 let path = view.path().display();
-                tracing::error!("{error}; {path} is made again when the run is resumed");
+                tracing::error!("{error}; {path} is rewritten when the run is resumed");
                 false
             }
         });

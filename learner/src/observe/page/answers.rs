@@ -1,4 +1,4 @@
-//! What the page's script asks for, as JSON.
+//! The JSON responses of the page.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use super::RunView;
 use crate::exchange::status_json;
 
-/// What does not change while the learner works.
+/// Constants of the run.
 pub(super) fn run(view: &RunView) -> Value {
     let facts = &view.facts;
     json!({
@@ -17,7 +17,7 @@ pub(super) fn run(view: &RunView) -> Value {
     })
 }
 
-/// Where the run stands.
+/// The current status of the run.
 pub(super) fn status(view: &RunView) -> Value {
     let run = view.exchange.run_snapshot();
     json!({
@@ -32,7 +32,7 @@ pub(super) fn status(view: &RunView) -> Value {
     })
 }
 
-/// Every curve from the start of the run: environment steps, and as many figures.
+/// All curves since the start of the run: environment steps and figures, as arrays of equal length.
 pub(super) fn curves(view: &RunView) -> Value {
     let curves = view.curves().clone();
     let all = curves.iter().map(|(name, curve)| {
@@ -43,12 +43,12 @@ pub(super) fn curves(view: &RunView) -> Value {
     json!({"lines": curves.lines(), "curves": all.collect::<Map<_, _>>()})
 }
 
-/// The figure with as many digits as single precision has: nobody sees more, and they would be half of the text.
+/// The figure in single precision. More digits would not be visible and would double the size of the response.
 fn short(figure: f64) -> f64 {
     (figure as f32).to_string().parse().unwrap_or(f64::NAN)
 }
 
-/// The newest film of an evaluated episode, or null. Ends are told in millimetres.
+/// The newest film of an evaluated episode, or null. Ends are in millimetres.
 pub(super) fn film(view: &RunView) -> Value {
     let run = view.exchange.run_snapshot();
     let Some(episode) = &run.film else { return Value::Null };
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_told_with_seven_digits_at_most() {
+    fn figures_have_the_digits_of_single_precision() {
         assert_eq!(json!([short(0.1), short(1.0 / 3.0)]).to_string(), "[0.1,0.33333334]");
         assert_eq!(json!(short(f64::NAN)), Value::Null);
     }

@@ -1,4 +1,4 @@
-//! The run's figures as Prometheus reads them. Nothing is counted for it: each scrape reads what the learner knows.
+//! The run's figures in OpenMetrics format for Prometheus. Each scrape reads the learner's current figures.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::AtomicU64;
@@ -16,41 +16,41 @@ use crate::event::Stage;
 use crate::slots::AuditCounts;
 use crate::snapshot::RunSnapshot;
 
-/// What [`text`] is written in.
+/// Content type of [`text`].
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// What distinguishes the figures of one name.
+/// Labels of one series.
 type Labels = Vec<(&'static str, String)>;
 
-/// Every figure, as it is now.
+/// All figures in OpenMetrics format.
 pub(super) fn text(view: &RunView) -> String {
-    let mut sheet = Sheet(Registry::with_prefix("s2mia"));
+    let mut metrics = MetricSet(Registry::with_prefix("s2mia"));
     let (facts, run) = (&view.facts, view.exchange.run_snapshot());
-    sheet.run(facts);
-    sheet.progress(facts, &run);
-    sheet.returns(view);
-    sheet.work(&run);
-    sheet.intake(&run);
-    sheet.checkpoints(facts, &run);
-    sheet.faults(&run);
-    let mut process = Sheet(Registry::with_prefix("process"));
+    metrics.run(facts);
+    metrics.progress(facts, &run);
+    metrics.returns(view);
+    metrics.work(&run);
+    metrics.intake(&run);
+    metrics.checkpoints(facts, &run);
+    metrics.faults(&run);
+    let mut process = MetricSet(Registry::with_prefix("process"));
     process.memory();
     let mut text = String::new();
     let written = prometheus_client::encoding::text::encode_registry(&mut text, &process.0);
-    written.and_then(|()| encode(&mut text, &sheet.0)).expect("a string takes everything");
+    written.and_then(|()| encode(&mut text, &metrics.0)).expect("writing to a string cannot fail");
     text
 }
 
-/// The figures under one prefix.
-struct Sheet(Registry);
+/// The metrics under one prefix.
+struct MetricSet(Registry);
 
-impl Sheet {
+impl MetricSet {
     fn run(&mut self, facts: &Facts) {
         let manifest = &facts.manifest;
         let text = |name| (name, manifest[name].as_str().unwrap_or_default().to_owned());
         let info = Family::<Labels, Gauge>::default();
         info.get_or_create(&["run_id", "task", "algorithm", "version"].map(text).into()).set(1);
-        self.0.register("run_info", "What is trained; always 1", info);
+        self.0.register("run_info", "Constants of the run; always 1", info);
     }
 
     fn progress(&mut self, facts: &Facts, run: &RunSnapshot) {
@@ -59,14 +59,14 @@ impl Sheet {
         self.gauge("iteration", "Finished iterations", status.iteration as f64);
         let planned = facts.iterations as f64;
         self.gauge("iterations_planned", "Iterations of the whole run", planned);
-        let help = "Times that an environment step goes into an optimiser step of an agent";
+        let help = "Uses of each environment step in the optimiser steps of an agent";
         self.gauge("sample_reuse_ratio", help, facts.sample_reuse);
         let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == run.stage)));
-        self.gauges("phase", "1 for what the trainer is at", "phase", Stage::ALL.map(at));
+        self.gauges("phase", "1 for the current stage of the trainer", "phase", Stage::ALL.map(at));
         let paused = f64::from(u8::from(status.paused));
-        self.gauge("paused", "1 while no work is handed out until somebody resumes", paused);
+        self.gauge("paused", "1 while the run is paused", paused);
         let secs = run.phase_secs().into_iter().flatten();
-        self.gauges("phase_seconds", "How long the last iteration's parts took", "phase", secs);
+        self.gauges("phase_seconds", "Duration of the parts of the last iteration", "phase", secs);
     }
 
     fn returns(&mut self, view: &RunView) {
@@ -80,7 +80,7 @@ impl Sheet {
         }
     }
 
-    /// Who is at what.
+    /// Slots, actors and leases.
     fn work(&mut self, run: &RunSnapshot) {
         let status = &run.status;
         let (complete, leased) = (status.complete_slots, run.held_slots);
@@ -107,17 +107,17 @@ impl Sheet {
         }
     }
 
-    /// What came from actors.
+    /// Messages received from actors.
     fn intake(&mut self, run: &RunSnapshot) {
         let chunks = [(vec![("result", "accepted".to_owned())], run.chunks_accepted)];
         self.counters("chunks", "Chunks of trajectories", chunks);
-        let help = "Size of all messages with trajectories and evaluations";
+        let help = "Size of all received messages with results";
         self.counter("ingest_bytes", help, run.bytes_received);
-        let help = "Steps of episodes that trajectory and reward logs lost";
+        let help = "Steps that trajectory and reward logs lost";
         self.counter("log_dropped", help, run.log_steps_lost);
         let refusals = run.refusals.iter();
         let refusals = refusals.map(|(reason, count)| (vec![("reason", reason.clone())], *count));
-        self.counters("messages_refused", "Messages that did not fit, by reason", refusals);
+        self.counters("messages_refused", "Refused messages by reason", refusals);
         let help =
             "Registrations without a fingerprint: with any, the run is not exactly repeatable";
         self.counter("foreign_actors", help, run.foreign_actors);
@@ -126,10 +126,14 @@ impl Sheet {
 
     fn checkpoints(&mut self, facts: &Facts, run: &RunSnapshot) {
         if let Some(written) = run.checkpoint {
-            self.gauge("checkpoint_seconds", "How long the last checkpoint took", written.secs);
+            self.gauge(
+                "checkpoint_seconds",
+                "Duration of writing the last checkpoint",
+                written.secs,
+            );
             self.gauge("checkpoint_bytes", "Size of the last checkpoint", written.bytes as f64);
         }
-        let newest = run.checkpoint.map_or(facts.taken_up_at, |written| written.iteration);
+        let newest = run.checkpoint.map_or(facts.resumed_at, |written| written.iteration);
         self.gauge("checkpoint_iteration", "Iteration of the last checkpoint", newest as f64);
         let help = "Iterations from one checkpoint to the next";
         self.gauge("checkpoint_every_iterations", help, facts.checkpoint_every as f64);
@@ -138,15 +142,15 @@ impl Sheet {
     }
 
     fn faults(&mut self, run: &RunSnapshot) {
-        let help = "Episodes that a fault of their world cut";
+        let help = "Episodes truncated by a fault of their environment";
         self.counter("env_faults", help, run.environment_faults);
-        let help = "Updates left out because returns were no finite numbers";
+        let help = "Updates skipped because returns were not finite";
         self.counter("nonfinite_updates", help, run.updates_skipped);
     }
 
     fn memory(&mut self) {
         if let Some(bytes) = resident_bytes() {
-            self.gauge("resident_memory_bytes", "Memory that the learner holds", bytes as f64);
+            self.gauge("resident_memory_bytes", "Resident memory of the learner", bytes as f64);
         }
     }
 

@@ -1,20 +1,20 @@
-//! By which names the page may be asked for. A site on the web can let its own name lead to this machine (DNS
-//! rebinding) and would then read the answers; a browser tells that name in the header `Host`.
+//! Accepted host names of the page. With DNS rebinding, a website could point its own name at this machine and read the
+//! responses; browsers send that name in the header `Host`.
 
 use std::net::IpAddr;
 
-/// Loopback under all its names, and what the user allows besides.
+/// Loopback names and the hosts that the user allows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Hosts(Vec<String>);
 
 impl Hosts {
-    /// Loopback and `more` names or addresses, without ports.
+    /// Accepts loopback and `more` names or addresses; ports are ignored.
     #[must_use]
     pub fn with(more: &[String]) -> Self {
         Self(more.iter().map(|name| bare(name).to_ascii_lowercase()).collect())
     }
 
-    /// Whether a `Host` header with this value is one of them, whatever its port.
+    /// Whether a `Host` header with this value is accepted, with any port.
     #[must_use]
     pub fn allow(&self, host: &str) -> bool {
         let name = bare(host).to_ascii_lowercase();
@@ -29,7 +29,7 @@ fn bare(host: &str) -> &str {
         return rest.split(']').next().unwrap_or_default();
     }
     match host.split_once(':') {
-        // More than one colon without brackets is an address of IPv6.
+        // More than one colon without brackets means an IPv6 address.
         Some((name, port)) if !port.contains(':') => name,
         _ => host,
     }
@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loopback_is_let_in_under_all_its_names_and_no_other_host_is() {
+    fn all_loopback_names_are_accepted_and_other_hosts_are_not() {
         let hosts = Hosts::default();
         for host in
             ["localhost", "LocalHost:80", "127.0.0.1:8080", "127.9.9.9", "[::1]:8080", "[::1]"]
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_the_user_allows_are_let_in_too() {
+    fn hosts_that_the_user_allows_are_accepted() {
         let hosts = Hosts::with(&["Learner".to_owned(), "2001:db8::1".to_owned()]);
         assert!(hosts.allow("learner:50080") && hosts.allow("[2001:db8::1]:1"));
         assert!(hosts.allow("localhost") && !hosts.allow("learner.example.org"));

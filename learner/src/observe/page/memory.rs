@@ -1,6 +1,6 @@
-//! How much memory this process holds, where the system tells it.
+//! The memory use of this process.
 
-/// Resident memory, bytes; none where there is no `/proc`.
+/// Resident memory, bytes; `None` without `/proc`.
 pub(super) fn resident_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;

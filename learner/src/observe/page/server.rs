@@ -1,4 +1,4 @@
-//! The page's HTTP server: a connection asks once, may only read, and is gone within seconds.
+//! The page's HTTP server: read-only, one request per connection, and a timeout of seconds.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,21 +27,21 @@ use tokio::task::JoinSet;
 
 use super::{Hosts, Page, RunView, answers, exposition};
 
-/// The page, with its script and its style.
+/// The page with its script and style.
 const PAGE: &str = include_str!("page.html");
 
-/// Connections at a time; more wait to be accepted.
+/// Most concurrent connections; further ones wait to be accepted.
 const MOST_CONNECTIONS: usize = 32;
-/// How long a connection may take to ask and to take its answer away.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// Size of a request without its body, bytes; bodies are never read.
+/// Time limit for the request and the response of a connection.
+const TIMEOUT: Duration = Duration::from_secs(5);
+/// Most bytes of a request without its body; bodies are never read.
 const MOST_HEADER_BYTES: usize = 16 << 10;
 /// Pause after a failed accept, for example because the process is out of file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 const EMBEDDING: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
-/// What every connection needs.
+/// State shared by all connections.
 #[derive(Debug)]
 struct Site {
     view: Arc<RunView>,
@@ -49,7 +49,7 @@ struct Site {
     policy: HeaderValue,
 }
 
-/// Shows `view` on `page` until dropped.
+/// Serves `view` on `page` until dropped.
 pub(crate) async fn serve(page: Page, view: Arc<RunView>) {
     let site = Site { view, hosts: page.hosts, policy: content_policy(PAGE) };
     accept(&page.listener, &routes(Arc::new(site))).await;
@@ -63,7 +63,7 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/api/curves", get(async |State(site): Shared| json(site, answers::curves).await))
         .route("/api/film", get(async |State(site): Shared| json(site, answers::film).await))
         .route("/metrics", get(async |State(site): Shared| metrics(site).await))
-        .layer(middleware::from_fn_with_state(Arc::clone(&site), guard))
+        .layer(middleware::from_fn_with_state(Arc::clone(&site), check))
         .with_state(site)
 }
 
@@ -90,20 +90,20 @@ async fn accept(listener: &TcpListener, routes: &Router) {
     }
 }
 
-/// Serves one request, or none if it does not come in time.
+/// Serves one request, or none if it does not arrive in time.
 async fn answer(stream: TcpStream, routes: Router) {
     let mut server = http1::Builder::new();
     server.keep_alive(false).max_buf_size(MOST_HEADER_BYTES);
     let served = server.serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes));
-    // Whoever left or was too slow has itself to blame.
-    let _ended = tokio::time::timeout(PATIENCE, served).await;
+    // Errors concern only this client, which disconnected or was too slow.
+    let _result = tokio::time::timeout(TIMEOUT, served).await;
 }
 
-/// Refuses other hosts and everything that is no question; tells the browser how little the page needs.
-async fn guard(State(site): Shared, request: Request, next: Next) -> Response {
+/// Rejects other hosts and methods, and sets the security headers.
+async fn check(State(site): Shared, request: Request, next: Next) -> Response {
     let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     let mut response = if !site.hosts.allow(host) {
-        let why = "this page is not asked for by that name; --page-host allows more names\n";
+        let why = "this host name is not allowed; add it with --page-host\n";
         (StatusCode::FORBIDDEN, why).into_response()
     } else if ![Method::GET, Method::HEAD].contains(request.method()) {
         (StatusCode::METHOD_NOT_ALLOWED, [(ALLOW, "GET, HEAD")]).into_response()
@@ -131,7 +131,7 @@ async fn metrics(site: Arc<Site>) -> Response<Body> {
     written(exposition::CONTENT_TYPE, move || exposition::text(&site.view)).await
 }
 
-/// Answers what `write` writes, on a thread that may compute: the network's threads are there for actors.
+/// Responds with the text that `write` produces. It runs on a blocking thread, because actors need the network threads.
 async fn written(
     content_type: &'static str,
     write: impl FnOnce() -> String + Send + 'static,
@@ -142,7 +142,7 @@ async fn written(
     }
 }
 
-/// The page runs the script and wears the style that stand in it, and asks its own origin; nothing else.
+/// Content security policy: the page's own inline script and style, and requests to its own origin only.
 fn content_policy(page: &str) -> HeaderValue {
     let hash = |tag: &str| {
         let inside = page.split_once(&format!("<{tag}>")).map_or("", |(_, after)| after);
@@ -155,7 +155,7 @@ fn content_policy(page: &str) -> HeaderValue {
         hash("script"),
         hash("style")
     );
-    HeaderValue::from_str(&policy).expect("a policy is plain text")
+    HeaderValue::from_str(&policy).expect("the policy is ASCII")
 }
 
 #[cfg(test)]
@@ -163,7 +163,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_policy_names_the_script_and_the_style_by_their_hashes() {
+    fn the_policy_contains_the_hashes_of_script_and_style() {
         let page = "<style>b{}</style><script>a()</script>";
         let policy = content_policy(page);
         // base64.b64encode(hashlib.sha256(b"a()").digest()), and of b"b{}".
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_asks_nobody_but_its_own_learner() {
+    fn the_page_makes_no_external_requests() {
         for outside in ["http:", "https:", "//cdn", "src=", "@import", "url("] {
             assert!(!PAGE.contains(outside), "{outside}");
         }

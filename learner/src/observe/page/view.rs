@@ -1,4 +1,4 @@
-//! The sources of the run's page: constants of the run, the exchange's snapshot, and the metrics' curves.
+//! The data of the run's page: constants of the run, the exchange's snapshot, and the metrics' curves.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -8,10 +8,10 @@ use crate::exchange::Exchange;
 use crate::launch::Launch;
 use crate::metrics::Curves;
 
-/// What is known before a run starts.
+/// Constants of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct Facts {
-    /// As in the run folder.
+    /// The manifest in the run folder.
     pub(super) manifest: Value,
     /// Iterations of the whole run.
     pub(super) iterations: u64,
@@ -19,14 +19,14 @@ pub(crate) struct Facts {
     pub(super) env_steps: u64,
     /// Iterations from one checkpoint to the next.
     pub(super) checkpoint_every: u64,
-    /// How often each environment step is used in an optimiser step of an agent.
+    /// Uses of each environment step in the optimiser steps of an agent.
     pub(super) sample_reuse: f64,
-    /// The iteration after which this learner took over the run.
-    pub(super) taken_up_at: u64,
+    /// Iterations that were finished when this learner started.
+    pub(super) resumed_at: u64,
 }
 
 impl Facts {
-    /// The facts of a run that is about to start.
+    /// The constants of a run that is about to start.
     pub(crate) fn of(launch: &Launch) -> Self {
         let steps = launch.config.environments.steps_per_iteration();
         Self {
@@ -35,13 +35,13 @@ impl Facts {
             env_steps: launch.iterations.saturating_mul(steps),
             checkpoint_every: launch.config.checkpoint.every,
             sample_reuse: launch.training.sample_reuse(),
-            taken_up_at: 0,
+            resumed_at: 0,
         }
     }
 
     /// The same for a run that is resumed after `iteration`.
-    pub(crate) fn taken_up_at(self, iteration: u64) -> Self {
-        Self { taken_up_at: iteration, ..self }
+    pub(crate) fn resumed_at(self, iteration: u64) -> Self {
+        Self { resumed_at: iteration, ..self }
     }
 }
 

@@ -1,5 +1,5 @@
-//! Bytes that requests may occupy. Most calls send one small message. Streams of results share one budget: when it is
-//! spent, streams that hold more than an equal share of it end, and the others go on.
+//! Limits the memory of request bodies. Most calls send one small message. Result streams share one budget; when it is
+//! exceeded, streams that hold more than an equal share are ended.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -14,22 +14,22 @@ use tonic::codegen::http::Request;
 use tonic::{Code, Status};
 use tower::util::MapRequestLayer;
 
-/// Largest request of a call that sends one message, bytes. A registration names every observation feature.
+/// Largest request of a unary call, bytes. A registration names every observation feature.
 const MOST_REQUEST_BYTES: usize = 256 << 10;
-/// Bytes of results that all streams together may hold before they are processed.
+/// Budget of unprocessed result bytes, over all streams.
 const MOST_IN_FLIGHT_BYTES: usize = 512 << 20;
-/// Calls whose requests are streams.
+/// Calls with streamed requests.
 const STREAMS: [&str; 3] = ["/PushTrajectory", "/Act", "/ServerReflectionInfo"];
-/// The one of them whose messages are large.
+/// The call whose messages are large.
 const RESULTS: &str = "/PushTrajectory";
 
-/// Limits the bodies of all requests of a server.
+/// A layer that limits the bodies of all requests.
 pub(super) fn limits() -> MapRequestLayer<impl Fn(Request<Body>) -> Request<Body> + Clone> {
     let budget = Budget::of(MOST_IN_FLIGHT_BYTES);
     MapRequestLayer::new(move |request| budget.limit(request))
 }
 
-/// The budget of all streams of results.
+/// The budget of all result streams.
 #[derive(Debug)]
 struct Budget {
     most: usize,
@@ -37,7 +37,7 @@ struct Budget {
     streams: AtomicUsize,
 }
 
-/// What one stream holds of the budget.
+/// The part of the budget that one stream holds.
 #[derive(Debug)]
 pub(super) struct Share {
     budget: Arc<Budget>,
@@ -54,7 +54,7 @@ impl Budget {
         Arc::new(Share { budget: Arc::clone(self), held: AtomicUsize::new(0) })
     }
 
-    /// Limits the body of a request.
+    /// Limits the body of one request.
     fn limit(self: &Arc<Self>, mut request: Request<Body>) -> Request<Body> {
         let path = request.uri().path();
         if path.ends_with(RESULTS) {
@@ -70,10 +70,10 @@ impl Budget {
 }
 
 impl Share {
-    /// More bytes came in.
+    /// Adds received bytes.
     ///
     /// # Errors
-    /// The budget is spent, and this stream holds more than an equal share of it.
+    /// The budget is exceeded, and this stream holds more than an equal share.
     fn take(&self, bytes: usize) -> Result<(), Status> {
         let own = self.held.fetch_add(bytes, Ordering::Relaxed) + bytes;
         let all = self.budget.held.fetch_add(bytes, Ordering::Relaxed) + bytes;
@@ -81,11 +81,11 @@ impl Share {
         if all <= self.budget.most || own <= equal {
             return Ok(());
         }
-        let message = format!("{all} bytes of results wait to be processed, {own} of this stream");
+        let message = format!("{all} bytes of results are unprocessed, {own} from this stream");
         Err(Status::new(Code::Unavailable, message))
     }
 
-    /// Everything that came in so far has been processed.
+    /// Releases all bytes received so far, after they have been processed.
     pub(super) fn processed(&self) {
         let held = self.held.swap(0, Ordering::Relaxed);
         self.budget.held.fetch_sub(held, Ordering::Relaxed);
@@ -99,7 +99,7 @@ impl Drop for Share {
     }
 }
 
-/// A body whose bytes count.
+/// A body that counts its bytes against a share.
 struct Counted {
     body: Body,
     share: Arc<Share>,
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stream_ends_only_when_the_budget_is_spent_and_it_holds_more_than_an_equal_share() {
+    fn a_stream_ends_only_if_the_budget_is_exceeded_and_it_holds_more_than_an_equal_share() {
         let budget = Budget::of(1000);
         let (large, small) = (budget.share(), budget.share());
         assert!(large.take(900).is_ok() && small.take(100).is_ok());

@@ -1,5 +1,5 @@
-//! Accepted connections: numbered, counted, greeted, and reported when they close, so that the leases of an actor
-//! that died are free at once.
+//! Accepts connections: assigns ids, applies limits, performs the handshake, and reports closed connections, so that
+//! the leases of a dead actor are free at once.
 
 use std::io;
 use std::net::SocketAddr;
@@ -17,23 +17,23 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 use tonic::{Request, Status};
 
-use super::crowd::{self, Crowd};
-use super::greeting::{Admitted, Bytes, greet};
+use super::handshake::{Accepted, ByteStream, accept_handshake};
+use super::per_address::{self, PerAddressLimit};
 use super::registry::{self, Admission, Registry};
-use crate::door::{Door, Guard};
 use crate::exchange::Caller;
+use crate::listener::{Authentication, Listener};
 use crate::slots::ConnectionId;
 
-/// Streams of results that one connection may have open at a time. An actor works off two leases at a time.
+/// Most concurrent result streams of one connection. An actor works on at most two leases at a time.
 const MOST_PUSHES: usize = 2;
-/// Connections of one address, so that no machine by itself can keep all others out.
+/// Most connections of one address, so that one machine cannot use up all connections.
 const MOST_OF_ONE_ADDRESS: usize = 512;
 /// Time between two warnings that connections are closed for new ones.
 const WARNING_PAUSE: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, for example because the process is out of file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
-/// Who is at the other end of a connection.
+/// The peer of a connection.
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
     connection: ConnectionId,
@@ -43,101 +43,100 @@ pub(super) struct Peer {
     pushes: Arc<Semaphore>,
 }
 
-/// An actor registers on the connection of this request.
+/// Marks the request's connection as one with an actor.
 ///
 /// # Errors
-/// Refuses it when too many connections have actors.
+/// Too many connections have actors.
 pub(super) fn note_actor<T>(request: &Request<T>) -> Result<(), Refusal> {
     let peer: Option<&Peer> = request.extensions().get();
     peer.map_or(Ok(()), |peer| peer.registry.note_actor(peer.connection))
 }
 
-/// The streams of results that the connection of this request may open.
+/// Permits for the result streams of the request's connection.
 pub(super) fn pushes<T>(request: &Request<T>) -> Arc<Semaphore> {
     let peer: Option<&Peer> = request.extensions().get();
     peer.map_or_else(|| Arc::new(Semaphore::new(1)), |peer| Arc::clone(&peer.pushes))
 }
 
-/// The connection that a request came over.
+/// The connection of a request.
 pub(super) fn of<T>(request: &Request<T>) -> ConnectionId {
     request.extensions().get().map_or(ConnectionId(0), |peer: &Peer| peer.connection)
 }
 
-/// Who makes a call, for the log.
+/// The caller, for the log.
 pub(super) fn caller<T>(request: &Request<T>, call: &'static str) -> Caller {
     let peer: Option<&Peer> = request.extensions().get();
     Caller { connection: of(request), peer: peer.map(|peer| peer.address), call }
 }
 
-/// Lets calls pass whose peer has this role, and refuses all others by name.
+/// An interceptor that rejects calls of peers without this role.
 pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, Status> + Clone {
     move |request| demand(&request, role).map(|()| request)
 }
 
-/// Refuses a call whose peer has not this role.
+/// Rejects a call if its peer does not have this role.
 pub(super) fn demand<T>(request: &Request<T>, role: Role) -> Result<(), Status> {
     let peer: Option<&Peer> = request.extensions().get();
-    // Without a peer the call came over no socket.
+    // A call without a peer did not come over a socket.
     let Some(peer) = peer else { return Ok(()) };
     peer.standing.demand(role).map_err(|denied| {
-        tracing::warn!(peer = %peer.address, "a call is refused: {denied}; the connection stays open");
+        tracing::warn!(peer = %peer.address, "call rejected: {denied}; the connection stays open");
         Status::permission_denied(denied.to_string())
     })
 }
 
-/// Told of each connection that has closed.
-pub(super) type Farewell = Arc<dyn Fn(ConnectionId) + Send + Sync>;
+/// Called with the id of each closed connection.
+pub(super) type OnClose = Arc<dyn Fn(ConnectionId) + Send + Sync>;
 
 /// Accepts connections until the returned stream is dropped.
 /// At most `most_with_actors` of them may have actors.
 pub(super) fn accept(
-    door: Door,
+    listener: Listener,
     most_with_actors: usize,
-    farewell: Farewell,
+    on_close: OnClose,
 ) -> ReceiverStream<io::Result<Connection>> {
-    // One accepted connection waits for the server; the others stay with the kernel.
+    // At most one accepted connection waits for the server; further ones stay in the kernel's backlog.
     let (sender, stream) = mpsc::channel(1);
     tokio::spawn(async move {
         let registry = Registry::new(most_with_actors);
-        let crowd = Crowd::new(MOST_OF_ONE_ADDRESS);
+        let limit = PerAddressLimit::new(MOST_OF_ONE_ADDRESS);
         let (mut last, mut quiet_until) = (0, Instant::now());
         loop {
             let accepted = tokio::select! {
                 () = sender.closed() => return,
-                accepted = door.listener.accept() => accepted,
+                accepted = listener.listener.accept() => accepted,
             };
             match accepted.and_then(|(io, address)| io.set_nodelay(true).map(|()| (io, address))) {
                 Ok((io, address)) => {
-                    let Some(place) = crowd.admit(address.ip()) else {
+                    let Some(permit) = limit.acquire(address.ip()) else {
                         let most = MOST_OF_ONE_ADDRESS;
-                        tracing::warn!(peer = %address, "a connection is refused: its address has {most} \
-                             already; it is closed");
+                        tracing::warn!(peer = %address, "connection closed: its address already has {most} \
+                             connections");
                         continue;
                     };
                     last += 1;
                     let id = ConnectionId(last);
-                    let farewell = Arc::clone(&farewell);
-                    let Admission { place: registered, closed, evicted } = registry.admit(id);
+                    let on_close = Arc::clone(&on_close);
+                    let Admission { permit: registered, closed, evicted } = registry.admit(id);
                     if evicted.is_some() && quiet_until <= Instant::now() {
                         quiet_until = Instant::now() + WARNING_PAUSE;
-                        tracing::warn!(peer = %address, "too many connections without an actor are open; the \
-                             oldest is closed for a new one");
+                        tracing::warn!(peer = %address, "too many connections without an actor; the oldest is \
+                             closed to admit a new one");
                     }
-                    let places = (place, registered);
+                    let permits = (permit, registered);
                     let open = Open {
                         id,
-                        farewell,
+                        on_close,
                         closed,
                         registry: Arc::clone(&registry),
-                        _places: places,
+                        _permits: permits,
                     };
-                    // Whoever is slow to say who they are keeps nobody else waiting.
-                    tokio::spawn(usher(io, address, door.guard.clone(), open, sender.clone()));
+                    // A separate task, so that a slow handshake does not delay other connections.
+                    let authentication = listener.authentication.clone();
+                    tokio::spawn(admit(io, address, authentication, open, sender.clone()));
                 }
                 Err(error) => {
-                    tracing::warn!(
-                        "cannot accept a connection: {error}; it is tried again in a moment"
-                    );
+                    tracing::warn!("cannot accept a connection: {error}; retrying");
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             }
@@ -146,24 +145,24 @@ pub(super) fn accept(
     ReceiverStream::new(stream)
 }
 
-/// Greets one connection and hands it over to the server.
-async fn usher(
+/// Performs the handshake of one connection and passes the connection to the server.
+async fn admit(
     io: TcpStream,
     address: SocketAddr,
-    guard: Guard,
+    authentication: Authentication,
     mut open: Open,
     server: mpsc::Sender<io::Result<Connection>>,
 ) {
-    let greeted = tokio::select! {
+    let accepted = tokio::select! {
         () = server.closed() => return,
         _ = &mut open.closed => return,
-        greeted = greet(io, address, &guard) => greeted,
+        accepted = accept_handshake(io, address, &authentication) => accepted,
     };
-    if let Some(Admitted { bytes, standing }) = greeted {
-        // A server that is gone takes nobody in any more.
-        let _taken = server
+    if let Some(Accepted { stream, standing }) = accepted {
+        // Sending fails if the server has ended; the connection is then dropped.
+        let _sent = server
             .send(Ok(Connection {
-                io: bytes,
+                io: stream,
                 peer: Peer {
                     connection: open.id,
                     address,
@@ -179,24 +178,24 @@ async fn usher(
 
 /// One accepted connection.
 pub(super) struct Connection {
-    io: Box<dyn Bytes>,
+    io: Box<dyn ByteStream>,
     peer: Peer,
     open: Open,
 }
 
-/// Says when it is closed.
+/// The bookkeeping of an open connection; dropping it reports the connection as closed.
 struct Open {
     id: ConnectionId,
-    farewell: Farewell,
-    /// Ends when the connection has to close.
+    on_close: OnClose,
+    /// Completes when the connection must close.
     closed: oneshot::Receiver<()>,
     registry: Arc<Registry>,
-    _places: (crowd::Place, registry::Place),
+    _permits: (per_address::Permit, registry::Permit),
 }
 
 impl Drop for Open {
     fn drop(&mut self) {
-        (self.farewell)(self.id);
+        (self.on_close)(self.id);
     }
 }
 
@@ -215,7 +214,7 @@ impl AsyncRead for Connection {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         if Pin::new(&mut self.open.closed).poll(context).is_ready() {
-            // No more bytes: the server ends the connection.
+            // End of stream: the server closes the connection.
             return Poll::Ready(Ok(()));
         }
         Pin::new(&mut self.io).poll_read(context, buffer)

@@ -1,4 +1,4 @@
-//! `ControlService`: what a learner at work answers people and scripts, and which role each question takes.
+//! `ControlService`: status, watching and operator commands, each with the role it requires.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use tonic::{Request, Response, Status};
 use crate::exchange::{Exchange, SaveError};
 use crate::service::connections::{caller, demand};
 
-/// Lines that wait for a watcher to take them away; the exchange keeps the others.
+/// Lines buffered per watcher; the exchange keeps the others.
 const LINES_AHEAD: usize = 16;
 
 /// The calls of `ControlService`.
@@ -38,11 +38,11 @@ impl ControlService for Control {
         request: Request<wire::WatchRunRequest>,
     ) -> Result<Response<Self::WatchRunStream>, Status> {
         demand(&request, Role::Viewer)?;
-        // Full when the watcher reads slowly; it then misses the lines that the exchange no longer keeps.
+        // A full channel means a slow watcher; it misses lines that the exchange no longer keeps.
         let (sender, stream) = mpsc::channel(LINES_AHEAD);
-        let whoever = caller(&request, "watch_run");
+        let caller = caller(&request, "watch_run");
         let after = request.into_inner().after_iteration;
-        tracing::info!("{whoever}: lines after iteration {after}");
+        tracing::info!("{caller}: lines after iteration {after}");
         tokio::spawn(show_lines(Arc::clone(&self.exchange), after, sender));
         Ok(Response::new(ReceiverStream::new(stream)))
     }
@@ -54,7 +54,7 @@ impl ControlService for Control {
         demand(&request, Role::Admin)?;
         let open_leases = self.exchange.pause();
         tracing::info!(
-            "{}: no new leases; {open_leases} go on to their end",
+            "{}: no new leases; {open_leases} open leases will finish",
             caller(&request, "pause")
         );
         Ok(Response::new(wire::PauseResponse { open_leases }))
@@ -66,7 +66,7 @@ impl ControlService for Control {
     ) -> Result<Response<wire::ResumeResponse>, Status> {
         demand(&request, Role::Admin)?;
         self.exchange.resume();
-        tracing::info!("{}: the run goes on", caller(&request, "resume"));
+        tracing::info!("{}: the run is resumed", caller(&request, "resume"));
         Ok(Response::new(wire::ResumeResponse {}))
     }
 
@@ -90,12 +90,12 @@ impl ControlService for Control {
     ) -> Result<Response<wire::StopResponse>, Status> {
         demand(&request, Role::Admin)?;
         self.exchange.orders().stop();
-        tracing::info!("{}: the run ends after a checkpoint", caller(&request, "stop"));
+        tracing::info!("{}: the run stops after a checkpoint", caller(&request, "stop"));
         Ok(Response::new(wire::StopResponse {}))
     }
 }
 
-/// Sends each line after iteration `seen` once, until the last one or until nobody reads any more.
+/// Sends each line after iteration `seen` once, until the run's last line or until the watcher disconnects.
 async fn show_lines(
     exchange: Arc<Exchange>,
     mut seen: u64,

@@ -1,12 +1,10 @@
-//! The deadline that a client sends with a call. Answers that come at once are cut off by the server behind us; a
-//! stream has to look for itself.
+//! The deadline that a client sends with a call. tonic enforces it for unary calls; a stream must enforce it itself.
 
 use std::time::Duration;
 
 use tonic::metadata::MetadataMap;
 
-/// How long the call may take, as its header `grpc-timeout` says: at most eight digits and a unit. What is no such
-/// thing is no limit.
+/// The timeout in the header `grpc-timeout`: at most eight digits and a unit. `None` if it is missing or invalid.
 pub(super) fn of(headers: &MetadataMap) -> Option<Duration> {
     let text = headers.get("grpc-timeout")?.to_str().ok()?;
     let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
@@ -45,7 +43,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_deadline_limits_nothing() {
+    fn an_invalid_deadline_is_no_limit() {
         for wrong in ["", "S", "1", "1x", "-1S", "+1S", "123456789S", "1.5S"] {
             assert_eq!(read(wrong), None, "{wrong}");
         }

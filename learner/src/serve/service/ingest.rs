@@ -1,4 +1,4 @@
-//! Results coming in over one stream: read, checked, taken in and acknowledged one after another.
+//! Receives the results of one stream: reads, checks, accepts and acknowledges one message after another.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,10 +16,10 @@ use crate::exchange::{Caller, Exchange};
 use crate::service::bodies::Share;
 use crate::slots::ConnectionId;
 
-/// A stream on which no whole message came for this long is closed.
-const SILENCE: Duration = Duration::from_secs(300);
-/// An acknowledgement that is not taken away for this long ends the stream.
-const ACK_DEADLINE: Duration = Duration::from_secs(10);
+/// Longest time without a complete message before the stream is closed.
+const MESSAGE_TIMEOUT: Duration = Duration::from_secs(300);
+/// Longest time for the actor to receive an acknowledgement before the stream is closed.
+const ACK_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Acknowledgements of one stream.
 type Acks = mpsc::Sender<Result<wire::PushTrajectoryResponse, Status>>;
@@ -27,13 +27,13 @@ type Acks = mpsc::Sender<Result<wire::PushTrajectoryResponse, Status>>;
 /// A stream of results.
 pub(super) struct Results {
     pub(super) messages: Streaming<wire::PushTrajectoryRequest>,
-    /// Permits of the connection; more streams than these wait.
+    /// Permits of the connection; further streams wait.
     pub(super) pushes: Arc<Semaphore>,
-    /// What the stream holds of the budget of bytes.
+    /// The stream's share of the byte budget.
     pub(super) share: Option<Arc<Share>>,
 }
 
-/// Takes in all messages of a stream, until it ends or one is refused.
+/// Accepts the messages of a stream until it ends or one is rejected.
 pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Results, acks: Acks) {
     let Results { mut messages, pushes, share } = results;
     let _permit = tokio::select! {
@@ -44,33 +44,33 @@ pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Resul
     loop {
         let next = tokio::select! {
             () = acks.closed() => return,
-            next = tokio::time::timeout(SILENCE, messages.message()) => next,
+            next = tokio::time::timeout(MESSAGE_TIMEOUT, messages.message()) => next,
         };
         let result = match next {
             Ok(Ok(None)) => return,
             Ok(Ok(Some(request))) => {
                 lease = Some(LeaseId(request.lease_id));
                 exchange.count_bytes(proto::wire_bytes(&request));
-                let taken = take_in(&exchange, caller, request).await;
+                let accepted = accept(&exchange, caller, request).await;
                 share.iter().for_each(|share| share.processed());
-                taken
+                accepted
             }
             Ok(Err(status)) => match unreadable(&status) {
                 None => return,
                 Some(refusal) => Err(super::refused(&exchange, &caller, lease, refusal)),
             },
             Err(_) => {
-                let detail = format!("no message for {} s", SILENCE.as_secs());
+                let detail = format!("no message for {} s", MESSAGE_TIMEOUT.as_secs());
                 let refusal = Refusal::new(Reason::TooSlow, "stream", detail);
                 Err(super::refused(&exchange, &caller, lease, refusal))
             }
         };
         let last = result.is_err();
-        if let Err(SendTimeoutError::Timeout(_)) = acks.send_timeout(result, ACK_DEADLINE).await {
-            let secs = ACK_DEADLINE.as_secs();
+        if let Err(SendTimeoutError::Timeout(_)) = acks.send_timeout(result, ACK_TIMEOUT).await {
+            let secs = ACK_TIMEOUT.as_secs();
             tracing::warn!(
-                "{caller} breaks off: acknowledgements are not taken away for {secs} s; its lease ends \
-                 unless it comes back"
+                "{caller}: stream closed, an acknowledgement was not received within {secs} s; the lease expires \
+                 unless the actor reconnects"
             );
             return;
         }
@@ -80,10 +80,10 @@ pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Resul
     }
 }
 
-/// What a broken stream says about the message that broke it; `None` if the peer just went away.
+/// The refusal for an unreadable message; `None` if the peer disconnected.
 fn unreadable(status: &Status) -> Option<Refusal> {
     let reason = match status.code() {
-        // tonic's answer to a message over the limit.
+        // tonic's status for a message over the limit.
         Code::OutOfRange | Code::ResourceExhausted => Reason::TooLarge,
         Code::Internal => Reason::Undecodable,
         _ => return None,
@@ -91,8 +91,8 @@ fn unreadable(status: &Status) -> Option<Refusal> {
     Some(Refusal::new(reason, "message", status.message()))
 }
 
-/// Checks and takes in one message on a thread that may compute.
-async fn take_in(
+/// Checks and accepts one message on a blocking thread, because the checks compute.
+async fn accept(
     exchange: &Arc<Exchange>,
     caller: Caller,
     request: wire::PushTrajectoryRequest,
@@ -105,13 +105,13 @@ async fn take_in(
         Ok(Ok(ack)) => Ok(ack.to_wire()),
         Ok(Err(refusal)) => Err(super::refused(exchange, &caller, Some(lease), refusal)),
         Err(panic) => {
-            tracing::error!(%lease, "{caller}: the check of a message broke down: {panic}; its stream ends");
-            Err(Status::internal("the check of this message broke down"))
+            tracing::error!(%lease, "{caller}: the check of a message failed: {panic}; the stream is closed");
+            Err(Status::internal("the check of this message failed"))
         }
     }
 }
 
-/// Header, then lease and order, then the content, then the canary.
+/// Checks the header, the lease and the order, the content, and the canary, in this order.
 fn read(
     exchange: &Exchange,
     sender: ConnectionId,
@@ -135,12 +135,12 @@ fn read(
                 Ok(result)
             })?;
             let Some(result) = checked else { return Ok(ack) };
-            // No result depends on a film, so one that does not fit costs nobody a lease.
+            // No result depends on a film, so an invalid film does not end the lease.
             match film.map(|film| Film::from_wire(&film, exchange.run())).transpose() {
                 Ok(film) => {
                     film.into_iter().for_each(|film| exchange.keep_film(&header, result, film))
                 }
-                Err(why) => tracing::warn!(lease = %header.lease, "a film is passed over: {why}"),
+                Err(why) => tracing::warn!(lease = %header.lease, "film ignored: {why}"),
             }
             Ok(ack)
         }

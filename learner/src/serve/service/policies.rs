@@ -1,6 +1,5 @@
-//! `PolicyService`: trained policies act for whoever observes. Steps of different streams are computed beside each other;
-//! those of one in their order. A policy multiplies row by row, so putting rows of several streams together would not
-//! make any of them cheaper.
+//! `PolicyService`: computes actions of trained policies for clients. Steps of different streams are computed
+//! concurrently, those of one stream in order. Policies compute row by row, so batching streams would not be faster.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,43 +18,43 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{COMPILED, bodies, connections, deadline, reflection, server};
-use crate::door::Door;
 use crate::exchange::Caller;
+use crate::listener::Listener;
 use crate::published::Published;
 use crate::team::Team;
 
 /// Actors register with learners only.
 const NO_ACTORS: usize = 0;
-/// Answers that wait to be taken away; then nothing more is read.
+/// Responses buffered per stream; while the buffer is full, no further step is read.
 const ANSWERS_AHEAD: usize = 1;
-/// How long open streams have to end when the server stops.
+/// Time limit for open streams to end when the server stops.
 const CLOSING: Duration = Duration::from_secs(1);
-/// Longer than any stream; tokio's clock reaches as far.
+/// Longer than any stream, and within the range of tokio's clock.
 const NO_DEADLINE: Duration = Duration::from_secs(86_400 * 365);
-/// What is served besides health and reflection.
+/// Services besides health and reflection.
 const SERVICES: [&str; 1] = [policy_service_server::SERVICE_NAME];
 
-/// What is served.
+/// The served policies and their environment.
 #[derive(Clone, Debug)]
 pub struct ServedPolicies {
-    /// Names the run for people.
+    /// Id of the run.
     pub run_id: String,
-    /// The world in which the policies were trained.
+    /// The environment in which the policies were trained.
     pub environment: EnvironmentSpec,
-    /// Their newest version, now and whenever there is another.
+    /// The newest version of the policies.
     pub newest: watch::Receiver<Arc<Published>>,
 }
 
-/// Serves policies at `door` until `stop` turns true; open streams then end with `UNAVAILABLE`.
+/// Serves policies at `listener` until `stop` is true; open streams then end with `UNAVAILABLE`.
 ///
 /// # Errors
-/// Says why the service broke down.
+/// The service failed.
 pub async fn serve_policies(
     served: ServedPolicies,
-    door: Door,
+    listener: Listener,
     stop: watch::Receiver<bool>,
 ) -> Result<(), tonic::transport::Error> {
-    let incoming = connections::accept(door, NO_ACTORS, Arc::new(drop));
+    let incoming = connections::accept(listener, NO_ACTORS, Arc::new(drop));
     let policies = Policies { served, stop: stop.clone() };
     let policies = PolicyServiceServer::new(policies).max_decoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
@@ -69,14 +68,14 @@ pub async fn serve_policies(
         .serve_with_incoming_shutdown(incoming, stopped(stop.clone()));
     tokio::select! {
         ended = serving => ended,
-        // Whoever takes no answers away keeps nobody from leaving.
+        // A client that does not read its responses must not delay the end.
         () = async { stopped(stop).await; tokio::time::sleep(CLOSING).await } => Ok(()),
     }
 }
 
-/// Completes when `stop` turns true, or nobody can say so any more.
+/// Completes when `stop` is true or its sender has been dropped.
 async fn stopped(mut stop: watch::Receiver<bool>) {
-    let _told = stop.wait_for(|stop| *stop).await;
+    let _result = stop.wait_for(|stop| *stop).await;
 }
 
 /// The calls of `PolicyService`.
@@ -103,28 +102,28 @@ impl PolicyService for Policies {
     ) -> Result<Response<Self::ActStream>, Status> {
         let (answers, stream) = mpsc::channel(ANSWERS_AHEAD);
         let caller = connections::caller(&request, "act");
-        let patience = deadline::of(request.metadata()).unwrap_or(NO_DEADLINE);
-        let end = Instant::now() + patience.min(NO_DEADLINE);
+        let timeout = deadline::of(request.metadata()).unwrap_or(NO_DEADLINE);
+        let end = Instant::now() + timeout.min(NO_DEADLINE);
         let (newest, stop) = (self.served.newest.clone(), self.stop.clone());
         let steps = request.into_inner();
         tokio::spawn(async move {
-            let over = tokio::select! {
+            let status = tokio::select! {
                 () = answers.closed() => return,
-                ended = act_to_the_end(steps, newest, &answers, caller) => ended.err(),
+                ended = answer_steps(steps, newest, &answers, caller) => ended.err(),
                 () = tokio::time::sleep_until(end) => Some(Status::deadline_exceeded("the stream's deadline has passed")),
-                () = stopped(stop) => Some(Status::unavailable("the server stops")),
+                () = stopped(stop) => Some(Status::unavailable("the server is stopping")),
             };
-            if let Some(status) = over {
-                // Whoever has left needs no reason.
-                let _told = answers.send(Err(status)).await;
+            if let Some(status) = status {
+                // Sending fails if the client has disconnected.
+                let _sent = answers.send(Err(status)).await;
             }
         });
         Ok(Response::new(ReceiverStream::new(stream)))
     }
 }
 
-/// Answers one step after the other.
-async fn act_to_the_end(
+/// Answers the steps of a stream in order.
+async fn answer_steps(
     mut steps: Streaming<wire::ActRequest>,
     mut newest: watch::Receiver<Arc<Published>>,
     answers: &mpsc::Sender<Result<wire::ActResponse, Status>>,
@@ -134,7 +133,7 @@ async fn act_to_the_end(
         tracing::warn!(
             reason = refusal.reason.name(),
             field = refusal.field,
-            "{caller} is refused: {}",
+            "{caller}: request rejected: {}",
             refusal.detail
         );
         Status::from(refusal)

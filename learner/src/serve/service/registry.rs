@@ -1,5 +1,5 @@
-//! The open connections. Actors may fill their share; connections without an actor (probes, viewers, peers that have
-//! not registered) share places of their own, and when these are taken the oldest of them is closed for a new one.
+//! The open connections. Connections with actors have one limit. Those without (probes, viewers, unregistered peers)
+//! have another; when it is reached, the oldest of them is closed to admit a new one.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use tokio::sync::oneshot;
 
 use crate::slots::ConnectionId;
 
-/// Places beyond those of actors.
+/// Most connections without an actor.
 const WITHOUT_ACTOR: usize = 256;
 
 /// The open connections of one listener.
@@ -26,28 +26,29 @@ struct Open {
     _close: oneshot::Sender<()>,
 }
 
-/// A connection's place; free again when this is dropped.
+/// The entry of a connection in the registry, removed on drop.
 #[derive(Debug)]
-pub(super) struct Place {
+pub(super) struct Permit {
     id: ConnectionId,
     registry: Arc<Registry>,
 }
 
-/// A place, and the signal that the connection has to close.
+/// An admitted connection.
 pub(super) struct Admission {
-    pub(super) place: Place,
+    pub(super) permit: Permit,
+    /// Completes when the connection must close.
     pub(super) closed: oneshot::Receiver<()>,
-    /// The connection that was closed for this one.
+    /// The connection that was closed to admit this one.
     pub(super) evicted: Option<ConnectionId>,
 }
 
 impl Registry {
-    /// At most so many connections with actors.
+    /// A registry that allows `most_with_actors` connections with actors.
     pub(super) fn new(most_with_actors: usize) -> Arc<Self> {
         Arc::new(Self { most_with_actors, open: Mutex::default() })
     }
 
-    /// A place for a new connection.
+    /// Adds a new connection.
     pub(super) fn admit(self: &Arc<Self>, id: ConnectionId) -> Admission {
         let (close, closed) = oneshot::channel();
         let mut open = self.lock();
@@ -58,20 +59,21 @@ impl Registry {
         evicted.map(|id| open.remove(&id));
         open.insert(id, Open { has_actor: false, _close: close });
         drop(open);
-        Admission { place: Place { id, registry: Arc::clone(self) }, closed, evicted }
+        Admission { permit: Permit { id, registry: Arc::clone(self) }, closed, evicted }
     }
 
-    /// An actor registers on the connection.
+    /// Marks the connection as one with an actor.
     ///
     /// # Errors
-    /// Refuses the actor when the places of actors are taken.
+    /// Too many connections have actors.
     pub(super) fn note_actor(&self, id: ConnectionId) -> Result<(), Refusal> {
         let mut open = self.lock();
         let with_actors = open.values().filter(|open| open.has_actor).count();
         let Some(own) = open.get_mut(&id) else { return Ok(()) };
         if !own.has_actor && with_actors >= self.most_with_actors {
             let most = self.most_with_actors;
-            let detail = format!("{most} connections have actors (learner.connections); try later");
+            let detail =
+                format!("{most} connections have actors (learner.connections); retry later");
             return Err(Refusal::new(Reason::Busy, "connection", detail));
         }
         own.has_actor = true;
@@ -83,7 +85,7 @@ impl Registry {
     }
 }
 
-impl Drop for Place {
+impl Drop for Permit {
     fn drop(&mut self) {
         self.registry.lock().remove(&self.id);
     }
@@ -94,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_oldest_connection_without_an_actor_is_closed_for_a_new_one_and_those_with_actors_stay() {
+    fn the_oldest_connection_without_an_actor_is_closed_and_those_with_actors_stay() {
         let registry = Registry::new(2);
         let mut admitted = Vec::new();
         for id in 0..WITHOUT_ACTOR as u64 {
@@ -103,7 +105,7 @@ mod tests {
             admitted.push(admission);
         }
         registry.note_actor(ConnectionId(0)).unwrap();
-        // One place came free with that.
+        // Connection 0 no longer counts as one without an actor.
         admitted.push(registry.admit(ConnectionId(1000)));
         let next = registry.admit(ConnectionId(1001));
         assert_eq!(next.evicted, Some(ConnectionId(1)));
@@ -114,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn actors_past_the_limit_are_refused_until_one_leaves() {
+    fn actors_beyond_the_limit_are_rejected_until_one_disconnects() {
         let registry = Registry::new(1);
         let (first, _second) = (registry.admit(ConnectionId(1)), registry.admit(ConnectionId(2)));
         registry.note_actor(ConnectionId(1)).unwrap();

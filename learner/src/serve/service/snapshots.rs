@@ -1,4 +1,4 @@
-//! A policy snapshot as a stream: one header, then pieces that are slices of the one copy in memory.
+//! Streams a policy snapshot: one header, then pieces that are slices of one copy in memory.
 
 use std::time::Duration;
 
@@ -12,29 +12,29 @@ use tonic::Status;
 
 use crate::exchange::Caller;
 
-/// A piece that is not taken away for this long ends the stream.
-const PIECE_DEADLINE: Duration = Duration::from_secs(30);
-/// Bytes of a piece, fewer than a message may hold. Each is encoded into a buffer of its own, and small buffers are used again where large ones go back
-/// to the system, which clears their pages anew.
+/// Longest time for the actor to receive a piece before the stream is closed.
+const PIECE_TIMEOUT: Duration = Duration::from_secs(30);
+/// Size of a piece, bytes; smaller than the limit of a message. The allocator reuses small message buffers, while large
+/// ones are returned to the system, which then clears their pages again.
 const PIECE_BYTES: usize = 64 << 10;
-/// Pieces that wait to be taken away.
+/// Pieces buffered per stream.
 const PIECES_AHEAD: usize = 2;
 
-/// The snapshot `bytes` called `name`.
+/// Streams the snapshot `bytes` with the name `name`.
 pub(super) fn stream(
     name: WeightsName,
     bytes: Bytes,
     caller: Caller,
 ) -> ReceiverStream<Result<wire::GetWeightsResponse, Status>> {
-    // Full when the actor reads slowly; the task below then waits, holding no copy.
+    // A full channel means a slow actor; the task below then waits without copying.
     let (sender, stream) = mpsc::channel(PIECES_AHEAD);
     tokio::spawn(async move {
         for part in parts(name, &bytes) {
             let response = wire::GetWeightsResponse { part: Some(part) };
-            if let Err(error) = sender.send_timeout(Ok(response), PIECE_DEADLINE).await {
+            if let Err(error) = sender.send_timeout(Ok(response), PIECE_TIMEOUT).await {
                 let version = name.version;
-                let why = broken_off(&error);
-                tracing::warn!(%version, "{caller} breaks off: {why}; it may ask for them again");
+                let why = reason(&error);
+                tracing::warn!(%version, "{caller}: stream closed, {why}; the actor may request them again");
                 return;
             }
         }
@@ -42,12 +42,14 @@ pub(super) fn stream(
     ReceiverStream::new(stream)
 }
 
-fn broken_off<T>(error: &SendTimeoutError<T>) -> String {
+fn reason<T>(error: &SendTimeoutError<T>) -> String {
     match error {
         SendTimeoutError::Timeout(_) => {
-            format!("the weights are not taken away for {} s", PIECE_DEADLINE.as_secs())
+            format!("a piece of the weights was not received within {} s", PIECE_TIMEOUT.as_secs())
         }
-        SendTimeoutError::Closed(_) => "whoever asked for the weights is gone".to_owned(),
+        SendTimeoutError::Closed(_) => {
+            "the actor disconnected before it had received the weights".to_owned()
+        }
     }
 }
 
@@ -69,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_snapshot_comes_in_equal_pieces_and_a_rest() {
+    fn a_snapshot_is_split_into_equal_pieces_and_a_remainder() {
         let bytes = Bytes::from(vec![7; 2 * PIECE_BYTES + 5]);
         const { assert!(PIECE_BYTES <= MAX_WEIGHTS_PIECE_BYTES) };
         let name = WeightsName { version: PolicyVersion(3), digest: Digest::of(&bytes) };

@@ -1,4 +1,4 @@
-//! What the health service says of the disk. The learner as a whole keeps serving: training goes on.
+//! Reports the state of the disk in the health service. The learner itself stays `SERVING`, since training continues.
 
 use tokio::sync::watch;
 use tonic_health::ServingStatus;
@@ -6,10 +6,10 @@ use tonic_health::server::HealthReporter;
 
 use crate::exchange::Storage;
 
-/// The name under which the health service answers for checkpoints: `NOT_SERVING` while they fail.
+/// Name of the health service's entry for checkpoints; `NOT_SERVING` while they fail.
 pub const STORAGE: &str = "s2mia.v1.Storage";
 
-/// Reports every change until the exchange is gone.
+/// Reports every change until the exchange is dropped.
 pub(super) async fn follow(mut storage: watch::Receiver<Storage>, reporter: HealthReporter) {
     loop {
         let status = match *storage.borrow_and_update() {
@@ -33,7 +33,7 @@ mod tests {
     use tonic_health::server::HealthService;
 
     #[tokio::test]
-    async fn a_failing_disk_shows_under_its_own_name_until_it_recovers() {
+    async fn a_failing_disk_is_reported_in_its_own_entry_until_it_recovers() {
         let reporter = HealthReporter::new();
         let health = HealthService::from_health_reporter(reporter.clone());
         let sender = watch::Sender::new(Storage::Sound);

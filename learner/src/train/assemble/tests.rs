@@ -1,5 +1,5 @@
-//! A hand-made iteration: 2 slots of 2 environments, 4 steps in chunks of 2, one agent with 1
-//! observed feature, 2 action dimensions and 1 recurrent unit stored every 2 steps.
+//! Tests of `assemble` with 2 slots of 2 environments, 4 steps in chunks of 2, and one agent with 1 feature, 2 action
+//! dimensions and 1 recurrent unit, stored every 2 steps.
 
 use proto::{ActorId, AgentChunk, LeaseId, SlotEnd};
 
@@ -10,7 +10,7 @@ fn layout() -> Layout {
     Layout { slots: 2, per_slot: 2, steps: 4, hidden_every: 2, state: 1, agents }
 }
 
-/// Every number tells where it belongs: `100 * step + environment`.
+/// A number that encodes its position: `100 * step + environment`.
 fn code(step: u32, environment: usize) -> f32 {
     (100 * step as usize + environment) as f32
 }
@@ -40,7 +40,7 @@ fn chunk(slot: usize, sequence: u32) -> TrajectoryChunk {
         state: rows().collect(),
         reward: rows().collect(),
         terminated: vec![false; 4],
-        // In the second slot the first environment's episode is cut after step 1.
+        // In the second slot, the first environment's episode is truncated after step 1.
         truncated: vec![false, false, slot == 1 && sequence == 0, false],
         finals: match (last, slot) {
             (true, _) => vec![last_step(0), last_step(1)],
@@ -61,7 +61,7 @@ fn rollout(slot: usize) -> SlotRollout {
 }
 
 #[test]
-fn every_number_stands_where_its_step_and_environment_say() {
+fn every_number_is_at_the_position_of_its_step_and_environment() {
     let batch = assemble(&layout(), &[rollout(0), rollout(1)]);
     let rows: Vec<f32> = (0..4).flat_map(|t| (0..4).map(move |e| code(t, e))).collect();
     assert_eq!((batch.steps, batch.environments), (4, 4));
@@ -104,14 +104,14 @@ fn the_algorithm_accepts_the_batch() {
 }
 
 #[test]
-#[should_panic(expected = "an iteration is all of its slots, in their order")]
-fn slots_in_another_order_are_no_iteration() {
+#[should_panic(expected = "rollouts are not all slots in order")]
+fn slots_in_the_wrong_order_panic() {
     let _never = assemble(&layout(), &[rollout(1), rollout(0)]);
 }
 
 #[test]
 #[should_panic(expected = "slot 1: steps")]
-fn a_slot_that_lacks_steps_is_no_part_of_an_iteration() {
+fn a_slot_with_missing_steps_panics() {
     let mut short = rollout(1);
     short.chunks.pop();
     let _never = assemble(&layout(), &[rollout(0), short]);
@@ -119,7 +119,7 @@ fn a_slot_that_lacks_steps_is_no_part_of_an_iteration() {
 
 #[test]
 #[should_panic(expected = "a chunk's array")]
-fn no_array_fills_its_place_by_half() {
+fn an_array_of_the_wrong_length_panics() {
     let mut wrong = rollout(0);
     wrong.chunks[0].agents[0].action.pop();
     let _never = assemble(&layout(), &[wrong, rollout(1)]);

@@ -45,13 +45,13 @@ fn limits(count: usize, episode_steps: u32, phase: Phase) -> Vec<u32> {
     let starts = work.into_iter().flat_map(|slot| slot.environments);
     let limit = |start: EnvironmentStart| match start.start {
         Start::Fresh { episode: 0, limit } => limit,
-        other => panic!("{other:?} is no first start"),
+        other => panic!("not a first start: {other:?}"),
     };
     starts.map(limit).collect()
 }
 
 #[test]
-fn staggered_first_episodes_end_evenly_spread() {
+fn staggered_first_episodes_end_at_even_intervals() {
     assert_eq!(limits(4, 1000, Phase::Staggered), [250, 500, 750, 1000]);
     assert_eq!(limits(6, 4, Phase::Staggered), [1, 1, 2, 2, 3, 4]);
     assert_eq!(limits(4, 1000, Phase::Lockstep), [1000; 4]);
@@ -69,7 +69,7 @@ fn environments_are_numbered_over_all_slots() {
 }
 
 #[test]
-fn an_iteration_consists_of_what_it_holds_of_each_episode() {
+fn an_iteration_is_split_into_parts_of_episodes() {
     let share = |environment, episode, first_step, slot_step, steps| Share {
         environment,
         episode,
@@ -78,12 +78,12 @@ fn an_iteration_consists_of_what_it_holds_of_each_episode() {
         steps,
     };
     let mut environments = Environments::fresh(layout(), 10, Phase::Lockstep);
-    // Environment 1 ends an episode with its second step.
+    // An episode of environment 1 ends with the second step.
     let first = batch([0.0; 6], &[3]);
     let expected = [share(0, 0, 0, 0, 3), share(1, 0, 0, 0, 2), share(1, 1, 0, 2, 1)];
     assert_eq!(environments.shares(&first), expected);
     environments.advance(&first, &[rollout()]);
-    // Environment 0 ends one with its last step.
+    // An episode of environment 0 ends with the last step.
     let second = batch([0.0; 6], &[4]);
     assert_eq!(environments.shares(&second), [share(0, 0, 3, 0, 3), share(1, 1, 1, 0, 3)]);
     environments.advance(&second, &[rollout()]);
@@ -91,8 +91,8 @@ fn an_iteration_consists_of_what_it_holds_of_each_episode() {
 }
 
 #[test]
-fn an_episode_cut_before_its_limit_is_counted_as_a_fault() {
-    // Limits 2 and 4: environment 0 ends by rule after step 1; environment 1's end after step 0 is a fault.
+fn an_episode_truncated_before_its_limit_is_counted_as_a_fault() {
+    // Limits 2 and 4: environment 0 reaches its limit with step 1; the end of environment 1 after step 0 is a fault.
     let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);
     environments.advance(&batch([0.0; 6], &[1, 2]), &[rollout()]);
     assert_eq!(environments.faults(), 1);
@@ -102,7 +102,7 @@ fn an_episode_cut_before_its_limit_is_counted_as_a_fault() {
 
 #[test]
 fn a_shortened_first_episode_is_not_counted_and_the_next_one_is() {
-    // Limits 2 and 4: environment 0 ends after step 1 (not counted), environment 1 goes on.
+    // Limits 2 and 4: environment 0 ends after step 1 (not counted), environment 1 continues.
     let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);
     environments.advance(&batch([1.0, 10.0, 1.0, 10.0, 3.0, 10.0], &[2]), &[rollout()]);
     assert_eq!(environments.mean_return(), None);
@@ -119,12 +119,12 @@ fn the_mean_is_that_of_the_last_twenty_episodes() {
     for _ in 0..3 {
         environments.advance(&batch([1.0; 6], &all), &[rollout()]);
     }
-    // 18 of the last 20 are the later ones.
+    // 18 of the last 20 episodes have return 1.
     assert_eq!(environments.mean_return(), Some((18.0 + 2.0 * 1000.0) / 20.0));
 }
 
 #[test]
-fn the_next_iteration_goes_on_from_the_slots_ends() {
+fn the_next_iteration_continues_from_the_end_states_of_the_slots() {
     let mut environments = Environments::fresh(layout(), 9, Phase::Lockstep);
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     let starts: Vec<Start> =
@@ -135,7 +135,7 @@ fn the_next_iteration_goes_on_from_the_slots_ends() {
 }
 
 #[test]
-fn restored_environments_equal_the_kept_ones() {
+fn restored_environments_equal_the_originals() {
     let mut kept = Environments::fresh(layout(), 2, Phase::Lockstep);
     for iteration in 0..3 {
         let mut restored = Environments::fresh(layout(), 2, Phase::Lockstep);
@@ -146,7 +146,7 @@ fn restored_environments_equal_the_kept_ones() {
 }
 
 #[test]
-fn a_missing_or_odd_array_is_named() {
+fn a_missing_or_invalid_array_is_named_in_the_error() {
     let mut environments = Environments::fresh(layout(), 2, Phase::Lockstep);
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     for name in environments.arrays().keys() {

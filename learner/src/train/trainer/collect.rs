@@ -1,4 +1,4 @@
-//! Waiting for actors: rollouts, evaluation results, and what is told while nothing comes.
+//! Waits for rollouts and evaluation results, and reports progress meanwhile.
 
 use std::time::{Duration, Instant};
 
@@ -11,27 +11,27 @@ use crate::exchange::{EvaluationOutcome, SlotRollout, Wake};
 use crate::snapshot::RunSnapshot;
 use crate::trainer::Work;
 
-/// How long the trainer waits before it looks whether it should stop.
-const GLANCE: Duration = Duration::from_millis(100);
+/// Interval at which the trainer checks whether to stop.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Stillness after which it is told what is missing, and told again.
-const STILL: Duration = Duration::from_secs(10);
+/// Interval of reports while no results arrive.
+const REPORT_INTERVAL: Duration = Duration::from_secs(10);
 
-/// An iteration's rollouts and how long they took.
+/// The rollouts of an iteration.
 pub(super) struct Collected {
-    /// Ordered by slot, all complete.
+    /// Complete rollouts, ordered by slot.
     pub(super) rollouts: Vec<SlotRollout>,
-    /// From the opening of the slots to the last chunk.
+    /// Seconds from the opening of the slots to the last chunk.
     pub(super) secs: f64,
-    /// The weights with which they were rolled out.
+    /// The weights used for the rollouts.
     pub(super) behaviour: WeightsName,
 }
 
 impl Work {
-    /// The rollouts of the open iteration; `None` if the run is to stop instead.
+    /// Waits for the rollouts of the open iteration; `None` if the run must stop.
     pub(super) fn collect(&mut self) -> Result<Option<Collected>, LearnerError> {
         self.enter(Stage::Collect);
-        self.patience.begin(Instant::now());
+        self.progress.begin(Instant::now());
         while !(self.outside.stop)() {
             if let Some(collected) = self.arrived.take() {
                 return Ok(Some(collected));
@@ -41,9 +41,9 @@ impl Work {
         Ok(None)
     }
 
-    /// Waits for the evaluation that is still out, if there is one; false if the run is to stop first.
+    /// Waits for the outstanding evaluation, if any; false if the run must stop first.
     pub(super) fn settle_evaluation(&mut self) -> Result<bool, LearnerError> {
-        self.patience.begin(Instant::now());
+        self.progress.begin(Instant::now());
         while self.trainer.evaluations.outstanding().is_some() {
             if (self.outside.stop)() {
                 return Ok(false);
@@ -54,10 +54,10 @@ impl Work {
     }
 
     fn wait(&mut self) -> Result<(), LearnerError> {
-        if self.save_if_asked() {
+        if self.save_if_requested() {
             self.enter(Stage::Collect);
         }
-        match self.outside.exchange.wait(GLANCE) {
+        match self.outside.exchange.wait(POLL_INTERVAL) {
             Wake::Iteration { rollouts, secs } => {
                 let behaviour =
                     self.behaviour.expect("an iteration is opened before it is complete");
@@ -83,70 +83,70 @@ impl Work {
 
     fn report_progress(&mut self) {
         let now = self.outside.exchange.run_snapshot();
-        let told = self.patience.look(Instant::now(), &now);
-        if let Some(change) = told.change {
+        let progress = self.progress.update(Instant::now(), &now);
+        if let Some(change) = progress.change {
             self.tell(&change);
         }
-        if told.moved && self.arrived.is_none() {
+        if progress.new_steps && self.arrived.is_none() {
             let iteration = self.trainer.iteration;
             let env_steps = self.trainer.env_steps() + now.steps_collected;
             self.tell(&Event::Collecting { iteration, env_steps });
         }
-        if let Some(waiting) = told.waiting {
+        if let Some(waiting) = progress.waiting {
             self.tell(&waiting);
         }
     }
 }
 
-/// Notices when nothing comes in.
-pub(super) struct Patience {
+/// Detects that no results arrive.
+pub(super) struct ProgressMonitor {
     steps: u64,
-    moved: Instant,
-    told: Instant,
+    last_steps: Instant,
+    last_report: Instant,
     paused: bool,
 }
 
-/// What a look at the progress showed.
-pub(super) struct Look {
-    /// Steps have come in since the last look.
-    pub(super) moved: bool,
-    /// What is missing, if nothing has come for long.
+/// Progress since the previous update.
+pub(super) struct Progress {
+    /// Whether steps have arrived.
+    pub(super) new_steps: bool,
+    /// [`Event::Waiting`] if no results have arrived for long.
     pub(super) waiting: Option<Event>,
-    /// That the run was paused or resumed, if it was.
+    /// [`Event::Paused`] or [`Event::Resumed`] if the run was paused or resumed.
     pub(super) change: Option<Event>,
 }
 
-impl Patience {
-    /// From now on.
+impl ProgressMonitor {
+    /// A monitor that starts at `now`.
     pub(super) fn new(now: Instant) -> Self {
-        Self { steps: 0, moved: now, told: now, paused: false }
+        Self { steps: 0, last_steps: now, last_report: now, paused: false }
     }
 
-    /// The trainer waits from now on: what it did before, such as an update, is no stillness.
+    /// Restarts the monitor when the trainer begins to wait, so that an update does not count as waiting.
     fn begin(&mut self, now: Instant) {
-        (self.moved, self.told) = (now, now);
+        (self.last_steps, self.last_report) = (now, now);
     }
 
-    /// Compares the run's figures with those of the last look.
-    pub(super) fn look(&mut self, now: Instant, run: &RunSnapshot) -> Look {
+    /// Compares the run's figures with those of the previous update.
+    pub(super) fn update(&mut self, now: Instant, run: &RunSnapshot) -> Progress {
         let (steps, paused) = (run.steps_collected, run.status.paused);
-        let moved = steps != self.steps;
+        let new_steps = steps != self.steps;
         let event = if paused { Event::Paused } else { Event::Resumed };
         let change = (paused != self.paused).then_some(event);
         (self.steps, self.paused) = (steps, paused);
-        if moved || paused {
-            // A pause is no stillness.
+        if new_steps || paused {
+            // No results are expected during a pause.
             self.begin(now);
         }
-        let waiting =
-            (now.duration_since(self.told) >= STILL).then(|| self.missing(now, run.status.actors));
-        Look { moved, waiting, change }
+        let due = now.duration_since(self.last_report) >= REPORT_INTERVAL;
+        let waiting = due.then(|| self.report(now, run.status.actors));
+        Progress { new_steps, waiting, change }
     }
 
-    /// What is missing; it is told again after as long a time.
-    fn missing(&mut self, now: Instant, actors: u64) -> Event {
-        self.told = now;
-        let seconds = now.duration_since(self.moved).as_secs_f64();
+    /// The reason why no results arrive.
+    fn report(&mut self, now: Instant, actors: u64) -> Event {
+        self.last_report = now;
+        let seconds = now.duration_since(self.last_steps).as_secs_f64();
         let reason = match actors {
             0 => "no actor is connected".to_owned(),
             1 => "the one actor has sent nothing".to_owned(),
@@ -161,58 +161,52 @@ mod tests {
     use super::*;
     use proto::Incarnation;
 
-    fn progress(steps_collected: u64, actors: u64) -> RunSnapshot {
+    fn run(steps_collected: u64, actors: u64) -> RunSnapshot {
         let mut run = RunSnapshot::new("a run".to_owned(), Incarnation(1));
         (run.steps_collected, run.status.actors) = (steps_collected, actors);
         run
     }
 
     #[test]
-    fn stillness_is_told_every_ten_seconds_with_what_is_missing() {
+    fn a_lack_of_results_is_reported_every_ten_seconds_with_its_reason() {
         let start = Instant::now();
-        let mut patience = Patience::new(start);
-        let mut look = |secs, progress| patience.look(start + Duration::from_secs(secs), &progress);
-        assert!(look(1, progress(40, 2)).moved);
-        assert_eq!(look(9, progress(40, 2)).waiting, None);
+        let mut monitor = ProgressMonitor::new(start);
+        let mut update = |secs, run| monitor.update(start + Duration::from_secs(secs), &run);
+        assert!(update(1, run(40, 2)).new_steps);
+        assert_eq!(update(9, run(40, 2)).waiting, None);
         let reason = "none of 2 actors has sent anything".to_owned();
-        assert_eq!(
-            look(11, progress(40, 2)).waiting,
-            Some(Event::Waiting { seconds: 10.0, reason })
-        );
-        assert_eq!(look(20, progress(40, 2)).waiting, None);
+        assert_eq!(update(11, run(40, 2)).waiting, Some(Event::Waiting { seconds: 10.0, reason }));
+        assert_eq!(update(20, run(40, 2)).waiting, None);
         let reason = "no actor is connected".to_owned();
-        assert_eq!(
-            look(21, progress(40, 0)).waiting,
-            Some(Event::Waiting { seconds: 20.0, reason })
-        );
-        assert!(look(22, progress(80, 1)).moved);
+        assert_eq!(update(21, run(40, 0)).waiting, Some(Event::Waiting { seconds: 20.0, reason }));
+        assert!(update(22, run(80, 1)).new_steps);
     }
 
     #[test]
-    fn a_pause_is_told_when_it_begins_and_ends_and_is_no_stillness() {
+    fn pause_and_resume_are_reported_and_a_pause_does_not_count_as_waiting() {
         let start = Instant::now();
-        let mut patience = Patience::new(start);
-        let mut look = |secs, paused| {
-            let mut run = progress(0, 2);
+        let mut monitor = ProgressMonitor::new(start);
+        let mut update = |secs, paused| {
+            let mut run = run(0, 2);
             run.status.paused = paused;
-            let told = patience.look(start + Duration::from_secs(secs), &run);
-            (told.change, told.waiting.is_some())
+            let progress = monitor.update(start + Duration::from_secs(secs), &run);
+            (progress.change, progress.waiting.is_some())
         };
-        assert_eq!(look(1, true), (Some(Event::Paused), false));
-        assert_eq!(look(100, true), (None, false));
-        assert_eq!(look(101, false), (Some(Event::Resumed), false));
-        assert_eq!(look(109, false), (None, false));
-        assert_eq!(look(110, false), (None, true));
+        assert_eq!(update(1, true), (Some(Event::Paused), false));
+        assert_eq!(update(100, true), (None, false));
+        assert_eq!(update(101, false), (Some(Event::Resumed), false));
+        assert_eq!(update(109, false), (None, false));
+        assert_eq!(update(110, false), (None, true));
     }
 
     #[test]
-    fn the_time_before_the_trainer_waits_is_no_stillness() {
+    fn the_time_before_the_trainer_waits_does_not_count() {
         let start = Instant::now();
         let at = |secs| start + Duration::from_secs(secs);
-        let mut patience = Patience::new(start);
-        assert!(patience.look(at(1), &progress(40, 1)).moved);
-        patience.begin(at(100));
-        assert_eq!(patience.look(at(101), &progress(40, 1)).waiting, None);
-        assert!(patience.look(at(110), &progress(40, 1)).waiting.is_some());
+        let mut monitor = ProgressMonitor::new(start);
+        assert!(monitor.update(at(1), &run(40, 1)).new_steps);
+        monitor.begin(at(100));
+        assert_eq!(monitor.update(at(101), &run(40, 1)).waiting, None);
+        assert!(monitor.update(at(110), &run(40, 1)).waiting.is_some());
     }
 }

@@ -1,4 +1,4 @@
-//! One consistent cut of the run: what a checkpoint holds, and when it is written.
+//! Checkpoints of the trainer: their content and when they are written.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,9 +14,8 @@ use crate::fault::{self, Point};
 use crate::trainer::{Trainer, Work};
 
 impl Work {
-    /// Writes a checkpoint every `checkpoint.every` iterations. One that fails is told loudly and
-    /// tried again after the next iteration, while training goes on and the service reports
-    /// [`Storage::Degraded`]; those before it stand.
+    /// Writes a checkpoint every `checkpoint.every` iterations. A failed one is logged as an error and retried after
+    /// the next iteration. Meanwhile training continues and the service reports [`Storage::Degraded`].
     pub(super) fn save_if_due(&mut self) {
         let trainer = &self.trainer;
         let due = trainer.iteration.is_multiple_of(trainer.config.checkpoint.every);
@@ -31,8 +30,8 @@ impl Work {
             Err(error) => {
                 self.trainer.failed_saves += 1;
                 let failures = self.trainer.failed_saves;
-                let then = "training goes on, and the next iteration tries again";
-                tracing::error!(failures, "no checkpoint: {error}; {then}");
+                let then = "training continues; retrying after the next iteration";
+                tracing::error!(failures, "checkpoint failed: {error}; {then}");
                 self.tell(&Event::CheckpointFailed { failures });
                 Storage::Degraded
             }
@@ -40,13 +39,13 @@ impl Work {
         self.outside.exchange.report_storage(storage);
     }
 
-    /// Writes a checkpoint if somebody asked for one, and answers them; whether somebody did.
-    pub(super) fn save_if_asked(&mut self) -> bool {
+    /// Writes a checkpoint if an operator requested one, and answers the request. Returns whether there was a request.
+    pub(super) fn save_if_requested(&mut self) -> bool {
         let exchange = Arc::clone(&self.outside.exchange);
         exchange.orders().answer_saves(|| self.save_now())
     }
 
-    /// Writes a checkpoint of the last finished iteration, unless there is one.
+    /// Writes a checkpoint of the last finished iteration, unless it already exists.
     pub(super) fn save_now(&mut self) -> Result<Saved, LearnerError> {
         let iteration = self.trainer.iteration;
         if let Some(saved) =
@@ -69,7 +68,7 @@ impl Work {
 }
 
 impl Trainer {
-    /// The metrics reach the disk before the checkpoint that counts on them.
+    /// Writes a checkpoint. Metrics and provenance are flushed first, because a resume relies on their lines.
     fn save(&mut self) -> Result<Saved, LearnerError> {
         self.metrics.sync()?;
         self.provenance.sync()?;
@@ -91,7 +90,7 @@ impl Trainer {
         Ok(checkpoint::save(folder, &checkpoint, settings, keep, &mut before)?)
     }
 
-    /// Everything that the next iteration depends on, and the evaluation that may be out.
+    /// The state that the next iteration depends on, and the latest evaluation.
     fn arrays(&self) -> Result<NamedArrays, LearnerError> {
         let mut arrays = self.algorithm.arrays()?;
         arrays.extend(self.surprise.arrays()?);
@@ -105,7 +104,7 @@ impl Trainer {
         Ok(arrays)
     }
 
-    /// Takes over a checkpoint's state.
+    /// Restores the state of a checkpoint.
     pub(crate) fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), LearnerError> {
         let arrays = &checkpoint.arrays;
         self.iteration = checkpoint::fields::one_count(arrays, "counters/iteration")?;

@@ -1,10 +1,10 @@
-//! Random cases that are the same everywhere: the generator's seed is fixed and no environment variable
-//! has a say. A case that once failed becomes a test with a name.
+//! Reproducible random cases: the generator's seed is fixed and environment variables are ignored. A case that fails
+//! becomes a named test.
 
 use proptest::strategy::Strategy;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
-/// Runs `claim` on `cases` values, and tells the smallest one that it does not hold for.
+/// Runs `claim` on `cases` values and panics with the smallest failing one.
 pub(crate) fn for_all<S: Strategy>(cases: u32, strategy: &S, claim: impl Fn(S::Value)) {
     let defaults = Config::default();
     let config = Config {

@@ -1,4 +1,4 @@
-//! Who may send results, and slots that two actors compute: backups of slow ones, and audits.
+//! Messages over the wrong connection, and slots that two actors compute: backups of slow slots, and audits.
 
 use std::time::Duration;
 
@@ -17,12 +17,12 @@ fn second(count: u64) -> Duration {
 }
 
 #[test]
-fn messages_over_another_connection_end_no_lease_and_count_against_their_sender() {
+fn messages_over_another_connection_do_not_end_a_lease_and_count_against_their_sender() {
     let mut table = table(1);
-    let (honest, liar) = (actor(&mut table, 1), actor(&mut table, 2));
-    let held = lease(&mut table, honest);
-    let stolen = Held { connection: liar.connection, ..held.clone() };
-    for connection in [liar.connection, ConnectionId(77)] {
+    let (owner, other) = (actor(&mut table, 1), actor(&mut table, 2));
+    let held = lease(&mut table, owner);
+    let stolen = Held { connection: other.connection, ..held.clone() };
+    for connection in [other.connection, ConnectionId(77)] {
         for _ in 0..3 {
             let pushed = push(&mut table, &Held { connection, ..stolen.clone() }, 0);
             assert_eq!(pushed.unwrap_err().reason, Reason::OtherConnection);
@@ -30,18 +30,18 @@ fn messages_over_another_connection_end_no_lease_and_count_against_their_sender(
         }
     }
     let beat =
-        Heartbeat { actor: honest.id, incarnation: INCARNATION, lease: held.id, slot_step: 1 };
-    let refusal = table.heartbeat(liar.connection, &beat).unwrap_err();
+        Heartbeat { actor: owner.id, incarnation: INCARNATION, lease: held.id, slot_step: 1 };
+    let refusal = table.heartbeat(other.connection, &beat).unwrap_err();
     assert_eq!(refusal.reason, Reason::UnknownActor);
-    let asked = table.lease(liar.connection, honest.id, INCARNATION).unwrap_err();
+    let asked = table.lease(other.connection, owner.id, INCARNATION).unwrap_err();
     assert_eq!(asked.reason, Reason::UnknownActor);
-    assert_eq!(liar.ask(&mut table), Ok(Offer::Quarantined(TTL)));
-    assert_eq!(table.heartbeat(honest.connection, &beat), Ok(true));
+    assert_eq!(other.ask(&mut table), Ok(Offer::Quarantined(TTL)));
+    assert_eq!(table.heartbeat(owner.connection, &beat), Ok(true));
     assert!(matches!(complete(&mut table, &held)[..], [Effect::Iteration(_)]));
 }
 
 #[test]
-fn an_idle_actor_backs_up_the_slot_that_is_held_longest_once_it_is_slow() {
+fn an_idle_actor_backs_up_the_longest_held_slot_once_it_is_slow() {
     let mut table = table(3);
     let (slow, quick) = (actor(&mut table, 1), actor(&mut table, 2));
     let stuck = lease(&mut table, slow);
@@ -51,23 +51,23 @@ fn an_idle_actor_backs_up_the_slot_that_is_held_longest_once_it_is_slow() {
         table.tick(second(2 * u64::from(slot(&done))));
         complete(&mut table, &done);
     }
-    // Slots took two seconds each.
+    // Each slot took two seconds.
     assert_eq!(quick.ask(&mut table), Ok(Offer::Nothing));
     assert_eq!(table.next_deadline(), Some(second(6)));
     table.tick(second(6));
-    assert_eq!(slow.ask(&mut table), Ok(Offer::Nothing), "no backup of one's own slot");
+    assert_eq!(slow.ask(&mut table), Ok(Offer::Nothing), "an actor does not back up its own slot");
     let backup = lease(&mut table, quick);
     assert_eq!((slot(&backup), backup.attempt, table.counts().backups), (0, 1, 1));
-    assert_eq!(actor(&mut table, 3).ask(&mut table), Ok(Offer::Nothing), "one backup at most");
+    assert_eq!(actor(&mut table, 3).ask(&mut table), Ok(Offer::Nothing), "at most one backup");
     assert!(matches!(complete(&mut table, &backup)[..], [Effect::Iteration(_)]));
-    // The slow actor is told that its work is done, and a result that differs is refused.
+    // A late result is acknowledged as finished if it agrees, and refused otherwise.
     assert_eq!(push_as(&mut table, &stuck, 1, OTHER).unwrap_err().reason, Reason::DigestConflict);
     let late = push(&mut table, &stuck, 1).unwrap();
     assert_eq!((late.state, late.lease_finished), (AckState::Repeated, true));
 }
 
 #[test]
-fn a_slot_goes_on_when_one_of_its_two_leases_ends() {
+fn a_slot_continues_when_one_of_its_two_leases_ends() {
     let mut table = table(1);
     let (slow, quick) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, slow);
@@ -89,15 +89,15 @@ fn audits(agreed: u64, disagreed: u64, skipped: u64) -> AuditCounts {
 }
 
 #[test]
-fn an_audited_slot_is_computed_again_by_another_actor_and_counted_when_it_agrees() {
+fn an_audited_slot_is_recomputed_by_another_actor_and_counted_if_it_agrees() {
     let mut table = audited_table(1);
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, a);
     assert!(matches!(complete(&mut table, &first)[..], [Effect::Iteration(_)]));
-    assert_eq!(a.ask(&mut table), Ok(Offer::Nothing), "nobody audits itself");
+    assert_eq!(a.ask(&mut table), Ok(Offer::Nothing), "an actor does not audit itself");
     let audit = lease(&mut table, b);
     assert_eq!((slot(&audit), audit.attempt), (0, 1));
-    // The next iteration does not end it.
+    // The audit stays open in the next iteration.
     table.open_iteration(1, weights(), works(1, 1));
     table.effects();
     assert_eq!(complete(&mut table, &audit), []);
@@ -122,7 +122,7 @@ fn an_audit_that_differs_stops_the_run_and_names_both_actors() {
 }
 
 #[test]
-fn one_actor_alone_is_not_audited() {
+fn a_single_actor_is_not_audited() {
     let mut table = audited_table(1);
     let a = actor(&mut table, 1);
     let first = lease(&mut table, a);
@@ -133,7 +133,7 @@ fn one_actor_alone_is_not_audited() {
 }
 
 #[test]
-fn an_audit_whose_actor_dies_goes_to_another_and_the_oldest_of_too_many_is_skipped() {
+fn an_audit_of_a_disconnected_actor_is_leased_again_and_the_oldest_of_too_many_is_skipped() {
     let mut table = audited_table(10);
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     for _ in 0..10 {
@@ -148,6 +148,6 @@ fn an_audit_whose_actor_dies_goes_to_another_and_the_oldest_of_too_many_is_skipp
     let again = lease(&mut table, c);
     table.effects();
     assert_eq!(slot(&again), 2);
-    assert_eq!(complete(&mut table, &again), [], "the trainer has the iteration already");
+    assert_eq!(complete(&mut table, &again), [], "the trainer already has the iteration");
     assert_eq!(table.counts().audits, audits(1, 0, 2));
 }

@@ -1,4 +1,4 @@
-//! Two hundred peers at once.
+//! Two hundred concurrent peers.
 
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{RunDescription, WeightsName, wire};
@@ -9,15 +9,15 @@ use crate::learners::{Learner, inspect};
 use crate::usage::Usage;
 
 const PEERS: usize = 200;
-/// What a peer that reads nothing may cost the learner: most of it is what waits to be sent.
+/// Maximum memory of the learner per peer that reads nothing, mostly unsent data.
 const MOST_MIB_EACH: u64 = 1;
 
-/// Weights of some hundred kilobytes: more than the peers take in without reading. Leases of peers end soon.
+/// Weights of a few hundred kilobytes, more than a peer's flow-control window, and short leases.
 const SETTINGS: [&str; 3] = ["policy.hidden=128", "lease.ttl_secs=2", "lease.heartbeat_secs=0.5"];
-/// The least that HTTP/2 starts with, bytes.
+/// Initial window size of HTTP/2, bytes.
 const WINDOW: u32 = 65_535;
 
-/// Connects, registers, asks for weights of which it reads nothing, and keeps still.
+/// Connects, registers, and requests weights without reading them.
 async fn peer(url: String, run: RunDescription, weights: WeightsName) -> impl Sized {
     let endpoint = Endpoint::from_shared(url).unwrap();
     let endpoint =
@@ -30,11 +30,12 @@ async fn peer(url: String, run: RunDescription, weights: WeightsName) -> impl Si
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn two_hundred_peers_that_register_idle_and_vanish_cost_little_and_change_nothing() {
+async fn two_hundred_idle_and_vanishing_peers_use_little_memory_and_do_not_affect_the_run() {
     let folder = tempfile::tempdir().unwrap();
-    let (besieged, in_peace) = (folder.path().join("besieged"), folder.path().join("in-peace"));
+    let (attacked, undisturbed) =
+        (folder.path().join("attacked"), folder.path().join("undisturbed"));
     let settings = SETTINGS.map(str::to_owned);
-    let mut learner = Learner::start(&besieged, &settings);
+    let mut learner = Learner::start(&attacked, &settings);
     let before = Usage::of(learner.process.id());
     let mut first = Attacker::connect(&learner.url).await;
     let (run, weights) = (first.run.clone(), first.lease().await.weights);
@@ -50,14 +51,14 @@ async fn two_hundred_peers_that_register_idle_and_vanish_cost_little_and_change_
         during.resident_mib <= before.resident_mib + MOST_MIB_EACH * PEERS as u64,
         "{before:?}, {during:?}"
     );
-    // Half of them vanish, the other half look on while an honest actor does the work.
+    // Half of them disconnect, the others stay idle while a valid actor does the work.
     held.truncate(PEERS / 2);
     while Usage::of(learner.process.id()).descriptors > before.descriptors + PEERS / 2 + 16 {
         tokio::task::yield_now().await;
     }
     tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
     drop(held);
-    let mut quiet = Learner::start(&in_peace, &settings);
+    let mut quiet = Learner::start(&undisturbed, &settings);
     tokio::task::spawn_blocking(move || quiet.finish(&[])).await.unwrap();
-    assert_eq!(inspect(&besieged), inspect(&in_peace));
+    assert_eq!(inspect(&attacked), inspect(&undisturbed));
 }

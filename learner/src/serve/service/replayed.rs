@@ -1,4 +1,4 @@
-//! A stream whose first bytes have been read already: whoever reads it gets them once more.
+//! A stream that replays bytes already read.
 
 use std::io;
 use std::pin::Pin;
@@ -6,13 +6,13 @@ use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-/// `first`, and then what comes out of `stream`.
-pub(super) struct Opened<S> {
+/// Reads `first`, then the bytes of `stream`.
+pub(super) struct Replayed<S> {
     pub(super) first: &'static [u8],
     pub(super) stream: S,
 }
 
-impl<S: AsyncRead + Unpin> AsyncRead for Opened<S> {
+impl<S: AsyncRead + Unpin> AsyncRead for Replayed<S> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -28,7 +28,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for Opened<S> {
     }
 }
 
-impl<S: AsyncWrite + Unpin> AsyncWrite for Opened<S> {
+impl<S: AsyncWrite + Unpin> AsyncWrite for Replayed<S> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -65,11 +65,11 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn what_was_read_before_comes_first_however_small_the_buffer_is() {
+    async fn replayed_bytes_come_first_for_any_buffer_size() {
         let (mut far, near) = tokio::io::duplex(64);
-        far.write_all(b" rest").await.expect("room for it");
+        far.write_all(b" rest").await.expect("the pipe has room");
         drop(far);
-        let mut stream = Opened { first: b"first", stream: near };
+        let mut stream = Replayed { first: b"first", stream: near };
         let mut begin = [0; 3];
         stream.read_exact(&mut begin).await.expect("three of five bytes");
         let mut rest = String::new();

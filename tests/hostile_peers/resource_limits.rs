@@ -1,5 +1,5 @@
-//! Peers that send in another actor's name, and peers that take up room: neither ends an actor's lease, fills the
-//! memory or keeps a probe from its answer.
+//! Peers that send in another actor's name, and peers that use many resources. Neither ends an actor's lease, exhausts
+//! memory or blocks health probes.
 
 use std::process::Command;
 
@@ -7,12 +7,11 @@ use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{Heartbeat, Reason, Refusal, wire};
 use tonic::transport::{Channel, Endpoint};
 
-use crate::attackers::{Attacker, invented, message, registration};
+use crate::attackers::{Attacker, arbitrary_chunk, message, registration};
 use crate::learners::{Learner, inspect};
 use crate::usage::Usage;
 
-/// What a learner may hold more than before, with all peers of a flood connected: 1,024 requests of 256 KiB, and
-/// what the allocator adds.
+/// Maximum growth of the learner's memory during a flood: 1,024 requests of 256 KiB, and overhead of the allocator.
 const MOST_MIB: u64 = 500;
 
 async fn is_valid(attacker: &mut Attacker, lease: proto::LeaseId) -> bool {
@@ -22,13 +21,14 @@ async fn is_valid(attacker: &mut Attacker, lease: proto::LeaseId) -> bool {
 }
 
 #[tokio::test]
-async fn pushes_over_another_connection_end_no_lease_and_quarantine_their_sender() {
+async fn pushes_over_another_connection_do_not_end_a_lease_and_quarantine_their_sender() {
     let folder = tempfile::tempdir().unwrap();
-    let (attacked, in_peace) = (folder.path().join("attacked"), folder.path().join("in-peace"));
+    let (attacked, undisturbed) =
+        (folder.path().join("attacked"), folder.path().join("undisturbed"));
     let mut learner = Learner::start(&attacked, &[]);
     let mut honest = Attacker::connect(&learner.url).await;
     let lease = honest.lease().await;
-    let forged = message(&lease, &invented(&honest.run), &honest.run);
+    let forged = message(&lease, &arbitrary_chunk(&honest.run), &honest.run);
     let mut unregistered = LearnerServiceClient::connect(learner.url.clone()).await.unwrap();
     let mut registered = Attacker::connect(&learner.url).await;
     for _ in 0..3 {
@@ -48,13 +48,13 @@ async fn pushes_over_another_connection_end_no_lease_and_quarantine_their_sender
     let answer = registered.service.lease_slots(asked).await.unwrap().into_inner().answer;
     assert!(
         matches!(answer, Some(wire::lease_slots_response::Answer::Retry(_))),
-        "in quarantine: {answer:?}"
+        "not in quarantine: {answer:?}"
     );
     drop((honest, registered, unregistered));
     tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
-    let mut quiet = Learner::start(&in_peace, &[]);
+    let mut quiet = Learner::start(&undisturbed, &[]);
     tokio::task::spawn_blocking(move || quiet.finish(&[])).await.unwrap();
-    assert_eq!(inspect(&attacked), inspect(&in_peace));
+    assert_eq!(inspect(&attacked), inspect(&undisturbed));
 }
 
 fn is_healthy(url: &str) -> bool {
@@ -62,7 +62,7 @@ fn is_healthy(url: &str) -> bool {
     health.args(["health", "--learner", url]).output().unwrap().status.success()
 }
 
-/// Sixteen calls at a time over one connection: large registrations, and streams that stop within a large message.
+/// Sixteen concurrent calls over one connection: large registrations, and streams with a large message.
 async fn flood(url: String) -> Channel {
     let channel = Endpoint::from_shared(url).unwrap().connect().await.unwrap();
     let large = "x".repeat(4_000_000);
@@ -93,7 +93,7 @@ async fn flood(url: String) -> Channel {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn sixty_four_connections_with_sixteen_large_requests_each_cost_bounded_memory() {
+async fn a_flood_of_large_requests_uses_bounded_memory() {
     let folder = tempfile::tempdir().unwrap();
     let mut learner = Learner::start(&folder.path().join("run"), &[]);
     let before = Usage::of(learner.process.id());
@@ -110,7 +110,7 @@ async fn sixty_four_connections_with_sixteen_large_requests_each_cost_bounded_me
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_learner_full_of_actors_and_idle_peers_still_answers_probes_and_refuses_by_name() {
+async fn a_learner_at_its_connection_limits_answers_probes_and_refuses_actors() {
     let folder = tempfile::tempdir().unwrap();
     let few = ["learner.connections=3"].map(str::to_owned);
     let mut learner = Learner::start(&folder.path().join("run"), &few);
@@ -127,7 +127,7 @@ async fn a_learner_full_of_actors_and_idle_peers_still_answers_probes_and_refuse
     let refusal = Refusal::from_status(&refused).unwrap();
     assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::Busy, "connection"));
     assert!(is_healthy(&learner.url));
-    assert!(learner.log().contains("too many connections without an actor are open"));
+    assert!(learner.log().contains("too many connections without an actor"));
     let lease = actors[0].lease().await.id;
     assert!(is_valid(&mut actors[0], lease).await);
     drop((actors, idle, late));
