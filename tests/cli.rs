@@ -21,6 +21,11 @@ fn invalid_settings_give_one_line_and_status_two() {
     for (arguments, part) in [
         (&["train", "update.lerning_rate=1"][..], "did you mean `update.learning_rate`?"),
         (&["train", "update.gamma=2"], "update.gamma"),
+        (&["train", "run.dir="], "`run.dir`: it is empty; without it the run gets a new folder"),
+        (
+            &["train", "run.dir=Cargo.toml"],
+            "Cargo.toml is no folder; run.dir names the run's folder",
+        ),
         (&["train", "update.gamma=much"], "must be a finite number"),
         (&["train", "halfcheeta-2x3"], "did you mean `halfcheetah-2x3`?"),
         (&["train", "algorithm=happ"], "did you mean `happo`?"),

@@ -93,7 +93,8 @@ pub(crate) fn nearest<'a>(
     word: &str,
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> Option<&'a str> {
-    let limit = 2.max(word.len() / 3);
+    // Of a short word two changed letters leave nothing.
+    let limit = if word.len() <= 4 { 1 } else { 2.max(word.len() / 4) };
     let ranked =
         candidates.into_iter().map(|candidate| (distance_to_key(word, candidate), candidate));
     ranked.filter(|(distance, _)| *distance <= limit).min_by_key(|(d, _)| *d).map(|(_, c)| c)

@@ -19,6 +19,14 @@ const ALIKE_PREFIX: &str = "S2MIA_";
 /// How the command line is called in messages.
 const COMMAND_LINE: &str = "command line";
 
+/// How an environment variable is called in messages.
+const VARIABLE: &str = "environment variable";
+
+/// Whether a setting of this origin was written for this command, and not in a file.
+pub(crate) fn is_of_this_command(origin: &str) -> bool {
+    origin == COMMAND_LINE || origin.starts_with(VARIABLE)
+}
+
 /// A configuration file larger than this is a mistake.
 const FILE_LIMIT_BYTES: u64 = 1 << 20;
 
@@ -128,7 +136,7 @@ fn asked_layers(request: &Request, schema: &Schema) -> Result<Vec<Layer>, Config
             continue;
         };
         let key = key.to_lowercase().replace("__", ".");
-        layers.push(setting_layer(&format!("environment variable {name}"), &key, value, schema)?);
+        layers.push(setting_layer(&format!("{VARIABLE} {name}"), &key, value, schema)?);
     }
     let place = request.settings_place.as_deref().unwrap_or(COMMAND_LINE);
     for (position, argument) in request.settings.iter().enumerate() {

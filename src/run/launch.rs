@@ -112,6 +112,14 @@ fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigErr
 fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
     let run = &config.run;
     let folder = match run.dir.as_str() {
+        "" if layers::is_of_this_command(config.resolved.origin("run.dir")) => {
+            return Err(ConfigError::Refused {
+                place: config.resolved.origin("run.dir").to_owned(),
+                key: "run.dir".to_owned(),
+                detail: "it is empty; without it the run gets a new folder in `runs`".to_owned(),
+            }
+            .into());
+        }
         "" => {
             let algorithm = config.resolved.text("algorithm");
             let now = SystemTime::now();
@@ -119,6 +127,10 @@ fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
         }
         given => PathBuf::from(given),
     };
+    if folder.exists() && !folder.is_dir() {
+        let why = format!("{} is no folder; run.dir names the run's folder", folder.display());
+        return Err(Usage::new(why).into());
+    }
     if run_path::manifest_file(&folder).exists() {
         let shown = folder.display();
         let why = format!(

@@ -137,7 +137,7 @@ impl RunFolder {
         self.file(LOGS)
     }
 
-    /// Writes the settings, a line in [`STARTS`] and, at the run's first start, the manifest. The manifest makes the
+    /// Writes the settings, a line in `starts.jsonl` and, at the run's first start, the manifest. The manifest makes the
     /// folder a run, so a crash before it leaves a folder that a new run may use.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ impl Exchange {
     /// it, so it belongs on a thread that may block.
     ///
     /// # Errors
-    /// Refuses what [`SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights do not
+    /// Refuses what [`crate::slots::SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights do not
     /// explain.
     pub fn accept_chunk(
         &self,
@@ -46,7 +46,7 @@ impl Exchange {
     /// Takes in the result of an evaluation episode, which `read` checks as one of the iteration that it is given.
     ///
     /// # Errors
-    /// See [`SlotTable::evaluation`].
+    /// See [`crate::slots::SlotTable::evaluation`].
     pub fn accept_evaluation(
         &self,
         sender: ConnectionId,
