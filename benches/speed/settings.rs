@@ -51,7 +51,8 @@ impl Settings {
         let mut task = sections(&resolved, &["task", "observation"])?;
         task.insert("partition".to_owned(), resolved["partition"]["semantics"].clone());
         let training = ["update", "critic", "surprise", "influence", "maddpg"];
-        let learner = ["environments", "lease", "evaluation", "checkpoint", "metrics", "learner"];
+        let learner =
+            ["environments", "lease", "audit", "evaluation", "checkpoint", "metrics", "learner"];
         Ok(Self {
             task: typed(task)?,
             policy: typed(resolved["policy"].clone())?,
