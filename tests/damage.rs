@@ -59,16 +59,31 @@ fn a_damaged_manifest_is_reported_and_written_again() {
     train(&folder, &["run.iterations=2"]);
     let manifest = folder.join("manifest.json");
     let good = std::fs::read_to_string(&manifest).unwrap();
-    let damaged = good.replacen("\"seed\": 7", "\"seed\": 8", 1);
-    assert_ne!(damaged, good);
-    std::fs::write(&manifest, damaged).unwrap();
-    let told = resume(&folder);
-    assert!(told.contains("manifest.json is damaged"), "{told}");
-    let written: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();
-    assert_eq!(written["seed"], 7);
+    let hash = good.split("\"config_sha256\": \"").nth(1).unwrap();
+    let other = if hash.starts_with('0') { '1' } else { '0' };
+    let changed = good.replacen(&hash[..64], &format!("{other}{}", &hash[1..64]), 1);
+    for (damaged, iterations) in [
+        (Some(good.replacen("\"seed\": 7", "\"seed\": 8", 1)), 3),
+        (Some(changed), 4),
+        (Some(good[..good.len() / 2].to_owned()), 5),
+        (None, 6),
+    ] {
+        match damaged {
+            Some(damaged) => {
+                assert_ne!(damaged, good);
+                std::fs::write(&manifest, damaged).unwrap();
+            }
+            None => std::fs::remove_file(&manifest).unwrap(),
+        }
+        let length = format!("run.iterations={iterations}");
+        let told = warned(&["train", "--resume", folder.to_str().unwrap(), &length]);
+        assert!(told.contains("the manifest is written again"), "{told}");
+        let written: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();
+        assert_eq!((&written["seed"], &written["foreign_actors"]), (&7.into(), &().into()));
+    }
     let starts = std::fs::read_to_string(folder.join("starts.jsonl")).unwrap();
-    assert_eq!(starts.lines().count(), 2);
+    assert_eq!(starts.lines().count(), 5);
 }
 
 #[test]

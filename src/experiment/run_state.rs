@@ -53,7 +53,7 @@ pub(crate) enum Ending {
 
 /// The state of the run; does not check whether the folder holds this run.
 pub(crate) fn run_state(run: &PlannedRun) -> RunState {
-    if !run_path::manifest_file(&run.folder).is_file() {
+    if !run_path::is_run(&run.folder) {
         return RunState::New;
     }
     let last = last_lines(&run_path::metrics_file(&run.folder));
@@ -70,7 +70,7 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunState {
 
 /// How the run in the folder differs from the planned one; `None` if it does not, or if there is none.
 pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
-    if !run_path::manifest_file(&run.folder).is_file() {
+    if !run_path::is_run(&run.folder) {
         return None;
     }
     let same = RunConfig::of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));

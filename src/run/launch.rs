@@ -77,7 +77,7 @@ pub(crate) fn prepare_or_resume(
 /// The configured folder, if it contains a run.
 fn run_in_place(config: &RunConfig) -> Option<PathBuf> {
     let folder = Path::new(&config.run.dir);
-    let there = !config.run.dir.is_empty() && run_path::manifest_file(folder).is_file();
+    let there = !config.run.dir.is_empty() && run_path::is_run(folder);
     there.then(|| folder.to_path_buf())
 }
 
@@ -131,7 +131,7 @@ fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
         let why = format!("{} is no folder; run.dir names the run's folder", folder.display());
         return Err(Usage::new(why).into());
     }
-    if run_path::manifest_file(&folder).exists() {
+    if run_path::is_run(&folder) {
         let shown = folder.display();
         let why = format!(
             "{shown} already contains a run; resume it with `s2mia train --resume {shown}`"

@@ -15,11 +15,19 @@ pub(crate) fn config_file(folder: &Path) -> PathBuf {
     folder.join(CONFIG)
 }
 
+/// Whether the folder contains a run: a manifest, or checkpoints whose manifest is lost.
+pub(crate) fn is_run(folder: &Path) -> bool {
+    manifest_file(folder).is_file() || learner::checkpoint::folder(folder).is_dir()
+}
+
 /// Refuses a folder that contains no run.
 pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
     let lacking = || format!("{} is no run folder: it has no {CONFIG}", folder.display());
-    let is_run = config_file(folder).is_file() || manifest_file(folder).is_file();
-    if is_run { Ok(()) } else { Err(Usage::new(lacking())) }
+    if config_file(folder).is_file() || is_run(folder) {
+        Ok(())
+    } else {
+        Err(Usage::new(lacking()))
+    }
 }
 
 /// One JSON object per iteration or evaluation.

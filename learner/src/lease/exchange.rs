@@ -205,6 +205,16 @@ impl Exchange {
         shared.wakes.pop_front().unwrap_or(Wake::Patience)
     }
 
+    /// A failure that nobody has waited for: an audit may end after the last iteration.
+    pub fn failure(&self) -> Option<ExchangeError> {
+        let mut shared = self.lock();
+        let at = shared.wakes.iter().position(|wake| matches!(wake, Wake::Failed(_)))?;
+        match shared.wakes.remove(at) {
+            Some(Wake::Failed(error)) => Some(error),
+            _ => None,
+        }
+    }
+
     /// The run is over: every later request for a lease is answered so.
     pub fn finish(&self) {
         self.change(|shared| shared.table.finish());

@@ -14,13 +14,14 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    ActorId, Heartbeat, Incarnation, Lease, LeaseId, LeaseStatus, Reason, Refusal, RolloutWork,
-    RunState, WeightsName, Work,
+    ActorId, Heartbeat, Incarnation, Lease, LeaseId, Reason, Refusal, RolloutWork, RunState,
+    WeightsName, Work,
 };
 
 mod actors;
 mod audits;
 mod evaluations;
+mod figures;
 mod iteration;
 mod leases;
 mod outcome;
@@ -170,6 +171,7 @@ impl SlotTable {
     /// The run is over: every later request for work is answered so.
     pub fn finish(&mut self) {
         self.over = true;
+        self.audits.skip_all();
         self.effects.push(Effect::WorkFreed);
     }
 
@@ -177,56 +179,6 @@ impl SlotTable {
     #[must_use]
     pub fn state(&self) -> RunState {
         if self.over { RunState::Done } else { RunState::Running }
-    }
-
-    /// The table's figures.
-    #[must_use]
-    pub fn counts(&self) -> Counts {
-        let held = self.iteration.iter().flat_map(OpenIteration::held);
-        let chunks = |id: &LeaseId| self.open.get(id).map_or(0, |lease| lease.chunks.len() as u64);
-        let partial = held.map(|leases| leases.iter().map(chunks).max().unwrap_or(0)).sum::<u64>();
-        let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
-        Counts {
-            chunks: partial + complete,
-            actors: self.actors.count(),
-            foreign: self.actors.foreign,
-            reissued: self.reissued,
-            backups: self.backups,
-            audits: self.audits.counts,
-            leases: self.open.len(),
-            held_slots: self.iteration.iter().flat_map(OpenIteration::held).count(),
-            slot_time: self.typical.median(),
-            slots: self.iteration.as_ref().map_or(0, OpenIteration::slots),
-            complete_slots: self.iteration.as_ref().map_or(0, OpenIteration::complete_slots),
-        }
-    }
-
-    /// The open leases, the oldest first.
-    #[must_use]
-    pub fn leases(&self) -> Vec<LeaseStatus> {
-        self.open.iter().map(|(id, lease)| lease.status(*id, self.now)).collect()
-    }
-
-    /// The open lease with this id, if it belongs to an actor of this connection.
-    #[must_use]
-    pub fn lease_of(&self, connection: ConnectionId, id: LeaseId) -> Option<LeaseStatus> {
-        let own = self.open.get(&id).filter(|lease| lease.owner.connection == connection);
-        own.map(|lease| lease.status(id, self.now))
-    }
-
-    /// What the table holds in memory.
-    #[must_use]
-    pub fn footprint(&self) -> Footprint {
-        let partial = self.open.values().map(|lease| lease.chunks.len() as u64).sum::<u64>();
-        let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
-        Footprint {
-            actors: self.actors.count(),
-            open_leases: self.open.len(),
-            finished_leases: self.finished.count(),
-            chunks: partial + complete,
-            earlier_results: self.iteration.as_ref().map_or(0, OpenIteration::earlier_results),
-            open_audits: self.audits.open(),
-        }
     }
 
     /// Admits an actor that registered on `connection`. One connection carries 16 at most: past that, the
@@ -315,7 +267,7 @@ impl SlotTable {
         let of_another = |held: LeaseId| {
             self.open.get(&held).is_some_and(|lease| lease.owner.connection != owner.connection)
         };
-        let slot = open.claim_backup(id, since, of_another)?;
+        let slot = open.claim_backup(id, since, self.now, of_another)?;
         self.backups += 1;
         Some(Claimed::slot(slot, open.weights))
     }

@@ -145,11 +145,15 @@ impl LearnerService for Learner {
         request: Request<wire::RegisterRequest>,
     ) -> Result<Response<wire::RegisterResponse>, Status> {
         let caller = connections::caller(&request, "register");
-        let room = connections::note_actor(&request);
-        let registered = room
-            .and_then(|()| Registration::from_wire(request.into_inner()))
+        let registered = Registration::from_wire(request.get_ref().clone())
+            .and_then(|registration| registration.check(self.exchange.run()).map(|()| registration))
+            .and_then(|registration| connections::note_actor(&request).map(|()| registration))
             .and_then(|registration| self.exchange.register(caller.connection, &registration))
             .map_err(|refusal| self.counted(&caller, refusal))?;
+        if !connections::is_open(&request) {
+            // It closed meanwhile, before there was an actor to end.
+            self.exchange.disconnect(caller.connection);
+        }
         Ok(Response::new(registered.to_wire()))
     }
 

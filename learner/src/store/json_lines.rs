@@ -55,13 +55,20 @@ impl JsonLines {
         &self.path
     }
 
-    /// Writes the file again with these lines.
+    /// Puts lines in their places by iteration, an iteration before its evaluation. The other lines keep their bytes.
     ///
     /// # Errors
-    /// Names the file if it cannot be written.
-    pub fn replace(&mut self, lines: &[Value]) -> Result<(), FileError> {
-        let content = lines.iter().map(|line| format!("{line}\n")).collect::<String>();
-        durable::replace(&self.path, content.as_bytes())?;
+    /// Names the file if it cannot be read or written.
+    pub fn insert(&mut self, more: Vec<String>) -> Result<(), FileError> {
+        let text =
+            std::fs::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
+        let place = |line: &String| {
+            let line: Value = serde_json::from_str(line).unwrap_or_default();
+            (line["iteration"].as_u64(), line["kind"] == "evaluation")
+        };
+        let mut lines = text.lines().map(str::to_owned).chain(more).collect::<Vec<_>>();
+        lines.sort_by_cached_key(place);
+        durable::replace(&self.path, format!("{}\n", lines.join("\n")).as_bytes())?;
         self.file = opened(&self.path)?;
         Ok(())
     }

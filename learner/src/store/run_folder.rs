@@ -17,6 +17,7 @@ pub const CONFIG: &str = "config.toml";
 pub const MANIFEST: &str = "manifest.json";
 /// Logs and recordings of actors.
 pub const LOGS: &str = "logs";
+const CHECKPOINTS: &str = "checkpoints";
 /// One line for each start of the learner: what `manifest.json` says of the first.
 const STARTS: &str = "starts.jsonl";
 const LOCK: &str = "learner.lock";
@@ -99,7 +100,7 @@ impl RunFolder {
     pub fn claim_new(path: &Path) -> Result<Self, RunFolderError> {
         durable::make_folder(path)?;
         let folder = Self::lock(path)?;
-        let taken = [MANIFEST, "checkpoints"].iter().any(|name| path.join(name).exists());
+        let taken = [MANIFEST, CHECKPOINTS].iter().any(|name| path.join(name).exists());
         match taken {
             true => Err(RunFolderError::Taken { path: path.to_path_buf() }),
             false => Ok(folder),
@@ -111,7 +112,7 @@ impl RunFolder {
     /// # Errors
     /// The folder holds no run or another one, is in use, or cannot be written.
     pub fn claim_existing(path: &Path, config_sha256: &str) -> Result<Self, RunFolderError> {
-        if !path.join(MANIFEST).is_file() {
+        if !path.join(MANIFEST).is_file() && !path.join(CHECKPOINTS).is_dir() {
             return Err(RunFolderError::NoRun { path: path.to_path_buf() });
         }
         let folder = Self::lock(path)?;
@@ -149,8 +150,9 @@ impl RunFolder {
             Ok(_) => Ok(()),
             Err(why) => {
                 let mut manifest = start.clone();
-                let known = matches!(why, RunFolderError::File(_));
-                // Of a damaged manifest nothing is known.
+                let known =
+                    matches!(why, RunFolderError::File(_)) && !self.file(CHECKPOINTS).is_dir();
+                // Of a manifest that is damaged or lost nothing is known.
                 manifest[FOREIGN_ACTORS] = if known { Value::Bool(false) } else { Value::Null };
                 manifest::write(&self.file(MANIFEST), manifest)
             }
@@ -161,8 +163,13 @@ impl RunFolder {
     /// or damaged.
     #[must_use]
     pub fn recorded_config_sha256(path: &Path) -> Option<String> {
-        let manifest = manifest::read(&path.join(MANIFEST)).ok()?;
-        manifest["config_sha256"].as_str().map(str::to_owned)
+        Self::recorded(path)?["config_sha256"].as_str().map(str::to_owned)
+    }
+
+    /// The manifest of the run in `path`; `None` if it is missing or damaged.
+    #[must_use]
+    pub fn recorded(path: &Path) -> Option<Value> {
+        manifest::read(&path.join(MANIFEST)).ok()
     }
 
     /// Writes down where this start of the learner listens.
@@ -256,12 +263,12 @@ impl RunFolder {
     fn check_manifest(&self, expected: &str) -> Result<(), RunFolderError> {
         let path = self.file(MANIFEST);
         let manifest = match self.manifest() {
-            Err(damaged @ RunFolderError::Damaged { .. }) => {
+            Ok(manifest) => manifest,
+            Err(why) => {
                 // The checkpoint says too which settings it belongs to.
-                tracing::warn!("{damaged}; it is written again");
+                tracing::warn!("{why}; the manifest is written again");
                 return Ok(());
             }
-            manifest => manifest?,
         };
         let found = manifest["config_sha256"].as_str().unwrap_or_default().to_owned();
         if found == expected {

@@ -186,6 +186,9 @@ impl Work {
         let complete = self.trainer.iteration >= self.trainer.last_iteration;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.trainer.metrics.sync()?;
+        if let Some(error) = self.outside.exchange.failure() {
+            return Err(error.into());
+        }
         Ok(Summary {
             iteration: self.trainer.iteration,
             env_steps: self.trainer.env_steps(),

@@ -93,7 +93,7 @@ fn an_audited_slot_is_recomputed_by_another_actor_and_counted_if_it_agrees() {
     let mut table = audited_table(1);
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, a);
-    assert!(matches!(complete(&mut table, &first)[..], [Effect::Iteration(_)]));
+    assert!(matches!(complete(&mut table, &first)[..], [Effect::WorkFreed, Effect::Iteration(_)]));
     assert_eq!(a.ask(&mut table), Ok(Offer::Nothing), "an actor does not audit itself");
     let audit = lease(&mut table, b);
     assert_eq!((slot(&audit), audit.attempt), (0, 1));
@@ -150,4 +150,32 @@ fn an_audit_of_a_disconnected_actor_is_leased_again_and_the_oldest_of_too_many_i
     assert_eq!(slot(&again), 2);
     assert_eq!(complete(&mut table, &again), [], "the trainer already has the iteration");
     assert_eq!(table.counts().audits, audits(1, 0, 2));
+}
+
+#[test]
+fn a_finished_run_counts_its_open_audits_as_skipped() {
+    let mut table = audited_table(1);
+    let (a, _b) = (actor(&mut table, 1), actor(&mut table, 2));
+    let first = lease(&mut table, a);
+    complete(&mut table, &first);
+    table.finish();
+    assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 1), 0));
+}
+
+#[test]
+fn a_slot_that_goes_on_with_its_backup_gets_no_other_backup_at_once() {
+    let mut table = table(1);
+    let (slow, quick, idle) = (actor(&mut table, 1), actor(&mut table, 2), actor(&mut table, 3));
+    let first = lease(&mut table, slow);
+    let beat =
+        Heartbeat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
+    for time in [15, 30] {
+        table.tick(second(time));
+        assert_eq!(table.heartbeat(slow.connection, &beat), Ok(true));
+    }
+    let backup = lease(&mut table, quick);
+    table.disconnect(slow.connection);
+    assert_eq!(idle.ask(&mut table), Ok(Offer::Nothing));
+    table.effects();
+    assert!(matches!(complete(&mut table, &backup)[..], [Effect::Iteration(_)]));
 }

@@ -51,8 +51,15 @@ impl Names {
             }
             Incident::Expired(lease) => {
                 let (who, still) = (self.call(lease.actor), lease.still_secs);
+                let slow = match (lease.chunks, lease.work) {
+                    (0, LeasedWork::Slot(_)) => {
+                        "; if its environments are this slow, lower environments.message_steps in a new run or raise \
+                         lease.ttl_secs"
+                    }
+                    _ => "",
+                };
                 Notice::Loss(format!(
-                    "{who} got nothing done for {still:.1} s, {}; the lease ends, {FREE}",
+                    "{who} got nothing done for {still:.1} s, {}; the lease ends, {FREE}{slow}",
                     each(std::slice::from_ref(lease))
                 ))
             }

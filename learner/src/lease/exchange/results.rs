@@ -7,6 +7,12 @@ use crate::canary;
 use crate::slots::{ChunkPreview, ConnectionId, EvaluationPreview, Trust};
 
 impl Exchange {
+    /// Whether an actor of this connection holds a lease.
+    #[must_use]
+    pub fn holds_lease(&self, connection: ConnectionId) -> bool {
+        self.lock().table.holds_lease(connection)
+    }
+
     /// Whether an actor registered on this connection.
     #[must_use]
     pub fn is_registered(&self, connection: ConnectionId) -> bool {

@@ -1,5 +1,5 @@
 //! Audits: a share of the accepted slots is computed again by another actor, and the digests are compared. An audit
-//! delays nothing: it is leased when no other work is free, and the slot's result is used meanwhile.
+//! is leased when no other work is free, and the slot's result is used meanwhile.
 
 use std::collections::VecDeque;
 
@@ -71,28 +71,35 @@ impl Audits {
         Self { plan, open: VecDeque::new(), counts: AuditCounts::default() }
     }
 
-    /// A slot's result was accepted: it is audited if the plan covers it.
+    /// The run is over: no open audit will be computed.
+    pub(super) fn skip_all(&mut self) {
+        self.counts.skipped += self.open.len() as u64;
+        self.open.clear();
+    }
+
+    /// A slot's result was accepted: it is audited if the plan covers it. Whether it is.
     pub(super) fn consider(
         &mut self,
         work: &RolloutWork,
         weights: WeightsName,
         lease: LeaseId,
         result: (Owner, Vec<Digest>),
-    ) {
+    ) -> bool {
         if !self.plan.covers(work.iteration, work.slot) {
-            return;
+            return false;
         }
         if self.open.len() == MOST_OPEN {
             let waiting = self.open.iter().position(|audit| audit.holder.is_none());
             if waiting.and_then(|at| self.open.remove(at)).is_none() {
                 self.counts.skipped += 1;
-                return;
+                return false;
             }
             self.counts.skipped += 1;
         }
         let (owner, digests) = result;
         let work = work.clone();
         self.open.push_back(Audit { work, weights, owner, lease, digests, holder: None });
+        true
     }
 
     /// The oldest audit of a slot that came over another connection.

@@ -85,11 +85,18 @@ enum SlotState {
     /// Nobody computes it.
     Free,
     /// These leases compute it, the oldest first; two if the first one is slow.
-    Held { leases: Vec<LeaseId>, since: Duration },
+    Held(Vec<HeldLease>),
     /// Its result is there.
     Complete(SlotRollout),
     /// The trainer has its result.
     Taken,
+}
+
+/// A lease of a slot, and when it began.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HeldLease {
+    pub(super) id: LeaseId,
+    since: Duration,
 }
 
 /// Digests from an ended lease, from the first chunk on.
@@ -119,26 +126,27 @@ impl OpenIteration {
     pub(super) fn claim(&mut self, id: LeaseId, now: Duration) -> Option<ClaimedSlot> {
         let free = |slot: &Slot| matches!(slot.state, SlotState::Free);
         let index = self.slots.iter().position(free)?;
-        self.slots[index].state = SlotState::Held { leases: vec![id], since: now };
+        self.slots[index].state = SlotState::Held(vec![HeldLease { id, since: now }]);
         Some(self.issue(index))
     }
 
-    /// The slot that was leased first and has been held since `since` or longer, by one lease that `may_back_up`.
+    /// The slot that was leased first and has been held since `since` or longer, by one lease that `may_back_up`, whose second lease begins `now`.
     pub(super) fn claim_backup(
         &mut self,
         id: LeaseId,
         since: Duration,
+        now: Duration,
         may_back_up: impl Fn(LeaseId) -> bool,
     ) -> Option<ClaimedSlot> {
         let held = self.slots.iter().enumerate().filter_map(|(index, slot)| match &slot.state {
-            SlotState::Held { leases, since } if leases.len() < MOST_LEASES => {
-                may_back_up(leases[0]).then_some((*since, index))
+            SlotState::Held(leases) if leases.len() < MOST_LEASES => {
+                may_back_up(leases[0].id).then_some((leases[0].since, index))
             }
             _ => None,
         });
         let (_, index) = held.filter(|(begun, _)| *begun <= since).min()?;
-        if let SlotState::Held { leases, .. } = &mut self.slots[index].state {
-            leases.push(id);
+        if let SlotState::Held(leases) = &mut self.slots[index].state {
+            leases.push(HeldLease { id, since: now });
         }
         Some(self.issue(index))
     }
@@ -150,9 +158,9 @@ impl OpenIteration {
     }
 
     /// The leases of each held slot.
-    pub(super) fn held(&self) -> impl Iterator<Item = &[LeaseId]> {
+    pub(super) fn held(&self) -> impl Iterator<Item = &[HeldLease]> {
         self.slots.iter().filter_map(|slot| match &slot.state {
-            SlotState::Held { leases, .. } => Some(leases.as_slice()),
+            SlotState::Held(leases) => Some(leases.as_slice()),
             _ => None,
         })
     }
@@ -160,7 +168,7 @@ impl OpenIteration {
     /// Begin of the slots that are held by one lease.
     pub(super) fn held_since(&self) -> impl Iterator<Item = Duration> {
         self.slots.iter().filter_map(|slot| match &slot.state {
-            SlotState::Held { leases, since } if leases.len() < MOST_LEASES => Some(*since),
+            SlotState::Held(leases) if leases.len() < MOST_LEASES => Some(leases[0].since),
             _ => None,
         })
     }
@@ -173,8 +181,8 @@ impl OpenIteration {
     /// The other leases of the slot besides `id`.
     pub(super) fn other_leases(&self, index: usize, id: LeaseId) -> Vec<LeaseId> {
         match &self.slots[index].state {
-            SlotState::Held { leases, .. } => {
-                leases.iter().copied().filter(|other| *other != id).collect()
+            SlotState::Held(leases) => {
+                leases.iter().map(|lease| lease.id).filter(|other| *other != id).collect()
             }
             _ => Vec::new(),
         }
@@ -254,8 +262,8 @@ impl OpenIteration {
 
 impl Slot {
     fn drop_lease(&mut self, id: LeaseId) {
-        if let SlotState::Held { leases, .. } = &mut self.state {
-            leases.retain(|lease| *lease != id);
+        if let SlotState::Held(leases) = &mut self.state {
+            leases.retain(|lease| lease.id != id);
             if leases.is_empty() {
                 self.state = SlotState::Free;
             }

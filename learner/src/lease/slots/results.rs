@@ -131,8 +131,11 @@ impl SlotTable {
         match open.complete(index, id, lease) {
             Completion::Accepted => {
                 self.typical.add(secs);
-                if owner.trust == Trust::Exact && self.actors.can_audit() {
-                    self.audits.consider(open.work(index), open.weights, id, (owner, digests));
+                if owner.trust == Trust::Exact
+                    && self.actors.can_audit()
+                    && self.audits.consider(open.work(index), open.weights, id, (owner, digests))
+                {
+                    self.effects.push(Effect::WorkFreed);
                 }
                 let rollouts = open.take_if_complete();
                 self.effects.extend(rollouts.map(Effect::Iteration));

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use serde_json::{Map, Number, Value};
+use serde_json::Value;
 
 use super::TABLES;
 use crate::durable::FileError;
@@ -19,33 +19,37 @@ pub(super) fn restore(
     kept: &mut Vec<Value>,
     iteration: u64,
 ) -> Result<(), FileError> {
-    let missing = gaps(kept, "iteration", iteration);
-    let mut restored = 0;
+    let mut restored = Vec::new();
     for (name, kind) in TABLES {
         let text = std::fs::read_to_string(run_folder.join(name)).unwrap_or_default();
-        let rows = rows(&text, kind).into_iter();
-        let present = iterations(kept, kind);
-        let lost = rows.filter(|row| {
-            row["iteration"].as_u64().is_some_and(|at| at <= iteration && !present.contains(&at))
-        });
-        let before = kept.len();
-        kept.extend(lost);
-        restored += kept.len() - before;
+        let mut present = iterations(kept, kind);
+        restored.extend(rows(&text, kind).into_iter().filter(|row| {
+            let at = row.value["iteration"].as_u64();
+            at.is_some_and(|at| at <= iteration && present.insert(at))
+        }));
     }
-    if restored > 0 {
+    let path = lines.path().display().to_string();
+    if !restored.is_empty() {
+        tracing::warn!(
+            "{path} had lost {} lines; they are restored from the tables",
+            restored.len()
+        );
+        kept.extend(restored.iter().map(|row| row.value.clone()));
         kept.sort_by_key(|line| (line["iteration"].as_u64(), line["kind"] == "evaluation"));
-        lines.replace(kept)?;
-        let path = lines.path().display();
-        tracing::warn!("{path} had lost {restored} lines; they are restored from the tables");
+        lines.insert(restored.into_iter().map(|row| row.line).collect())?;
     }
     let lost = gaps(kept, "iteration", iteration);
     if !lost.is_empty() {
-        let path = lines.path().display();
         tracing::warn!("{path} has no lines of iterations {}", lost.join(", "));
-    } else if !missing.is_empty() {
-        tracing::info!("iterations {} are complete again", missing.join(", "));
     }
     Ok(())
+}
+
+/// A row of a table as a line of the JSON file, with the digits of the table.
+#[derive(Debug)]
+struct Row {
+    line: String,
+    value: Value,
 }
 
 fn iterations(lines: &[Value], kind: &str) -> BTreeSet<u64> {
@@ -53,23 +57,24 @@ fn iterations(lines: &[Value], kind: &str) -> BTreeSet<u64> {
     of_kind.filter_map(|line| line["iteration"].as_u64()).collect()
 }
 
-/// The rows of a table as lines; rows of another length than the header's are left out.
-fn rows(text: &str, kind: &str) -> Vec<Value> {
+/// The rows of a table; rows of another length than the header's are left out.
+fn rows(text: &str, kind: &str) -> Vec<Row> {
     let columns: Vec<&str> = text.lines().next().unwrap_or_default().split(',').collect();
     let row = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
         if cells.len() != columns.len() {
             return None;
         }
-        let mut row = Map::from_iter([("kind".to_owned(), Value::from(kind))]);
-        for (column, cell) in columns.iter().zip(cells) {
-            let value = match cell {
-                "" => Value::Null,
-                cell => Value::Number(cell.parse::<Number>().ok()?),
-            };
-            row.insert((*column).to_owned(), value);
-        }
-        Some(Value::Object(row))
+        let cell = |(column, cell): (&&str, &str)| {
+            let cell = if cell.is_empty() { "null" } else { cell };
+            format!("{}:{cell}", Value::from(*column))
+        };
+        let mut fields: Vec<String> = columns.iter().zip(cells).map(cell).collect();
+        fields.push(format!("\"kind\":{}", Value::from(kind)));
+        fields.sort();
+        let line = format!("{{{}}}", fields.join(","));
+        let value = serde_json::from_str(&line).ok()?;
+        Some(Row { line, value })
     };
     // The last row may be half written.
     let whole = text.rfind('\n').map_or("", |end| &text[..end]);
@@ -109,6 +114,6 @@ mod tests {
         let table = "iteration,env_steps,x\n1,40,0.5\n2,80,\n3,120,1.";
         let found = rows(table, "iteration");
         assert_eq!(found.len(), 2);
-        assert_eq!(found[1]["x"], Value::Null);
+        assert_eq!(found[1].value["x"], Value::Null);
     }
 }

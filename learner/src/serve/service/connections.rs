@@ -52,6 +52,12 @@ pub(super) fn note_actor<T>(request: &Request<T>) -> Result<(), Refusal> {
     peer.map_or(Ok(()), |peer| peer.registry.note_actor(peer.connection))
 }
 
+/// Whether the request's connection is still open.
+pub(super) fn is_open<T>(request: &Request<T>) -> bool {
+    let peer: Option<&Peer> = request.extensions().get();
+    peer.is_none_or(|peer| peer.registry.holds(peer.connection))
+}
+
 /// Permits for the result streams of the request's connection.
 pub(super) fn pushes<T>(request: &Request<T>) -> Arc<Semaphore> {
     let peer: Option<&Peer> = request.extensions().get();
@@ -128,6 +134,7 @@ pub(super) fn accept(
                         id,
                         on_close,
                         closed,
+                        must_close: false,
                         registry: Arc::clone(&registry),
                         _permits: permits,
                     };
@@ -189,12 +196,15 @@ struct Open {
     on_close: OnClose,
     /// Completes when the connection must close.
     closed: oneshot::Receiver<()>,
+    must_close: bool,
     registry: Arc<Registry>,
     _permits: (per_address::Permit, registry::Permit),
 }
 
 impl Drop for Open {
     fn drop(&mut self) {
+        // First, so that no actor registers after its leases have ended.
+        self.registry.remove(self.id);
         (self.on_close)(self.id);
     }
 }
@@ -213,7 +223,9 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        if Pin::new(&mut self.open.closed).poll(context).is_ready() {
+        // A completed receiver must not be polled again.
+        if self.open.must_close || Pin::new(&mut self.open.closed).poll(context).is_ready() {
+            self.open.must_close = true;
             // End of stream: the server closes the connection.
             return Poll::Ready(Ok(()));
         }

@@ -59,6 +59,8 @@ pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Resul
                 None => return,
                 Some(refusal) => Err(super::refused(&exchange, &caller, lease, refusal)),
             },
+            // An episode is one message, however slow; its lease expires if the actor is silent.
+            Err(_) if exchange.holds_lease(caller.connection) => continue,
             Err(_) => {
                 let detail = format!("no message for {} s", MESSAGE_TIMEOUT.as_secs());
                 let refusal = Refusal::new(Reason::TooSlow, "stream", detail);

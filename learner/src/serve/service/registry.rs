@@ -69,7 +69,9 @@ impl Registry {
     pub(super) fn note_actor(&self, id: ConnectionId) -> Result<(), Refusal> {
         let mut open = self.lock();
         let with_actors = open.values().filter(|open| open.has_actor).count();
-        let Some(own) = open.get_mut(&id) else { return Ok(()) };
+        let Some(own) = open.get_mut(&id) else {
+            return Err(Refusal::new(Reason::Busy, "connection", "it is being closed"));
+        };
         if !own.has_actor && with_actors >= self.most_with_actors {
             let most = self.most_with_actors;
             let detail =
@@ -78,6 +80,16 @@ impl Registry {
         }
         own.has_actor = true;
         Ok(())
+    }
+
+    /// Whether the connection is open.
+    pub(super) fn holds(&self, id: ConnectionId) -> bool {
+        self.lock().contains_key(&id)
+    }
+
+    /// The connection closes.
+    pub(super) fn remove(&self, id: ConnectionId) {
+        self.lock().remove(&id);
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ConnectionId, Open>> {
