@@ -171,6 +171,7 @@ impl SlotTable {
     /// The run is over: every later request for work is answered so.
     pub fn finish(&mut self) {
         self.over = true;
+        self.open.retain(|_, lease| !matches!(lease.claim, Claim::Audit { .. }));
         self.audits.skip_all();
         self.effects.push(Effect::WorkFreed);
     }

@@ -155,11 +155,13 @@ fn an_audit_of_a_disconnected_actor_is_leased_again_and_the_oldest_of_too_many_i
 #[test]
 fn a_finished_run_counts_its_open_audits_as_skipped() {
     let mut table = audited_table(1);
-    let (a, _b) = (actor(&mut table, 1), actor(&mut table, 2));
+    let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, a);
     complete(&mut table, &first);
+    let audit = lease(&mut table, b);
     table.finish();
     assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 1), 0));
+    assert_eq!(push(&mut table, &audit, 0).unwrap_err().reason, Reason::UnknownLease);
 }
 
 #[test]
