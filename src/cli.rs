@@ -8,6 +8,7 @@ mod page;
 mod refusal;
 mod serve;
 mod settings;
+mod task;
 mod tls;
 
 use std::net::SocketAddr;
@@ -22,10 +23,11 @@ pub(crate) use control::{
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::{ExperimentArguments, PlotArguments};
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
-pub(crate) use page::{PageAddress, PageArguments};
+pub(crate) use page::{PageAddress, PageArguments, RunsPageArguments};
 pub(crate) use refusal::report;
 pub(crate) use serve::ServeArguments;
 pub(crate) use settings::SettingsArguments;
+pub(crate) use task::{TaskCheckArguments, TaskCommand, TaskNewArguments};
 pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments, credentials};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: a learner and rollout actors communicate over gRPC.
@@ -89,6 +91,8 @@ pub(crate) enum Command {
     Film(FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
     Plot(PlotArguments),
+    /// Serve a web page with the curves of several runs in the same charts; follows runs that still grow.
+    Page(RunsPageArguments),
     /// Train tasks x variants x seeds in parallel, then make a table and figures; repeat the command to resume.
     Experiment(ExperimentArguments),
     /// Write a trained policy as ONNX files, one per agent, for use in other programs.
@@ -97,6 +101,9 @@ pub(crate) enum Command {
     Inspect(InspectArguments),
     /// List the tasks with their agents, joints and sizes.
     Tasks(TasksArguments),
+    /// Check a task file, or write an example of one.
+    #[command(subcommand)]
+    Task(TaskCommand),
     /// Print the resolved configuration with the origin of each value.
     #[command(after_help = CONFIG_LAYERS)]
     Config(SettingsArguments),
@@ -108,6 +115,7 @@ const TRAIN_EXAMPLES: &str = "\
 Examples:
   s2mia train                                    halfcheetah-2x3, happo-s2mia, 1,000,000 env steps
   s2mia train halfcheetah-6x1 algorithm=happo run.seed=7
+  s2mia train my-robot.toml                      a robot of your own (docs/ADDING_A_TASK.md)
   s2mia train --resume runs/NAME run.env_steps=2000000
 
 `s2mia config` prints all settings.";
@@ -115,11 +123,12 @@ Examples:
 const CONFIG_LAYERS: &str = "\
 Later layers override earlier ones:
   configs/base.toml             every default
+  configs/outside.toml          with environment_service.url
   configs/tasks/TASK.toml       the first argument, or task=TASK
+  configs/own-task.toml         with a task file as TASK, then the file's [settings]
   configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
   configs/algorithms/NAME.toml  algorithm=NAME
   configs/presets/PRESET.toml   algorithm.NAME.TASK, if the preset has this table
-  configs/outside.toml          with environment_service.url; overrides observation.norm=feature_z
   --config FILE                 in the order given
   S2MIA__SECTION__KEY           environment variables
   section.key=value             arguments";
@@ -185,6 +194,10 @@ pub(crate) struct LearnerArguments {
     /// Web page.
     #[command(flatten)]
     pub(crate) page: PageArguments,
+    /// Serve the page and /metrics over TLS with the files of --tls-certificate, to certificates with the role viewer or
+    /// admin.
+    #[arg(long, requires = "tls_certificate", conflicts_with = "insecure_allow_remote_page")]
+    pub(crate) page_tls: bool,
 }
 
 /// `s2mia actor`
@@ -251,9 +264,12 @@ pub(crate) struct EvalArguments {
 pub(crate) struct RecordArguments {
     /// Run folder.
     pub(crate) run: PathBuf,
-    /// Number of whole episodes to record.
+    /// Number of whole episodes to record, from episode 0 on.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
+    /// Record only the episode with this index, counted as in `s2mia eval`.
+    #[arg(long, value_name = "INDEX", conflicts_with = "episodes")]
+    pub(crate) episode: Option<u32>,
     /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap].
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,

@@ -13,10 +13,12 @@ mod inspect;
 mod learner;
 mod live;
 mod log;
+mod page;
 mod plot;
 mod record;
 mod serve;
 mod status;
+mod task;
 mod tasks;
 mod train;
 mod watch;
@@ -35,6 +37,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Log(command) => log::run(&command),
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
+        Command::Page(arguments) => page::run(arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Health(arguments) => health::run(&arguments),
@@ -46,6 +49,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Stop(arguments) => control::stop(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
+        Command::Task(command) => task::run(&command),
         Command::Config(arguments) => config::run(&arguments),
         Command::Certs(arguments) => certs::run(&arguments),
     }

@@ -5,6 +5,7 @@ pub(crate) mod environment_section;
 pub(crate) mod error;
 pub(crate) mod keys;
 pub(crate) mod layers;
+pub(crate) mod own_task;
 pub(crate) mod presets;
 pub(crate) mod resolved;
 pub(crate) mod run_config;

@@ -7,33 +7,69 @@ mod onnx;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use policy::{ActorPolicy, Key, PolicySnapshot};
-use sim::EnvironmentBatch;
+use policy::ActorPolicy;
+use serde_json::json;
+use sim::{AgentDescription, Description, EnvironmentBatch};
 
 use crate::process::output;
+use crate::run::checkpointed::{self, Trained};
 
 /// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`. Returns the
 /// name and the contents of each file.
 pub(crate) fn export(
     folder: &Path,
-    snapshot: &PolicySnapshot,
+    trained: &Trained,
     world: &mut dyn EnvironmentBatch,
-    start: Key,
-    about: &BTreeMap<String, String>,
 ) -> anyhow::Result<Vec<(String, String)>> {
+    let (snapshot, task) = (&trained.policy, world.description());
+    let common = common(trained, task);
     let mut files = Vec::new();
-    for (index, agent) in snapshot.agents.iter().enumerate() {
+    for (index, (agent, described)) in snapshot.agents.iter().zip(&task.agents).enumerate() {
         let name = format!("agent_{index}.onnx");
-        output::file(&folder.join(&name), &graph::model(agent, about).to_bytes())?;
+        let about: BTreeMap<_, _> =
+            common.clone().into_iter().chain(about_agent(described)).collect();
+        output::file(&folder.join(&name), &graph::model(agent, &about).to_bytes())?;
         files.push((name, sizes(agent)));
     }
     output::file(&folder.join("policy.safetensors"), &snapshot.to_bytes()?)?;
     files.push(("policy.safetensors".to_owned(), "all agents' weights".to_owned()));
-    let episode = episode::play(world, snapshot, start)?;
+    let chosen = trained.episode(0);
+    let episode = episode::play(world, snapshot, chosen.key())?;
     output::file(&folder.join("episode.safetensors"), &episode.to_bytes()?)?;
-    let told = format!("one episode, {} steps: observation, hidden state, action", episode.steps);
+    let (value, steps) = (episode.extrinsic_return, episode.steps);
+    let told = format!(
+        "{chosen}: return {value:.2}, {steps} steps; each observation, hidden state, action"
+    );
     files.push(("episode.safetensors".to_owned(), told));
     Ok(files)
+}
+
+/// Metadata of all agents' models: the run, the duration of a step, and who scales observations.
+fn common(trained: &Trained, task: &Description) -> BTreeMap<String, String> {
+    let mut about = checkpointed::metadata(trained, &task.task);
+    let scaling = trained.config.resolved.text("observation.norm");
+    about.insert("observation_scaling".to_owned(), scaling.to_owned());
+    about.insert("dt_secs".to_owned(), task.dt_secs.to_string());
+    about
+}
+
+/// Metadata of one agent's model: the meaning of each input and output, and the limits of the action.
+fn about_agent(agent: &AgentDescription) -> BTreeMap<String, String> {
+    let features: Vec<&String> = agent.observation.iter().map(|feature| &feature.name).collect();
+    let limits = match agent.action.choices {
+        Some(choices) => vec![("action_choices", choices.to_string())],
+        None => vec![
+            ("action_low", agent.action.low.to_string()),
+            ("action_high", agent.action.high.to_string()),
+        ],
+    };
+    let words = [
+        ("agent", agent.name.clone()),
+        ("observation_features", json!(features).to_string()),
+        ("action_joints", json!(agent.joints).to_string()),
+    ];
+    let words = words.into_iter().chain(limits);
+    words.map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
 fn sizes(agent: &ActorPolicy) -> String {

@@ -2,9 +2,11 @@
 
 pub(crate) mod chart;
 pub(crate) mod learning_curve;
+mod legend;
 pub(crate) mod palette;
 pub(crate) mod picture;
 pub(crate) mod statistics;
+mod style;
 
 use std::path::{Path, PathBuf};
 

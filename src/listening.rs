@@ -1,6 +1,9 @@
-//! Addresses on which this program accepts connections.
+//! Addresses on which this program accepts connections, and the tokens that it requires there.
+
+pub(crate) mod token;
 
 use std::net::SocketAddr;
+use std::sync::Arc;
 
 use anyhow::Context as _;
 use learner::Listener;
@@ -27,7 +30,7 @@ pub(crate) fn demand_loopback(
 /// The address of `--listen` and the certificates that it requires.
 pub(crate) struct Listening {
     address: SocketAddr,
-    tls: Option<ServerTls>,
+    tls: Option<Arc<ServerTls>>,
 }
 
 impl Listening {
@@ -41,7 +44,12 @@ impl Listening {
                  (`s2mia certs DIR` makes them), or pass --insecure-allow-remote to allow that";
             demand_loopback("--listen", address, permission)?;
         }
-        Ok(Self { address, tls })
+        Ok(Self { address, tls: tls.map(Arc::new) })
+    }
+
+    /// The certificates, if there are any.
+    pub(crate) fn tls(&self) -> Option<Arc<ServerTls>> {
+        self.tls.clone()
     }
 
     /// Binds the address; returns the listener and its URL.

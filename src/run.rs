@@ -3,8 +3,11 @@
 pub(crate) mod checkpointed;
 pub(crate) mod determinism;
 pub(crate) mod fingerprints;
+pub(crate) mod growing;
 pub(crate) mod launch;
+pub(crate) mod newest;
 pub(crate) mod offered;
+pub(crate) mod process_log;
 pub(crate) mod resume;
 pub(crate) mod run_path;
 pub(crate) mod served_run;

@@ -8,6 +8,7 @@ mod runs;
 mod waiting;
 
 use std::io::{BufRead as _, BufReader};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -21,6 +22,11 @@ const THIRTY: &str = "run.iterations=30";
 fn background(arguments: &[&str]) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
     command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+fn terminate(process: &Child) {
+    let sent = Command::new("kill").args(["-TERM", &process.id().to_string()]).status().unwrap();
+    assert!(sent.success());
 }
 
 /// Starts a run of thirty iterations and waits until it has begun.
@@ -77,6 +83,31 @@ fn address(folder: &Path) -> String {
 }
 
 #[test]
+fn calls_without_the_token_are_refused_and_do_not_affect_the_run() {
+    let runs = Runs::new();
+    let (disturbed, quiet) = (runs.folder("disturbed"), runs.folder("quiet"));
+    let of = disturbed.to_str().unwrap();
+    let mut run = begun(&disturbed);
+    // The run cannot end meanwhile.
+    succeeded(&["pause", of]);
+    let (url, token) = (address(&disturbed), disturbed.join("token"));
+    assert_eq!(std::fs::metadata(&token).unwrap().permissions().mode() & 0o777, 0o600);
+    for order in ["pause", "resume", "checkpoint", "stop", "actor --learner"] {
+        let arguments: Vec<&str> = order.split(' ').chain([url.as_str()]).collect();
+        let answer = s2mia(&arguments);
+        let told = String::from_utf8(answer.stderr).unwrap();
+        let line = told.lines().last().unwrap();
+        assert_eq!(answer.status.code(), Some(1), "{told}");
+        assert!(line.contains("has no token") && line.contains(token.to_str().unwrap()), "{told}");
+    }
+    assert_eq!(status(&url)["state"], "paused", "the status needs no token");
+    succeeded(&["resume", of]);
+    assert!(run.wait().unwrap().success());
+    train(&quiet, &[THIRTY]);
+    assert_eq!(inspect(&disturbed), inspect(&quiet));
+}
+
+#[test]
 fn a_paused_run_can_be_stopped_and_resumed() {
     let runs = Runs::new();
     let (stopped, quiet) = (runs.folder("stopped"), runs.folder("quiet"));
@@ -119,15 +150,42 @@ fn waiting_for_a_learner_is_reported_once_with_its_reason() {
     let folder = runs.folder("stopped");
     let mut learner = begun(&folder);
     let of = folder.to_str().unwrap();
-    succeeded(&["stop", of]);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(["watch", of, "--lines", "--max-outage-secs", "1.5"]);
+    let watch = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let mut watch = watch.unwrap();
+    // The first line shows that the watcher has met the learner.
+    let mut lines = BufReader::new(watch.stdout.take().unwrap()).lines();
+    lines.next().unwrap().unwrap();
+    terminate(&learner);
     assert!(learner.wait().unwrap().success());
-    let output = s2mia(&["watch", of, "--lines", "--max-outage-secs", "1.5"]);
+    let output = watch.wait_with_output().unwrap();
     let told = String::from_utf8(output.stderr).unwrap();
     let lines: Vec<&str> = told.lines().collect();
     assert_eq!((output.status.code(), lines.len()), (Some(1), 2), "{told}");
-    let why = format!("no learner works on {of}; `s2mia train --resume {of}` starts one");
-    assert!(lines[0].ends_with(&format!("{why}; waiting up to 1.5 s (--max-outage-secs)")));
+    let why = format!("the learner of {of} has ended; `s2mia train --resume {of}` starts one");
+    assert!(lines[0].contains("waiting up to 1.5 s (--max-outage-secs)"), "{told}");
     assert_eq!(lines[1], format!("error: {why}"));
+}
+
+#[test]
+fn a_watcher_of_a_run_that_a_client_stops_says_so_and_ends_as_does_a_later_one() {
+    let runs = Runs::new();
+    let folder = runs.folder("stopped by a client");
+    let mut learner = begun(&folder);
+    let of = folder.to_str().unwrap();
+    let mut watch = background(&["watch", of, "--lines"]);
+    let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
+    told.next().unwrap().unwrap();
+    succeeded(&["stop", of]);
+    assert!(learner.wait().unwrap().success());
+    assert!(watch.wait().unwrap().success());
+    let last = told.last().unwrap().unwrap();
+    assert!(last.starts_with("stopped after iteration "), "{last}");
+    assert_eq!(
+        succeeded(&["watch", of, "--lines"]).trim_end().split("  ").next(),
+        last.split("  ").next()
+    );
 }
 
 #[test]
@@ -139,7 +197,7 @@ fn a_watcher_gets_each_iteration_once_across_a_restart_and_then_the_end() {
     let mut watch = background(&["watch", of, "--lines", "--json"]);
     let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
     let begin = told.next().unwrap().unwrap();
-    succeeded(&["stop", of]);
+    terminate(&first);
     assert!(first.wait().unwrap().success());
     let mut second = watched(&folder);
     succeeded(&["actor", "--learner", &address(&folder)]);

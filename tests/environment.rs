@@ -15,8 +15,10 @@ use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
+use actor::EnvironmentService;
 use proto::wire;
 use proto::wire::play_response::Answer;
+use sim::{EnvironmentBatch as _, ObservationNorm};
 
 use cue_service::{CueService, Faults};
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
@@ -60,6 +62,40 @@ fn a_game_in_an_external_program_gives_the_weights_of_the_built_in_game() {
             assert_eq!(manifest(&folder)["environment_states"], states);
         }
     }
+}
+
+#[test]
+fn with_feature_z_actors_standardise_what_an_external_program_shows() {
+    let runs = Runs::new();
+    let service = CueService::start(Faults::NONE);
+    let weights_of = |norm: &str, actors: &str| {
+        let folder = runs.folder(&format!("{norm}-{actors}"));
+        trained(&folder, &[norm, actors, "--environment", &service.url]);
+        weights(&folder)
+    };
+    let scaled = weights_of("observation.norm=feature_z", "run.actors=1");
+    assert_eq!(weights_of("observation.norm=feature_z", "run.actors=2"), scaled);
+    assert_ne!(weights_of("observation.norm=none", "run.actors=1"), scaled);
+    let shown = |norm| first_observation(&service.url, norm);
+    let (plain, scaled) = (shown(ObservationNorm::None), shown(ObservationNorm::FeatureZ));
+    // Place, cue and index are one-hot: three of the nine features are 1. Mean 1/3, variance 1/3 - 1/9.
+    assert_eq!((plain.len(), plain.iter().sum::<f32>()), (9, 3.0));
+    for (plain, scaled) in plain.into_iter().zip(scaled) {
+        let expected = (plain - 1.0 / 3.0) / (2.0f32 / 9.0).sqrt();
+        assert!((scaled - expected).abs() < 1e-6, "{plain}: {scaled}");
+    }
+}
+
+/// What the first agent of an external program observes first.
+fn first_observation(url: &str, norm: ObservationNorm) -> Vec<f32> {
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let service = runtime.block_on(EnvironmentService::connect(url)).unwrap().scaled(norm);
+    let _entered = runtime.enter();
+    let mut environments = service.environments(1);
+    environments.reset(0, 0, 50, [0; 32]).unwrap();
+    let mut observation = vec![0.0; environments.description().agents[0].observation.len()];
+    environments.observation(0, 0, &mut observation);
+    observation
 }
 
 fn start(folder: &Path, more: &[&str]) -> Child {
@@ -127,7 +163,8 @@ fn refusal(faults: Faults) -> String {
 #[test]
 fn an_invalid_description_is_rejected_by_field_before_the_run_starts() {
     type Lie = fn(&mut wire::EnvironmentSpec);
-    let lies: [(Lie, &str); 6] = [
+    let lies: [(Lie, &str); 7] = [
+        (|spec| spec.feature_z = true, "environment.feature_z: must be unset"),
         (|spec| spec.agents.clear(), "environment.agents: must be at least 1"),
         (|spec| spec.task = "two\nlines".into(), "environment.task"),
         (|spec| spec.agents[1].observation.clear(), "environment.agents[1].observation"),
@@ -218,7 +255,11 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     assert!(succeeded(&["record", path]).contains("50 steps"));
     let told = |command: &str| String::from_utf8(s2mia(&[command, path]).stderr).unwrap();
     let line = told("film");
-    assert!(line.contains("only the simulator's robots can be drawn"), "{line}");
+    assert!(line.contains("its description has no shapes") && line.lines().count() == 1, "{line}");
+    let recording = folder.join("logs/iter_00000004.mcap");
+    let output = s2mia(&["log", "replay", recording.to_str().unwrap()]);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert!(line.contains("its environment is another program's") && line.lines().count() == 1);
     let address = moved.url.trim_start_matches("http://").to_owned();
     drop(moved);
     let line = told("eval");

@@ -14,11 +14,12 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 
-use actor::LiveServer;
+use actor::{EvaluationEpisode, LiveServer};
 use foxglove::Decode as _;
 use foxglove::messages::{FrameTransforms, JointStates, SceneUpdate};
-use policy::{Key, PolicySnapshot, RunSeed};
-use proto::ActionChoice;
+use policy::{PolicySnapshot, RunSeed};
+use proto::trajectory_log::Step;
+use proto::{ActionChoice, Digest, PolicyVersion, WeightsName};
 use serde_json::{Value, json};
 use sim::EnvironmentBatch;
 
@@ -80,12 +81,12 @@ fn metrics(folder: &Path, kind: &str) -> Vec<Value> {
     lines.filter(|line| line["kind"] == kind).collect()
 }
 
-/// The environment of a run, its newest policy, and the key of that policy's first evaluation episode.
-fn evaluation(folder: &Path) -> (Box<dyn EnvironmentBatch>, PolicySnapshot, Key) {
+/// The environment of a run, its newest policy, and that policy's first evaluation episode.
+fn evaluation(folder: &Path) -> (Box<dyn EnvironmentBatch>, PolicySnapshot, EvaluationEpisode) {
     let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
     let policy = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
-    let key = Key::of_evaluation(RunSeed(7), loaded.iteration, 0);
-    (trained::world(folder), policy, key)
+    let (seed, iteration, index) = (RunSeed(7), loaded.iteration, 0);
+    (trained::world(folder), policy, EvaluationEpisode { seed, iteration, index })
 }
 
 #[test]
@@ -93,23 +94,25 @@ fn topics_of_a_finished_run_are_those_of_a_recording_plus_curves_and_run() {
     let shown = LiveView::watch(trained());
     let mut viewer = Viewer::connect(&shown.url);
     // The topic that is advertised last.
-    viewer.wait_for("/episode");
+    viewer.wait_for("/share_end");
     let named = |(topic, told): (&String, &Value)| {
         assert!(!told["schema"].as_str().unwrap().is_empty(), "{topic}");
         (topic.clone(), told["schemaName"].as_str().unwrap().to_owned())
     };
     let found = viewer.topics.iter().map(named).collect::<Vec<_>>();
-    let actions = (0..6).map(|agent| (format!("/agents/{agent}/action"), "s2mia.Action"));
+    let agents = (0..6).map(|agent| (format!("/agents/{agent}"), "s2mia.log.v1.AgentStep"));
     let others = [
         ("/curves", "s2mia.Curves"),
-        ("/episode", "s2mia.Episode"),
         ("/joint_states", "foxglove.JointStates"),
         ("/run", "s2mia.Run"),
         ("/scene", "foxglove.SceneUpdate"),
+        ("/share", "s2mia.log.v1.Share"),
+        ("/share_end", "s2mia.log.v1.ShareEnd"),
+        ("/step", "s2mia.log.v1.Step"),
         ("/tf", "foxglove.FrameTransforms"),
     ];
     let others = others.map(|(topic, schema)| (topic.to_owned(), schema));
-    let expected = actions.chain(others).map(|(topic, schema)| (topic, schema.to_owned()));
+    let expected = agents.chain(others).map(|(topic, schema)| (topic, schema.to_owned()));
     assert_eq!(found, expected.collect::<Vec<_>>());
 }
 
@@ -119,14 +122,14 @@ fn an_evaluation_episode_of_the_newest_policy_is_shown_in_real_time() {
     let shown = LiveView::watch(folder);
     let mut viewer = Viewer::connect(&shown.url);
     let begun = Instant::now();
-    viewer.subscribe(&["/scene", "/run", "/tf", "/joint_states", "/episode"]);
+    viewer.subscribe(&["/scene", "/run", "/tf", "/joint_states", "/step"]);
     let (mut seen, mut times, mut torso) = (Vec::new(), Vec::new(), Vec::new());
     let (mut shapes, mut joints, mut run) = (0, 0, Value::Null);
     while seen.len() < 20 {
         let (topic, nanos, bytes) = viewer.next();
         match topic.as_str() {
-            "/episode" => {
-                seen.push(serde_json::from_slice::<Value>(&bytes).unwrap());
+            "/step" => {
+                seen.push(<Step as prost::Message>::decode(bytes.as_slice()).unwrap());
                 times.push(nanos);
             }
             "/tf" => {
@@ -139,13 +142,13 @@ fn an_evaluation_episode_of_the_newest_policy_is_shown_in_real_time() {
         }
     }
     let took = begun.elapsed();
-    let (mut world, policy, key) = evaluation(folder);
+    let (mut world, policy, episode) = evaluation(folder);
     let mut rewards = Vec::new();
     let keep = |step: &actor::PlayedStep<'_>| rewards.push(step.outcome.reward);
-    actor::play_episode(&mut *world, &policy, (key, ActionChoice::Mean), keep).unwrap();
-    for told in &seen {
-        let step = told["step"].as_u64().unwrap() as usize;
-        assert_eq!(told["reward"].as_f64().unwrap() as f32, rewards[step - 1], "{told}");
+    let start = (episode.key(), ActionChoice::Mean);
+    actor::play_episode(&mut *world, &policy, start, keep).unwrap();
+    for step in &seen {
+        assert_eq!(step.reward, rewards[step.step as usize], "{step:?}");
     }
     assert!(torso.windows(2).any(|two| two[0] != two[1]), "the robot moves: {torso:?}");
     let apart = times.windows(2).map(|two| two[1] - two[0]).collect::<Vec<_>>();
@@ -207,9 +210,10 @@ fn a_running_run_shows_curves_before_its_first_checkpoint_and_then_its_robot() {
     };
     let begun = grow_beyond(0);
     grow_beyond(begun);
-    viewer.subscribe(&["/episode"]);
+    viewer.subscribe(&["/step"]);
     succeeded(&["checkpoint", folder.to_str().unwrap()]);
-    assert_eq!(viewer.json_on("/episode")["step"], 1);
+    let first = viewer.next_on("/step");
+    assert_eq!(<Step as prost::Message>::decode(first.as_slice()).unwrap().step, 0);
 }
 
 #[test]
@@ -244,7 +248,7 @@ fn a_viewer_that_never_reads_does_not_affect_the_weights() {
     let (alone, watched) = (runs.folder("alone"), runs.folder("watched"));
     let mut shown = LiveView::train(&watched, &["run.iterations=150"]);
     let mut viewer = Viewer::connect(&shown.url);
-    viewer.wait_for("/episode");
+    viewer.wait_for("/share_end");
     let topics = viewer.topics.keys().cloned().collect::<Vec<_>>();
     viewer.subscribe(&topics.iter().map(String::as_str).collect::<Vec<_>>());
     assert!(shown.process.wait().unwrap().success());
@@ -292,11 +296,12 @@ fn a_slow_viewer_blocks_nothing_and_misses_old_messages() {
 
 #[test]
 fn an_episode_without_viewers_is_aborted_after_its_first_step() {
-    let (mut world, policy, key) = evaluation(trained());
+    let (mut world, policy, episode) = evaluation(trained());
+    let weights = WeightsName { version: PolicyVersion(4), digest: Digest([0; 32]) };
     let server = LiveServer::open("127.0.0.1:0".parse().unwrap(), "alone").unwrap();
     let mut scene = server.scene(&*world).unwrap();
     assert!(!scene.is_watched());
-    let played = scene.play((&mut *world, &policy), (0, key), || ()).unwrap();
+    let played = scene.play(&mut *world, (&policy, weights), episode, || ()).unwrap();
     assert_eq!(played.steps, 1);
 }
 

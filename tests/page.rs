@@ -51,22 +51,12 @@ impl Learner {
         actor.wait().unwrap();
     }
 
-    /// Status code, headers and body.
     fn ask(&self, request: &str) -> (u16, String, String) {
-        let mut stream = TcpStream::connect(&self.page).unwrap();
-        stream.write_all(request.as_bytes()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-        let code = head.split(' ').nth(1).unwrap().parse().unwrap();
-        (code, head.to_owned(), body.to_owned())
+        ask(&self.page, request)
     }
 
     fn get(&self, path: &str) -> String {
-        let (code, _, body) =
-            self.ask(&format!("GET {path} HTTP/1.1\r\nHost: {}\r\n\r\n", self.page));
-        assert_eq!(code, 200, "{path}: {body}");
-        body
+        get(&self.page, path)
     }
 
     fn json(&self, path: &str) -> Value {
@@ -82,6 +72,65 @@ impl Drop for Learner {
             let _waited = process.wait();
         }
     }
+}
+
+/// Status code, headers and body.
+fn ask(page: &str, request: &str) -> (u16, String, String) {
+    let mut stream = TcpStream::connect(page).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    let code = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (code, head.to_owned(), body.to_owned())
+}
+
+fn get(page: &str, path: &str) -> String {
+    let (code, _, body) = ask(page, &format!("GET {path} HTTP/1.1\r\nHost: {page}\r\n\r\n"));
+    assert_eq!(code, 200, "{path}: {body}");
+    body
+}
+
+/// `s2mia page`, and its address.
+struct PageOfRuns(Child, String);
+
+impl PageOfRuns {
+    fn start(folder: &Path, runs: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        command.arg("page").args(runs).current_dir(folder).stdout(Stdio::piped());
+        let mut process = command.spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let page = line.trim().strip_prefix("page: http://").unwrap().to_owned();
+        Self(process, page)
+    }
+
+    fn json(&self, path: &str) -> Value {
+        serde_json::from_str(&get(&self.1, path)).unwrap()
+    }
+}
+
+impl Drop for PageOfRuns {
+    fn drop(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+/// A run folder with one evaluation.
+fn write_run(folder: &Path, mean: f64) {
+    std::fs::create_dir_all(folder).unwrap();
+    for file in ["config.toml", "manifest.json"] {
+        std::fs::write(folder.join(file), "{}").unwrap();
+    }
+    add_evaluation(folder, 40, mean);
+}
+
+fn add_evaluation(folder: &Path, env_steps: u64, mean: f64) {
+    let path = folder.join("metrics.jsonl");
+    let mut file = std::fs::File::options().create(true).append(true).open(path).unwrap();
+    let line = format!(r#"{{"kind":"evaluation","env_steps":{env_steps},"mean":{mean}}}"#);
+    writeln!(file, "{line}").unwrap();
 }
 
 /// The value of a sample, such as `s2mia_slots{state="free"}`.
@@ -221,4 +270,71 @@ fn continuous_page_requests_do_not_affect_the_weights() {
     };
     assert_eq!(third(&plain), inspect(&plain)["weights_sha256"]);
     assert_eq!(third(&watched), third(&plain));
+}
+
+#[test]
+fn the_page_of_several_runs_has_all_their_curves_and_follows_those_that_grow() {
+    let runs = Runs::new();
+    let folder = runs.folder("place");
+    write_run(&folder.join("runs/first"), 1.5);
+    write_run(&folder.join("runs/second"), -2.0);
+    std::fs::create_dir(folder.join("runs/notes")).unwrap();
+    let page = PageOfRuns::start(&folder, &[]);
+    let found = page.json("/api/curves");
+    let evaluation =
+        |run: usize, found: &Value| found["runs"][run]["curves"]["evaluation/mean"].clone();
+    assert_eq!(evaluation(0, &found), serde_json::json!([[40], [1.5]]));
+    assert_eq!(evaluation(1, &found), serde_json::json!([[40], [-2.0]]));
+    let before = page.json("/api/runs");
+    assert_eq!(before["runs"], serde_json::json!(["first", "second"]));
+    assert_eq!(before["version"], found["version"]);
+    add_evaluation(&folder.join("runs/second"), 80, 3.0);
+    eventually(|| {
+        let now = page.json("/api/runs");
+        if now["version"] == before["version"] { Err(now.to_string()) } else { Ok(()) }
+    });
+    let grown = page.json("/api/curves");
+    assert_eq!(evaluation(1, &grown), serde_json::json!([[40, 80], [-2.0, 3.0]]));
+    assert_eq!(evaluation(0, &grown), evaluation(0, &found));
+}
+
+#[test]
+fn the_page_of_several_runs_has_the_rules_and_the_script_of_a_learners_page() {
+    let runs = Runs::new();
+    let folder = runs.folder("place");
+    write_run(&folder.join("first"), 1.5);
+    let page = PageOfRuns::start(&folder, &["first"]);
+    let code = |request: &str| ask(&page.1, request).0;
+    assert_eq!(code("GET /api/curves HTTP/1.1\r\nHost: example.org\r\n\r\n"), 403);
+    assert_eq!(code("POST /api/runs HTTP/1.1\r\nHost: localhost\r\n\r\n"), 405);
+    assert_eq!(code("GET /api/status HTTP/1.1\r\nHost: localhost\r\n\r\n"), 404);
+    let root = "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
+    let (_, head, shown) = ask(&page.1, root);
+    let learner = Learner::start(&runs.folder("run"), "127.0.0.1:0");
+    let (_, heads, of_learner) = learner.ask(root);
+    let policy = |head: &str| {
+        let mut lines = head.lines().map(str::to_owned);
+        lines.find(|line| line.starts_with("content-security-policy")).unwrap()
+    };
+    assert_eq!(policy(&head), policy(&heads));
+    assert!(shown.contains("<html data-view=\"runs\" "));
+    assert_eq!(shown.replace("data-view=\"runs\" ", ""), of_learner);
+}
+
+#[test]
+fn folders_that_are_no_runs_and_addresses_of_other_machines_are_refused_in_one_line() {
+    let runs = Runs::new();
+    let folder = runs.folder("place");
+    write_run(&folder.join("first"), 1.5);
+    for (arguments, reason) in [
+        (&["first", "missing"][..], "missing is no run folder"),
+        (&["first", "--listen", "0.0.0.0:0"], "--insecure-allow-remote-page"),
+        (&[], "there is no run in ./runs"),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        let output = command.arg("page").args(arguments).current_dir(&folder).output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains(reason) && error.lines().count() == 1, "{error}");
+    }
 }

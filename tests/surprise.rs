@@ -21,6 +21,7 @@ fn environments(mode: &str, norm: &str) -> Box<dyn EnvironmentBatch> {
     table.insert("norm".into(), norm.into());
     let config = sim::TaskConfig {
         task: "halfcheetah-2x3".to_owned(),
+        definition: None,
         observation: observation.try_into().unwrap(),
         partition: base()["partition"]["semantics"].clone().try_into().unwrap(),
     };

@@ -188,6 +188,84 @@ fn invalid_film_options_are_rejected_in_one_line() {
     assert!(!folder.join("film.png").exists());
 }
 
+/// The return that a line such as `episode 2 (evaluation-4-2, seed 7): return -12.34, 1000 steps` prints.
+fn printed_return(text: &str, episode: &str) -> String {
+    let line = text.lines().find_map(|line| line.split_once(&format!("{episode}: return ")));
+    let (_, rest) = line.unwrap_or_else(|| panic!("no {episode} in {text}"));
+    rest.split(',').next().unwrap().to_owned()
+}
+
+#[test]
+fn an_episode_has_one_return_in_every_command() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    train(&folder, &["run.iterations=2", "run.actors=1"]);
+    let run = folder.to_str().unwrap();
+    let measured = succeeded(&["eval", run, "--episodes", "3", "--json"]);
+    let measured: serde_json::Value = serde_json::from_str(&measured).unwrap();
+    assert_eq!((&measured["seed"], &measured["iteration"]), (&7.into(), &2.into()));
+    let returns: Vec<f64> =
+        (0..3).map(|i| measured["episodes"][i]["return"].as_f64().unwrap()).collect();
+    assert!(returns[0] != returns[1] && returns[1] != returns[2], "{returns:?}");
+    let shown = |index: usize| format!("{:.2}", returns[index]);
+    let name = |index: usize| {
+        assert_eq!(measured["episodes"][index]["episode_id"], format!("evaluation-2-{index}"));
+        format!("episode {index} (evaluation-2-{index}, seed 7)")
+    };
+    assert!(succeeded(&["eval", run, "--episodes", "3"]).contains(&shown(2)));
+    let several = succeeded(&["record", run, "--episodes", "3"]);
+    let chosen = succeeded(&["record", run, "--episode", "2"]);
+    let filmed = succeeded(&["film", run, "--episode", "2", "--frames", "1"]);
+    for (told, indices) in [(&several, 0..3), (&chosen, 2..3), (&filmed, 2..3)] {
+        for index in indices {
+            assert_eq!(printed_return(told, &name(index)), shown(index));
+        }
+    }
+    let exported = succeeded(&["export", run, "--onnx", folder.join("onnx").to_str().unwrap()]);
+    assert_eq!(printed_return(&exported, &name(0)), shown(0));
+    // The run's own last evaluation has one episode.
+    let metrics = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
+    let last = metrics.lines().rfind(|line| line.contains("\"kind\":\"evaluation\"")).unwrap();
+    let last: serde_json::Value = serde_json::from_str(last).unwrap();
+    assert_eq!((&last["iteration"], &last["mean"]), (&2.into(), &returns[0].into()));
+}
+
+#[test]
+fn only_the_named_file_or_folder_is_created_never_the_folder_around_it() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    train(&folder, &["run.iterations=1", "run.actors=1", "log.episodes=evaluation"]);
+    let (run, logs) = (folder.to_str().unwrap(), folder.join("logs"));
+    let missing = runs.folder("mising");
+    let inside = missing.join("new");
+    let (inside, logs) = (inside.to_str().unwrap(), logs.to_str().unwrap());
+    for (arguments, option) in [
+        (vec!["record", run, "--out", inside], "--out"),
+        (vec!["film", run, "--out", inside], "--out"),
+        (vec!["export", run, "--onnx", inside], "--onnx"),
+        (vec!["plot", run, "--out", inside], "--out"),
+        (vec!["tasks", "--picture", inside], "--picture"),
+        (vec!["log", "join", logs, "--out", inside], "--out"),
+    ] {
+        let output = s2mia(&arguments);
+        let line = String::from_utf8(output.stderr).unwrap();
+        let why =
+            format!("{option} {inside}: there is no folder {}; create it first", missing.display());
+        assert_eq!(
+            (output.status.code(), line.trim()),
+            (Some(2), format!("error: {why}").as_str())
+        );
+        assert!(!missing.exists(), "{arguments:?}");
+    }
+    let output = s2mia(&["record", run, "--out", run]);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert!(line.contains("is a folder; name a file"), "{line}");
+    let made = runs.folder("made");
+    succeeded(&["export", run, "--onnx", made.to_str().unwrap()]);
+    succeeded(&["plot", run, "--out", made.to_str().unwrap()]);
+    assert!(made.join("agent_0.onnx").is_file() && made.join("learning_curve.png").is_file());
+}
+
 #[test]
 fn a_killed_actor_is_replaced_and_the_result_is_the_same() {
     let runs = Runs::new();

@@ -108,8 +108,7 @@ impl ChunkBuilder {
         agents: &Agents,
         environments: &dyn EnvironmentBatch,
     ) -> Result<(), SimError> {
-        let states = (0..environments.count()).map(|index| environments.encode(index));
-        let environments = states.collect::<Result<_, _>>()?;
+        let environments = environments.encode_all()?;
         self.chunk.end = Some(SlotEnd { environments, recurrent: agents.hidden.clone() });
         Ok(())
     }

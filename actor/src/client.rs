@@ -8,12 +8,13 @@ use policy::PolicySnapshot;
 use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
-    Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, PolicyVersion, Registered,
-    Registration, RunDescription, WeightsName, wire,
+    Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, PolicyVersion,
+    Registered, Registration, RunDescription, WeightsName, wire,
 };
-use security::ClientFiles;
+use security::{ClientFiles, Token};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Code, Request, Status, Streaming};
 
@@ -47,7 +48,7 @@ pub(crate) struct PushStream {
 /// A connection to the learner.
 #[derive(Clone)]
 pub(crate) struct Client {
-    service: LearnerServiceClient<Channel>,
+    service: LearnerServiceClient<InterceptedService<Channel, Authorization>>,
 }
 
 /// Cache of policy snapshots by version.
@@ -64,7 +65,8 @@ impl Client {
             status.set_source(Arc::new(error));
             ActorError::Refused(status)
         })?;
-        let service = LearnerServiceClient::new(channel)
+        let token = authorization(config.token.as_ref());
+        let service = LearnerServiceClient::with_interceptor(channel, token)
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES);
         Ok(Self { service })
@@ -160,6 +162,11 @@ impl Client {
         }
         Ok(bytes)
     }
+}
+
+fn authorization(token: Option<&Token>) -> Authorization {
+    let header = token.map(Token::header);
+    Authorization::new(header.as_deref()).expect("hexadecimal digits are valid in a header")
 }
 
 fn endpoint(config: &Config) -> Result<Endpoint, ActorError> {

@@ -1,24 +1,28 @@
 //! Operational settings of an actor process, which never affect results.
 
-use security::{ClientFiles, addresses};
+use security::{ClientFiles, Token, addresses};
 use tonic::transport::Uri;
 
 use crate::error::ActorError;
 use crate::trajectory_log::LogConfig;
 
 /// Settings of an actor process.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Config {
     /// URL of the learner, such as `http://127.0.0.1:50051`.
     pub learner: String,
     /// Transport of the connection.
     pub transport: Transport,
+    /// Token of the run, if the learner requires one.
+    pub token: Option<Token>,
     /// URL of the program that provides the environment; `None` for the simulator.
     pub environment: Option<String>,
     /// Longest outage of the learner before the actor stops, seconds.
     pub max_outage_secs: f64,
     /// Display name of this actor.
     pub name: String,
+    /// Version and commit of the program.
+    pub build: String,
     /// Settings of the trajectory log, if enabled.
     pub log: Option<LogConfig>,
 }
@@ -89,8 +93,10 @@ mod tests {
         let config = Config {
             learner: learner.to_owned(),
             transport,
+            token: None,
             environment: None,
             max_outage_secs: 1.0,
+            build: String::new(),
             name: "a".into(),
             log: None,
         };

@@ -1,13 +1,47 @@
 //! Plays whole episodes with mean actions, most likely choices or sampled actions, for evaluation, `eval` and
 //! recordings.
 
+use std::fmt;
 use std::ops::ControlFlow;
 
-use policy::{Key, PolicySnapshot};
+use policy::{Key, PolicySnapshot, RunSeed};
 use proto::ActionChoice;
 use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
+
+/// One episode of the evaluation of a run's weights. Training, `eval`, `record`, `film`, `export` and the live view start
+/// an episode of the same index in the same state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EvaluationEpisode {
+    /// Seed of the run.
+    pub seed: RunSeed,
+    /// Iteration of the weights.
+    pub iteration: u64,
+    /// Index of the episode in the evaluation.
+    pub index: u32,
+}
+
+impl EvaluationEpisode {
+    /// The key that draws the start state.
+    #[must_use]
+    pub fn key(self) -> Key {
+        Key::of_evaluation(self.seed, self.iteration, self.index)
+    }
+
+    /// The id in logs: `evaluation-ITERATION-INDEX`.
+    #[must_use]
+    pub fn id(self) -> String {
+        format!("evaluation-{}-{}", self.iteration, self.index)
+    }
+}
+
+/// `episode 0 (evaluation-4-0, seed 7)`
+impl fmt::Display for EvaluationEpisode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "episode {} ({}, seed {})", self.index, self.id(), self.seed.0)
+    }
+}
 
 /// Result of an episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,41 +1,43 @@
 //! Film of an evaluated episode, as capsules in the world, for viewers of the run.
 
 use proto::{Film, MAX_CAPSULES, MAX_FRAMES};
-use sim::{EnvironmentBatch, LinkShape, SimError};
+use sim::{Capsule, EnvironmentBatch, LinkShape, Robot, SimError};
 
 /// Index of the filmed episode of each evaluation.
 pub(crate) const FILMED: u32 = 0;
 
 /// Captures the start of an episode, one frame per step.
 pub(crate) struct Camera {
-    /// Shapes with the indices of their links in a pose.
-    shapes: Vec<(usize, LinkShape)>,
+    /// Capsules in the frames of their links, and the indices of these in a pose.
+    capsules: Vec<(usize, Capsule)>,
     film: Film,
     frames: usize,
 }
 
 impl Camera {
     /// Creates a camera for `world` and captures the first frame; `None` without a simulated robot, or if the robot has
-    /// too many shapes for a film.
+    /// too many capsules for a film.
     pub(crate) fn before(world: &dyn EnvironmentBatch) -> Result<Option<Self>, SimError> {
         let (task, pose) = (world.description(), world.pose(0));
         if pose.links.is_empty() {
             return Ok(None);
         }
         let link = |shape: &LinkShape| pose.links.iter().position(|link| link.name == shape.link);
-        let shapes = sim::shapes(&task.task)?.into_iter();
-        let shapes: Vec<_> = shapes.filter_map(|shape| Some((link(&shape)?, shape))).collect();
-        if !(1..=MAX_CAPSULES).contains(&shapes.len()) {
+        let shapes = world.robot().map(Robot::shapes).unwrap_or_default().into_iter();
+        let shapes = shapes.filter_map(|shape| Some((link(&shape)?, shape.capsules())));
+        let capsules: Vec<(usize, Capsule)> =
+            shapes.flat_map(|(link, all)| all.into_iter().map(move |one| (link, one))).collect();
+        if !(1..=MAX_CAPSULES).contains(&capsules.len()) {
             return Ok(None);
         }
         let drivers = sim::drivers(task, &pose);
         let film = Film {
             frame_secs: task.dt_secs,
-            radii: shapes.iter().map(|(_, shape)| shape.shape.radius()).collect(),
-            drivers: shapes.iter().map(|(link, _)| drivers[*link]).collect(),
+            radii: capsules.iter().map(|(_, capsule)| capsule.radius).collect(),
+            drivers: capsules.iter().map(|(link, _)| drivers[*link]).collect(),
             ends: Vec::new(),
         };
-        let mut camera = Self { shapes, film, frames: 0 };
+        let mut camera = Self { capsules, film, frames: 0 };
         camera.capture(world);
         Ok(Some(camera))
     }
@@ -47,7 +49,10 @@ impl Camera {
         }
         self.frames += 1;
         let pose = world.pose(0);
-        let ends = self.shapes.iter().map(|(link, shape)| shape.ends(&pose.links[*link]));
+        let ends = self.capsules.iter().map(|(link, capsule)| {
+            let link = &pose.links[*link];
+            capsule.ends.map(|end| link.in_world(end))
+        });
         self.film.ends.extend(ends.flatten().flatten());
     }
 

@@ -15,6 +15,7 @@ pub fn environment_spec(description: &sim::Description) -> EnvironmentSpec {
         state_kind: description.state_kind.clone(),
         state_version: description.state_version,
         max_state_bytes: description.max_state_bytes,
+        feature_z: false,
     }
 }
 

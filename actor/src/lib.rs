@@ -28,11 +28,11 @@ pub mod trajectory_log;
 
 pub use config::{Config, Transport};
 pub use error::{ActorError, EnvironmentError, causes};
-pub use evaluation::{Episode, PlayedStep, play_episode};
+pub use evaluation::{Episode, EvaluationEpisode, PlayedStep, play_episode};
 pub use identity::{environment_spec, rollout_fingerprint};
 pub use live::{LiveError, LiveScene, LiveServer, LiveTopic};
 pub use outside::{EnvironmentService, OutsideEnvironments, States};
-pub use recording::{RecordError, RecordSummary, record};
+pub use recording::{RecordError, RecordSummary, RecordedRun, record};
 pub use rollout::roll_out;
 pub use run::run;
 pub use trajectory_log::{LogConfig, LogError, LogSettings};

@@ -1,5 +1,5 @@
-//! Live view for Foxglove over its WebSocket protocol: episodes on the topics of a recording ([`crate::recording`]) and
-//! additional topics.
+//! Live view for Foxglove over its WebSocket protocol: episodes on the topics of a trajectory log
+//! ([`crate::trajectory_log`]) and additional topics.
 //!
 //! Viewers can only read. A new subscriber receives the newest message of its topic immediately. A slow viewer loses
 //! the oldest queued messages. The server never waits for viewers.
@@ -13,16 +13,20 @@ use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
 
 use foxglove::{AppUrl, Context, FoxgloveError, WebSocketServerHandle};
-use policy::{Key, PolicySnapshot};
+use policy::PolicySnapshot;
+use proto::trajectory_log::Share;
+use proto::{ActionChoice, WeightsName};
 use serde_json::{Value, json};
-use sim::EnvironmentBatch;
+use sim::{EnvironmentBatch, Robot};
 use thiserror::Error;
 use tokio::runtime::Runtime;
 
-use crate::evaluation::Episode;
-use crate::recording::channels::Channels;
+use crate::evaluation::{Episode, EvaluationEpisode, PlayedStep, play_while};
+use crate::recording::RecordError;
+use crate::recording::share_channels::ShareChannels;
 use crate::recording::sink::{Channel, Sink as _};
-use crate::recording::{RecordError, show_episode};
+use crate::recording::step_reader::StepReader;
+use crate::trajectory_log::evaluation_head;
 use sink::{LiveSink, now_nanos};
 use topic_cache::TopicCache;
 
@@ -113,9 +117,13 @@ impl LiveServer {
         let first = self.cache.len();
         let mut sink = self.sink();
         let run = sink.json_channel("/run", &run_schema())?;
-        let channels = Channels::create(sink, world)?;
+        let description = world.description();
+        let shapes = world.robot().map(Robot::shapes).unwrap_or_default();
+        let channels = ShareChannels::create(&mut sink, description, &shapes)?;
+        let dt_nanos = (description.dt_secs * 1e9).round() as u64;
         let cache = Arc::clone(&self.cache);
-        Ok(LiveScene { channels, run, places: first..cache.len(), cache })
+        let places = first..cache.len();
+        Ok(LiveScene { sink, channels, run, dt_nanos, cache, places })
     }
 
     fn sink(&self) -> LiveSink {
@@ -145,8 +153,10 @@ impl LiveTopic {
 
 /// Topics on which episodes are shown.
 pub struct LiveScene {
-    channels: Channels<LiveSink>,
+    sink: LiveSink,
+    channels: ShareChannels,
     run: Channel,
+    dt_nanos: u64,
     cache: Arc<TopicCache>,
     places: Range<usize>,
 }
@@ -163,8 +173,8 @@ impl LiveScene {
     /// # Errors
     /// If the message cannot be sent.
     pub fn describe(&mut self, words: &BTreeMap<String, String>) -> Result<(), RecordError> {
-        self.channels.sink.set_clock();
-        self.channels.sink.write(&mut self.run, json!(words).to_string().as_bytes())
+        self.sink.set_clock();
+        self.sink.write(&mut self.run, json!(words).to_string().as_bytes())
     }
 
     /// Shows the current state of environment 0 of `world`.
@@ -172,30 +182,50 @@ impl LiveScene {
     /// # Errors
     /// If a message cannot be encoded.
     pub fn stand(&mut self, world: &dyn EnvironmentBatch) -> Result<(), RecordError> {
-        self.channels.sink.set_clock();
-        self.channels.begin(world)
+        self.sink.set_clock();
+        self.channels.scene(&mut self.sink)?;
+        self.channels.pose(&mut self.sink, &world.pose(0))
     }
 
-    /// Plays episode `index` from a start drawn with `key`, in real time, until it ends or no topic has subscribers,
-    /// and then pauses for a second. `after_step` is called after each step.
+    /// Plays an evaluation episode of the policy with mean actions, in real time, until it ends or no topic has
+    /// subscribers, and then pauses for a second. `after_step` is called after each step.
     ///
     /// # Errors
     /// If the episode fails, or a message cannot be encoded.
     pub fn play(
         &mut self,
-        (world, policy): (&mut dyn EnvironmentBatch, &PolicySnapshot),
-        (index, key): (u32, Key),
+        world: &mut dyn EnvironmentBatch,
+        (policy, weights): (&PolicySnapshot, WeightsName),
+        episode: EvaluationEpisode,
         mut after_step: impl FnMut(),
     ) -> Result<Episode, RecordError> {
-        world.reset(0, 0, world.description().episode_steps, key.0)?;
-        self.channels.sink.set_clock();
-        show_episode((world, policy), index, &mut self.channels, || {
+        world.reset(0, 0, world.description().episode_steps, episode.key().0)?;
+        let state = world.encode(0)?;
+        let head = evaluation_head(episode, weights, 0);
+        self.sink.set_clock();
+        self.channels.begin(&mut self.sink, &Share { environment_state: state, ..head })?;
+        self.channels.pose(&mut self.sink, &world.pose(0))?;
+        let (mut reader, mut shown) = (StepReader::new(world), Ok(()));
+        let acting = (policy, ActionChoice::Mean);
+        let played = play_while(world, acting, &mut |step: &PlayedStep<'_>| {
+            shown = self.show(&mut reader, step);
             after_step();
-            match is_watched(&self.cache, &self.places) {
+            match shown.is_ok() && self.is_watched() {
                 true => ControlFlow::Continue(()),
                 false => ControlFlow::Break(()),
             }
-        })
+        })?;
+        shown?;
+        self.channels.end(&mut self.sink, &reader.end())?;
+        self.sink.pause();
+        Ok(played)
+    }
+
+    /// Shows a step and the robot after it.
+    fn show(&mut self, reader: &mut StepReader, step: &PlayedStep<'_>) -> Result<(), RecordError> {
+        self.channels.step(&mut self.sink, &reader.read(step))?;
+        self.sink.advance(self.dt_nanos);
+        self.channels.pose(&mut self.sink, &step.world.pose(0))
     }
 }
 

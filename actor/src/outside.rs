@@ -5,17 +5,21 @@
 //! of the program follows. If the program does not save states, the episode's key (32 bytes) and its actions so far
 //! (f32 `[step, A]`) follow, from which the episode is replayed.
 
+mod header;
+
 use std::cell::RefCell;
+use std::ops::Range;
 
 use proto::{EnvironmentSpec, View};
-use sim::{Description, EnvironmentBatch, Outcome, SimError, StateError};
+use sim::{
+    Description, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise,
+};
 
 use crate::client::{EnvironmentClient, Play};
 use crate::error::ActorError;
 use crate::identity::description;
+use crate::outside::header::{HEADER_BYTES, Header};
 
-/// Size of the header of an encoded state, bytes.
-const HEADER_BYTES: usize = 16;
 const KEY_BYTES: usize = 32;
 
 /// How an episode is restored in another slot.
@@ -65,6 +69,13 @@ impl EnvironmentService {
         Ok(Self { client, offered, states, spec })
     }
 
+    /// Scales observations as `norm` says. Policies apply [`ObservationNorm::Running`], so it changes nothing here.
+    #[must_use]
+    pub fn scaled(mut self, norm: ObservationNorm) -> Self {
+        self.spec.feature_z = norm == ObservationNorm::FeatureZ;
+        self
+    }
+
     /// Specification that every actor of the run must provide.
     #[must_use]
     pub fn spec(&self) -> &EnvironmentSpec {
@@ -95,6 +106,7 @@ impl EnvironmentService {
             description: description(&self.spec),
             sizes: self.offered.agents.iter().map(|agent| agent.action.size as usize).collect(),
             states: self.states,
+            scale: if self.spec.feature_z { standardise } else { |_| {} },
             play: RefCell::new(self.client.play(&self.offered)),
             episodes: vec![episode; count],
         }
@@ -125,6 +137,8 @@ pub struct OutsideEnvironments {
     /// Size of each agent's action.
     sizes: Vec<usize>,
     states: States,
+    /// Scales an observation.
+    scale: fn(&mut [f32]),
     /// In a cell, because saving a state needs the stream but does not change the environments.
     play: RefCell<Play>,
     episodes: Vec<Episode>,
@@ -147,12 +161,19 @@ struct Episode {
 
 impl Episode {
     /// Copies row `row` of a view.
-    fn read_row(&mut self, view: &View, row: usize) {
+    fn read_row(&mut self, view: &View, row: usize, scale: fn(&mut [f32])) {
         let views = view.observations.iter().zip(&mut self.observations);
         for (rows, own) in views.chain([(&view.state, &mut self.state)]) {
             let size = own.len();
             own.copy_from_slice(&rows[row * size..][..size]);
         }
+        self.observations.iter_mut().for_each(|observation| scale(observation));
+    }
+
+    /// The key and the actions so far.
+    fn history(&self) -> Vec<u8> {
+        let actions = self.actions.iter().flat_map(|number| number.to_le_bytes());
+        self.key.into_iter().chain(actions).collect()
     }
 }
 
@@ -177,32 +198,42 @@ impl EnvironmentBatch for OutsideEnvironments {
         let now = &mut self.episodes[environment];
         (now.index, now.step, now.limit, now.key) = (episode, 0, limit, key);
         now.actions.clear();
-        now.read_row(&view, 0);
+        now.read_row(&view, 0, self.scale);
         Ok(())
     }
 
     fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
-        let (header, rest) = Header::read(state, self.description.episode_steps)?;
+        self.restore_all(&[(environment, state)])
+    }
+
+    fn restore_all(&mut self, states: &[(usize, &[u8])]) -> Result<(), SimError> {
+        let read = |&(environment, state): &(usize, _)| {
+            let (header, rest) = Header::read(state, self.description.episode_steps)?;
+            Ok((environment, header, rest))
+        };
+        let states = states.iter().map(read).collect::<Result<Vec<_>, SimError>>()?;
         match self.states {
-            States::Saved => self.restore_saved(environment, rest)?,
-            States::Replayed => self.replay(environment, &header, rest)?,
+            States::Saved => self.restore_saved(&states)?,
+            States::Replayed => {
+                for (environment, header, past) in &states {
+                    self.replay(*environment, header, past)?;
+                }
+            }
         }
-        let now = &mut self.episodes[environment];
-        (now.index, now.step, now.limit) = (header.episode, header.step, header.limit);
+        for (environment, header, _) in states {
+            let now = &mut self.episodes[environment];
+            (now.index, now.step, now.limit) = (header.episode, header.step, header.limit);
+        }
         Ok(())
     }
 
     fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
-        let now = &self.episodes[environment];
-        let mut bytes = Header { episode: now.index, step: now.step, limit: now.limit }.write();
-        match self.states {
-            States::Saved => bytes.extend(self.play.borrow_mut().save(environment as u32)?),
-            States::Replayed => {
-                bytes.extend_from_slice(&now.key);
-                bytes.extend(now.actions.iter().flat_map(|number| number.to_le_bytes()));
-            }
-        }
-        Ok(bytes)
+        let mut states = self.encode_range(environment..environment + 1)?;
+        Ok(states.pop().expect("one environment has one state"))
+    }
+
+    fn encode_all(&self) -> Result<Vec<Vec<u8>>, SimError> {
+        self.encode_range(0..self.count())
     }
 
     fn episode(&self, environment: usize) -> u64 {
@@ -241,7 +272,7 @@ impl OutsideEnvironments {
         let width = self.sizes.iter().sum::<usize>();
         for (row, &environment) in environments.iter().enumerate() {
             let now = &mut self.episodes[environment];
-            now.read_row(&steps.view, row);
+            now.read_row(&steps.view, row, self.scale);
             if self.states == States::Replayed {
                 now.actions.extend_from_slice(&actions[row * width..][..width]);
             }
@@ -266,10 +297,32 @@ impl OutsideEnvironments {
         self.sizes.iter().map(agent).collect()
     }
 
-    fn restore_saved(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
-        let view = self.play.get_mut().restore(environment as u32, state)?;
-        self.episodes[environment].read_row(&view, 0);
+    /// Restores states that the program saved; the header of each is already read.
+    fn restore_saved(&mut self, states: &[(usize, Header, &[u8])]) -> Result<(), SimError> {
+        let saved = |&(environment, _, state): &(usize, _, _)| (environment as u32, state);
+        let saved = states.iter().map(saved).collect::<Vec<_>>();
+        let views = self.play.get_mut().restore(&saved)?;
+        for ((environment, ..), view) in states.iter().zip(&views) {
+            self.episodes[*environment].read_row(view, 0, self.scale);
+        }
         Ok(())
+    }
+
+    /// Encodes the states of these environments.
+    fn encode_range(&self, environments: Range<usize>) -> Result<Vec<Vec<u8>>, SimError> {
+        let episodes = &self.episodes[environments.clone()];
+        let rest = match self.states {
+            States::Saved => {
+                let numbers = environments.start as u32..environments.end as u32;
+                self.play.borrow_mut().save(numbers)?
+            }
+            States::Replayed => episodes.iter().map(Episode::history).collect(),
+        };
+        let encoded = |(now, rest): (&Episode, Vec<u8>)| {
+            let header = Header { episode: now.index, step: now.step, limit: now.limit };
+            [header.write(), rest].concat()
+        };
+        Ok(episodes.iter().zip(rest).map(encoded).collect())
     }
 
     /// Restores an episode by repeating its actions. It is an error if the episode ends early.
@@ -298,53 +351,5 @@ impl OutsideEnvironments {
             }
         }
         Ok(())
-    }
-}
-
-/// Header of an encoded state.
-struct Header {
-    episode: u64,
-    step: u32,
-    limit: u32,
-}
-
-impl Header {
-    fn write(&self) -> Vec<u8> {
-        let Self { episode, step, limit } = self;
-        [&episode.to_le_bytes()[..], &step.to_le_bytes(), &limit.to_le_bytes()].concat()
-    }
-
-    /// Reads the header; also returns the bytes after it.
-    fn read(bytes: &[u8], longest: u32) -> Result<(Self, &[u8]), SimError> {
-        let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
-            let why = format!("it has {} bytes; its header has {HEADER_BYTES}", bytes.len());
-            return Err(StateError::External(why).into());
-        };
-        let number = u128::from_le_bytes(*header);
-        let (episode, step, limit) = (number as u64, (number >> 64) as u32, (number >> 96) as u32);
-        if step >= limit || limit > longest {
-            let why =
-                format!("its step is {step} of {limit}; an episode has at most {longest} steps");
-            return Err(StateError::External(why).into());
-        }
-        Ok((Self { episode, step, limit }, rest))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_header_survives_encoding_and_headers_of_finished_episodes_are_rejected() {
-        let header = Header { episode: 7 << 40, step: 3, limit: 5 };
-        let bytes = [header.write(), b"rest".to_vec()].concat();
-        let (read, rest) = Header::read(&bytes, 5).unwrap();
-        assert_eq!((read.episode, read.step, read.limit, rest), (7 << 40, 3, 5, &b"rest"[..]));
-        for (step, limit) in [(5, 5), (0, 6), (0, 0)] {
-            let bytes = Header { episode: 0, step, limit }.write();
-            assert!(Header::read(&bytes, 5).is_err(), "step {step} of {limit}");
-        }
-        assert!(Header::read(&bytes[..15], 5).is_err());
     }
 }

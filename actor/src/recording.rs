@@ -1,34 +1,24 @@
-//! Records episodes as MCAP files with embedded schemas, for Foxglove and other MCAP readers.
-//!
-//! Topics: `/tf` (frames of the links), `/scene` (shapes of the links and the floor, once per episode),
-//! `/joint_states`, and as JSON `/agents/I/action` and `/episode`. Games and external environments have no links;
-//! instead, their global state is JSON on `/state`. Timestamps are simulated time from 0, with a second between
-//! episodes.
+//! Records evaluation episodes as MCAP files. A recording is a trajectory log ([`crate::trajectory_log`]) that is
+//! written without a learner.
 
-pub(crate) mod channels;
 pub(crate) mod robot;
 mod scene;
+pub(crate) mod share_channels;
 pub(crate) mod sink;
+pub(crate) mod step_reader;
 pub(crate) mod writer;
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
-use std::ops::ControlFlow;
 use std::path::Path;
 
-use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
-use proto::ActionChoice;
-use sim::{EnvironmentBatch, SimError, TaskConfig};
+use policy::PolicySnapshot;
+use proto::{ActionChoice, WeightsName};
+use sim::{EnvironmentBatch, SimError};
 use thiserror::Error;
 
-use crate::evaluation::{Episode, PlayedStep, play_while};
-use crate::recording::channels::Channels;
-use crate::recording::sink::Sink;
-use crate::recording::writer::McapFile;
-
-/// Name of the metadata record with the run and the policy of the file.
-pub const METADATA_NAME: &str = "s2mia.run";
+use crate::evaluation::{Episode, EvaluationEpisode, play_on};
+use crate::trajectory_log::{EvaluationCollector, LogFile, Origin};
 
 /// Why an episode cannot be recorded or shown.
 #[derive(Debug, Error)]
@@ -60,6 +50,21 @@ pub enum RecordError {
     },
 }
 
+/// The run whose episodes are recorded.
+#[derive(Clone, Debug)]
+pub struct RecordedRun<'a> {
+    /// The policies of all agents.
+    pub policy: &'a PolicySnapshot,
+    /// Name of their weights.
+    pub weights: WeightsName,
+    /// Metadata of the file: run, task, hash of the settings.
+    pub metadata: BTreeMap<String, String>,
+    /// The resolved settings as TOML.
+    pub settings_toml: String,
+    /// Settings of the simulated task as JSON; empty with an external environment.
+    pub task_settings: String,
+}
+
 /// Content of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RecordSummary {
@@ -71,55 +76,31 @@ pub struct RecordSummary {
     pub bytes: u64,
 }
 
-/// Plays `episodes` episodes with mean actions in the only environment of `world`, from starts drawn with `seed`, and
-/// writes them to `path`. `task` has the settings of a simulated environment. The file is flushed to disk, closed and
-/// verified.
+/// Plays `episodes` with mean actions in the only environment of `world` and writes them to `path`. The file is flushed
+/// to disk, closed and verified.
 ///
 /// # Errors
 /// If an episode fails, or the file cannot be written or verified.
 pub fn record(
-    (world, task): (&mut dyn EnvironmentBatch, Option<&TaskConfig>),
-    policy: &PolicySnapshot,
-    seed: RunSeed,
-    episodes: u32,
+    world: &mut dyn EnvironmentBatch,
+    run: &RecordedRun<'_>,
+    episodes: &[EvaluationEpisode],
     path: &Path,
-    metadata: &BTreeMap<String, String>,
 ) -> Result<RecordSummary, RecordError> {
-    let file = McapFile::create(BufWriter::new(File::create(path)?))?;
-    let mut channels = Channels::create(file, world)?;
-    channels.describe(task, metadata)?;
+    let origin = Origin::of_recording(run, world);
+    let mut file = LogFile::begin((path.to_path_buf(), File::create(path)?), &origin)?;
     let mut summary = RecordSummary::default();
-    for episode in 0..episodes {
-        let key = Key::of(seed, Draw::of(Purpose::Recording).environment(episode));
-        world.reset(0, 0, world.description().episode_steps, key.0)?;
-        let whole = || ControlFlow::Continue(());
-        summary.episodes.push(show_episode((&mut *world, policy), episode, &mut channels, whole)?);
+    for episode in episodes {
+        world.reset(0, 0, world.description().episode_steps, episode.key().0)?;
+        let mut collector = EvaluationCollector::new(*episode, (run.weights, 0), world)?;
+        let acting = (run.policy, ActionChoice::Mean);
+        let played = play_on(world, acting, &mut |step| collector.collect(step))?;
+        file.write(&collector.finish())?;
+        summary.episodes.push(played);
     }
-    summary.messages = channels.finish()?;
+    summary.messages = file.finish((0, 0))?;
     summary.bytes = std::fs::metadata(path)?.len();
-    verify(path, summary.messages)?;
     Ok(summary)
-}
-
-/// Writes an episode with mean actions to `channels`, from the current state of environment 0 of `world` to its end, or
-/// until `go_on`, which is called after each step, stops it.
-pub(crate) fn show_episode<S: Sink>(
-    (world, policy): (&mut dyn EnvironmentBatch, &PolicySnapshot),
-    index: u32,
-    channels: &mut Channels<S>,
-    mut go_on: impl FnMut() -> ControlFlow<()>,
-) -> Result<Episode, RecordError> {
-    channels.begin(world)?;
-    let mut shown = Ok(());
-    let mut total = 0.0;
-    let episode = play_while(world, (policy, ActionChoice::Mean), &mut |step: &PlayedStep<'_>| {
-        total += f64::from(step.outcome.reward);
-        shown = channels.step(step, index, total);
-        if shown.is_err() { ControlFlow::Break(()) } else { go_on() }
-    })?;
-    shown?;
-    channels.pause();
-    Ok(episode)
 }
 
 /// Reads the whole file, checks its checksums and counts its messages.

@@ -55,17 +55,19 @@ impl<'a> Slot<'a> {
         world: &'a mut dyn EnvironmentBatch,
     ) -> Result<Self, SimError> {
         let mut agents = Agents::new(world, policy);
+        let mut continued = Vec::new();
         for (position, environment) in work.environments.iter().enumerate() {
             match &environment.start {
                 Start::Fresh { episode, limit } => {
                     reset(run, world, (position, environment.environment), *episode, *limit)?;
                 }
                 Start::Continue { state, recurrent } => {
-                    world.restore(position, state)?;
+                    continued.push((position, state.as_ref()));
                     agents.set_hidden(position, recurrent);
                 }
             }
         }
+        world.restore_all(&continued)?;
         Ok(Self {
             chunk: ChunkBuilder::new(0, 0, world),
             indices: work.environments.iter().map(|start| start.environment).collect(),

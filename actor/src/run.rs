@@ -178,6 +178,7 @@ impl LeaseWorker<'_, '_> {
 fn registration(config: &Config, source: &Source) -> Result<Registration, ActorError> {
     Ok(Registration {
         client: config.name.clone(),
+        build: config.build.clone(),
         protocol_version: proto::PROTOCOL_VERSION,
         environment: source.spec()?,
         rollout_fingerprint: Some(rollout_fingerprint()),

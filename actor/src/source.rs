@@ -1,7 +1,7 @@
 //! Source of an actor's environments: the simulator or an external program.
 
 use proto::{EnvironmentSpec, RunDescription};
-use sim::{EnvironmentBatch, TaskConfig};
+use sim::{EnvironmentBatch, ObservationNorm, TaskConfig};
 
 use crate::config::Config;
 use crate::error::ActorError;
@@ -20,7 +20,12 @@ impl Source {
     /// Source that `config` selects for `run`.
     pub(crate) async fn of(config: &Config, run: &RunDescription) -> Result<Self, ActorError> {
         if let Some(url) = &config.environment {
-            return Ok(Self::Service(Box::new(EnvironmentService::connect(url).await?)));
+            let norm = match run.environment.feature_z {
+                true => ObservationNorm::FeatureZ,
+                false => ObservationNorm::None,
+            };
+            let service = EnvironmentService::connect(url).await?.scaled(norm);
+            return Ok(Self::Service(Box::new(service)));
         }
         if run.task_settings.is_empty() {
             return Err(ActorError::Task(format!(

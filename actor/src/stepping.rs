@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use policy::{Key, PolicySnapshot, RunSeed};
+use policy::{PolicySnapshot, RunSeed};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     ActionChoice, EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork,
@@ -15,7 +15,7 @@ use sim::{EnvironmentBatch, SimError};
 use tokio::sync::mpsc;
 
 use crate::error::ActorError;
-use crate::evaluation::play_on;
+use crate::evaluation::{EvaluationEpisode, play_on};
 use crate::film::{Camera, FILMED};
 use crate::rollout::roll_out;
 use crate::source::Source;
@@ -157,7 +157,8 @@ impl Worlds {
         job: &Job,
         work: EvaluationWork,
     ) -> Result<(EvaluationResult, Option<Film>), SimError> {
-        let key = Key::of_evaluation(RunSeed(self.run.seed), work.iteration, work.episode);
+        let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(self.run.seed), work);
+        let key = EvaluationEpisode { seed, iteration, index }.key();
         let world = self.evaluation.as_mut();
         world.reset(0, 0, world.description().episode_steps, key.0)?;
         let handle = self.handle.as_ref();

@@ -33,6 +33,8 @@ pub use shares::{LoggedShare, LoggedStep, ReadShares, read_shares};
 pub use source::{is_log_name, read_bytes};
 pub use survey::{Survey, Topic, survey, totals};
 
+pub(crate) use collector::{EvaluationCollector, evaluation_head};
+pub(crate) use file::{LogFile, Origin};
 pub(crate) use writer::{Log, LogHandle};
 
 /// Name of the metadata record with the run, task and actor of a log.

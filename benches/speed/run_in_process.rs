@@ -163,6 +163,7 @@ fn act(exchange: &Exchange, connection: ConnectionId, settings: &Settings) {
 pub(crate) fn registration(run: &RunDescription) -> Registration {
     Registration {
         client: "speed".to_owned(),
+        build: run.build.clone(),
         protocol_version: PROTOCOL_VERSION,
         environment: run.environment.clone(),
         rollout_fingerprint: Some(run.rollout_fingerprint),

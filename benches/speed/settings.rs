@@ -92,6 +92,7 @@ impl Settings {
             folder: folder.to_path_buf(),
             config_toml: String::new(),
             config_sha256: Digest([0; 32]),
+            build: "test".to_owned(),
             rollout_fingerprint: actor::rollout_fingerprint(),
             learner_fingerprint: Digest([0; 32]),
             manifest: serde_json::json!({}),

@@ -23,6 +23,7 @@ pub const TASKS: [(&str, ContactForces); 5] = [
 pub fn world((task, contact_forces): (&str, ContactForces)) -> Box<dyn EnvironmentBatch> {
     let config = TaskConfig {
         task: task.to_owned(),
+        definition: None,
         observation: ObservationConfig {
             mode: ObservationMode::FullId,
             norm: ObservationNorm::None,

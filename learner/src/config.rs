@@ -157,6 +157,8 @@ pub struct ThreadsConfig {
     pub threads: usize,
     /// Connections that may have actors.
     pub connections: usize,
+    /// Whether actors of other builds may register if their fingerprint is the run's.
+    pub other_builds: bool,
 }
 
 /// A setting outside its range.

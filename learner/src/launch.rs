@@ -54,6 +54,8 @@ pub struct Launch {
     pub config_sha256: Digest,
     /// The numeric fingerprint that every actor must have.
     pub rollout_fingerprint: Digest,
+    /// Version and commit of the program.
+    pub build: String,
     /// The learner's numeric fingerprint.
     pub learner_fingerprint: Digest,
     /// An object with more fields for the run folder's manifest.
@@ -96,6 +98,8 @@ impl Launch {
             config_sha256: self.config_sha256,
             heartbeat_secs: self.config.lease.heartbeat_secs,
             settings_toml: self.config_toml.clone(),
+            build: self.build.clone(),
+            other_builds: self.config.learner.other_builds,
         }
     }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use security::ServerTls;
 use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 
@@ -44,9 +45,12 @@ pub async fn run(
     let door = door.into();
     let address = door.listener.local_addr();
     let address = address.map_err(|error| LearnerError::Service(error.to_string()))?;
+    let token = door.token.as_ref().map(|required| &required.token);
+    trainer.folder.note_token(token)?;
     trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease, audit);
-    let _shown = page.map(|page| show(page, facts, &trainer, &exchange));
+    let certificates = door.tls();
+    let _shown = page.map(|page| show(page, facts, certificates, &trainer, &exchange));
     let server = Server::start(door, connections, &exchange);
     let broken = Arc::clone(&server.broken);
     let asked = Arc::clone(&exchange);
@@ -67,9 +71,15 @@ pub async fn run(
 }
 
 /// Serves the run's page until the returned task set is dropped.
-fn show(page: Page, facts: Facts, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
+fn show(
+    page: Page,
+    facts: Facts,
+    certificates: Option<Arc<ServerTls>>,
+    trainer: &Trainer,
+    exchange: &Arc<Exchange>,
+) -> JoinSet<()> {
     let (facts, exchange) = (facts.resumed_at(trainer.iteration), Arc::clone(exchange));
-    let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
+    let view = RunView { facts, exchange, certificates, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();
     serving.spawn(page::serve(page, Arc::new(view)));
     serving

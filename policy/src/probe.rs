@@ -6,6 +6,7 @@ use sha2::{Digest, Sha256};
 use crate::acting::{ActorPolicy, Scratch};
 use crate::config::{CoreKind, InputNorm, PolicyConfig, RefreshHidden};
 use crate::error::PolicyError;
+use crate::head::Head;
 use crate::network::ActorNetwork;
 use crate::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
@@ -13,31 +14,47 @@ const OBSERVATION: usize = 19;
 const ACTION: usize = 3;
 const STEPS: usize = 100;
 
-/// SHA-256 over the bits of 100 steps of a fixed recurrent policy on fixed observations.
+/// SHA-256 over the bits of 100 steps of fixed policies of both kinds, with continuous and discrete actions, on fixed
+/// observations.
 ///
 /// # Panics
 /// Never: the shapes are fixed and fit.
 #[must_use]
 pub fn probe() -> [u8; 32] {
-    let policy = fixed_policy().expect("the probe's fixed shapes fit");
-    let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe).step(1));
-    let mut hidden = vec![0.0; policy.hidden_size()];
-    let (mut mean, mut scratch) = ([0.0; ACTION], Scratch::default());
     let mut hash = Sha256::new();
-    for _ in 0..STEPS {
-        let observation: Vec<f32> = (0..OBSERVATION).map(|_| standard_normal(&mut rng)).collect();
-        policy.forward(1, &observation, &mut hidden, &mut mean, &mut scratch);
-        let log_prob = crate::gaussian::log_prob(&mean, policy.sigma(), &[0.1, -0.2, 0.3]);
-        for number in mean.iter().chain(&hidden).chain([&log_prob]) {
-            hash.update(number.to_le_bytes());
-        }
+    let choices = Head::Categorical { choices: ACTION };
+    for (core, head, action) in [
+        (CoreKind::Gru, Head::Gaussian, ACTION),
+        (CoreKind::Mlp, Head::Gaussian, ACTION),
+        (CoreKind::Gru, choices, 1),
+        (CoreKind::Mlp, choices, 1),
+    ] {
+        let policy = fixed_policy(core, head, action).expect("the probe's fixed shapes fit");
+        act(&policy, &mut hash);
     }
     hash.finalize().into()
 }
 
-fn fixed_policy() -> Result<ActorPolicy, PolicyError> {
+/// Adds the bits of 100 steps of the policy.
+fn act(policy: &ActorPolicy, hash: &mut Sha256) {
+    let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe).step(1));
+    let mut hidden = vec![0.0; policy.hidden_size()];
+    let mut output = vec![0.0; policy.output_size()];
+    let (mut action, mut scratch) = (vec![0.0; policy.action_size()], Scratch::default());
+    for _ in 0..STEPS {
+        let observation: Vec<f32> = (0..OBSERVATION).map(|_| standard_normal(&mut rng)).collect();
+        policy.forward(1, &observation, &mut hidden, &mut output, &mut scratch);
+        policy.draw(&output, &mut rng, &mut action);
+        let log_prob = policy.log_prob(&output, &action);
+        for number in output.iter().chain(&hidden).chain(&action).chain([&log_prob]) {
+            hash.update(number.to_le_bytes());
+        }
+    }
+}
+
+fn fixed_policy(core: CoreKind, head: Head, action: usize) -> Result<ActorPolicy, PolicyError> {
     let config = PolicyConfig {
-        core: CoreKind::Gru,
+        core,
         input_norm: InputNorm::LayerNorm,
         encoder: 64,
         hidden: 64,
@@ -52,7 +69,7 @@ fn fixed_policy() -> Result<ActorPolicy, PolicyError> {
         head_gain: 1.0,
     };
     let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe));
-    ActorNetwork::new(&config, OBSERVATION, ACTION, DType::F32, &mut rng)?.policy()
+    ActorNetwork::with_head(&config, OBSERVATION, action, head, DType::F32, &mut rng)?.policy()
 }
 
 #[cfg(test)]

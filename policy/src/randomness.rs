@@ -32,8 +32,6 @@ pub enum Purpose {
     CriticInitialisation = 9,
     /// Order of the critic's minibatches.
     CriticMinibatch = 10,
-    /// Initial state of a recorded or separately evaluated episode.
-    Recording = 11,
     /// The fixed computations of the numeric fingerprint.
     Probe = 12,
     /// Transitions sampled from a replay buffer.

@@ -13,6 +13,8 @@ use crate::{
 pub struct Registration {
     /// Human-readable name of the program.
     pub client: String,
+    /// Version and commit of the program; empty if it does not say.
+    pub build: String,
     /// Its protocol version.
     pub protocol_version: u32,
     /// Its environment.
@@ -28,6 +30,7 @@ impl Registration {
         let fingerprint = self.rollout_fingerprint.map(|digest| Bytes::copy_from_slice(&digest.0));
         wire::RegisterRequest {
             client: self.client.clone(),
+            build: self.build.clone(),
             protocol_version: self.protocol_version,
             environment: Some(self.environment.to_wire()),
             rollout_fingerprint: fingerprint,
@@ -37,14 +40,16 @@ impl Registration {
     /// Reads the message.
     ///
     /// # Errors
-    /// If the name is invalid, a part is missing, or the fingerprint is not a SHA-256.
+    /// If the name or the build is invalid, a part is missing, or the fingerprint is not a SHA-256.
     pub fn from_wire(wire: wire::RegisterRequest) -> Result<Self, Refusal> {
         short_line(&wire.client, "client")?;
+        short_line(&wire.build, "build")?;
         let environment = required(wire.environment, "environment")?;
         let fingerprint =
             wire.rollout_fingerprint.map(|bytes| digest(&bytes, "rollout_fingerprint"));
         Ok(Self {
             client: wire.client,
+            build: wire.build,
             protocol_version: wire.protocol_version,
             environment: EnvironmentSpec::from_wire(environment, "environment")?,
             rollout_fingerprint: fingerprint.transpose()?,
@@ -54,14 +59,23 @@ impl Registration {
     /// Checks that the actor matches `run`.
     ///
     /// # Errors
-    /// If the protocol version, the environment (naming the first difference) or a given fingerprint
-    /// differs.
+    /// If the protocol version, the build of an actor with a fingerprint, the environment (naming the first difference)
+    /// or a given fingerprint differs.
     pub fn check(&self, run: &RunDescription) -> Result<(), Refusal> {
         let refuse = |reason, field: &str, detail| Err(Refusal::new(reason, field, detail));
         let (found, expected) = (self.protocol_version, run.protocol_version);
         if found != expected {
             let detail = format!("the actor has version {found}, the learner {expected}");
             return refuse(Reason::OtherProtocol, "protocol_version", detail);
+        }
+        let is_exact = self.rollout_fingerprint.is_some();
+        if is_exact && !run.other_builds && self.build != run.build {
+            let detail = format!(
+                "the actor {} is of build {:?}, the learner of {:?}; start it from the learner's build, or allow \
+                 others that compute the same results with learner.other_builds=true",
+                self.client, self.build, run.build
+            );
+            return refuse(Reason::OtherBuild, "build", detail);
         }
         if let Some(difference) = run.environment.first_difference(&self.environment) {
             let field = format!("environment.{}", difference.field);

@@ -29,6 +29,9 @@ pub struct EnvironmentSpec {
     pub state_version: u32,
     /// Longest encoded state, bytes.
     pub max_state_bytes: u32,
+    /// The actor standardises each observation of an external program by the mean and standard deviation over its own
+    /// features.
+    pub feature_z: bool,
 }
 
 /// One agent of the team.
@@ -108,6 +111,7 @@ impl EnvironmentSpec {
             .or_else(|| differ("state_kind", &found.state_kind, &self.state_kind))
             .or_else(|| differ("state_version", &found.state_version, &self.state_version))
             .or_else(|| differ("max_state_bytes", &found.max_state_bytes, &self.max_state_bytes))
+            .or_else(|| differ("feature_z", &found.feature_z, &self.feature_z))
     }
 
     /// SHA-256 of its message. Descriptions with equal digests are equal.
@@ -131,8 +135,8 @@ impl EnvironmentSpec {
     /// Reads the description that an external program sent.
     ///
     /// # Errors
-    /// As [`Self::from_wire`]; also if a name or an action range is invalid, a size is 0, or an index is outside the
-    /// global state.
+    /// As [`Self::from_wire`]; also if a name or an action range is invalid, a size is 0, an index is outside the
+    /// global state, or `feature_z` is set.
     pub fn from_service(wire: wire::DescribeEnvironmentResponse) -> Result<Self, Refusal> {
         let spec = Self::from_wire(required(wire.environment, "environment")?, "environment")?;
         short_line(&spec.task, "environment.task")?;
@@ -143,6 +147,9 @@ impl EnvironmentSpec {
             positive(agent.observation.len() as u64, &format!("{field}.observation"))?;
             positive(agent.action.size.into(), &format!("{field}.action.size"))?;
             agent.action.check_range(&format!("{field}.action.high"))?;
+        }
+        if spec.feature_z {
+            return Err(bad_value("environment.feature_z", "must be unset; the learner sets it"));
         }
         spec.check("environment")?;
         Ok(spec)
@@ -160,6 +167,7 @@ impl EnvironmentSpec {
             state_kind: self.state_kind.clone(),
             state_version: self.state_version,
             max_state_bytes: self.max_state_bytes,
+            feature_z: self.feature_z,
         }
     }
 
@@ -180,6 +188,7 @@ impl EnvironmentSpec {
             state_kind: wire.state_kind,
             state_version: wire.state_version,
             max_state_bytes: wire.max_state_bytes,
+            feature_z: wire.feature_z,
         })
     }
 }

@@ -6,6 +6,7 @@
 //! that names the field.
 
 mod acting;
+mod authorization;
 pub mod calls;
 mod digest;
 mod environment;
@@ -29,6 +30,7 @@ mod work;
 pub use acting::{
     ActStep, Acted, ActionChoice, ActionDistribution, PolicyAgent, PolicyDescription,
 };
+pub use authorization::{AUTHORIZATION, Authorization};
 pub use calls::{
     Ack, AckState, Heartbeat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,
     RunState,

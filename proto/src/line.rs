@@ -40,8 +40,10 @@ pub struct EvaluationSummary {
 pub enum RunEnd {
     /// The last iteration is complete.
     Finished,
-    /// Stopped earlier; can be resumed.
+    /// Stopped earlier, by a signal or a failure; can be resumed, and the next learner may follow soon.
     Stopped,
+    /// Stopped earlier by a client; can be resumed.
+    StoppedByClient,
 }
 
 impl RunLine {
@@ -58,7 +60,7 @@ impl RunLine {
         let end = match self.end {
             None => wire::RunEnd::Unspecified,
             Some(RunEnd::Finished) => wire::RunEnd::Finished,
-            Some(RunEnd::Stopped) => wire::RunEnd::Stopped,
+            Some(RunEnd::Stopped | RunEnd::StoppedByClient) => wire::RunEnd::Stopped,
         };
         wire::WatchRunResponse {
             run_id: self.run_id.clone(),
@@ -68,6 +70,7 @@ impl RunLine {
             episode_return: self.episode_return,
             evaluation: self.evaluation.map(EvaluationSummary::to_wire),
             end: end.into(),
+            stopped_by_client: self.end == Some(RunEnd::StoppedByClient),
         }
     }
 
@@ -79,6 +82,7 @@ impl RunLine {
         let end = match wire::RunEnd::try_from(wire.end) {
             Ok(wire::RunEnd::Unspecified) => None,
             Ok(wire::RunEnd::Finished) => Some(RunEnd::Finished),
+            Ok(wire::RunEnd::Stopped) if wire.stopped_by_client => Some(RunEnd::StoppedByClient),
             Ok(wire::RunEnd::Stopped) => Some(RunEnd::Stopped),
             Err(_) => return Err(unknown("end", wire.end)),
         };

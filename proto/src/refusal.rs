@@ -52,6 +52,8 @@ pub enum Reason {
     OtherEnvironment,
     /// The actor's protocol version differs.
     OtherProtocol,
+    /// The actor's program has another version or commit.
+    OtherBuild,
     /// The actor's program or machine computes different results.
     OtherFingerprint,
     /// More leases than one actor may hold.
@@ -67,7 +69,7 @@ pub enum Reason {
 }
 
 /// Every reason with its stable name and status code.
-const REASONS: [(Reason, &str, Code); 24] = [
+const REASONS: [(Reason, &str, Code); 25] = [
     (Reason::MissingField, "MISSING_FIELD", Code::InvalidArgument),
     (Reason::BadValue, "BAD_VALUE", Code::InvalidArgument),
     (Reason::BadType, "BAD_TYPE", Code::InvalidArgument),
@@ -86,6 +88,7 @@ const REASONS: [(Reason, &str, Code); 24] = [
     (Reason::StaleWeights, "STALE_WEIGHTS", Code::FailedPrecondition),
     (Reason::OtherEnvironment, "OTHER_ENVIRONMENT", Code::FailedPrecondition),
     (Reason::OtherProtocol, "OTHER_PROTOCOL", Code::FailedPrecondition),
+    (Reason::OtherBuild, "OTHER_BUILD", Code::FailedPrecondition),
     (Reason::OtherFingerprint, "OTHER_FINGERPRINT", Code::FailedPrecondition),
     (Reason::TooManyLeases, "TOO_MANY_LEASES", Code::ResourceExhausted),
     (Reason::TooLarge, "TOO_LARGE", Code::ResourceExhausted),

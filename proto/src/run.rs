@@ -42,6 +42,10 @@ pub struct RunDescription {
     pub heartbeat_secs: f64,
     /// The run's resolved settings as TOML, for logs.
     pub settings_toml: String,
+    /// The learner's version and commit.
+    pub build: String,
+    /// Whether actors of other builds may register if their fingerprint is the run's.
+    pub other_builds: bool,
 }
 
 impl RunDescription {
@@ -114,6 +118,8 @@ impl RunDescription {
             config_sha256: Bytes::copy_from_slice(&self.config_sha256.0),
             heartbeat_secs: self.heartbeat_secs,
             settings_toml: self.settings_toml.clone(),
+            build: self.build.clone(),
+            other_builds: self.other_builds,
         }
     }
 
@@ -140,6 +146,8 @@ impl RunDescription {
             config_sha256: digest(&wire.config_sha256, "run.config_sha256")?,
             heartbeat_secs: wire.heartbeat_secs,
             settings_toml: wire.settings_toml,
+            build: wire.build,
+            other_builds: wire.other_builds,
         };
         run.validate()?;
         Ok(run)

@@ -43,6 +43,11 @@ impl Issuer {
         Ok(Self { authority, from, duration })
     }
 
+    /// Makes the certificates that are signed from now on valid for `duration` after the authority's first moment.
+    pub fn set_duration(&mut self, duration: Duration) {
+        self.duration = duration;
+    }
+
     /// The authority's own certificate in PEM form.
     #[must_use]
     pub fn certificate(&self) -> String {

@@ -5,6 +5,12 @@ use std::path::PathBuf;
 /// An invalid certificate, key or authority.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SecurityError {
+    /// The operating system provides no randomness for a token.
+    #[error("the operating system provides no randomness for the run's token")]
+    NoRandomness,
+    /// Text that is no token.
+    #[error("a token has 64 hexadecimal digits; copy it from the file `token` of the run folder")]
+    NoToken,
     /// The file cannot be read.
     #[error("cannot read {path}: {why}")]
     Unreadable {

@@ -49,11 +49,12 @@ pub(crate) fn certificates(
     Ok(chain)
 }
 
-fn demand_validity(
+/// Refuses a certificate, read from `path`, that is not valid at `now`; returns the end of its validity.
+pub(crate) fn demand_validity(
     path: &Path,
     certificate: &CertificateDer<'_>,
     now: SystemTime,
-) -> Result<(), SecurityError> {
+) -> Result<Moment, SecurityError> {
     let validity = Validity::of(certificate)
         .ok_or_else(|| unusable(path, CERTIFICATE, "it is damaged".to_owned()))?;
     let (path, now) = (path.to_path_buf(), Moment::from(now));
@@ -65,7 +66,7 @@ fn demand_validity(
         let (at, now) = (validity.from.to_string(), now.to_string());
         return Err(SecurityError::NotYetValid { path, at, now });
     }
-    Ok(())
+    Ok(validity.until)
 }
 
 /// The authorities in `pem`, which was read from `path`.

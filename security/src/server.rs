@@ -1,22 +1,29 @@
 //! TLS of the learner: version 1.3, with a certificate required from every client. Changed files are reloaded without a
-//! restart.
+//! restart, and an own certificate that expires is reported.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant, SystemTime};
 
 use rustls::ServerConfig;
+use rustls::pki_types::CertificateDer;
 use rustls::server::{NoServerSessionStorage, WebPkiClientVerifier};
 use rustls::sign::SingleCertAndKey;
 
 use crate::error::SecurityError;
-use crate::files::{IdentityFiles, authorities, certified_key, provider, read, unusable};
+use crate::expiries::{ClientExpiry, Expiries};
+use crate::files::{
+    IdentityFiles, authorities, certified_key, demand_validity, provider, read, unusable,
+};
+use crate::validity::Moment;
 
 /// Shortest interval between two checks of the files.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
-/// ALPN name of the only supported protocol.
+/// ALPN name of the protocol of all gRPC calls.
 const HTTP_2: &[u8] = b"h2";
+/// ALPN name of the protocol of the run's page.
+const HTTP_1: &[u8] = b"http/1.1";
 
 /// Certificate files of a learner.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,11 +39,16 @@ pub struct ServerFiles {
 pub struct ServerTls {
     files: ServerFiles,
     state: Mutex<State>,
+    clients: Arc<Expiries>,
 }
 
 #[derive(Debug)]
 struct State {
     config: Arc<ServerConfig>,
+    /// End of the validity of the own certificate.
+    expires: Moment,
+    /// Whether that has been reported.
+    expired: bool,
     seen: Result<Contents, SecurityError>,
     looked: Instant,
 }
@@ -62,23 +74,54 @@ impl ServerTls {
     /// Names the first invalid file.
     pub fn open(files: ServerFiles) -> Result<Self, SecurityError> {
         let contents = Contents::read(&files)?;
-        let config = configure(&files, &contents)?;
-        let state = State { config, seen: Ok(contents), looked: Instant::now() };
-        Ok(Self { files, state: Mutex::new(state) })
+        let (config, expires) = configure(&files, &contents)?;
+        let seen = Ok(contents);
+        let state = State { config, expires, expired: false, seen, looked: Instant::now() };
+        Ok(Self { files, state: Mutex::new(state), clients: Arc::default() })
     }
 
     /// The TLS settings of a connection that starts at `now`. Reads the files unless they were read within the last two
-    /// seconds. Invalid files are logged once and change nothing.
+    /// seconds. Invalid files are logged once and change nothing; so is the end of the own certificate's validity.
     pub fn config(&self, now: Instant) -> Arc<ServerConfig> {
-        let mut state = self.state.lock().expect("no thread panics while it holds this lock");
+        let mut state = self.state();
         if now.saturating_duration_since(state.looked) >= LOOK_AGAIN {
             state.looked = now;
             let found = Contents::read(&self.files);
             if found != state.seen {
                 state.take_up(&self.files, found);
             }
+            state.report_expiry(&self.files.identity.certificate, SystemTime::now().into());
         }
         Arc::clone(&state.config)
+    }
+
+    /// The same for a connection with the run's page, which is HTTP/1.1.
+    pub fn page_config(&self, now: Instant) -> Arc<ServerConfig> {
+        let mut config = ServerConfig::clone(&self.config(now));
+        config.alpn_protocols = vec![HTTP_1.to_vec()];
+        Arc::new(config)
+    }
+
+    /// When the own certificate expires, in seconds since 1970.
+    #[must_use]
+    pub fn expires(&self) -> Option<i64> {
+        self.state().expires.unix_secs()
+    }
+
+    /// When the first certificate of all connected clients expires, in seconds since 1970; `None` without clients.
+    #[must_use]
+    pub fn clients_expire(&self) -> Option<i64> {
+        self.clients.earliest()
+    }
+
+    /// Counts a connection whose client presented this chain, its own certificate first, until the result is dropped.
+    #[must_use]
+    pub fn count_client(&self, chain: Option<&[CertificateDer<'_>]>) -> Option<ClientExpiry> {
+        self.clients.count(chain)
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().expect("no thread panics while it holds this lock")
     }
 }
 
@@ -89,13 +132,24 @@ impl State {
             Err(error) => Err(error.clone()),
         };
         match new {
-            Ok(config) => {
-                self.config = config;
+            Ok((config, expires)) => {
+                (self.config, self.expires, self.expired) = (config, expires, false);
                 tracing::info!("new connections are served with the changed certificates");
             }
             Err(error) => tracing::warn!("the previous certificates stay in use: {error}"),
         }
         self.seen = found;
+    }
+
+    fn report_expiry(&mut self, path: &Path, now: Moment) {
+        if now > self.expires && !std::mem::replace(&mut self.expired, true) {
+            tracing::error!(
+                "the certificate {} expired at {}: clients refuse new connections until it is renewed; open \
+                 connections remain",
+                path.display(),
+                self.expires
+            );
+        }
     }
 }
 
@@ -109,9 +163,14 @@ impl Contents {
     }
 }
 
-fn configure(files: &ServerFiles, contents: &Contents) -> Result<Arc<ServerConfig>, SecurityError> {
+/// The TLS settings with these files, and when the own certificate expires.
+fn configure(
+    files: &ServerFiles,
+    contents: &Contents,
+) -> Result<(Arc<ServerConfig>, Moment), SecurityError> {
     let now = SystemTime::now();
     let own = certified_key(&files.identity, &contents.certificate, &contents.key, now)?;
+    let expires = demand_validity(&files.identity.certificate, &own.cert[0], now)?;
     let clients = authorities(&files.client_authority, &contents.client_authority, now)?;
     let provider = Arc::new(provider());
     let refused = |error: &dyn std::error::Error, path: &Path| {
@@ -130,7 +189,7 @@ fn configure(files: &ServerFiles, contents: &Contents) -> Result<Arc<ServerConfi
     // A resumed session would remain valid after its authority was removed.
     config.session_storage = Arc::new(NoServerSessionStorage {});
     config.send_tls13_tickets = 0;
-    Ok(Arc::new(config))
+    Ok((Arc::new(config), expires))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::time::SystemTime;
 
-use time::OffsetDateTime;
+use time::{Date, OffsetDateTime, Time};
 
 const SEQUENCE: u8 = 0x30;
 const VERSION: u8 = 0xa0;
@@ -20,6 +20,19 @@ pub(crate) struct Moment([u32; 6]);
 pub(crate) struct Validity {
     pub(crate) from: Moment,
     pub(crate) until: Moment,
+}
+
+impl Moment {
+    /// Seconds since 1970; `None` for a date that no calendar has.
+    pub(crate) fn unix_secs(self) -> Option<i64> {
+        let [year, month, day, hour, minute, second] = self.0;
+        let [month, day, hour, minute, second] =
+            [month, day, hour, minute, second].map(|field| u8::try_from(field).ok());
+        let month = time::Month::try_from(month?).ok()?;
+        let date = Date::from_calendar_date(i32::try_from(year).ok()?, month, day?).ok()?;
+        let time = Time::from_hms(hour?, minute?, second?).ok()?;
+        Some(OffsetDateTime::new_utc(date, time).unix_timestamp())
+    }
 }
 
 impl Validity {
@@ -115,6 +128,7 @@ mod tests {
             (4_107_542_400, "2100-03-01 00:00:00 UTC"),
         ] {
             assert_eq!(at(seconds).to_string(), date);
+            assert_eq!(at(seconds).unix_secs(), i64::try_from(seconds).ok());
         }
     }
 
@@ -127,6 +141,8 @@ mod tests {
         assert_eq!(moment(&general), Some(at(1_000_000_000)));
         assert_eq!(moment(&old).map(|moment| moment.0[0]), Some(1999));
         assert_eq!(moment(&[UTC_TIME, 3, b'1', b'2', b'Z']), None);
+        let none = [&[UTC_TIME, 13], b"010231000000Z".as_slice()].concat();
+        assert_eq!(moment(&none).and_then(Moment::unix_secs), None);
     }
 
     #[test]

@@ -6,12 +6,25 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskConfig {
-    /// Name of the task, one of [`crate::task_names`].
+    /// Name of the task: one of [`crate::task_names`], or of `definition`.
     pub task: String,
+    /// The task's own file; `None` for a task of the program.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub definition: Option<TaskDefinition>,
     /// Observations of the agents.
     pub observation: ObservationConfig,
     /// Assignment of joints to agents.
     pub partition: PartitionSemantics,
+}
+
+/// Text of a task file and of the model that it names.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaskDefinition {
+    /// The task file, TOML.
+    pub file: String,
+    /// The model, MJCF.
+    pub model: String,
 }
 
 /// Observations of the agents.

@@ -2,6 +2,7 @@
 
 use crate::description::Description;
 use crate::error::SimError;
+use crate::robot::Robot;
 use crate::scene::Pose;
 use crate::state::StateBounds;
 use crate::world::World;
@@ -40,6 +41,22 @@ pub trait EnvironmentBatch: Send {
     /// If an external environment fails.
     fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError>;
 
+    /// As [`Self::restore`], for several environments, each with its state.
+    ///
+    /// # Errors
+    /// As [`Self::restore`]. Some of the environments may have been restored.
+    fn restore_all(&mut self, states: &[(usize, &[u8])]) -> Result<(), SimError> {
+        states.iter().try_for_each(|(environment, state)| self.restore(*environment, state))
+    }
+
+    /// As [`Self::encode`], for every environment.
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    fn encode_all(&self) -> Result<Vec<Vec<u8>>, SimError> {
+        (0..self.count()).map(|environment| self.encode(environment)).collect()
+    }
+
     /// Index of the environment's episode.
     fn episode(&self, environment: usize) -> u64;
 
@@ -77,6 +94,11 @@ pub trait EnvironmentBatch: Send {
     /// The physics world of a simulated robot, for measurements; `None` for games and external environments.
     fn world(&self, _environment: usize) -> Option<&World> {
         None
+    }
+
+    /// The simulated robot; `None` for games and external environments.
+    fn robot(&self) -> Option<&Robot> {
+        self.world(0).map(World::robot)
     }
 
     /// Bounds of an encoded state; `None` for external environments.

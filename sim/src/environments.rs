@@ -16,13 +16,13 @@ use crate::partition::partition;
 use crate::robot::Robot;
 use crate::scene::Pose;
 use crate::state::{State, StateBounds};
-use crate::task::{self, Motion, Task};
+use crate::task::{self, Motion, Rules, Transition};
 use crate::world::World;
 use crate::world::contact_forces::PER_BODY;
 
 /// The robot environments of a slot.
 pub(crate) struct RobotEnvironments {
-    task: &'static Task,
+    rules: Rules,
     robot: Arc<Robot>,
     description: Description,
     bounds: StateBounds,
@@ -33,7 +33,7 @@ pub(crate) struct RobotEnvironments {
     environments: Vec<Environment>,
     /// Controls in motor order, `[A]`.
     controls: Vec<f32>,
-    /// Motion after the current step, before it is validated.
+    /// Motion after the current step, before it is validated; then the motion before it.
     next: Numbers,
 }
 
@@ -53,11 +53,13 @@ struct Numbers {
     coordinates: Vec<f32>,
     velocities: Vec<f32>,
     contact_forces: Vec<f32>,
+    /// Actions of the step that led here, `[A]`; empty unless the reward reads them.
+    actions: Vec<f32>,
 }
 
 /// Returns `config`, without contact forces if the task does not support them.
-fn effective(config: &ObservationConfig, task: &Task) -> ObservationConfig {
-    let contact_forces = match task.rules.feels_contacts() {
+fn effective(config: &ObservationConfig, rules: &Rules) -> ObservationConfig {
+    let contact_forces = match rules.feels_contacts() {
         true => config.contact_forces,
         false => ContactForces::Absent,
     };
@@ -67,23 +69,27 @@ fn effective(config: &ObservationConfig, task: &Task) -> ObservationConfig {
 impl RobotEnvironments {
     /// Returns `count` environments in the robot's rest pose, in episode 0.
     pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
-        let task = task::find(&config.task)?;
+        let task = task::find(config)?;
         if count == 0 {
             return Err(SimError::NoEnvironments);
         }
-        let robot = Arc::new(Robot::build(task.robot)?);
-        let actuators: Vec<&str> = robot.actuators().collect();
-        let agents = partition(task.agents, &actuators, config.partition);
-        let view = effective(&config.observation, task);
-        let mut bounds = robot.state_bounds(task.episode_steps);
+        let actuators: Vec<&str> = task.robot.actuators().collect();
+        let agents = partition(&task.agents, &actuators, config.partition);
+        let view = effective(&config.observation, &task.rules);
+        let mut bounds = task.robot.state_bounds(task.episode_steps);
         if view.contact_forces == ContactForces::Real {
-            bounds.contact_forces = PER_BODY * robot.bodies().len();
+            bounds.contact_forces = PER_BODY * task.robot.bodies().len();
         }
-        let (description, observation) = describe::describe(task, &robot, &agents, &view, &bounds)?;
+        if task.rules.reads_last_action() {
+            bounds.actions = actuators.len();
+        }
+        let (description, observation) = describe::describe(&task, &agents, &view, &bounds)?;
+        let robot = Arc::new(task.robot);
         let rest = Numbers {
             coordinates: robot.rest().to_vec(),
             velocities: vec![0.0; robot.velocity_names().len()],
             contact_forces: vec![0.0; bounds.contact_forces],
+            actions: vec![0.0; bounds.actions],
         };
         let fresh = |_| Environment {
             world: World::new(Arc::clone(&robot)),
@@ -94,7 +100,7 @@ impl RobotEnvironments {
             seen: vec![0.0; description.state.len()],
         };
         let mut environments = Self {
-            task,
+            rules: task.rules,
             bounds,
             motors: agents.concat(),
             environments: (0..count).map(fresh).collect(),
@@ -133,13 +139,14 @@ impl EnvironmentBatch for RobotEnvironments {
         let mut state = State {
             episode,
             step: 0,
-            limit: limit.clamp(1, self.task.episode_steps),
+            limit: limit.clamp(1, self.description.episode_steps),
             coordinates: self.robot.rest().to_vec(),
             velocities: vec![0.0; self.bounds.velocities],
             contact_forces: vec![0.0; self.bounds.contact_forces],
+            actions: vec![0.0; self.bounds.actions],
         };
         let mut rng = ChaCha8Rng::from_seed(key);
-        self.task.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
+        self.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
         let bytes = state.to_bytes(&self.bounds.kind);
         self.rebuild(environment, &bytes).expect("start states are within the bounds of a state");
         Ok(())
@@ -158,6 +165,7 @@ impl EnvironmentBatch for RobotEnvironments {
             coordinates: environment.now.coordinates.clone(),
             velocities: environment.now.velocities.clone(),
             contact_forces: environment.now.contact_forces.clone(),
+            actions: environment.now.actions.clone(),
         };
         Ok(state.to_bytes(&self.bounds.kind))
     }
@@ -229,6 +237,7 @@ impl RobotEnvironments {
             coordinates: state.coordinates,
             velocities: state.velocities,
             contact_forces: state.contact_forces,
+            actions: state.actions,
         };
         self.update_state(index);
         Ok(())
@@ -251,6 +260,8 @@ impl RobotEnvironments {
         if self.contact_forces == ContactForces::Real {
             environment.world.contact_forces(&mut self.next.contact_forces);
         }
+        let remembered = self.next.actions.len();
+        self.next.actions.copy_from_slice(&action[..remembered]);
         std::mem::swap(&mut environment.now, &mut self.next);
         self.update_state(index);
         self.outcome(index, action)
@@ -260,7 +271,7 @@ impl RobotEnvironments {
     fn update_state(&mut self, index: usize) {
         let mut seen = std::mem::take(&mut self.environments[index].seen);
         let now = &self.environments[index].now;
-        self.task.rules.state(&self.motion(now), &mut seen);
+        self.rules.state(&self.motion(now), &mut seen);
         let contacts = seen.len() - now.contact_forces.len();
         seen[contacts..].copy_from_slice(&now.contact_forces);
         self.environments[index].seen = seen;
@@ -270,10 +281,11 @@ impl RobotEnvironments {
     fn outcome(&self, index: usize, action: &[f32]) -> Outcome {
         let environment = &self.environments[index];
         let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
+        let last_action = self.next.actions.as_slice();
         let dt_secs = self.description.dt_secs as f32;
-        let terminated = self.task.rules.terminated(&after);
+        let terminated = self.rules.terminated(&after);
         Outcome {
-            reward: self.task.rules.reward(&before, &after, action, dt_secs),
+            reward: self.rules.reward(&Transition { before, after, action, last_action, dt_secs }),
             terminated,
             truncated: !terminated && environment.step >= environment.limit,
             fault: false,

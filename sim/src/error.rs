@@ -6,15 +6,16 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum SimError {
     /// The task is unknown.
-    #[error("there is no task `{asked}`; did you mean `{nearest}`? Known tasks: {known}")]
+    #[error("there is no task `{asked}`; known tasks: {known}")]
     UnknownTask {
         /// Requested name.
         asked: String,
-        /// Known name with the most similar spelling.
-        nearest: String,
         /// All known names.
         known: String,
     },
+    /// A task file is invalid.
+    #[error("{0}")]
+    TaskFile(String),
     /// The slot has no environments.
     #[error("a slot needs at least one environment, got 0")]
     NoEnvironments,

@@ -1,7 +1,8 @@
 //! The simulator: robots and tasks, stepped with rapier3d. It contains no learning.
 //!
-//! A robot is an MJCF file in `assets/` and a row in `robot.rs`. A task is a file in `task/` and a row in `task.rs`.
-//! A game is a task without physics, in `game/`. Between two slot boundaries, the simulation depends only on the
+//! A task is data: a TOML file with a robot's agents, rewards and rules, and an MJCF file with its model. Those of the
+//! program are in `assets/`. A game is a task without physics, in `game/`. Between two slot boundaries, the simulation
+//! depends only on the
 //! encoded state and the actions: `reset` and `restore` both call the one function that rebuilds a world from bytes.
 
 mod config;
@@ -17,20 +18,22 @@ mod probe;
 mod robot;
 mod scene;
 mod simulation;
+pub mod spelling;
 mod state;
 mod task;
 mod world;
 
 pub use config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
-    RootView, TaskConfig,
+    RootView, TaskConfig, TaskDefinition,
 };
 pub use description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
 pub use environment_batch::{EnvironmentBatch, Outcome};
 pub use error::{ActionError, SimError, StateError};
+pub use observation::standardise;
 pub use probe::probe;
-pub use robot::Robot;
-pub use scene::{JointPose, LinkPose, LinkShape, Pose, Shape, drivers, hinges, rotated, shapes};
+pub use robot::{ModelFiles, Robot};
+pub use scene::{Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, drivers, rotated};
 pub use simulation::environments;
 pub use state::{State, StateBounds};
 pub use task::task_names;

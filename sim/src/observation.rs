@@ -134,12 +134,12 @@ pub(crate) fn near(
     names.extend(levels[0].iter().map(|joint| format!("{joint}.velocity")));
     if config.contact_forces != ContactForces::Absent {
         let bodies = neighbourhood.bodies(&levels[0]);
-        let of_body = |body: &'static str| CONTACT_NAMES.map(|part| contact_name(body, part));
+        let of_body = |body: &str| CONTACT_NAMES.map(|part| contact_name(body, part));
         names.extend(bodies.into_iter().flat_map(of_body));
     }
     names.extend(levels[1..].iter().flatten().map(|joint| format!("{joint}.position")));
     if config.globals == RootView::Shown {
-        names.extend(neighbourhood.globals.iter().map(|&name| name.to_owned()));
+        names.extend(neighbourhood.globals.iter().cloned());
     }
     let place = |name: &String| state.iter().position(|feature| feature.name == *name);
     names.iter().map(|name| place(name).expect("neighbourhoods name features")).collect()
@@ -155,8 +155,9 @@ fn padded(agents: Vec<Vec<usize>>) -> Vec<Vec<Option<usize>>> {
     agents.into_iter().map(filled).collect()
 }
 
-/// Standardises a vector over its features: `(x - m) / s`.
-fn standardise(out: &mut [f32]) {
+/// Standardises a vector by the mean `m` and standard deviation `s` over its features, `(x - m) / s`:
+/// [`ObservationNorm::FeatureZ`] for observations of other programs.
+pub fn standardise(out: &mut [f32]) {
     let count = out.len() as f64;
     let mean = out.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
     let variance = out.iter().map(|&x| square(f64::from(x) - mean)).sum::<f64>() / count;

@@ -8,7 +8,7 @@ use crate::config::PartitionSemantics;
 /// counts: the published code concatenates the agents' actions and passes them to the actuators in order, regardless of
 /// the labels.
 pub(crate) fn partition(
-    labels: &[&[&str]],
+    labels: &[Vec<String>],
     actuators: &[&str],
     semantics: PartitionSemantics,
 ) -> Vec<Vec<usize>> {
@@ -28,7 +28,7 @@ fn position(actuators: &[&str], joint: &str) -> usize {
     actuators
         .iter()
         .position(|name| *name == joint)
-        .expect("a task's labels name actuators of its robot, which a test checks")
+        .expect("a task's labels name actuators of its robot, which `Task` checks")
 }
 
 #[cfg(test)]
@@ -36,13 +36,14 @@ mod tests {
     use super::*;
 
     const ACTUATORS: &[&str] = &["hip", "knee", "toe", "tail"];
-    const LABELS: &[&[&str]] = &[&["toe", "hip"], &["tail", "knee"]];
+    const LABELS: [[&str; 2]; 2] = [["toe", "hip"], ["tail", "knee"]];
 
     #[test]
     fn slices_follow_the_actuators_and_labels_follow_the_names() {
-        let slices = partition(LABELS, ACTUATORS, PartitionSemantics::ActuatorSlices);
+        let labels = LABELS.map(|joints| joints.map(str::to_owned).to_vec());
+        let slices = partition(&labels, ACTUATORS, PartitionSemantics::ActuatorSlices);
         assert_eq!(slices, [[0, 1], [2, 3]]);
-        let labels = partition(LABELS, ACTUATORS, PartitionSemantics::Labels);
+        let labels = partition(&labels, ACTUATORS, PartitionSemantics::Labels);
         assert_eq!(labels, [[2, 0], [3, 1]]);
     }
 }

@@ -1,37 +1,90 @@
-//! The simulator's part of the numeric fingerprint. Programs with equal probes produce equal simulations.
+//! The simulator's part of the numeric fingerprint. Programs with equal probes produce equal episodes.
 
-use std::sync::Arc;
+use crate::config::{
+    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
+    RootView, TaskConfig,
+};
+use crate::description::ActionRange;
+use crate::environment_batch::{EnvironmentBatch, Outcome};
+use crate::simulation::environments;
+use crate::task::task_names;
 
-use crate::robot::{ANT, HALFCHEETAH, Robot, RobotRow, WALKER2D};
-use crate::world::World;
+/// Steps with each task and scaling: long enough for contacts.
+const STEPS: usize = 24;
+/// Ends one of the two episodes before the last step.
+const LIMIT: u32 = 15;
 
-const ROBOTS: &[&RobotRow] = &[&HALFCHEETAH, &WALKER2D, &ANT];
-const STEPS: usize = 100;
-
-/// All coordinates and velocities over 100 environment steps of each robot, dropped from its rest pose, under fixed
-/// controls. Little-endian f32.
+/// Start states, observations, global states, rewards and ends of two episodes of every task with every kind of
+/// observation, under fixed actions. Little-endian f32.
 pub fn probe() -> Vec<u8> {
-    ROBOTS.iter().flat_map(|row| trace(row)).collect()
+    let tasks = task_names().iter();
+    tasks.flat_map(|task| views().map(|view| trace(task, view))).flatten().flatten().collect()
 }
 
-fn trace(row: &'static RobotRow) -> Vec<u8> {
-    let robot = Arc::new(Robot::build(row).expect("the built-in robots are valid"));
-    let mut numbers = robot.rest().to_vec();
-    let coordinates = numbers.len();
-    numbers.extend(robot.velocity_names().iter().map(|_| 0.0));
-    let mut controls = vec![0.0; robot.actuators().count()];
-    let mut world = World::new(robot);
-    let mut bytes = Vec::with_capacity(4 * STEPS * numbers.len());
-    for step in 0..STEPS {
-        for (motor, control) in controls.iter_mut().enumerate() {
-            // A triangle wave in sixteenths is exact in f32 and needs no library function.
-            let phase = ((3 * step + 5 * motor) % 32) as f32 / 16.0;
-            *control = 1.0 - 2.0 * (phase - 1.0).abs();
-        }
-        world.step(&controls);
-        world.coordinates(&mut numbers[..coordinates]);
-        world.velocities(&mut numbers[coordinates..]);
-        bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+/// An observation of everything, scaled; one of the neighbourhood; and the only one that games have.
+fn views() -> [ObservationConfig; 3] {
+    let view = |mode, norm, contact_forces| ObservationConfig {
+        mode,
+        norm,
+        nearest: 1,
+        globals: RootView::Shown,
+        contact_forces,
+    };
+    [
+        view(ObservationMode::FullId, ObservationNorm::FeatureZ, ContactForces::Real),
+        view(ObservationMode::KNearest, ObservationNorm::None, ContactForces::Zeros),
+        view(ObservationMode::FullId, ObservationNorm::None, ContactForces::Absent),
+    ]
+}
+
+/// `None` if the task has no such observation.
+fn trace(task: &str, observation: ObservationConfig) -> Option<Vec<u8>> {
+    let partition = PartitionSemantics::ActuatorSlices;
+    let task = task.to_owned();
+    let config = TaskConfig { task, definition: None, observation, partition };
+    let mut environments = environments(&config, 2).ok()?;
+    let mut numbers = Vec::new();
+    for (environment, limit) in [(0, u32::MAX), (1, LIMIT)] {
+        environments.reset(environment, 0, limit, [7; 32]).expect("the simulator's own tasks");
     }
-    bytes
+    let mut outcome = [Outcome::default(); 2];
+    record(&*environments, &outcome, &mut numbers);
+    for step in 0..STEPS {
+        let actions = actions(&*environments, step);
+        environments.step(&actions, &mut outcome).expect("the actions are in range");
+        record(&*environments, &outcome, &mut numbers);
+    }
+    Some(numbers.iter().flat_map(|number: &f32| number.to_le_bytes()).collect())
+}
+
+/// A triangle wave, which is exact in f32 and needs no library function; for choices, each in turn.
+fn actions(environments: &dyn EnvironmentBatch, step: usize) -> Vec<f32> {
+    let ranges = environments.description().agents.iter().map(|agent| &agent.action);
+    let ranges = ranges.flat_map(|range| std::iter::repeat_n(range, range.size));
+    let action = |(index, range): (usize, &ActionRange)| match range.choices {
+        Some(choices) => ((step + index) % choices as usize) as f32,
+        None => {
+            let phase = ((3 * step + 5 * index) % 32) as f32 / 16.0;
+            range.low + (range.high - range.low) * (phase - 1.0).abs()
+        }
+    };
+    let one: Vec<f32> = ranges.enumerate().map(action).collect();
+    one.repeat(environments.count())
+}
+
+fn record(environments: &dyn EnvironmentBatch, outcome: &[Outcome; 2], numbers: &mut Vec<f32>) {
+    let description = environments.description();
+    for (environment, outcome) in outcome.iter().enumerate() {
+        let flags = [outcome.terminated, outcome.truncated, outcome.fault];
+        numbers.push(outcome.reward);
+        numbers.extend(flags.map(f32::from));
+        for (agent, described) in description.agents.iter().enumerate() {
+            let start = numbers.len();
+            numbers.resize(start + described.observation.len(), 0.0);
+            environments.observation(environment, agent, &mut numbers[start..]);
+        }
+        let start = numbers.len();
+        numbers.resize(start + description.state.len(), 0.0);
+        environments.state(environment, &mut numbers[start..]);
+    }
 }

@@ -1,21 +1,29 @@
-//! Robots: one row each. Each robot is built once as a template, from which all worlds are cloned.
+//! Robots. Each robot is built once as a template, from which all worlds are cloned.
 
 mod assemble;
 mod blueprint;
+mod convex;
+mod document;
+mod files;
+mod frame;
 mod inertia;
 mod layout;
+mod mesh;
 mod model;
 mod neighbourhood;
 mod softness;
 
+use std::borrow::Cow;
+
 use crate::error::SimError;
 use crate::state::StateBounds;
 
-pub(crate) use assemble::{Template, empty_world};
-pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan};
-pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind};
+pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
+pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan, ShapePlan};
+pub(crate) use convex::Convex;
+pub use files::ModelFiles;
+pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind, MotorMap};
 pub(crate) use neighbourhood::Neighbourhood;
-#[cfg(test)]
 pub(crate) use softness::DEFAULT as DEFAULT_SOFTNESS;
 pub(crate) use softness::{Integration, Softness, Spring};
 
@@ -23,13 +31,13 @@ pub(crate) use softness::{Integration, Softness, Spring};
 #[derive(Debug)]
 pub(crate) struct RobotRow {
     /// Name of the robot; its states have the kind `rapier/NAME`.
-    pub(crate) name: &'static str,
+    pub(crate) name: Cow<'static, str>,
     /// MJCF document of the model.
-    pub(crate) mjcf: &'static str,
+    pub(crate) mjcf: Cow<'static, str>,
     /// Physics steps in an environment step.
     pub(crate) frame_skip: u32,
     /// Neighbouring joints, for agents with local observations.
-    pub(crate) neighbourhood: &'static Neighbourhood,
+    pub(crate) neighbourhood: Neighbourhood,
     /// MuJoCo's integrator for this robot.
     pub(crate) integration: Integration,
     /// MuJoCo's softness of the joint limits.
@@ -43,66 +51,94 @@ pub(crate) struct RobotRow {
     pub(crate) contact_compliance: f32,
 }
 
-pub(crate) const HALFCHEETAH: RobotRow = RobotRow {
-    name: "halfcheetah",
-    mjcf: include_str!("../assets/halfcheetah.xml"),
-    frame_skip: 5,
-    neighbourhood: &neighbourhood::HALFCHEETAH,
-    integration: Integration::Euler,
-    limits: Softness { impedance: [0.0, 0.8], width: 0.03, ..softness::DEFAULT },
-    contacts: Softness { impedance: [0.0, 0.8], width: 0.01, ..softness::DEFAULT },
-    margin: 0.0,
-    contact_compliance: 0.6,
-};
-
-pub(crate) const WALKER2D: RobotRow = RobotRow {
-    name: "walker2d",
-    mjcf: include_str!("../assets/walker2d.xml"),
-    frame_skip: 4,
-    neighbourhood: &neighbourhood::WALKER2D,
-    integration: Integration::RungeKutta,
-    limits: softness::DEFAULT,
-    contacts: softness::DEFAULT,
-    margin: 0.0,
-    contact_compliance: 0.1,
-};
-
-pub(crate) const ANT: RobotRow = RobotRow {
-    name: "ant",
-    mjcf: include_str!("../assets/ant.xml"),
-    frame_skip: 5,
-    neighbourhood: &neighbourhood::ANT,
-    integration: Integration::RungeKutta,
-    limits: softness::DEFAULT,
-    contacts: softness::DEFAULT,
-    margin: 0.01,
-    contact_compliance: 0.05,
-};
+/// `contact_compliance` of a robot whose model is loaded from files.
+const LOADED_COMPLIANCE: f32 = 0.1;
 
 /// A robot from which worlds are created. Immutable and shared.
 pub struct Robot {
-    row: &'static RobotRow,
+    name: Cow<'static, str>,
+    frame_skip: u32,
+    contact_compliance: f32,
+    neighbourhood: Neighbourhood,
     blueprint: Blueprint,
     layout: Layout,
     template: Template,
 }
 
 impl Robot {
-    pub(crate) fn build(row: &'static RobotRow) -> Result<Self, SimError> {
-        let model = |reason| SimError::Model { robot: row.name.to_owned(), reason };
-        let blueprint = model::read(row.mjcf).map_err(model)?;
-        let (template, layout) = assemble::assemble(&blueprint, row).map_err(model)?;
-        Ok(Self { row, blueprint, layout, template })
+    pub(crate) fn build(row: RobotRow) -> Result<Self, SimError> {
+        let name = row.name.clone();
+        let refused = |reason| SimError::Model { robot: name.to_string(), reason };
+        let no_file = |path: &str| {
+            Err(format!("{path}: the model of a task is one document without other files"))
+        };
+        let mut folder = files::Folder::new(&row.name, &no_file).map_err(refused)?;
+        let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
+        blueprint.integration = row.integration;
+        blueprint.soften(row.contacts, row.margin, row.limits);
+        let robot = Self::assemble(name.clone(), blueprint, row.contact_compliance);
+        let robot = robot.map_err(refused)?;
+        Ok(Self { frame_skip: row.frame_skip, neighbourhood: row.neighbourhood, ..robot })
+    }
+
+    /// Builds a robot from a model. `frame_skip` is the number of physics steps in an environment step.
+    ///
+    /// The integrator and the softness of contacts and limits are those of the model. [`Self::left_out`] lists what
+    /// MuJoCo simulates in addition.
+    ///
+    /// # Errors
+    /// If the model contains something that cannot be built. The message names the element and its line.
+    pub fn from_model(name: &str, model: &ModelFiles, frame_skip: u32) -> Result<Self, SimError> {
+        let refused = |reason| SimError::Model { robot: name.to_owned(), reason };
+        let source = |path: &str| {
+            let found = model.files.get(path).cloned();
+            found.ok_or_else(|| format!("the model has no file `{path}`"))
+        };
+        let mut folder = files::Folder::new(&model.document, &source).map_err(refused)?;
+        let text = folder.document().map_err(refused)?;
+        let blueprint = model::read(&text, &mut folder).map_err(refused)?;
+        let name = Cow::Owned(name.to_owned());
+        let robot = Self::assemble(name, blueprint, LOADED_COMPLIANCE).map_err(refused)?;
+        Ok(Self { frame_skip, ..robot })
+    }
+
+    fn assemble(
+        name: Cow<'static, str>,
+        blueprint: Blueprint,
+        contact_compliance: f32,
+    ) -> Result<Self, String> {
+        let (template, layout) = assemble::assemble(&blueprint, contact_compliance)?;
+        let neighbourhood = Neighbourhood::default();
+        let frame_skip = 1;
+        Ok(Self {
+            name,
+            frame_skip,
+            contact_compliance,
+            neighbourhood,
+            blueprint,
+            layout,
+            template,
+        })
     }
 
     /// Name of the robot.
-    pub fn name(&self) -> &'static str {
-        self.row.name
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What MuJoCo simulates for this model and this simulator leaves out, one sentence each.
+    pub fn left_out(&self) -> &[String] {
+        &self.blueprint.left_out
+    }
+
+    /// Ranges of the motors' controls, in the order of [`Self::actuators`].
+    pub fn control_ranges(&self) -> impl Iterator<Item = [f32; 2]> {
+        self.blueprint.motors.iter().map(|motor| motor.range)
     }
 
     /// Kind of its encoded states.
     pub(crate) fn state_kind(&self) -> String {
-        format!("rapier/{}", self.row.name)
+        format!("rapier/{}", self.name)
     }
 
     /// Names of the generalised coordinates, `[nq]`.
@@ -130,11 +166,14 @@ impl Robot {
         &self.blueprint.bodies
     }
 
-    /// Names of the hinges and their limits (rad), if any.
+    /// Names of the hinges and slides and their limits (rad or m), if any.
     pub fn hinges(&self) -> impl Iterator<Item = (&str, Option<[f32; 2]>)> {
         self.blueprint.links.iter().filter_map(|link| match &link.joint {
             JointPlan::Hinge(hinge) => Some((hinge.name.as_str(), hinge.range)),
-            JointPlan::Planar(_) | JointPlan::Free(_) => None,
+            JointPlan::Fixed
+            | JointPlan::Planar(_)
+            | JointPlan::Free(_)
+            | JointPlan::Floating(_) => None,
         })
     }
 
@@ -143,9 +182,11 @@ impl Robot {
         self.blueprint.motors.iter().map(|motor| motor.joint.as_str())
     }
 
-    /// Torque of the motor of `joint` for a control, which is clamped to its range, N m; `None` without a motor.
+    /// Torque of the motor of `joint` for a control, which is clamped to its range, N m; `None` without a motor, or if the
+    /// torque also depends on the robot's motion.
     pub fn torque(&self, joint: &str, control: f32) -> Option<f32> {
-        let motor = self.blueprint.motors.iter().find(|motor| motor.joint == joint)?;
+        let mut motors = self.blueprint.motors.iter();
+        let motor = motors.find(|motor| motor.joint == joint && motor.servo.is_none())?;
         Some(motor.gear * control.clamp(motor.range[0], motor.range[1]))
     }
 
@@ -160,7 +201,7 @@ impl Robot {
 
     /// Seconds that one environment step simulates.
     pub(crate) fn step_secs(&self) -> f64 {
-        self.blueprint.timestep_secs * f64::from(self.row.frame_skip)
+        self.blueprint.timestep_secs * f64::from(self.frame_skip)
     }
 
     /// Seconds of one physics step.
@@ -177,20 +218,21 @@ impl Robot {
             velocities: self.layout.velocity_names.len(),
             fastest: layout::FASTEST,
             contact_forces: 0,
+            actions: 0,
             orientation: self.layout.orientation,
         }
     }
 
-    pub(crate) fn neighbourhood(&self) -> &'static Neighbourhood {
-        self.row.neighbourhood
+    pub(crate) fn neighbourhood(&self) -> &Neighbourhood {
+        &self.neighbourhood
     }
 
-    pub(crate) fn row(&self) -> &'static RobotRow {
-        self.row
+    pub(crate) fn contact_compliance(&self) -> f32 {
+        self.contact_compliance
     }
 
     pub(crate) fn frame_skip(&self) -> u32 {
-        self.row.frame_skip
+        self.frame_skip
     }
 
     pub(crate) fn blueprint(&self) -> &Blueprint {

@@ -1,12 +1,14 @@
 //! Shapes and poses of a robot's links, for recordings and the live view.
 
+use std::sync::Arc;
+
 use rapier3d::math::Pose as Transform;
-use rapier3d::prelude::SharedShape;
 
 use crate::description::Description;
-use crate::error::SimError;
-use crate::game;
-use crate::robot::{JointPlan, LinkPlan, Robot};
+use crate::robot::{JointPlan, LinkPlan, Robot, ShapePlan};
+
+/// Most capsules side by side in the drawing of a box.
+const MOST_BESIDE: f32 = 5.0;
 
 /// Pose of a robot at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,14 +30,14 @@ pub struct LinkPose {
     pub quaternion: [f32; 4],
 }
 
-/// Angle and speed of a hinge.
+/// Position and speed of a hinge or slide.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointPose {
     /// Name of the joint.
     pub name: String,
-    /// Radians.
+    /// Radians; metres for a slide.
     pub position: f32,
-    /// Radians per second.
+    /// Radians per second; metres per second for a slide.
     pub velocity: f32,
 }
 
@@ -53,7 +55,7 @@ pub struct LinkShape {
 }
 
 /// Form and size of a shape, in metres.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// A cylinder along z with two half-spheres on its ends.
     Capsule {
@@ -67,19 +69,56 @@ pub enum Shape {
         /// Radius of the ball.
         radius: f32,
     },
+    /// A box.
+    Box {
+        /// Half the lengths along x, y and z.
+        half_sizes: [f32; 3],
+    },
+    /// A cylinder along z.
+    Cylinder {
+        /// Half the cylinder's length.
+        half_length: f32,
+        /// Radius of the cylinder.
+        radius: f32,
+    },
+    /// An ellipsoid.
+    Ellipsoid {
+        /// Semi-axes along x, y and z.
+        half_sizes: [f32; 3],
+    },
+    /// The convex hull of a mesh.
+    Hull(Arc<Hull>),
+}
+
+/// A convex polyhedron.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hull {
+    /// Corners, metres.
+    pub points: Vec<[f32; 3]>,
+    /// Indices of corners, anticlockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// All points within the radius of a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Capsule {
+    /// Ends of the line, metres; equal for a ball.
+    pub ends: [[f32; 3]; 2],
+    /// Metres.
+    pub radius: f32,
 }
 
 impl LinkShape {
-    /// End points of the shape's axis in the world, metres, for the link pose `link`; equal for a ball.
+    /// Capsules in the link's frame that show the shape in films. They are the shape itself for capsules and balls, and
+    /// approximate other shapes: they fill a box, a mesh's bounding box, or a cylinder, and round its edges.
     #[must_use]
-    pub fn ends(&self, link: &LinkPose) -> [[f32; 3]; 2] {
-        let axis = rotated(self.quaternion, [0.0, 0.0, 1.0]);
-        let half = match self.shape {
-            Shape::Capsule { half_length, .. } => half_length,
-            Shape::Sphere { .. } => 0.0,
+    pub fn capsules(&self) -> Vec<Capsule> {
+        let place = |point: [f32; 3]| {
+            let turned = rotated(self.quaternion, point);
+            [0, 1, 2].map(|i| self.position[i] + turned[i])
         };
-        [-half, half]
-            .map(|along| link.in_world([0, 1, 2].map(|i| self.position[i] + along * axis[i])))
+        let capsules = self.shape.capsules();
+        capsules.into_iter().map(|c| Capsule { ends: c.ends.map(place), ..c }).collect()
     }
 }
 
@@ -117,52 +156,81 @@ pub fn drivers(description: &Description, pose: &Pose) -> Vec<Option<usize>> {
 }
 
 impl Shape {
-    /// Radius, metres.
-    #[must_use]
-    pub fn radius(self) -> f32 {
-        match self {
-            Self::Capsule { radius, .. } | Self::Sphere { radius } => radius,
-        }
-    }
-
-    pub(crate) fn collider(self) -> SharedShape {
-        match self {
-            Self::Capsule { half_length, radius } => SharedShape::capsule_z(half_length, radius),
-            Self::Sphere { radius } => SharedShape::ball(radius),
+    fn capsules(&self) -> Vec<Capsule> {
+        let along = |half: f32, radius: f32| {
+            vec![Capsule { ends: [[0.0, 0.0, -half], [0.0, 0.0, half]], radius }]
+        };
+        match *self {
+            Self::Capsule { half_length, radius } => along(half_length, radius),
+            Self::Sphere { radius } => along(0.0, radius),
+            Self::Cylinder { half_length, radius } if half_length >= radius => {
+                along(half_length - radius, radius)
+            }
+            Self::Cylinder { half_length, radius } => filled([radius, radius, half_length]),
+            Self::Box { half_sizes } | Self::Ellipsoid { half_sizes } => filled(half_sizes),
+            Self::Hull(ref hull) => {
+                let [low, high] = hull.bounds();
+                let middle = [0, 1, 2].map(|i| (low[i] + high[i]) / 2.0);
+                let capsules = filled([0, 1, 2].map(|i| (high[i] - low[i]) / 2.0));
+                let moved = |end: [f32; 3]| [0, 1, 2].map(|i| middle[i] + end[i]);
+                capsules.into_iter().map(|c| Capsule { ends: c.ends.map(moved), ..c }).collect()
+            }
         }
     }
 }
 
-/// Shapes of a task's robot, link by link; empty for a game.
-pub fn shapes(task: &str) -> Result<Vec<LinkShape>, SimError> {
-    let Some(robot) = robot(task)? else { return Ok(Vec::new()) };
-    let links = robot.blueprint().links.iter();
-    Ok(links
-        .flat_map(|link| {
-            link.shapes.iter().map(|plan| {
-                let (position, quaternion) = parts(&plan.pose);
-                LinkShape { link: link.name.clone(), shape: plan.shape, position, quaternion }
-            })
-        })
-        .collect())
-}
-
-/// Positions of a robot's hinges in the frames of their child links, metres, in the order of a pose's joints; empty for
-/// a game.
-pub fn hinges(task: &str) -> Result<Vec<[f32; 3]>, SimError> {
-    let Some(robot) = robot(task)? else { return Ok(Vec::new()) };
-    let anchor = |link: &LinkPlan| match &link.joint {
-        JointPlan::Hinge(hinge) => Some(hinge.anchor.to_array()),
-        _ => None,
+/// Parallel capsules in a box: along its longest axis, side by side along the next. Plates become thicker.
+fn filled(half_sizes: [f32; 3]) -> Vec<Capsule> {
+    let mut axes = [0, 1, 2];
+    axes.sort_by(|a, b| half_sizes[*b].total_cmp(&half_sizes[*a]));
+    let [length, width, height] = axes.map(|axis| half_sizes[axis]);
+    let radius = height.max(width / MOST_BESIDE);
+    let count = (width / radius).ceil().max(1.0);
+    let capsule = |index: f32| {
+        let aside =
+            (width - radius) * if count > 1.0 { 2.0 * index / (count - 1.0) - 1.0 } else { 0.0 };
+        let end = |sign: f32| {
+            let mut point = [0.0; 3];
+            point[axes[0]] = sign * (length - radius).max(0.0);
+            point[axes[1]] = aside;
+            point
+        };
+        Capsule { ends: [end(-1.0), end(1.0)], radius }
     };
-    Ok(robot.blueprint().links.iter().filter_map(anchor).collect())
+    (0..count as u32).map(|index| capsule(index as f32)).collect()
 }
 
-/// Robot of a task; `None` for a game.
-fn robot(task: &str) -> Result<Option<Robot>, SimError> {
-    match task {
-        game::cue::NAME => Ok(None),
-        task => Robot::of_task(task).map(Some),
+impl Hull {
+    /// Smallest and largest coordinates.
+    pub(crate) fn bounds(&self) -> [[f32; 3]; 2] {
+        let start = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+        self.points.iter().fold(start, |[low, high], point| {
+            [[0, 1, 2].map(|i| low[i].min(point[i])), [0, 1, 2].map(|i| high[i].max(point[i]))]
+        })
+    }
+}
+
+impl Robot {
+    /// Shapes of the robot, link by link.
+    pub fn shapes(&self) -> Vec<LinkShape> {
+        let of_link = |link: &LinkPlan| {
+            let name = link.name.clone();
+            let shape = move |plan: &ShapePlan| {
+                let (position, quaternion) = parts(&plan.pose);
+                LinkShape { link: name.clone(), shape: plan.shape.clone(), position, quaternion }
+            };
+            link.shapes.iter().map(shape).collect::<Vec<_>>()
+        };
+        self.blueprint().links.iter().flat_map(of_link).collect()
+    }
+
+    /// Positions of the hinges in the frames of their child links, metres, in the order of a pose's joints.
+    pub fn hinge_positions(&self) -> Vec<[f32; 3]> {
+        let anchor = |link: &LinkPlan| match &link.joint {
+            JointPlan::Hinge(hinge) => Some(hinge.anchor.to_array()),
+            _ => None,
+        };
+        self.blueprint().links.iter().filter_map(anchor).collect()
     }
 }
 

@@ -1,7 +1,8 @@
 //! A complete environment state and its encoding, which actors exchange and checkpoints store.
 //!
 //! Little-endian: `s2st`, layout version u32, FNV-1a of the state's kind u32, episode u64, step u32, limit u32,
-//! coordinates f32 `[nq]`, velocities f32 `[nv]`, contact forces f32 `[nc]`.
+//! coordinates f32 `[nq]`, velocities f32 `[nv]`, contact forces f32 `[nc]`,
+//! last actions f32 `[na]`.
 
 use crate::error::StateError;
 use crate::world::contact_forces::LARGEST;
@@ -28,6 +29,8 @@ pub struct State {
     pub velocities: Vec<f32>,
     /// Contact forces on each of the model's bodies in the last step, clipped, `[nc]`; empty unless observed.
     pub contact_forces: Vec<f32>,
+    /// Actions of the last step, not clamped, `[na]`; 0 at the start, empty unless the task's reward reads them.
+    pub actions: Vec<f32>,
 }
 
 /// Bounds of a state of a robot in a task.
@@ -45,6 +48,8 @@ pub struct StateBounds {
     pub fastest: f32,
     /// Number of contact forces `nc`.
     pub contact_forces: usize,
+    /// Number of actions of the last step `na`.
+    pub actions: usize,
     /// First coordinate of a unit quaternion, if the root is free.
     pub orientation: Option<usize>,
 }
@@ -52,8 +57,8 @@ pub struct StateBounds {
 impl State {
     /// Encodes the state.
     pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
-        let numbers =
-            || self.coordinates.iter().chain(&self.velocities).chain(&self.contact_forces);
+        let motion = || self.coordinates.iter().chain(&self.velocities);
+        let numbers = || motion().chain(&self.contact_forces).chain(&self.actions);
         let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * numbers().count());
         bytes.extend_from_slice(MARK);
         bytes.extend_from_slice(&STATE_VERSION.to_le_bytes());
@@ -78,7 +83,8 @@ impl State {
         let numbers: Vec<f32> =
             bytes[HEADER_BYTES..].chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect();
         let (coordinates, rest) = numbers.split_at(bounds.coordinates.len());
-        let (velocities, contact_forces) = rest.split_at(bounds.velocities);
+        let (velocities, rest) = rest.split_at(bounds.velocities);
+        let (contact_forces, actions) = rest.split_at(bounds.contact_forces);
         let state = Self {
             episode: u64::from_le_bytes(array(&bytes[12..20])),
             step: u32::from_le_bytes(array(&bytes[20..24])),
@@ -86,10 +92,12 @@ impl State {
             coordinates: coordinates.to_vec(),
             velocities: velocities.to_vec(),
             contact_forces: contact_forces.to_vec(),
+            actions: actions.to_vec(),
         };
         bounds.check_episode(state.step, state.limit)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
-        bounds.check_contact_forces(&state.contact_forces)?;
+        check_all("contact force", &state.contact_forces, LARGEST)?;
+        check_all("action", &state.actions, f32::MAX)?;
         Ok(state)
     }
 }
@@ -97,7 +105,8 @@ impl State {
 impl StateBounds {
     /// Encoded size in bytes.
     pub fn bytes(&self) -> usize {
-        HEADER_BYTES + 4 * (self.coordinates.len() + self.velocities + self.contact_forces)
+        let motion = self.coordinates.len() + self.velocities;
+        HEADER_BYTES + 4 * (motion + self.contact_forces + self.actions)
     }
 
     /// Checks that all coordinates and velocities are finite and within bounds.
@@ -117,13 +126,6 @@ impl StateBounds {
         let squared: f32 = coordinates[index..index + 4].iter().map(|q| q * q).sum();
         if (squared - 1.0).abs() > 1e-3 {
             return Err(StateError::Orientation { index, squared });
-        }
-        Ok(())
-    }
-
-    fn check_contact_forces(&self, forces: &[f32]) -> Result<(), StateError> {
-        for (index, &value) in forces.iter().enumerate() {
-            check_number("contact force", index, value, -LARGEST, LARGEST)?;
         }
         Ok(())
     }
@@ -151,6 +153,12 @@ impl StateBounds {
         }
         Ok(())
     }
+}
+
+/// Checks that all values are finite and between `-largest` and `largest`.
+fn check_all(field: &'static str, values: &[f32], largest: f32) -> Result<(), StateError> {
+    let mut values = values.iter().enumerate();
+    values.try_for_each(|(index, &value)| check_number(field, index, value, -largest, largest))
 }
 
 fn check_number(

@@ -1,45 +1,34 @@
-//! Tasks: a robot, its partition among agents, and the rules for starts, rewards and ends of episodes.
+//! Tasks: a robot, its partition among agents, and the rules for starts, rewards and ends of episodes. Each comes from a
+//! task file, which is part of the program or of the settings.
 
-mod ant;
-mod halfcheetah;
-#[cfg(test)]
-mod hopper;
-mod walker2d;
+mod definition;
+mod names;
+mod rules;
+mod terms;
 
-use rand::RngCore;
+use std::collections::BTreeSet;
+use std::sync::LazyLock;
 
-use crate::description::{Feature, FeatureRole};
+pub(crate) use definition::TaskFile;
+use definition::refused;
+use names::Names;
+pub(crate) use rules::Rules;
+pub(crate) use terms::Transition;
+
+use crate::config::{TaskConfig, TaskDefinition};
 use crate::error::SimError;
 use crate::game;
-use crate::robot::{Robot, RobotRow};
+use crate::robot::Robot;
 
 /// A task, without its settings.
 pub(crate) struct Task {
-    pub(crate) name: &'static str,
-    pub(crate) robot: &'static RobotRow,
-    /// The published joint names of each agent.
-    pub(crate) agents: &'static [&'static [&'static str]],
+    pub(crate) name: String,
+    pub(crate) robot: Robot,
+    /// Joint names of each agent.
+    pub(crate) agents: Vec<Vec<String>>,
     /// Steps after which an episode is truncated.
     pub(crate) episode_steps: u32,
-    pub(crate) rules: &'static dyn Rules,
-}
-
-/// Start, reward, end and global state of an episode.
-pub(crate) trait Rules: Sync {
-    /// Adds the start noise to a rest pose `[nq]` with zero velocities `[nv]`.
-    fn randomise(&self, rng: &mut dyn RngCore, coordinates: &mut [f32], velocities: &mut [f32]);
-    /// Reward of one step. `action` has the actions of all agents in agent order, not clamped.
-    fn reward(&self, before: &Motion<'_>, after: &Motion<'_>, action: &[f32], dt_secs: f32) -> f32;
-    /// Whether the episode terminates for a reason other than its length.
-    fn terminated(&self, after: &Motion<'_>) -> bool;
-    /// Whether contact forces can be observed.
-    fn feels_contacts(&self) -> bool {
-        false
-    }
-    /// Features of the global state, without contact forces.
-    fn state_features(&self, robot: &Robot) -> Vec<Feature>;
-    /// Writes the global state, without contact forces, to the start of `out`.
-    fn state(&self, motion: &Motion<'_>, out: &mut [f32]);
+    pub(crate) rules: Rules,
 }
 
 /// Coordinates, velocities and contact forces of a robot at one time.
@@ -62,103 +51,217 @@ impl Motion<'_> {
     }
 }
 
-const TASKS: &[Task] = &[
-    halfcheetah::TWO,
-    halfcheetah::THREE,
-    halfcheetah::SIX,
-    walker2d::TWO,
-    walker2d::THREE,
-    walker2d::SIX,
-    ant::TWO,
-    ant::TWO_DIAGONAL,
-    ant::FOUR,
-    ant::EIGHT,
-    #[cfg(test)]
-    hopper::TWO,
+/// Task files and models that are part of the program.
+const SHIPPED: [[&str; 2]; 3] = [
+    [include_str!("../assets/halfcheetah.toml"), include_str!("../assets/halfcheetah.xml")],
+    [include_str!("../assets/walker2d.toml"), include_str!("../assets/walker2d.xml")],
+    [include_str!("../assets/ant.toml"), include_str!("../assets/ant.xml")],
 ];
+
+static FILES: LazyLock<Vec<(TaskFile, &str)>> = LazyLock::new(|| {
+    let parse = |text| TaskFile::parse(text).expect("a test builds every task of the program");
+    SHIPPED.iter().map(|[text, mjcf]| (parse(text), *mjcf)).collect()
+});
+
 /// Names of the robots' tasks, then of the games.
-const NAMES: [&str; TASKS.len() + 1] = names();
+static NAMES: LazyLock<Vec<String>> = LazyLock::new(|| {
+    let robots = FILES.iter().flat_map(|(file, _)| file.task_names());
+    robots.chain([game::cue::NAME.to_owned()]).collect()
+});
 
-const fn names() -> [&'static str; TASKS.len() + 1] {
-    let mut names = [game::cue::NAME; TASKS.len() + 1];
-    let mut index = 0;
-    while index < TASKS.len() {
-        names[index] = TASKS[index].name;
-        index += 1;
-    }
-    names
-}
+static NAME_LIST: LazyLock<Vec<&str>> =
+    LazyLock::new(|| NAMES.iter().map(String::as_str).collect());
 
-/// Names of all tasks.
+/// Names of all tasks that are part of the program.
 pub fn task_names() -> &'static [&'static str] {
-    &NAMES
+    &NAME_LIST
 }
 
-/// Finds a robot's task by its name.
-pub(crate) fn find(name: &str) -> Result<&'static Task, SimError> {
-    let found = TASKS.iter().find(|task| task.name == name);
-    found.ok_or_else(|| SimError::UnknownTask {
-        asked: name.to_owned(),
-        nearest: nearest(name).to_owned(),
-        known: NAMES.join(", "),
-    })
+/// Builds the task that the settings name or define.
+pub(crate) fn find(config: &TaskConfig) -> Result<Task, SimError> {
+    match &config.definition {
+        Some(definition) => {
+            Task::build(&TaskFile::parse(&definition.file)?, &definition.model, &config.task)
+        }
+        None => {
+            shipped(&config.task).and_then(|(file, mjcf)| Task::build(file, mjcf, &config.task))
+        }
+    }
+}
+
+/// Finds the file of a task that is part of the program.
+fn shipped(name: &str) -> Result<&'static (TaskFile, &'static str), SimError> {
+    let found = FILES.iter().find(|(file, _)| file.task_names().any(|task| task == name));
+    found.ok_or_else(|| SimError::UnknownTask { asked: name.to_owned(), known: NAMES.join(", ") })
 }
 
 impl Robot {
-    /// Builds the robot of a task.
+    /// Builds the robot of a task that is part of the program.
     ///
     /// # Errors
     /// If no robot has a task with this name.
     pub fn of_task(task: &str) -> Result<Self, SimError> {
-        Self::build(find(task)?.robot)
+        let (file, mjcf) = shipped(task)?;
+        Self::build(file.robot_row((*mjcf).to_owned()))
     }
 }
 
-/// Features for the positions and velocities of the named joints.
-pub(crate) fn motion_features(coordinates: &[String], velocities: &[String]) -> Vec<Feature> {
-    let signal = |name| Feature { name, role: FeatureRole::Signal };
-    let positions = coordinates.iter().map(|name| signal(format!("{name}.position")));
-    positions.chain(velocities.iter().map(|name| signal(format!("{name}.velocity")))).collect()
+impl Task {
+    /// Builds a task of a file and checks all names against the robot.
+    fn build(file: &TaskFile, mjcf: &str, name: &str) -> Result<Self, SimError> {
+        let robot = Robot::build(file.robot_row(mjcf.to_owned()))?;
+        check_numbers(&robot)?;
+        let prefix = format!("{}-", file.robot);
+        let agents = name.strip_prefix(&prefix).and_then(|partition| file.agents.get(partition));
+        let Some(agents) = agents else {
+            let known = file.task_names().collect::<Vec<_>>().join(", ");
+            return Err(refused(format!("there is no task `{name}` in the file, only {known}")));
+        };
+        check_agents(agents, &robot)?;
+        let rules = Rules::new(file, &robot)?;
+        check_neighbourhood(&robot, &rules, agents)?;
+        Ok(Self {
+            name: name.to_owned(),
+            robot,
+            agents: agents.clone(),
+            episode_steps: file.episode_steps,
+            rules,
+        })
+    }
 }
 
-fn nearest(name: &str) -> &'static str {
-    NAMES.iter().min_by_key(|known| edit_distance(name, known)).copied().unwrap_or("")
-}
+impl TaskDefinition {
+    /// The example of docs/ADDING_A_TASK.md: a hopper with two agents.
+    pub fn example() -> Self {
+        let file = include_str!("../assets/hopper.toml").to_owned();
+        Self { file, model: include_str!("../assets/hopper.xml").to_owned() }
+    }
 
-/// Levenshtein distance: inserted, removed and changed characters.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut corner = std::mem::replace(&mut row[0], i + 1);
-        for (j, y) in b.chars().enumerate() {
-            let changed = corner + usize::from(x != y);
-            corner = row[j + 1];
-            row[j + 1] = changed.min(row[j] + 1).min(corner + 1);
+    /// Path of the model that a task file names, relative to the file.
+    ///
+    /// # Errors
+    /// If the text is not a valid task file.
+    pub fn model_of(file: &str) -> Result<String, SimError> {
+        TaskFile::parse(file).map(|file| file.model)
+    }
+
+    /// Names of the tasks in the file, sorted; none is that of a task of the program.
+    ///
+    /// # Errors
+    /// If the text is not a valid task file, or a task of the program has one of the names.
+    pub fn task_names(&self) -> Result<Vec<String>, SimError> {
+        let file = TaskFile::parse(&self.file)?;
+        let names: Vec<String> = file.task_names().collect();
+        match names.iter().find(|name| task_names().contains(&name.as_str())) {
+            None => Ok(names),
+            Some(name) => {
+                let why = "is part of the program; choose another name for `robot`";
+                Err(refused(format!("the task `{name}` {why}")))
+            }
         }
     }
-    row.last().copied().unwrap_or(0)
+
+    /// Names of the partitions in the file, sorted.
+    ///
+    /// # Errors
+    /// If the text is not a valid task file.
+    pub fn partitions(&self) -> Result<Vec<String>, SimError> {
+        TaskFile::parse(&self.file).map(|file| file.agents.into_keys().collect())
+    }
+
+    /// Builds the task `name` of the file and discards it.
+    ///
+    /// # Errors
+    /// If the file, the model or a name in the file is invalid.
+    pub fn check(&self, name: &str) -> Result<(), SimError> {
+        Task::build(&TaskFile::parse(&self.file)?, &self.model, name).map(|_| ())
+    }
+
+    /// The table `settings` of the file, as TOML; empty without one.
+    ///
+    /// # Errors
+    /// If the text is not a valid task file.
+    pub fn settings(&self) -> Result<String, SimError> {
+        TaskFile::parse(&self.file).map(|file| file.settings.to_string())
+    }
+}
+
+/// Refuses a model with numbers that no simulation survives.
+fn check_numbers(robot: &Robot) -> Result<(), SimError> {
+    let unfit = |reason: String| SimError::Model { robot: robot.name().to_owned(), reason };
+    let step_secs = robot.physics_step_secs();
+    if !(1e-5..=0.1).contains(&step_secs) {
+        return Err(unfit(format!("its timestep must lie in 0.00001..=0.1 s, is {step_secs}")));
+    }
+    for (link, mass, inertia) in robot.masses() {
+        if !inertia.iter().chain([&mass]).all(|number| number.is_finite() && *number > 0.0) {
+            return Err(unfit(format!(
+                "{link}: mass {mass} kg and inertia {inertia:?} must be above 0"
+            )));
+        }
+    }
+    let motors = robot.layout().motors.iter().zip(robot.actuators());
+    for (motor, joint) in motors {
+        let [low, high] = motor.range;
+        if !(low.is_finite() && high.is_finite() && low < high && motor.gear.is_finite()) {
+            let gear = motor.gear;
+            return Err(unfit(format!(
+                "{joint}: its motor has gear {gear} and range [{low}, {high}]"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that every motor's joint belongs to exactly one agent.
+fn check_agents(agents: &[Vec<String>], robot: &Robot) -> Result<(), SimError> {
+    let motors: Vec<String> = robot.actuators().map(str::to_owned).collect();
+    let names = Names::new("motor on a joint", &motors);
+    let mut owned = BTreeSet::new();
+    for (number, joints) in agents.iter().enumerate() {
+        if joints.is_empty() {
+            return Err(refused(format!("agents: agent {number} has no joint")));
+        }
+        for joint in joints {
+            names.index("agents", joint)?;
+            if !owned.insert(joint) {
+                return Err(refused(format!("agents: the joint `{joint}` is named twice")));
+            }
+        }
+    }
+    match motors.iter().find(|motor| !owned.contains(motor)) {
+        None => Ok(()),
+        Some(joint) => Err(refused(format!("agents: the joint `{joint}` belongs to no agent"))),
+    }
+}
+
+/// Checks that the features which `k_nearest` shows exist.
+fn check_neighbourhood(
+    robot: &Robot,
+    rules: &Rules,
+    agents: &[Vec<String>],
+) -> Result<(), SimError> {
+    let features = rules.state_features(robot).into_iter().map(|feature| feature.name);
+    let features: Vec<String> = features.collect();
+    let state = Names::new("feature in its global state", &features);
+    for (key, joints) in [("agents", agents), ("neighbourhood.edges", &robot.neighbourhood().edges)]
+    {
+        for joint in joints.iter().flatten() {
+            state.index(key, &format!("{joint}.position"))?;
+        }
+    }
+    for name in &robot.neighbourhood().globals {
+        state.index("neighbourhood.globals", name)?;
+    }
+    let bodies = Names::new("body", robot.bodies());
+    for (joint, touching) in &robot.neighbourhood().touching {
+        state.index("neighbourhood.touching.joint", &format!("{joint}.position"))?;
+        touching
+            .iter()
+            .try_for_each(|body| bodies.index("neighbourhood.touching.bodies", body).map(|_| ()))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_error_for_an_unknown_task_suggests_the_nearest_name() {
-        let error = find("halfchetah-6x1").err().unwrap();
-        assert!(error.to_string().contains("did you mean `halfcheetah-6x1`"), "{error}");
-        assert_eq!(edit_distance("kitten", "sitting"), 3);
-    }
-
-    #[test]
-    fn each_actuator_has_exactly_one_label_in_every_task() {
-        for task in TASKS {
-            let robot = Robot::build(task.robot).unwrap();
-            let mut actuators: Vec<&str> = robot.actuators().collect();
-            let mut labels: Vec<&str> = task.agents.concat();
-            actuators.sort_unstable();
-            labels.sort_unstable();
-            assert_eq!(actuators, labels, "{}", task.name);
-        }
-    }
-}
+mod tests;

@@ -5,18 +5,22 @@ mod contact_law;
 mod diagnostics;
 mod hinge_drives;
 #[cfg(test)]
+mod loaded;
+#[cfg(test)]
 mod other_roots;
+#[cfg(test)]
+mod refused;
 
 use std::sync::Arc;
 
-use rapier3d::dynamics::Multibody;
+use rapier3d::dynamics::{Multibody, MultibodyJoint};
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::PhysicsWorld;
 
 pub(crate) use contact_law::ContactLaw;
 pub(crate) use hinge_drives::HingeDrives;
 
-use crate::robot::{JointMap, MapKind, Robot, empty_world};
+use crate::robot::{JointMap, MapKind, Robot, empty_world, floating_joint};
 use crate::scene::{JointPose, LinkPose, parts};
 
 /// Physics steps that a rebuild runs and then undoes. The contact law reads the impulses of the last step; with this
@@ -44,10 +48,10 @@ impl World {
 
     /// As [`Self::new`], with every physics step split into `parts` shorter ones, for higher accuracy.
     pub fn refined(robot: Arc<Robot>, parts: u32) -> Self {
-        let physics = empty_world(robot.blueprint(), robot.row(), parts);
+        let physics = empty_world(robot.blueprint(), robot.contact_compliance(), parts);
         let step_secs = physics.integration_parameters.dt;
         let mut world = Self {
-            drives: HingeDrives::new(robot.row(), robot.layout(), step_secs),
+            drives: HingeDrives::new(robot.blueprint().integration, robot.layout(), step_secs),
             contacts: ContactLaw::new(&robot, step_secs),
             physics,
             substeps: robot.frame_skip() * parts,
@@ -89,9 +93,7 @@ impl World {
     /// Sets the motors' controls, each clamped to its range, for the next physics steps.
     pub fn command(&mut self, controls: &[f32]) {
         for (index, control) in controls.iter().enumerate() {
-            let motor = self.robot.layout().motors[index];
-            let torque = motor.gear * control.clamp(motor.range[0], motor.range[1]);
-            self.drives.command(motor.hinge, torque);
+            self.drives.command(index, *control);
         }
     }
 
@@ -123,7 +125,8 @@ impl World {
         for joint in &self.robot.layout().joints {
             let (count, sign) = match joint.kind {
                 MapKind::Planar => (3, 1.0),
-                MapKind::Free => (6, 1.0),
+                MapKind::Fixed => (0, 1.0),
+                MapKind::Free | MapKind::Floating => (6, 1.0),
                 MapKind::Hinge { sign, .. } => (1, sign),
             };
             for k in 0..count {
@@ -201,6 +204,7 @@ impl World {
         let link = multibody.link_mut(joint.link).expect("the layout is this robot's");
         link.joint = *template.expect("the layout is this robot's").joint();
         let (count, sign) = match joint.kind {
+            MapKind::Fixed => (0, 1.0),
             MapKind::Planar => {
                 link.joint.apply_displacement(&q[..3]);
                 (3, 1.0)
@@ -208,6 +212,13 @@ impl World {
             MapKind::Hinge { sign, .. } => {
                 link.joint.apply_displacement(&[sign * q[0]]);
                 (1, sign)
+            }
+            MapKind::Floating => {
+                // The orientation is a part of the joint's frame, because the joint's own cannot be set.
+                let rotation = Rotation::from_xyzw(q[4], q[5], q[6], q[3]);
+                link.joint = MultibodyJoint::new(floating_joint(rotation), false);
+                link.joint.apply_displacement(&[q[0], q[1], q[2], 0.0, 0.0, 0.0]);
+                (6, 1.0)
             }
             MapKind::Free => {
                 // Not renormalised, because the encoded state must be restored exactly.
@@ -247,9 +258,15 @@ fn read_coordinates(multibody: &Multibody, joint: &JointMap, out: &mut [f32]) {
                 *to = coords[axis] + 0.0;
             }
         }
-        MapKind::Hinge { free, sign } => out[0] = sign * coords[3 + free] + 0.0,
-        MapKind::Free => {
-            let [x, y, z, w] = link.joint().joint_rot().to_array();
+        MapKind::Fixed => {}
+        MapKind::Hinge { axis, sign } => out[0] = sign * coords[axis] + 0.0,
+        MapKind::Free | MapKind::Floating => {
+            let inside = link.joint().data.local_frame2.rotation;
+            let rotation = match joint.kind {
+                MapKind::Floating => link.joint().joint_rot() * inside.inverse(),
+                _ => link.joint().joint_rot(),
+            };
+            let [x, y, z, w] = rotation.to_array();
             out[..7].copy_from_slice(&[coords[0], coords[1], coords[2], w, x, y, z]);
         }
     }

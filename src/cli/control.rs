@@ -7,12 +7,14 @@ use clap::Args;
 
 use crate::cli::tls::ClientTlsArguments;
 use crate::errors::Usage;
+use crate::run::newest;
 
 /// Selects the learner.
 #[derive(Args, Debug)]
 pub(crate) struct LearnerArgument {
-    /// Run folder, or URL of the learner.
-    #[arg(value_name = "RUN | URL", default_value = "http://127.0.0.1:50051")]
+    /// Run folder, URL or HOST:PORT of the learner [default: the newest run in runs that has a learner, else the newest
+    /// one, else http://127.0.0.1:50051].
+    #[arg(value_name = "RUN | URL | HOST:PORT", default_value = "", hide_default_value = true, value_parser = newest::or_newest)]
     pub(crate) of: String,
     /// TLS.
     #[command(flatten)]
@@ -57,7 +59,7 @@ pub(crate) struct CheckpointArguments {
 
 const WATCH_CASES: &str = "\
 Examples:
-  s2mia watch              lines of the learner at http://127.0.0.1:50051, until its run is finished
+  s2mia watch              the newest run in runs, live, as s2mia watch RUN
   s2mia watch URL          lines of the learner at URL
   s2mia watch RUN --lines  lines of the run in this folder; continues when its learner restarts
   s2mia watch RUN          the robot and the learning curves of this run folder, live, until Ctrl-C:

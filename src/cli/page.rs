@@ -1,6 +1,7 @@
-//! The arguments for a run's web page: its address, its host names and remote access.
+//! The arguments for the web page of runs: its address, its host names and remote access.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::Args;
@@ -15,6 +16,23 @@ pub(crate) struct PageArguments {
     #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
     pub(crate) page_host: Vec<String>,
     /// Allow a non-loopback --page address without encryption and authentication.
+    #[arg(long)]
+    pub(crate) insecure_allow_remote_page: bool,
+}
+
+/// `s2mia page`
+#[derive(Args, Debug)]
+pub(crate) struct RunsPageArguments {
+    /// Run folders, finished or growing [default: all runs in ./runs].
+    #[arg(value_name = "RUN")]
+    pub(crate) runs: Vec<PathBuf>,
+    /// Address of the page; port 0 selects a free port.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
+    pub(crate) listen: SocketAddr,
+    /// Additional host names and addresses accepted in requests, besides loopback.
+    #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
+    pub(crate) page_host: Vec<String>,
+    /// Allow a non-loopback --listen address without encryption and authentication.
     #[arg(long)]
     pub(crate) insecure_allow_remote_page: bool,
 }

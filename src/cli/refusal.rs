@@ -18,25 +18,43 @@ pub(crate) fn report(error: &clap::Error) -> ExitCode {
     ExitCode::from(2)
 }
 
-/// The message and the tip of clap's report, without its usage text.
+/// The message of clap's report, without its tips and its usage text, and what was probably meant.
 fn one_line(error: &clap::Error) -> String {
     let report = error.render().to_string();
-    let setting = setting_meant(error, &report);
-    let tips = if setting.is_some() { "error:" } else { "tip:" };
-    let paragraphs = report.split("\n\n").filter(|text| {
-        let text = text.trim_start();
-        text.starts_with("error:") || text.starts_with(tips)
-    });
-    let words = paragraphs.map(|text| text.split_whitespace().collect::<Vec<_>>().join(" "));
-    words.chain(setting).collect::<Vec<_>>().join("; ") + "; see --help"
+    let message = report.split("\n\n").filter(|text| text.trim_start().starts_with("error:"));
+    let message = message.map(|text| text.split_whitespace().collect::<Vec<_>>().join(" "));
+    let meant = meant(error).or_else(|| setting_meant(error, &report));
+    message.chain(meant).collect::<Vec<_>>().join("; ") + "; see --help"
 }
 
-/// A tip for an unknown flag that is probably a setting, if the command takes settings and has no similar flag.
-/// Clap's tip would be to pass the flag as a task.
+/// The name that was probably meant, of those that clap suggests. Its measure of similarity accepts words that differ in
+/// most of their letters.
+fn meant(error: &clap::Error) -> Option<String> {
+    let kinds = [
+        (ContextKind::InvalidArg, ContextKind::SuggestedArg),
+        (ContextKind::InvalidSubcommand, ContextKind::SuggestedSubcommand),
+        (ContextKind::InvalidValue, ContextKind::SuggestedValue),
+    ];
+    kinds.into_iter().find_map(|(given, suggested)| {
+        let Some(ContextValue::String(given)) = error.get(given) else { return None };
+        let suggested = match error.get(suggested)? {
+            ContextValue::String(one) => std::slice::from_ref(one),
+            ContextValue::Strings(some) => some,
+            _ => return None,
+        };
+        let plain = |word: &'_ str| word.trim_start_matches('-').to_owned();
+        let names: Vec<String> = suggested.iter().map(|name| plain(name)).collect();
+        let nearest = keys::nearest(&plain(given), names.iter().map(String::as_str))?;
+        let index = names.iter().position(|name| name == nearest)?;
+        Some(format!("did you mean `{}`?", suggested[index]))
+    })
+}
+
+/// A tip for an unknown flag that is probably a setting, if the command takes settings.
 fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
     let Some(ContextValue::String(flag)) = error.get(ContextKind::InvalidArg) else { return None };
     let takes_settings = error.kind() == ErrorKind::UnknownArgument && report.contains(VALUE_NAME);
-    if !takes_settings || error.get(ContextKind::SuggestedArg).is_some() {
+    if !takes_settings {
         return None;
     }
     let defaults = layers::defaults();
@@ -86,9 +104,23 @@ mod tests {
     #[test]
     fn a_wrong_flag_is_one_line_with_the_flag_that_was_meant() {
         let line = refusal(&["train", "--resum", "x"]);
-        assert!(line.starts_with("error: unexpected argument '--resum' found"), "{line}");
-        assert!(line.contains("--resume"), "{line}");
-        assert!(!line.contains('\n'), "{line}");
+        let found = "error: unexpected argument '--resum' found";
+        assert_eq!(line, format!("{found}; did you mean `--resume`?; see --help"));
+        assert!(refusal(&["recor", "runs/x"]).contains("did you mean `record`?"));
+        assert!(refusal(&["--log-format", "jsn", "tasks"]).contains("did you mean `json`?"));
+    }
+
+    #[test]
+    fn nothing_is_suggested_that_is_spelt_differently() {
+        for arguments in [
+            &["dance"][..],
+            &["eval", "runs/x", "--seed", "3"],
+            &["record", "runs/x", "--seeds", "3"],
+            &["--log-format", "yaml", "tasks"],
+        ] {
+            let line = refusal(arguments);
+            assert!(!line.contains("did you mean") && !line.contains("tip"), "{line}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ pub(super) const VALUE_NAME: &str = "TASK | KEY=VALUE";
 /// Arguments that define the configuration.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct SettingsArguments {
-    /// Task, followed by settings as key.path=value.
+    /// Task or path of a task file, followed by settings as key.path=value.
     #[arg(value_name = VALUE_NAME)]
     pub(crate) settings: Vec<String>,
     /// TOML file with settings. May be given several times; later files override earlier ones.

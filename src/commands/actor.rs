@@ -8,8 +8,10 @@ use crate::cli::{ActorArguments, ActorLogArguments};
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, layers};
 use crate::errors::Usage;
+use crate::listening::token;
 use crate::process::runtime;
 use crate::process::signals;
+use crate::run::fingerprints::BUILD;
 
 /// Ends with status 0 when the learner reports that the run is done, or after a stop signal.
 pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
@@ -44,9 +46,11 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
     let config = actor::Config {
         learner: arguments.learner,
         transport,
+        token: token::of_environment()?,
         environment: arguments.environment,
         max_outage_secs: patience,
         name: arguments.name.unwrap_or_else(default_name),
+        build: BUILD.to_owned(),
         log: log(arguments.log)?,
     };
     config.validate().map_err(|error| Usage::new(format!("--learner: {error}")))?;

@@ -5,10 +5,12 @@ use std::time::Duration;
 
 use learner::run_folder::RunFolder;
 use learner::service::Operator;
+use security::addresses;
 
 use crate::cli::{CheckpointArguments, LearnerArgument, OrderArguments};
 use crate::cli::{credentials, patience};
 use crate::errors::Usage;
+use crate::listening::token;
 use crate::process::{output, runtime};
 
 /// Hands out no more work.
@@ -68,15 +70,25 @@ fn order(
 /// Where the learner listens; `None` for the folder of a run on which none works.
 pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
     let of = &learner.of;
-    if of.contains("://") {
-        return Ok(Some(of.clone()));
+    let scheme = if learner.tls.files().is_some() { "https" } else { "http" };
+    let with_scheme = |address: &str| match address.contains("://") {
+        true => address.to_owned(),
+        false => format!("{scheme}://{address}"),
+    };
+    if let Some(address) = address(of) {
+        return Ok(Some(with_scheme(address)));
     }
     if !Path::new(of).is_dir() {
-        return Err(Usage::new(format!("{of} is neither a run folder nor a URL")).into());
+        return Err(Usage::new(format!("{of} is no run folder, URL or HOST:PORT")).into());
     }
-    let scheme = if learner.tls.files().is_some() { "https" } else { "http" };
-    let address = RunFolder::listening(Path::new(of))?;
-    Ok(address.map(|address| format!("{scheme}://{address}")))
+    Ok(RunFolder::listening(Path::new(of))?.as_deref().map(with_scheme))
+}
+
+/// The URL or `HOST:PORT` that the argument is; `None` for a folder.
+pub(super) fn address(of: &str) -> Option<&str> {
+    let is_port = |(host, port): (&str, &str)| !host.is_empty() && port.parse::<u16>().is_ok();
+    let is_address = of.contains("://") || of.rsplit_once(':').is_some_and(is_port);
+    (is_address && !Path::new(of).is_dir()).then_some(of)
 }
 
 /// A connection to the learner at `url`.
@@ -86,5 +98,10 @@ pub(super) async fn operator(
     patience: Duration,
 ) -> anyhow::Result<Operator> {
     let tls = credentials(url, &learner.tls)?;
-    Ok(Operator::connect(url, tls.as_ref(), patience).await?)
+    // Plain text to another machine would show the token to the network.
+    let authority = url.split_once("://").map_or(url, |(_, rest)| rest);
+    let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
+    let is_private = tls.is_some() || addresses::is_loopback(host);
+    let token = token::for_run(Path::new(&learner.of))?.filter(|_| is_private);
+    Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), patience).await?)
 }

@@ -26,7 +26,10 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
     let simulator = if trained.config.environment.url.is_empty() { "rapier/" } else { "" };
     let (run, steps) = (arguments.run.display(), chart::thousands(trained.env_steps));
-    output::line(format!("{run}: {simulator}{task} after {steps} env steps\n"));
+    let seed = trained.config.run.seed;
+    let (first, last) = (trained.episode(0).id(), trained.episode(arguments.episodes - 1).id());
+    output::line(format!("{run}: {simulator}{task} after {steps} env steps"));
+    output::line(format!("episodes {first} to {last}, seed {seed}\n"));
     output::line(as_table(&episodes, &spread));
     Ok(())
 }
@@ -42,7 +45,7 @@ fn play(
             Some(seed) => ActionChoice::Sampled { seed: seed.wrapping_add(episode.into()) },
             None => ActionChoice::Mean,
         };
-        let start = (trained.start(episode), choice);
+        let start = (trained.episode(episode).key(), choice);
         actor::play_episode(world, &trained.policy, start, |_| {}).context("the episode failed")
     };
     (0..arguments.episodes).map(episode).collect()
@@ -54,11 +57,14 @@ fn as_json(
     episodes: &[Episode],
     spread: &Spread,
 ) -> serde_json::Value {
-    let as_json =
-        |episode: &Episode| json!({ "return": episode.extrinsic_return, "steps": episode.steps });
-    let episodes: Vec<serde_json::Value> = episodes.iter().map(as_json).collect();
+    let as_json = |(index, played): (u32, &Episode)| {
+        let id = trained.episode(index).id();
+        json!({ "episode_id": id, "return": played.extrinsic_return, "steps": played.steps })
+    };
+    let episodes: Vec<serde_json::Value> = (0..).zip(episodes).map(as_json).collect();
     json!({
         "task": task,
+        "seed": trained.config.run.seed,
         "iteration": trained.iteration,
         "env_steps": trained.env_steps,
         "return_mean": spread.mean,

@@ -1,11 +1,13 @@
 //! `s2mia experiment`: runs all trainings that a file describes and reports their results.
 
+use learner::run_folder::RunFolder;
 use tokio::sync::watch;
 
 use crate::cli::ExperimentArguments;
+use crate::errors::Usage;
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
-use crate::experiment::plan::{PlannedRun, plan};
+use crate::experiment::plan::{PlannedRun, plan, remarks};
 use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
 use crate::experiment::report;
@@ -19,14 +21,16 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let runs = plan(&file)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let at_once = arguments.jobs.map_or_else(|| file.runs_at_once(cores), usize::from);
+    remarks(&runs).iter().for_each(output::line);
     if arguments.list {
         output::line(listing(&runs, &Record::read(&file.record)?, at_once));
         return Ok(());
     }
     if arguments.report {
+        demand_any(&file, &runs)?;
         return tell(&file, &runs);
     }
-    output::folder(&file.folder)?;
+    learner::durable::make_folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         runs.iter().cloned().partition(|run| record.holds(run));
@@ -45,6 +49,17 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
     let tally = scheduler::run_all(runs, at_once, stop.clone(), &mut progress).await?;
     let stopped = *stop.borrow();
     Ok((tally, stopped))
+}
+
+/// Refuses a report of nothing.
+fn demand_any(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
+    let record = Record::read(&file.record)?;
+    if runs.iter().any(|run| record.holds(run) || RunFolder::holds_run(&run.folder)) {
+        return Ok(());
+    }
+    let path = file.path.display();
+    let why = format!("no run of {path} has started; `s2mia experiment {path}` starts them");
+    Err(Usage::new(why).into())
 }
 
 fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {

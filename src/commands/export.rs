@@ -10,9 +10,8 @@ use crate::run::offered::Stage;
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let mut stage = Stage::of(&trained.config)?;
-    let about = checkpointed::metadata(&trained, &stage.environment.description().task);
-    let world = stage.environment.as_mut();
-    let files = export::export(&arguments.onnx, &trained.policy, world, trained.start(0), &about)?;
+    output::option_folder("--onnx", &arguments.onnx)?;
+    let files = export::export(&arguments.onnx, &trained, stage.environment.as_mut())?;
     for (name, holds) in files {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }

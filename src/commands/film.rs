@@ -15,15 +15,15 @@ use crate::run::checkpointed::{self, Trained};
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     demand_simulator(&trained, &arguments.run)?;
-    let key = trained.start(arguments.episode);
-    let played = PlayedEpisode::play(&trained.config.task, &trained.policy, key)?;
+    let path = arguments.out.clone().unwrap_or_else(|| arguments.run.join("film.png"));
+    output::check_file("--out", &path)?;
+    let episode = trained.episode(arguments.episode);
+    let played = PlayedEpisode::play(&trained.config.task, &trained.policy, episode.key())?;
     let steps = times::steps(arguments, played.dt_secs, played.steps())?;
     let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
     let png = film::strip(&played.robot, &frames)?;
-    let path = arguments.out.clone().unwrap_or_else(|| arguments.run.join("film.png"));
     output::file(&path, &png)?;
-    let (iteration, episode) = (trained.iteration, arguments.episode);
-    output::line(format!("iteration {iteration}, episode {episode}: {}", played.summary()));
+    output::line(format!("{episode}: {}", played.summary()));
     output::line(format!("{}: {}", path.display(), times_shown(&frames, arguments.every_secs)));
     Ok(())
 }
@@ -44,8 +44,8 @@ fn demand_simulator(trained: &Trained, run: &Path) -> Result<(), Usage> {
     match trained.config.environment.url.as_str() {
         "" => Ok(()),
         url => Err(Usage::new(format!(
-            "the environment of {} is at {url}, and only the simulator's robots can be drawn; \
-             `s2mia record` shows its state",
+            "the environment of {} is at {url}; its description has no shapes, so only the simulator's \
+             robots can be drawn; `s2mia record` writes its observations and states",
             run.display()
         ))),
     }

@@ -1,11 +1,14 @@
 //! `s2mia learner`: the learner of one run, for actors on any machine.
 
+use std::sync::Arc;
+
 use actor::Transport;
 use anyhow::Context as _;
+use security::ServerTls;
 use tokio::sync::watch;
 
 use crate::cli::LearnerArguments;
-use crate::listening::Listening;
+use crate::listening::{Listening, token};
 use crate::page;
 use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
@@ -14,10 +17,11 @@ use crate::run::launch::{self, Prepared};
 /// Serves until the run is done or a stop signal; the newest state is then in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
-    page::check(&arguments.page)?;
+    let page_tls = arguments.page_tls.then(|| listening.tls()).flatten();
+    page::check(&arguments.page, page_tls.as_ref())?;
     let prepared =
         launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
-    runtime()?.block_on(serve(prepared, listening, arguments))
+    runtime()?.block_on(serve(prepared, listening, page_tls, arguments))
 }
 
 /// The machines on which an external environment may run.
@@ -31,12 +35,17 @@ fn plain_text(arguments: &LearnerArguments) -> Transport {
 async fn serve(
     prepared: Prepared,
     listening: Listening,
+    page_tls: Option<Arc<ServerTls>>,
     arguments: &LearnerArguments,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let (listener, url) = listening.open().await?;
+    let token = token::of_environment()?;
+    let (mut listener, url) = listening.open().await?;
+    if let Some(token) = token {
+        listener = listener.with_token(token, &folder);
+    }
     output::line(format!("{} waits for actors on {url}", folder.display()));
-    let page = page::open(&arguments.page).await?;
+    let page = page::open(&arguments.page, page_tls).await?;
     let (stop_sender, stop) = watch::channel(false);
     signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))?;
     let mut progress = Progress::new(config.env_steps());

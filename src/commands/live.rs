@@ -8,13 +8,14 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use actor::{LiveError, LiveScene, LiveServer};
+use actor::{EvaluationEpisode, LiveError, LiveScene, LiveServer};
 use anyhow::Context as _;
-use policy::{Key, RunSeed};
+use policy::RunSeed;
 
 use crate::commands::live::curves::Curves;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
+use crate::listening::demand_loopback;
 use crate::process::output;
 use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::Stage;
@@ -38,12 +39,8 @@ impl Place {
     /// Listens there; refuses an address that other machines can reach unless that is allowed, and a port that is taken.
     pub(super) fn open(&self, run: &str) -> anyhow::Result<LiveServer> {
         let Self { address, flag, permission, permitted } = self;
-        if !address.ip().is_loopback() && !permitted {
-            return Err(Usage::new(format!(
-                "{flag} {address} would show this run to other machines without encryption or \
-                 identity; pass {permission} to allow that"
-            ))
-            .into());
+        if !permitted {
+            demand_loopback(flag, *address, &format!("pass {permission} to allow that"))?;
         }
         LiveServer::open(*address, run).map_err(|error| match error {
             LiveError::Listen(why) => {
@@ -124,8 +121,9 @@ impl Robot {
         let mut stage = Stage::of(&show.config)?;
         let world = stage.environment.as_mut();
         let mut scene = server.scene(world).context("cannot show the environment")?;
-        let key = Key::of_evaluation(RunSeed(show.config.run.seed), 0, 0);
-        world.reset(0, 0, world.description().episode_steps, key.0)?;
+        let seed = RunSeed(show.config.run.seed);
+        let first = EvaluationEpisode { seed, iteration: 0, index: 0 };
+        world.reset(0, 0, world.description().episode_steps, first.key().0)?;
         scene.stand(world)?;
         scene.describe(&BTreeMap::from([(
             "waits_for".to_owned(),
@@ -176,15 +174,10 @@ impl Robot {
     /// Episodes begin as those of the run's own evaluation of this policy do, one after the other.
     fn episode(&mut self, curves: &mut Curves) -> anyhow::Result<()> {
         let Some(trained) = &self.trained else { return Ok(()) };
-        let key = trained.start(self.episodes);
-        let after_step = || curves.follow();
-        self.scene
-            .play(
-                (self.stage.environment.as_mut(), &trained.policy),
-                (self.episodes, key),
-                after_step,
-            )
-            .context("the episode broke off")?;
+        let (world, acting) = (self.stage.environment.as_mut(), (&trained.policy, trained.weights));
+        let played =
+            self.scene.play(world, acting, trained.episode(self.episodes), || curves.follow());
+        played.context("the episode broke off")?;
         self.episodes += 1;
         Ok(())
     }

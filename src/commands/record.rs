@@ -2,39 +2,28 @@
 
 use std::path::PathBuf;
 
+use actor::{EvaluationEpisode, RecordedRun};
 use anyhow::Context as _;
-use policy::RunSeed;
 
 use crate::cli::RecordArguments;
 use crate::figures::chart;
 use crate::process::output;
-use crate::run::checkpointed;
+use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::Stage;
 use crate::run::run_path;
 
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
-    let path = path(arguments, trained.iteration);
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        output::folder(folder)?;
-    }
-    let seed = RunSeed(trained.config.run.seed);
+    let path = path(arguments, trained.iteration)?;
     let mut stage = Stage::of(&trained.config)?;
-    let name = stage.environment.description().task.clone();
-    let task = trained.config.environment.url.is_empty().then_some(&trained.config.task);
-    let summary = actor::record(
-        (stage.environment.as_mut(), task),
-        &trained.policy,
-        seed,
-        arguments.episodes,
-        &path,
-        &checkpointed::metadata(&trained, &name),
-    )
-    .with_context(|| format!("cannot record {}", path.display()))?;
-    for (index, episode) in summary.episodes.iter().enumerate() {
-        let (value, steps) = (episode.extrinsic_return, episode.steps);
-        output::line(format!("episode {index}: return {value:.2}, {steps} steps"));
+    let run = recorded(arguments, &trained, &stage)?;
+    let episodes = episodes(arguments, &trained);
+    let summary = actor::record(stage.environment.as_mut(), &run, &episodes, &path)
+        .with_context(|| format!("cannot record {}", path.display()))?;
+    for (episode, played) in episodes.iter().zip(&summary.episodes) {
+        let (value, steps) = (played.extrinsic_return, played.steps);
+        output::line(format!("{episode}: return {value:.2}, {steps} steps"));
     }
     let megabytes = summary.bytes as f64 / 1e6;
     let (messages, shown) = (chart::thousands(summary.messages), path.display());
@@ -42,7 +31,40 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn path(arguments: &RecordArguments, iteration: u64) -> PathBuf {
-    let named = || run_path::logs(&arguments.run).join(format!("iter_{iteration:08}.mcap"));
-    arguments.out.clone().unwrap_or_else(named)
+/// The file to write; its folder must exist. The run's own folder of logs is created.
+fn path(arguments: &RecordArguments, iteration: u64) -> anyhow::Result<PathBuf> {
+    if let Some(path) = &arguments.out {
+        output::check_file("--out", path)?;
+        return Ok(path.clone());
+    }
+    let logs = run_path::logs(&arguments.run);
+    output::folder(&logs)?;
+    Ok(logs.join(format!("iter_{iteration:08}.mcap")))
+}
+
+/// The chosen episode, or the first ones.
+fn episodes(arguments: &RecordArguments, trained: &Trained) -> Vec<EvaluationEpisode> {
+    let indices = match arguments.episode {
+        Some(index) => index..index.saturating_add(1),
+        None => 0..arguments.episodes,
+    };
+    indices.map(|index| trained.episode(index)).collect()
+}
+
+fn recorded<'a>(
+    arguments: &RecordArguments,
+    trained: &'a Trained,
+    stage: &Stage,
+) -> anyhow::Result<RecordedRun<'a>> {
+    let config = &trained.config;
+    let task = &stage.environment.description().task;
+    let mut metadata = checkpointed::metadata(trained, task);
+    metadata.insert("run_id".to_owned(), run_path::name(&arguments.run));
+    let task_settings = match config.environment.url.as_str() {
+        "" => serde_json::to_string(&config.task).context("cannot write the task's settings")?,
+        _ => String::new(),
+    };
+    let settings_toml = config.resolved.to_toml();
+    let (policy, weights) = (&trained.policy, trained.weights);
+    Ok(RecordedRun { policy, weights, metadata, settings_toml, task_settings })
 }

@@ -56,11 +56,12 @@ impl AtRest {
         Ok(Self { run_id, newest, iterations })
     }
 
-    /// The last line of a finished run.
+    /// The last line of the run.
     pub(super) fn last_line(&self) -> RunLine {
         let Reached { iteration, env_steps } = self.newest.unwrap_or_default();
         let line = RunLine::without_figures(self.run_id.clone(), iteration, env_steps);
-        RunLine { end: Some(RunEnd::Finished), ..line }
+        let end = if self.is_finished() { RunEnd::Finished } else { RunEnd::Stopped };
+        RunLine { end: Some(end), ..line }
     }
 
     /// Whether the run has had its last iteration.

@@ -17,6 +17,7 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
     let mut worlds: Vec<Box<dyn EnvironmentBatch>> =
         sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
     if let Some(folder) = &arguments.picture {
+        output::option_folder("--picture", folder)?;
         return worlds.iter_mut().try_for_each(|world| draw(&mut **world, folder));
     }
     let tasks: Vec<&Description> = worlds.iter().map(|world| world.description()).collect();
@@ -40,13 +41,9 @@ fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
 
 /// Draws one picture and prints the names of its numbered joints; a game has no picture.
 fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
-    let shapes = sim::shapes(&world.description().task).context("cannot build the robot")?;
-    if shapes.is_empty() {
-        return Ok(());
-    }
+    let Some(robot) = RobotShapes::of(world) else { return Ok(()) };
     let joints = film::distinct_joints(world)?;
     let (task, pose) = (world.description(), world.pose(0));
-    let robot = RobotShapes::new(task, shapes, &pose);
     let path = folder.join(format!("{}.png", task.task));
     output::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
     let names = task.agents.iter().flat_map(|agent| &agent.joints);
@@ -56,7 +53,8 @@ fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn as_table(task: &Description) -> String {
+/// Agents and sizes of a task.
+pub(super) fn as_table(task: &Description) -> String {
     let mut text = format!(
         "{}: {} agents, state {}, {} steps of {} s\n",
         task.task,

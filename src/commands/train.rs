@@ -7,8 +7,9 @@ use std::time::Instant;
 
 use actor::{LiveServer, Transport};
 use anyhow::Context as _;
-use learner::{LearnerError, Summary};
+use learner::{LearnerError, Listener, Summary};
 use proto::Episodes;
+use security::Token;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
@@ -26,7 +27,7 @@ use crate::run::{determinism, run_path};
 
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
-    page::check(&arguments.page)?;
+    page::check(&arguments.page, None)?;
     let prepared =
         launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     if let Some(iterations) = arguments.verify_determinism {
@@ -52,10 +53,12 @@ async fn train(
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
-    let page = page::open(page).await?;
+    let page = page::open(page, None).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
-    let processes = processes(&config, &folder, &listener)?;
+    let token = Token::random()?;
+    let processes = processes(&config, &folder, &listener, token.clone())?;
+    let listener = Listener::from(listener).with_token(token, &folder);
     let (end, ended) = watch::channel(false);
     signals::stop_on_signal(stop_sender.clone(), || {
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
@@ -113,12 +116,14 @@ fn processes(
     config: &RunConfig,
     folder: &Path,
     listener: &TcpListener,
+    token: Token,
 ) -> anyhow::Result<ActorProcesses> {
     let logs = run_path::logs(folder);
-    output::folder(&logs)?;
+    learner::durable::make_folder(&logs)?;
     Ok(ActorProcesses {
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),
+        token,
         environment: config.environment.arguments(),
         logs,
         log: config.log,

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use crate::cli::WatchArguments;
-use crate::commands::control::{operator, url};
+use crate::commands::control::{address, operator, url};
 use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;
 use crate::config::run_config::RunConfig;
@@ -35,7 +35,7 @@ const LIVE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8765);
 
 /// A run folder live, a learner's URL line by line.
 pub(super) fn run(arguments: &WatchArguments) -> anyhow::Result<()> {
-    match arguments.lines || arguments.learner.of.contains("://") {
+    match arguments.lines || address(&arguments.learner.of).is_some() {
         true => lines(arguments),
         false => live(arguments),
     }
@@ -113,7 +113,7 @@ impl<'a> Watch<'a> {
         let mut told = None;
         loop {
             let missing = match self.session().await {
-                Ok(RunEnd::Finished) => return Ok(()),
+                Ok(RunEnd::Finished | RunEnd::StoppedByClient) => return Ok(()),
                 Ok(RunEnd::Stopped) => anyhow::anyhow!("the learner has ended"),
                 Err(error) if is_final(&error) => return Err(error),
                 Err(error) => error,
@@ -129,15 +129,15 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// One learner, and how it ended; a run that is finished needs none.
+    /// One learner, and how it ended. A run without a learner from the start shows how far it came.
     async fn session(&mut self) -> anyhow::Result<RunEnd> {
         let learner = &self.arguments.learner;
         let Some(url) = url(learner)? else {
             let rest = AtRest::of(Path::new(&learner.of))?;
-            if !rest.is_finished() {
-                let of = &learner.of;
+            let of = &learner.of;
+            if self.run_id.is_some() && !rest.is_finished() {
                 let next = format!("`s2mia train --resume {of}` starts one");
-                return Err(anyhow::anyhow!("no learner works on {of}; {next}"));
+                return Err(anyhow::anyhow!("the learner of {of} has ended; {next}"));
             }
             self.show(&rest.last_line());
             return Ok(RunEnd::Finished);
@@ -195,7 +195,7 @@ fn text(line: &RunLine) -> String {
         Some(RunEnd::Finished) => {
             format!("finished after iteration {iteration}, {steps} env steps{evaluated}")
         }
-        Some(RunEnd::Stopped) => {
+        Some(RunEnd::Stopped | RunEnd::StoppedByClient) => {
             format!("stopped after iteration {iteration}, {steps} env steps{evaluated}")
         }
         None => {
@@ -212,7 +212,7 @@ fn text(line: &RunLine) -> String {
 fn to_json(line: &RunLine) -> Value {
     let end = line.end.map(|end| match end {
         RunEnd::Finished => "finished",
-        RunEnd::Stopped => "stopped",
+        RunEnd::Stopped | RunEnd::StoppedByClient => "stopped",
     });
     let evaluation = line.evaluation.map(|found| {
         json!({

@@ -3,7 +3,6 @@
 use actor::LogSettings;
 use proto::Episodes;
 use serde::Deserialize;
-use sim::{ObservationConfig, ObservationNorm};
 
 /// The section `environment_service`.
 #[derive(Clone, Debug, Deserialize)]
@@ -25,18 +24,7 @@ impl EnvironmentSection {
     }
 
     /// Refuses settings that only the simulator supports.
-    pub(crate) fn validate(
-        &self,
-        observation: &ObservationConfig,
-        log: LogSettings,
-    ) -> Result<(), String> {
-        if observation.norm == ObservationNorm::FeatureZ {
-            return Err(
-                "observation.norm must be none or running with environment_service.url, is feature_z: \
-                        the simulator alone scales what it shows"
-                    .to_owned(),
-            );
-        }
+    pub(crate) fn validate(&self, log: LogSettings) -> Result<(), String> {
         if log.episodes != Episodes::None {
             return Err("log.episodes must be none with environment_service.url: \
                         the simulator's episodes alone are logged"
@@ -60,13 +48,10 @@ mod tests {
 
     #[test]
     fn what_the_simulator_alone_can_do_is_refused_for_an_environment_from_outside() {
-        assert_eq!(refused("observation.norm=running"), None);
-        for (setting, key) in [
-            ("observation.norm=feature_z", "observation.norm"),
-            ("log.episodes=all", "log.episodes"),
-        ] {
-            let message = refused(setting).unwrap();
-            assert!(message.contains(&format!("{key} must be none")), "{message}");
+        for norm in ["running", "feature_z", "none"] {
+            assert_eq!(refused(&format!("observation.norm={norm}")), None);
         }
+        let message = refused("log.episodes=all").unwrap();
+        assert!(message.contains("log.episodes must be none"), "{message}");
     }
 }

@@ -1,5 +1,8 @@
 //! Properties of keys: which affect the result of a run, and which are spelled alike.
 
+use sim::spelling::nearest_by;
+use strsim::levenshtein;
+
 /// Key of the run folder.
 const FOLDER: &str = "run.dir";
 
@@ -48,7 +51,8 @@ pub(crate) fn other_meaning(now: &str) -> &'static str {
 
 /// Semantic keys that a later version added, each with the value that means what earlier versions did, as TOML writes it.
 /// With that value the key takes no part in the hash of the settings, so runs of earlier versions can be resumed.
-pub(crate) const ADDED: &[(&str, &str)] = &[];
+pub(crate) const ADDED: &[(&str, &str)] =
+    &[("task_file.text", "\"\""), ("task_file.model", "\"\"")];
 
 /// The semantic key that the program fills in when a run starts.
 pub(crate) const FILLED_IN: &str = "environment_service.description";
@@ -88,41 +92,21 @@ pub(crate) fn spelled<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) 
     known.into_iter().filter(|key| plain(key) == word || last(key) == word).collect()
 }
 
-/// The candidate most similar to `word`, if it is similar enough.
+/// The candidate most similar to `word`, if it is a few typing errors away at most.
 pub(crate) fn nearest<'a>(
     word: &str,
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> Option<&'a str> {
-    // Of a short word two changed letters leave nothing.
-    let limit = if word.len() <= 4 { 1 } else { 2.max(word.len() / 4) };
-    let ranked =
-        candidates.into_iter().map(|candidate| (distance_to_key(word, candidate), candidate));
-    ranked.filter(|(distance, _)| *distance <= limit).min_by_key(|(d, _)| *d).map(|(_, c)| c)
+    nearest_by(word, candidates, distance_to_key)
 }
 
 /// Edit distance; a word without its section is also compared with the last part of the key.
 fn distance_to_key(word: &str, key: &str) -> usize {
-    let whole = edit_distance(word, key);
+    let whole = levenshtein(word, key);
     match key.rsplit_once('.') {
-        Some((_, last)) if !word.contains('.') => whole.min(edit_distance(word, last)),
+        Some((_, last)) if !word.contains('.') => whole.min(levenshtein(word, last)),
         _ => whole,
     }
-}
-
-/// Levenshtein distance in characters.
-fn edit_distance(left: &str, right: &str) -> usize {
-    let right: Vec<char> = right.chars().collect();
-    let mut row: Vec<usize> = (0..=right.len()).collect();
-    for (i, l) in left.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, r) in right.iter().enumerate() {
-            let replaced = diagonal + usize::from(l != *r);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(row[j + 1] + 1);
-        }
-    }
-    row[right.len()]
 }
 
 #[cfg(test)]
@@ -130,18 +114,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn edit_distance_of_known_pairs() {
-        assert_eq!(edit_distance("kitten", "sitting"), 3);
-        assert_eq!(edit_distance("", "abc"), 3);
-        assert_eq!(edit_distance("gamma", "gamma"), 0);
-    }
-
-    #[test]
     fn the_nearest_key_is_found_with_and_without_its_section() {
         let keys = ["update.gamma", "update.learning_rate", "run.seed"];
         assert_eq!(nearest("update.lerning_rate", keys), Some("update.learning_rate"));
         assert_eq!(nearest("seed", keys), Some("run.seed"));
         assert_eq!(nearest("zebra.stripes", keys), None);
+    }
+
+    #[test]
+    fn a_word_that_shares_few_letters_with_a_key_suggests_none() {
+        let keys =
+            ["update.gamma", "update.gae_lambda", "audit.share", "surprise.feature_sigma_floor"];
+        for word in ["score", "gammas_and_more", "ga", "entropy.feature_sigma_flavour"] {
+            assert_eq!(nearest(word, keys), None, "{word}");
+        }
+        assert_eq!(nearest("gama", keys), Some("update.gamma"));
+        assert_eq!(
+            nearest("surprize.feature_sigma_flor", keys),
+            Some("surprise.feature_sigma_floor")
+        );
     }
 
     #[test]

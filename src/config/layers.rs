@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::ConfigError;
 use super::keys;
+use super::own_task::OwnTask;
 use super::presets::{self, Preset};
 use super::resolved::{Entry, Resolved};
 use super::scalar::Scalar;
@@ -59,9 +60,9 @@ impl Request {
 }
 
 /// Values of one place.
-struct Layer {
-    place: String,
-    values: BTreeMap<String, Scalar>,
+pub(super) struct Layer {
+    pub(super) place: String,
+    pub(super) values: BTreeMap<String, Scalar>,
 }
 
 /// What a file of `configs/presets` says, by what it says it for.
@@ -100,12 +101,14 @@ pub(crate) fn resolve(request: &Request) -> Result<Resolved, ConfigError> {
     let base = base_layer();
     let schema = base.values.clone();
     let asked = asked_layers(request, &schema)?;
+    let own = OwnTask::of(&asked)?;
     let mut layers = vec![base];
     match &request.resumed {
         Some(file) => layers.push(run_layer(file, &schema)?),
-        None => layers.extend(named_layers(&layers[0], &asked, &schema)?),
+        None => layers.extend(named_layers(&layers[0], &asked, own.as_ref(), &schema)?),
     }
     layers.extend(asked);
+    layers.extend(own.map(|own| own.identity()));
     Ok(laid_over(layers))
 }
 
@@ -171,34 +174,47 @@ fn misplaced(argument: &str) -> ConfigError {
     }
 }
 
-/// The files of the task, the preset and the algorithm that the other layers choose, and for an environment from outside
-/// what takes the place of a scale that only the simulator computes. What a preset says for one algorithm on one task stands above the algorithm's file, everything
-/// else of it below.
-fn named_layers(base: &Layer, asked: &[Layer], schema: &Schema) -> Result<Vec<Layer>, ConfigError> {
-    let task = chosen("task", presets::TASKS, base, asked)?;
+/// Name and settings of the task.
+fn task_layers(
+    base: &Layer,
+    asked: &[Layer],
+    own: Option<&OwnTask>,
+    schema: &Schema,
+) -> Result<(String, Vec<Layer>), ConfigError> {
+    let Some(own) = own else {
+        let task = chosen("task", presets::TASKS, base, asked)?;
+        return Ok((task.name.to_owned(), vec![preset_layer(task, schema)?]));
+    };
+    let general = preset_layer(presets::OWN_TASK, schema)?;
+    Ok((own.name.clone(), vec![general, laid_out(&own.place, &own.settings()?, schema)?]))
+}
+
+/// The files of the task, the preset and the algorithm that the other layers choose, above the defaults for an
+/// environment from outside. What a preset says for one algorithm on one task stands above the algorithm's file,
+/// everything else of it below.
+fn named_layers(
+    base: &Layer,
+    asked: &[Layer],
+    own: Option<&OwnTask>,
+    schema: &Schema,
+) -> Result<Vec<Layer>, ConfigError> {
+    let (task, of_task) = task_layers(base, asked, own, schema)?;
     let algorithm = chosen("algorithm", presets::ALGORITHMS, base, asked)?;
     let preset = chosen("preset", presets::PRESETS, base, asked)?;
-    let parts = PresetParts::of(preset, task.name, algorithm.name)?;
+    let parts = PresetParts::of(preset, &task, algorithm.name)?;
     let part = |table: &toml::Table| laid_out(preset.path, table, schema);
-    let mut layers = vec![
-        preset_layer(task, schema)?,
+    let mut layers = Vec::new();
+    if names_outside(asked) {
+        layers.push(preset_layer(presets::OUTSIDE, schema)?);
+    }
+    layers.extend(of_task);
+    layers.extend([
         part(&parts.general)?,
         part(&parts.of_task)?,
         preset_layer(algorithm, schema)?,
         part(&parts.of_algorithm)?,
-    ];
-    if names_outside(asked) && norm_of(&layers) == Some("feature_z") {
-        layers.push(preset_layer(presets::OUTSIDE, schema)?);
-    }
+    ]);
     Ok(layers)
-}
-
-/// How these layers scale observations.
-fn norm_of(layers: &[Layer]) -> Option<&str> {
-    match layers.iter().rev().find_map(|layer| layer.values.get("observation.norm")) {
-        Some(Scalar::Text(norm)) => Some(norm),
-        _ => None,
-    }
 }
 
 /// Whether the environment comes from outside.

@@ -35,6 +35,13 @@ pub(crate) const OUTSIDE: Preset = Preset {
     text: include_str!("../../configs/outside.toml"),
 };
 
+/// Settings for a task that is not part of the program.
+pub(crate) const OWN_TASK: Preset = Preset {
+    name: "own-task",
+    path: "configs/own-task.toml",
+    text: include_str!("../../configs/own-task.toml"),
+};
+
 /// Settings per task.
 pub(crate) const TASKS: &[Preset] = presets!(
     "tasks":

@@ -33,9 +33,16 @@ impl Resolved {
         }
     }
 
-    /// The value under `key` as TOML writes it.
+    /// The value under `key` in one line: as TOML writes it, or the SHA-256 of a text of several lines.
     pub(crate) fn shown(&self, key: &str) -> String {
-        self.entries.get(key).map_or_else(String::new, |entry| entry.value.to_string())
+        match self.entries.get(key).map(|entry| &entry.value) {
+            Some(Scalar::Text(text)) if text.contains('\n') => {
+                let digest: [u8; 32] = Sha256::digest(text).into();
+                format!("a text with the SHA-256 {}", policy::arrays::hex(&digest))
+            }
+            Some(value) => value.to_string(),
+            None => String::new(),
+        }
     }
 
     /// The keys that affect the result; includes the length if every step depends on it.

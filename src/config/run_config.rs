@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
 
 use crate::config::environment_section::EnvironmentSection;
-use crate::config::{ConfigError, Request, Resolved, layers, run_settings};
+use crate::config::{ConfigError, Request, Resolved, layers, own_task, run_settings};
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -121,7 +121,7 @@ impl RunConfig {
         self.validate_run()?;
         match self.environment.url.is_empty() {
             true => self.validate_actions()?,
-            false => self.environment.validate(&self.task.observation, self.log)?,
+            false => self.environment.validate(self.log)?,
         }
         self.learner.suits(&self.policy).map_err(|error| error.to_string())
     }
@@ -189,6 +189,13 @@ fn task(resolved: &Resolved) -> Result<sim::TaskConfig, String> {
     table.insert("task".to_owned(), toml::Value::String(resolved.text("task").to_owned()));
     let semantics = toml::Value::String(resolved.text("partition.semantics").to_owned());
     table.insert("partition".to_owned(), semantics);
+    let (file, model) = (resolved.text(own_task::FILE), resolved.text(own_task::MODEL));
+    if !file.is_empty() {
+        let texts = [("file", file), ("model", model)];
+        let texts = texts.map(|(key, text)| (key.to_owned(), toml::Value::String(text.to_owned())));
+        let definition = toml::Value::Table(texts.into_iter().collect());
+        table.insert("definition".to_owned(), definition);
+    }
     typed(table)
 }
 

@@ -1,11 +1,22 @@
 //! The runs that an experiment file describes. All settings are checked before the first run starts.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use super::file::{ExperimentFile, Variant, assignments};
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
 use crate::errors::Usage;
+use crate::figures::chart::thousands;
+
+/// The setting of the interval between evaluations.
+const EVERY_STEPS: &str = "evaluation.every_steps";
+
+/// Evaluations of a run after its start, at least, if no setting says otherwise.
+const EVALUATIONS: u64 = 10;
+
+/// A curve of fewer evaluations after the start is remarked on.
+const FEWEST: u64 = 3;
 
 /// One run of an experiment.
 #[derive(Clone, Debug)]
@@ -71,23 +82,51 @@ fn planned(
         format!("learner.threads={}", file.threads),
     ]);
     let place = format!("{}, variant {} on {task}", file.path.display(), variant.name);
-    let mut request = Request::from_process(Vec::new(), settings.clone());
-    request.settings_place = Some(place.clone());
-    let config = RunConfig::build(layers::resolve(&request)?)?;
+    let mut config = resolved(&settings, &place)?;
+    if let Some(every) = adapted(&config) {
+        settings.push(format!("{EVERY_STEPS}={every}"));
+        config = resolved(&settings, &place)?;
+    }
     if config.learner.evaluation.every_steps == 0 {
-        let why =
-            format!("{place}: evaluation.every_steps must be above 0: evaluations are compared");
+        let why = format!("{place}: {EVERY_STEPS} must be above 0: evaluations are compared");
         return Err(Usage::new(why).into());
     }
+    let task = config.resolved.text("task").to_owned();
     let folder = file.folder.join(format!("{task}-{}-seed{seed}", variant.name));
-    Ok(PlannedRun {
-        task: task.to_owned(),
-        variant: variant.name.clone(),
-        seed,
-        folder,
-        settings,
-        config,
-    })
+    Ok(PlannedRun { task, variant: variant.name.clone(), seed, folder, settings, config })
+}
+
+fn resolved(settings: &[String], place: &str) -> anyhow::Result<RunConfig> {
+    let mut request = Request::from_process(Vec::new(), settings.to_vec());
+    request.settings_place = Some(place.to_owned());
+    Ok(RunConfig::build(layers::resolve(&request)?)?)
+}
+
+/// A shorter interval between evaluations for a run that is too short for the default one.
+fn adapted(config: &RunConfig) -> Option<u64> {
+    let is_default = config.resolved.origin(EVERY_STEPS).starts_with("configs/");
+    let tenth = (config.env_steps() / EVALUATIONS).max(1);
+    let every = config.learner.evaluation.every_steps;
+    (is_default && tenth < every).then_some(tenth)
+}
+
+/// A line for each variant with too few evaluations for a curve.
+pub(crate) fn remarks(runs: &[PlannedRun]) -> Vec<String> {
+    let few = |run: &PlannedRun| {
+        let (steps, every) = (run.config.env_steps(), run.config.learner.evaluation.every_steps);
+        let count = steps / every;
+        let advice = (steps / EVALUATIONS).max(1);
+        (count < FEWEST).then(|| {
+            format!(
+                "note: {} has {count} evaluations after its start in {} steps, too few for a curve; \
+                 leave {EVERY_STEPS} out or set it to {}",
+                run.variant,
+                thousands(steps),
+                thousands(advice),
+            )
+        })
+    };
+    runs.iter().filter_map(few).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 #[cfg(test)]
@@ -138,5 +177,31 @@ mod tests {
             assert!(message.starts_with(&format!("a.toml, {words}")), "{message}");
             assert!(error.is::<ConfigError>() || error.is::<Usage>(), "{message}");
         }
+    }
+
+    fn planned_with(line: &str) -> Vec<PlannedRun> {
+        let text = SAMPLE.replacen("settings.evaluation.every_steps = 4_000", line, 1);
+        plan(&toml::from_str(&text).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_run_that_is_short_for_the_default_interval_is_evaluated_ten_times() {
+        let runs = planned_with("");
+        assert_eq!(runs[0].config.learner.evaluation.every_steps, 800);
+        assert!(runs[0].settings.contains(&"evaluation.every_steps=800".to_owned()));
+        assert!(remarks(&runs).is_empty());
+        let long = SAMPLE.replacen("8_000", "8_000_000", 1).replacen("settings.eval", "# ", 1);
+        let long = plan(&toml::from_str(&long).unwrap()).unwrap();
+        assert_eq!(long[0].config.learner.evaluation.every_steps, 100_000);
+    }
+
+    #[test]
+    fn an_interval_of_the_file_is_kept_and_remarked_on_if_it_is_too_long() {
+        let runs = planned_with("settings.evaluation.every_steps = 4_000");
+        assert_eq!(runs[0].config.learner.evaluation.every_steps, 4_000);
+        let lines = remarks(&runs);
+        let happo = "note: happo has 2 evaluations after its start in 8,000 steps, too few for a curve; \
+                     leave evaluation.every_steps out or set it to 800";
+        assert_eq!((lines.len(), lines[0].as_str()), (2, happo));
     }
 }

@@ -7,6 +7,7 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
 use learner::provenance::PROVENANCE_FILE;
+use learner::run_folder::RunFolder;
 use policy::arrays::hex;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
@@ -14,8 +15,6 @@ use sha2::{Digest as _, Sha256};
 use super::plan::PlannedRun;
 use super::run_state::last_lines;
 use crate::figures::learning_curve::{Curve, Quantity};
-use crate::process::output;
-use crate::run::fingerprints;
 
 const HEADER: &str =
     "task,variant,seed,env_steps,return,surprise,information,settings_sha256,weights_sha256,commit";
@@ -139,7 +138,8 @@ impl Record {
     /// Names the file of the folder that cannot be read.
     pub(crate) fn add(&mut self, run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
         let evaluations = evaluations(curve);
-        let manifest = fingerprints::manifest(&run.folder)?;
+        let manifest = RunFolder::recorded(&run.folder)
+            .with_context(|| format!("{} has no whole manifest", run.folder.display()))?;
         let last = last_lines(&run.folder.join(PROVENANCE_FILE)).pop().unwrap_or_default();
         let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let origin = Origin {
@@ -157,7 +157,7 @@ impl Record {
     /// Names the file if it cannot be written.
     pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
         if let Some(folder) = path.parent() {
-            output::folder(folder)?;
+            learner::durable::make_folder(folder)?;
         }
         Ok(learner::durable::replace(path, self.text().as_bytes())?)
     }

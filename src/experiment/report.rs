@@ -18,6 +18,7 @@ pub(crate) fn write(
     file: &ExperimentFile,
     runs: &[PlannedRun],
 ) -> anyhow::Result<(String, Vec<PathBuf>)> {
+    output::folder(&file.folder)?;
     let (mut curves, finished) = curves(file, runs)?;
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
@@ -88,7 +89,8 @@ fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, us
     let share = 100.0 * file.threshold;
     let mut text = format!(
         "{finished} of {planned} runs are finished. Interquartile means over seeds with 95 % bootstrap \
-         intervals; final is the mean over the last tenth of the run; learnt is {share:.0} % of the task's best final return.\n\n\
+         intervals; final is the mean over the last tenth of the run; learnt is {share:.0} % of the way from the return at the \
+         start to the task's best final return.\n\n\
          | task | variant | runs | final return | mean return over training | steps until learnt (median) \
          | P(better than {}) |\n| --- | --- | --- | --- | --- | --- | --- |\n",
         file.baseline
@@ -160,7 +162,7 @@ fn csv(rows: &[Row]) -> String {
             row.runs,
             three(row.final_return),
             three(row.area),
-            row.threshold,
+            row.threshold.map_or_else(String::new, |threshold| threshold.to_string()),
             row.steps_to_threshold.map_or_else(String::new, |steps| steps.to_string()),
             row.runs_at_threshold,
             row.improvement.map_or_else(|| ",,".to_owned(), three),
@@ -186,7 +188,7 @@ mod tests {
             runs: 3,
             final_return: estimate(86.0),
             area: estimate(51.0),
-            threshold: 43.0,
+            threshold: Some(43.0),
             steps_to_threshold: Some(150_000.0),
             runs_at_threshold: 2,
             improvement: None,

@@ -52,8 +52,8 @@ pub(crate) struct Row {
     pub(crate) final_return: Estimate,
     /// Interquartile mean of the areas under the curves, per environment step: the mean return over training.
     pub(crate) area: Estimate,
-    /// The return that the variants have to reach.
-    pub(crate) threshold: f64,
+    /// The return that the variants have to reach; `None` if no variant of the task ends higher than it began.
+    pub(crate) threshold: Option<f64>,
     /// Median over the runs of the environment steps to the threshold; `None` if half of the runs never reach it.
     pub(crate) steps_to_threshold: Option<f64>,
     /// Runs that reach the threshold.
@@ -65,15 +65,17 @@ pub(crate) struct Row {
 /// The curves of each variant on each task, by task and variant.
 pub(super) type Groups<'a> = BTreeMap<(&'a str, &'a str), Vec<&'a [(f64, f64)]>>;
 
-/// A row for each variant on each task, in the order of `variants` within a task. The threshold is `share` of the
-/// highest final return among the task's variants.
+/// A row for each variant on each task, in the order of `variants` within a task. The threshold of a task is `share` of
+/// the way from the return at the start of its runs to the highest final return among its variants.
 pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share: f64) -> Vec<Row> {
     let groups = grouped(runs);
     let mut rows = Vec::new();
     for task in tasks(&groups) {
         let of_task = |variant| found(&groups, task, variant);
         let bests = variants.iter().filter_map(|v| Some(interquartile_mean(&finals(of_task(v)?))));
-        let threshold = share * bests.fold(f64::NEG_INFINITY, f64::max);
+        let best = bests.fold(f64::NEG_INFINITY, f64::max);
+        let start = start(variants.iter().filter_map(|v| of_task(v)));
+        let threshold = (best > start).then_some(start + share * (best - start));
         let rivals = of_task(baseline).map(finals);
         for variant in variants {
             let Some(curves) = of_task(variant) else { continue };
@@ -108,13 +110,13 @@ fn row(
     task: &str,
     variant: &str,
     curves: &[&[(f64, f64)]],
-    threshold: f64,
+    threshold: Option<f64>,
     baseline: Option<&[f64]>,
 ) -> Row {
     let finals = finals(curves);
     let areas: Vec<f64> = curves.iter().map(|curve| area_under_curve(curve)).collect();
     let reached: Vec<Option<f64>> =
-        curves.iter().map(|curve| first_reaching(curve, threshold)).collect();
+        curves.iter().map(|curve| first_reaching(after_start(curve), threshold?)).collect();
     Row {
         task: task.to_owned(),
         variant: variant.to_owned(),
@@ -126,6 +128,17 @@ fn row(
         runs_at_threshold: reached.iter().flatten().count(),
         improvement: baseline.map(|baseline| improvement(&finals, baseline)),
     }
+}
+
+/// The return of untrained policies on a task: the interquartile mean of the first evaluations of its runs.
+fn start<'a>(variants: impl Iterator<Item = &'a [&'a [(f64, f64)]]>) -> f64 {
+    let firsts = variants.flatten().filter_map(|curve| Some(curve.first()?.1));
+    interquartile_mean(&firsts.collect::<Vec<f64>>())
+}
+
+/// The evaluations that follow training; an untrained policy has learnt nothing, whatever its return.
+fn after_start(curve: &[(f64, f64)]) -> &[(f64, f64)] {
+    curve.get(1..).unwrap_or_default()
 }
 
 /// The final return of each run.
@@ -190,7 +203,7 @@ mod tests {
         let [new, happo] = rows.as_slice() else { panic!("{rows:?}") };
         // IQM of 20, 100, 100: 20 / 6 + 100 * 2 / 3 + 100 / 6 = 86.67; half of it is learnt.
         assert!((new.final_return.value - 260.0 / 3.0).abs() < 1e-9, "{new:?}");
-        assert!((new.threshold - 130.0 / 3.0).abs() < 1e-9, "{new:?}");
+        assert!((new.threshold.unwrap() - 130.0 / 3.0).abs() < 1e-9, "{new:?}");
         assert_eq!((new.runs, new.runs_at_threshold, new.steps_to_threshold), (3, 2, Some(100.0)));
         // Areas 70, 55 and 20: (20 + 70) / 6 + 55 * 2 / 3.
         assert!((new.area.value - (15.0 + 110.0 / 3.0)).abs() < 1e-9, "{new:?}");
@@ -202,5 +215,43 @@ mod tests {
             (happo.final_return.value, happo.area.value, happo.improvement),
             (40.0, 15.0, None)
         );
+    }
+
+    fn curve(variant: &str, returns: [f64; 3]) -> Measured {
+        let returns = [0.0, 100.0, 200.0].into_iter().zip(returns).collect();
+        Measured { task: "ant-4x2".into(), variant: variant.into(), returns }
+    }
+
+    #[test]
+    fn a_threshold_is_measured_from_the_return_at_the_start() {
+        let runs = [curve("happo", [-100.0, -60.0, -10.0]), curve("new", [-100.0, -20.0, 0.0])];
+        let variants = ["new".to_owned(), "happo".to_owned()];
+        let rows = rows(&runs, &variants, "happo", 0.8);
+        assert_eq!(rows[0].threshold, Some(-20.0));
+        let steps: Vec<_> = rows.iter().map(|row| row.steps_to_threshold).collect();
+        assert_eq!(steps, [Some(100.0), Some(200.0)]);
+    }
+
+    #[test]
+    fn where_nothing_improves_nothing_is_learnt() {
+        for returns in [[-1.0, -1.0, -1.0], [5.0, 9.0, 4.0]] {
+            let runs = [curve("happo", returns)];
+            let rows = rows(&runs, &["happo".to_owned()], "happo", 0.8);
+            let [happo] = rows.as_slice() else { panic!("{rows:?}") };
+            assert_eq!((happo.threshold, happo.steps_to_threshold), (None, None), "{returns:?}");
+            assert_eq!(happo.runs_at_threshold, 0);
+        }
+    }
+
+    #[test]
+    fn a_run_that_begins_above_the_threshold_has_not_learnt_before_its_training() {
+        let runs = [
+            curve("happo", [0.0, 0.0, 100.0]),
+            curve("happo", [0.0, 0.0, 100.0]),
+            curve("happo", [0.0, 0.0, 100.0]),
+            curve("lucky", [90.0, 0.0, 10.0]),
+        ];
+        let rows = rows(&runs, &["happo".to_owned(), "lucky".to_owned()], "happo", 0.8);
+        assert_eq!((rows[1].runs_at_threshold, rows[1].steps_to_threshold), (0, None));
     }
 }

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
+use learner::run_folder::RunFolder;
 use serde_json::Value;
 
 use super::plan::PlannedRun;
@@ -53,7 +54,7 @@ pub(crate) enum Ending {
 
 /// The state of the run; does not check whether the folder holds this run.
 pub(crate) fn run_state(run: &PlannedRun) -> RunState {
-    if !run_path::is_run(&run.folder) {
+    if !RunFolder::holds_run(&run.folder) {
         return RunState::New;
     }
     let last = last_lines(&run_path::metrics_file(&run.folder));
@@ -70,7 +71,7 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunState {
 
 /// How the run in the folder differs from the planned one; `None` if it does not, or if there is none.
 pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
-    if !run_path::is_run(&run.folder) {
+    if !RunFolder::holds_run(&run.folder) {
         return None;
     }
     let same = RunConfig::of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));

@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use super::plan::PlannedRun;
 use super::progress::Progress;
 use super::run_state::{Ending, RunState, mismatch, run_state};
-use crate::run::supervisor::last_line;
+use crate::run::process_log::ProcessLog;
 
 /// Poll interval for the progress of runs and for a locked log.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
@@ -83,6 +83,7 @@ async fn train(
     if let Some(why) = mismatch(run) {
         return Ok(Ending::Misplaced(why));
     }
+    let own_log = ProcessLog::before_start(&run.log());
     let mut child = start(program, run, log)?;
     let stdin = child.stdin.take();
     let asked = tokio::select! {
@@ -97,8 +98,7 @@ async fn train(
         (true, RunState::Finished) => Ending::Finished,
         (true, _) => Ending::Stopped,
         (false, _) => {
-            let last = last_line(&run.log()).map_or_else(String::new, |line| format!(": {line}"));
-            Ending::Failed(format!("{status}{last}; its log is {}", run.log().display()))
+            Ending::Failed(format!("{}; its log is {}", own_log.cause(status), run.log().display()))
         }
     })
 }

@@ -10,6 +10,7 @@ use sim::{EnvironmentBatch, SimError};
 /// Observations, hidden states and actions of every agent.
 pub(super) struct Episode {
     pub(super) steps: usize,
+    pub(super) extrinsic_return: f64,
     agents: Vec<Track>,
 }
 
@@ -43,7 +44,8 @@ pub(super) fn play(
     for (track, agent) in agents.iter_mut().zip(&policy.agents) {
         track.hidden.truncate(episode.steps as usize * agent.hidden_size());
     }
-    Ok(Episode { steps: episode.steps as usize, agents })
+    let extrinsic_return = episode.extrinsic_return;
+    Ok(Episode { steps: episode.steps as usize, extrinsic_return, agents })
 }
 
 impl Episode {

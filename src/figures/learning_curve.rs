@@ -87,7 +87,7 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     let file = run_path::config_file(folder);
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
     let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
-    let settings = semantic.map(|(key, value)| (key.to_owned(), value.to_string())).collect();
+    let settings = semantic.map(|(key, _)| (key.to_owned(), resolved.shown(key))).collect();
     let lines = lines(&run_path::metrics_file(folder))?;
     Ok(Curve {
         task: resolved.text("task").to_owned(),

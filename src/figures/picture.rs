@@ -4,36 +4,16 @@ use std::sync::Arc;
 
 use kuva::backend::png::PngBackend;
 use kuva::backend::svg::SvgBackend;
-use kuva::plot::scatter::MarkerShape;
-use kuva::plot::{BandPlot, LegendPosition, LinePlot, LineStyle, ScatterPlot};
+use kuva::plot::{BandPlot, LinePlot, ScatterPlot};
 use kuva::render::figure::Figure;
 use kuva::render::layout::{Layout, TickFormat};
 use kuva::render::plots::Plot;
 use kuva::render::render::{Scene, render_multiple};
 
-use crate::figures::chart;
 use crate::figures::learning_curve::{Panel, Point, Series};
-use crate::figures::palette::{OKABE_ITO, Rgb, hex};
 use crate::figures::statistics::Interval;
-
-/// Colours that a thin line on white can have: the palette's but its pale last one, and grey.
-const COLOURS: [Rgb; 8] = {
-    let mut colours = OKABE_ITO;
-    colours[7] = [0x88, 0x88, 0x88];
-    colours
-};
-
-/// Marks on curves, which tell them apart where colours do not.
-const MARKERS: [MarkerShape; 8] = [
-    MarkerShape::Circle,
-    MarkerShape::Square,
-    MarkerShape::Triangle,
-    MarkerShape::Diamond,
-    MarkerShape::TriangleDown,
-    MarkerShape::Cross,
-    MarkerShape::Plus,
-    MarkerShape::Star,
-];
+use crate::figures::style::{MARK, STROKE, colour, cut_dashes, line_style, marker};
+use crate::figures::{chart, legend};
 
 /// Marks on one curve, about.
 const MARKS: usize = 6;
@@ -41,9 +21,6 @@ const MARKS: usize = 6;
 /// Size of a lone panel's axes in SVG units; the PNG has twice as many pixels.
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 420.0;
-
-/// Series that the legend of a lone panel has room for.
-const LEGEND_OF_ONE: usize = 4;
 
 /// Size of a panel among others; one that has a row to itself is as wide as a lone one.
 const CELL_WIDTH: f64 = 340.0;
@@ -70,22 +47,28 @@ pub(crate) struct Picture {
 
 /// Panels row by row, `columns` of them in each, with one legend.
 pub(crate) fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> {
-    let scene = match panels {
-        [only] if only.series.len() <= LEGEND_OF_ONE => lone(only),
-        [_] => grid(panels, 1),
+    let mut scene = match panels {
+        [only] => lone(only),
         _ => grid(panels, columns),
     };
+    legend::add(&mut scene, &distinct(panels));
+    cut_dashes(&mut scene);
     let png = PngBackend::new().with_scale(2.0).render_scene(&scene).map_err(anyhow::Error::msg)?;
     Ok(Picture { svg: SvgBackend::new().render_scene(&scene), png })
 }
 
+/// One series for each label of the panels, in order of rank.
+fn distinct(panels: &[Panel]) -> Vec<&Series> {
+    let all = panels.iter().flat_map(|panel| &panel.series);
+    let mut series: Vec<&Series> = all.collect();
+    series.sort_by_key(|series| series.rank);
+    series.dedup_by(|left, right| left.label == right.label);
+    series
+}
+
 fn lone(panel: &Panel) -> Scene {
     let plots = plots(panel);
-    let mut layout = layout(panel, &plots)
-        .with_width(WIDTH)
-        .with_height(HEIGHT)
-        .with_legend_position(LegendPosition::OutsideBottomColumns)
-        .with_legend_box(false);
+    let mut layout = layout(panel, &plots).with_width(WIDTH).with_height(HEIGHT);
     if has_bands(panel) {
         layout = layout.with_subtitle(CAPTION);
     }
@@ -102,8 +85,7 @@ fn grid(panels: &[Panel], columns: usize) -> Scene {
         .with_structure((0..panels.len()).map(|panel| vec![panel]).collect())
         .with_plots(all)
         .with_layouts(layouts)
-        .with_cell_size(if columns == 1 { WIDTH } else { CELL_WIDTH }, CELL_HEIGHT)
-        .with_shared_legend_bottom();
+        .with_cell_size(if columns == 1 { WIDTH } else { CELL_WIDTH }, CELL_HEIGHT);
     if panels.iter().any(has_bands) {
         figure = figure.with_title(CAPTION).with_title_size(14);
     }
@@ -142,37 +124,25 @@ fn band(series: &Series, opacity: f64, of: fn(&Point) -> Interval) -> Plot {
     let steps = series.points.iter().map(|point| point.env_steps);
     let (low, high) = (|point| of(point).low, |point| of(point).high);
     let band = BandPlot::new(steps, series.points.iter().map(low), series.points.iter().map(high));
-    Plot::Band(band.with_color(colour(series)).with_opacity(opacity))
+    Plot::Band(band.with_color(colour(series.rank)).with_opacity(opacity))
 }
 
 fn line(series: &Series) -> Plot {
-    let style = match series.rank / COLOURS.len() {
-        0 => LineStyle::Solid,
-        1 => LineStyle::Dashed,
-        _ => LineStyle::Dotted,
-    };
     let points = series.points.iter().map(|point| (point.env_steps, point.centre));
-    let line = LinePlot::new().with_data(points).with_color(colour(series)).with_stroke_width(2.0);
-    Plot::Line(line.with_line_style(style))
+    let line = LinePlot::new().with_data(points).with_color(colour(series.rank));
+    Plot::Line(line.with_stroke_width(STROKE).with_line_style(line_style(series.rank)))
 }
 
-/// Marks on the curve, and its entry in the legend. Curves begin theirs at different points.
+/// Marks on the curve. Curves begin theirs at different points.
 fn marks(series: &Series) -> Plot {
     let every = series.points.len().div_ceil(MARKS).max(1);
     let points = series.points.iter().skip(series.rank % every).step_by(every);
-    // Past the colours each colour comes again, with another mark.
-    let marker = MARKERS[(series.rank + 3 * (series.rank / COLOURS.len())) % MARKERS.len()];
     let marks = ScatterPlot::new()
         .with_data(points.map(|point| (point.env_steps, point.centre)))
-        .with_color(colour(series))
-        .with_size(4.5)
-        .with_marker(marker)
-        .with_legend(series.label.as_str());
+        .with_color(colour(series.rank))
+        .with_size(MARK)
+        .with_marker(marker(series.rank));
     Plot::Scatter(marks)
-}
-
-fn colour(series: &Series) -> String {
-    hex(COLOURS[series.rank % COLOURS.len()])
 }
 
 /// `250k`, `1M`, `2.5M`; counts below a thousand in full.
@@ -210,7 +180,7 @@ mod tests {
     fn both_forms_hold_the_curves() {
         let picture = draw(&[panel("a task", Quantity::Return)], 1).unwrap();
         assert!(picture.svg.starts_with("<svg") && picture.svg.contains("happo (3 seeds)"));
-        assert!(picture.svg.contains(&hex(COLOURS[0])) && picture.svg.contains(&hex(COLOURS[1])));
+        assert!(picture.svg.contains(&colour(0)) && picture.svg.contains(&colour(1)));
         assert!(picture.png.starts_with(b"\x89PNG"));
     }
 

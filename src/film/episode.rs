@@ -19,6 +19,7 @@ pub(crate) struct PlayedEpisode {
     /// The start, then the state after every step.
     moments: Vec<Moment>,
     end: Outcome,
+    extrinsic_return: f64,
 }
 
 impl PlayedEpisode {
@@ -29,25 +30,25 @@ impl PlayedEpisode {
         key: Key,
     ) -> anyhow::Result<Self> {
         let mut world = sim::environments(task, 1).context("cannot build the task")?;
-        let shapes = sim::shapes(&task.task).context("cannot build the robot")?;
-        if shapes.is_empty() {
+        let Some(robot) = RobotShapes::of(&*world) else {
             let why = format!("{} is a game: there is nothing to draw", task.task);
             return Err(Usage::new(why).into());
-        }
-        let robot = RobotShapes::new(world.description(), shapes, &world.pose(0));
+        };
         let dt_secs = world.description().dt_secs;
         // The same draw as the episode's own, to see where it starts.
         world.reset(0, 0, world.description().episode_steps, key.0)?;
         let mut moments = vec![Moment::of(&*world)];
         let mut end = Outcome::default();
-        actor::play_episode(&mut *world, policy, (key, ActionChoice::Mean), |step| {
+        let start = (key, ActionChoice::Mean);
+        let episode = actor::play_episode(&mut *world, policy, start, |step| {
             let before = moments.last().expect("the start is there");
             let now = Moment::after(step, before);
             moments.push(now);
             end = step.outcome;
         })
         .context("the episode failed")?;
-        Ok(Self { robot, dt_secs, moments, end })
+        let extrinsic_return = episode.extrinsic_return;
+        Ok(Self { robot, dt_secs, moments, end, extrinsic_return })
     }
 
     /// Number of steps.
@@ -60,13 +61,15 @@ impl PlayedEpisode {
         Frame { time_secs: step as f64 * self.dt_secs, pose: &self.moments[step].pose }
     }
 
-    /// One line with the measures of the episode and the reason of an early end.
+    /// One line with the return and the measures of the episode, and the reason of an early end.
     pub(crate) fn summary(&self) -> String {
         let end = match self.end {
             Outcome { fault: true, .. } => "; a physics fault ended it early",
             Outcome { terminated: true, .. } => "; the task's rules ended it early",
             _ => "",
         };
-        format!("{}{end}", Measures::of(&self.moments, self.dt_secs))
+        let (value, steps) = (self.extrinsic_return, self.steps());
+        let measures = Measures::of(&self.moments, self.dt_secs);
+        format!("return {value:.2}, {steps} steps; {measures}{end}")
     }
 }

@@ -1,7 +1,7 @@
 //! Joint positions for the numbers in a robot's portrait.
 
 use anyhow::Context as _;
-use sim::{EnvironmentBatch, Outcome};
+use sim::{EnvironmentBatch, Outcome, Robot};
 
 /// Joints closer than this hide each other's numbers, metres.
 const APART: f32 = 0.08;
@@ -11,7 +11,7 @@ const MOST_STEPS: usize = 30;
 /// Steps the robot until at most one joint hides another, and returns the positions of all joints. Legs that are one
 /// behind the other move apart; their hips stay in one place.
 pub(crate) fn distinct_joints(world: &mut dyn EnvironmentBatch) -> anyhow::Result<Vec<[f32; 3]>> {
-    let anchors = sim::hinges(&world.description().task).context("cannot build the robot")?;
+    let anchors = world.robot().map(Robot::hinge_positions).unwrap_or_default();
     let mut joints = places(world, &anchors);
     for _ in 0..MOST_STEPS {
         let hidden: Vec<bool> =

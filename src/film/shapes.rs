@@ -1,6 +1,6 @@
 //! The shapes of a robot and the agents that move them.
 
-use sim::{Description, LinkShape, Pose};
+use sim::{EnvironmentBatch, LinkShape};
 
 /// What stays the same from frame to frame.
 pub(crate) struct RobotShapes {
@@ -11,9 +11,10 @@ pub(crate) struct RobotShapes {
 }
 
 impl RobotShapes {
-    /// The shapes of a robot; any of its poses gives the links that agents drive.
-    pub(crate) fn new(description: &Description, shapes: Vec<LinkShape>, pose: &Pose) -> Self {
-        let drivers = sim::drivers(description, pose);
-        Self { shapes, drivers, agents: description.agents.len() }
+    /// The shapes of a simulated robot; `None` for a game.
+    pub(crate) fn of(world: &dyn EnvironmentBatch) -> Option<Self> {
+        let description = world.description();
+        let drivers = sim::drivers(description, &world.pose(0));
+        Some(Self { shapes: world.robot()?.shapes(), drivers, agents: description.agents.len() })
     }
 }

@@ -51,9 +51,9 @@ pub(super) fn of_pose(robot: &RobotShapes, pose: &Pose, view: View) -> Vec<Solid
     let mut solids: Vec<Solid> = links
         .flat_map(|(link, &agent)| {
             let shapes = robot.shapes.iter().filter(|shape| shape.link == link.name);
-            shapes.map(move |shape| {
-                let ends = shape.ends(link);
-                let (radius, depth) = (shape.shape.radius(), ends.map(|end| view.depth(end)));
+            shapes.flat_map(|shape| shape.capsules()).map(move |capsule| {
+                let ends = capsule.ends.map(|end| link.in_world(end));
+                let (radius, depth) = (capsule.radius, ends.map(|end| view.depth(end)));
                 let (ends, depth) = (ends.map(|end| view.plane(end)), (depth[0] + depth[1]) / 2.0);
                 Solid { ends, radius, depth, agent }
             })

@@ -24,7 +24,7 @@ fn two_legs() -> (RobotShapes, Pose) {
     };
     let shapes = vec![
         shape("root", Shape::Sphere { radius: 0.2 }),
-        shape("left", capsule),
+        shape("left", capsule.clone()),
         shape("right", capsule),
     ];
     let link = |name: &str, x: f32, z: f32| LinkPose {
@@ -114,10 +114,8 @@ fn of_every_task_each_agent_drives_as_many_links_as_it_has_joints() {
         let config = RunConfig::build(layers::resolve(&request).unwrap()).unwrap();
         let world = sim::environments(&config.task, 1).unwrap();
         let pose = world.pose(0);
-        if pose.links.is_empty() {
-            continue; // a game has nothing to draw
-        }
-        let robot = RobotShapes::new(world.description(), sim::shapes(task).unwrap(), &pose);
+        // A game has nothing to draw.
+        let Some(robot) = RobotShapes::of(&*world) else { continue };
         assert_eq!(robot.drivers.len(), pose.links.len(), "{task}");
         assert_eq!(pose.links.len(), pose.joints.len() + 1, "{task}");
         for (index, agent) in world.description().agents.iter().enumerate() {

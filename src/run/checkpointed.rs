@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use actor::EvaluationEpisode;
 use anyhow::Context as _;
 use learner::checkpoint::{CheckpointError, Loaded};
-use policy::{Key, PolicySnapshot, RunSeed};
+use policy::{PolicySnapshot, RunSeed};
+use proto::{Digest, PolicyVersion, WeightsName};
 
 use crate::config::run_config::RunConfig;
 use crate::run::run_path::demand_run;
@@ -20,12 +22,14 @@ pub(crate) struct Trained {
     pub(crate) env_steps: u64,
     /// The policies of all agents.
     pub(crate) policy: PolicySnapshot,
+    /// Name of their weights.
+    pub(crate) weights: WeightsName,
 }
 
 impl Trained {
-    /// The random key with which the run's own evaluation of this policy starts episode `episode`.
-    pub(crate) fn start(&self, episode: u32) -> Key {
-        Key::of_evaluation(RunSeed(self.config.run.seed), self.iteration, episode)
+    /// Episode `index` of the run's own evaluation of this policy.
+    pub(crate) fn episode(&self, index: u32) -> EvaluationEpisode {
+        EvaluationEpisode { seed: RunSeed(self.config.run.seed), iteration: self.iteration, index }
     }
 }
 
@@ -57,7 +61,9 @@ pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     let policy = PolicySnapshot::from_bytes(&loaded.checkpoint.policy)
         .with_context(|| format!("cannot read the policy in {}", loaded.path.display()))?;
     let (iteration, env_steps) = (loaded.checkpoint.iteration, loaded.checkpoint.env_steps);
-    Ok(Trained { config, iteration, env_steps, policy })
+    let digest = Digest::of(&loaded.checkpoint.policy);
+    let weights = WeightsName { version: PolicyVersion(iteration), digest };
+    Ok(Trained { config, iteration, env_steps, policy, weights })
 }
 
 /// Metadata that identifies the run and the policy of a file.

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use learner::checkpoint;
+use security::Token;
 
 use crate::cli::SettingsArguments;
 use crate::config::environment_section::EnvironmentSection;
@@ -108,6 +109,8 @@ impl Trial<'_> {
             // The disturbances are intended; warnings about them would confuse the user.
             command.env("RUST_LOG", "error");
         }
+        let token = Token::random()?;
+        command.env(Token::VARIABLE, token.text());
         let mut learner = command.stdout(Stdio::piped()).spawn().context("no learner")?;
         let lines = learner.stdout.take().map(BufReader::new).context("no output")?.lines();
         let mut processes = TrialProcesses { learner, lines, actors: Vec::new() };
@@ -116,7 +119,7 @@ impl Trial<'_> {
         for _ in 0..self.actors {
             let mut actor = Command::new(&program);
             actor.args(["actor", "--exit-with-stdin", "--learner", url]);
-            actor.args(self.environment.arguments());
+            actor.args(self.environment.arguments()).env(Token::VARIABLE, token.text());
             actor.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
             processes.actors.push(actor.spawn().context("no actor")?);
         }

@@ -3,17 +3,19 @@
 use learner::run_folder::RunFolder;
 use std::path::Path;
 
-use anyhow::Context as _;
 use proto::Digest;
 use sha2::{Digest as _, Sha256};
 
 use crate::errors::Usage;
 use crate::run::run_path;
 
+/// Version and commit of this program.
+pub(crate) const BUILD: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("S2MIA_GIT_COMMIT"));
+
 /// Both hashes of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Fingerprints {
-    /// Contact steps and inference; every actor must have the same one.
+    /// Episodes of every task and inference; every actor must have the same one.
     pub(crate) rollout: Digest,
     /// The rollout part and one training update.
     pub(crate) learner: Digest,
@@ -62,14 +64,6 @@ impl Fingerprints {
         }
         Ok(())
     }
-}
-
-/// The manifest of a run folder.
-pub(crate) fn manifest(folder: &Path) -> anyhow::Result<serde_json::Value> {
-    let file = run_path::manifest_file(folder);
-    let shown = file.display();
-    let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {shown}"))?;
-    serde_json::from_str(&text).with_context(|| format!("{shown} is damaged"))
 }
 
 #[cfg(test)]

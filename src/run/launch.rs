@@ -15,7 +15,7 @@ use crate::config::run_config::RunConfig;
 use crate::config::run_settings::settings_of_run;
 use crate::config::{ConfigError, Request, keys, layers};
 use crate::errors::Usage;
-use crate::run::fingerprints::Fingerprints;
+use crate::run::fingerprints::{BUILD, Fingerprints};
 use crate::run::offered::Offered;
 use crate::run::run_path::demand_run;
 use crate::run::{resume, run_path};
@@ -77,7 +77,7 @@ pub(crate) fn prepare_or_resume(
 /// The configured folder, if it contains a run.
 fn run_in_place(config: &RunConfig) -> Option<PathBuf> {
     let folder = Path::new(&config.run.dir);
-    let there = !config.run.dir.is_empty() && run_path::is_run(folder);
+    let there = !config.run.dir.is_empty() && RunFolder::holds_run(folder);
     there.then(|| folder.to_path_buf())
 }
 
@@ -131,7 +131,7 @@ fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
         let why = format!("{} is no folder; run.dir names the run's folder", folder.display());
         return Err(Usage::new(why).into());
     }
-    if run_path::is_run(&folder) {
+    if RunFolder::holds_run(&folder) {
         let shown = folder.display();
         let why = format!(
             "{shown} already contains a run; resume it with `s2mia train --resume {shown}`"
@@ -163,6 +163,7 @@ fn launch(
         folder: folder.to_path_buf(),
         config_toml: config.resolved.to_toml(),
         config_sha256: Digest(config.resolved.sha256()),
+        build: BUILD.to_owned(),
         rollout_fingerprint: fingerprints.rollout,
         learner_fingerprint: fingerprints.learner,
         resume: false,

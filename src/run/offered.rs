@@ -31,7 +31,7 @@ impl Offered {
     pub(crate) fn of(config: &RunConfig, transport: &Transport) -> anyhow::Result<Self> {
         match config.environment.url.as_str() {
             "" => simulated(config),
-            url => runtime()?.block_on(outside(url, transport)),
+            url => runtime()?.block_on(outside(url, config, transport)),
         }
     }
 
@@ -61,11 +61,11 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     Ok(Offered { spec, task_settings, description: String::new(), states: "encoded" })
 }
 
-async fn outside(url: &str, transport: &Transport) -> anyhow::Result<Offered> {
+async fn outside(url: &str, config: &RunConfig, transport: &Transport) -> anyhow::Result<Offered> {
     demand_allowed(url, transport)?;
     let service =
         EnvironmentService::connect(url).await.context("cannot use the training environment")?;
-    Ok(offered_by(&service))
+    Ok(offered_by(&service.scaled(config.task.observation.norm)))
 }
 
 /// Checks that `transport` permits the connection, which is not encrypted.
@@ -101,6 +101,7 @@ impl Stage {
         let network = runtime()?;
         let environment = network.block_on(async {
             let service = EnvironmentService::connect(url).await?;
+            let service = service.scaled(config.task.observation.norm);
             offered_by(&service).demand_that_of(config)?;
             anyhow::Ok(service.environments(1))
         });

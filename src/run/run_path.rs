@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use learner::metrics::METRICS_FILE;
-use learner::run_folder::{CONFIG, LOGS, MANIFEST};
+use learner::run_folder::{CONFIG, LOGS, MANIFEST, RunFolder};
 use time::OffsetDateTime;
 
 use crate::errors::Usage;
@@ -15,15 +15,10 @@ pub(crate) fn config_file(folder: &Path) -> PathBuf {
     folder.join(CONFIG)
 }
 
-/// Whether the folder contains a run: a manifest, or checkpoints whose manifest is lost.
-pub(crate) fn is_run(folder: &Path) -> bool {
-    manifest_file(folder).is_file() || learner::checkpoint::folder(folder).is_dir()
-}
-
 /// Refuses a folder that contains no run.
 pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
     let lacking = || format!("{} is no run folder: it has no {CONFIG}", folder.display());
-    if config_file(folder).is_file() || is_run(folder) {
+    if config_file(folder).is_file() || RunFolder::holds_run(folder) {
         Ok(())
     } else {
         Err(Usage::new(lacking()))

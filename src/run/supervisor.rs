@@ -3,7 +3,7 @@
 
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
@@ -11,9 +11,12 @@ use std::time::{Duration, Instant};
 use actor::LogSettings;
 use anyhow::Context as _;
 use proto::Episodes;
+use security::Token;
 use tokio::process::{Child, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+
+use crate::run::process_log::ProcessLog;
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
@@ -30,6 +33,8 @@ pub(crate) struct ActorProcesses {
     pub(crate) program: PathBuf,
     /// URL of the learner.
     pub(crate) learner: String,
+    /// Token that the learner requires.
+    pub(crate) token: Token,
     /// Arguments that name an external environment, if there is one.
     pub(crate) environment: Vec<String>,
     /// Folder of `actor_<index>.log` and of trajectory logs.
@@ -91,10 +96,11 @@ impl Supervisor {
     /// Runs one actor after the other under one index. An actor ends with success when the run is done.
     async fn keep_running(self: Arc<Self>, index: usize, mut ended: watch::Receiver<bool>) {
         while !*ended.borrow() && self.failure.get().is_none() {
+            let own_log = ProcessLog::before_start(&self.processes.log_path(index));
             let death = match self.processes.start(index) {
                 Ok(child) => match until_exit(child, &mut ended, self.processes.patience()).await {
                     Some(status) if !status.success() => {
-                        self.processes.failure_message(index, status)
+                        self.processes.failure_message(index, &own_log.cause(status))
                     }
                     _ => return,
                 },
@@ -137,6 +143,8 @@ impl ActorProcesses {
             .args(["--name", &format!("local-{index}")])
             .args(&self.environment)
             .args(self.log_arguments())
+            // Other users can read the arguments of a process, but not its environment.
+            .env(Token::VARIABLE, self.token.text())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(log)
@@ -173,10 +181,8 @@ impl ActorProcesses {
         self.logs.join(format!("actor_{index}.log"))
     }
 
-    fn failure_message(&self, index: usize, status: ExitStatus) -> String {
-        let log = self.log_path(index);
-        let last = last_line(&log).map_or_else(String::new, |line| format!(": {line}"));
-        format!("actor {index} died ({status}{last}); its log is {}", log.display())
+    fn failure_message(&self, index: usize, cause: &str) -> String {
+        format!("actor {index} died ({cause}); its log is {}", self.log_path(index).display())
     }
 }
 
@@ -201,12 +207,6 @@ async fn until_exit(
     None
 }
 
-/// Last line of a log that is not blank.
-pub(crate) fn last_line(path: &Path) -> Option<String> {
-    let text = std::fs::read_to_string(path).ok()?;
-    text.lines().rev().find(|line| !line.trim().is_empty()).map(|line| line.trim().to_owned())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -219,6 +219,7 @@ mod tests {
         ActorProcesses {
             program,
             learner: "http://127.0.0.1:1".into(),
+            token: Token::random().unwrap(),
             environment: Vec::new(),
             logs: folder.path().into(),
             log: LogSettings { episodes: Episodes::None, max_file_mib: 1 },
@@ -251,6 +252,16 @@ mod tests {
             "{reason}"
         );
         assert!(*stopped.borrow());
+    }
+
+    #[tokio::test]
+    async fn a_killed_actor_is_reported_with_its_signal_and_no_line_of_its_log() {
+        let folder = tempfile::tempdir().unwrap();
+        let processes = processes_of(&folder, "echo all is well >&2; kill -9 $$");
+        let (stop, _stopped) = watch::channel(false);
+        let (_end, ended) = watch::channel(false);
+        let reason = supervise(processes, ended, stop).await.unwrap();
+        assert!(reason.contains("died (signal: 9 (SIGKILL)); its log is"), "{reason}");
     }
 
     #[tokio::test]

@@ -68,6 +68,9 @@ async fn send_invalid_requests(url: &str) -> usize {
     let refused = |status: Status| Refusal::from_status(&status).unwrap().reason;
     let status = service.register(other_program.to_wire()).await.unwrap_err();
     assert_eq!(refused(status), Reason::OtherFingerprint);
+    let other_build = Registration { build: "0.0.1+other".to_owned(), ..registration(&run) };
+    let status = service.register(other_build.to_wire()).await.unwrap_err();
+    assert_eq!(refused(status), Reason::OtherBuild);
     let status = service.register(other_robot.to_wire()).await.unwrap_err();
     assert_eq!(refused(status), Reason::OtherEnvironment);
     let unregistered = wire::LeaseSlotsRequest {
@@ -81,7 +84,7 @@ async fn send_invalid_requests(url: &str) -> usize {
     let unknown = wire::WeightsName { version: 99, digest: vec![3; 32].into() };
     let status = service.get_weights(wire::GetWeightsRequest { weights: Some(unknown) }).await;
     assert_eq!(refused(status.unwrap_err()), Reason::UnknownWeights);
-    4
+    5
 }
 
 fn send_random_bytes(url: &str) {

@@ -1,7 +1,10 @@
 """What is built, tested and deployed comes from known places: hashes, commits, sources and licences. Reads files only."""
 
+import json
 import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -58,3 +61,20 @@ def test_every_action_is_pinned_to_a_commit():
     for workflow in (ROOT / ".github" / "workflows").iterdir():
         for action in re.findall(r"uses: *(.+)", workflow.read_text()):
             assert re.fullmatch(r"[\w/-]+@[0-9a-f]{40} # v[\d.]+", action), action
+
+
+def test_the_bill_of_materials_has_every_crate_of_the_program_with_its_hash_and_licence():
+    made = [subprocess.run([sys.executable, ROOT / "deploy" / "sbom.py"], check=True, capture_output=True).stdout for _ in range(2)]
+    assert made[0] == made[1]
+    bill = json.loads(made[0])
+    components = {component["name"]: component for component in bill["components"]}
+    own = {"actor", "kernels", "learner", "marl", "policy", "proto", "security", "sim"}
+    assert own | {"tonic", "rustls", "candle-core", "rapier3d"} <= set(components)
+    assert "proptest" not in components, "crates of tests are not in the program"
+    checksums = {(crate["name"], crate["version"]): crate["checksum"] for crate in CRATES}
+    for name in set(components) - own:
+        (hashed,) = components[name]["hashes"]
+        assert hashed == {"alg": "SHA-256", "content": checksums[name, components[name]["version"]]}
+        assert allowed(components[name]["licenses"][0]["expression"])
+    known = {component["bom-ref"] for component in bill["components"]} | {bill["metadata"]["component"]["bom-ref"]}
+    assert {needed for one in bill["dependencies"] for needed in [one["ref"], *one["dependsOn"]]} == known

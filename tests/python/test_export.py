@@ -1,11 +1,14 @@
 """Exported policies act elsewhere as they act here, and the examples in docs/EXPORT.md do what they say."""
 
+import json
 import re
 
 import numpy
 import onnxruntime
 import pytest
 from conftest import ROOT, TINY, s2mia
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
@@ -67,6 +70,54 @@ def test_the_model_says_where_it_comes_from(exported, inspected):
     with safe_open(exported / "policy.safetensors", "numpy") as weights:
         deviation = 0.5 / (1 + numpy.exp(-weights.get_tensor("agent_0.head.log_std")))
     assert numpy.allclose([float(sigma) for sigma in told["sigma"].split()], deviation, atol=1e-6)
+
+
+def recorded(path):
+    """For each agent its steps of a recorded episode, as (raw observation, action), and the global states."""
+    agents, states = {}, []
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            if channel.topic.startswith("/agents/"):
+                agents.setdefault(int(channel.topic[8:]), []).append((message.observation, message.action))
+            elif channel.topic == "/step":
+                states.append(list(message.state))
+    return agents, states
+
+
+@pytest.mark.parametrize("norm", ["running", "none"])
+def test_raw_observations_give_the_actions_of_the_program(norm, tmp_path):
+    run, folder = tmp_path / "run", tmp_path / "exported"
+    s2mia("train", *TINY, f"run.dir={run}", "run.iterations=2", f"observation.norm={norm}")
+    s2mia("export", run, "--onnx", folder)
+    s2mia("record", run, "--out", tmp_path / "episode.mcap")
+    agents, states = recorded(tmp_path / "episode.mcap")
+    assert len(agents) == 6
+    for index, steps in agents.items():
+        session = onnxruntime.InferenceSession(folder / f"agent_{index}.onnx")
+        about = session.get_modelmeta().custom_metadata_map
+        assert about["observation_scaling"] == norm
+        hidden = numpy.zeros((1, session.get_inputs()[1].shape[1]), numpy.float32)
+        for state, (observation, expected) in zip(states, steps):
+            # Raw: the features of the global state as they are, then the agent's index.
+            assert list(observation[: len(state)]) == state
+            rows = {"observation": numpy.array([observation], numpy.float32), "hidden": hidden}
+            action, hidden = session.run(["action", "next_hidden"], rows)
+            assert numpy.abs(action[0] - expected).max() < 1e-4
+
+
+def test_the_model_names_its_inputs_and_outputs(exported, tasks):
+    task = tasks["halfcheetah-6x1"]
+    for index, agent in enumerate(task["agents"]):
+        session = onnxruntime.InferenceSession(exported / f"agent_{index}.onnx")
+        about = session.get_modelmeta().custom_metadata_map
+        assert about["agent"] == f"agent_{index}"
+        assert json.loads(about["action_joints"]) == agent["joints"]
+        features = json.loads(about["observation_features"])
+        assert features == agent["observation"] and len(features) == session.get_inputs()[0].shape[1]
+        assert float(about["dt_secs"]) == task["dt_secs"]
+        limits = [float(about[name]) for name in ("action_low", "action_high")]
+        assert limits == [agent["action"]["low"], agent["action"]["high"]]
 
 
 def test_the_documented_examples_run(exported, monkeypatch, capsys):

@@ -3,8 +3,11 @@
 import re
 import shutil
 import socket
+import ssl
 import subprocess
 import time
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -41,21 +44,24 @@ def mounted(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def port():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
+def ports():
+    """Free ports for the learner and its page."""
+    with socket.socket() as first, socket.socket() as second:
+        for listener in (first, second):
+            listener.bind(("127.0.0.1", 0))
+        return first.getsockname()[1], second.getsockname()[1]
 
 
-def command(words, of, mounted, port):
+def command(words, of, mounted, ports):
     """A pod's command on this machine: its Secret lies elsewhere, and its learner listens on loopback."""
     (secret,) = [volume["secret"]["secretName"] for volume in of["volumes"] if volume["name"] == "certificates"]
+    port, page = ports
     here = {
         "/certificates": str(mounted / secret),
         "0.0.0.0:50051": f"127.0.0.1:{port}",
         "://learner:50051": f"://localhost:{port}",
         "://localhost:50051": f"://localhost:{port}",
-        "127.0.0.1:50080": "off",
+        "0.0.0.0:50080": f"127.0.0.1:{page}",
     }
     for there, where in here.items():
         words = [word.replace(there, where) for word in words]
@@ -64,6 +70,14 @@ def command(words, of, mounted, port):
 
 def succeeds(words):
     return subprocess.run(words, capture_output=True).returncode == 0
+
+
+def metrics(port, secret, role):
+    """What a Prometheus with the certificate of this role reads."""
+    tls = ssl.create_default_context(cafile=secret / "ca.pem")
+    tls.load_cert_chain(secret / f"{role}.pem", secret / f"{role}.key")
+    with urllib.request.urlopen(f"https://localhost:{port}/metrics", context=tls, timeout=60) as answer:
+        return answer.read().decode()
 
 
 def wait_for(learner, holds):
@@ -85,18 +99,22 @@ def test_no_plain_text_is_allowed():
         assert not [word for word in container["args"] if word.startswith("--insecure") or "http://" in word]
 
 
-def test_a_run_is_finished_with_the_certificates_of_the_secrets(mounted, port, tmp_path):
+def test_a_run_is_finished_with_the_certificates_of_the_secrets(mounted, ports, tmp_path):
     of = pod("learner")
     (container,) = of["containers"]
     probes = [container[name]["exec"]["command"] for name in ("startupProbe", "readinessProbe", "livenessProbe")]
-    arguments = command(container["args"], of, mounted, port)
+    arguments = command(container["args"], of, mounted, ports)
     with subprocess.Popen([*arguments, *TINY, f"run.dir={tmp_path}/run"], stdout=subprocess.DEVNULL) as learner:
         try:
             for probe in probes:
-                wait_for(learner, lambda: succeeds(command(probe[1:], of, mounted, port)))
-            assert not succeeds([program(), "health", f"--learner=http://127.0.0.1:{port}"])
+                wait_for(learner, lambda: succeeds(command(probe[1:], of, mounted, ports)))
+            assert not succeeds([program(), "health", f"--learner=http://127.0.0.1:{ports[0]}"])
+            scraped = metrics(ports[1], mounted / "learner-certificates", "viewer")
+            assert 's2mia_certificate_expiry_timestamp_seconds{of="learner"}' in scraped
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                metrics(ports[1], mounted / "actor-certificates", "actor")
             actor = pod("actor")
-            subprocess.run(command(actor["containers"][0]["args"], actor, mounted, port), check=True, timeout=PATIENCE_SECS)
+            subprocess.run(command(actor["containers"][0]["args"], actor, mounted, ports), check=True, timeout=PATIENCE_SECS)
             assert learner.wait(PATIENCE_SECS) == 0
         finally:
             learner.kill()

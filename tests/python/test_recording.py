@@ -1,10 +1,13 @@
-"""A recording opens in the reference reader, and holds what a robot player needs."""
+"""A recording opens in the reference reader, and holds what a robot player and a script need."""
 
+import json
 import math
 
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+
+from conftest import TINY, s2mia
 
 SCHEMAS = {
     "/tf": "foxglove.FrameTransforms",
@@ -31,6 +34,47 @@ def test_schemas_are_foxglove_s_and_come_with_the_file(recording):
     for topic, name in SCHEMAS.items():
         assert named[topic].name == name
         assert named[topic].encoding == "protobuf" and named[topic].data
+
+
+def read_all(path):
+    """Every message of the file as (topic, message), by the loop that mcap's documentation shows."""
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [(channel.topic, decoded) for _, channel, _, decoded in reader.iter_decoded_messages()]
+
+
+def test_every_topic_of_a_recording_and_of_a_log_is_decoded(recording, tmp_path):
+    s2mia("train", *TINY, f"run.dir={tmp_path / 'run'}", "run.iterations=1", "log.episodes=all")
+    logs = sorted((tmp_path / "run" / "logs").glob("trajectories-*.mcap"))
+    topics = {f"/agents/{agent}" for agent in range(6)} | {"/share", "/step", "/share_end", *SCHEMAS}
+    assert {topic for topic, _ in read_all(recording)} == topics
+    assert logs and {topic for log in logs for topic, _ in read_all(log)} == topics
+
+
+def test_the_return_of_the_rewards_is_the_one_that_is_printed(run, tmp_path):
+    path = tmp_path / "two.mcap"
+    printed = s2mia("record", run, "--episodes", 2, "--out", path)
+    episodes = []
+    for topic, message in read_all(path):
+        if topic == "/share":
+            episodes.append([message.episode_id, 0.0])
+        elif topic == "/step":
+            episodes[-1][1] += message.reward
+    told = [f"episode {index} ({name}, seed 7): return {total:.2f}, " for index, (name, total) in enumerate(episodes)]
+    assert len(told) == 2 and all(line in printed for line in told), (told, printed)
+
+
+def test_channels_name_the_numbers_of_their_messages(recording, tasks):
+    with recording.open("rb") as file:
+        channels = {channel.topic: channel for channel in make_reader(file).get_summary().channels.values()}
+    names = {topic: {key: json.loads(text) for key, text in channel.metadata.items()} for topic, channel in channels.items()}
+    for index, agent in enumerate(tasks["halfcheetah-6x1"]["agents"]):
+        assert names[f"/agents/{index}"]["action"] == agent["joints"]
+    first = {topic: message for topic, message in reversed(read_all(recording))}
+    for index in range(6):
+        step = first[f"/agents/{index}"]
+        assert len(names[f"/agents/{index}"]["observation"]) == len(step.observation)
+    assert len(names["/step"]["state"]) == len(first["/step"].state)
 
 
 def test_every_step_has_a_time_of_its_own_and_finite_joints(messages, tasks):

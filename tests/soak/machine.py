@@ -38,10 +38,11 @@ def slope_per_minute(samples: list[tuple[float, float]]) -> float:
 class Learner:
     """A learner on one port and one run folder, through all its lives."""
 
-    def __init__(self, program: str, settings: list[str], folder: pathlib.Path, port: int) -> None:
+    def __init__(self, program: str, settings: list[str], folder: pathlib.Path, port: int, host: str) -> None:
         self.port, self.run = port, folder / "run"
         self.log = open(folder / "learner.log", "w")
-        self.command = [program, "learner", "--listen", f"127.0.0.1:{port}", *settings, f"run.dir={self.run}"]
+        listen = ["--listen", f"{host}:{port}", *([] if host == "127.0.0.1" else ["--insecure-allow-remote"])]
+        self.command = [program, "learner", *listen, *settings, f"run.dir={self.run}"]
         self.held: list[socket.socket] = []
         self.start([])
 

@@ -2,10 +2,12 @@
 
     cargo build --release && python3 tests/soak/soak.py --minutes 60
 
-Needs Linux and Python 3.11, nothing else. Actors come, leave, die, freeze and are cut off; the learner is killed,
-killed at named points, stopped, and given full disks and rubbish. Checks at the end: final hashes equal those of
-an undisturbed run, every slot of every iteration was consumed exactly once, the learner's memory and open files
-are flat, and it logged no error that no fault explains. Ends with 0 if all hold.
+Needs Linux and Python 3.11. Actors come, leave, die, freeze and are cut off; the learner is killed, killed at named
+points, stopped, suspended, and given full disks and rubbish. Where network namespaces can be made (link.py), some
+actors are on another host, whose network delays, loses and reorders packets and fails in one direction. Each
+schedule is new; its seed is printed, and `--seed` repeats it. Checks at the end: final hashes equal those of an
+undisturbed run, every slot of every iteration was consumed exactly once, the learner's memory and open files are
+flat, and it logged no error that no fault explains. Ends with 0 if all hold.
 """
 
 import argparse
@@ -13,6 +15,7 @@ import contextlib
 import json
 import pathlib
 import random
+import secrets
 import signal
 import socket
 import subprocess
@@ -20,6 +23,7 @@ import sys
 import tempfile
 import time
 
+from link import ADDRESSES, Link, NoNamespaces
 from machine import Learner, Proxy, file_count, free_port, resident_kib, slope_per_minute
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -45,6 +49,10 @@ FULL = "no storage space"
 MOST_ACTORS = 4
 # The learner dies only before this share of the time, so that its memory can be watched over the rest.
 DEATHS_END = 0.4
+# The other host's network fails only before this share, so that its actors hear of the end.
+LINK_FAULTS_END = 0.9
+# Longer than the keepalives of both sides, which end after 30 and 40 s.
+LONGEST_LINK_FAULT_SECS = 60.0
 WARM_UP_SECS = 60
 MAX_KIB_PER_MINUTE = 1024
 MAX_MORE_FILES = 24
@@ -55,19 +63,23 @@ def say(what: str) -> None:
 
 
 class Actors:
-    """Actor processes, half of them behind a proxy that can be cut and stalled."""
+    """Actor processes in turn on this host, behind a proxy that can be cut and stalled, and on the other host."""
 
-    def __init__(self, port: int, folder: pathlib.Path) -> None:
-        self.port, self.folder = port, folder
+    def __init__(self, port: int, folder: pathlib.Path, link: Link | None) -> None:
+        self.port, self.folder, self.link = port, folder, link
         self.proxy = Proxy(port)
         self.running: list[subprocess.Popen] = []
         self.frozen: list[tuple[float, subprocess.Popen]] = []
         self.started = 0
 
     def join(self) -> None:
-        port = self.proxy.port if self.started % 2 else self.port
+        here = [PROGRAM, "actor", "--name", f"actor-{self.started}", "--learner"]
+        ways = [[*here, f"http://127.0.0.1:{port}"] for port in (self.port, self.proxy.port)]
+        if self.link:
+            url = f"http://{ADDRESSES['near']}:{self.port}"
+            ways.append([*self.link.on("far"), *here, url, "--insecure-allow-remote"])
+        command = ways[self.started % len(ways)]
         log = open(self.folder / "actors.log", "a")
-        command = [PROGRAM, "actor", "--learner", f"http://127.0.0.1:{port}", "--name", f"actor-{self.started}"]
         self.running.append(subprocess.Popen(command, stdout=log, stderr=log))
         self.started += 1
 
@@ -107,13 +119,15 @@ class Actors:
 class Soak:
     """The disturbed run."""
 
-    def __init__(self, minutes: float, seed: int, folder: pathlib.Path) -> None:
+    def __init__(self, minutes: float, seed: int, folder: pathlib.Path, link: Link | None) -> None:
         self.random = random.Random(seed)
         self.secs = 60 * minutes
         self.iterations = int(minutes * ITERATIONS_PER_MINUTE)
         self.folder = folder
-        self.learner = Learner(PROGRAM, [*SETTINGS, f"run.iterations={self.iterations}"], folder, free_port())
-        self.actors = Actors(self.learner.port, folder)
+        self.link, self.heals = link, 0.0
+        settings = [*SETTINGS, f"run.iterations={self.iterations}"]
+        self.learner = Learner(PROGRAM, settings, folder, free_port(), "0.0.0.0" if link else "127.0.0.1")
+        self.actors = Actors(self.learner.port, folder, link)
         self.counts: dict[str, int] = {}
         self.samples: list[tuple[float, int, int]] = []
         self.good_ends: set[int] = set()
@@ -130,6 +144,8 @@ class Soak:
             if self.learner.process.poll() is not None:
                 self.restart()
             self.actors.thaw()
+            if self.link and (now >= self.heals or self.share() >= LINK_FAULTS_END):
+                self.link.heal()
             self.keep_pace()
             if now >= next_sample:
                 self.sample(now)
@@ -177,7 +193,9 @@ class Soak:
     def disturb(self) -> None:
         faults = [self.kill_actor, self.freeze_actor, self.cut, self.stall, self.rubbish, self.half_open]
         if self.share() < DEATHS_END:
-            faults += [self.kill_learner, self.stop_learner]
+            faults += [self.kill_learner, self.stop_learner, self.suspend_learner]
+        if self.link and self.share() < LINK_FAULTS_END:
+            faults += [self.bad_link, self.one_way]
         fault = self.random.choice(faults)
         self.count((fault.__doc__ or "").strip("."), fault)
 
@@ -223,6 +241,23 @@ class Soak:
         self.good_ends.add(-signal.SIGKILL)
         self.learner.process.wait()
 
+    def suspend_learner(self) -> None:
+        """learner suspended."""
+        self.learner.process.send_signal(signal.SIGSTOP)
+        time.sleep(self.random.uniform(0.5, 15.0))
+        self.learner.process.send_signal(signal.SIGCONT)
+
+    def bad_link(self) -> None:
+        """network with delays, losses and another order."""
+        delay, jitter, loss = self.random.uniform(0, 0.1), self.random.uniform(0, 0.1), self.random.uniform(0, 0.1)
+        self.link.disturb(delay=delay, jitter=jitter, loss=loss)
+        self.heals = time.monotonic() + self.random.uniform(1.0, LONGEST_LINK_FAULT_SECS)
+
+    def one_way(self) -> None:
+        """network without packets of one direction."""
+        self.link.disturb(cut=(self.random.choice(["near", "far"]),))
+        self.heals = time.monotonic() + self.random.uniform(1.0, LONGEST_LINK_FAULT_SECS)
+
     def stop_learner(self) -> None:
         """learner asked to stop."""
         self.learner.process.terminate()
@@ -266,26 +301,45 @@ def unexplained_errors(log: pathlib.Path) -> list[str]:
     return [line for line in lines if "ERROR" in line and FULL not in line]
 
 
+def other_host(seed: int) -> Link | None:
+    """Another host, and this process on a host of its own beside it; none where that cannot be had."""
+    try:
+        link = Link(seed)
+    except NoNamespaces as error:
+        say(f"all actors are on this host, no network namespace can be made: {error}")
+        return None
+    link.enter("near")
+    return link
+
+
+def disturbed(options: argparse.Namespace, folder: pathlib.Path, link: Link | None) -> Soak:
+    folder.mkdir()
+    soak = Soak(options.minutes, options.seed, folder, link)
+    try:
+        soak.run()
+    finally:
+        soak.learner.process.kill()
+        soak.actors.kill()
+    say(f"the disturbed run has ended after {time.monotonic() - soak.begun:.0f} s")
+    for name, count in sorted(soak.counts.items()):
+        say(f"{count:6} x {name}")
+    return soak
+
+
 def main() -> int:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--minutes", type=float, default=60.0)
-    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--seed", type=int, default=secrets.randbelow(1_000_000), help="of an earlier schedule")
     options = options.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        disturbed = pathlib.Path(folder) / "disturbed"
-        disturbed.mkdir()
-        soak = Soak(options.minutes, options.seed, disturbed)
-        try:
-            soak.run()
-        finally:
-            soak.learner.process.kill()
-            soak.actors.kill()
-        say(f"the disturbed run has ended after {time.monotonic() - soak.begun:.0f} s")
-        for name, count in sorted(soak.counts.items()):
-            say(f"{count:6} x {name}")
+    say(f"the schedule has the seed {options.seed}")
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
+        folder = pathlib.Path(name)
+        if link := other_host(options.seed):
+            stack.callback(link.close)
+        soak = disturbed(options, folder / "disturbed", link)
         found = hashes(soak.learner.run)
-        expected = undisturbed(soak.iterations, pathlib.Path(folder) / "undisturbed")
-        errors = unexplained_errors(disturbed / "learner.log")
+        expected = undisturbed(soak.iterations, folder / "undisturbed")
+        errors = unexplained_errors(folder / "disturbed" / "learner.log")
         checks = {
             f"hashes equal: {found} and {expected}": found == expected,
             "every slot consumed exactly once": consumed_exactly_once(soak.learner.run, soak.iterations),

@@ -48,6 +48,7 @@ impl Attacker {
 pub(crate) fn registration(run: &RunDescription) -> Registration {
     Registration {
         client: "attacker".to_owned(),
+        build: run.build.clone(),
         protocol_version: run.protocol_version,
         environment: run.environment.clone(),
         rollout_fingerprint: Some(run.rollout_fingerprint),

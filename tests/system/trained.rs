@@ -25,6 +25,7 @@ pub(crate) fn world(folder: &Path) -> Box<dyn EnvironmentBatch> {
     let settings: toml::Table = settings.parse().unwrap();
     let task = sim::TaskConfig {
         task: settings["task"].as_str().unwrap().to_owned(),
+        definition: None,
         observation: settings["observation"].clone().try_into().unwrap(),
         partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
     };

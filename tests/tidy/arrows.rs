@@ -22,14 +22,15 @@ const ARROWS: [(&str, &[&str]); 8] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 32] = [
+const HEAVY: [(&str, &[&str]); 33] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
     ("kuva", &[ROOT]),
     ("mimalloc", &[ROOT]),
     ("tiny-skia", &[ROOT]),
-    ("toml", &[ROOT]),
+    ("strsim", &[ROOT, "sim"]),
+    ("toml", &[ROOT, "sim"]),
     ("tracing-subscriber", &[ROOT]),
     ("candle-core", &["policy", "marl"]),
     ("candle-nn", &["policy", "marl"]),
@@ -37,7 +38,7 @@ const HEAVY: [(&str, &[&str]); 32] = [
     ("pulp", &[]),
     ("rand_chacha", &["policy", "sim"]),
     ("rayon", &["marl", "learner"]),
-    ("mjcf-rs", &["sim"]),
+    ("roxmltree", &["sim"]),
     ("rapier3d", &["sim"]),
     ("foxglove", &["actor"]),
     ("mcap", &["actor"]),

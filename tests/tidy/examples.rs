@@ -1,4 +1,4 @@
-//! Code that a document shows is code that is compiled.
+//! An excerpt that a document shows is part of a file that is tested.
 
 use crate::assert_none;
 use crate::repository::read;
@@ -12,10 +12,14 @@ fn blocks(document: &str) -> Vec<String> {
 
 #[test]
 fn the_example_of_a_task_stands_word_for_word_in_the_simulator() {
-    let files = ["sim/assets/hopper.xml", "sim/src/task/hopper.rs", "sim/src/task.rs"].map(read);
+    let files = ["sim/assets/hopper.xml", "sim/assets/hopper.toml"].map(read);
     let shown = blocks(&read("docs/ADDING_A_TASK.md"));
-    assert!(shown.len() >= 5);
-    let lost: Vec<String> =
-        shown.into_iter().filter(|block| !files.iter().any(|file| file.contains(block))).collect();
-    assert_none("docs/ADDING_A_TASK.md shows code that is in none of its files:", &lost);
+    // The first block has the commands, which tests/own_task.rs runs.
+    let excerpts = shown.into_iter().skip(1).collect::<Vec<_>>();
+    assert!(excerpts.len() >= 2);
+    let lost: Vec<String> = excerpts
+        .into_iter()
+        .filter(|block| !files.iter().any(|file| file.contains(block)))
+        .collect();
+    assert_none("docs/ADDING_A_TASK.md shows text that is in none of its files:", &lost);
 }

@@ -21,8 +21,8 @@ from runs import eventually, free_port, training
 
 DEPLOY = ROOT / "deploy" / "prometheus"
 DASHBOARD = ROOT / "deploy" / "grafana" / "dashboards" / "s2mia.json"
-# These stand still at nothing, and are not shown before the first of their kind.
-NOT_BEFORE_THE_FIRST = {"s2mia_messages_refused_total"}
+# The first is not shown before there is a refusal, the second not without certificates.
+NOT_BEFORE_THE_FIRST = {"s2mia_messages_refused_total", "s2mia_certificate_expiry_timestamp_seconds"}
 
 
 def get(url: str) -> str:
@@ -105,6 +105,8 @@ def in_the_older_form(scrape: str) -> str:
 
 def main() -> None:
     promtool("check", "config", "prometheus.yml", "kubernetes.yml")
+    # Its certificates are in the cluster only.
+    promtool("check", "config", "--syntax-only", "kubernetes.mtls.yml")
     promtool("test", "rules", "alerts_test.yml")
     with tempfile.TemporaryDirectory() as folder:
         watch(pathlib.Path(folder))

@@ -1,6 +1,7 @@
 //! Client of a program that provides environments: one call for the specification, then a stream of requests and
 //! answers.
 
+use std::ops::Range;
 use std::time::Duration;
 
 use proto::wire::environment_service_client::EnvironmentServiceClient;
@@ -14,7 +15,7 @@ use tonic::{Status, Streaming};
 use super::{CALL_DEADLINE, within};
 use crate::error::{ActorError, EnvironmentError, causes};
 
-/// Deadline of an answer on the stream.
+/// Deadline of an answer on the stream, for each request.
 const ANSWER_DEADLINE: Duration = Duration::from_secs(60);
 
 /// A connection to a program that provides an environment.
@@ -36,7 +37,7 @@ pub(crate) struct Play {
 
 #[derive(Debug)]
 struct Open {
-    /// Capacity 1: only one request waits for its answer.
+    /// Capacity 1: further requests wait until the connection accepts them.
     requests: mpsc::Sender<wire::PlayRequest>,
     answers: Streaming<wire::PlayResponse>,
 }
@@ -79,14 +80,23 @@ impl Play {
         self.read(View::from_wire(&answer, &self.spec))
     }
 
-    pub(crate) fn restore(&mut self, environment: u32, state: &[u8]) -> Answer<View> {
-        let answer = self.ask(&PlayRequest::Restore { environment, state: state.to_vec() })?;
-        self.read(View::from_wire(&answer, &self.spec))
+    /// Restores states of several environments.
+    pub(crate) fn restore(&mut self, states: &[(u32, &[u8])]) -> Answer<Vec<View>> {
+        let restore = |(environment, state): &(u32, &[u8])| PlayRequest::Restore {
+            environment: *environment,
+            state: state.to_vec(),
+        };
+        let answers = self.ask_all(states.iter().map(restore).collect())?;
+        let views = answers.iter().map(|answer| View::from_wire(answer, &self.spec));
+        self.read(views.collect())
     }
 
-    pub(crate) fn save(&mut self, environment: u32) -> Answer<Vec<u8>> {
-        let answer = self.ask(&PlayRequest::Save { environment })?;
-        self.read(proto::saved_state(&answer, &self.spec))
+    /// Saves the states of several environments.
+    pub(crate) fn save(&mut self, environments: Range<u32>) -> Answer<Vec<Vec<u8>>> {
+        let save = |environment| PlayRequest::Save { environment };
+        let answers = self.ask_all(environments.map(save).collect())?;
+        let states = answers.iter().map(|answer| proto::saved_state(answer, &self.spec));
+        self.read(states.collect())
     }
 
     /// Steps environments; `actions` is `[n, act]` for each agent.
@@ -102,9 +112,25 @@ impl Play {
 
     /// Sends a request and blocks until the answer arrives. A failure closes the stream.
     fn ask(&mut self, request: &PlayRequest) -> Answer<wire::PlayResponse> {
-        let (runtime, request) = (self.runtime.clone(), request.to_wire());
+        self.blocking(1, async |play| play.exchange(request.to_wire()).await)
+    }
+
+    /// Sends requests without waiting for the answers in between. Blocks until all answers have arrived. A failure
+    /// closes the stream.
+    fn ask_all(&mut self, requests: Vec<PlayRequest>) -> Answer<Vec<wire::PlayResponse>> {
+        self.blocking(requests.len() as u32, async |play| play.exchange_all(requests).await)
+    }
+
+    /// Blocks until the exchange of `count` requests and answers has ended.
+    fn blocking<T>(
+        &mut self,
+        count: u32,
+        exchange: impl AsyncFnOnce(&mut Self) -> Result<T, Status>,
+    ) -> Answer<T> {
+        let runtime = self.runtime.clone();
         let answered = runtime.block_on(async {
-            let answered = tokio::time::timeout(ANSWER_DEADLINE, self.exchange(request)).await;
+            let deadline = ANSWER_DEADLINE.saturating_mul(count);
+            let answered = tokio::time::timeout(deadline, exchange(self)).await;
             answered.unwrap_or_else(|_| Err(Status::deadline_exceeded("no answer within 60 s")))
         });
         answered.map_err(|status| {
@@ -114,17 +140,57 @@ impl Play {
     }
 
     async fn exchange(&mut self, request: wire::PlayRequest) -> Result<wire::PlayResponse, Status> {
-        let closed = || Status::unavailable("the stream was closed");
-        let open = match &mut self.open {
+        match &mut self.open {
             Some(open) => {
-                // If the stream is closed, its status has the reason.
-                let _ = open.requests.send(request).await;
-                open
+                open.send(request).await;
+                open.receive().await
             }
-            none => none.insert(begin(&mut self.client.service, request).await?),
-        };
-        open.answers.message().await?.ok_or_else(closed)
+            none => none.insert(begin(&mut self.client.service, request).await?).receive().await,
+        }
     }
+
+    async fn exchange_all(
+        &mut self,
+        requests: Vec<PlayRequest>,
+    ) -> Result<Vec<wire::PlayResponse>, Status> {
+        let mut answers = Vec::with_capacity(requests.len());
+        let mut requests = requests.iter().map(PlayRequest::to_wire);
+        let (Some(first), count) = (requests.next(), requests.len()) else { return Ok(answers) };
+        answers.push(self.exchange(first).await?);
+        let Some(Open { requests: queue, answers: stream }) = &mut self.open else {
+            return Err(closed());
+        };
+        let send = async {
+            for request in requests {
+                // If the stream is closed, its status has the reason.
+                let _ = queue.send(request).await;
+            }
+            Ok::<_, Status>(())
+        };
+        let receive = async {
+            for _ in 0..count {
+                answers.push(stream.message().await?.ok_or_else(closed)?);
+            }
+            Ok::<_, Status>(())
+        };
+        tokio::try_join!(send, receive)?;
+        Ok(answers)
+    }
+}
+
+impl Open {
+    async fn send(&self, request: wire::PlayRequest) {
+        // If the stream is closed, its status has the reason.
+        let _ = self.requests.send(request).await;
+    }
+
+    async fn receive(&mut self) -> Result<wire::PlayResponse, Status> {
+        self.answers.message().await?.ok_or_else(closed)
+    }
+}
+
+fn closed() -> Status {
+    Status::unavailable("the stream was closed")
 }
 
 type Answer<T> = Result<T, EnvironmentError>;

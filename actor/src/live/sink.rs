@@ -1,5 +1,6 @@
 //! Sink of a live view. Messages have wall-clock timestamps, and simulated time passes in real time.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -34,12 +35,31 @@ impl LiveSink {
     }
 }
 
+impl LiveSink {
+    /// Creates a channel of JSON objects; `schema` is a JSON schema with a title.
+    pub(super) fn json_channel(
+        &mut self,
+        topic: &str,
+        schema: &serde_json::Value,
+    ) -> Result<Channel, RecordError> {
+        let name = schema["title"].as_str().unwrap_or_default();
+        let data = schema.to_string().into_bytes();
+        let schema = Schema { name, encoding: "jsonschema", data: &data, messages: "json" };
+        self.channel(topic, &schema, &BTreeMap::new())
+    }
+}
+
 impl Sink for LiveSink {
-    fn channel(&mut self, topic: &str, schema: &Schema<'_>) -> Result<Channel, RecordError> {
-        let place =
-            self.cache.add((&self.context, &self.network), topic, schema).map_err(|error| {
-                RecordError::Message { topic: topic.to_owned(), why: error.to_string() }
-            })?;
+    fn channel(
+        &mut self,
+        topic: &str,
+        schema: &Schema<'_>,
+        about: &BTreeMap<String, String>,
+    ) -> Result<Channel, RecordError> {
+        let server = (&self.context, &self.network);
+        let place = self.cache.add(server, topic, schema, about).map_err(|error| {
+            RecordError::Message { topic: topic.to_owned(), why: error.to_string() }
+        })?;
         Ok(Channel::new(u16::try_from(place).expect("a handful of topics"), topic))
     }
 

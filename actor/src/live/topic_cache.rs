@@ -1,5 +1,6 @@
 //! Newest message of each topic of a live view, which new subscribers receive immediately.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use foxglove::websocket::{ChannelView, Client, ServerListener};
@@ -29,9 +30,11 @@ impl TopicCache {
         (context, network): (&Arc<Context>, &Handle),
         topic: &str,
         schema: &Schema<'_>,
+        about: &BTreeMap<String, String>,
     ) -> Result<usize, FoxgloveError> {
         let own = foxglove::Schema::new(schema.name, schema.encoding, schema.data.to_vec());
         let channel = context.channel_builder(topic).message_encoding(schema.messages).schema(own);
+        let channel = channel.metadata(about.clone());
         let cache = Arc::clone(self);
         let added = network.spawn(async move {
             let mut topics = cache.topics();

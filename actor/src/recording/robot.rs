@@ -3,7 +3,7 @@
 use foxglove::messages::{
     FrameTransform, FrameTransforms, JointState, JointStates, Quaternion, SceneUpdate, Vector3,
 };
-use sim::Pose;
+use sim::{LinkShape, Pose};
 
 use super::sink::{Channel, Sink};
 use super::{RecordError, scene};
@@ -13,21 +13,23 @@ pub(crate) struct RobotChannels {
     transforms: Channel,
     joints: Channel,
     scene: Channel,
+    shapes: Vec<LinkShape>,
 }
 
 impl RobotChannels {
-    /// Creates the channels.
-    pub(crate) fn create(sink: &mut impl Sink) -> Result<Self, RecordError> {
+    /// Creates the channels of a robot with these shapes.
+    pub(crate) fn create(sink: &mut impl Sink, shapes: &[LinkShape]) -> Result<Self, RecordError> {
         Ok(Self {
+            shapes: shapes.to_vec(),
             transforms: sink.foxglove_channel::<FrameTransforms>("/tf")?,
             joints: sink.foxglove_channel::<JointStates>("/joint_states")?,
             scene: sink.foxglove_channel::<SceneUpdate>("/scene")?,
         })
     }
 
-    /// Writes the shapes at the start of an episode.
-    pub(crate) fn scene(&mut self, sink: &mut impl Sink, task: &str) -> Result<(), RecordError> {
-        let scene = scene::update(task, sink.now())?;
+    /// Writes the shapes at the start of a share.
+    pub(crate) fn scene(&mut self, sink: &mut impl Sink) -> Result<(), RecordError> {
+        let scene = scene::update(&self.shapes, sink.now());
         sink.foxglove(&mut self.scene, &scene)
     }
 

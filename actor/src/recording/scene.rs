@@ -1,10 +1,10 @@
 //! Shapes of a robot as a Foxglove scene.
 
 use foxglove::messages::{
-    Color, CubePrimitive, CylinderPrimitive, Pose, SceneEntity, SceneUpdate, SpherePrimitive,
-    Timestamp, Vector3,
+    Color, CubePrimitive, CylinderPrimitive, Point3, Pose, SceneEntity, SceneUpdate,
+    SpherePrimitive, Timestamp, TriangleListPrimitive, Vector3,
 };
-use sim::{LinkShape, Shape, SimError};
+use sim::{Hull, LinkShape, Shape};
 
 use super::robot::{quaternion, vector};
 
@@ -15,11 +15,10 @@ const FLOOR_SIZE: (f64, f64) = (400.0, 4.0);
 const FLOOR_THICKNESS: f64 = 0.02;
 
 /// Builds a scene with one entity per shape, locked to its link's frame, and the floor.
-pub(super) fn update(task: &str, now: Timestamp) -> Result<SceneUpdate, SimError> {
-    let shapes = sim::shapes(task)?;
+pub(super) fn update(shapes: &[LinkShape], now: Timestamp) -> SceneUpdate {
     let mut entities = vec![floor(now)];
     entities.extend(shapes.iter().enumerate().map(|(index, shape)| entity(index, shape, now)));
-    Ok(SceneUpdate { deletions: Vec::new(), entities })
+    SceneUpdate { deletions: Vec::new(), entities }
 }
 
 fn entity(index: usize, shape: &LinkShape, now: Timestamp) -> SceneEntity {
@@ -31,14 +30,39 @@ fn entity(index: usize, shape: &LinkShape, now: Timestamp) -> SceneEntity {
         ..SceneEntity::default()
     };
     match shape.shape {
-        Shape::Sphere { radius } => entity.spheres.push(sphere(shape, 0.0, radius)),
+        Shape::Sphere { radius } => entity.spheres.push(ellipsoid(shape, 0.0, [radius; 3])),
+        Shape::Ellipsoid { half_sizes } => entity.spheres.push(ellipsoid(shape, 0.0, half_sizes)),
         Shape::Capsule { half_length, radius } => {
             entity.cylinders.push(cylinder(shape, half_length, radius));
-            entity.spheres.push(sphere(shape, half_length, radius));
-            entity.spheres.push(sphere(shape, -half_length, radius));
+            entity.spheres.push(ellipsoid(shape, half_length, [radius; 3]));
+            entity.spheres.push(ellipsoid(shape, -half_length, [radius; 3]));
         }
+        Shape::Cylinder { half_length, radius } => {
+            entity.cylinders.push(cylinder(shape, half_length, radius));
+        }
+        Shape::Box { half_sizes } => entity.cubes.push(cube(shape, half_sizes)),
+        Shape::Hull(ref hull) => entity.triangles.push(triangles(shape, hull)),
     }
     entity
+}
+
+fn cube(shape: &LinkShape, half_sizes: [f32; 3]) -> CubePrimitive {
+    CubePrimitive {
+        pose: Some(pose(shape, 0.0)),
+        size: Some(vector(half_sizes.map(|half| 2.0 * half))),
+        color: Some(LINK),
+    }
+}
+
+fn triangles(shape: &LinkShape, hull: &Hull) -> TriangleListPrimitive {
+    let point = |[x, y, z]: [f32; 3]| Point3 { x: x.into(), y: y.into(), z: z.into() };
+    TriangleListPrimitive {
+        pose: Some(pose(shape, 0.0)),
+        points: hull.points.iter().copied().map(point).collect(),
+        indices: hull.triangles.concat(),
+        color: Some(LINK),
+        ..TriangleListPrimitive::default()
+    }
 }
 
 fn floor(now: Timestamp) -> SceneEntity {
@@ -70,11 +94,11 @@ fn cylinder(shape: &LinkShape, half_length: f32, radius: f32) -> CylinderPrimiti
     }
 }
 
-/// A ball on the shape's axis, `along` metres from its centre.
-fn sphere(shape: &LinkShape, along: f32, radius: f32) -> SpherePrimitive {
+/// An ellipsoid on the shape's axis, `along` metres from its centre.
+fn ellipsoid(shape: &LinkShape, along: f32, half_sizes: [f32; 3]) -> SpherePrimitive {
     SpherePrimitive {
         pose: Some(pose(shape, along)),
-        size: Some(vector([2.0 * radius; 3])),
+        size: Some(vector(half_sizes.map(|half| 2.0 * half))),
         color: Some(LINK),
     }
 }
@@ -105,8 +129,31 @@ mod tests {
     }
 
     #[test]
+    fn every_kind_of_shape_becomes_its_primitive() {
+        let tetrahedron = Hull {
+            points: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        };
+        let half_sizes = [0.1, 0.2, 0.3];
+        let drawn = |shape| {
+            let (position, quaternion) = ([0.0; 3], [0.0, 0.0, 0.0, 1.0]);
+            let shape = LinkShape { link: "hand".to_owned(), shape, position, quaternion };
+            entity(0, &shape, Timestamp::MIN)
+        };
+        let size = drawn(Shape::Box { half_sizes }).cubes[0].size.expect("a cube has a size");
+        assert!((size.z - 0.6).abs() < 1e-6);
+        let size = drawn(Shape::Ellipsoid { half_sizes }).spheres[0].size.expect("it has a size");
+        assert!((size.y - 0.4).abs() < 1e-6);
+        let cylinder = drawn(Shape::Cylinder { half_length: 0.5, radius: 0.1 });
+        assert_eq!((cylinder.cylinders.len(), cylinder.spheres.len()), (1, 0));
+        let hull = drawn(Shape::Hull(std::sync::Arc::new(tetrahedron)));
+        assert_eq!((hull.triangles[0].points.len(), hull.triangles[0].indices.len()), (4, 12));
+    }
+
+    #[test]
     fn a_scene_has_two_spheres_per_capsule_and_a_floor() {
-        let scene = update("halfcheetah-2x3", Timestamp::MIN).expect("a task");
+        let robot = sim::Robot::of_task("halfcheetah-2x3").expect("a task");
+        let scene = update(&robot.shapes(), Timestamp::MIN);
         let (cylinders, spheres): (usize, usize) =
             scene.entities.iter().fold((0, 0), |sum, entity| {
                 (sum.0 + entity.cylinders.len(), sum.1 + entity.spheres.len())

@@ -1,5 +1,7 @@
 //! The interface of message sinks: channels with schemas, and a clock for their timestamps.
 
+use std::collections::BTreeMap;
+
 use foxglove::Encode;
 use foxglove::messages::Timestamp;
 
@@ -42,8 +44,13 @@ pub(crate) struct Schema<'a> {
 
 /// A destination of messages.
 pub(crate) trait Sink {
-    /// Creates a channel with a schema.
-    fn channel(&mut self, topic: &str, schema: &Schema<'_>) -> Result<Channel, RecordError>;
+    /// Creates a channel with a schema and metadata.
+    fn channel(
+        &mut self,
+        topic: &str,
+        schema: &Schema<'_>,
+        about: &BTreeMap<String, String>,
+    ) -> Result<Channel, RecordError>;
 
     /// Writes an encoded message with the current time.
     fn write(&mut self, channel: &mut Channel, data: &[u8]) -> Result<(), RecordError>;
@@ -61,18 +68,8 @@ pub(crate) trait Sink {
         let schema = M::get_schema().ok_or_else(missing)?;
         let messages = M::get_message_encoding();
         let (name, encoding) = (schema.name.as_str(), schema.encoding.as_str());
-        self.channel(topic, &Schema { name, encoding, data: &schema.data, messages: &messages })
-    }
-
-    /// Creates a channel of JSON objects; `schema` is a JSON schema with a title.
-    fn json_channel(
-        &mut self,
-        topic: &str,
-        schema: &serde_json::Value,
-    ) -> Result<Channel, RecordError> {
-        let name = schema["title"].as_str().unwrap_or_default();
-        let data = schema.to_string().into_bytes();
-        self.channel(topic, &Schema { name, encoding: "jsonschema", data: &data, messages: "json" })
+        let schema = Schema { name, encoding, data: &schema.data, messages: &messages };
+        self.channel(topic, &schema, &BTreeMap::new())
     }
 
     /// Writes a Foxglove message with the current time.

@@ -61,9 +61,14 @@ impl<W: Write + Seek> McapFile<W> {
 }
 
 impl<W: Write + Seek> Sink for McapFile<W> {
-    fn channel(&mut self, topic: &str, schema: &Schema<'_>) -> Result<Channel, RecordError> {
+    fn channel(
+        &mut self,
+        topic: &str,
+        schema: &Schema<'_>,
+        about: &BTreeMap<String, String>,
+    ) -> Result<Channel, RecordError> {
         let id = self.writer.add_schema(schema.name, schema.encoding, schema.data)?;
-        let id = self.writer.add_channel(id, topic, schema.messages, &BTreeMap::new())?;
+        let id = self.writer.add_channel(id, topic, schema.messages, about)?;
         Ok(Channel::new(id, topic))
     }
 

@@ -1,14 +1,15 @@
 //! Collectors of log data, which the stepping thread calls during a lease. They only collect what is logged.
 
-use proto::trajectory_log::{AgentStep, FinalObservation, Kind, Share, ShareEnd, Step};
+use policy::RunSeed;
+use proto::trajectory_log::{Kind, Share, ShareEnd};
 use proto::{
-    Episodes, EvaluationWork, Lease, RolloutWork, RunDescription, TrajectoryChunk,
-    rollout_episode_id,
+    Episodes, Lease, RolloutWork, RunDescription, TrajectoryChunk, WeightsName, rollout_episode_id,
 };
-use sim::{EnvironmentBatch, Pose};
+use sim::{EnvironmentBatch, Pose, SimError};
 
-use super::shares::{LoggedShare, LoggedStep};
-use crate::evaluation::PlayedStep;
+use super::shares::LoggedShare;
+use crate::evaluation::{EvaluationEpisode, PlayedStep};
+use crate::recording::step_reader::StepReader;
 
 /// Log data of a finished slot.
 pub(crate) struct Rollout {
@@ -29,12 +30,12 @@ pub(crate) struct PartialShare {
 }
 
 /// Header fields common to all shares of a lease.
-fn head(run: &RunDescription, lease: &Lease) -> Share {
+fn head(seed: RunSeed, weights: WeightsName, attempt: u32) -> Share {
     Share {
-        attempt: lease.attempt,
-        seed: run.seed,
-        weights_version: lease.weights.version.0,
-        weights_sha256: lease.weights.digest.0.to_vec(),
+        attempt,
+        seed: seed.0,
+        weights_version: weights.version.0,
+        weights_sha256: weights.digest.0.to_vec(),
         ..Share::default()
     }
 }
@@ -58,10 +59,11 @@ impl<'a> RolloutCollector<'a> {
         work: &'a RolloutWork,
     ) -> Self {
         let (iteration, slot, kind) = (work.iteration, work.slot, Kind::Rollout.into());
+        let head = head(RunSeed(run.seed), lease.weights, lease.attempt);
         Self {
             episodes,
             work,
-            common: Share { iteration, slot, kind, ..head(run, lease) },
+            common: Share { iteration, slot, kind, ..head },
             begun: Vec::new(),
             open: vec![None; work.environments.len()],
             chunks: Vec::new(),
@@ -121,82 +123,49 @@ impl<'a> RolloutCollector<'a> {
 /// Collects the log data of an evaluation episode.
 pub(crate) struct EvaluationCollector {
     share: LoggedShare,
-    before: WorldSnapshot,
-    /// Size of each agent's action.
-    sizes: Vec<usize>,
-}
-
-/// Pose, state and observations of an environment at one time.
-struct WorldSnapshot {
-    pose: Pose,
-    state: Vec<f32>,
-    observations: Vec<Vec<f32>>,
-}
-
-impl WorldSnapshot {
-    /// Reads environment 0.
-    fn of(world: &dyn EnvironmentBatch) -> Self {
-        let description = world.description();
-        let mut state = vec![0.0; description.state.len()];
-        world.state(0, &mut state);
-        let observe = |(agent, shape): (usize, &sim::AgentDescription)| {
-            let mut row = vec![0.0; shape.observation.len()];
-            world.observation(0, agent, &mut row);
-            row
-        };
-        let observations = description.agents.iter().enumerate().map(observe).collect();
-        Self { pose: world.pose(0), state, observations }
-    }
+    reader: StepReader,
 }
 
 impl EvaluationCollector {
-    /// Starts a collector for `world` at the start of an episode; `None` if its state cannot be encoded.
+    /// Starts a collector for `world` at the start of an episode of the weights, in their lease with number `attempt`.
+    ///
+    /// # Errors
+    /// If the state cannot be encoded.
     pub(crate) fn new(
-        run: &RunDescription,
-        lease: &Lease,
-        work: EvaluationWork,
+        episode: EvaluationEpisode,
+        (weights, attempt): (WeightsName, u32),
         world: &dyn EnvironmentBatch,
-    ) -> Option<Self> {
-        let EvaluationWork { iteration, episode } = work;
+    ) -> Result<Self, SimError> {
         let head = Share {
-            episode_id: format!("evaluation-{iteration}-{episode}"),
-            kind: Kind::Evaluation.into(),
-            iteration,
-            episode: episode.into(),
-            environment_state: world.encode(0).ok()?,
-            ..head(run, lease)
+            environment_state: world.encode(0)?,
+            ..evaluation_head(episode, weights, attempt)
         };
-        let sizes = world.description().agents.iter().map(|agent| agent.action.size).collect();
         let share = LoggedShare { head, steps: Vec::new(), end: ShareEnd::default() };
-        Some(Self { share, before: WorldSnapshot::of(world), sizes })
+        Ok(Self { share, reader: StepReader::new(world) })
     }
 
     /// Collects a step.
     pub(crate) fn collect(&mut self, played: &PlayedStep<'_>) {
-        let WorldSnapshot { pose, state, observations } =
-            std::mem::replace(&mut self.before, WorldSnapshot::of(played.world));
-        let mut rest = played.action;
-        let agent = |(observation, size): (Vec<f32>, &usize)| {
-            let (action, others) = rest.split_at(*size);
-            rest = others;
-            AgentStep { observation, action: action.to_vec(), ..AgentStep::default() }
-        };
-        let agents = observations.into_iter().zip(&self.sizes).map(agent).collect();
-        let sim::Outcome { reward, terminated, truncated, .. } = played.outcome;
-        let step = Step { step: played.step - 1, reward, terminated, truncated, state };
-        self.share.steps.push(LoggedStep { pose, agents, step });
+        self.share.steps.push(self.reader.read(played));
     }
 
     /// Returns the share of the whole episode.
     pub(crate) fn finish(self) -> LoggedShare {
-        let WorldSnapshot { state, observations, .. } = self.before;
-        let observation = |observation| FinalObservation { observation };
-        let end = ShareEnd {
-            steps: self.share.steps.len() as u32,
-            environment_state: Vec::new(),
-            state,
-            observations: observations.into_iter().map(observation).collect(),
-        };
-        LoggedShare { end, ..self.share }
+        LoggedShare { end: self.reader.end(), ..self.share }
+    }
+}
+
+/// Header of the share of a whole evaluation episode, without its state.
+pub(crate) fn evaluation_head(
+    episode: EvaluationEpisode,
+    weights: WeightsName,
+    attempt: u32,
+) -> Share {
+    Share {
+        episode_id: episode.id(),
+        kind: Kind::Evaluation.into(),
+        iteration: episode.iteration,
+        episode: episode.index.into(),
+        ..head(episode.seed, weights, attempt)
     }
 }

@@ -5,28 +5,27 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::PathBuf;
 
-use prost::Message;
-use proto::trajectory_log::DESCRIPTORS;
 use proto::{Episodes, RunDescription};
-use sim::TaskConfig;
+use sim::{Description, EnvironmentBatch, LinkShape, Robot, TaskConfig};
 
-use super::shares::{LoggedShare, LoggedStep, ReadShares};
+use super::shares::{LoggedShare, ReadShares};
 use super::{LogError, METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
-use crate::recording::robot::RobotChannels;
-use crate::recording::sink::{Channel, Schema, Sink as _};
+use crate::identity::description;
+use crate::recording::share_channels::ShareChannels;
+use crate::recording::sink::Sink as _;
 use crate::recording::writer::McapFile;
-use crate::recording::{RecordError, verify};
+use crate::recording::{RecordError, RecordedRun, verify};
 
 /// Origin of the shares of a file.
 #[derive(Clone, Debug)]
-pub(super) struct Origin {
+pub(crate) struct Origin {
     /// Metadata: run, task, actor.
     words: BTreeMap<String, String>,
     settings_toml: String,
     task_settings: String,
-    task: TaskConfig,
-    agents: usize,
-    dt_secs: f64,
+    description: Description,
+    /// Shapes of the robot; empty without one.
+    shapes: Vec<LinkShape>,
 }
 
 impl Origin {
@@ -53,9 +52,28 @@ impl Origin {
             words: words.map(|(name, value)| (name.to_owned(), value)).into(),
             settings_toml: run.settings_toml.clone(),
             task_settings: run.task_settings.clone(),
-            task: task.clone(),
-            agents: run.environment.agents.len(),
-            dt_secs: run.environment.dt_secs,
+            description: description(&run.environment),
+            shapes: sim::environments(task, 1).map(|world| shapes(&*world)).unwrap_or_default(),
+        }
+    }
+
+    /// Origin of recorded episodes in `world`.
+    pub(crate) fn of_recording(run: &RecordedRun<'_>, world: &dyn EnvironmentBatch) -> Self {
+        let description = world.description().clone();
+        let words = [
+            ("task", description.task.clone()),
+            ("rollout_fingerprint", crate::rollout_fingerprint().to_string()),
+            ("state_kind", description.state_kind.clone()),
+            ("dt_secs", description.dt_secs.to_string()),
+            ("s2mia", env!("CARGO_PKG_VERSION").to_owned()),
+        ];
+        let words = words.map(|(name, value)| (name.to_owned(), value));
+        Self {
+            words: run.metadata.clone().into_iter().chain(words).collect(),
+            settings_toml: run.settings_toml.clone(),
+            task_settings: run.task_settings.clone(),
+            shapes: shapes(world),
+            description,
         }
     }
 
@@ -67,9 +85,8 @@ impl Origin {
             words: log.words.clone(),
             settings_toml: log.settings_toml.clone(),
             task_settings: log.task_settings.clone(),
-            agents: world.description().agents.len(),
-            dt_secs: world.description().dt_secs,
-            task,
+            description: world.description().clone(),
+            shapes: shapes(&*world),
         })
     }
 
@@ -80,17 +97,16 @@ impl Origin {
     }
 }
 
+/// Shapes of the simulated robot; empty for games and external environments.
+fn shapes(world: &dyn EnvironmentBatch) -> Vec<LinkShape> {
+    world.robot().map(Robot::shapes).unwrap_or_default()
+}
+
 /// A log file being written.
-pub(super) struct LogFile {
+pub(crate) struct LogFile {
     path: PathBuf,
-    task: String,
     file: McapFile<BufWriter<File>>,
-    /// `None` for a game, which has no links.
-    robot: Option<RobotChannels>,
-    share: Channel,
-    agents: Vec<Channel>,
-    step: Channel,
-    share_end: Channel,
+    channels: ShareChannels,
     dt_nanos: u64,
     /// Episode of the last share and the step after it.
     last: Option<(String, u32)>,
@@ -100,7 +116,7 @@ pub(super) struct LogFile {
 
 impl LogFile {
     /// Starts a file: metadata and channels.
-    pub(super) fn begin(
+    pub(crate) fn begin(
         (path, target): (PathBuf, File),
         origin: &Origin,
     ) -> Result<Self, RecordError> {
@@ -108,17 +124,10 @@ impl LogFile {
         file.metadata(METADATA_NAME, &origin.words)?;
         file.attach(SETTINGS_NAME, "application/toml", origin.settings_toml.as_bytes())?;
         file.attach(TASK_NAME, "application/json", origin.task_settings.as_bytes())?;
-        let shows_links = !sim::shapes(&origin.task.task)?.is_empty();
-        let agents = (0..origin.agents).map(|index| format!("/agents/{index}"));
-        let agents = agents.map(|topic| own(&mut file, &topic, "AgentStep"));
+        let (description, shapes) = (&origin.description, &origin.shapes);
         Ok(Self {
-            agents: agents.collect::<Result<_, _>>()?,
-            robot: shows_links.then(|| RobotChannels::create(&mut file)).transpose()?,
-            share: own(&mut file, "/share", "Share")?,
-            step: own(&mut file, "/step", "Step")?,
-            share_end: own(&mut file, "/share_end", "ShareEnd")?,
-            dt_nanos: (origin.dt_secs * 1e9).round() as u64,
-            task: origin.task.task.clone(),
+            channels: ShareChannels::create(&mut file, description, shapes)?,
+            dt_nanos: (description.dt_secs * 1e9).round() as u64,
             last: None,
             written: (0, 0),
             path,
@@ -127,31 +136,20 @@ impl LogFile {
     }
 
     /// Writes a share. Adds a second of simulated time before it, unless it continues the previous share.
-    pub(super) fn write(&mut self, share: &LoggedShare) -> Result<(), RecordError> {
+    pub(crate) fn write(&mut self, share: &LoggedShare) -> Result<(), RecordError> {
         let place = (share.head.episode_id.clone(), share.head.first_step);
         if self.last.as_ref().is_some_and(|last| *last != place) {
             self.file.pause();
         }
-        self.file.write(&mut self.share, &share.head.encode_to_vec())?;
-        if let Some(robot) = &mut self.robot {
-            robot.scene(&mut self.file, &self.task)?;
+        self.channels.begin(&mut self.file, &share.head)?;
+        for step in &share.steps {
+            self.channels.pose(&mut self.file, &step.pose)?;
+            self.channels.step(&mut self.file, step)?;
+            self.file.advance(self.dt_nanos);
         }
-        share.steps.iter().try_for_each(|step| self.write_step(step))?;
-        self.file.write(&mut self.share_end, &share.end.encode_to_vec())?;
+        self.channels.end(&mut self.file, &share.end)?;
         self.last = Some((place.0, share.next_step()));
         self.written = (self.written.0 + 1, self.written.1 + share.steps.len() as u64);
-        Ok(())
-    }
-
-    fn write_step(&mut self, step: &LoggedStep) -> Result<(), RecordError> {
-        if let Some(robot) = &mut self.robot {
-            robot.pose(&mut self.file, &step.pose)?;
-        }
-        for (channel, agent) in self.agents.iter_mut().zip(&step.agents) {
-            self.file.write(channel, &agent.encode_to_vec())?;
-        }
-        self.file.write(&mut self.step, &step.step.encode_to_vec())?;
-        self.file.advance(self.dt_nanos);
         Ok(())
     }
 
@@ -160,11 +158,12 @@ impl LogFile {
         Ok(std::fs::metadata(&self.path)?.len())
     }
 
-    /// Flushes, closes and verifies the file. `lost` has the lost shares and steps.
-    pub(super) fn finish(mut self, lost: (u64, u64)) -> Result<(), RecordError> {
+    /// Flushes, closes and verifies the file. `lost` has the lost shares and steps. Returns the number of messages.
+    pub(crate) fn finish(mut self, lost: (u64, u64)) -> Result<u64, RecordError> {
         self.file.metadata(TOTALS_NAME, &totals(self.written, lost))?;
         let messages = self.file.finish()?;
-        verify(&self.path, messages)
+        verify(&self.path, messages)?;
+        Ok(messages)
     }
 }
 
@@ -177,15 +176,4 @@ fn totals(written: (u64, u64), lost: (u64, u64)) -> BTreeMap<String, String> {
         ("lost_steps", lost.1),
     ];
     figures.map(|(name, value)| (name.to_owned(), value.to_string())).into()
-}
-
-/// Creates a channel for a message of this project.
-fn own(
-    file: &mut McapFile<BufWriter<File>>,
-    topic: &str,
-    message: &str,
-) -> Result<Channel, RecordError> {
-    let name = format!("s2mia.log.v1.{message}");
-    let (encoding, messages) = ("protobuf", "protobuf");
-    file.channel(topic, &Schema { name: &name, encoding, data: DESCRIPTORS, messages })
 }

@@ -126,7 +126,7 @@ impl Index {
         }
         self.torn_steps += log.torn_steps;
         let (shares, steps) = log.lost();
-        self.lost = (self.lost.0 + shares, self.lost.1 + steps);
+        self.lost = (self.lost.0.saturating_add(shares), self.lost.1.saturating_add(steps));
         self.files.push(path.to_path_buf());
         if file == 0 {
             self.log = log;
@@ -234,7 +234,7 @@ impl Index {
             });
             found.extend(paid);
             for (first, next) in parts.keys().zip(parts.keys().skip(1)) {
-                let end = first + parts[first][0].about.steps;
+                let end = first.saturating_add(parts[first][0].about.steps);
                 if end > *next {
                     found.push(format!("{episode}: steps {next} to {} are in two shares", end - 1));
                 }
@@ -253,7 +253,7 @@ impl Index {
                 if *first > next {
                     found.push(format!("{episode}: steps {next} to {}", first - 1));
                 }
-                next = first + parts[0].about.steps;
+                next = first.saturating_add(parts[0].about.steps);
             }
         }
         found
@@ -298,4 +298,28 @@ fn digest(share: &LoggedShare) -> [u8; 32] {
     }
     hash.update(share.end.encode_length_delimited_to_vec());
     hash.finalize().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::trajectory_log::{Share, ShareEnd, Step};
+
+    use super::*;
+    use crate::trajectory_log::LoggedStep;
+
+    #[test]
+    fn a_forged_first_step_is_reported_as_a_gap_and_breaks_nothing() {
+        let step =
+            LoggedStep { pose: sim::Pose::default(), agents: Vec::new(), step: Step::default() };
+        let share = |first_step| LoggedShare {
+            head: Share { episode_id: "rollout-0-0".to_owned(), first_step, ..Share::default() },
+            steps: vec![step.clone(); 3],
+            end: ShareEnd::default(),
+        };
+        let mut index = Index::default();
+        index.take(0, &share(u32::MAX - 1), (0, 0));
+        index.take(0, &share(u32::MAX), (0, 0));
+        assert_eq!(index.gaps(), ["rollout-0-0: steps 0 to 4294967293"]);
+        assert!(index.contradictions().is_empty());
+    }
 }

@@ -80,8 +80,13 @@ pub fn read_shares(
         }
         Ok(())
     })?;
-    if log.words.is_empty() || log.task_settings.is_empty() {
+    if log.words.is_empty() {
         return Err(LogError::Foreign("it does not name its run and task".to_owned()));
+    }
+    if log.task_settings.is_empty() {
+        let why =
+            "its environment is another program's; only the simulator's episodes can be checked";
+        return Err(LogError::Unfit(why.to_owned()));
     }
     log.torn_steps = assembler.torn_steps + assembler.open_steps();
     Ok(log)

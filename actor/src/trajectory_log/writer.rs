@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
+use policy::RunSeed;
 use proto::{Episodes, EvaluationWork, Lease, RolloutWork, RunDescription};
 use sim::{EnvironmentBatch, TaskConfig};
 
@@ -14,6 +15,7 @@ use super::file::{LogFile, Origin};
 use super::shares::LoggedShare;
 use super::{cut, source};
 use crate::error::ActorError;
+use crate::evaluation::EvaluationEpisode;
 use crate::recording::RecordError;
 
 /// Capacity of the queue, leases. When it is full, new leases are dropped and counted: a slow disk loses a part of the
@@ -135,7 +137,10 @@ impl LogHandle {
         world: &dyn EnvironmentBatch,
     ) -> Option<EvaluationCollector> {
         let held = self.episodes.include_evaluation(work.episode);
-        held.then(|| EvaluationCollector::new(&self.run, lease, work, world)).flatten()
+        let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(self.run.seed), work);
+        let episode = EvaluationEpisode { seed, iteration, index };
+        let weights = (lease.weights, lease.attempt);
+        held.then(|| EvaluationCollector::new(episode, weights, world).ok()).flatten()
     }
 
     /// Sends the data of a slot.
@@ -242,7 +247,7 @@ impl LogWriter {
         let Some((_, file)) = self.file.take() else { return Ok(()) };
         let lost = self.lost.take();
         self.lost_before = (self.lost_before.0 + lost.0, self.lost_before.1 + lost.1);
-        file.finish(lost)
+        file.finish(lost).map(drop)
     }
 
     /// Reports written and lost steps in the process log.

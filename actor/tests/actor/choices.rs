@@ -3,11 +3,15 @@
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
+use actor::{EvaluationEpisode, RecordedRun};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{
     ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch,
 };
-use proto::{EnvironmentStart, RolloutOrigin, RolloutWork, RunDescription, Start, TrajectoryChunk};
+use proto::{
+    Digest, EnvironmentStart, PolicyVersion, RolloutOrigin, RolloutWork, RunDescription, Start,
+    TrajectoryChunk, WeightsName,
+};
 use sim::{EnvironmentBatch, ObservationConfig, ObservationNorm, TaskConfig};
 
 use crate::fixture;
@@ -107,11 +111,17 @@ fn stored_hidden_states_reproduce_the_log_probabilities_of_choices() {
 fn a_recorded_game_has_states_and_choices_but_no_links() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("game.mcap");
-    let none = BTreeMap::new();
     let mut world = sim::environments(&task(), 1).unwrap();
-    let (task, policy) = (task(), policy());
-    let summary =
-        actor::record((&mut *world, Some(&task)), &policy, RunSeed(1), 2, &path, &none).unwrap();
+    let policy = policy();
+    let run = RecordedRun {
+        policy: &policy,
+        weights: WeightsName { version: PolicyVersion(4), digest: Digest([7; 32]) },
+        metadata: BTreeMap::from([("run_id".to_owned(), "test".to_owned())]),
+        settings_toml: String::new(),
+        task_settings: serde_json::to_string(&task()).unwrap(),
+    };
+    let episodes = [0, 1].map(|index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index });
+    let summary = actor::record(&mut *world, &run, &episodes, &path).unwrap();
     assert_eq!(summary.episodes[0].steps, 50);
     let bytes = std::fs::read(&path).unwrap();
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
@@ -119,7 +129,7 @@ fn a_recorded_game_has_states_and_choices_but_no_links() {
         *counts.entry(message.unwrap().channel.topic.clone()).or_default() += 1;
     }
     let expected =
-        [("/agents/0/action", 100), ("/agents/1/action", 100), ("/episode", 100), ("/state", 102)];
+        [("/agents/0", 100), ("/agents/1", 100), ("/share", 2), ("/share_end", 2), ("/step", 100)];
     let expected = expected.map(|(topic, count)| (topic.to_owned(), count));
     assert_eq!(counts, BTreeMap::from(expected));
 }

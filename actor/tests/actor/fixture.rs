@@ -19,6 +19,7 @@ pub(crate) const HIDDEN: usize = 8;
 pub(crate) fn task() -> TaskConfig {
     TaskConfig {
         task: "halfcheetah-2x3".to_owned(),
+        definition: None,
         observation: ObservationConfig {
             mode: ObservationMode::FullId,
             norm: ObservationNorm::FeatureZ,
@@ -78,6 +79,8 @@ pub(crate) fn run() -> RunDescription {
         config_sha256: Digest([0; 32]),
         heartbeat_secs: 0.05,
         settings_toml: "task = \"halfcheetah-2x3\"".to_owned(),
+        build: "0.1.0+abc".to_owned(),
+        other_builds: false,
     }
 }
 

@@ -155,8 +155,10 @@ async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
     let config = Config {
         learner,
         transport: Transport::PlainTextOnLoopback,
+        token: None,
         environment: None,
         max_outage_secs: 1.0,
+        build: "test".to_owned(),
         name: "actor".to_owned(),
         log: None,
     };

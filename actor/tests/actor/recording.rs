@@ -1,19 +1,37 @@
-//! Tests of recordings: topics, schemas, messages, times.
+//! Tests of recordings: topics, schemas, messages, times, and the tools that read them.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
-use policy::RunSeed;
+use actor::trajectory_log::{read_bytes, read_shares, replay};
+use actor::{EvaluationEpisode, RecordSummary, RecordedRun};
+use policy::{PolicySnapshot, RunSeed};
+use proto::{Digest, PolicyVersion, WeightsName};
 
 use crate::fixture::{policy, task};
 
+fn run(policy: &PolicySnapshot) -> RecordedRun<'_> {
+    RecordedRun {
+        policy,
+        weights: WeightsName { version: PolicyVersion(4), digest: Digest([7; 32]) },
+        metadata: BTreeMap::from([("run_id".to_owned(), "test".to_owned())]),
+        settings_toml: "task = \"halfcheetah-2x3\"".to_owned(),
+        task_settings: serde_json::to_string(&task()).unwrap(),
+    }
+}
+
+/// Records episodes 2 and 3 of the evaluation of iteration 4.
+fn record(path: &Path) -> RecordSummary {
+    let episode = |index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index };
+    let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
+    actor::record(&mut *world, &run(&policy), &[episode(2), episode(3)], path).unwrap()
+}
+
 #[test]
-fn a_recording_holds_every_topic_with_its_schema_and_a_message_per_step() {
+fn a_recording_holds_every_topic_of_a_log_with_its_protobuf_schema_and_a_message_per_step() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("walk.mcap");
-    let metadata = BTreeMap::from([("task".to_owned(), "halfcheetah-2x3".to_owned())]);
-    let (mut world, seed) = (sim::environments(&task(), 1).unwrap(), RunSeed(1));
-    let summary =
-        actor::record((&mut *world, Some(&task())), &policy(), seed, 2, &path, &metadata).unwrap();
+    let summary = record(&path);
     assert_eq!(summary.episodes.len(), 2);
     assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
 
@@ -26,6 +44,8 @@ fn a_recording_holds_every_topic_with_its_schema_and_a_message_per_step() {
         last = message.log_time;
         let schema = message.channel.schema.as_ref().unwrap();
         assert!(!schema.data.is_empty());
+        let encodings = (schema.encoding.as_str(), message.channel.message_encoding.as_str());
+        assert_eq!(encodings, ("protobuf", "protobuf"), "{}", message.channel.topic);
         let entry = counts.entry(message.channel.topic.clone()).or_default();
         *entry = (schema.name.clone(), entry.1 + 1);
     }
@@ -36,23 +56,64 @@ fn a_recording_holds_every_topic_with_its_schema_and_a_message_per_step() {
     assert_eq!(
         found,
         [
-            ("/agents/0/action", "s2mia.Action", 2000),
-            ("/agents/1/action", "s2mia.Action", 2000),
-            ("/episode", "s2mia.Episode", 2000),
-            ("/joint_states", "foxglove.JointStates", 2002),
+            ("/agents/0", "s2mia.log.v1.AgentStep", 2000),
+            ("/agents/1", "s2mia.log.v1.AgentStep", 2000),
+            ("/joint_states", "foxglove.JointStates", 2000),
             ("/scene", "foxglove.SceneUpdate", 2),
-            ("/tf", "foxglove.FrameTransforms", 2002),
+            ("/share", "s2mia.log.v1.Share", 2),
+            ("/share_end", "s2mia.log.v1.ShareEnd", 2),
+            ("/step", "s2mia.log.v1.Step", 2000),
+            ("/tf", "foxglove.FrameTransforms", 2000),
         ]
     );
+    assert_eq!(summary.messages, 10_006);
     // Two episodes of 1,000 steps of 0.05 s with a second between them.
     assert_eq!(last, 101_000_000_000);
-    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    assert_eq!((summary.metadata_indexes.len(), summary.attachment_indexes.len()), (1, 1));
+}
+
+#[test]
+fn the_channels_of_a_recording_name_features_and_joints() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("walk.mcap");
+    record(&path);
+    let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
+    let names = |topic: &str, key: &str| -> Vec<String> {
+        let channel = summary.channels.values().find(|channel| channel.topic == topic).unwrap();
+        serde_json::from_str(&channel.metadata[key]).unwrap()
+    };
+    assert_eq!(names("/agents/1", "action"), ["fthigh", "fshin", "ffoot"]);
+    let (observation, state) = (names("/agents/0", "observation"), names("/step", "state"));
+    assert_eq!((state.len(), observation.len()), (17, 19));
+    assert_eq!(observation[..17], state[..]);
+    assert_eq!(observation[17..], ["id.0", "id.1"]);
+}
+
+#[test]
+fn a_recording_is_a_log_of_the_episodes_and_is_replayed_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("walk.mcap");
+    let summary = record(&path);
+    let bytes = read_bytes(&path).unwrap();
+    let mut shares = Vec::new();
+    let log = read_shares(&bytes, |share, _| {
+        shares.push(share);
+        Ok(())
+    });
+    assert_eq!(log.unwrap().words["run_id"], "test");
+    let ids: Vec<&str> = shares.iter().map(|share| share.head.episode_id.as_str()).collect();
+    assert_eq!(ids, ["evaluation-4-2", "evaluation-4-3"]);
+    for (share, episode) in shares.iter().zip(&summary.episodes) {
+        let rewards = share.steps.iter().map(|step| f64::from(step.step.reward));
+        assert_eq!(rewards.sum::<f64>(), episode.extrinsic_return);
+        assert_eq!((share.head.seed, share.head.weights_version), (1, 4));
+    }
+    let replayed = replay(&bytes).unwrap();
+    assert_eq!((replayed.shares, replayed.steps, replayed.difference), (2, 2000, None));
 }
 
 #[test]
 fn a_missing_folder_is_an_error() {
-    let path = std::path::Path::new("/nowhere/at/all.mcap");
-    let (mut world, none) = (sim::environments(&task(), 1).unwrap(), BTreeMap::new());
-    assert!(actor::record((&mut *world, None), &policy(), RunSeed(1), 1, path, &none).is_err());
+    let path = Path::new("/nowhere/at/all.mcap");
+    let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
+    assert!(actor::record(&mut *world, &run(&policy), &[], path).is_err());
 }

@@ -1,11 +1,17 @@
-"""Server of Python environments for s2mia: any PettingZoo `ParallelEnv`, or a class with five methods.
+"""Server of Python environments for s2mia: any PettingZoo `ParallelEnv`, or a class of the user's own.
 
-    server.py    the service, for any `Environment`
-    parallel.py  a PettingZoo `ParallelEnv` as an `Environment`
-    mujoco.py    multi-agent MuJoCo of gymnasium-robotics, whose states can be saved
+    environment.py    the interfaces: `Environment` steps alone, `EnvironmentBatch` has several that step together
+    server.py         the service
+    streams.py        answers requests in this process
+    workers.py        answers requests in worker processes
+    parallel.py       a PettingZoo `ParallelEnv` as an `Environment`
+    mujoco.py         multi-agent MuJoCo of gymnasium-robotics, whose states can be saved
+    partitions.py     which agent controls which joints
+    robots.py         HalfCheetah, Walker2d and Ant as an `EnvironmentBatch`, without gymnasium's wrappers
 """
 
+from s2mia_environment.environment import Environment, EnvironmentBatch
 from s2mia_environment.parallel import Parallel
-from s2mia_environment.server import Environment, serve
+from s2mia_environment.server import serve
 
-__all__ = ["Environment", "Parallel", "serve"]
+__all__ = ["Environment", "EnvironmentBatch", "Parallel", "serve"]

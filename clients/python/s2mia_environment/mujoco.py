@@ -11,10 +11,12 @@ import numpy as np
 from gymnasium.wrappers import TimeLimit
 from gymnasium_robotics import mamujoco_v1
 
+from s2mia_environment.environment import Environment, EnvironmentBatch
+from s2mia_environment.layout import Layout, View
 from s2mia_environment.parallel import Parallel
+from s2mia_environment.partitions import ROBOTS, factorization
+from s2mia_environment.robots import STATE, Robots
 
-# The complete integration state: time, positions, velocities, warm start of the solver.
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 STATE_VERSION = 1
 _STEPS = struct.Struct("<q")
 
@@ -23,7 +25,7 @@ mujoco.set_mju_user_warning(lambda warning: print(warning, file=sys.stderr))
 
 
 class MultiAgentMujoco(Parallel):
-    """One robot whose joints several agents control.
+    """One robot of any kind, whose joints several agents control, in gymnasium's wrappers.
 
     A state consists of the number of steps, MuJoCo's integration state, and the arrays that rewards and observations
     read one substep late: body positions and contact forces.
@@ -81,7 +83,25 @@ def _time_limit(env) -> TimeLimit:
     return env
 
 
-def multi_agent(scenario: str, agent_conf: str, **more) -> MultiAgentMujoco:
-    """`gymnasium_robotics.mamujoco_v1.parallel_env` with the same settings and saved states."""
-    env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, **more)
-    return MultiAgentMujoco(env, f"mamujoco/{scenario}-{agent_conf}")
+def multi_agent(
+    scenario: str, agent_conf: str, observation: str = View.K_NEAREST, **more
+) -> EnvironmentBatch | Environment:
+    """`gymnasium_robotics.mamujoco_v1.parallel_env` with the same settings and saved states.
+
+    HalfCheetah, Walker2d and Ant have the partitions of the published results (`partitions.py`), and with
+    `observation=full_id` also their observations: the global state and the agent's one-hot index.
+    """
+    views = [view.value for view in View]
+    if observation not in views:
+        raise ValueError(f"observation must be {' or '.join(views)}, is {observation}")
+    if more.get("agent_obsk", 1) is None:
+        raise ValueError("agent_obsk must be a number; observation=full_id shows the whole state to every agent")
+    parts = factorization(scenario, agent_conf)
+    env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **more)
+    task = f"mujoco/{scenario}-{agent_conf}"
+    if scenario in ROBOTS:
+        steps = _time_limit(env.single_agent_env)._max_episode_steps
+        return Robots(env, task, Layout(env, View(observation)), steps)
+    if observation != View.K_NEAREST:
+        raise ValueError(f"observation={observation} is only for {', '.join(ROBOTS)}, not for {scenario}")
+    return MultiAgentMujoco(env, task)

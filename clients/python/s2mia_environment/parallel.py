@@ -1,16 +1,23 @@
 """A PettingZoo `ParallelEnv` as an environment for s2mia."""
 
+import functools
 import hashlib
+import importlib
 
 import numpy as np
 from gymnasium import spaces
-from s2mia_client import wire
+from s2mia import wire
 
-from s2mia_environment.server import Environment
+from s2mia_environment.environment import Environment, EnvironmentBatch, OneByOne
 
 # Defaults for environments that do not define their episode length or step time.
 EPISODE_STEPS = 1000
 STEP_SECS = 0.05
+
+
+def number_of(seed: bytes) -> int:
+    """The seed of an episode as a number below 2^32."""
+    return int.from_bytes(hashlib.sha256(seed).digest()[:4], "little")
 
 
 class Box:
@@ -100,8 +107,7 @@ class Parallel(Environment):
         return next((int(steps) for steps in known if steps), EPISODE_STEPS)
 
     def reset(self, seed: bytes) -> None:
-        number = int.from_bytes(hashlib.sha256(seed).digest()[:4], "little")
-        observations, _ = self.env.reset(seed=number)
+        observations, _ = self.env.reset(seed=number_of(seed))
         self._store(observations)
 
     def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
@@ -129,3 +135,15 @@ class Parallel(Environment):
             np.asarray(spaces.flatten(space, observations[agent]), np.float32)
             for agent, space in zip(self.agents, self.spaces, strict=True)
         ]
+
+
+def batch_of(function: str, settings: dict) -> EnvironmentBatch:
+    """The environments of one stream, made by `PACKAGE.module:FUNCTION` with these arguments."""
+    module, _, name = function.partition(":")
+    make = functools.partial(getattr(importlib.import_module(module), name), **settings)
+    made = make()
+    if isinstance(made, EnvironmentBatch):
+        return made
+    if isinstance(made, Environment):
+        return OneByOne(made, make)
+    return OneByOne(Parallel(made), lambda: Parallel(make()))

@@ -62,6 +62,7 @@ fn messages() -> Vec<Seed> {
     let result = EvaluationResult { episode: 0, extrinsic_return: 12.5, steps: 40 };
     let registration = Registration {
         client: "seed".to_owned(),
+        build: run.build.clone(),
         protocol_version: PROTOCOL_VERSION,
         environment: sample::environment(),
         rollout_fingerprint: Some(run.rollout_fingerprint),

@@ -256,7 +256,7 @@ impl SlotTable {
         if owner.trust == Trust::Exact
             && let Some((work, weights)) = self.audits.claim(id, owner)
         {
-            let claim = Claim::Audit { iteration: work.iteration, slot: work.slot };
+            let claim = Claim::Audit { slot: work.slot };
             return Some(Claimed { claim, weights, work: Work::Rollout(work), attempt: 1 });
         }
         self.claim_backup(id, owner)

@@ -23,7 +23,7 @@ use crate::config::MetricsConfig;
 use crate::durable::FileError;
 use crate::evaluation::Spread;
 use crate::event::IterationReport;
-use crate::json_lines::JsonLines;
+use crate::json_lines::{JsonLines, iterations};
 
 /// The file's name in the run folder.
 pub const METRICS_FILE: &str = "metrics.jsonl";
@@ -52,8 +52,7 @@ impl Metrics {
     ) -> Result<(Self, BTreeSet<u64>), FileError> {
         let (mut lines, mut kept) = JsonLines::cut(&run_folder.join(METRICS_FILE), iteration)?;
         restore::restore(run_folder, &mut lines, &mut kept, iteration)?;
-        let evaluations = kept.iter().filter(|line| line["kind"] == "evaluation");
-        let measured = evaluations.filter_map(|line| line["iteration"].as_u64()).collect();
+        let measured = iterations(&kept, "evaluation");
         let views = Views::make(run_folder, config, &kept)?;
         let mut curves = Curves::default();
         kept.iter().filter_map(Value::as_object).for_each(|line| curves.add(line));

@@ -1,4 +1,5 @@
-//! The run's web page: an HTTP server for browsers and Prometheus. Its requests are read-only and never delay the run.
+//! The web page of a run, or of several: an HTTP server for browsers and Prometheus. Its requests are read-only and never
+//! delay a run.
 
 mod answers;
 mod exposition;
@@ -7,10 +8,16 @@ mod memory;
 mod server;
 mod view;
 
+use std::sync::Arc;
+
+use security::ServerTls;
 use tokio::net::TcpListener;
+
+use crate::metrics::Curves;
 
 pub use hosts::Hosts;
 pub(crate) use server::serve;
+pub use server::serve_overlay;
 pub(crate) use view::{Facts, RunView};
 
 /// The listening socket of the page and the accepted host names.
@@ -20,4 +27,15 @@ pub struct Page {
     pub listener: TcpListener,
     /// Accepted values of the header `Host`.
     pub hosts: Hosts,
+    /// With it, only clients with the role viewer are answered, over TLS.
+    pub tls: Option<Arc<ServerTls>>,
+}
+
+/// The curves of several runs that the page shows together.
+#[derive(Clone, Debug, Default)]
+pub struct Overlay {
+    /// Counts changes: with equal numbers, all curves are equal.
+    pub version: u64,
+    /// Name and curves of each run, always in the same order.
+    pub runs: Vec<(String, Arc<Curves>)>,
 }

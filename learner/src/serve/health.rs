@@ -113,6 +113,7 @@ pub(crate) fn call_failed(url: &str, status: &tonic::Status) -> HealthError {
         Code::InvalidArgument
         | Code::FailedPrecondition
         | Code::PermissionDenied
+        | Code::Unauthenticated
         | Code::Unimplemented => HealthError::Refused { url, detail },
         _ => HealthError::Unreachable { url, detail },
     }

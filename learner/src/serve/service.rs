@@ -146,13 +146,12 @@ impl LearnerService for Learner {
     ) -> Result<Response<wire::RegisterResponse>, Status> {
         let caller = connections::caller(&request, "register");
         let registered = Registration::from_wire(request.get_ref().clone())
-            .and_then(|registration| registration.check(self.exchange.run()).map(|()| registration))
-            .and_then(|registration| connections::note_actor(&request).map(|()| registration))
             .and_then(|registration| self.exchange.register(caller.connection, &registration))
             .map_err(|refusal| self.counted(&caller, refusal))?;
-        if !connections::is_open(&request) {
-            // It closed meanwhile, before there was an actor to end.
+        // Afterwards, so that a refused registration takes no place, and a connection that closed keeps no actor.
+        if let Err(refusal) = connections::note_actor(&request) {
             self.exchange.disconnect(caller.connection);
+            return Err(self.counted(&caller, refusal));
         }
         Ok(Response::new(registered.to_wire()))
     }

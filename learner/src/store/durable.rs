@@ -43,14 +43,12 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
 /// # Errors
 /// Names the file or folder that could not be written.
 pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    let named = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let folder = named.unwrap_or(Path::new("."));
     let name =
         path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let draft = folder.join(format!(".tmp-{name}"));
+    let draft = path.with_file_name(format!(".tmp-{name}"));
     write(&draft, bytes)?;
     std::fs::rename(&draft, path).map_err(FileError::of("replace", path))?;
-    sync_folder(folder)
+    sync_name(path)
 }
 
 /// Appends a line to a file, which is created if it does not exist, and waits until the disk has it.
@@ -60,16 +58,23 @@ pub(crate) fn append_line(path: &Path, line: &str) -> Result<(), FileError> {
         file.sync_all()
     });
     appended.map_err(FileError::of("write", path))?;
-    sync_folder(path.parent().unwrap_or(Path::new(".")))
+    sync_name(path)
 }
 
-/// Creates a folder and its parents if they do not exist, and waits until the disk has the folder's name.
-pub(crate) fn make_folder(folder: &Path) -> Result<(), FileError> {
-    if folder.is_dir() {
-        return Ok(());
-    }
+/// Creates a folder and its parents if they do not exist, and waits until the disk has the names of all that are new.
+///
+/// # Errors
+/// Names the folder that could not be made or flushed.
+pub fn make_folder(folder: &Path) -> Result<(), FileError> {
+    let is_new = |one: &&Path| !one.as_os_str().is_empty() && !one.is_dir();
+    let new = folder.ancestors().take_while(is_new).collect::<Vec<_>>();
     std::fs::create_dir_all(folder).map_err(FileError::of("make", folder))?;
-    let named = folder.parent().filter(|parent| !parent.as_os_str().is_empty());
+    new.into_iter().rev().try_for_each(sync_name)
+}
+
+/// Waits until the disk has the name of a file or folder.
+pub(crate) fn sync_name(path: &Path) -> Result<(), FileError> {
+    let named = path.parent().filter(|parent| !parent.as_os_str().is_empty());
     sync_folder(named.unwrap_or(Path::new(".")))
 }
 

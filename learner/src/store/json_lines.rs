@@ -62,12 +62,8 @@ impl JsonLines {
     pub fn insert(&mut self, more: Vec<String>) -> Result<(), FileError> {
         let text =
             std::fs::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
-        let place = |line: &String| {
-            let line: Value = serde_json::from_str(line).unwrap_or_default();
-            (line["iteration"].as_u64(), line["kind"] == "evaluation")
-        };
         let mut lines = text.lines().map(str::to_owned).chain(more).collect::<Vec<_>>();
-        lines.sort_by_cached_key(place);
+        lines.sort_by_cached_key(|line| place(&serde_json::from_str(line).unwrap_or_default()));
         durable::replace(&self.path, format!("{}\n", lines.join("\n")).as_bytes())?;
         self.file = opened(&self.path)?;
         Ok(())
@@ -118,17 +114,26 @@ fn opened(path: &Path) -> Result<File, FileError> {
     let file = OpenOptions::new().create(true).append(true).open(path);
     let file = file.map_err(FileError::of("open", path))?;
     if is_new {
-        durable::sync_folder(path.parent().unwrap_or(Path::new(".")))?;
+        durable::sync_name(path)?;
     }
     Ok(file)
 }
 
-/// Iterations up to `last` without a line of `kind` (lines without a kind count), as ranges for people.
+/// The place of a line in the file: an iteration before its evaluation.
+pub(crate) fn place(line: &Value) -> (Option<u64>, bool) {
+    (line["iteration"].as_u64(), line["kind"] == "evaluation")
+}
+
+/// The iterations of the lines of `kind`; a line without a kind is one of an iteration.
+pub(crate) fn iterations(lines: &[Value], kind: &str) -> BTreeSet<u64> {
+    let of_kind = |line: &&Value| line.get("kind").map_or(kind == "iteration", |it| it == kind);
+    lines.iter().filter(of_kind).filter_map(|line| line["iteration"].as_u64()).collect()
+}
+
+/// Iterations up to `last` without a line of `kind`, as ranges for people.
 #[must_use]
 pub fn gaps(lines: &[Value], kind: &str, last: u64) -> Vec<String> {
-    let of_kind = |line: &&Value| line.get("kind").is_none_or(|found| found == kind);
-    let present = lines.iter().filter(of_kind).filter_map(|line| line["iteration"].as_u64());
-    let present = present.collect::<BTreeSet<_>>();
+    let present = iterations(lines, kind);
     let mut ranges: Vec<(u64, u64)> = Vec::new();
     for iteration in (1..=last).filter(|iteration| !present.contains(iteration)) {
         match ranges.last_mut() {

@@ -1,6 +1,7 @@
 //! The folder of a run: which process may write to it, and what it says about the run.
 
 mod manifest;
+mod token;
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write as _;
@@ -9,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
+use crate::checkpoint;
 use crate::durable::{self, FileError};
 
 /// The resolved configuration.
@@ -17,9 +19,8 @@ pub const CONFIG: &str = "config.toml";
 pub const MANIFEST: &str = "manifest.json";
 /// Logs and recordings of actors.
 pub const LOGS: &str = "logs";
-const CHECKPOINTS: &str = "checkpoints";
 /// One line for each start of the learner: what `manifest.json` says of the first.
-const STARTS: &str = "starts.jsonl";
+pub const STARTS: &str = "starts.jsonl";
 const LOCK: &str = "learner.lock";
 /// Where the learner of the latest start listened.
 const ADDRESS: &str = "address";
@@ -100,8 +101,9 @@ impl RunFolder {
     pub fn claim_new(path: &Path) -> Result<Self, RunFolderError> {
         durable::make_folder(path)?;
         let folder = Self::lock(path)?;
-        let taken = [MANIFEST, CHECKPOINTS].iter().any(|name| path.join(name).exists());
-        match taken {
+        // A process that was killed may have made the folder without waiting for the disk.
+        durable::sync_name(path)?;
+        match Self::holds_run(path) {
             true => Err(RunFolderError::Taken { path: path.to_path_buf() }),
             false => Ok(folder),
         }
@@ -112,12 +114,18 @@ impl RunFolder {
     /// # Errors
     /// The folder holds no run or another one, is in use, or cannot be written.
     pub fn claim_existing(path: &Path, config_sha256: &str) -> Result<Self, RunFolderError> {
-        if !path.join(MANIFEST).is_file() && !path.join(CHECKPOINTS).is_dir() {
+        if !Self::holds_run(path) {
             return Err(RunFolderError::NoRun { path: path.to_path_buf() });
         }
         let folder = Self::lock(path)?;
         folder.check_manifest(config_sha256)?;
         Ok(folder)
+    }
+
+    /// Whether the folder contains a run: a manifest, or checkpoints whose manifest is lost.
+    #[must_use]
+    pub fn holds_run(path: &Path) -> bool {
+        path.join(MANIFEST).exists() || checkpoint::folder(path).exists()
     }
 
     /// The folder.
@@ -138,8 +146,8 @@ impl RunFolder {
         self.file(LOGS)
     }
 
-    /// Writes the settings, a line in `starts.jsonl` and, at the run's first start, the manifest. The manifest makes the
-    /// folder a run, so a crash before it leaves a folder that a new run may use.
+    /// Writes the settings, a line in `starts.jsonl` and, at the run's first start, the manifest. The manifest makes
+    /// the folder a run, so a crash before it leaves a folder that a new run may use.
     ///
     /// # Errors
     /// Names the file that could not be written.
@@ -150,8 +158,8 @@ impl RunFolder {
             Ok(_) => Ok(()),
             Err(why) => {
                 let mut manifest = start.clone();
-                let known =
-                    matches!(why, RunFolderError::File(_)) && !self.file(CHECKPOINTS).is_dir();
+                let is_new = !checkpoint::folder(&self.path).is_dir();
+                let known = matches!(why, RunFolderError::File(_)) && is_new;
                 // Of a manifest that is damaged or lost nothing is known.
                 manifest[FOREIGN_ACTORS] = if known { Value::Bool(false) } else { Value::Null };
                 manifest::write(&self.file(MANIFEST), manifest)

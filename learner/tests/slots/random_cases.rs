@@ -1,5 +1,5 @@
-//! Reproducible random cases: the generator's seed is fixed and environment variables are ignored. A case that fails
-//! becomes a named test.
+//! Reproducible random cases: the generator's seed is fixed, unless the environment variable `SLOT_CASES_SEED` has
+//! another one. A case that fails becomes a named test.
 
 use proptest::strategy::Strategy;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
@@ -15,7 +15,15 @@ pub(crate) fn for_all<S: Strategy>(cases: u32, strategy: &S, claim: impl Fn(S::V
         max_shrink_iters: 4096,
         ..defaults
     };
-    let rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
+    let rng = match std::env::var("SLOT_CASES_SEED") {
+        Ok(seed) => {
+            let seed: u64 = seed.parse().expect("SLOT_CASES_SEED is a number");
+            let mut bytes = [0; 32];
+            bytes[..8].copy_from_slice(&seed.to_le_bytes());
+            TestRng::from_seed(RngAlgorithm::ChaCha, &bytes)
+        }
+        Err(_) => TestRng::deterministic_rng(RngAlgorithm::ChaCha),
+    };
     let outcome = TestRunner::new_with_rng(config, rng).run(strategy, |value| {
         claim(value);
         Ok(())

@@ -60,6 +60,7 @@ fn work(exchange: &Exchange, connection: ConnectionId, stop: &AtomicBool) {
 fn registration(run: &RunDescription) -> Registration {
     Registration {
         client: "toy".to_owned(),
+        build: run.build.clone(),
         protocol_version: PROTOCOL_VERSION,
         environment: toy::environment(),
         rollout_fingerprint: Some(run.rollout_fingerprint),

@@ -28,6 +28,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         folder: folder.to_path_buf(),
         config_toml: "task = \"toy\"\n".to_owned(),
         config_sha256: Digest([1; 32]),
+        build: "test".to_owned(),
         rollout_fingerprint: Digest([2; 32]),
         learner_fingerprint: Digest([3; 32]),
         manifest: json!({"program": "test"}),
@@ -55,7 +56,7 @@ fn config() -> Config {
         evaluation: EvaluationConfig { every_steps: 64, episodes: 3 },
         checkpoint: CheckpointConfig { every: 2, keep_last: 3, keep_every: 0 },
         metrics: MetricsConfig { csv: true, tensorboard: true },
-        learner: ThreadsConfig { threads: 2, connections: 16 },
+        learner: ThreadsConfig { threads: 2, connections: 16, other_builds: false },
     }
 }
 

@@ -40,6 +40,7 @@ pub(crate) fn environment() -> EnvironmentSpec {
         state_kind: "toy".to_owned(),
         state_version: 1,
         max_state_bytes: 64,
+        feature_z: false,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use proto::{
     Digest, EnvironmentSpec, FeatureRole, PROTOCOL_VERSION, Reason, Refusal, Registration,
+    RunDescription,
 };
 
 use crate::sample;
@@ -9,6 +10,7 @@ use crate::sample;
 fn registration() -> Registration {
     Registration {
         client: "test".to_owned(),
+        build: sample::run().build,
         protocol_version: PROTOCOL_VERSION,
         environment: sample::environment(),
         rollout_fingerprint: Some(sample::run().rollout_fingerprint),
@@ -52,12 +54,27 @@ fn another_fingerprint_or_protocol_is_refused() {
     assert_eq!(other.check(&sample::run()).unwrap_err().reason, Reason::OtherProtocol);
 }
 
+#[test]
+fn another_build_is_refused_by_name_unless_the_run_allows_it_and_the_fingerprint_fits() {
+    let other = Registration { build: "0.2.0+def".to_owned(), ..registration() };
+    let refusal = other.check(&sample::run()).unwrap_err();
+    assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::OtherBuild, "build"));
+    let named = "the actor test is of build \"0.2.0+def\", the learner of \"0.1.0+abc\"";
+    assert!(refusal.detail.starts_with(named), "{refusal}");
+    let lenient = RunDescription { other_builds: true, ..sample::run() };
+    assert_eq!(other.check(&lenient), Ok(()));
+    let differs = Registration { rollout_fingerprint: Some(Digest([8; 32])), ..other.clone() };
+    assert_eq!(differs.check(&lenient).unwrap_err().reason, Reason::OtherFingerprint);
+    let foreign = Registration { rollout_fingerprint: None, ..other };
+    assert_eq!(foreign.check(&sample::run()), Ok(()));
+}
+
 /// Spoils one field.
 type Change = fn(&mut EnvironmentSpec);
 
 #[test]
 fn another_environment_is_refused_with_its_first_difference() {
-    let cases: [(Change, &str, &str); 8] = [
+    let cases: [(Change, &str, &str); 9] = [
         (
             |e| e.task = "ant".into(),
             "environment.task",
@@ -90,6 +107,7 @@ fn another_environment_is_refused_with_its_first_difference() {
             "environment.max_state_bytes",
             "max_state_bytes is 0, expected 64",
         ),
+        (|e| e.feature_z = true, "environment.feature_z", "feature_z is true, expected false"),
     ];
     for (change, field, detail) in cases {
         let refusal = with_environment(change);

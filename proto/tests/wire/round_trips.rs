@@ -50,6 +50,7 @@ fn a_registration_survives_the_round_trip_with_and_without_a_fingerprint() {
     for rollout_fingerprint in [None, Some(Digest([3; 32]))] {
         let registration = Registration {
             client: "test".to_owned(),
+            build: "0.1.0+abc".to_owned(),
             protocol_version: 1,
             environment: sample::environment(),
             rollout_fingerprint,

@@ -33,6 +33,7 @@ pub(crate) fn environment() -> EnvironmentSpec {
         state_kind: "s2mia.rapier".to_owned(),
         state_version: 1,
         max_state_bytes: 64,
+        feature_z: false,
     }
 }
 
@@ -59,6 +60,8 @@ pub(crate) fn run() -> RunDescription {
         config_sha256: Digest([2; 32]),
         heartbeat_secs: 5.0,
         settings_toml: "task = \"toy\"".to_owned(),
+        build: "0.1.0+abc".to_owned(),
+        other_builds: false,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Builds a task's description from its row, its robot and its partition.
+//! Builds a task's description from the task and its partition.
 
 use crate::config::ObservationConfig;
 use crate::description::{ActionRange, AgentDescription, Description};
@@ -10,11 +10,11 @@ use crate::task::Task;
 
 pub(super) fn describe(
     task: &Task,
-    robot: &Robot,
     agents: &[Vec<usize>],
     config: &ObservationConfig,
     bounds: &StateBounds,
 ) -> Result<(Description, Observation), SimError> {
+    let robot = &task.robot;
     let mut state = task.rules.state_features(robot);
     state.extend(contact_features(robot, config.contact_forces));
     let joints: Vec<&str> = robot.actuators().collect();
@@ -32,7 +32,7 @@ pub(super) fn describe(
         })
     });
     let description = Description {
-        task: task.name.to_owned(),
+        task: task.name.clone(),
         agents: agents.collect::<Result<_, SimError>>()?,
         state,
         dt_secs: robot.step_secs(),

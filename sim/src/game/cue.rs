@@ -133,6 +133,7 @@ impl EnvironmentBatch for CueEnvironments {
             coordinates: numbers.map(|&number| number as f32).collect(),
             velocities: Vec::new(),
             contact_forces: Vec::new(),
+            actions: Vec::new(),
         };
         Ok(state.to_bytes(&self.bounds.kind))
     }
@@ -210,6 +211,7 @@ fn bounds() -> StateBounds {
         velocities: 0,
         fastest: 0.0,
         contact_forces: 0,
+        actions: 0,
         orientation: None,
     }
 }

@@ -2,8 +2,10 @@
 
 use rapier3d::prelude::*;
 
-use super::RobotRow;
-use super::blueprint::{Blueprint, Floor, Hinge, JointPlan, LinkPlan, ShapePlan};
+use super::blueprint::{
+    Blueprint, ContactPlan, Floor, Hinge, JointPlan, LinkPlan, Motion, ShapePlan,
+};
+use super::convex::Convex;
 use super::layout::Layout;
 use crate::scene::Shape;
 
@@ -25,17 +27,21 @@ const ROBOT: Group = Group::GROUP_2;
 /// Builds the template in its rest pose, and the layout of the robot's coordinates in it.
 pub(super) fn assemble(
     blueprint: &Blueprint,
-    row: &RobotRow,
+    contact_compliance: f32,
 ) -> Result<(Template, Layout), String> {
-    let mut world = empty_world(blueprint, row, 1);
-    insert_floor(&mut world, &blueprint.floor);
+    let mut world = empty_world(blueprint, contact_compliance, 1);
+    if let Some(floor) = &blueprint.floor {
+        insert_floor(&mut world, floor);
+    }
+    let mut shapes = 0;
     let ground = world.bodies.insert(RigidBodyBuilder::fixed());
     let mut handles: Vec<RigidBodyHandle> = Vec::new();
     let mut frames: Vec<Pose> = Vec::new();
     for link in &blueprint.links {
         let parent_frame = link.parent.map_or(Pose::IDENTITY, |parent| frames[parent]);
         frames.push(parent_frame * link.rest);
-        let body = insert_link(&mut world, link, parent_frame * link.rest, row.margin);
+        let body = insert_link(&mut world, link, parent_frame * link.rest, shapes);
+        shapes += link.shapes.len();
         let parent = link.parent.map_or(ground, |parent| handles[parent]);
         if let Some(joint) = joint(link) {
             let inserted = world.multibody_joints.insert(parent, body, joint, true);
@@ -79,9 +85,13 @@ impl Template {
 /// Creates an empty world with the robot's gravity and its physics step split into `parts`.
 ///
 /// [`ContactLaw`](crate::world::ContactLaw) implements the contacts' springs. The engine only enforces their target
-/// speeds, with a compliance of `row.contact_compliance`: without damping `erp = 1`, and the compliance is `1 / (dt
-/// w)^2`. One pass solves contacts and friction, because a second pass without bias would remove the springs' rebound.
-pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> PhysicsWorld {
+/// speeds, with the given compliance: without damping `erp = 1`, and the compliance is `1 / (dt w)^2`. One pass solves
+/// contacts and friction, because a second pass without bias would remove the springs' rebound.
+pub(crate) fn empty_world(
+    blueprint: &Blueprint,
+    contact_compliance: f32,
+    parts: u32,
+) -> PhysicsWorld {
     let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
     // Balancing the tree would call the platform's logarithm. A dozen shapes do not need it.
     world.broad_phase = BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None);
@@ -95,7 +105,7 @@ pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> 
     // As in MuJoCo, contacts exist only within the margin.
     parameters.normalized_prediction_distance = 1e-4;
     parameters.normalized_max_corrective_velocity = f32::MAX;
-    let turn = parameters.dt * row.contact_compliance.sqrt() * std::f32::consts::TAU;
+    let turn = parameters.dt * contact_compliance.sqrt() * std::f32::consts::TAU;
     parameters.static_contact_softness = SpringCoefficients::new(1.0 / turn, 0.0);
     world
 }
@@ -104,23 +114,24 @@ pub(crate) fn empty_world(blueprint: &Blueprint, row: &RobotRow, parts: u32) -> 
 /// contacts between these are disabled.
 fn insert_floor(world: &mut PhysicsWorld, floor: &Floor) {
     let collider = ColliderBuilder::new(SharedShape::halfspace(Vector::Z)).position(floor.pose);
-    world.colliders.insert(touching(collider, floor.friction, FLOOR, ROBOT));
+    world.colliders.insert(touching(collider, 0.0, FLOOR, ROBOT));
 }
 
 fn insert_link(
     world: &mut PhysicsWorld,
     link: &LinkPlan,
     frame: Pose,
-    margin: f32,
+    first_shape: usize,
 ) -> RigidBodyHandle {
     let body = RigidBodyBuilder::dynamic()
         .pose(frame)
         .can_sleep(false)
         .additional_mass_properties(link.mass);
     let handle = world.bodies.insert(body);
-    for plan in &link.shapes {
-        let collider = touching(collider(plan), plan.friction, ROBOT, FLOOR)
-            .user_data(plan.body as u128)
+    for (index, plan) in (first_shape..).zip(&link.shapes) {
+        let Some(ContactPlan { friction, margin, .. }) = plan.contact else { continue };
+        let collider = touching(collider(plan), friction, ROBOT, FLOOR)
+            .user_data(ShapeTag { shape: index, body: plan.body }.encoded())
             .contact_skin(margin)
             .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
         world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
@@ -130,8 +141,11 @@ fn insert_link(
 
 /// Builds a shape without mass. The engine sums mass properties unless they are exactly zero in the link's frame, and
 /// diagonalises sums with the platform's mathematical functions. A capsule is therefore defined by its ends in that
-/// frame, and the massless centre of a ball is moved to the link's origin.
+/// frame, and the massless centre of a ball is moved to the link's origin. Other shapes are [`Convex`].
 fn collider(plan: &ShapePlan) -> ColliderBuilder {
+    if let Some(convex) = Convex::new(&plan.shape, &plan.pose) {
+        return ColliderBuilder::new(convex.shared()).mass_properties(MassProperties::default());
+    }
     let at = plan.pose.translation;
     match plan.shape {
         Shape::Capsule { half_length, radius } => {
@@ -143,6 +157,26 @@ fn collider(plan: &ShapePlan) -> ColliderBuilder {
             let nothing = MassProperties { local_com: -at, ..MassProperties::default() };
             ColliderBuilder::new(SharedShape::ball(radius)).translation(at).mass_properties(nothing)
         }
+        _ => unreachable!("all other shapes are convex"),
+    }
+}
+
+/// Index of a collider's shape among all shapes of the blueprint, and of its body in the model.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ShapeTag {
+    pub(crate) shape: usize,
+    pub(crate) body: usize,
+}
+
+impl ShapeTag {
+    fn encoded(self) -> u128 {
+        ((self.shape as u128) << 64) | self.body as u128
+    }
+
+    /// The tag of a collider; that of the floor names the world.
+    pub(crate) fn of(collider: &Collider) -> Self {
+        let code = collider.user_data;
+        Self { shape: (code >> 64) as usize, body: code as u64 as usize }
     }
 }
 
@@ -156,7 +190,12 @@ fn touching(collider: ColliderBuilder, friction: f32, own: Group, other: Group) 
 /// Joint of a link. A free root is the root of the multibody and needs none.
 fn joint(link: &LinkPlan) -> Option<GenericJoint> {
     match &link.joint {
+        JointPlan::Fixed => {
+            let builder = GenericJointBuilder::new(JointAxesMask::all()).local_frame1(link.rest);
+            Some(builder.contacts_enabled(false).build())
+        }
         JointPlan::Free(_) => None,
+        JointPlan::Floating(_) => Some(floating_joint(link.rest.rotation)),
         JointPlan::Planar(_) => {
             let locked = JointAxesMask::LIN_Y | JointAxesMask::ANG_X | JointAxesMask::ANG_Z;
             let builder = GenericJointBuilder::new(locked).local_frame1(link.rest);
@@ -166,9 +205,21 @@ fn joint(link: &LinkPlan) -> Option<GenericJoint> {
     }
 }
 
+/// Joint with all six freedoms to a fixed root, in the orientation `rotation`.
+pub(crate) fn floating_joint(rotation: Rotation) -> GenericJoint {
+    GenericJointBuilder::new(JointAxesMask::empty())
+        .local_frame1(Pose::IDENTITY)
+        .local_frame2(Pose::from_rotation(rotation.inverse()))
+        .contacts_enabled(false)
+        .build()
+}
+
 /// Builds a hinge without limits, which [`HingeDrives`](crate::world::HingeDrives) implements as springs.
 fn hinge_joint(link: &LinkPlan, hinge: &Hinge) -> GenericJoint {
-    let masks = [JointAxesMask::ANG_X, JointAxesMask::ANG_Y, JointAxesMask::ANG_Z];
+    let masks = match hinge.motion {
+        Motion::Rotation => [JointAxesMask::ANG_X, JointAxesMask::ANG_Y, JointAxesMask::ANG_Z],
+        Motion::Translation => [JointAxesMask::LIN_X, JointAxesMask::LIN_Y, JointAxesMask::LIN_Z],
+    };
     let inside = Pose::from_parts(hinge.anchor, hinge.axis.frame);
     GenericJointBuilder::new(JointAxesMask::all() & !masks[hinge.axis.free])
         .local_frame1(link.rest * inside)
@@ -197,6 +248,7 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
         let JointPlan::Hinge(hinge) = &link.joint else { continue };
         robot.damping_mut()[map.dof] = hinge.damping;
         robot.armature_mut()[map.dof] = hinge.armature;
+        robot.frictions_mut()[map.dof] = hinge.friction;
     }
 }
 

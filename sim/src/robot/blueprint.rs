@@ -3,6 +3,7 @@
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
+use super::softness::{Integration, Softness};
 use crate::scene::Shape;
 
 /// Description of a robot and its floor.
@@ -12,21 +13,24 @@ pub(crate) struct Blueprint {
     pub(crate) timestep_secs: f64,
     /// Gravity in the world, m/s^2.
     pub(crate) gravity: Vector,
-    /// The floor.
-    pub(crate) floor: Floor,
+    /// MuJoCo's integrator for the model.
+    pub(crate) integration: Integration,
+    /// The floor, if any.
+    pub(crate) floor: Option<Floor>,
     /// Links, parents before children. The first is the root.
     pub(crate) links: Vec<LinkPlan>,
     /// Motors in the order of the model's actuators.
     pub(crate) motors: Vec<MotorPlan>,
     /// Names of the model's bodies in its order, the world first. Bodies without a joint are part of a link.
     pub(crate) bodies: Vec<String>,
+    /// What MuJoCo simulates and this simulator leaves out, one sentence each.
+    pub(crate) left_out: Vec<String>,
 }
 
-/// A half-space below the plane z = 0 of its pose.
+/// A half-space below the plane z = 0 of its pose. The links' shapes state the friction of their contacts with it.
 #[derive(Debug)]
 pub(crate) struct Floor {
     pub(crate) pose: Pose,
-    pub(crate) friction: f32,
 }
 
 /// A link. Bodies without a joint are merged into the link of their parent.
@@ -42,24 +46,39 @@ pub(crate) struct LinkPlan {
     pub(crate) shapes: Vec<ShapePlan>,
 }
 
-/// A collision shape in its link's frame.
+/// A shape in its link's frame.
 #[derive(Debug)]
 pub(crate) struct ShapePlan {
     pub(crate) shape: Shape,
     pub(crate) pose: Pose,
-    pub(crate) friction: f32,
+    /// Its contacts with the floor; `None` if it does not touch the floor.
+    pub(crate) contact: Option<ContactPlan>,
     /// Index of its body in the model.
     pub(crate) body: usize,
+}
+
+/// Contacts of a shape with the floor.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ContactPlan {
+    pub(crate) friction: f32,
+    /// Distance at which contacts become active, m.
+    pub(crate) margin: f32,
+    pub(crate) softness: Softness,
 }
 
 /// Motion of a link relative to its parent.
 #[derive(Debug)]
 pub(crate) enum JointPlan {
+    /// None: the base of a robot that is fixed to the world.
+    Fixed,
     /// Translation along x and z and rotation about y, relative to the world.
     Planar(Planar),
-    /// All six degrees of freedom, relative to the world; the value is the joint's name.
+    /// All six degrees of freedom, relative to the world; the value is the joint's name. The link's mass centre is at its
+    /// origin: rapier moves a root without a joint about its origin.
     Free(String),
-    /// One rotation relative to the parent link.
+    /// As `Free`, with the mass centre anywhere.
+    Floating(String),
+    /// One rotation or translation relative to the parent link.
     Hinge(Hinge),
 }
 
@@ -70,15 +89,27 @@ pub(crate) struct Planar {
     pub(crate) reference: [f32; 3],
 }
 
-/// A hinge with its passive terms.
+/// Motion that a hinge or slide allows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Motion {
+    Rotation,
+    Translation,
+}
+
+/// A hinge with its passive terms, or a slide, whose units are metres and newtons instead of radians and newton metres.
 #[derive(Debug)]
 pub(crate) struct Hinge {
     pub(crate) name: String,
     /// Position in the frame of the child link, m.
     pub(crate) anchor: Vector,
     pub(crate) axis: HingeAxis,
+    pub(crate) motion: Motion,
+    /// Offset from this crate's coordinate, which is zero in the rest pose, to the model's, rad.
+    pub(crate) reference: f32,
     /// rad.
     pub(crate) range: Option<[f32; 2]>,
+    /// Softness of the range's ends.
+    pub(crate) limit: Softness,
     /// N m / rad.
     pub(crate) stiffness: f32,
     /// Rest angle of the spring, rad.
@@ -87,6 +118,10 @@ pub(crate) struct Hinge {
     pub(crate) damping: f32,
     /// kg m^2.
     pub(crate) armature: f32,
+    /// Largest torque of dry friction, N m.
+    pub(crate) friction: f32,
+    /// Range of the sum of the motors' torques, N m.
+    pub(crate) torque_range: Option<[f32; 2]>,
 }
 
 /// Axis of a hinge, as an axis of the joint's frame.
@@ -116,13 +151,44 @@ impl HingeAxis {
     }
 }
 
-/// A motor: torque = gear x control.
+/// A motor: torque = gear x force.
 #[derive(Debug)]
 pub(crate) struct MotorPlan {
     /// The hinge it drives.
     pub(crate) joint: String,
-    /// N m per unit of control.
+    /// N m per unit of force.
     pub(crate) gear: f32,
     /// Range of the control.
     pub(crate) range: [f32; 2],
+    /// `None` if the force is the control.
+    pub(crate) servo: Option<Servo>,
+}
+
+/// Force of a motor with feedback: `gain c + bias . (1, q, v)`, where `q` and `v` are `gear` times the hinge's position
+/// and speed, within its range.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Servo {
+    pub(crate) gain: f32,
+    /// The second number is for this crate's coordinate, which is zero in the rest pose.
+    pub(crate) bias: [f32; 3],
+    pub(crate) range: Option<[f32; 2]>,
+}
+
+impl Blueprint {
+    /// Replaces the softness and margin of all contacts and limits.
+    pub(crate) fn soften(&mut self, contacts: Softness, margin: f32, limits: Softness) {
+        for link in &mut self.links {
+            for contact in link.shapes.iter_mut().filter_map(|shape| shape.contact.as_mut()) {
+                (contact.softness, contact.margin) = (contacts, margin);
+            }
+            if let JointPlan::Hinge(hinge) = &mut link.joint {
+                hinge.limit = limits;
+            }
+        }
+    }
+
+    /// All shapes of the links, in order.
+    pub(crate) fn shapes(&self) -> impl Iterator<Item = &ShapePlan> {
+        self.links.iter().flat_map(|link| &link.shapes)
+    }
 }

@@ -1,4 +1,4 @@
-//! Mass properties of a link from its shapes.
+//! Mass properties of a link from its parts: shapes, meshes and stated inertias.
 //!
 //! rapier computes principal axes with the platform's `acos` and `cos`, whose last bits differ between C libraries.
 //! Here Jacobi rotations compute them with arithmetic and square roots only, which are exact on every platform.
@@ -6,13 +6,97 @@
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::{MassProperties, SharedShape};
 
-type Matrix = [[f64; 3]; 3];
+/// A matrix by rows.
+pub(super) type Matrix = [[f64; 3]; 3];
 
 const IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 /// Sweeps of Jacobi's method. It converges quadratically; five sweeps reach the last bit of a 3 x 3 matrix.
 const SWEEPS: usize = 8;
 
-/// Mass, first moments and inertia about the link's origin, summed over shapes.
+/// A rigid part: its mass, its mass centre, and its inertia about the centre.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Solid {
+    /// kg.
+    pub(super) mass: f64,
+    /// m.
+    pub(super) centre: [f64; 3],
+    /// kg m^2.
+    pub(super) inertia: Matrix,
+}
+
+impl Solid {
+    /// A shape of a uniform density, kg/m^3, with the pose `pose` in the link's frame.
+    pub(super) fn of_shape(shape: &SharedShape, density: f32, pose: &Pose) -> Self {
+        let part = shape.mass_properties(density);
+        let mass = f64::from(part.mass());
+        let centre = (*pose * part.local_com).to_array().map(f64::from);
+        let frame = pose.rotation * part.principal_inertia_local_frame;
+        let turn = matrix(numbers(frame));
+        let principal = part.principal_inertia().to_array().map(f64::from);
+        let mut inertia = [[0.0; 3]; 3];
+        for (row, numbers) in inertia.iter_mut().enumerate() {
+            for (column, number) in numbers.iter_mut().enumerate() {
+                *number = (0..3).map(|k| turn[row][k] * principal[k] * turn[column][k]).sum();
+            }
+        }
+        Self { mass, centre, inertia }
+    }
+
+    /// A part with its principal axes along its frame.
+    pub(super) fn principal(mass: f64, moments: [f64; 3]) -> Self {
+        let [x, y, z] = moments;
+        let inertia = [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]];
+        Self { mass, centre: [0.0; 3], inertia }
+    }
+
+    /// A part from its second moments about the centre, `integral x x^T dm`.
+    pub(super) fn from_moments(mass: f64, centre: [f64; 3], moments: Matrix) -> Self {
+        let trace = moments[0][0] + moments[1][1] + moments[2][2];
+        let mut inertia = [[0.0; 3]; 3];
+        for (row, numbers) in inertia.iter_mut().enumerate() {
+            for (column, number) in numbers.iter_mut().enumerate() {
+                *number = IDENTITY[row][column] * trace - moments[row][column];
+            }
+        }
+        Self { mass, centre, inertia }
+    }
+
+    /// The part with another mass and the same distribution of it.
+    pub(super) fn with_mass(&self, mass: f64) -> Self {
+        let factor = mass / self.mass;
+        Self { mass, centre: self.centre, inertia: self.inertia.map(|row| row.map(|x| factor * x)) }
+    }
+
+    /// The part in the parent of `frame`.
+    pub(super) fn placed(&self, frame: &Pose) -> Self {
+        let mut placed = self.turned(numbers(frame.rotation));
+        let at = frame.translation.to_array().map(f64::from);
+        (0..3).for_each(|axis| placed.centre[axis] += at[axis]);
+        placed
+    }
+
+    /// The part rotated by a unit quaternion (x y z w).
+    pub(super) fn turned(&self, rotation: [f64; 4]) -> Self {
+        let turn = matrix(rotation);
+        let mut turned = Self { mass: self.mass, ..Self::default() };
+        for row in 0..3 {
+            turned.centre[row] = (0..3).map(|k| turn[row][k] * self.centre[k]).sum();
+            for column in 0..3 {
+                turned.inertia[row][column] = (0..9)
+                    .map(|k| turn[row][k / 3] * self.inertia[k / 3][k % 3] * turn[column][k % 3])
+                    .sum();
+            }
+        }
+        turned
+    }
+
+    /// Principal moments, kg m^2.
+    pub(super) fn principal_moments(&self) -> [f64; 3] {
+        principal_axes(self.inertia).0
+    }
+}
+
+/// Mass, first moments and inertia about the link's origin, summed over its parts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MassSum {
     /// kg.
@@ -24,22 +108,15 @@ pub(super) struct MassSum {
 }
 
 impl MassSum {
-    /// Adds a shape with the pose `pose` in the link's frame.
-    pub(super) fn add(&mut self, shape: &SharedShape, density: f32, pose: &Pose) {
-        let part = shape.mass_properties(density);
-        let mass = f64::from(part.mass());
-        let centre = (*pose * part.local_com).to_array().map(f64::from);
-        let frame = pose.rotation * part.principal_inertia_local_frame;
-        let turn = matrix(frame);
-        let principal = part.principal_inertia().to_array().map(f64::from);
+    /// Adds a part whose centre and axes are those of the link's frame.
+    pub(super) fn add(&mut self, solid: &Solid) {
+        let Solid { mass, centre, inertia } = *solid;
         let square: f64 = centre.iter().map(|x| x * x).sum();
         for row in 0..3 {
             self.moments[row] += mass * centre[row];
             for column in 0..3 {
-                let about_centre: f64 =
-                    (0..3).map(|k| turn[row][k] * principal[k] * turn[column][k]).sum();
                 let shift = IDENTITY[row][column] * square - centre[row] * centre[column];
-                self.inertia[row][column] += about_centre + mass * shift;
+                self.inertia[row][column] += inertia[row][column] + mass * shift;
             }
         }
         self.mass += mass;
@@ -52,6 +129,9 @@ impl MassSum {
 
     /// Mass properties, with mass and inertia multiplied by `factor`.
     pub(super) fn properties(&self, factor: f64) -> MassProperties {
+        if self.mass <= 0.0 {
+            return MassProperties::default();
+        }
         let centre = self.moments.map(|moment| moment / self.mass);
         let square: f64 = centre.iter().map(|x| x * x).sum();
         let mut inertia = self.inertia;
@@ -71,13 +151,16 @@ impl MassSum {
     }
 }
 
+fn numbers(rotation: Rotation) -> [f64; 4] {
+    rotation.to_array().map(f64::from)
+}
+
 fn vector(numbers: [f64; 3]) -> Vector {
     Vector::from_array(numbers.map(|number| number as f32))
 }
 
 /// Rotation matrix of a unit quaternion.
-fn matrix(rotation: Rotation) -> Matrix {
-    let [x, y, z, w] = rotation.to_array().map(f64::from);
+fn matrix([x, y, z, w]: [f64; 4]) -> Matrix {
     [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
         [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
@@ -153,7 +236,7 @@ mod tests {
     fn principal_axes_reconstruct_the_matrix() {
         let inertia = [[2.0, 0.3, -0.4], [0.3, 1.5, 0.2], [-0.4, 0.2, 0.7]];
         let (principal, frame) = principal_axes(inertia);
-        let turn = matrix(frame);
+        let turn = matrix(numbers(frame));
         for row in 0..3 {
             for column in 0..3 {
                 let sum: f64 = (0..3).map(|k| turn[row][k] * principal[k] * turn[column][k]).sum();
@@ -174,11 +257,8 @@ mod tests {
         let ball = SharedShape::ball(0.1);
         let mut sum = MassSum::default();
         for side in [-1.0, 1.0] {
-            sum.add(
-                &ball,
-                1000.0,
-                &Pose::from_parts(Vector::new(side, side, 0.0), Rotation::IDENTITY),
-            );
+            let pose = Pose::from_parts(Vector::new(side, side, 0.0), Rotation::IDENTITY);
+            sum.add(&Solid::of_shape(&ball, 1000.0, &pose));
         }
         let mass = 1000.0 * 4.0 / 3.0 * std::f32::consts::PI * 1e-3;
         let own = 0.4 * mass * 0.01;

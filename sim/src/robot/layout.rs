@@ -3,13 +3,14 @@
 use rapier3d::dynamics::Multibody;
 use rapier3d::prelude::*;
 
-use super::blueprint::{Blueprint, Hinge, JointPlan, LinkPlan, MotorPlan};
+use super::blueprint::{Blueprint, Hinge, JointPlan, LinkPlan, Motion, MotorPlan, Servo};
+use super::softness::Softness;
 
 /// Largest speed in a state, m/s or rad/s: ten times the speeds that the robots reach.
 pub(super) const FASTEST: f32 = 1e3;
 /// Largest distance from the origin, m, where f32 resolves 8 mm. Also the bound of a planar root's rotation, rad.
 const FARTHEST: f32 = 1e5;
-/// Largest violation of a hinge's limits in a state, rad.
+/// Largest violation of a hinge's limits in a state, rad or m.
 const LIMIT_SLACK: f32 = 3.0;
 
 /// Layout of a robot's coordinates. The order is the model's: the root, then the hinges in the order of their bodies.
@@ -52,10 +53,15 @@ pub(crate) struct JointMap {
 pub(crate) enum MapKind {
     /// x, z, rotation about y.
     Planar,
-    /// Position and quaternion (w x y z); linear and angular velocities, both in world axes.
+    /// None.
+    Fixed,
+    /// Position and quaternion (w x y z); linear and angular velocities, both in world axes. The link is the multibody's
+    /// root.
     Free,
-    /// One angle about the joint frame's axis `free`, times `sign`.
-    Hinge { free: usize, sign: f32 },
+    /// As `Free`, with a joint between a fixed root and the link.
+    Floating,
+    /// One coordinate: the joint's coordinate `axis`, times `sign`.
+    Hinge { axis: usize, sign: f32 },
 }
 
 /// A hinge.
@@ -70,10 +76,16 @@ pub(crate) struct HingeMap {
     pub(crate) sign: f32,
     /// rad.
     pub(crate) range: Option<[f32; 2]>,
+    /// Softness of the range's ends.
+    pub(crate) limit: Softness,
     /// N m / rad.
     pub(crate) stiffness: f32,
     /// rad.
     pub(crate) spring_rest: f32,
+    /// N m s / rad.
+    pub(crate) damping: f32,
+    /// Range of the sum of the motors' torques, N m.
+    pub(crate) torque_range: Option<[f32; 2]>,
     /// kg m^2.
     pub(crate) armature: f32,
     /// Inverse inertia with all other joints free, in the rest pose, 1/(kg m^2): MuJoCo's `dof_invweight0`.
@@ -85,9 +97,10 @@ pub(crate) struct HingeMap {
 pub(crate) struct MotorMap {
     /// Index into [`Layout::hinges`].
     pub(crate) hinge: usize,
-    /// N m per unit of control.
+    /// N m per unit of force.
     pub(crate) gear: f32,
     pub(crate) range: [f32; 2],
+    pub(crate) servo: Option<Servo>,
 }
 
 impl Layout {
@@ -163,30 +176,30 @@ impl Layout {
                 }
                 MapKind::Planar
             }
-            JointPlan::Free(name) => self.add_free(name, plan)?,
+            JointPlan::Fixed => MapKind::Fixed,
+            JointPlan::Free(name) => {
+                self.add_free(name, plan);
+                MapKind::Free
+            }
+            JointPlan::Floating(name) => {
+                self.add_free(name, plan);
+                MapKind::Floating
+            }
             JointPlan::Hinge(hinge) => {
                 let [low, high] = hinge.range.unwrap_or([-FARTHEST, FARTHEST]);
                 let bounds = [low - LIMIT_SLACK, high + LIMIT_SLACK];
-                self.add_number(hinge.name.clone(), bounds, 0.0, 0.0);
+                self.add_number(hinge.name.clone(), bounds, hinge.reference, 0.0);
                 self.velocity_names.push(hinge.name.clone());
-                self.hinges.push(hinge_map(hinge, link, dof));
-                MapKind::Hinge { free: hinge.axis.free, sign: hinge.axis.sign }
+                let map = hinge_map(hinge, link, dof);
+                self.hinges.push(map);
+                MapKind::Hinge { axis: map.axis, sign: map.sign }
             }
         };
         self.joints.push(JointMap { body, link, dof, coordinate, velocity, kind });
         Ok(())
     }
 
-    /// Adds a free root. Its centre of mass must be at its origin, because rapier rotates it about the origin, which
-    /// would make its flight wrong.
-    fn add_free(&mut self, name: &str, plan: &LinkPlan) -> Result<MapKind, String> {
-        let offset = plan.mass.local_com.length();
-        if offset > 1e-5 {
-            return Err(format!(
-                "{}: the root's mass centre is {offset} m from its origin",
-                plan.name
-            ));
-        }
+    fn add_free(&mut self, name: &str, plan: &LinkPlan) {
         let position = plan.rest.translation.to_array();
         for (axis, rest) in ["x", "y", "z"].iter().zip(position) {
             self.add_number(format!("{name}.{axis}"), [-FARTHEST, FARTHEST], 0.0, rest);
@@ -199,7 +212,6 @@ impl Layout {
         for axis in ["x", "y", "z", "wx", "wy", "wz"] {
             self.velocity_names.push(format!("{name}.{axis}"));
         }
-        Ok(MapKind::Free)
     }
 
     fn add_number(&mut self, name: String, bounds: [f32; 2], reference: f32, rest: f32) {
@@ -214,11 +226,17 @@ fn hinge_map(hinge: &Hinge, link: usize, dof: usize) -> HingeMap {
     HingeMap {
         link,
         dof,
-        axis: 3 + hinge.axis.free,
+        axis: match hinge.motion {
+            Motion::Rotation => 3 + hinge.axis.free,
+            Motion::Translation => hinge.axis.free,
+        },
         sign: hinge.axis.sign,
         range: hinge.range,
+        limit: hinge.limit,
         stiffness: hinge.stiffness,
         spring_rest: hinge.spring_rest,
+        damping: hinge.damping,
+        torque_range: hinge.torque_range,
         armature: hinge.armature,
         inverse_inertia: 0.0,
     }
@@ -227,10 +245,12 @@ fn hinge_map(hinge: &Hinge, link: usize, dof: usize) -> HingeMap {
 fn motor_map(blueprint: &Blueprint, motor: &MotorPlan) -> Result<MotorMap, String> {
     let mut hinges = blueprint.links.iter().filter_map(|link| match &link.joint {
         JointPlan::Hinge(hinge) => Some(hinge),
-        JointPlan::Planar(_) | JointPlan::Free(_) => None,
+        JointPlan::Fixed | JointPlan::Planar(_) | JointPlan::Free(_) | JointPlan::Floating(_) => {
+            None
+        }
     });
     let hinge = hinges
         .position(|hinge| hinge.name == motor.joint)
-        .ok_or_else(|| format!("{}: the motor's joint is not a hinge", motor.joint))?;
-    Ok(MotorMap { hinge, gear: motor.gear, range: motor.range })
+        .ok_or_else(|| format!("{}: the motor's joint is not a hinge or slide", motor.joint))?;
+    Ok(MotorMap { hinge, gear: motor.gear, range: motor.range, servo: motor.servo })
 }

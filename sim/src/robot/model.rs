@@ -1,216 +1,267 @@
-//! Reads a robot's blueprint from an MJCF document. Unsupported elements are errors, never ignored.
+//! Reads a robot's blueprint from an MJCF document. Elements without a physical meaning are skipped; all others that
+//! cannot be built are errors with their line.
 
-use mjcf_rs::Model;
-use mjcf_rs::body::{Body, Geom, GeomType, Joint, JointType};
-use mjcf_rs::extras::{Actuator, ActuatorKind};
-use rapier3d::math::{Pose, Rotation, Vector};
+mod actuators;
+mod bodies;
+mod geoms;
+mod joints;
+mod meshes;
+mod options;
+
+use rapier3d::math::Pose;
 use rapier3d::prelude::MassProperties;
 
-use super::blueprint::{
-    Blueprint, Floor, Hinge, HingeAxis, JointPlan, LinkPlan, MotorPlan, Planar, ShapePlan,
-};
+use super::blueprint::{Blueprint, JointPlan, LinkPlan, ShapePlan};
+use super::document::{Classes, Element, check_names};
+use super::files::Folder;
 use super::inertia::MassSum;
-use crate::scene::Shape;
+use bodies::Body;
+use geoms::{Geom, Ground};
+use meshes::Meshes;
+use options::Options;
 
-/// Reads an MJCF document. Errors name the element.
-pub(super) fn read(mjcf: &str) -> Result<Blueprint, String> {
-    let model = Model::from_str(mjcf, ".").map_err(|error| error.to_string())?;
-    let links = read_links(&model)?;
+/// All that the reading of an element may depend on.
+struct Context {
+    classes: Classes,
+    options: Options,
+    meshes: Meshes,
+}
+
+/// Reads an MJCF document and the files of `folder` that it needs.
+pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, String> {
+    let root = Element::parse(mjcf, folder)?;
+    let (options, mut left_out) = Options::read(&root)?;
+    let classes = Classes::new(&root)?;
+    let meshes = Meshes::read(&root, &classes, &options)?;
+    let mut context = Context { classes, options, meshes };
+    let mut bodies = bodies::flat(&root, &context)?;
+    let ground = geoms::take_ground(&mut bodies, &context)?;
+    let mut links = read_links(&bodies, &mut context, ground.as_ref(), folder)?;
+    note_contacts(&bodies, &mut left_out);
+    let motors = actuators::read(&root, &context, &links)?;
+    links.masses_to_links(context.options.total_mass)?;
     Ok(Blueprint {
-        timestep_secs: model.option.timestep,
-        gravity: vector(model.option.gravity),
-        floor: read_floor(&model.bodies[0].body)?,
-        links,
-        motors: model.actuators.iter().map(read_motor).collect::<Result<_, _>>()?,
-        bodies: std::iter::once("world".to_owned())
-            .chain(model.bodies_iter().map(|(_, entry)| name(&entry.body)))
-            .collect(),
+        timestep_secs: context.options.timestep_secs,
+        gravity: context.options.gravity,
+        integration: context.options.integration,
+        floor: ground.map(|ground| ground.floor),
+        links: links.plans,
+        motors,
+        bodies: bodies.into_iter().map(|body| body.name).collect(),
+        left_out,
     })
 }
 
-fn read_links(model: &Model) -> Result<Vec<LinkPlan>, String> {
-    let mut links: Vec<LinkPlan> = Vec::new();
-    let mut masses: Vec<MassSum> = Vec::new();
-    // Link of each body, and the body's frame in that link.
-    let mut homes: Vec<Option<(usize, Pose)>> = vec![None; model.bodies.len()];
-    for (id, entry) in model.bodies_iter() {
-        let parent = entry.parent.and_then(|parent| homes[parent]);
-        let inside = parent.map_or(Pose::IDENTITY, |(_, frame)| frame) * pose(&entry.body.pose);
-        let home = match (parent, entry.body.joints.is_empty()) {
-            (None, true) => return Err(format!("{}: the root needs a joint", name(&entry.body))),
-            (Some((link, _)), true) => (link, inside),
-            (_, false) => {
-                links.push(read_link(model, &entry.body, parent.map(|(link, _)| link), inside)?);
-                masses.push(MassSum::default());
-                (links.len() - 1, Pose::IDENTITY)
-            }
+/// Distance of a free root's mass centre from its origin that counts as none, m.
+const LARGEST_OFFSET: f32 = 1e-5;
+
+/// Links, their masses, and the lines of their joints.
+struct Links<'a> {
+    plans: Vec<LinkPlan>,
+    masses: Vec<MassSum>,
+    /// The body of each link; none for the base.
+    bodies: Vec<Option<&'a Body>>,
+}
+
+/// Link of a body, `None` for the world, and the body's frame in it.
+type Home = (Option<usize>, Pose);
+
+fn read_links<'a>(
+    bodies: &'a [Body],
+    context: &mut Context,
+    ground: Option<&Ground>,
+    folder: &mut Folder<'_>,
+) -> Result<Links<'a>, String> {
+    let mut links = Links { plans: Vec::new(), masses: Vec::new(), bodies: Vec::new() };
+    let base = links.add_base(bodies)?;
+    let mut homes: Vec<Home> = vec![(base, Pose::IDENTITY)];
+    for (index, body) in bodies.iter().enumerate().skip(1) {
+        let (parent, frame) = homes[body.parent];
+        let inside = frame * body.frame.pose();
+        let home = if body.joints.is_empty() {
+            (parent, inside)
+        } else {
+            links.add_body(body, parent, inside, context)?;
+            (Some(links.plans.len() - 1), Pose::IDENTITY)
         };
-        add_shapes(model, (&entry.body, id), (&mut links[home.0], &mut masses[home.0]), &home.1)?;
-        homes[id] = Some(home);
-    }
-    set_masses(&mut links, &masses, model.compiler.set_total_mass);
-    match links.iter().filter(|link| link.parent.is_none()).count() {
-        1 => Ok(links),
-        roots => Err(format!("a robot must have one root; found {roots}")),
-    }
-}
-
-fn read_link(
-    model: &Model,
-    body: &Body,
-    parent: Option<usize>,
-    rest: Pose,
-) -> Result<LinkPlan, String> {
-    if body.inertial.is_some() {
-        return Err(format!("{}: masses must come from shapes, not from <inertial>", name(body)));
-    }
-    let joint = match (parent, body.joints.as_slice()) {
-        (None, [free]) if free.type_ == JointType::Free => JointPlan::Free(joint_name(free)),
-        (None, [x, z, turn]) => JointPlan::Planar(read_planar([x, z, turn])?),
-        (Some(_), [hinge]) => JointPlan::Hinge(read_hinge(model, hinge)?),
-        (_, joints) => {
-            return Err(format!(
-                "{}: unsupported combination of {} joints",
-                name(body),
-                joints.len()
-            ));
+        if let Some(link) = home.0 {
+            links.add_parts((index, body), link, &home.1, (&mut *context, ground, &mut *folder))?;
         }
-    };
-    let mass = MassProperties::default();
-    Ok(LinkPlan { name: name(body), parent, rest, joint, mass, shapes: Vec::new() })
+        homes.push(home);
+    }
+    links.check_roots(bodies)?;
+    Ok(links)
 }
 
-fn read_planar(joints: [&Joint; 3]) -> Result<Planar, String> {
-    let kinds = [JointType::Slide, JointType::Slide, JointType::Hinge];
-    let axes = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]];
-    for ((joint, kind), axis) in joints.into_iter().zip(kinds).zip(axes) {
-        let passive = [joint.stiffness, joint.damping, joint.armature, joint.frictionloss];
-        if joint.type_ != kind || joint.axis != axis || joint.pos != [0.0; 3] {
-            let joint = joint_name(joint);
-            return Err(format!(
-                "{joint}: a planar root must slide along x and z and rotate about +y"
-            ));
+impl<'a> Links<'a> {
+    /// Adds the link of all bodies that are fixed to the world, if any of them has a shape.
+    fn add_base(&mut self, bodies: &[Body]) -> Result<Option<usize>, String> {
+        let base = bodies.iter().skip(1).find(|body| body.is_static && !body.geoms.is_empty());
+        let Some(base) = base else { return Ok(None) };
+        let moving = |body: &&Body| body.joints.iter().any(joints::is_free);
+        if let Some(root) = bodies.iter().find(moving) {
+            let reason = format!("{} moves freely, and links touch nothing but a plane", root.name);
+            return match base.geoms.iter().find(|geom| geom.collides()) {
+                Some(geom) => Err(geom.element.refuse(reason)),
+                None => Ok(None),
+            };
         }
-        if passive != [0.0; 4] {
-            return Err(format!(
-                "{}: a planar root must not have passive terms",
-                joint_name(joint)
-            ));
+        self.push(base.name.clone(), None, Pose::IDENTITY, JointPlan::Fixed);
+        self.bodies.push(None);
+        Ok(Some(0))
+    }
+
+    /// Adds a body's links: one for each joint. All but the last have neither mass nor shapes.
+    fn add_body(
+        &mut self,
+        body: &'a Body,
+        parent: Option<usize>,
+        rest: Pose,
+        context: &Context,
+    ) -> Result<(), String> {
+        let is_root = parent.is_none_or(|parent| self.plans[parent].is_base());
+        let joints = match is_root {
+            true => joints::read_root(body, context)?,
+            false => joints::read(body, context)?,
+        };
+        let count = joints.len();
+        let (mut parent, mut rest) = (parent, rest);
+        for (index, joint) in joints.into_iter().enumerate() {
+            let name = match &joint {
+                JointPlan::Hinge(hinge) if index + 1 < count => {
+                    format!("{}.{}", body.name, hinge.name)
+                }
+                _ => body.name.clone(),
+            };
+            self.push(name, parent, rest, joint);
+            self.bodies.push(Some(body));
+            (parent, rest) = (Some(self.plans.len() - 1), Pose::IDENTITY);
         }
+        Ok(())
     }
-    Ok(Planar { names: joints.map(joint_name), reference: joints.map(|joint| joint.ref_ as f32) })
-}
 
-fn read_hinge(model: &Model, joint: &Joint) -> Result<Hinge, String> {
-    if joint.type_ != JointType::Hinge || joint.frictionloss != 0.0 || joint.ref_ != 0.0 {
-        let joint = joint_name(joint);
-        return Err(format!(
-            "{joint}: links below the root must have hinges without friction or ref"
-        ));
+    fn push(&mut self, name: String, parent: Option<usize>, rest: Pose, joint: JointPlan) {
+        let mass = MassProperties::default();
+        self.plans.push(LinkPlan { name, parent, rest, joint, mass, shapes: Vec::new() });
+        self.masses.push(MassSum::default());
     }
-    let limited = joint.limited.resolve(model.compiler.autolimits, joint.range.is_some());
-    Ok(Hinge {
-        name: joint_name(joint),
-        anchor: vector(joint.pos),
-        axis: HingeAxis::along(vector(joint.axis)),
-        range: joint.range.filter(|_| limited).map(|range| range.map(|end| end as f32)),
-        stiffness: joint.stiffness as f32,
-        spring_rest: joint.springref as f32,
-        damping: joint.damping as f32,
-        armature: joint.armature as f32,
-    })
-}
 
-fn add_shapes(
-    model: &Model,
-    (body, index): (&Body, usize),
-    (link, mass): (&mut LinkPlan, &mut MassSum),
-    frame: &Pose,
-) -> Result<(), String> {
-    for geom in &body.geoms {
-        if geom.contype != 0 && geom.conaffinity != 0 {
-            return Err(format!(
-                "{}: links collide only with the floor; set contype or conaffinity to 0",
-                name(body)
-            ));
+    /// Adds the mass and the shapes of a body to its link.
+    fn add_parts(
+        &mut self,
+        (index, body): (usize, &Body),
+        link: usize,
+        frame: &Pose,
+        (context, ground, folder): (&mut Context, Option<&Ground>, &mut Folder<'_>),
+    ) -> Result<(), String> {
+        let inertial = bodies::stated_inertia(body, &context.options)?;
+        let mut own = MassSum::default();
+        if let Some(solid) = &inertial {
+            self.masses[link].add(&solid.placed(frame));
+            own.add(&solid.placed(frame));
         }
-        let (shape, inside) = read_shape(geom).ok_or_else(|| unsupported(body, geom))?;
-        let pose = *frame * inside;
-        let density = geom.density.unwrap_or(model.compiler.inertia_density) as f32;
-        mass.add(&shape.collider(), density, &pose);
-        let friction = geom.friction[0] as f32;
-        link.shapes.push(ShapePlan { shape, pose, friction, body: index });
-    }
-    Ok(())
-}
-
-fn read_shape(geom: &Geom) -> Option<(Shape, Pose)> {
-    let radius = geom.size[0] as f32;
-    match (geom.type_, geom.fromto, geom.mass) {
-        (GeomType::Sphere, None, None) => Some((Shape::Sphere { radius }, pose(&geom.pose))),
-        (GeomType::Capsule, None, None) => {
-            let half_length = geom.size[1] as f32;
-            Some((Shape::Capsule { half_length, radius }, pose(&geom.pose)))
+        let has_contacts = body.geoms.iter().any(Geom::collides);
+        for geom in &body.geoms {
+            let weighs = inertial.is_none() && geom.weighs();
+            let is_drawn = geom.collides() || !(has_contacts || geom.is_mesh());
+            if !weighs && !is_drawn {
+                continue;
+            }
+            let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
+            let pose = *frame * pose;
+            if weighs {
+                let solid = geom.solid(&shape, &pose, &context.meshes)?;
+                self.masses[link].add(&solid);
+                own.add(&solid);
+            }
+            if is_drawn {
+                let touches = ground.filter(|_| !self.plans[link].is_base());
+                let contact = touches.map(|ground| geom.contact(ground)).transpose()?.flatten();
+                self.plans[link].shapes.push(ShapePlan { shape, pose, contact, body: index });
+            }
         }
-        (GeomType::Capsule, Some([ax, ay, az, bx, by, bz]), None) => {
-            let (a, b) = (vector([ax, ay, az]), vector([bx, by, bz]));
-            let turn = Rotation::from_rotation_arc(Vector::Z, (b - a).normalize());
-            let half_length = (b - a).length() / 2.0;
-            let middle = Pose::from_parts((a + b) / 2.0, turn);
-            Some((Shape::Capsule { half_length, radius }, middle))
+        let [least_mass, least_inertia] = context.options.least;
+        let moments = own.properties(1.0).principal_inertia().to_array();
+        if own.mass() < least_mass || moments.iter().any(|x| f64::from(*x) < least_inertia) {
+            return Err(body
+                .element
+                .refuse("its mass or inertia is below `boundmass` or `boundinertia`"));
         }
-        _ => None,
+        Ok(())
     }
-}
 
-fn read_floor(world: &Body) -> Result<Floor, String> {
-    match world.geoms.as_slice() {
-        [plane] if plane.type_ == GeomType::Plane => {
-            Ok(Floor { pose: pose(&plane.pose), friction: plane.friction[0] as f32 })
+    /// A robot has one root that moves freely or in a plane, or joints between any links and the world.
+    fn check_roots(&self, bodies: &[Body]) -> Result<(), String> {
+        let roots = self.plans.iter().filter(|plan| plan.parent.is_none());
+        let roots = roots.filter(|plan| !plan.is_base()).count();
+        let moving =
+            |plan: &LinkPlan| matches!(plan.joint, JointPlan::Free(_) | JointPlan::Planar(_));
+        if self.plans.iter().all(LinkPlan::is_base) {
+            return Err("the model has no joints".to_owned());
         }
-        geoms => Err(format!("the world must have one plane; found {} shapes", geoms.len())),
+        if roots > 1
+            && let Some(index) = self.plans.iter().rposition(moving)
+        {
+            let body = self.bodies[index].unwrap_or(&bodies[0]);
+            let reason = format!("a model with a moving root must have one root, it has {roots}");
+            return Err(body.element.refuse(reason));
+        }
+        Ok(())
+    }
+
+    /// Sets the links' mass properties. `total` scales all masses and inertias to this sum.
+    fn masses_to_links(&mut self, total: Option<f64>) -> Result<(), String> {
+        let sum: f64 = self.masses.iter().map(MassSum::mass).sum();
+        let factor = total.map_or(1.0, |total| total / sum);
+        let count = self.plans.len();
+        for (index, (link, mass)) in self.plans.iter_mut().zip(&self.masses).enumerate() {
+            link.mass = mass.properties(factor);
+            if let JointPlan::Free(name) = &link.joint
+                && (count == 1 || link.mass.local_com.length() > LARGEST_OFFSET)
+            {
+                link.joint = JointPlan::Floating(name.clone());
+            }
+            // The next link of the same body has its mass.
+            let shared = index + 1 < count
+                && self.bodies[index].is_some()
+                && std::ptr::eq(
+                    self.bodies[index].map_or(std::ptr::null(), std::ptr::from_ref),
+                    self.bodies[index + 1].map_or(std::ptr::null(), std::ptr::from_ref),
+                );
+            if let Some(body) = self.bodies[index]
+                && !shared
+                && link.mass.inv_mass == 0.0
+            {
+                return Err(body.element.refuse("a body that moves must have a mass"));
+            }
+        }
+        Ok(())
     }
 }
 
-fn read_motor(actuator: &Actuator) -> Result<MotorPlan, String> {
-    match (&actuator.joint, actuator.kind, actuator.ctrl_range) {
-        (Some(joint), ActuatorKind::Motor, Some(range)) => Ok(MotorPlan {
-            joint: joint.clone(),
-            gear: actuator.gear[0] as f32,
-            range: range.map(|end| end as f32),
-        }),
-        _ => Err(format!("{:?}: only joint motors with a ctrlrange are supported", actuator.name)),
+impl LinkPlan {
+    fn is_base(&self) -> bool {
+        matches!(self.joint, JointPlan::Fixed)
     }
 }
 
-/// Sets the links' mass properties. `settotalmass` scales all masses and inertias to this total; -1 does not scale.
-fn set_masses(links: &mut [LinkPlan], masses: &[MassSum], target: f64) {
-    let total: f64 = masses.iter().map(MassSum::mass).sum();
-    let factor = if target > 0.0 { target / total } else { 1.0 };
-    for (link, mass) in links.iter_mut().zip(masses) {
-        link.mass = mass.properties(factor);
+/// Adds a sentence if MuJoCo would compute contacts between the robot's own shapes.
+fn note_contacts(bodies: &[Body], left_out: &mut Vec<String>) {
+    let geoms: Vec<(usize, &Geom)> = bodies
+        .iter()
+        .enumerate()
+        .flat_map(|(index, body)| body.geoms.iter().map(move |geom| (index, geom)))
+        .collect();
+    let meets =
+        |(a, geom): &&(usize, &Geom)| geoms.iter().any(|(b, other)| a != b && geom.meets(other));
+    let count = geoms.iter().filter(meets).count();
+    if count > 0 {
+        left_out.push(format!("links do not touch each other: contacts between {count} shapes"));
     }
 }
 
-fn unsupported(body: &Body, geom: &Geom) -> String {
-    let geom = geom.name.as_deref().unwrap_or("unnamed");
-    format!("{}: {geom} is not a sphere or capsule with a density", name(body))
-}
-
-fn name(body: &Body) -> String {
-    body.name.clone().unwrap_or_else(|| "unnamed body".to_owned())
-}
-
-fn joint_name(joint: &Joint) -> String {
-    joint.name.clone().unwrap_or_else(|| "unnamed joint".to_owned())
-}
-
-fn pose(pose: &mjcf_rs::Pose) -> Pose {
-    let [x, y, z, w] = pose.rotation.to_array();
-    let rotation = Rotation::from_xyzw(x as f32, y as f32, z as f32, w as f32);
-    Pose::from_parts(vector(pose.translation.to_array()), rotation)
-}
-
-fn vector([x, y, z]: [f64; 3]) -> Vector {
-    Vector::new(x as f32, y as f32, z as f32)
+/// Refuses two bodies, joints or actuators of the same name.
+fn check_bodies(bodies: &[Body]) -> Result<(), String> {
+    check_names(bodies.iter().map(|body| &body.element))?;
+    check_names(bodies.iter().flat_map(|body| &body.joints).map(|(joint, _)| joint))
 }

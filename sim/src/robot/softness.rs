@@ -27,7 +27,31 @@ pub(crate) const DEFAULT: Softness =
 /// Smallest impedance, as in MuJoCo.
 const SMALLEST_IMPEDANCE: f32 = 1e-4;
 
+/// Largest impedance, as in MuJoCo.
+const LARGEST_IMPEDANCE: f64 = 0.9999;
+
 impl Softness {
+    /// Softness for MuJoCo's `solref` and `solimp` and a physics step of `step_secs`.
+    pub(super) fn new(
+        [time_constant, damping]: [f64; 2],
+        [first, last, width, midpoint, power]: [f64; 5],
+        step_secs: f64,
+    ) -> Result<Self, String> {
+        if time_constant <= 0.0 || (damping - 1.0).abs() > 1e-6 {
+            return Err("the damping ratio of its `solref` must be 1".to_owned());
+        }
+        if [midpoint, power] != [0.5, 2.0] {
+            return Err("the midpoint and power of its `solimp` must be 0.5 and 2".to_owned());
+        }
+        let impedance = |d: f64| d.clamp(f64::from(SMALLEST_IMPEDANCE), LARGEST_IMPEDANCE) as f32;
+        Ok(Self {
+            // As in MuJoCo, a spring is never faster than two steps.
+            time_constant_secs: time_constant.max(2.0 * step_secs) as f32,
+            impedance: [impedance(first), impedance(last)],
+            width: width.max(1e-9) as f32,
+        })
+    }
+
     /// Compliance of a constraint in units of its inverse mass, `R / A = (1 - d) / d`.
     pub(crate) fn compliance(&self, violation: f32) -> f32 {
         let impedance = self.impedance_at(violation);

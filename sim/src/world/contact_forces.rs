@@ -3,6 +3,7 @@
 use rapier3d::math::Vector;
 
 use super::World;
+use crate::robot::ShapeTag;
 
 /// Values per body: torque, then force.
 pub(crate) const PER_BODY: usize = 6;
@@ -41,7 +42,7 @@ impl World {
 
     /// Index of a collider's body in the model; the floor belongs to the world.
     fn body_of(&self, collider: rapier3d::prelude::ColliderHandle) -> usize {
-        self.physics.colliders.get(collider).map_or(WORLD, |collider| collider.user_data as usize)
+        self.physics.colliders.get(collider).map_or(WORLD, |collider| ShapeTag::of(collider).body)
     }
 }
 

@@ -13,7 +13,7 @@ use rapier3d::dynamics::Multibody;
 use rapier3d::math::Vector;
 use rapier3d::prelude::{ContactModificationContext, PhysicsHooks, RigidBodyHandle, SolverContact};
 
-use crate::robot::{Layout, Robot, Softness, Spring};
+use crate::robot::{Layout, Robot, ShapeTag, Softness, Spring};
 
 /// Largest compliance along the normal that is computed from the last impulse, in units of the inverse mass. With 1,
 /// the contact would oscillate.
@@ -25,8 +25,8 @@ const TINY: f32 = 1e-9;
 
 /// The contact law for one step length, and the links' motion at the start of the step.
 pub(crate) struct ContactLaw {
-    softness: Softness,
-    spring: Spring,
+    /// Softness of the contacts of each shape, in the order of the blueprint's shapes; `None` without contacts.
+    shapes: Vec<Option<(Softness, Spring)>>,
     step_secs: f32,
     /// Compliance of the engine's solver, in units of the inverse mass.
     solved_compliance: f32,
@@ -60,12 +60,13 @@ struct Touch {
 impl ContactLaw {
     /// Creates the contact law of a robot for physics steps of `step_secs`.
     pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
-        let row = robot.row();
+        let blueprint = robot.blueprint();
+        let law =
+            |softness: Softness| (softness, softness.spring(blueprint.integration, step_secs));
         Self {
-            softness: row.contacts,
-            spring: row.contacts.spring(row.integration, step_secs),
+            shapes: blueprint.shapes().map(|shape| Some(law(shape.contact?.softness))).collect(),
             step_secs,
-            solved_compliance: row.contact_compliance,
+            solved_compliance: robot.contact_compliance(),
             motions: Vec::with_capacity(robot.layout().joints.len()),
         }
     }
@@ -93,18 +94,24 @@ impl ContactLaw {
     /// Sets the contact's distance, from which the engine computes its target speed `-distance / dt`. Returns the
     /// friction coefficient.
     fn set_target(&self, contact: &mut SolverContact, touch: &Touch, mass: f32, held: Held) -> f32 {
-        let Held { mu, impulse } = held;
-        let compliance = self.softness.compliance(-contact.dist) * (1.0 + mu * mu);
+        let Held { mu, impulse, law: (softness, spring) } = held;
+        let compliance = softness.compliance(-contact.dist) * (1.0 + mu * mu);
+        if mu == 0.0 {
+            let give = (compliance - self.solved_compliance).clamp(0.0, LARGEST_LAGGING);
+            let speed = spring.next_speed(touch.rise, contact.dist) - give * mass * impulse;
+            contact.dist = -speed * self.step_secs;
+            return 0.0;
+        }
         let give =
             (0.5 * mu * mu * compliance - self.solved_compliance).clamp(0.0, LARGEST_LAGGING);
-        let pressed = self.spring.next_speed(touch.rise, contact.dist) - give * mass * impulse;
+        let pressed = spring.next_speed(touch.rise, contact.dist) - give * mass * impulse;
         // Number of pyramid edges against the slide: one along an axis, two between axes.
         let edges = 1.0 / (touch.share * touch.share);
         let edge = touch.rise - mu * touch.share * touch.slide;
-        let shift = self.spring.next_speed(edge, contact.dist) - edge;
+        let shift = spring.next_speed(edge, contact.dist) - edge;
         let lifted = touch.rise + shift * edges / (edges + mu * mu * (1.0 + 2.0 * compliance));
         contact.dist = -pressed.max(lifted) * self.step_secs;
-        let creep = self.spring.damping() * touch.slide / (compliance * mass * impulse + TINY);
+        let creep = spring.damping() * touch.slide / (compliance * mass * impulse + TINY);
         creep.min(mu * touch.share)
     }
 }
@@ -116,6 +123,7 @@ struct Held {
     mu: f32,
     /// Impulse along the normal in the last step, N s.
     impulse: f32,
+    law: (Softness, Spring),
 }
 
 impl PhysicsHooks for ContactLaw {
@@ -126,13 +134,13 @@ impl PhysicsHooks for ContactLaw {
             false => (context.rigid_body2, context.collider2),
         };
         let collider = &context.colliders[collider];
+        let law = self.shapes.get(ShapeTag::of(collider).shape).copied().flatten();
         let capsule = collider.shape().as_capsule();
         let along = capsule.map_or(Vector::ZERO, |capsule| {
             collider.rotation() * (capsule.segment.b - capsule.segment.a)
         });
-        let Some(motion) = self.motions.iter().find(|motion| Some(motion.body) == body) else {
-            return;
-        };
+        let motion = self.motions.iter().find(|motion| Some(motion.body) == body);
+        let (Some(motion), Some(law)) = (motion, law) else { return };
         let Some(pair) = context.rigid_mut() else { return };
         let up = if robot_first { -*pair.normal } else { *pair.normal };
         let mut friction = *pair.friction;
@@ -140,7 +148,7 @@ impl PhysicsHooks for ContactLaw {
             let touch = motion.touch(contact.anchor1, up, along);
             let point = (contact.contact_id[0] & !rapier3d::geometry::NEW_CONTACT_BIT) as usize;
             let impulse = pair.manifold.points[point].data.impulse;
-            let held = Held { mu: *pair.friction, impulse };
+            let held = Held { mu: *pair.friction, impulse, law };
             friction = friction.min(self.set_target(contact, &touch, motion.inverse_mass, held));
         }
         *pair.friction = friction;

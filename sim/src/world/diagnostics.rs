@@ -2,9 +2,10 @@
 //! stepping.
 
 use rapier3d::math::Vector;
+use rapier3d::parry::shape::SupportMap as _;
 
 use super::World;
-use crate::robot::{JointPlan, LinkPlan};
+use crate::robot::{Convex, JointPlan, LinkPlan};
 use crate::scene::Shape;
 
 impl World {
@@ -33,6 +34,8 @@ impl World {
                     Shape::Capsule { half_length, radius } => {
                         pose.translation.z - half_length * along.z.abs() - radius
                     }
+                    _ => Convex::new(&shape.shape, &pose)
+                        .map_or(f32::INFINITY, |convex| convex.local_support_point(-Vector::Z).z),
                 }
             })
         });
@@ -76,7 +79,7 @@ impl World {
                 let stretch = coordinates[joint.coordinate] - hinge.spring_rest;
                 f64::from(0.5 * hinge.stiffness * stretch * stretch)
             }
-            JointPlan::Planar(_) | JointPlan::Free(_) => 0.0,
+            _ => 0.0,
         });
         weight.sum::<f64>() + springs.sum::<f64>()
     }

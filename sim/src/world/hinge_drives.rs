@@ -6,16 +6,18 @@
 
 use rapier3d::dynamics::Multibody;
 
-use crate::robot::{HingeMap, Layout, RobotRow, Softness, Spring};
+use crate::robot::{HingeMap, Integration, Layout, MotorMap, Spring};
 
 /// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
 const WEAK_SPRING: f32 = 0.01;
 
-/// Torques of the hinges and their state between steps.
+/// Torques of the hinges and their state between steps. Slides have forces instead, in newtons.
 pub(crate) struct HingeDrives {
-    softness: Softness,
-    spring: Spring,
+    /// Springs of the limits, in the order of [`Layout::hinges`].
+    springs: Vec<Spring>,
     step_secs: f32,
+    /// Motors with their controls, in the order of [`Layout::motors`].
+    motors: Vec<(MotorMap, f32)>,
     /// Drives in the order of [`Layout::hinges`].
     drives: Vec<Drive>,
 }
@@ -23,10 +25,12 @@ pub(crate) struct HingeDrives {
 /// Drive of one hinge. Angles, speeds and torques have the model's sign.
 #[derive(Clone, Copy, Debug, Default)]
 struct Drive {
-    /// Torque of the motor for the last control, N m.
+    /// Torque of the motors, N m.
     torque: f32,
-    /// Torque of the motor in the last step, N m.
+    /// Torque of the motors in the last step, N m.
     last_torque: f32,
+    /// Part of the motors' torque that the engine adds as damping, N m s / rad.
+    damping: f32,
     /// Speed at the start of the step, rad/s.
     speed: f32,
     /// Acceleration in the last step without the limit's torque, rad/s^2.
@@ -46,23 +50,26 @@ struct Limit {
 
 impl HingeDrives {
     /// Creates drives at rest, for physics steps of `step_secs`.
-    pub(crate) fn new(row: &RobotRow, layout: &Layout, step_secs: f32) -> Self {
+    pub(crate) fn new(integration: Integration, layout: &Layout, step_secs: f32) -> Self {
+        let spring = |hinge: &HingeMap| hinge.limit.spring(integration, step_secs);
         Self {
-            softness: row.limits,
-            spring: row.limits.spring(row.integration, step_secs),
+            springs: layout.hinges.iter().map(spring).collect(),
             step_secs,
+            motors: layout.motors.iter().map(|motor| (*motor, 0.0)).collect(),
             drives: vec![Drive::default(); layout.hinges.len()],
         }
     }
 
-    /// Resets torques and past steps.
+    /// Resets controls and past steps. Motors without feedback exert no torque until the next control.
     pub(crate) fn clear(&mut self) {
         self.drives.fill(Drive::default());
+        self.motors.iter_mut().for_each(|(_, control)| *control = 0.0);
     }
 
-    /// Sets the torque of a motor, N m.
-    pub(crate) fn command(&mut self, hinge: usize, torque: f32) {
-        self.drives[hinge].torque = torque;
+    /// Sets the control of a motor, clamped to its range.
+    pub(crate) fn command(&mut self, motor: usize, control: f32) {
+        let (motor, last) = &mut self.motors[motor];
+        *last = control.clamp(motor.range[0], motor.range[1]);
     }
 
     /// Applies the torques of the next physics step to the robot. The engine's spring has the torque `-k (q - rest)`. A
@@ -73,14 +80,17 @@ impl HingeDrives {
             let at = at[hinge.axis];
             let angle = hinge.sign * at;
             let speed = hinge.sign * robot.generalized_velocity()[hinge.dof];
+            self.actuate(index, hinge, angle, speed);
             let limit = self.limit(index, hinge, angle, speed);
             let drive = &mut self.drives[index];
             drive.speed = speed;
             drive.limit = limit;
             drive.last_torque = drive.torque;
             let spring = -hinge.stiffness * (angle - hinge.spring_rest);
-            let torque = drive.torque + spring + limit.armature * limit.reference;
+            let explicit = drive.torque + drive.damping * speed;
+            let torque = explicit + spring + limit.armature * limit.reference;
             robot.armature_mut()[hinge.dof] = hinge.armature + limit.armature;
+            robot.damping_mut()[hinge.dof] = hinge.damping + drive.damping;
             let link = robot.link_mut(hinge.link).expect("the layout is this robot's");
             let rest = at + hinge.sign * torque / WEAK_SPRING;
             link.joint.set_spring(hinge.axis, WEAK_SPRING, rest);
@@ -97,6 +107,37 @@ impl HingeDrives {
         }
     }
 
+    /// Computes the torque of a hinge's motors. The part of servos that depends on the speed is damping, which the engine
+    /// integrates implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
+    fn actuate(&mut self, index: usize, hinge: &HingeMap, angle: f32, speed: f32) {
+        let (mut torque, mut damping) = (0.0, 0.0);
+        for (motor, control) in self.motors.iter().filter(|(motor, _)| motor.hinge == index) {
+            let Some(servo) = motor.servo else {
+                torque += motor.gear * control;
+                continue;
+            };
+            let [constant, stiffness, slope] = servo.bias;
+            let still = servo.gain * control + constant + stiffness * motor.gear * angle;
+            let force = still + slope * motor.gear * speed;
+            match servo.range {
+                Some([low, high]) if force < low || force > high => {
+                    torque += motor.gear * force.clamp(low, high);
+                }
+                _ => {
+                    torque += motor.gear * force;
+                    damping -= motor.gear * motor.gear * slope;
+                }
+            }
+        }
+        if let Some([low, high]) = hinge.torque_range
+            && (torque < low || torque > high)
+        {
+            (torque, damping) = (torque.clamp(low, high), 0.0);
+        }
+        let drive = &mut self.drives[index];
+        (drive.torque, drive.damping) = (torque, damping.max(0.0));
+    }
+
     /// Limit that the angle violates; zero if it is inactive.
     fn limit(&self, index: usize, hinge: &HingeMap, angle: f32, speed: f32) -> Limit {
         let Some([low, high]) = hinge.range else { return Limit::default() };
@@ -110,12 +151,12 @@ impl HingeDrives {
         };
         let drive = &self.drives[index];
         let speed = inward * speed;
-        let reference = (self.spring.next_speed(speed, position) - speed) / self.step_secs;
+        let reference = (self.springs[index].next_speed(speed, position) - speed) / self.step_secs;
         let changed = hinge.inverse_inertia * (drive.torque - drive.last_torque);
         if reference <= inward * (drive.free_acceleration + changed) {
             return Limit::default();
         }
-        let compliance = self.softness.compliance(-position) * hinge.inverse_inertia;
+        let compliance = hinge.limit.compliance(-position) * hinge.inverse_inertia;
         Limit { armature: 1.0 / compliance, reference: inward * reference }
     }
 }

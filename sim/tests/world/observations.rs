@@ -148,7 +148,7 @@ fn the_reward_is_the_speed_minus_the_control_cost() {
 #[test]
 fn unknown_tasks_and_empty_slots_are_rejected() {
     let unknown = sim::environments(&config("halfcheeta-2x3", "none", "labels"), 1).err().unwrap();
-    assert!(unknown.to_string().contains("did you mean `halfcheetah-2x3`"), "{unknown}");
+    assert!(unknown.to_string().contains("known tasks: "), "{unknown}");
     let none = sim::environments(&config("halfcheetah-2x3", "none", "labels"), 0).err().unwrap();
     assert!(matches!(none, SimError::NoEnvironments));
 }
@@ -161,7 +161,7 @@ fn poses_and_shapes_cover_every_link() {
     assert_eq!(pose.joints.len(), 6);
     assert_eq!(pose.links[0].name, "torso");
     assert!((pose.links[0].position[2] - 0.7).abs() < 1e-6);
-    let shapes = sim::shapes("halfcheetah-2x3").unwrap();
+    let shapes = sim::Robot::of_task("halfcheetah-2x3").unwrap().shapes();
     assert_eq!(shapes.len(), 8);
     assert!(shapes.iter().all(|shape| pose.links.iter().any(|link| link.name == shape.link)));
 }

@@ -10,6 +10,7 @@ use crate::process::output;
 
 /// Writes the file and prints its contents. Ends with status 3 if part of a reward log is damaged.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
+    output::check_file("--out", &arguments.out)?;
     let index = index(&arguments.logs)?;
     let joined = in_file(&arguments.out, join(&index, &arguments.out))?;
     let [episodes, shares, steps] =

@@ -11,6 +11,7 @@ use crate::process::output;
 /// Ends with status 3 and a list of losses if data was lost.
 pub(super) fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let RecoverArguments { file, out } = arguments;
+    output::check_file("--out", out)?;
     let bytes = in_file(file, read_bytes(file))?;
     let recovered = in_file(out, recover(&bytes, out))?;
     let (messages, shown) = (thousands(recovered.messages), out.display());

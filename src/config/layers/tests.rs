@@ -48,17 +48,21 @@ fn the_algorithm_file_sets_the_three_weights_of_a_variant() {
 }
 
 #[test]
-fn an_environment_from_outside_is_shown_as_it_is_where_the_simulator_alone_could_scale_it() {
-    let norm = |settings: &[&str]| {
-        resolve(&request(settings)).unwrap().entries["observation.norm"].clone()
+fn an_environment_from_outside_has_its_own_defaults_below_those_of_tasks_presets_and_algorithms() {
+    let per_slot = |settings: &[&str]| {
+        let resolved = resolve(&request(settings)).unwrap();
+        resolved.entries["environments.per_slot"].clone()
     };
     let url = "environment_service.url=http://localhost:7";
-    let shown = Entry { value: Scalar::Text("none".into()), origin: "configs/outside.toml".into() };
-    for asked in ["preset=harl", "algorithm=maddpg"] {
-        assert_eq!(norm(&[url, asked]), shown);
-        assert_eq!(norm(&[asked]).value, Scalar::Text("feature_z".into()));
+    let outside = Entry { value: Scalar::Integer(10), origin: "configs/outside.toml".into() };
+    assert_eq!(per_slot(&[url]), outside);
+    assert_eq!(per_slot(&[url, "preset=harl"]), outside);
+    assert_eq!(per_slot(&[]).value, Scalar::Integer(2));
+    for other in ["preset=paper", "algorithm=maddpg", "environments.per_slot=1"] {
+        assert_eq!(per_slot(&[url, other]).value, Scalar::Integer(1));
     }
-    assert_eq!(norm(&[url]).value, Scalar::Text("running".into()));
+    let scaled = resolve(&request(&[url, "preset=harl"])).unwrap();
+    assert_eq!(scaled.text("observation.norm"), "feature_z");
 }
 
 #[test]

@@ -27,6 +27,13 @@ def command(*arguments) -> list[str]:
     return [str(binary), *map(str, arguments)]
 
 
+def s2mia_run(*arguments) -> str:
+    """What the binary prints; fails with its last words if it fails."""
+    done = subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, f"s2mia {arguments}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
 def hashes(folder: pathlib.Path) -> dict[str, str]:
     told = subprocess.run(command("inspect", folder, "--json"), check=True, capture_output=True, text=True)
     found = json.loads(told.stdout)

@@ -1,11 +1,13 @@
 """Small environments as their authors would write them, for programs that offer them."""
 
+import os
+
 import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from s2mia_environment import Environment
 from s2mia_environment.parallel import features
-from s2mia_client import wire
+from s2mia import wire
 
 STEPS = 50
 
@@ -87,3 +89,29 @@ class Liar(Environment):
     def observe(self):
         observation, state = self.shown
         return state, [observation, observation]
+
+
+class Fragile(Environment):
+    """Shows the number of its process. An action of 1 raises an error, and an action of 2 ends the process."""
+
+    def __init__(self) -> None:
+        agent = wire.AgentSpec(
+            name="a", observation=features("a", 1), action=wire.ActionSpec(size=1, low=0.0, high=2.0)
+        )
+        self.spec = wire.EnvironmentSpec(
+            task="fragile", agents=[agent, agent], state=features("state", 1), dt_secs=0.1, episode_steps=10
+        )
+
+    def reset(self, seed: bytes) -> None:
+        pass
+
+    def step(self, actions):
+        if actions[0][0] == 1.0:
+            raise ValueError("broken by its action")
+        if actions[0][0] == 2.0:
+            os._exit(3)
+        return 0.0, False, False
+
+    def observe(self):
+        shown = np.array([os.getpid()], np.float32)
+        return shown, [shown, shown]

@@ -5,8 +5,8 @@ import subprocess
 
 import numpy as np
 from conftest import MANY, SMALL, command
-from s2mia_client import Learner, act_for, wire
-from s2mia_client.cue import Cue
+from s2mia import Learner, act_for, wire
+from s2mia.cue import Cue
 
 # Both agents guess: one step of nine is paid, of fifty.
 GUESSING = 50 / 9

@@ -9,7 +9,7 @@ import pytest
 from conftest import FEW, SMALL, command, hashes
 from google.protobuf.descriptor_pool import Default, DescriptorPool
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
-from s2mia_client import Learner, wire
+from s2mia import Learner, wire
 
 CALL = {"timeout": 20}
 

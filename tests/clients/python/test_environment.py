@@ -1,17 +1,21 @@
 """Environments of other authors, offered over gRPC by `s2mia_environment`, and policies that learn in them."""
 
 import json
+import os
+import pathlib
+import queue
 import subprocess
+import sys
 import threading
 import time
 
 import grpc
 import numpy as np
 import pytest
-from conftest import SMALL, command
+from conftest import CLIENTS, SMALL, command
 from games import STEPS, Follow, Push
 from gymnasium import spaces
-from s2mia_client import wire
+from s2mia import wire
 from s2mia_environment import Parallel
 
 # Both agents guess: one step of nine is paid.
@@ -101,6 +105,63 @@ def test_a_stream_too_many_is_refused_until_another_ends(offer):
         over.set()
         assert list(answers) == []
         assert eventually(lambda: next(service.Play(iter([start])))).WhichOneof("answer") == "view"
+
+
+class Stream:
+    """A stream of requests to environment 0."""
+
+    def __init__(self, service) -> None:
+        self.requests = queue.SimpleQueue()
+        self.answers = service.Play(iter(self.requests.get, None))
+
+    def ask(self, request):
+        self.requests.put(request)
+        return next(self.answers)
+
+    def process(self) -> int:
+        """Process of a `Fragile` environment."""
+        start = wire.ResetEnvironment(environment=0, seed=bytes(32))
+        return int(wire.array(self.ask(wire.PlayRequest(reset=start)).view.state)[0, 0])
+
+    def act(self, action: float):
+        rows = wire.tensor(np.full((1, 1), action, np.float32))
+        return self.ask(wire.PlayRequest(step=wire.StepEnvironments(environments=[0], actions=[rows, rows])))
+
+    def refusal(self, action: float) -> tuple[grpc.StatusCode, str]:
+        with pytest.raises(grpc.RpcError) as refused:
+            self.act(action)
+        return refused.value.code(), refused.value.details()
+
+
+def test_streams_are_spread_over_workers_and_a_worker_that_ends_is_replaced(offer):
+    url = offer("games:Fragile", "--workers", "2")
+    with grpc.insecure_channel(url.removeprefix("http://")) as channel:
+        service = wire.EnvironmentServiceStub(channel)
+        streams = [Stream(service) for _ in range(3)]
+        processes = [stream.process() for stream in streams]
+        assert len(set(processes)) == 2
+        (alone,) = (stream for stream, process in zip(streams, processes) if processes.count(process) == 1)
+        lost, kept = (stream for stream in streams if stream is not alone)
+        assert lost.refusal(1.0) == (grpc.StatusCode.INVALID_ARGUMENT, "ValueError: broken by its action")
+        code, why = alone.refusal(2.0)
+        assert (code, why) == (
+            grpc.StatusCode.UNAVAILABLE,
+            "a worker process ended with exit code 3; its environments are lost",
+        )
+        assert kept.act(0.0).steps.view.state.data
+        again = [Stream(service).process() for _ in range(2)]
+        assert len({*again} - {*processes}) == 1
+
+
+def test_environments_that_cannot_be_made_end_the_server_with_one_line():
+    places = {**os.environ, "PYTHONPATH": os.pathsep.join([str(CLIENTS), str(pathlib.Path(__file__).parent)])}
+    for workers in ("1", "2"):
+        arguments = [sys.executable, "-m", "s2mia_environment", "--listen", "127.0.0.1:0", "--workers", workers]
+        arguments += ["games:Push", "low=1"]
+        done = subprocess.run(arguments, capture_output=True, text=True, env=places, check=False)
+        assert (done.returncode, done.stdout) == (1, "")
+        (line,) = done.stderr.splitlines()
+        assert line.startswith("s2mia_environment: cannot make games:Push: "), line
 
 
 def test_choices_are_numbered_as_the_environment_does_and_observations_lie_flat():

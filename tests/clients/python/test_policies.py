@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from conftest import refusal
-from s2mia_client import Policy, Team, wire
-from s2mia_client.cue import Cue
+from s2mia import Policy, Team, wire
+from s2mia.cue import Cue
 
 # Both agents guess: one step of nine is paid, of fifty.
 GUESSING = 50 / 9

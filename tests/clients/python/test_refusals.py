@@ -7,9 +7,9 @@ import subprocess
 
 import numpy as np
 from conftest import FEW, ROOT, command, hashes, refusal
-from s2mia_client import Learner, Policy, wire
-from s2mia_client.actor import Slot
-from s2mia_client.cue import Cue
+from s2mia import Learner, Policy, wire
+from s2mia.actor import Slot
+from s2mia.cue import Cue
 
 NAN = np.float32("nan")
 
@@ -135,7 +135,14 @@ def no_message(attacker: Attacker) -> None:
 
 CALLS = {
     "another protocol": ("OTHER_PROTOCOL", lambda a: register(a, protocol_version=99)),
-    "another program": ("OTHER_FINGERPRINT", lambda a: register(a, rollout_fingerprint=bytes(32))),
+    "another build": (
+        "OTHER_BUILD",
+        lambda a: register(a, rollout_fingerprint=a.learner.run.rollout_fingerprint, build="0.0.1"),
+    ),
+    "another program": (
+        "OTHER_FINGERPRINT",
+        lambda a: register(a, rollout_fingerprint=bytes(32), build=a.learner.run.build),
+    ),
     "another robot": ("OTHER_ENVIRONMENT", other_robot),
     "weights that nobody has": ("UNKNOWN_WEIGHTS", ghostly_weights),
     "an actor that nobody knows": ("UNKNOWN_ACTOR", a_stranger),

@@ -1,12 +1,13 @@
 //! Tests of truncated, corrupted and foreign files.
 
+use std::collections::BTreeMap;
 use std::io::Cursor;
 
 use mcap::records::Record;
 use serde_json::json;
 
 use super::slot_log;
-use crate::recording::sink::Sink as _;
+use crate::recording::sink::{Schema, Sink as _};
 use crate::recording::writer::McapFile;
 use crate::trajectory_log::recover::{Loss, copy};
 use crate::trajectory_log::source::read_bytes;
@@ -19,7 +20,11 @@ type Message = (u16, u32, Vec<u8>);
 fn small_file() -> Vec<u8> {
     let mut file = McapFile::in_chunks_of(200, Cursor::new(Vec::new())).unwrap();
     let schema = json!({ "title": "test.Number", "type": "object" });
-    let mut channels = ["/one", "/two"].map(|topic| file.json_channel(topic, &schema).unwrap());
+    let data = schema.to_string().into_bytes();
+    let schema =
+        Schema { name: "test.Number", encoding: "jsonschema", data: &data, messages: "json" };
+    let mut channels =
+        ["/one", "/two"].map(|topic| file.channel(topic, &schema, &BTreeMap::new()).unwrap());
     file.attach("note.txt", "text/plain", b"a note").unwrap();
     for number in 0..16_u32 {
         let text = json!({ "number": number, "filler": "x".repeat(20) }).to_string();

@@ -78,6 +78,7 @@ impl Exchange {
         let first = RunLine::without_figures(status.run_id, iteration, env_steps);
         let end = match summary {
             Some(ended) if !ended.stopped_early => RunEnd::Finished,
+            _ if self.orders.is_stopped() => RunEnd::StoppedByClient,
             _ => RunEnd::Stopped,
         };
         self.snapshot.send_modify(|snapshot| Arc::make_mut(snapshot).end(end, first));

@@ -23,8 +23,8 @@ impl Exchange {
     /// it, so it belongs on a thread that may block.
     ///
     /// # Errors
-    /// Refuses what [`crate::slots::SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights do not
-    /// explain.
+    /// Refuses what [`crate::slots::SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights
+    /// do not explain.
     pub fn accept_chunk(
         &self,
         sender: ConnectionId,

@@ -83,21 +83,20 @@ impl Audits {
         work: &RolloutWork,
         weights: WeightsName,
         lease: LeaseId,
-        result: (Owner, Vec<Digest>),
+        owner: Owner,
+        digests: &[Digest],
     ) -> bool {
         if !self.plan.covers(work.iteration, work.slot) {
             return false;
         }
         if self.open.len() == MOST_OPEN {
             let waiting = self.open.iter().position(|audit| audit.holder.is_none());
+            self.counts.skipped += 1;
             if waiting.and_then(|at| self.open.remove(at)).is_none() {
-                self.counts.skipped += 1;
                 return false;
             }
-            self.counts.skipped += 1;
         }
-        let (owner, digests) = result;
-        let work = work.clone();
+        let (work, digests) = (work.clone(), digests.to_vec());
         self.open.push_back(Audit { work, weights, owner, lease, digests, holder: None });
         true
     }

@@ -130,7 +130,8 @@ impl OpenIteration {
         Some(self.issue(index))
     }
 
-    /// The slot that was leased first and has been held since `since` or longer, by one lease that `may_back_up`, whose second lease begins `now`.
+    /// Leases to `id` the slot that has been held longest, at least since `since`, by one lease that `may_back_up`. This
+    /// second lease begins `now`.
     pub(super) fn claim_backup(
         &mut self,
         id: LeaseId,
@@ -167,10 +168,7 @@ impl OpenIteration {
 
     /// Begin of the slots that are held by one lease.
     pub(super) fn held_since(&self) -> impl Iterator<Item = Duration> {
-        self.slots.iter().filter_map(|slot| match &slot.state {
-            SlotState::Held(leases) if leases.len() < MOST_LEASES => Some(leases[0].since),
-            _ => None,
-        })
+        self.held().filter(|leases| leases.len() < MOST_LEASES).map(|leases| leases[0].since)
     }
 
     /// The slot at this index.

@@ -24,9 +24,7 @@ pub(super) enum Claim {
     Slot(usize),
     /// A slot of this or an earlier iteration, computed again to compare the digests.
     Audit {
-        /// The slot's iteration.
-        iteration: u64,
-        /// The slot's index.
+        /// The slot's number.
         slot: u32,
     },
     /// An evaluation episode.
@@ -98,7 +96,7 @@ impl OpenLease {
             actor: self.owner.actor,
             work: match self.claim {
                 Claim::Slot(index) => LeasedWork::Slot(index as u32),
-                Claim::Audit { slot, .. } => LeasedWork::Slot(slot),
+                Claim::Audit { slot } => LeasedWork::Slot(slot),
                 Claim::Episode(work) => LeasedWork::Episode(work.episode),
             },
             chunks: self.digests.len() as u32,

@@ -127,14 +127,14 @@ impl SlotTable {
             }
         }
         let (owner, secs) = (lease.owner, self.now.saturating_sub(lease.begun));
-        let digests = lease.digests.clone();
         match open.complete(index, id, lease) {
             Completion::Accepted => {
                 self.typical.add(secs);
-                if owner.trust == Trust::Exact
-                    && self.actors.can_audit()
-                    && self.audits.consider(open.work(index), open.weights, id, (owner, digests))
-                {
+                let audited = owner.trust == Trust::Exact && self.actors.can_audit();
+                let digests = self.finished.digests(id).filter(|_| audited);
+                if digests.is_some_and(|digests| {
+                    self.audits.consider(open.work(index), open.weights, id, owner, digests)
+                }) {
                     self.effects.push(Effect::WorkFreed);
                 }
                 let rollouts = open.take_if_complete();

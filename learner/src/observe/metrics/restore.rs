@@ -1,13 +1,12 @@
 //! Lines that `metrics.jsonl` has lost, taken from the tables beside it before these are made again.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde_json::Value;
 
 use super::TABLES;
 use crate::durable::FileError;
-use crate::json_lines::{JsonLines, gaps};
+use crate::json_lines::{self, JsonLines, gaps, iterations};
 
 /// Adds the lines up to `iteration` that only the tables have to `kept` and to the file, and reports what is lost.
 ///
@@ -35,7 +34,7 @@ pub(super) fn restore(
             restored.len()
         );
         kept.extend(restored.iter().map(|row| row.value.clone()));
-        kept.sort_by_key(|line| (line["iteration"].as_u64(), line["kind"] == "evaluation"));
+        kept.sort_by_key(json_lines::place);
         lines.insert(restored.into_iter().map(|row| row.line).collect())?;
     }
     let lost = gaps(kept, "iteration", iteration);
@@ -50,11 +49,6 @@ pub(super) fn restore(
 struct Row {
     line: String,
     value: Value,
-}
-
-fn iterations(lines: &[Value], kind: &str) -> BTreeSet<u64> {
-    let of_kind = lines.iter().filter(|line| line["kind"] == kind);
-    of_kind.filter_map(|line| line["iteration"].as_u64()).collect()
 }
 
 /// The rows of a table; rows of another length than the header's are left out.
@@ -83,6 +77,8 @@ fn rows(text: &str, kind: &str) -> Vec<Row> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
     use crate::config::MetricsConfig;
     use crate::metrics::{METRICS_FILE, Metrics};

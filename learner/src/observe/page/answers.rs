@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-use super::RunView;
+use super::{Overlay, RunView};
 use crate::exchange::status_json;
+use crate::metrics::Curves;
 
 /// Constants of the run.
 pub(super) fn run(view: &RunView) -> Value {
@@ -35,12 +36,30 @@ pub(super) fn status(view: &RunView) -> Value {
 /// All curves since the start of the run: environment steps and figures, as arrays of equal length.
 pub(super) fn curves(view: &RunView) -> Value {
     let curves = view.curves().clone();
+    json!({"lines": curves.lines(), "curves": arrays(&curves)})
+}
+
+/// The names of several runs.
+pub(super) fn runs(overlay: &Overlay) -> Value {
+    let names: Vec<_> = overlay.runs.iter().map(|(name, _)| name).collect();
+    json!({"version": overlay.version, "runs": names})
+}
+
+/// All curves of several runs.
+pub(super) fn curves_of_runs(overlay: &Overlay) -> Value {
+    let runs = overlay.runs.iter();
+    let runs: Vec<_> =
+        runs.map(|(name, curves)| json!({"name": name, "curves": arrays(curves)})).collect();
+    json!({"version": overlay.version, "runs": runs})
+}
+
+fn arrays(curves: &Curves) -> Map<String, Value> {
     let all = curves.iter().map(|(name, curve)| {
         let (steps, figures): (Vec<u64>, Vec<f64>) =
             curve.points().map(|(steps, figure)| (steps, short(figure))).unzip();
         (name.to_owned(), json!([steps, figures]))
     });
-    json!({"lines": curves.lines(), "curves": all.collect::<Map<_, _>>()})
+    all.collect()
 }
 
 /// The figure in single precision. More digits would not be visible and would double the size of the response.

@@ -33,6 +33,7 @@ pub(super) fn text(view: &RunView) -> String {
     metrics.intake(&run);
     metrics.checkpoints(facts, &run);
     metrics.faults(&run);
+    metrics.certificates(view);
     let mut process = MetricSet(Registry::with_prefix("process"));
     process.memory();
     let mut text = String::new();
@@ -146,6 +147,15 @@ impl MetricSet {
         self.counter("env_faults", help, run.environment_faults);
         let help = "Updates skipped because returns were not finite";
         self.counter("nonfinite_updates", help, run.updates_skipped);
+    }
+
+    /// Ends of validity; none without TLS.
+    fn certificates(&mut self, view: &RunView) {
+        let Some(tls) = &view.certificates else { return };
+        let ends = [("learner", tls.expires()), ("clients", tls.clients_expire())];
+        let ends = ends.into_iter().filter_map(|(of, at)| Some((of, at? as f64)));
+        let help = "When the certificate of the learner, and the first one of its connected clients, expires";
+        self.gauges("certificate_expiry_timestamp_seconds", help, "of", ends);
     }
 
     fn memory(&mut self) {

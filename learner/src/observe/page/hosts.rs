@@ -1,7 +1,7 @@
 //! Accepted host names of the page. With DNS rebinding, a website could point its own name at this machine and read the
 //! responses; browsers send that name in the header `Host`.
 
-use std::net::IpAddr;
+use security::addresses;
 
 /// Loopback names and the hosts that the user allows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -18,8 +18,7 @@ impl Hosts {
     #[must_use]
     pub fn allow(&self, host: &str) -> bool {
         let name = bare(host).to_ascii_lowercase();
-        let loopback = name.parse().is_ok_and(|address: IpAddr| address.is_loopback());
-        name == "localhost" || loopback || self.0.contains(&name)
+        addresses::is_loopback(&name) || self.0.contains(&name)
     }
 }
 

@@ -1,7 +1,9 @@
-//! The page's HTTP server: read-only, one request per connection, and a timeout of seconds.
+//! The page's HTTP server: read-only, one request per connection, and a timeout of seconds. With TLS it answers only
+//! clients with the role viewer.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::body::Body;
@@ -19,13 +21,17 @@ use base64::engine::general_purpose::STANDARD;
 use hyper::server::conn::http1;
 use hyper_util::rt::TokioIo;
 use hyper_util::service::TowerToHyperService;
+use security::{Role, ServerTls, Standing};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
+use tokio_rustls::TlsAcceptor;
 
-use super::{Hosts, Page, RunView, answers, exposition};
+use super::{Hosts, Overlay, Page, RunView, answers, exposition};
+use crate::accepting::Accepting;
 
 /// The page with its script and style.
 const PAGE: &str = include_str!("page.html");
@@ -36,73 +42,112 @@ const MOST_CONNECTIONS: usize = 32;
 const TIMEOUT: Duration = Duration::from_secs(5);
 /// Most bytes of a request without its body; bodies are never read.
 const MOST_HEADER_BYTES: usize = 16 << 10;
-/// Pause after a failed accept, for example because the process is out of file descriptors.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 const EMBEDDING: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
-/// State shared by all connections.
+/// What every request is checked against, and the policy that every response has.
 #[derive(Debug)]
-struct Site {
-    view: Arc<RunView>,
+struct Rules {
     hosts: Hosts,
     policy: HeaderValue,
 }
 
 /// Serves `view` on `page` until dropped.
 pub(crate) async fn serve(page: Page, view: Arc<RunView>) {
-    let site = Site { view, hosts: page.hosts, policy: content_policy(PAGE) };
-    accept(&page.listener, &routes(Arc::new(site))).await;
+    accept(page.listener, page.tls, &checked(run_routes(view), page.hosts)).await;
 }
 
-fn routes(site: Arc<Site>) -> Router {
+/// Serves the curves of several runs on `page` until dropped. `look` returns what stands in their folders now; it runs
+/// on a blocking thread.
+pub async fn serve_overlay(page: Page, look: impl Fn() -> Overlay + Send + Sync + 'static) {
+    accept(page.listener, page.tls, &checked(overlay_routes(Arc::new(look)), page.hosts)).await;
+}
+
+fn run_routes(view: Arc<RunView>) -> Router {
     Router::new()
-        .route("/", get(async || ([(CONTENT_TYPE, "text/html; charset=utf-8")], PAGE)))
-        .route("/api/run", get(async |State(site): Shared| json(site, answers::run).await))
-        .route("/api/status", get(async |State(site): Shared| json(site, answers::status).await))
-        .route("/api/curves", get(async |State(site): Shared| json(site, answers::curves).await))
-        .route("/api/film", get(async |State(site): Shared| json(site, answers::film).await))
-        .route("/metrics", get(async |State(site): Shared| metrics(site).await))
-        .layer(middleware::from_fn_with_state(Arc::clone(&site), check))
-        .with_state(site)
+        .route("/", get(async || html(PAGE.to_owned())))
+        .route("/api/run", get(async |State(view): Shared| json(view, answers::run).await))
+        .route("/api/status", get(async |State(view): Shared| json(view, answers::status).await))
+        .route("/api/curves", get(async |State(view): Shared| json(view, answers::curves).await))
+        .route("/api/film", get(async |State(view): Shared| json(view, answers::film).await))
+        .route("/metrics", get(async |State(view): Shared| metrics(view).await))
+        .with_state(view)
 }
 
-type Shared = State<Arc<Site>>;
+fn overlay_routes(look: Arc<dyn Fn() -> Overlay + Send + Sync>) -> Router {
+    let (again, all) = (Arc::clone(&look), look);
+    let page = PAGE.replacen("<html ", "<html data-view=\"runs\" ", 1);
+    Router::new()
+        .route("/", get(async move || html(page)))
+        .route("/api/runs", get(async move || overlay(again, answers::runs).await))
+        .route("/api/curves", get(async move || overlay(all, answers::curves_of_runs).await))
+}
 
-async fn accept(listener: &TcpListener, routes: &Router) {
+fn html(page: String) -> impl IntoResponse {
+    ([(CONTENT_TYPE, "text/html; charset=utf-8")], page)
+}
+
+fn checked(routes: Router, hosts: Hosts) -> Router {
+    let rules = Arc::new(Rules { hosts, policy: content_policy(PAGE) });
+    routes.layer(middleware::from_fn_with_state(rules, check))
+}
+
+type Shared = State<Arc<RunView>>;
+
+async fn accept(listener: TcpListener, tls: Option<Arc<ServerTls>>, routes: &Router) {
     let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let mut accepting = Accepting::new(listener, "page");
     let mut open = JoinSet::new();
     while let Ok(permit) = Arc::clone(&room).acquire_owned().await {
-        match listener.accept().await {
-            Ok((stream, _)) => {
-                let answered = answer(stream, routes.clone());
-                open.spawn(async move {
-                    answered.await;
-                    drop(permit);
-                });
-            }
-            Err(error) => {
-                tracing::warn!("the page cannot accept a connection: {error}");
-                tokio::time::sleep(ACCEPT_PAUSE).await;
-            }
-        }
+        let (stream, peer) = accepting.next().await;
+        let (tls, routes) = (tls.clone(), routes.clone());
+        open.spawn(async move {
+            let answered = async {
+                match tls {
+                    None => answer(stream, routes).await,
+                    Some(tls) => answer_over_tls(stream, peer, tls, routes).await,
+                }
+            };
+            // A client that is too slow gets no answer.
+            let _result = tokio::time::timeout(TIMEOUT, answered).await;
+            drop(permit);
+        });
         while open.try_join_next().is_some() {}
     }
 }
 
-/// Serves one request, or none if it does not arrive in time.
-async fn answer(stream: TcpStream, routes: Router) {
+/// Serves one request.
+async fn answer(stream: impl AsyncRead + AsyncWrite + Unpin, routes: Router) {
     let mut server = http1::Builder::new();
     server.keep_alive(false).max_buf_size(MOST_HEADER_BYTES);
     let served = server.serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes));
-    // Errors concern only this client, which disconnected or was too slow.
-    let _result = tokio::time::timeout(TIMEOUT, served).await;
+    // Errors concern only this client, which disconnected.
+    let _result = served.await;
+}
+
+/// Performs the handshake, then serves one request of a client that is a viewer; others get the reason.
+async fn answer_over_tls(stream: TcpStream, peer: SocketAddr, tls: Arc<ServerTls>, routes: Router) {
+    let config = tokio::task::spawn_blocking(move || tls.page_config(Instant::now())).await;
+    let Ok(config) = config else { return };
+    match TlsAcceptor::from(config).accept(stream).await {
+        Ok(stream) => {
+            let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
+            match standing.demand(Role::Viewer) {
+                Ok(()) => answer(stream, routes).await,
+                Err(denied) => {
+                    let refusal = (StatusCode::FORBIDDEN, format!("{denied}\n"));
+                    answer(stream, Router::new().fallback(refusal)).await;
+                }
+            }
+        }
+        Err(error) => tracing::warn!(%peer, "page: connection rejected: {error}"),
+    }
 }
 
 /// Rejects other hosts and methods, and sets the security headers.
-async fn check(State(site): Shared, request: Request, next: Next) -> Response {
+async fn check(State(rules): State<Arc<Rules>>, request: Request, next: Next) -> Response {
     let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    let mut response = if !site.hosts.allow(host) {
+    let mut response = if !rules.hosts.allow(host) {
         let why = "this host name is not allowed; add it with --page-host\n";
         (StatusCode::FORBIDDEN, why).into_response()
     } else if ![Method::GET, Method::HEAD].contains(request.method()) {
@@ -111,7 +156,7 @@ async fn check(State(site): Shared, request: Request, next: Next) -> Response {
         next.run(request).await
     };
     let headers = response.headers_mut();
-    headers.insert(CONTENT_SECURITY_POLICY, site.policy.clone());
+    headers.insert(CONTENT_SECURITY_POLICY, rules.policy.clone());
     for (name, value) in [
         (CACHE_CONTROL, "no-store"),
         (EMBEDDING, "same-origin"),
@@ -123,12 +168,19 @@ async fn check(State(site): Shared, request: Request, next: Next) -> Response {
     response
 }
 
-async fn json(site: Arc<Site>, answer: fn(&RunView) -> Value) -> Response<Body> {
-    written("application/json", move || answer(&site.view).to_string()).await
+async fn json(view: Arc<RunView>, answer: fn(&RunView) -> Value) -> Response<Body> {
+    written("application/json", move || answer(&view).to_string()).await
 }
 
-async fn metrics(site: Arc<Site>) -> Response<Body> {
-    written(exposition::CONTENT_TYPE, move || exposition::text(&site.view)).await
+async fn overlay(
+    look: Arc<dyn Fn() -> Overlay + Send + Sync>,
+    answer: fn(&Overlay) -> Value,
+) -> Response<Body> {
+    written("application/json", move || answer(&look()).to_string()).await
+}
+
+async fn metrics(view: Arc<RunView>) -> Response<Body> {
+    written(exposition::CONTENT_TYPE, move || exposition::text(&view)).await
 }
 
 /// Responds with the text that `write` produces. It runs on a blocking thread, because actors need the network threads.

@@ -18,8 +18,8 @@ use tower::util::MapRequestLayer;
 const MOST_REQUEST_BYTES: usize = 256 << 10;
 /// Budget of unprocessed result bytes, over all streams.
 const MOST_IN_FLIGHT_BYTES: usize = 512 << 20;
-/// Calls with streamed requests.
-const STREAMS: [&str; 3] = ["/PushTrajectory", "/Act", "/ServerReflectionInfo"];
+/// Other calls with streamed requests.
+const STREAMS: [&str; 2] = ["/Act", "/ServerReflectionInfo"];
 /// The call whose messages are large.
 const RESULTS: &str = "/PushTrajectory";
 

@@ -9,7 +9,7 @@ use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use proto::Refusal;
-use security::{Role, Standing};
+use security::{ClientExpiry, Role, Standing};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::sync::{Semaphore, mpsc, oneshot};
@@ -19,10 +19,12 @@ use tonic::{Request, Status};
 
 use super::handshake::{Accepted, ByteStream, accept_handshake};
 use super::per_address::{self, PerAddressLimit};
-use super::registry::{self, Admission, Registry};
+use super::registry::{Admission, Registry};
+use crate::accepting::Accepting;
 use crate::exchange::Caller;
 use crate::listener::{Authentication, Listener};
 use crate::slots::ConnectionId;
+use crate::token::RequiredToken;
 
 /// Most concurrent result streams of one connection. An actor works on at most two leases at a time.
 const MOST_PUSHES: usize = 2;
@@ -30,8 +32,6 @@ const MOST_PUSHES: usize = 2;
 const MOST_OF_ONE_ADDRESS: usize = 512;
 /// Time between two warnings that connections are closed for new ones.
 const WARNING_PAUSE: Duration = Duration::from_secs(10);
-/// Pause after a failed accept, for example because the process is out of file descriptors.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 /// The peer of a connection.
 #[derive(Clone, Debug)]
@@ -39,6 +39,7 @@ pub(super) struct Peer {
     connection: ConnectionId,
     address: SocketAddr,
     standing: Standing,
+    token: Option<Arc<RequiredToken>>,
     registry: Arc<Registry>,
     pushes: Arc<Semaphore>,
 }
@@ -46,16 +47,10 @@ pub(super) struct Peer {
 /// Marks the request's connection as one with an actor.
 ///
 /// # Errors
-/// Too many connections have actors.
+/// Too many connections have actors, or the connection has closed.
 pub(super) fn note_actor<T>(request: &Request<T>) -> Result<(), Refusal> {
     let peer: Option<&Peer> = request.extensions().get();
     peer.map_or(Ok(()), |peer| peer.registry.note_actor(peer.connection))
-}
-
-/// Whether the request's connection is still open.
-pub(super) fn is_open<T>(request: &Request<T>) -> bool {
-    let peer: Option<&Peer> = request.extensions().get();
-    peer.is_none_or(|peer| peer.registry.holds(peer.connection))
 }
 
 /// Permits for the result streams of the request's connection.
@@ -80,14 +75,19 @@ pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, S
     move |request| demand(&request, role).map(|()| request)
 }
 
-/// Rejects a call if its peer does not have this role.
+/// Rejects a call if its peer does not have this role, or if it lacks the token that the role needs.
 pub(super) fn demand<T>(request: &Request<T>, role: Role) -> Result<(), Status> {
     let peer: Option<&Peer> = request.extensions().get();
     // A call without a peer did not come over a socket.
     let Some(peer) = peer else { return Ok(()) };
-    peer.standing.demand(role).map_err(|denied| {
-        tracing::warn!(peer = %peer.address, "call rejected: {denied}; the connection stays open");
-        Status::permission_denied(denied.to_string())
+    let allowed = peer.standing.demand(role);
+    let allowed = allowed.map_err(|denied| Status::permission_denied(denied.to_string()));
+    let token = peer.token.as_ref();
+    let allowed =
+        allowed.and_then(|()| token.map_or(Ok(()), |token| token.demand(request.metadata(), role)));
+    allowed.inspect_err(|denied| {
+        let why = denied.message();
+        tracing::warn!(peer = %peer.address, "call rejected: {why}; the connection stays open");
     })
 }
 
@@ -106,47 +106,42 @@ pub(super) fn accept(
     tokio::spawn(async move {
         let registry = Registry::new(most_with_actors);
         let limit = PerAddressLimit::new(MOST_OF_ONE_ADDRESS);
+        let mut accepting = Accepting::new(listener.listener, "actors and clients");
         let (mut last, mut quiet_until) = (0, Instant::now());
         loop {
-            let accepted = tokio::select! {
+            let (io, address) = tokio::select! {
                 () = sender.closed() => return,
-                accepted = listener.listener.accept() => accepted,
+                accepted = accepting.next() => accepted,
             };
-            match accepted.and_then(|(io, address)| io.set_nodelay(true).map(|()| (io, address))) {
-                Ok((io, address)) => {
-                    let Some(permit) = limit.acquire(address.ip()) else {
-                        let most = MOST_OF_ONE_ADDRESS;
-                        tracing::warn!(peer = %address, "connection closed: its address already has {most} \
-                             connections");
-                        continue;
-                    };
-                    last += 1;
-                    let id = ConnectionId(last);
-                    let on_close = Arc::clone(&on_close);
-                    let Admission { permit: registered, closed, evicted } = registry.admit(id);
-                    if evicted.is_some() && quiet_until <= Instant::now() {
-                        quiet_until = Instant::now() + WARNING_PAUSE;
-                        tracing::warn!(peer = %address, "too many connections without an actor; the oldest is \
-                             closed to admit a new one");
-                    }
-                    let permits = (permit, registered);
-                    let open = Open {
-                        id,
-                        on_close,
-                        closed,
-                        must_close: false,
-                        registry: Arc::clone(&registry),
-                        _permits: permits,
-                    };
-                    // A separate task, so that a slow handshake does not delay other connections.
-                    let authentication = listener.authentication.clone();
-                    tokio::spawn(admit(io, address, authentication, open, sender.clone()));
-                }
-                Err(error) => {
-                    tracing::warn!("cannot accept a connection: {error}; retrying");
-                    tokio::time::sleep(ACCEPT_PAUSE).await;
-                }
+            if io.set_nodelay(true).is_err() {
+                // The peer has closed it already.
+                continue;
             }
+            let Some(permit) = limit.acquire(address.ip()) else {
+                let most = MOST_OF_ONE_ADDRESS;
+                tracing::warn!(peer = %address, "connection closed: its address already has {most} connections");
+                continue;
+            };
+            last += 1;
+            let id = ConnectionId(last);
+            let on_close = Arc::clone(&on_close);
+            let Admission { closed, evicted } = registry.admit(id);
+            if evicted.is_some() && quiet_until <= Instant::now() {
+                quiet_until = Instant::now() + WARNING_PAUSE;
+                tracing::warn!(peer = %address, "too many connections without an actor; the oldest is closed to \
+                     admit a new one");
+            }
+            let open = Open {
+                id,
+                on_close,
+                closed,
+                must_close: false,
+                registry: Arc::clone(&registry),
+                _permit: permit,
+            };
+            // A separate task, so that a slow handshake does not delay other connections.
+            let required = (listener.authentication.clone(), listener.token.clone());
+            tokio::spawn(admit(io, address, required, open, sender.clone()));
         }
     });
     ReceiverStream::new(stream)
@@ -156,7 +151,7 @@ pub(super) fn accept(
 async fn admit(
     io: TcpStream,
     address: SocketAddr,
-    authentication: Authentication,
+    (authentication, token): (Authentication, Option<Arc<RequiredToken>>),
     mut open: Open,
     server: mpsc::Sender<io::Result<Connection>>,
 ) {
@@ -165,7 +160,7 @@ async fn admit(
         _ = &mut open.closed => return,
         accepted = accept_handshake(io, address, &authentication) => accepted,
     };
-    if let Some(Accepted { stream, standing }) = accepted {
+    if let Some(Accepted { stream, standing, expiry }) = accepted {
         // Sending fails if the server has ended; the connection is then dropped.
         let _sent = server
             .send(Ok(Connection {
@@ -174,10 +169,12 @@ async fn admit(
                     connection: open.id,
                     address,
                     standing,
+                    token,
                     registry: Arc::clone(&open.registry),
                     pushes: Arc::new(Semaphore::new(MOST_PUSHES)),
                 },
                 open,
+                _expiry: expiry,
             }))
             .await;
     }
@@ -188,6 +185,7 @@ pub(super) struct Connection {
     io: Box<dyn ByteStream>,
     peer: Peer,
     open: Open,
+    _expiry: Option<ClientExpiry>,
 }
 
 /// The bookkeeping of an open connection; dropping it reports the connection as closed.
@@ -198,7 +196,7 @@ struct Open {
     closed: oneshot::Receiver<()>,
     must_close: bool,
     registry: Arc<Registry>,
-    _permits: (per_address::Permit, registry::Permit),
+    _permit: per_address::Permit,
 }
 
 impl Drop for Open {

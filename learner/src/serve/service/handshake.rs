@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use security::{ServerTls, Standing};
+use security::{ClientExpiry, ServerTls, Standing};
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
@@ -40,6 +40,8 @@ impl<T: AsyncRead + AsyncWrite + Send + Unpin> ByteStream for T {}
 pub(super) struct Accepted {
     pub(super) stream: Box<dyn ByteStream>,
     pub(super) standing: Standing,
+    /// Of the client's certificate, with TLS.
+    pub(super) expiry: Option<ClientExpiry>,
 }
 
 /// Performs the handshake. Rejects the connection with a log message and, where the protocol allows it, an answer.
@@ -70,7 +72,8 @@ async fn handshake(stream: TcpStream, authentication: &Authentication) -> Result
             Err("the peer speaks TLS, but this learner serves plain text".to_owned())
         }
         (Authentication::None, ..) => {
-            Ok(Accepted { stream: after_preface(stream).await?, standing: Standing::Unasked })
+            let stream = after_preface(stream).await?;
+            Ok(Accepted { stream, standing: Standing::Unasked, expiry: None })
         }
         (Authentication::Tls(_), _, first) if first == PREFACE[0] => {
             reject(stream, &[SETTINGS.as_slice(), &GOAWAY].concat()).await;
@@ -81,13 +84,14 @@ async fn handshake(stream: TcpStream, authentication: &Authentication) -> Result
 }
 
 async fn tls_handshake(stream: TcpStream, tls: &Arc<ServerTls>) -> Result<Accepted, String> {
-    let tls = Arc::clone(tls);
-    let config = tokio::task::spawn_blocking(move || tls.config(Instant::now())).await;
+    let reading = Arc::clone(tls);
+    let config = tokio::task::spawn_blocking(move || reading.config(Instant::now())).await;
     let config = config.map_err(|panic| panic.to_string())?;
     match TlsAcceptor::from(config).accept(stream).into_fallible().await {
         Ok(stream) => {
-            let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
-            Ok(Accepted { stream: after_preface(stream).await?, standing })
+            let chain = stream.get_ref().1.peer_certificates();
+            let (standing, expiry) = (Standing::of_chain(chain), tls.count_client(chain));
+            Ok(Accepted { stream: after_preface(stream).await?, standing, expiry })
         }
         Err((error, stream)) => {
             reject(stream, &[]).await;

@@ -3,12 +3,14 @@
 use std::time::Duration;
 
 use proto::wire::control_service_client::ControlServiceClient;
-use proto::{RunLine, Status, wire};
-use security::ClientFiles;
+use proto::{Authorization, RunLine, Status, wire};
+use security::{ClientFiles, Token};
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 use tonic::{Response, Streaming};
 
 use crate::health::{self, HealthError, call_failed, connect_failed, timed_out};
+use crate::token::authorization;
 
 /// Interval of keepalive pings, so that a watcher notices an unreachable learner.
 const KEEPALIVE: Duration = Duration::from_secs(30);
@@ -18,7 +20,7 @@ const KEEPALIVE: Duration = Duration::from_secs(30);
 pub struct Operator {
     url: String,
     timeout: Duration,
-    service: ControlServiceClient<Channel>,
+    service: ControlServiceClient<InterceptedService<Channel, Authorization>>,
 }
 
 /// A checkpoint on the learner's machine.
@@ -38,13 +40,14 @@ pub struct WatchedLines {
 }
 
 impl Operator {
-    /// Connects to the learner at `url`, over TLS with `tls`. Each response may take `timeout`.
+    /// Connects to the learner at `url`, over TLS with `tls`; each call carries `token`. Each response may take `timeout`.
     ///
     /// # Errors
     /// The URL or a certificate is invalid, or the learner does not respond.
     pub async fn connect(
         url: &str,
         tls: Option<&ClientFiles>,
+        token: Option<&Token>,
         timeout: Duration,
     ) -> Result<Self, HealthError> {
         let endpoint = health::endpoint(url, tls)?
@@ -55,7 +58,8 @@ impl Operator {
         let channel = connected
             .map_err(|_| timed_out(url, timeout))?
             .map_err(|error| connect_failed(url, &error))?;
-        Ok(Self { url: url.to_owned(), timeout, service: ControlServiceClient::new(channel) })
+        let service = ControlServiceClient::with_interceptor(channel, authorization(token));
+        Ok(Self { url: url.to_owned(), timeout, service })
     }
 
     /// The status of the run.

@@ -26,16 +26,8 @@ struct Open {
     _close: oneshot::Sender<()>,
 }
 
-/// The entry of a connection in the registry, removed on drop.
-#[derive(Debug)]
-pub(super) struct Permit {
-    id: ConnectionId,
-    registry: Arc<Registry>,
-}
-
 /// An admitted connection.
 pub(super) struct Admission {
-    pub(super) permit: Permit,
     /// Completes when the connection must close.
     pub(super) closed: oneshot::Receiver<()>,
     /// The connection that was closed to admit this one.
@@ -49,7 +41,7 @@ impl Registry {
     }
 
     /// Adds a new connection.
-    pub(super) fn admit(self: &Arc<Self>, id: ConnectionId) -> Admission {
+    pub(super) fn admit(&self, id: ConnectionId) -> Admission {
         let (close, closed) = oneshot::channel();
         let mut open = self.lock();
         let mut without = open.iter().filter(|(_, open)| !open.has_actor).map(|(id, _)| *id);
@@ -58,8 +50,7 @@ impl Registry {
         let evicted = oldest.filter(|_| full);
         evicted.map(|id| open.remove(&id));
         open.insert(id, Open { has_actor: false, _close: close });
-        drop(open);
-        Admission { permit: Permit { id, registry: Arc::clone(self) }, closed, evicted }
+        Admission { closed, evicted }
     }
 
     /// Marks the connection as one with an actor.
@@ -82,11 +73,6 @@ impl Registry {
         Ok(())
     }
 
-    /// Whether the connection is open.
-    pub(super) fn holds(&self, id: ConnectionId) -> bool {
-        self.lock().contains_key(&id)
-    }
-
     /// The connection closes.
     pub(super) fn remove(&self, id: ConnectionId) {
         self.lock().remove(&id);
@@ -94,12 +80,6 @@ impl Registry {
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ConnectionId, Open>> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Drop for Permit {
-    fn drop(&mut self) {
-        self.registry.lock().remove(&self.id);
     }
 }
 
@@ -130,12 +110,12 @@ mod tests {
     #[test]
     fn actors_beyond_the_limit_are_rejected_until_one_disconnects() {
         let registry = Registry::new(1);
-        let (first, _second) = (registry.admit(ConnectionId(1)), registry.admit(ConnectionId(2)));
+        let _admitted = [1, 2].map(|id| registry.admit(ConnectionId(id)));
         registry.note_actor(ConnectionId(1)).unwrap();
         registry.note_actor(ConnectionId(1)).unwrap();
         let refusal = registry.note_actor(ConnectionId(2)).unwrap_err();
         assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::Busy, "connection"));
-        drop(first);
+        registry.remove(ConnectionId(1));
         registry.note_actor(ConnectionId(2)).unwrap();
     }
 }

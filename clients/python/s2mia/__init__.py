@@ -1,0 +1,66 @@
+"""s2mia in Python: trained policies with NumPy, tables of runs with pandas, and clients of the gRPC services.
+
+    checkpoint.py   finds and verifies the policies of a run folder
+    policies.py     acts by them: `load`
+    policy.py       the networks and distributions in a snapshot
+    tables.py       settings and metrics of runs as data frames: `runs`
+    control.py      queries and controls a learner: `Client`
+    connection.py   addresses and certificates: `Tls`
+    learner.py      connection of an actor to a learner: `Learner`
+    actor.py        computes leased work in any environment: `act_for`, and `python -m s2mia.actor`
+    cue.py          an environment: the game `cue-2x1`
+    team.py         client of served policies: `Team`
+    environment.py  server of environments: the package `s2mia_environment`
+    wire.py         the messages
+
+Modules that need gRPC or pandas are imported when a name from them is first used.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from s2mia.error import RunError
+from s2mia.policies import Policies, load
+from s2mia.policy import Policy
+
+if TYPE_CHECKING:
+    from s2mia.actor import act_for
+    from s2mia.connection import Tls
+    from s2mia.control import Client, Progress, Status
+    from s2mia.learner import Learner
+    from s2mia.tables import Runs, runs
+    from s2mia.team import Team
+
+__all__ = [
+    "Client",
+    "Learner",
+    "Policies",
+    "Policy",
+    "Progress",
+    "RunError",
+    "Runs",
+    "Status",
+    "Team",
+    "Tls",
+    "act_for",
+    "load",
+    "runs",
+]
+
+_MODULES = {
+    "Client": "control",
+    "Learner": "learner",
+    "Progress": "control",
+    "Runs": "tables",
+    "Status": "control",
+    "Team": "team",
+    "Tls": "connection",
+    "act_for": "actor",
+    "runs": "tables",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return getattr(importlib.import_module(f"s2mia.{_MODULES[name]}"), name)
+    raise AttributeError(f"module 's2mia' has no attribute {name!r}")

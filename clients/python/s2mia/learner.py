@@ -1,0 +1,178 @@
+"""The client of a learner, for actors."""
+
+import contextlib
+import hashlib
+import struct
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import grpc
+
+from s2mia import wire
+from s2mia.connection import Tls, authorization, open_channel
+
+# Limit of every message, in both directions.
+MAX_MESSAGE_BYTES = 4 * 1024 * 1024
+CALL_SECS = 10.0
+LEASE_WAIT_MILLIS = 5_000
+# Maximum number of unacknowledged results.
+MAX_UNACKNOWLEDGED = 4
+
+
+def chunk_digest(chunk: Any, rollout: Any) -> bytes:
+    """SHA-256 of a chunk of the slot `rollout`, as trajectory.proto describes it."""
+    sha = hashlib.sha256(b"s2mia.v1.TrajectoryChunk")
+
+    def blob(data: bytes) -> None:
+        sha.update(struct.pack("<Q", len(data)) + data)
+
+    environments = [start.environment for start in rollout.environments]
+    sha.update(struct.pack("<QIQ", rollout.iteration, rollout.slot, len(environments)))
+    sha.update(struct.pack(f"<{len(environments)}I", *environments))
+    sha.update(struct.pack("<3I", chunk.sequence, chunk.first_step, chunk.steps))
+    for agent in chunk.agents:
+        for tensor in (agent.observation, agent.action, agent.log_prob, agent.hidden):
+            blob(tensor.data)
+    for tensor in (chunk.state, chunk.reward, chunk.terminated, chunk.truncated):
+        blob(tensor.data)
+    finals = chunk.finals
+    sha.update(struct.pack("<Q", len(finals.steps)))
+    for step, environment in zip(finals.steps, finals.environments, strict=True):
+        sha.update(struct.pack("<2I", step, environment))
+    blob(finals.state.data)
+    for tensor in finals.observations:
+        blob(tensor.data)
+    sha.update(b"\x01" if chunk.HasField("end") else b"\x00")
+    if chunk.HasField("end"):
+        for state in chunk.end.environments:
+            blob(state)
+        for tensor in chunk.end.recurrent:
+            blob(tensor.data)
+    return sha.digest()
+
+
+def evaluation_digest(result: Any, iteration: int) -> bytes:
+    """SHA-256 of the result of an episode with the policies after `iteration`."""
+    figures = struct.pack("<QIdI", iteration, result.episode, result.extrinsic_return, result.steps)
+    return hashlib.sha256(b"s2mia.v1.EvaluationResult" + figures).digest()
+
+
+class Learner:
+    """One connection and one registration. `token` is the run's token; by default, that of S2MIA_TOKEN, if it is set."""
+
+    def __init__(
+        self,
+        address: str,
+        client: str = "s2mia-python",
+        *,
+        tls: Tls | None = None,
+        insecure_allow_remote: bool = False,
+        token: str | None = None,
+    ) -> None:
+        """Registers as an actor. `address` is `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`."""
+        self.metadata = authorization(token)
+        options = [
+            ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
+            # A registration ends with its connection, so channels must not share connections.
+            ("grpc.use_local_subchannel_pool", 1),
+        ]
+        self.channel = open_channel(address, tls, insecure_allow_remote=insecure_allow_remote, options=options)
+        self.service = wire.LearnerServiceStub(self.channel)
+        request = wire.DescribeRunRequest()
+        self.run = self._call("DescribeRun", request, wait_for_ready=True).run
+        registration = wire.RegisterRequest(
+            client=client, protocol_version=self.run.protocol_version, environment=self.run.environment
+        )
+        own = self._call("Register", registration)
+        self.actor_id, self.incarnation = own.actor_id, own.incarnation
+
+    def _call(self, name: str, request: Any, timeout: float = CALL_SECS, **options: Any) -> Any:
+        """Makes a call with the run's token."""
+        return getattr(self.service, name)(request, timeout=timeout, metadata=self.metadata, **options)
+
+    def close(self) -> None:
+        """Ends the registration and its leases."""
+        self.channel.close()
+
+    def lease(self) -> Any:
+        """Returns the next lease, or None if the run is over."""
+        request = wire.LeaseSlotsRequest(
+            actor_id=self.actor_id, incarnation=self.incarnation, wait_millis=LEASE_WAIT_MILLIS
+        )
+        while True:
+            response = self._call("LeaseSlots", request, CALL_SECS + LEASE_WAIT_MILLIS / 1000)
+            match response.WhichOneof("answer"):
+                case "lease":
+                    return response.lease
+                case "done":
+                    return None
+
+    def weights(self, name: Any) -> bytes:
+        """Returns the snapshot `name`."""
+        parts = list(self._call("GetWeights", wire.GetWeightsRequest(weights=name), 60.0))
+        snapshot = b"".join(part.data for part in parts[1:])
+        if hashlib.sha256(snapshot).digest() != name.digest:
+            raise ValueError(f"weights {name.version} do not match their digest")
+        return snapshot
+
+    def heartbeat(self, lease: Any, step: int) -> bool:
+        """Keeps a lease alive. Returns False if the lease ended."""
+        request = wire.HeartbeatRequest(
+            actor_id=self.actor_id, incarnation=self.incarnation, lease_id=lease.lease_id, slot_step=step
+        )
+        return bool(self._call("Heartbeat", request).lease_valid)
+
+    def message(self, lease: Any, content: Any) -> Any:
+        """The message with a chunk or evaluation result of a lease."""
+        message = wire.PushTrajectoryRequest(
+            lease_id=lease.lease_id, incarnation=lease.incarnation, weights=lease.weights
+        )
+        if isinstance(content, wire.TrajectoryChunk):
+            message.chunk.CopyFrom(content)
+            message.digest = chunk_digest(content, lease.rollout)
+        else:
+            message.evaluation.CopyFrom(content)
+            message.digest = evaluation_digest(content, lease.evaluation.iteration)
+        return message
+
+    def push(self, lease: Any, contents: Iterable[Any]) -> bool:
+        """Sends a lease's results as they are computed. Returns True if the learner has the complete result."""
+        free = threading.Semaphore(MAX_UNACKNOWLEDGED)
+        begun = threading.Event()
+        pushed = [0]
+
+        def messages() -> Iterator[Any]:
+            for content in contents:
+                while not free.acquire(timeout=0.5):
+                    if begun.is_set() and not call.is_active():
+                        return
+                pushed[0] += 1
+                yield self.message(lease, content)
+
+        call = self.service.PushTrajectory(messages(), metadata=self.metadata)
+        begun.set()
+        with self._heartbeats(lease, lambda: pushed[0] * self.run.chunk_steps):
+            finished = False
+            for acknowledgement in call:
+                free.release()
+                finished |= acknowledgement.lease_finished
+            return finished
+
+    @contextlib.contextmanager
+    def _heartbeats(self, lease: Any, step: Callable[[], int]) -> Iterator[None]:
+        """Sends heartbeats within the context, because environments may be slow."""
+        over = threading.Event()
+
+        def beat() -> None:
+            while not over.wait(self.run.heartbeat_secs):
+                with contextlib.suppress(grpc.RpcError):
+                    self.heartbeat(lease, min(step(), self.run.slot_steps))
+
+        thread = threading.Thread(target=beat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()

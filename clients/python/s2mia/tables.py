@@ -1,0 +1,114 @@
+"""Settings and metrics of runs as pandas data frames."""
+
+import json
+import os
+import pathlib
+import tomllib
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from s2mia.error import RunError
+
+try:
+    import pandas as pd
+except ModuleNotFoundError as missing:
+    raise ModuleNotFoundError("s2mia.runs needs pandas: pip install 's2mia[pandas]'") from missing
+
+# Settings that every table shows.
+_ALWAYS = ["task", "algorithm", "run.seed"]
+# Settings that differ between runs without a meaning for the result.
+_NEVER = ["run.dir"]
+# Fields of a run's manifest that the table shows.
+_MANIFEST = ["version", "git_commit", "foreign_actors"]
+
+
+class Runs(NamedTuple):
+    """Tables of the runs in a folder."""
+
+    table: pd.DataFrame
+    """One row per run, by its path in the folder: the settings that differ, its folder and its newest results."""
+    metrics: pd.DataFrame
+    """One row per run and iteration, with the columns of `metrics.csv` and `run`."""
+    evaluations: pd.DataFrame
+    """One row per run and evaluation, with the columns of `evaluations.csv` and `run`."""
+
+
+def runs(folder: str | os.PathLike[str]) -> Runs:
+    """Reads all runs in a folder and its sub-folders, or the one run of a run folder.
+
+    Running and stopped runs are included. Raises `RunError` if there is no run or a file is damaged.
+    """
+    root = pathlib.Path(folder)
+    if not root.is_dir():
+        raise RunError(f"{root} is no folder")
+    found = list(_run_folders(root))
+    if not found:
+        raise RunError(f"{root} holds no run: no folder in it has a config.toml and a manifest.json")
+    names = [str(path.relative_to(root)) if path != root else path.resolve().name for path in found]
+    settings = pd.DataFrame([_settings(path / "config.toml") for path in found], index=pd.Index(names, name="run"))
+    lines = [{"run": name, **line} for name, path in zip(names, found, strict=True) for line in _lines(path)]
+    metrics, evaluations = _of_kind(lines, "iteration"), _of_kind(lines, "evaluation")
+    others = [name for name in settings if name not in (*_ALWAYS, *_NEVER)]
+    shown = [*_ALWAYS, *(name for name in others if settings[name].astype(str).nunique(dropna=False) > 1)]
+    table = settings.reindex(columns=shown)
+    table["folder"] = [str(path) for path in found]
+    for source, column, name in [
+        (metrics, "iteration", "iteration"),
+        (metrics, "env_steps", "env_steps"),
+        (metrics, "episode_return", "episode_return"),
+        (evaluations, "mean", "evaluation"),
+    ]:
+        table[name] = source.groupby("run")[column].last() if column in source else None
+    manifests = [_manifest(path / "manifest.json") for path in found]
+    for name in _MANIFEST:
+        table[name] = [manifest.get(name) for manifest in manifests]
+    return Runs(table, metrics, evaluations)
+
+
+def _run_folders(root: pathlib.Path) -> Iterator[pathlib.Path]:
+    """Run folders in the order of their paths. Nothing in a run folder is another run."""
+    for place, folders, files in os.walk(root):
+        if {"config.toml", "manifest.json"} <= set(files):
+            folders.clear()
+            yield pathlib.Path(place)
+        folders.sort()
+
+
+def _settings(path: pathlib.Path) -> dict[str, Any]:
+    """All settings of a run, by their full keys."""
+
+    def flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                yield from flat(f"{prefix}.{key}" if prefix else key, inner)
+        else:
+            yield prefix, value
+
+    try:
+        return dict(flat("", tomllib.loads(path.read_text("utf-8"))))
+    except ValueError as error:
+        raise RunError(f"{path} is damaged: {error}") from None
+
+
+def _manifest(path: pathlib.Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads(path.read_bytes()))
+    except (TypeError, ValueError) as error:
+        raise RunError(f"{path} is damaged: {error}") from None
+
+
+def _lines(run: pathlib.Path) -> Iterator[dict[str, Any]]:
+    """The lines of `metrics.jsonl`. A run that is writing may have an unfinished last line, which is omitted."""
+    path = run / "metrics.jsonl"
+    data = path.read_bytes() if path.is_file() else b""
+    for number, line in enumerate(data.split(b"\n")[:-1], 1):
+        try:
+            yield dict(json.loads(line))
+        except (TypeError, ValueError) as error:
+            raise RunError(f"{path}:{number} is damaged: {error}") from None
+
+
+def _of_kind(lines: list[dict[str, Any]], kind: str) -> pd.DataFrame:
+    """The lines of one kind, without the column that names the kind."""
+    frame = pd.DataFrame([line for line in lines if line["kind"] == kind])
+    return frame.drop(columns="kind", errors="ignore")

@@ -1,0 +1,29 @@
+"""Which agent controls which joints of a robot of multi-agent MuJoCo."""
+
+import re
+
+from gymnasium_robotics import mamujoco_v1
+
+# Robots of the published tasks. Other robots have only the partitions of gymnasium-robotics.
+ROBOTS = ("HalfCheetah", "Walker2d", "Ant")
+
+
+def factorization(scenario: str, agent_conf: str) -> dict | None:
+    """The `agent_factorization` of a published task; `None` if gymnasium-robotics defines the partition.
+
+    In `AxJ` with all joints of the robot, each of A agents controls the next J joints in the order of the model's
+    actuators: thigh, leg, foot. The published results have these partitions, because their code concatenates the
+    agents' actions, whatever the names of the joints. For s2mia's own robots this is `partition.semantics =
+    actuator_slices`. gymnasium-robotics has no HalfCheetah 3x2, Walker2d 3x2 and 6x1 and Ant 8x1, and in its
+    Walker2d 2x3 an agent's action begins with the foot.
+    """
+    sizes = re.fullmatch(r"(\d+)x(\d+)", agent_conf)
+    if scenario not in ROBOTS or sizes is None:
+        return None
+    (joints,), edges, of_root = mamujoco_v1.get_parts_and_edges(scenario, None)
+    agents, each = map(int, sizes.groups())
+    if agents * each != len(joints):
+        raise ValueError(f"{scenario} has {len(joints)} joints; agent_conf={agent_conf} has {agents} x {each}")
+    joints = sorted(joints, key=lambda joint: joint.act_ids)
+    parts = [tuple(joints[first : first + each]) for first in range(0, len(joints), each)]
+    return {"partition": parts, "edges": edges, "globals": of_root}

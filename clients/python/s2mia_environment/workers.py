@@ -1,0 +1,155 @@
+"""Worker processes, each of which steps the environments of some streams."""
+
+import contextlib
+import enum
+import itertools
+import multiprocessing
+import signal
+import struct
+import threading
+from collections.abc import Callable
+
+from s2mia_environment.environment import EnvironmentBatch
+from s2mia_environment.streams import EnvironmentFailed, Streams
+
+# Kind of a message to a worker and the number of its stream. A request follows.
+_HEADER = struct.Struct("<BQ")
+# First byte of a worker's message. An answer or the text of an error follows.
+_ANSWER, _ERROR = b"\0", b"\1"
+
+
+class _Kind(enum.IntEnum):
+    BEGIN = 0
+    REQUEST = 1
+    CLOSE = 2
+
+
+class WorkerLost(Exception):
+    """A worker process ended, and its environments with it."""
+
+
+class Worker:
+    """A worker process. It handles one message at a time."""
+
+    def __init__(self, make: Callable[[], EnvironmentBatch]) -> None:
+        # A forked process would inherit the locks, but not the threads, of gRPC and of the environments' libraries.
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(make, theirs), name="environments", daemon=True)
+        self.process.start()
+        theirs.close()
+        self.lock = threading.Lock()
+        self.streams = 0
+
+    def receive(self) -> bytes:
+        """Waits for the worker's next message."""
+        try:
+            message = self.pipe.recv_bytes()
+        except (EOFError, OSError):
+            raise self._lost() from None
+        if message[:1] == _ERROR:
+            raise EnvironmentFailed(message[1:].decode())
+        return message[1:]
+
+    def ask(self, kind: _Kind, stream: int, request: bytes = b"") -> bytes:
+        """The answer to one message."""
+        with self.lock:
+            try:
+                self.pipe.send_bytes(_HEADER.pack(kind, stream) + request)
+            except OSError:
+                raise self._lost() from None
+            return self.receive()
+
+    def _lost(self) -> WorkerLost:
+        self.process.join(timeout=1)
+        return WorkerLost(f"a worker process ended with exit code {self.process.exitcode}; its environments are lost")
+
+
+class WorkerStreams:
+    """Streams whose environments step in `count` worker processes: each stream in the one with the fewest streams."""
+
+    def __init__(self, make: Callable[[], EnvironmentBatch], count: int) -> None:
+        self.make, self.lock, self.numbers = make, threading.Lock(), itertools.count()
+        self.workers = [Worker(make) for _ in range(count)]
+        # A worker sends the description when it is ready.
+        self.description = [worker.receive() for worker in self.workers][0]
+        self.of_stream: dict[int, Worker] = {}
+
+    def open(self) -> int:
+        """Starts a stream. Returns its number."""
+        with self.lock:
+            worker, number = min(self.workers, key=lambda worker: worker.streams), next(self.numbers)
+            worker.streams += 1
+            self.of_stream[number] = worker
+        try:
+            self._ask(_Kind.BEGIN, number)
+        except Exception:
+            self._forget(number)
+            raise
+        return number
+
+    def answer(self, number: int, request: bytes) -> bytes:
+        """Answers one request of the stream."""
+        return self._ask(_Kind.REQUEST, number, request)
+
+    def close(self, number: int) -> None:
+        """Ends the stream and its environments."""
+        try:
+            with contextlib.suppress(WorkerLost):
+                self._ask(_Kind.CLOSE, number)
+        finally:
+            self._forget(number)
+
+    def _forget(self, number: int) -> None:
+        with self.lock:
+            self.of_stream.pop(number).streams -= 1
+
+    def _ask(self, kind: _Kind, number: int, request: bytes = b"") -> bytes:
+        worker = self.of_stream[number]
+        try:
+            return worker.ask(kind, number, request)
+        except WorkerLost:
+            self._replace(worker)
+            raise
+
+    def _replace(self, lost: Worker) -> None:
+        """Starts another process for one that ended, once for all its streams."""
+        with self.lock:
+            if lost in self.workers:
+                other = Worker(self.make)
+                self.workers[self.workers.index(lost)] = other
+                # If it cannot start, the streams that it gets say so.
+                with contextlib.suppress(WorkerLost, EnvironmentFailed):
+                    other.receive()
+
+
+def _work(make: Callable[[], EnvironmentBatch], pipe) -> None:
+    """Handles messages until the server closes the pipe."""
+    # Ctrl-C reaches the whole process group. The workers end with the server.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        streams = Streams(make)
+    except Exception as error:
+        pipe.send_bytes(_ERROR + f"{type(error).__name__}: {error}".encode())
+        return
+    pipe.send_bytes(_ANSWER + streams.description)
+    try:
+        while True:
+            pipe.send_bytes(_handled(streams, pipe.recv_bytes()))
+    except (EOFError, OSError):
+        return
+
+
+def _handled(streams: Streams, message: bytes) -> bytes:
+    kind, number = _HEADER.unpack_from(message)
+    try:
+        match _Kind(kind):
+            case _Kind.BEGIN:
+                streams.begin(number)
+            case _Kind.REQUEST:
+                return _ANSWER + streams.answer(number, message[_HEADER.size :])
+            case _Kind.CLOSE:
+                streams.close(number)
+    except EnvironmentFailed as error:
+        return _ERROR + str(error).encode()
+    return _ANSWER

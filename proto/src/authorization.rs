@@ -1,0 +1,52 @@
+//! The header `authorization`, which carries the token of a run.
+
+use tonic::metadata::AsciiMetadataValue;
+use tonic::metadata::errors::InvalidMetadataValue;
+use tonic::service::Interceptor;
+use tonic::{Request, Status};
+
+/// Name of the header.
+pub const AUTHORIZATION: &str = "authorization";
+
+/// Adds the header, if there is one, to each call of a client.
+#[derive(Clone, Debug)]
+pub struct Authorization(Option<AsciiMetadataValue>);
+
+impl Authorization {
+    /// Sends `header`, such as `Bearer TOKEN`.
+    ///
+    /// # Errors
+    /// The header contains other characters than printable ASCII.
+    pub fn new(header: Option<&str>) -> Result<Self, InvalidMetadataValue> {
+        let value = header.map(AsciiMetadataValue::try_from).transpose()?;
+        Ok(Self(value.map(|mut value| {
+            value.set_sensitive(true);
+            value
+        })))
+    }
+}
+
+impl Interceptor for Authorization {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(value) = &self.0 {
+            request.metadata_mut().insert(AUTHORIZATION, value.clone());
+        }
+        Ok(request)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_is_sent_if_there_is_one_and_never_printed() {
+        let mut with = Authorization::new(Some("Bearer secret")).unwrap();
+        let request = with.call(Request::new(())).unwrap();
+        assert_eq!(request.metadata().get(AUTHORIZATION).unwrap(), "Bearer secret");
+        assert!(!format!("{with:?} {request:?}").contains("secret"));
+        let without = Authorization::new(None).unwrap().call(Request::new(())).unwrap();
+        assert!(without.metadata().is_empty());
+        assert!(Authorization::new(Some("a\nb")).is_err());
+    }
+}

@@ -1,0 +1,249 @@
+//! Collision shapes that rapier lacks or places otherwise: boxes, cylinders, ellipsoids and hulls in the frame of a link.
+//!
+//! They have no mass and no pose of their own, so the engine adds exactly nothing to a link's mass properties. They touch
+//! only the floor, which needs the corners of the shape that are lowest: the support feature.
+
+use std::sync::Arc;
+
+use rapier3d::math::{Pose, Vector};
+use rapier3d::parry::bounding_volume::{Aabb, BoundingSphere};
+use rapier3d::parry::query::{PointProjection, PointQuery, Ray, RayCast, RayIntersection};
+use rapier3d::parry::shape::{
+    FeatureId, PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Shape as RapierShape,
+    ShapeType, SupportMap, TypedShape,
+};
+use rapier3d::prelude::{MassProperties, SharedShape};
+
+use crate::scene::{Hull, Shape};
+
+/// Tilt of a cylinder's end, as a sine, below which its contacts keep their places.
+const LEVEL: f32 = 0.02;
+/// Corners of a hull that are at most this fraction of its size above its lowest corner may touch together with it.
+const TOGETHER: f32 = 0.01;
+
+/// A convex shape in the frame of its link.
+#[derive(Clone)]
+pub(crate) struct Convex {
+    form: Form,
+    /// Pose of the form in the link.
+    pose: Pose,
+    bounds: Aabb,
+}
+
+/// Form and size, m.
+#[derive(Clone)]
+enum Form {
+    Box(Vector),
+    /// Half the length along z, and the radius.
+    Cylinder([f32; 2]),
+    Ellipsoid(Vector),
+    /// Corners and size of a hull.
+    Hull(Arc<Hull>, f32),
+}
+
+impl Convex {
+    /// A shape with the pose `pose` in its link; `None` for capsules and balls, which rapier has.
+    pub(crate) fn new(shape: &Shape, pose: &Pose) -> Option<Self> {
+        let form = match shape {
+            Shape::Box { half_sizes } => Form::Box(Vector::from_array(*half_sizes)),
+            Shape::Cylinder { half_length, radius } => Form::Cylinder([*half_length, *radius]),
+            Shape::Ellipsoid { half_sizes } => Form::Ellipsoid(Vector::from_array(*half_sizes)),
+            Shape::Hull(hull) => {
+                let [low, high] = hull.bounds().map(Vector::from_array);
+                Form::Hull(Arc::clone(hull), (high - low).length())
+            }
+            Shape::Capsule { .. } | Shape::Sphere { .. } => return None,
+        };
+        let mut convex = Self { form, pose: *pose, bounds: Aabb::new(Vector::ZERO, Vector::ZERO) };
+        let end = |axis: Vector| convex.local_support_point(axis).dot(axis);
+        let axes = [Vector::X, Vector::Y, Vector::Z];
+        let [low, high] =
+            [-1.0, 1.0].map(|sign| Vector::from_array(axes.map(|axis| sign * end(sign * axis))));
+        convex.bounds = Aabb::new(low, high);
+        Some(convex)
+    }
+
+    /// The shape for a collider.
+    pub(crate) fn shared(self) -> SharedShape {
+        SharedShape::new(self)
+    }
+
+    /// Calls `add` with the corners of the feature farthest along `along`, in the form's frame, and their ids.
+    fn corners(&self, along: Vector, mut add: impl FnMut(Vector, u32)) {
+        match &self.form {
+            Form::Box(half) => box_face(*half, along, add),
+            Form::Cylinder(sizes) => cylinder_feature(*sizes, along, add),
+            Form::Ellipsoid(half) => {
+                let stretched = *half * along;
+                add(*half * stretched / stretched.length(), 0);
+            }
+            Form::Hull(hull, size) => hull_corners(hull, TOGETHER * size, along, add),
+        }
+    }
+}
+
+/// The four corners of the face of a box that points most towards `along`.
+fn box_face(half: Vector, along: Vector, mut add: impl FnMut(Vector, u32)) {
+    let (along, half) = (along.to_array(), half.to_array());
+    let mut face = 0;
+    for axis in 1..3 {
+        if along[axis].abs() > along[face].abs() {
+            face = axis;
+        }
+    }
+    let sides = [(face + 1) % 3, (face + 2) % 3];
+    for signs in [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]] {
+        let mut corner = [0.0; 3];
+        corner[face] = half[face].copysign(along[face]);
+        corner[sides[0]] = signs[0] * half[sides[0]];
+        corner[sides[1]] = signs[1] * half[sides[1]];
+        let id = (0..3).map(|axis| u32::from(corner[axis] > 0.0) << axis).sum();
+        add(Vector::from_array(corner), id);
+    }
+}
+
+/// Four points on the rim of an end, or the line along the side.
+fn cylinder_feature([half, radius]: [f32; 2], along: Vector, mut add: impl FnMut(Vector, u32)) {
+    let aside = (along.x * along.x + along.y * along.y).sqrt();
+    let lying = along.z.abs() < 0.5;
+    let level = aside < LEVEL * along.length();
+    let [x, y] = if level { [1.0, 0.0] } else { [along.x / aside, along.y / aside] };
+    let [x, y] = [radius * x, radius * y];
+    if lying {
+        add(Vector::new(x, y, half), 0);
+        add(Vector::new(x, y, -half), 4);
+        return;
+    }
+    let z = half.copysign(along.z);
+    let first = if z > 0.0 { 0 } else { 4 };
+    for (id, [x, y]) in (first..).zip([[x, y], [-y, x], [-x, -y], [y, -x]]) {
+        add(Vector::new(x, y, z), id);
+    }
+}
+
+/// At most four of the farthest corners of a hull, far from each other.
+fn hull_corners(hull: &Hull, band: f32, along: Vector, mut add: impl FnMut(Vector, u32)) {
+    let corner = |index: usize| Vector::from_array(hull.points[index]);
+    let height = |index: usize| corner(index).dot(along);
+    let best = |score: &dyn Fn(usize) -> f32| {
+        let all = (0..hull.points.len()).map(|index| (index, score(index)));
+        all.fold((0, f32::NEG_INFINITY), |best, next| if next.1 > best.1 { next } else { best })
+    };
+    let (first, top) = best(&height);
+    let lowest = top - band * along.length();
+    let near = |score: &dyn Fn(usize) -> f32| {
+        best(&|index| if height(index) >= lowest { score(index) } else { f32::NEG_INFINITY })
+    };
+    add(corner(first), first as u32);
+    let (second, distance) = near(&|index| (corner(index) - corner(first)).length_squared());
+    if distance <= 0.0 {
+        return;
+    }
+    add(corner(second), second as u32);
+    let side = (corner(second) - corner(first)).cross(along);
+    for sign in [1.0, -1.0] {
+        let (index, offset) = near(&|index| sign * (corner(index) - corner(first)).dot(side));
+        if offset > 0.0 {
+            add(corner(index), index as u32);
+        }
+    }
+}
+
+impl SupportMap for Convex {
+    fn local_support_point(&self, along: Vector) -> Vector {
+        let inside = self.pose.rotation.inverse() * along;
+        let mut best = (Vector::ZERO, f32::NEG_INFINITY);
+        self.corners(inside, |corner, _| {
+            let height = corner.dot(inside);
+            if height > best.1 {
+                best = (corner, height);
+            }
+        });
+        self.pose * best.0
+    }
+}
+
+impl PolygonalFeatureMap for Convex {
+    fn local_support_feature(&self, along: Vector, feature: &mut PolygonalFeature) {
+        let mut count = 0;
+        self.corners(self.pose.rotation.inverse() * along, |corner, id| {
+            feature.vertices[count] = self.pose * corner;
+            feature.vids[count] = PackedFeatureId::vertex(id);
+            count += 1;
+        });
+        feature.num_vertices = count;
+    }
+}
+
+impl RapierShape for Convex {
+    fn compute_local_aabb(&self) -> Aabb {
+        self.bounds
+    }
+
+    fn compute_local_bounding_sphere(&self) -> BoundingSphere {
+        self.bounds.bounding_sphere()
+    }
+
+    fn clone_dyn(&self) -> Box<dyn RapierShape> {
+        Box::new(self.clone())
+    }
+
+    fn scale_dyn(&self, _: Vector, _: u32) -> Option<Box<dyn RapierShape>> {
+        None
+    }
+
+    fn mass_properties(&self, _: f32) -> MassProperties {
+        MassProperties::default()
+    }
+
+    fn shape_type(&self) -> ShapeType {
+        ShapeType::Custom
+    }
+
+    fn as_typed_shape(&self) -> TypedShape<'_> {
+        TypedShape::Custom(self)
+    }
+
+    fn ccd_thickness(&self) -> f32 {
+        self.bounds.half_extents().min_element()
+    }
+
+    fn ccd_angular_thickness(&self) -> f32 {
+        std::f32::consts::FRAC_PI_4
+    }
+
+    fn is_convex(&self) -> bool {
+        true
+    }
+
+    fn as_support_map(&self) -> Option<&dyn SupportMap> {
+        Some(self)
+    }
+
+    fn as_polygonal_feature_map(&self) -> Option<(&dyn PolygonalFeatureMap, f32)> {
+        Some((self, 0.0))
+    }
+}
+
+/// Queries are answered for the bounding box. The simulator makes none.
+impl RayCast for Convex {
+    fn cast_local_ray_and_get_normal(
+        &self,
+        ray: &Ray,
+        longest: f32,
+        solid: bool,
+    ) -> Option<RayIntersection> {
+        self.bounds.cast_local_ray_and_get_normal(ray, longest, solid)
+    }
+}
+
+/// Queries are answered for the bounding box. The simulator makes none.
+impl PointQuery for Convex {
+    fn project_local_point(&self, point: Vector, solid: bool) -> PointProjection {
+        self.bounds.project_local_point(point, solid)
+    }
+
+    fn project_local_point_and_get_feature(&self, point: Vector) -> (PointProjection, FeatureId) {
+        self.bounds.project_local_point_and_get_feature(point)
+    }
+}

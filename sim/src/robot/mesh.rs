@@ -1,0 +1,280 @@
+//! Triangle meshes of a model: binary STL and OBJ files, their convex hulls, and the masses that they enclose.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use rapier3d::math::Vector;
+use rapier3d::parry::transformation::try_convex_hull;
+
+use super::frame::{cross, dot};
+use super::inertia::{Matrix, Solid};
+use crate::scene::Hull;
+
+const STL_HEADER_BYTES: usize = 84;
+const STL_TRIANGLE_BYTES: usize = 50;
+
+/// A closed surface of triangles.
+#[derive(Clone, Debug)]
+pub(super) struct Mesh {
+    /// m.
+    points: Vec<[f64; 3]>,
+    /// Indices of points, anticlockwise seen from outside.
+    triangles: Vec<[usize; 3]>,
+}
+
+/// Volume whose mass a mesh has: MuJoCo's `inertia` of meshes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Volume {
+    /// All pyramids between the surface's centroid and its triangles, counted as positive.
+    Legacy,
+    /// The enclosed volume.
+    Exact,
+    /// The convex hull.
+    Convex,
+}
+
+impl Mesh {
+    /// Reads a file by the ending of its name.
+    pub(super) fn read(path: &str, bytes: &[u8]) -> Result<Self, String> {
+        let ending = path.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
+        let mesh = match ending.as_deref() {
+            Some("stl") => read_stl(bytes),
+            Some("obj") => read_obj(bytes),
+            _ => Err("it is not an STL or OBJ file".to_owned()),
+        };
+        let mesh = mesh.and_then(Self::checked);
+        mesh.map_err(|reason| format!("{path}: {reason}"))
+    }
+
+    /// A mesh of the given points; without faces, their convex hull.
+    pub(super) fn new(points: Vec<[f64; 3]>, triangles: Vec<[usize; 3]>) -> Result<Self, String> {
+        let mesh = Self { points, triangles };
+        if mesh.triangles.is_empty() {
+            mesh.hull().map(|hull| Self::of_hull(&hull))
+        } else {
+            mesh.checked()
+        }
+    }
+
+    fn checked(self) -> Result<Self, String> {
+        let count = self.points.len();
+        if self.triangles.is_empty() {
+            return Err("it has no triangles".to_owned());
+        }
+        if !self.points.iter().flatten().all(|x| x.is_finite()) {
+            return Err("a coordinate is not finite".to_owned());
+        }
+        match self.triangles.iter().flatten().find(|index| **index >= count) {
+            Some(index) => Err(format!("a face names vertex {}; there are {count}", index + 1)),
+            None => Ok(self),
+        }
+    }
+
+    /// Multiplies coordinates by `scale`. A reflection also reverses the triangles.
+    pub(super) fn scaled(mut self, scale: [f64; 3]) -> Self {
+        self.points.iter_mut().for_each(|point| (0..3).for_each(|i| point[i] *= scale[i]));
+        if scale.iter().product::<f64>() < 0.0 {
+            self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+        }
+        self
+    }
+
+    /// The convex hull.
+    pub(super) fn hull(&self) -> Result<Hull, String> {
+        let unique: BTreeSet<[u32; 3]> =
+            self.points.iter().map(|point| point.map(|x| (x as f32 + 0.0).to_bits())).collect();
+        let points: Vec<Vector> =
+            unique.into_iter().map(|bits| Vector::from_array(bits.map(f32::from_bits))).collect();
+        let flat = || "its points do not span a volume".to_owned();
+        let (points, triangles) = try_convex_hull(&points).map_err(|_| flat())?;
+        let hull = Hull {
+            points: points.iter().map(|point| point.to_array()).collect(),
+            triangles: triangles.into_iter().collect(),
+        };
+        let volume = Self::of_hull(&hull).solid(Volume::Exact).mass;
+        if volume > 0.0 { Ok(hull) } else { Err(flat()) }
+    }
+
+    fn of_hull(hull: &Hull) -> Self {
+        Self {
+            points: hull.points.iter().map(|point| point.map(f64::from)).collect(),
+            triangles: hull.triangles.iter().map(|triangle| triangle.map(|i| i as usize)).collect(),
+        }
+    }
+
+    /// Mass, mass centre and inertia of the volume with a density of 1 kg/m^3.
+    pub(super) fn solid_of(&self, volume: Volume, hull: &Arc<Hull>) -> Result<Solid, String> {
+        let solid = match volume {
+            Volume::Convex => Self::of_hull(hull).solid(Volume::Exact),
+            volume => self.solid(volume),
+        };
+        if solid.mass > 0.0 { Ok(solid) } else { Err("its triangles enclose no volume".to_owned()) }
+    }
+
+    fn solid(&self, volume: Volume) -> Solid {
+        let apex = self.centroid();
+        let pyramids = |apex: [f64; 3]| {
+            self.triangles.iter().map(move |triangle| {
+                let corners = triangle.map(|i| sub(self.points[i], apex));
+                let signed = dot(corners[0], cross(corners[1], corners[2])) / 6.0;
+                (corners, if volume == Volume::Legacy { signed.abs() } else { signed })
+            })
+        };
+        let mass: f64 = pyramids(apex).map(|(_, volume)| volume).sum();
+        let mut centre = apex;
+        for (corners, part) in pyramids(apex) {
+            for i in 0..3 {
+                centre[i] +=
+                    part * corners.iter().map(|corner| corner[i]).sum::<f64>() / 4.0 / mass;
+            }
+        }
+        let mut moments: Matrix = [[0.0; 3]; 3];
+        for (corners, part) in pyramids(centre) {
+            add_moments(&mut moments, &corners, part);
+        }
+        Solid::from_moments(mass, centre, moments)
+    }
+
+    /// Centroid of the surface.
+    fn centroid(&self) -> [f64; 3] {
+        let (mut area, mut sum) = (0.0, [0.0; 3]);
+        for triangle in &self.triangles {
+            let corners = triangle.map(|i| self.points[i]);
+            let normal = cross(sub(corners[1], corners[0]), sub(corners[2], corners[0]));
+            let size = dot(normal, normal).sqrt();
+            area += size;
+            (0..3).for_each(|i| {
+                sum[i] += size * corners.iter().map(|corner| corner[i]).sum::<f64>() / 3.0;
+            });
+        }
+        sum.map(|x| if area > 0.0 { x / area } else { 0.0 })
+    }
+}
+
+/// Adds the second moments, `integral x x^T dV`, of the tetrahedron between the origin and three corners.
+fn add_moments(moments: &mut Matrix, corners: &[[f64; 3]; 3], volume: f64) {
+    for row in 0..3 {
+        for column in 0..3 {
+            let squares: f64 = corners.iter().map(|corner| corner[row] * corner[column]).sum();
+            let sums: [f64; 2] = [row, column].map(|i| corners.iter().map(|c| c[i]).sum());
+            moments[row][column] += volume / 20.0 * (squares + sums[0] * sums[1]);
+        }
+    }
+}
+
+fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn read_stl(bytes: &[u8]) -> Result<Mesh, String> {
+    let count = bytes.get(80..84).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
+    let count = count.ok_or("an STL file has at least 84 bytes")?;
+    let expected = count.checked_mul(STL_TRIANGLE_BYTES).map(|size| size + STL_HEADER_BYTES);
+    if expected != Some(bytes.len()) {
+        return Err(format!(
+            "it is not a binary STL file: {count} triangles need {} bytes, it has {}",
+            expected.unwrap_or(usize::MAX),
+            bytes.len()
+        ));
+    }
+    let number = |at: &[u8]| f64::from(f32::from_le_bytes([at[0], at[1], at[2], at[3]]));
+    let points: Vec<[f64; 3]> = bytes[STL_HEADER_BYTES..]
+        .chunks_exact(STL_TRIANGLE_BYTES)
+        // A triangle starts with its normal, which its points give as well.
+        .flat_map(|triangle| triangle[12..48].chunks_exact(12))
+        .map(|point| [number(&point[0..4]), number(&point[4..8]), number(&point[8..12])])
+        .collect();
+    let triangles = (0..count).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    Ok(Mesh { points, triangles })
+}
+
+/// Reads `v` and `f` lines. Faces with more than three corners become fans.
+fn read_obj(bytes: &[u8]) -> Result<Mesh, String> {
+    let text = std::str::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned())?;
+    let mut mesh = Mesh { points: Vec::new(), triangles: Vec::new() };
+    for (row, line) in text.lines().enumerate() {
+        let invalid = || format!("line {} is invalid: {}", row + 1, line.trim());
+        let mut words = line.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => {
+                let numbers: Vec<f64> = words
+                    .take(3)
+                    .map(str::parse)
+                    .collect::<Result<_, _>>()
+                    .map_err(|_| invalid())?;
+                mesh.points.push(numbers.try_into().map_err(|_| invalid())?);
+            }
+            Some("f") => {
+                let corners: Option<Vec<usize>> =
+                    words.map(|word| corner(word, mesh.points.len())).collect();
+                let corners = corners.filter(|c| c.len() >= 3).ok_or_else(invalid)?;
+                for pair in corners[1..].windows(2) {
+                    mesh.triangles.push([corners[0], pair[0], pair[1]]);
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(mesh)
+}
+
+/// Index of a corner such as `7/1/3`; negative numbers count from the last vertex.
+fn corner(word: &str, points: usize) -> Option<usize> {
+    let number: isize = word.split('/').next()?.parse().ok()?;
+    match number {
+        0 => None,
+        1.. => usize::try_from(number - 1).ok(),
+        _ => points.checked_add_signed(number),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CUBE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
+        f 4 3 2 1\nf 5 6 7 8\nf 1/1 2/2 6/6 5/5\nf 2 3 7 6\nf 3 4 8 7\nf -8 -4 -1 -5\n";
+
+    /// A binary STL file of the same triangles.
+    fn stl(mesh: &Mesh) -> Vec<u8> {
+        let mut bytes = vec![0; 80];
+        bytes.extend((mesh.triangles.len() as u32).to_le_bytes());
+        for triangle in &mesh.triangles {
+            bytes.extend([0; 12]);
+            for number in triangle.iter().flat_map(|i| mesh.points[*i]) {
+                bytes.extend((number as f32).to_le_bytes());
+            }
+            bytes.extend([0; 2]);
+        }
+        bytes
+    }
+
+    #[test]
+    fn obj_and_stl_files_of_a_cube_have_its_volume_and_hull() {
+        let obj = Mesh::read("cube.obj", CUBE.as_bytes()).unwrap();
+        for mesh in [Mesh::read("cube.STL", &stl(&obj)).unwrap(), obj] {
+            let hull = Arc::new(mesh.hull().unwrap());
+            assert_eq!((hull.points.len(), hull.triangles.len()), (8, 12));
+            for volume in [Volume::Legacy, Volume::Exact, Volume::Convex] {
+                let solid = mesh.solid_of(volume, &hull).unwrap();
+                assert!((solid.mass - 1.0).abs() < 1e-9, "{solid:?}");
+                assert!((solid.inertia[0][0] - 1.0 / 6.0).abs() < 1e-9, "{solid:?}");
+                assert!(solid.centre.iter().all(|x| (x - 0.5).abs() < 1e-9), "{solid:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn damaged_files_are_rejected_with_the_reason() {
+        let reason = |path: &str, bytes: &[u8]| Mesh::read(path, bytes).unwrap_err();
+        let mut cut = stl(&Mesh::read("cube.obj", CUBE.as_bytes()).unwrap());
+        cut.pop();
+        assert!(reason("a.stl", &cut).contains("12 triangles need 684 bytes, it has 683"));
+        assert!(reason("a.stl", b"solid cube").contains("at least 84 bytes"));
+        assert!(reason("a.obj", b"v 0 0 0\nf 1 2 9\n").contains("vertex 2; there are 1"));
+        assert!(reason("a.obj", b"v 0 0\n").contains("line 1 is invalid: v 0 0"));
+        assert!(reason("a.dae", b"").contains("not an STL or OBJ file"));
+        let flat = Mesh::read("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+        assert!(flat.hull().unwrap_err().contains("do not span a volume"));
+    }
+}

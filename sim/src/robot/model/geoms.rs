@@ -1,0 +1,347 @@
+//! Shapes of bodies: form, mass, and contacts with the floor.
+
+use rapier3d::math::{Pose, Rotation, Vector};
+use rapier3d::prelude::SharedShape;
+
+use super::super::blueprint::{ContactPlan, Floor};
+use super::super::document::{Element, ORIENTATIONS};
+use super::super::files::Folder;
+use super::super::frame::{Frame, IDENTITY, vector};
+use super::super::inertia::Solid;
+use super::super::softness::Softness;
+use super::Context;
+use super::bodies::Body;
+use super::meshes::Meshes;
+use crate::scene::Shape;
+
+const KNOWN: [&str; 20] = [
+    "name",
+    "class",
+    "type",
+    "size",
+    "pos",
+    "fromto",
+    "friction",
+    "mass",
+    "density",
+    "margin",
+    "contype",
+    "conaffinity",
+    "condim",
+    "priority",
+    "solmix",
+    "solref",
+    "solimp",
+    "mesh",
+    "gap",
+    "shellinertia",
+];
+/// Attributes without effect on the motion; `hfield` belongs to a type that is refused.
+const SKIPPED: [&str; 8] =
+    ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale"];
+/// Density of shapes that state neither density nor mass, kg/m^3.
+const WATER: f64 = 1000.0;
+
+/// A shape of a body, with the attributes of its class.
+pub(super) struct Geom {
+    pub(super) element: Element,
+    /// Frame of the shape in its body, without the shape's own length.
+    frame: Frame,
+    /// Ends of the shape in its body, if it states them.
+    ends: Option<[[f64; 3]; 2]>,
+    contype: i64,
+    conaffinity: i64,
+    collision: Collision,
+}
+
+/// Properties that two touching shapes combine.
+#[derive(Clone, Copy)]
+struct Collision {
+    priority: i64,
+    friction: f64,
+    dimensions: i64,
+    margin: f64,
+    mix: f64,
+    solref: [f64; 2],
+    solimp: [f64; 5],
+}
+
+/// The floor, and its part of contacts.
+pub(super) struct Ground {
+    pub(super) floor: Floor,
+    contype: i64,
+    conaffinity: i64,
+    collision: Collision,
+    timestep_secs: f64,
+}
+
+impl Geom {
+    /// Reads a shape that is stated in `outer`, a frame in its body.
+    pub(super) fn new(element: Element, outer: Frame, context: &Context) -> Result<Self, String> {
+        element.only(&[&KNOWN, &SKIPPED, &ORIENTATIONS])?;
+        if element.flag("shellinertia") == Some(true) {
+            return Err(element.refuse("`shellinertia` is not supported"));
+        }
+        if element.number("gap", 0.0)? != 0.0 {
+            return Err(element.refuse("`gap` is not supported"));
+        }
+        let collision = Collision::read(&element)?;
+        let ends = element.numbers::<6>("fromto")?.map(|[a, b, c, d, e, f]| {
+            [[a, b, c], [d, e, f]].map(|end| match outer == IDENTITY {
+                true => end,
+                false => outer.then(&Frame { position: end, ..IDENTITY }).position,
+            })
+        });
+        Ok(Self {
+            frame: outer.then(&context.options.angles.frame(&element)?),
+            ends,
+            contype: element.integer("contype", 1)?,
+            conaffinity: element.integer("conaffinity", 1)?,
+            collision,
+            element,
+        })
+    }
+
+    pub(super) fn is_mesh(&self) -> bool {
+        self.kind() == "mesh"
+    }
+
+    fn kind(&self) -> &str {
+        self.element.text("type").unwrap_or("sphere")
+    }
+
+    /// Whether the shape can touch anything.
+    pub(super) fn collides(&self) -> bool {
+        self.contype != 0 || self.conaffinity != 0
+    }
+
+    /// Whether MuJoCo computes contacts between two shapes.
+    pub(super) fn meets(&self, other: &Self) -> bool {
+        self.contype & other.conaffinity != 0 || other.contype & self.conaffinity != 0
+    }
+
+    /// Whether the shape has a mass.
+    pub(super) fn weighs(&self) -> bool {
+        let mass = self.element.text("mass").or(self.element.text("density"));
+        mass.and_then(|mass| mass.trim().parse::<f64>().ok()) != Some(0.0)
+    }
+
+    /// Form of the shape, and its pose in its body.
+    pub(super) fn shape(
+        &self,
+        meshes: &mut Meshes,
+        folder: &mut Folder<'_>,
+    ) -> Result<(Shape, Pose), String> {
+        let element = &self.element;
+        if self.is_mesh() {
+            return Ok((Shape::Hull(meshes.hull(element, folder)?), self.frame.pose()));
+        }
+        if element.text("mesh").is_some() {
+            return Err(
+                element.refuse("a primitive shape that is fitted to a mesh is not supported")
+            );
+        }
+        let size = element.list("size")?.unwrap_or_default();
+        let (count, after) = match self.kind() {
+            "sphere" => (1, 1),
+            "capsule" | "cylinder" => (2, 1),
+            "box" | "ellipsoid" => (3, 1),
+            kind => return Err(element.refuse(format!("the type `{kind}` is not supported"))),
+        };
+        let needed = if self.ends.is_some() { after } else { count };
+        if size.len() < needed || size[..needed].iter().any(|length| *length as f32 <= 0.0) {
+            return Err(element.refuse(format!("`size` must have {needed} positive numbers")));
+        }
+        let size: Vec<f32> = size.iter().map(|length| *length as f32).collect();
+        let Some(ends) = self.ends else {
+            return Ok((form(self.kind(), &size), self.frame.pose()));
+        };
+        if self.kind() == "sphere" {
+            return Err(element.refuse("a sphere has no `fromto`"));
+        }
+        // The direction matters for a box, whose other two axes turn with it.
+        let ends = if count == 3 { [ends[1], ends[0]] } else { ends };
+        let (half_length, pose) =
+            between(ends).ok_or_else(|| element.refuse("`fromto` names the same point twice"))?;
+        let size = match count {
+            2 => vec![size[0], half_length],
+            _ => vec![size[0], size[0], half_length],
+        };
+        Ok((form(self.kind(), &size), pose))
+    }
+
+    /// Mass, mass centre and inertia of the shape in its link's frame.
+    pub(super) fn solid(
+        &self,
+        shape: &Shape,
+        pose: &Pose,
+        meshes: &Meshes,
+    ) -> Result<Solid, String> {
+        let density = self.element.number("density", WATER)?;
+        let mass = self.element.numbers::<1>("mass")?.map(|[mass]| mass);
+        if density < 0.0 || mass.is_some_and(|mass| mass < 0.0) {
+            return Err(self.element.refuse("mass and density must not be negative"));
+        }
+        let solid = match *shape {
+            Shape::Sphere { radius } => {
+                Solid::of_shape(&SharedShape::ball(radius), density as f32, pose)
+            }
+            Shape::Capsule { half_length, radius } => {
+                let shape = SharedShape::capsule_z(half_length, radius);
+                Solid::of_shape(&shape, density as f32, pose)
+            }
+            Shape::Hull(ref hull) => {
+                let solid = meshes.solid(&self.element, hull)?;
+                solid.with_mass(density * solid.mass).placed(pose)
+            }
+            ref shape => {
+                let (volume, squares) = volume(shape);
+                let mass = density * volume;
+                let [x, y, z] = squares.map(|square| mass * square);
+                Solid::principal(mass, [y + z, z + x, x + y]).placed(pose)
+            }
+        };
+        match mass {
+            Some(_) if solid.mass <= 0.0 => Err(self.element.refuse("`density` must be positive")),
+            Some(mass) => Ok(solid.with_mass(mass)),
+            None => Ok(solid),
+        }
+    }
+
+    /// Contacts of the shape with the floor; `None` if it does not touch it.
+    pub(super) fn contact(&self, ground: &Ground) -> Result<Option<ContactPlan>, String> {
+        if self.contype & ground.conaffinity == 0 && ground.contype & self.conaffinity == 0 {
+            return Ok(None);
+        }
+        let collision = self.collision.with(&ground.collision);
+        let softness = Softness::new(collision.solref, collision.solimp, ground.timestep_secs);
+        let softness = softness.map_err(|reason| self.element.refuse(reason))?;
+        let friction = if collision.dimensions == 1 { 0.0 } else { collision.friction };
+        let (friction, margin) = (friction as f32, collision.margin as f32);
+        Ok(Some(ContactPlan { friction, margin, softness }))
+    }
+}
+
+/// Volume of a box, cylinder or ellipsoid, m^3, and the mean squares of its points' coordinates, m^2.
+fn volume(shape: &Shape) -> (f64, [f64; 3]) {
+    let double = |sizes: [f32; 3]| sizes.map(f64::from);
+    match *shape {
+        Shape::Box { half_sizes } => {
+            let [x, y, z] = double(half_sizes);
+            (8.0 * x * y * z, [x, y, z].map(|half| half * half / 3.0))
+        }
+        Shape::Ellipsoid { half_sizes } => {
+            let [x, y, z] = double(half_sizes);
+            let volume = 4.0 / 3.0 * std::f64::consts::PI * x * y * z;
+            (volume, [x, y, z].map(|half| half * half / 5.0))
+        }
+        Shape::Cylinder { half_length, radius } => {
+            let [half, radius] = [half_length, radius].map(f64::from);
+            let across = radius * radius / 4.0;
+            let volume = std::f64::consts::PI * radius * radius * 2.0 * half;
+            (volume, [across, across, half * half / 3.0])
+        }
+        _ => unreachable!("other shapes have their own mass properties"),
+    }
+}
+
+/// A primitive shape; `size` has as many numbers as the kind needs.
+fn form(kind: &str, size: &[f32]) -> Shape {
+    match kind {
+        "sphere" => Shape::Sphere { radius: size[0] },
+        "capsule" => Shape::Capsule { radius: size[0], half_length: size[1] },
+        "cylinder" => Shape::Cylinder { radius: size[0], half_length: size[1] },
+        "box" => Shape::Box { half_sizes: [size[0], size[1], size[2]] },
+        _ => Shape::Ellipsoid { half_sizes: [size[0], size[1], size[2]] },
+    }
+}
+
+/// Half the distance of two points, and the pose at their middle with the z axis from the first to the second.
+fn between([from, to]: [[f64; 3]; 2]) -> Option<(f32, Pose)> {
+    let (a, b) = (vector(from), vector(to));
+    let turn = Rotation::from_rotation_arc(Vector::Z, (b - a).try_normalize()?);
+    Some(((b - a).length() / 2.0, Pose::from_parts((a + b) / 2.0, turn)))
+}
+
+impl Collision {
+    fn read(element: &Element) -> Result<Self, String> {
+        let collision = Self {
+            priority: element.integer("priority", 0)?,
+            friction: element.padded("friction", [1.0, 0.005, 0.0001])?[0],
+            dimensions: element.integer("condim", 3)?,
+            margin: element.number("margin", 0.0)?,
+            mix: element.number("solmix", 1.0)?,
+            solref: element.padded("solref", [0.02, 1.0])?,
+            solimp: element.padded("solimp", [0.9, 0.95, 0.001, 0.5, 2.0])?,
+        };
+        if collision.friction < 0.0 || collision.margin < 0.0 || collision.mix < 0.0 {
+            return Err(element.refuse("`friction`, `margin` and `solmix` must not be negative"));
+        }
+        Ok(collision)
+    }
+
+    /// The properties of a contact, by MuJoCo's rules.
+    fn with(&self, other: &Self) -> Self {
+        let margin = self.margin + other.margin;
+        if self.priority != other.priority {
+            let first = if self.priority > other.priority { self } else { other };
+            return Self { margin, ..*first };
+        }
+        let share =
+            if self.mix + other.mix > 0.0 { self.mix / (self.mix + other.mix) } else { 0.5 };
+        let mean = |a: f64, b: f64| if a == b { a } else { share * a + (1.0 - share) * b };
+        Self {
+            priority: self.priority,
+            friction: self.friction.max(other.friction),
+            dimensions: self.dimensions.max(other.dimensions),
+            margin,
+            mix: share,
+            solref: [0, 1].map(|i| mean(self.solref[i], other.solref[i])),
+            solimp: [0, 1, 2, 3, 4].map(|i| mean(self.solimp[i], other.solimp[i])),
+        }
+    }
+}
+
+/// Removes the world's shapes from the list of bodies and finds the floor among them.
+pub(super) fn take_ground(
+    bodies: &mut [Body],
+    context: &Context,
+) -> Result<Option<Ground>, String> {
+    let mut ground = None;
+    let mut frames: Vec<Frame> = Vec::new();
+    for index in 0..bodies.len() {
+        let parent = if index == 0 { IDENTITY } else { frames[bodies[index].parent] };
+        frames.push(if index == 0 { IDENTITY } else { parent.then(&bodies[index].frame) });
+        let is_static = bodies[index].is_static;
+        let is_plane = |geom: &Geom| geom.kind() == "plane";
+        if let Some(plane) = bodies[index].geoms.iter().find(|geom| is_plane(geom) && !is_static) {
+            return Err(plane.element.refuse("a plane must be fixed to the world"));
+        }
+        for plane in bodies[index].geoms.iter().filter(|geom| is_plane(geom) && geom.collides()) {
+            if ground.is_some() {
+                return Err(plane.element.refuse("the world has more than one plane"));
+            }
+            ground = Some(plane.ground(&frames[index], context));
+        }
+        bodies[index].geoms.retain(|geom| !is_plane(geom));
+    }
+    let moving = || bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
+    let touched = |geom: &&Geom| moving().any(|other| geom.meets(other));
+    if let Some(geom) = bodies[0].geoms.iter().find(touched) {
+        return Err(geom.element.refuse("links touch nothing in the world but one plane"));
+    }
+    bodies[0].geoms.clear();
+    Ok(ground.filter(|_| context.options.has_contacts))
+}
+
+impl Geom {
+    fn ground(&self, body: &Frame, context: &Context) -> Ground {
+        Ground {
+            floor: Floor { pose: body.then(&self.frame).pose() },
+            contype: self.contype,
+            conaffinity: self.conaffinity,
+            collision: self.collision,
+            timestep_secs: context.options.timestep_secs,
+        }
+    }
+}

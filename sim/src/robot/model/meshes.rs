@@ -1,0 +1,156 @@
+//! Mesh assets. A file is read when a shape needs it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::super::document::{Classes, Element};
+use super::super::files::Folder;
+use super::super::inertia::Solid;
+use super::super::mesh::{Mesh, Volume};
+use super::options::Options;
+use crate::scene::Hull;
+
+const KNOWN: [&str; 16] = [
+    "name",
+    "class",
+    "file",
+    "scale",
+    "inertia",
+    "vertex",
+    "face",
+    "normal",
+    "texcoord",
+    "refpos",
+    "refquat",
+    "smoothnormal",
+    "maxhullvert",
+    "content_type",
+    "material",
+    "octree_maxdepth",
+];
+
+/// The meshes of a document, by name.
+pub(super) struct Meshes {
+    assets: BTreeMap<String, Asset>,
+    folder: String,
+    paths: Paths,
+}
+
+struct Asset {
+    element: Element,
+    /// The mesh with its hull, once a shape needs it.
+    loaded: Option<(Mesh, Arc<Hull>)>,
+}
+
+impl Meshes {
+    pub(super) fn read(
+        root: &Element,
+        classes: &Classes,
+        options: &Options,
+    ) -> Result<Self, String> {
+        let mut assets = BTreeMap::new();
+        for element in root.all("asset").flat_map(|section| section.all("mesh")) {
+            let element = classes.resolve(element, None)?;
+            let file =
+                element.text("file").map(|file| file.rsplit(['/', '\\']).next().unwrap_or(file));
+            let stem = file.map(|file| file.rsplit_once('.').map_or(file, |(stem, _)| stem));
+            let name = element.text("name").or(stem).unwrap_or_default().to_owned();
+            let refused =
+                element.refuse("it has neither a name nor a file, or another mesh has its name");
+            if name.is_empty() || assets.insert(name, Asset { element, loaded: None }).is_some() {
+                return Err(refused);
+            }
+        }
+        let folder = options.mesh_folder.clone();
+        let paths = if options.strips_paths { Paths::NameOnly } else { Paths::Whole };
+        Ok(Self { assets, folder, paths })
+    }
+
+    /// Convex hull of the mesh that a shape names.
+    pub(super) fn hull(
+        &mut self,
+        geom: &Element,
+        folder: &mut Folder<'_>,
+    ) -> Result<Arc<Hull>, String> {
+        let name = geom.text("mesh").ok_or_else(|| geom.refuse("it names no `mesh`"))?;
+        let asset = self.assets.get_mut(name);
+        let asset = asset.ok_or_else(|| geom.refuse(format!("there is no mesh `{name}`")))?;
+        if let Some((_, hull)) = &asset.loaded {
+            return Ok(Arc::clone(hull));
+        }
+        let mesh = asset.load(&self.folder, self.paths, folder)?;
+        let hull = mesh.hull().map_err(|reason| asset.element.refuse(reason))?;
+        let (_, hull) = asset.loaded.insert((mesh, Arc::new(hull)));
+        Ok(Arc::clone(hull))
+    }
+
+    /// Mass properties of the mesh that a shape names, with a density of 1 kg/m^3.
+    pub(super) fn solid(&self, geom: &Element, hull: &Arc<Hull>) -> Result<Solid, String> {
+        let asset = geom.text("mesh").and_then(|name| self.assets.get(name));
+        let Some((asset, Some((mesh, _)))) = asset.map(|asset| (asset, &asset.loaded)) else {
+            return Err(geom.refuse("its mesh is not loaded"));
+        };
+        let volume = match asset.element.text("inertia") {
+            None | Some("legacy") => Volume::Legacy,
+            Some("exact") => Volume::Exact,
+            Some("convex") => Volume::Convex,
+            Some(kind) => {
+                return Err(asset.element.refuse(format!("inertia=\"{kind}\" is not supported")));
+            }
+        };
+        mesh.solid_of(volume, hull).map_err(|reason| asset.element.refuse(reason))
+    }
+}
+
+/// What of the path of a mesh's file counts.
+#[derive(Clone, Copy, Debug)]
+enum Paths {
+    Whole,
+    /// The compiler's `strippath`.
+    NameOnly,
+}
+
+impl Asset {
+    fn load(&self, subfolder: &str, paths: Paths, folder: &mut Folder<'_>) -> Result<Mesh, String> {
+        let element = &self.element;
+        element.only(&[&KNOWN])?;
+        let refused = |reason: String| element.refuse(reason);
+        let mesh = match element.text("file") {
+            Some(file) => {
+                let file = match paths {
+                    Paths::Whole => file,
+                    Paths::NameOnly => file.rsplit(['/', '\\']).next().unwrap_or(file),
+                };
+                let (path, bytes) = folder.read(subfolder, file).map_err(refused)?;
+                Mesh::read(&path, &bytes).map_err(refused)?
+            }
+            None => Mesh::new(self.points("vertex")?, self.triangles()?).map_err(refused)?,
+        };
+        if element.text("refpos").or(element.text("refquat")).is_some() {
+            return Err(element.refuse("`refpos` and `refquat` are not supported"));
+        }
+        Ok(mesh.scaled(element.numbers("scale")?.unwrap_or([1.0; 3])))
+    }
+
+    fn points(&self, name: &str) -> Result<Vec<[f64; 3]>, String> {
+        let numbers = self.element.list(name)?;
+        let numbers =
+            numbers.ok_or_else(|| self.element.refuse("it has neither a file nor vertices"))?;
+        let (points, rest) = numbers.as_chunks::<3>();
+        if rest.is_empty() {
+            Ok(points.to_vec())
+        } else {
+            Err(self.element.refuse("vertices have three numbers"))
+        }
+    }
+
+    fn triangles(&self) -> Result<Vec<[usize; 3]>, String> {
+        let numbers = self.element.list("face")?.unwrap_or_default();
+        let (faces, rest) = numbers.as_chunks::<3>();
+        let whole = numbers.iter().all(|number| *number >= 0.0 && number.fract() == 0.0);
+        if !rest.is_empty() || !whole {
+            return Err(self.element.refuse("faces have three indices"));
+        }
+        Ok(faces.iter().map(|face| face.map(|index| index as usize)).collect())
+    }
+}

@@ -1,0 +1,321 @@
+//! A task file: a robot's model, agents, reward, start, end and state as data. TOML, with an MJCF file beside it.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::error::SimError;
+use crate::robot::{DEFAULT_SOFTNESS, Integration, Neighbourhood, RobotRow, Softness};
+use crate::spelling;
+
+/// Content of a task file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct TaskFile {
+    /// Name of the robot; its tasks are called `ROBOT-PARTITION`.
+    pub(crate) robot: String,
+    /// Path of the MJCF file, relative to the task file.
+    pub(crate) model: String,
+    /// Physics steps in an environment step.
+    pub(crate) frame_skip: u32,
+    /// Steps after which an episode is truncated.
+    pub(crate) episode_steps: u32,
+    /// Joints of each agent, by the name of the partition.
+    pub(crate) agents: BTreeMap<String, Vec<Vec<String>>>,
+    /// Terms that are added to the reward, in the order of the sum.
+    #[serde(default)]
+    pub(crate) reward: Vec<TermRow>,
+    /// Terms that are added and then subtracted from the reward, in the order of the sum.
+    #[serde(default)]
+    pub(crate) cost: Vec<TermRow>,
+    /// The episode terminates when one of these conditions does not hold.
+    #[serde(default)]
+    pub(crate) healthy: Vec<HealthyRow>,
+    /// Noise on the rest pose.
+    #[serde(default)]
+    pub(crate) start: StartRow,
+    /// Features of the global state.
+    #[serde(default)]
+    pub(crate) state: StateRow,
+    #[serde(default)]
+    neighbourhood: NeighbourhoodRow,
+    #[serde(default)]
+    physics: PhysicsRow,
+    /// Settings of the learner, in the form of `configs/tasks`; the program checks them.
+    #[serde(default)]
+    pub(crate) settings: toml::Table,
+}
+
+/// A weighted term of the reward.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct TermRow {
+    pub(crate) term: TermName,
+    /// Factor of the term; its unit makes the product one of reward.
+    pub(crate) weight: f32,
+    /// Coordinate that `in_range` reads.
+    pub(crate) coordinate: Option<String>,
+    /// Bounds of `in_range`, included.
+    pub(crate) range: Option<[f32; 2]>,
+    /// Point that `target_distance` measures to, one value per named coordinate, m.
+    pub(crate) target: Option<BTreeMap<String, f32>>,
+}
+
+/// Names of the terms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum TermName {
+    /// [`super::terms::forward_speed`]
+    ForwardSpeed,
+    /// [`super::terms::alive`]
+    Alive,
+    /// [`super::terms::control`]
+    Control,
+    /// [`super::terms::contact`]
+    Contact,
+    /// [`super::terms::target_distance`]
+    TargetDistance,
+    /// [`super::terms::upright`]
+    Upright,
+    /// [`super::terms::in_range`]
+    InRange,
+    /// [`super::terms::action_rate`]
+    ActionRate,
+}
+
+/// Range of a coordinate, in the model's own frame, m or rad.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct HealthyRow {
+    pub(crate) coordinate: String,
+    /// Lower bound, excluded.
+    pub(crate) above: Option<f32>,
+    /// Lower bound, included.
+    pub(crate) at_least: Option<f32>,
+    /// Upper bound, excluded.
+    pub(crate) below: Option<f32>,
+    /// Upper bound, included.
+    pub(crate) at_most: Option<f32>,
+}
+
+/// Noise of the start of an episode; absent: none.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct StartRow {
+    /// Noise on each coordinate of the rest pose, m or rad. A quaternion is normalised after it.
+    pub(crate) positions: Option<Noise>,
+    /// Noise on each velocity, m/s or rad/s.
+    pub(crate) velocities: Option<Noise>,
+}
+
+/// A distribution around 0.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Noise {
+    /// Uniform in plus and minus this value.
+    Uniform(f32),
+    /// Normal with this standard deviation.
+    Normal(f32),
+}
+
+/// Features of the global state: coordinates, then velocities, then contact forces if they are observed.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct StateRow {
+    /// Coordinates that are not features.
+    pub(crate) hidden: Vec<String>,
+    /// Velocities are clipped to plus and minus this value, m/s or rad/s; absent: not clipped.
+    pub(crate) largest_velocity: Option<f32>,
+    /// Axes of a free root's angular velocity.
+    pub(crate) angular_velocity: Axes,
+    /// Whether `observation.contact_forces` has an effect.
+    pub(crate) contact_forces: bool,
+}
+
+/// Axes in which a vector is expressed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Axes {
+    /// Axes of the world.
+    #[default]
+    World,
+    /// Axes of the root.
+    Body,
+}
+
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct NeighbourhoodRow {
+    edges: Vec<Vec<String>>,
+    touching: Vec<TouchingRow>,
+    globals: Vec<String>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TouchingRow {
+    joint: String,
+    bodies: Vec<String>,
+}
+
+/// MuJoCo's parameters of the robot, with MuJoCo's defaults.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct PhysicsRow {
+    integration: IntegrationName,
+    limits: SoftnessRow,
+    contacts: SoftnessRow,
+    margin: f32,
+    contact_compliance: f32,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum IntegrationName {
+    Euler,
+    RungeKutta,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct SoftnessRow {
+    time_constant_secs: f32,
+    impedance: [f32; 2],
+    width: f32,
+}
+
+impl Default for PhysicsRow {
+    fn default() -> Self {
+        Self {
+            integration: IntegrationName::Euler,
+            limits: SoftnessRow::default(),
+            contacts: SoftnessRow::default(),
+            margin: 0.0,
+            contact_compliance: 0.1,
+        }
+    }
+}
+
+impl Default for SoftnessRow {
+    fn default() -> Self {
+        let Softness { time_constant_secs, impedance, width } = DEFAULT_SOFTNESS;
+        Self { time_constant_secs, impedance, width }
+    }
+}
+
+impl SoftnessRow {
+    fn softness(&self) -> Softness {
+        let Self { time_constant_secs, impedance, width } = *self;
+        Softness { time_constant_secs, impedance, width }
+    }
+
+    fn check(&self, key: &str) -> Result<(), SimError> {
+        within(&format!("{key}.time_constant_secs"), self.time_constant_secs, 1e-4, 10.0)?;
+        within(&format!("{key}.width"), self.width, 1e-6, 10.0)?;
+        for impedance in self.impedance {
+            within(&format!("{key}.impedance"), impedance, 0.0, 0.9999)?;
+        }
+        Ok(())
+    }
+}
+
+impl TaskFile {
+    /// Parses a file and checks everything that does not depend on the robot.
+    pub(crate) fn parse(text: &str) -> Result<Self, SimError> {
+        let file: Self = typed(text)?;
+        let name = |text: &str| {
+            let sign = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+            (1..=40).contains(&text.len()) && text.chars().all(sign)
+        };
+        let unnamed = |key: &str, found: &str| {
+            let rule = "must be 1 to 40 letters, digits, `-` or `_`";
+            Err(refused(format!("{key} {rule}, is `{found}`")))
+        };
+        if !name(&file.robot) {
+            return unnamed("robot", &file.robot);
+        }
+        if let Some(partition) = file.agents.keys().find(|partition| !name(partition)) {
+            return unnamed("a key of [agents]", partition);
+        }
+        if file.agents.is_empty() {
+            return Err(refused(
+                "[agents] is empty; write, for example, 2x1 = [[\"hip\"], [\"knee\"]]",
+            ));
+        }
+        whole("frame_skip", file.frame_skip, 1000)?;
+        whole("episode_steps", file.episode_steps, 1_000_000)?;
+        file.physics.check()?;
+        Ok(file)
+    }
+
+    /// Names of the tasks, sorted.
+    pub(crate) fn task_names(&self) -> impl Iterator<Item = String> {
+        self.agents.keys().map(|partition| format!("{}-{partition}", self.robot))
+    }
+
+    /// The robot with the MJCF document `mjcf`.
+    pub(crate) fn robot_row(&self, mjcf: String) -> RobotRow {
+        let NeighbourhoodRow { edges, touching, globals } = self.neighbourhood.clone();
+        let touching = touching.into_iter().map(|row| (row.joint, row.bodies)).collect();
+        RobotRow {
+            name: self.robot.clone().into(),
+            mjcf: mjcf.into(),
+            frame_skip: self.frame_skip,
+            neighbourhood: Neighbourhood { edges, touching, globals },
+            integration: match self.physics.integration {
+                IntegrationName::Euler => Integration::Euler,
+                IntegrationName::RungeKutta => Integration::RungeKutta,
+            },
+            limits: self.physics.limits.softness(),
+            contacts: self.physics.contacts.softness(),
+            margin: self.physics.margin,
+            contact_compliance: self.physics.contact_compliance,
+        }
+    }
+}
+
+impl PhysicsRow {
+    fn check(&self) -> Result<(), SimError> {
+        self.limits.check("physics.limits")?;
+        self.contacts.check("physics.contacts")?;
+        within("physics.margin", self.margin, 0.0, 1.0)?;
+        within("physics.contact_compliance", self.contact_compliance, 1e-3, 1.0)
+    }
+}
+
+/// An error of the task file.
+pub(super) fn refused(why: impl Into<String>) -> SimError {
+    SimError::TaskFile(why.into())
+}
+
+/// Refuses a number outside `low..=high`, and NaN.
+pub(super) fn within(key: &str, value: f32, low: f32, high: f32) -> Result<(), SimError> {
+    match (low..=high).contains(&value) {
+        true => Ok(()),
+        false => Err(refused(format!("{key} must lie in {low}..={high}, is {value}"))),
+    }
+}
+
+fn whole(key: &str, value: u32, most: u32) -> Result<(), SimError> {
+    match (1..=most).contains(&value) {
+        true => Ok(()),
+        false => Err(refused(format!("{key} must lie in 1..={most}, is {value}"))),
+    }
+}
+
+/// Parses TOML; an error names the line and, for an unknown key or value, the nearest known one.
+fn typed<T: DeserializeOwned>(text: &str) -> Result<T, SimError> {
+    toml::from_str(text).map_err(|error: toml::de::Error| {
+        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+        let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+        let line = before.matches('\n').count() + 1;
+        let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
+        let nearest = match (message.starts_with("unknown "), quoted.split_first()) {
+            (true, Some((found, known))) => spelling::nearest(found, known.iter().copied()),
+            _ => None,
+        };
+        let hint = nearest.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default();
+        refused(format!("line {line}: {message}{hint}"))
+    })
+}

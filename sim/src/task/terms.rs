@@ -1,0 +1,240 @@
+//! The terms of a reward. Each is one function of a step.
+
+use std::collections::BTreeMap;
+
+use super::Motion;
+use super::definition::{TermName, TermRow, refused};
+use super::names::Names;
+use crate::error::SimError;
+use crate::robot::{MapKind, Robot};
+
+/// One step of an environment.
+pub(crate) struct Transition<'a> {
+    /// Motion before the step.
+    pub(crate) before: Motion<'a>,
+    /// Motion after the step.
+    pub(crate) after: Motion<'a>,
+    /// Actions of all agents in agent order, not clamped, `[A]`.
+    pub(crate) action: &'a [f32],
+    /// Actions of the step before, 0 at the start, `[A]`; empty unless a term reads them.
+    pub(crate) last_action: &'a [f32],
+    /// Duration of the step, s.
+    pub(crate) dt_secs: f32,
+}
+
+/// A term with its parameters as indices of coordinates.
+#[derive(Clone, Debug)]
+enum Term {
+    ForwardSpeed { coordinate: usize },
+    Alive,
+    Control,
+    Contact,
+    TargetDistance { target: Vec<(usize, f32)> },
+    Upright { root: RootTilt },
+    InRange { coordinate: usize, range: [f32; 2] },
+    ActionRate,
+}
+
+/// Coordinates that determine the tilt of the root.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum RootTilt {
+    /// Index of the rotation about y.
+    Planar(usize),
+    /// Index of the quaternion (w x y z).
+    Free(usize),
+}
+
+/// `(x' - x) / dt`: mean speed along a coordinate during the step, m/s or rad/s. Without a `coordinate`, the first one:
+/// the root's x.
+pub(super) fn forward_speed(step: &Transition<'_>, coordinate: usize) -> f32 {
+    (step.after.position(coordinate) - step.before.position(coordinate)) / step.dt_secs
+}
+
+/// 1 in every step, including the last; no unit.
+pub(super) fn alive() -> f32 {
+    1.0
+}
+
+/// `sum a^2` over the actions of all agents before clamping, in squared units of action.
+pub(super) fn control(step: &Transition<'_>) -> f32 {
+    sum_of_squares(step.action)
+}
+
+/// `sum c^2` over the contact forces and torques on all bodies after the step, each clipped to 1, N^2 and (N m)^2. 0
+/// unless `observation.contact_forces` is `real`.
+pub(super) fn contact(step: &Transition<'_>) -> f32 {
+    sum_of_squares(step.after.contact_forces)
+}
+
+/// `sqrt(sum (q' - target)^2)` over the named coordinates: distance to the target after the step, m.
+pub(super) fn target_distance(step: &Transition<'_>, target: &[(usize, f32)]) -> f32 {
+    let offset = |(coordinate, target): &(usize, f32)| step.after.position(*coordinate) - target;
+    target.iter().map(offset).map(|offset| offset * offset).sum::<f32>().sqrt()
+}
+
+/// Cosine of the angle between the root's z axis and the vertical after the step: 1 upright, -1 upside down; no unit.
+pub(super) fn upright(step: &Transition<'_>, root: RootTilt) -> f32 {
+    match root {
+        RootTilt::Planar(pitch) => libm::cosf(step.after.position(pitch)),
+        RootTilt::Free(quaternion) => {
+            let [x, y] = [1, 2].map(|k| step.after.position(quaternion + k));
+            1.0 - 2.0 * (x * x + y * y)
+        }
+    }
+}
+
+/// 1 while a coordinate lies in its range, bounds included, else 0; no unit.
+pub(super) fn in_range(step: &Transition<'_>, coordinate: usize, [low, high]: [f32; 2]) -> f32 {
+    if (low..=high).contains(&step.after.position(coordinate)) { 1.0 } else { 0.0 }
+}
+
+/// `sum (a - a_last)^2` over the actions of all agents before clamping, in squared units of action. `a_last` is 0 in the
+/// first step of an episode.
+pub(super) fn action_rate(step: &Transition<'_>) -> f32 {
+    let changes = step.action.iter().zip(step.last_action);
+    changes.map(|(now, last)| (now - last) * (now - last)).sum()
+}
+
+fn sum_of_squares(numbers: &[f32]) -> f32 {
+    numbers.iter().map(|x| x * x).sum::<f32>()
+}
+
+impl Term {
+    fn value(&self, step: &Transition<'_>) -> f32 {
+        match self {
+            Self::ForwardSpeed { coordinate } => forward_speed(step, *coordinate),
+            Self::Alive => alive(),
+            Self::Control => control(step),
+            Self::Contact => contact(step),
+            Self::TargetDistance { target } => target_distance(step, target),
+            Self::Upright { root } => upright(step, *root),
+            Self::InRange { coordinate, range } => in_range(step, *coordinate, *range),
+            Self::ActionRate => action_rate(step),
+        }
+    }
+}
+
+/// The terms of one list with their weights.
+#[derive(Clone, Debug)]
+pub(super) struct WeightedSum(Vec<(f32, Term)>);
+
+impl WeightedSum {
+    /// Resolves the rows of the list `key`.
+    pub(super) fn new(key: &str, rows: &[TermRow], robot: &Robot) -> Result<Self, SimError> {
+        let resolve = |row: &TermRow| {
+            let place = format!("{key}.{}", row.term.word());
+            match row.weight.is_finite() {
+                true => Ok((row.weight, term(&place, row, robot)?)),
+                false => Err(refused(format!("{place}.weight must be finite, is {}", row.weight))),
+            }
+        };
+        rows.iter().map(resolve).collect::<Result<_, _>>().map(Self)
+    }
+
+    /// `sum weight term` in the order of the list; 0 for an empty list.
+    pub(super) fn value(&self, step: &Transition<'_>) -> f32 {
+        let terms = self.0.iter().map(|(weight, term)| weight * term.value(step));
+        terms.reduce(|sum, term| sum + term).unwrap_or(0.0)
+    }
+
+    /// Whether a term reads the actions of the step before.
+    pub(super) fn reads_last_action(&self) -> bool {
+        self.0.iter().any(|(_, term)| matches!(term, Term::ActionRate))
+    }
+
+    /// Whether a term reads contact forces.
+    pub(super) fn reads_contacts(&self) -> bool {
+        self.0.iter().any(|(_, term)| matches!(term, Term::Contact))
+    }
+}
+
+impl TermName {
+    fn word(self) -> &'static str {
+        match self {
+            Self::ForwardSpeed => "forward_speed",
+            Self::Alive => "alive",
+            Self::Control => "control",
+            Self::Contact => "contact",
+            Self::TargetDistance => "target_distance",
+            Self::Upright => "upright",
+            Self::InRange => "in_range",
+            Self::ActionRate => "action_rate",
+        }
+    }
+
+    /// Whether the term has the keys `coordinate`, `range` and `target`.
+    fn keys(self) -> [bool; 3] {
+        [
+            matches!(self, Self::ForwardSpeed | Self::InRange),
+            self == Self::InRange,
+            self == Self::TargetDistance,
+        ]
+    }
+}
+
+/// Resolves a row's names and refuses keys that its term does not have.
+fn term(place: &str, row: &TermRow, robot: &Robot) -> Result<Term, SimError> {
+    let names = Names::coordinates(robot);
+    let given = [
+        ("coordinate", row.coordinate.is_some()),
+        ("range", row.range.is_some()),
+        ("target", row.target.is_some()),
+    ];
+    for ((key, given), has) in given.into_iter().zip(row.term.keys()) {
+        if given && !has {
+            return Err(refused(format!("{place} has no key `{key}`")));
+        }
+    }
+    let missing = |key: &str| refused(format!("{place} needs the key `{key}`"));
+    let coordinate = row.coordinate.as_ref().map(|name| names.index(place, name)).transpose()?;
+    Ok(match row.term {
+        TermName::ForwardSpeed => Term::ForwardSpeed { coordinate: coordinate.unwrap_or(0) },
+        TermName::Alive => Term::Alive,
+        TermName::Control => Term::Control,
+        TermName::Contact => Term::Contact,
+        TermName::TargetDistance => {
+            let target = row.target.as_ref().ok_or_else(|| missing("target"))?;
+            Term::TargetDistance { target: resolved_target(place, target, names)? }
+        }
+        TermName::Upright => Term::Upright { root: root_tilt(place, robot)? },
+        TermName::InRange => Term::InRange {
+            coordinate: coordinate.ok_or_else(|| missing("coordinate"))?,
+            range: ascending(place, row.range.ok_or_else(|| missing("range"))?)?,
+        },
+        TermName::ActionRate => Term::ActionRate,
+    })
+}
+
+fn resolved_target(
+    place: &str,
+    target: &BTreeMap<String, f32>,
+    names: Names<'_>,
+) -> Result<Vec<(usize, f32)>, SimError> {
+    if target.is_empty() {
+        return Err(refused(format!("{place}.target names no coordinate")));
+    }
+    let resolve = |(name, value): (&String, &f32)| match value.is_finite() {
+        true => Ok((names.index(&format!("{place}.target"), name)?, *value)),
+        false => Err(refused(format!("{place}.target.{name} must be finite, is {value}"))),
+    };
+    target.iter().map(resolve).collect()
+}
+
+fn ascending(place: &str, range: [f32; 2]) -> Result<[f32; 2], SimError> {
+    let [low, high] = range;
+    match low.is_finite() && high.is_finite() && low <= high {
+        true => Ok(range),
+        false => {
+            Err(refused(format!("{place}.range must ascend and be finite, is [{low}, {high}]")))
+        }
+    }
+}
+
+fn root_tilt(place: &str, robot: &Robot) -> Result<RootTilt, SimError> {
+    let layout = robot.layout();
+    match (layout.orientation, layout.joints.first().map(|joint| joint.kind)) {
+        (Some(quaternion), _) => Ok(RootTilt::Free(quaternion)),
+        (None, Some(MapKind::Planar)) => Ok(RootTilt::Planar(2)),
+        _ => Err(refused(format!("{place} needs a root that can tilt"))),
+    }
+}

@@ -1,0 +1,205 @@
+//! Task files: the example, the terms by hand, and refusals.
+
+use super::*;
+use crate::config::{
+    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
+    RootView,
+};
+use crate::environment_batch::{EnvironmentBatch, Outcome};
+use crate::simulation::environments;
+
+const HOPPER: &str = include_str!("../../assets/hopper.toml");
+
+fn config(file: &str, mode: ObservationMode) -> TaskConfig {
+    let observation = ObservationConfig {
+        mode,
+        norm: ObservationNorm::None,
+        nearest: 1,
+        globals: RootView::Shown,
+        contact_forces: ContactForces::Absent,
+    };
+    let model = include_str!("../../assets/hopper.xml").to_owned();
+    TaskConfig {
+        task: "hopper-2x1".to_owned(),
+        definition: Some(TaskDefinition { file: file.to_owned(), model }),
+        observation,
+        partition: PartitionSemantics::Labels,
+    }
+}
+
+fn hopper(file: &str) -> Box<dyn EnvironmentBatch> {
+    environments(&config(file, ObservationMode::FullId), 1).unwrap()
+}
+
+fn changed(from: &str, to: &str) -> String {
+    assert!(HOPPER.contains(from), "{from}");
+    HOPPER.replacen(from, to, 1)
+}
+
+fn refusal(file: &str) -> String {
+    environments(&config(file, ObservationMode::FullId), 1).err().expect(file).to_string()
+}
+
+#[test]
+fn the_error_for_an_unknown_task_names_the_known_ones() {
+    let config = TaskConfig {
+        task: "halfchetah-6x1".to_owned(),
+        definition: None,
+        ..config(HOPPER, ObservationMode::FullId)
+    };
+    let error = find(&config).err().unwrap();
+    let start = "there is no task `halfchetah-6x1`; known tasks: halfcheetah-2x3, ";
+    assert!(error.to_string().starts_with(start), "{error}");
+}
+
+#[test]
+fn every_task_of_the_program_can_be_built() {
+    for &task in task_names().iter().filter(|name| **name != game::cue::NAME) {
+        let named = TaskConfig {
+            task: task.to_owned(),
+            definition: None,
+            ..config(HOPPER, ObservationMode::KNearest)
+        };
+        assert_eq!(find(&named).unwrap().name, task);
+    }
+}
+
+#[test]
+fn the_example_task_runs_and_terminates_without_control() {
+    let mut world = hopper(HOPPER);
+    assert_eq!((world.description().agents.len(), world.description().state.len()), (2, 9));
+    world.reset(0, 0, 1000, [1; 32]).unwrap();
+    let mut outcome = [Outcome::default()];
+    let mut steps = 0;
+    while !outcome[0].terminated {
+        world.step(&[0.0, 0.0], &mut outcome).unwrap();
+        steps += 1;
+        assert!(steps < 500 && !outcome[0].truncated && !outcome[0].fault);
+    }
+    assert!(steps > 10);
+}
+
+#[test]
+fn an_agent_of_the_example_observes_its_joint_the_neighbouring_angle_and_the_root() {
+    let world = environments(&config(HOPPER, ObservationMode::KNearest), 1).unwrap();
+    let names = world.description().agents[1].observation.iter();
+    let names: Vec<&str> = names.map(|feature| feature.name.as_str()).collect();
+    let expected =
+        ["knee.position", "knee.velocity", "hip.position", "rootz.position", "rooty.position"];
+    assert_eq!(names, expected);
+}
+
+/// Rewards of two steps with the actions (1, -1) and (0.5, 0) under one `[[reward]]` of weight 1.
+fn rewards(term: &str) -> [f32; 2] {
+    let kept = HOPPER.find("\n[[reward]]").unwrap()..HOPPER.find("\n[[healthy]]").unwrap();
+    let mut file = HOPPER.to_owned();
+    file.replace_range(kept, &format!("\n[[reward]]\nweight = 1.0\n{term}\n\n"));
+    let mut world = hopper(&file);
+    [[1.0, -1.0], [0.5, 0.0]].map(|action| {
+        let mut outcome = [Outcome::default()];
+        world.step(&action, &mut outcome).unwrap();
+        outcome[0].reward
+    })
+}
+
+#[test]
+fn terms_of_actions_are_sums_of_squares() {
+    assert_eq!(rewards("term = \"control\""), [2.0, 0.25]);
+    // (1, -1) - (0, 0), then (0.5, 0) - (1, -1).
+    assert_eq!(rewards("term = \"action_rate\""), [2.0, 1.25]);
+    assert_eq!(rewards("term = \"alive\""), [1.0, 1.0]);
+}
+
+#[test]
+fn terms_of_the_motion_describe_a_hopper_that_stands() {
+    let speed = rewards("term = \"forward_speed\"");
+    let height = rewards("term = \"forward_speed\"\ncoordinate = \"rootz\"");
+    assert!(speed != height && speed[0].abs() < 1.0 && height[0].abs() < 1.0);
+    let upright = rewards("term = \"upright\"")[0];
+    assert!(upright > 0.99 && upright <= 1.0, "{upright}");
+    let within =
+        |range| rewards(&format!("term = \"in_range\"\ncoordinate = \"rootz\"\nrange = {range}"));
+    assert_eq!((within("[-0.5, 0.5]"), within("[0.5, 1.0]")), ([1.0; 2], [0.0; 2]));
+    // A target 3 m ahead and 4 m up is 5 m away.
+    let distance = rewards("term = \"target_distance\"\ntarget = { rootx = 3.0, rootz = 4.0 }")[0];
+    assert!((distance - 5.0).abs() < 0.1, "{distance}");
+}
+
+#[test]
+fn a_restored_state_continues_a_reward_that_reads_the_last_action() {
+    let file = changed("term = \"control\"", "term = \"action_rate\"");
+    let (mut first, mut second) = (hopper(&file), hopper(&file));
+    let mut outcome = [Outcome::default()];
+    first.step(&[0.7, -0.2], &mut outcome).unwrap();
+    second.restore(0, &first.encode(0).unwrap()).unwrap();
+    let mut again = [Outcome::default()];
+    first.step(&[0.1, 0.3], &mut outcome).unwrap();
+    second.step(&[0.1, 0.3], &mut again).unwrap();
+    let difference = (outcome[0].reward - again[0].reward).abs();
+    // The weight is 0.001 and the squares sum to 0.61: a forgotten action would differ by 0.0005.
+    assert!(difference < 1e-4, "{difference}");
+}
+
+#[test]
+fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
+    for (from, to, parts) in [
+        (
+            "frame_skip = 4",
+            "fram_skip = 4",
+            &["line 5", "`fram_skip`", "did you mean `frame_skip`?"][..],
+        ),
+        ("frame_skip = 4", "frame_skip = 0", &["frame_skip must lie in 1..=1000, is 0"]),
+        ("robot = \"hopper\"", "robot = \"../x\"", &["robot must be", "`../x`"]),
+        ("\"alive\"", "\"alife\"", &["`alife`", "did you mean `alive`?"]),
+        ("[\"knee\"]]", "[\"kne\"]]", &["agents: ", "`kne`; did you mean `knee`?"]),
+        ("[\"knee\"]]", "[\"hip\"]]", &["agents: the joint `hip` is named twice"]),
+        (", [\"knee\"]]", "]", &["agents: the joint `knee` belongs to no agent"]),
+        (", [\"knee\"]]", ", []]", &["agents: agent 1 has no joint"]),
+        ("weight = 1e-3", "weight = nan", &["cost.control.weight must be finite, is NaN"]),
+        ("weight = 1e-3", "weight = 1e-3\nrange = [0, 1]", &["cost.control has no key `range`"]),
+        (
+            "term = \"alive\"",
+            "term = \"in_range\"",
+            &["reward.in_range needs the key `coordinate`"],
+        ),
+        ("term = \"alive\"", "term = \"contact\"", &["needs state.contact_forces = true"]),
+        ("\"rootz\"", "\"rotz\"", &["healthy.coordinate", "`rotz`; did you mean `rootz`?"]),
+        ("at_least = -0.5", "at_least = 1.0\nat_most = 0.5", &["healthy.rootz: the lower bound 1"]),
+        ("at_least = -0.5", "", &["healthy.rootz needs a bound"]),
+        ("at_least = -0.5", "at_least = inf", &["healthy.rootz: a bound must be finite"]),
+        (
+            "positions = { uniform = 0.005 }",
+            "positions = { uniform = -1 }",
+            &["start.positions must lie in"],
+        ),
+        (
+            "positions = { uniform = 0.005 }",
+            "positions = { uniform = 9.0 }",
+            &["start.positions moves `hip` out of"],
+        ),
+        (
+            "velocities = { uniform",
+            "velocities = { even",
+            &["`even`, expected `uniform` or `normal`"],
+        ),
+        (
+            "[\"rootx\"]",
+            "[\"hip\"]",
+            &["agents: the robot has no feature in its global state `hip.position`"],
+        ),
+        (
+            "\"rooty.position\"",
+            "\"rooty.positions\"",
+            &["neighbourhood.globals", "did you mean `rooty.position`?"],
+        ),
+        (
+            "hidden = [",
+            "angular_velocity = \"body\"\nhidden = [",
+            &["needs a robot with a free joint"],
+        ),
+    ] {
+        let message = refusal(&changed(from, to));
+        assert!(parts.iter().all(|part| message.contains(part)), "{to}: {message}");
+        assert!(!message.contains('\n'), "{message}");
+    }
+}

@@ -1,0 +1,318 @@
+//! Tests of robots that are loaded from MJCF models: masses and joints against MuJoCo's, one motion with a closed form
+//! for each kind of element.
+
+use std::sync::Arc;
+
+use super::World;
+use crate::robot::{JointPlan, ModelFiles, Robot};
+
+/// Physics step of the models below, s.
+const STEP: f32 = 0.001;
+
+/// A robot of a document without files. Its environment step is one physics step.
+pub(super) fn robot(mjcf: &str) -> Result<Robot, String> {
+    let files = ModelFiles::collect("robot.xml", |path| match path {
+        "robot.xml" => Ok(mjcf.as_bytes().to_vec()),
+        "parts/trough.obj" => Ok(reference()["files"][path].as_str().unwrap().into()),
+        path => Err(format!("{path} does not exist")),
+    });
+    let robot = files.and_then(|files| Robot::from_model("loaded", &files, 1));
+    robot.map_err(|error| error.to_string())
+}
+
+/// A world with a floor, a step of a millisecond, and these bodies and actuators.
+fn world(bodies: &str, actuators: &str) -> World {
+    World::new(Arc::new(robot(&document(bodies, actuators)).unwrap()))
+}
+
+pub(super) fn document(bodies: &str, actuators: &str) -> String {
+    format!(
+        "<mujoco><compiler angle=\"radian\"/><option timestep=\"{STEP}\"/><worldbody>\n\
+         <geom type=\"plane\" size=\"1 1 1\"/>\n{bodies}\n</worldbody>\n\
+         <actuator>{actuators}</actuator></mujoco>"
+    )
+}
+
+fn reference() -> serde_json::Value {
+    serde_json::from_str(include_str!("../../tests/data/mujoco-models.json")).unwrap()
+}
+
+fn coordinates(world: &World) -> Vec<f32> {
+    let mut out = vec![0.0; world.robot().coordinate_names().len()];
+    world.coordinates(&mut out);
+    out
+}
+
+fn hold(world: &mut World, controls: &[f32], secs: f32) {
+    for _ in 0..(secs / STEP).round() as u32 {
+        assert!(world.step(controls));
+    }
+}
+
+fn numbers<const N: usize>(value: &serde_json::Value) -> [f32; N] {
+    let number = |index: usize| value[index].as_f64().unwrap() as f32;
+    std::array::from_fn(number)
+}
+
+fn assert_near(what: &str, got: &[f32], expected: &[f32], tolerance: f32) {
+    let off = got.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(off <= tolerance, "{what}: {got:?} against {expected:?}");
+}
+
+#[test]
+fn masses_centres_inertias_and_joints_are_equal_to_mujocos() {
+    let reference = reference();
+    for (name, model) in reference["models"].as_object().unwrap() {
+        let world = World::new(Arc::new(robot(model["mjcf"].as_str().unwrap()).unwrap()));
+        let poses = world.link_poses();
+        let links = &world.robot().blueprint().links;
+        for expected in model["links"].as_array().unwrap() {
+            let body = expected["name"].as_str().unwrap();
+            let index = links.iter().position(|link| link.name == body).unwrap();
+            let what = format!("{name} {body}");
+            let mass = expected["mass"].as_f64().unwrap() as f32;
+            let (_, got, moments) = world.robot().masses().nth(index).unwrap();
+            assert_near(&what, &[got], &[mass], 1e-5 * mass);
+            let centre = poses[index].in_world(links[index].mass.local_com.to_array());
+            assert_near(&what, &centre, &numbers::<3>(&expected["centre"]), 2e-6);
+            let largest = expected["moments"][2].as_f64().unwrap() as f32;
+            assert_near(&what, &moments, &numbers::<3>(&expected["moments"]), 1e-5 * largest);
+        }
+        for expected in model["joints"].as_array().unwrap() {
+            let joint = expected["name"].as_str().unwrap();
+            let what = format!("{name} {joint}");
+            let found = links.iter().zip(&poses).find_map(|(link, pose)| match &link.joint {
+                JointPlan::Hinge(hinge) if hinge.name == joint => Some((hinge, pose)),
+                _ => None,
+            });
+            let (hinge, pose) = found.unwrap();
+            let anchor = pose.in_world(hinge.anchor.to_array());
+            assert_near(&what, &anchor, &numbers::<3>(&expected["anchor"]), 2e-6);
+            let mut axis = [0.0; 3];
+            axis[hinge.axis.free] = hinge.axis.sign;
+            let axis = (hinge.axis.frame * rapier3d::math::Vector::from_array(axis)).to_array();
+            let axis = crate::scene::rotated(pose.quaternion, axis);
+            assert_near(&what, &axis, &numbers::<3>(&expected["axis"]), 2e-6);
+        }
+    }
+}
+
+#[test]
+fn shapes_of_every_kind_come_to_rest_on_the_floor_at_their_heights() {
+    let shapes = [
+        ("type=\"box\" size=\"0.2 0.3 0.1\"", 0.1),
+        ("type=\"cylinder\" size=\"0.2 0.1\"", 0.1),
+        ("type=\"cylinder\" size=\"0.1 0.2\" quat=\"1 1 0 0\"", 0.1),
+        ("type=\"ellipsoid\" size=\"0.3 0.2 0.1\"", 0.1),
+        ("type=\"mesh\" mesh=\"slab\"", 0.1),
+    ];
+    let corners = [-1, 1].map(|z| [-1, 1].map(|y| [-3, 3].map(|x| format!("0.{x} 0.{y} 0.{z} "))));
+    let corners = corners.concat().concat().concat().replace("0.-", "-0.");
+    for (shape, height) in shapes {
+        let body = format!("<body pos=\"0 0 0.12\"><freejoint/><geom {shape}/></body>");
+        let asset = format!("<mujoco><asset><mesh name=\"slab\" vertex=\"{corners}\"/></asset>");
+        let mjcf = document(&body, "").replace("<mujoco>", &asset);
+        let mut world = World::new(Arc::new(robot(&mjcf).unwrap()));
+        hold(&mut world, &[], 1.5);
+        let at = coordinates(&world);
+        assert_near(shape, &at[2..3], &[height], 2e-3);
+        assert_near(shape, &[world.lowest_point()], &[0.0], 2e-3);
+        // Neither does it tip over.
+        assert_near(shape, &[at[3].abs()], &[1.0], 1e-3);
+    }
+}
+
+#[test]
+fn a_position_actuator_holds_an_angle_against_gravity_as_a_spring_does() {
+    // 1 kg at 0.5 m on a level arm: kp (c - q) = m g l cos(q).
+    let arm = "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 -1 0\" damping=\"2\"/>\
+        <geom type=\"sphere\" size=\"0.02\" pos=\"0.5 0 0\" mass=\"1\" contype=\"0\" conaffinity=\"0\"/></body>";
+    let mut world = world(arm, "<position joint=\"j\" kp=\"50\" kv=\"3\" ctrlrange=\"-1 1\"/>");
+    hold(&mut world, &[0.4], 5.0);
+    let mut angle = 0.4_f32;
+    for _ in 0..50 {
+        angle = 0.4 - 9.81 * 0.5 * libm::cosf(angle) / 50.0;
+    }
+    assert_near("angle", &coordinates(&world), &[angle], 1e-3);
+}
+
+#[test]
+fn a_velocity_actuator_reaches_the_speed_at_which_damping_balances_it() {
+    // kv (c - v) = d v, with kv = 3, d = 1 and gear 1: v = 0.75 c.
+    let wheel = "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 0 1\" damping=\"1\"/>\
+        <geom type=\"cylinder\" size=\"0.1 0.02\" mass=\"1\"/></body>";
+    let mut world = world(wheel, "<velocity joint=\"j\" kv=\"3\" ctrlrange=\"-2 2\"/>");
+    hold(&mut world, &[2.0], 1.0);
+    let mut speed = [0.0];
+    world.velocities(&mut speed);
+    assert_near("speed", &speed, &[1.5], 1e-3);
+}
+
+#[test]
+fn a_force_range_limits_a_servo_and_a_torque_range_its_joint() {
+    // Both accelerate an inertia of 0.5 x 2 x 0.1^2 kg m^2 with 0.05 N m: 5 rad/s^2.
+    let accelerated = |joint: &str, actuator: &str| {
+        let wheel = format!(
+            "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 0 1\" {joint}/>\
+             <geom type=\"cylinder\" size=\"0.1 0.02\" mass=\"2\"/></body>"
+        );
+        let mut world = world(&wheel, actuator);
+        hold(&mut world, &[1.0], 0.2);
+        let mut speed = [0.0];
+        world.velocities(&mut speed);
+        assert_near(actuator, &speed, &[1.0], 1e-3);
+    };
+    accelerated(
+        "",
+        "<position joint=\"j\" kp=\"9\" ctrlrange=\"-1 1\" forcerange=\"-0.05 0.05\"/>",
+    );
+    accelerated(
+        "actuatorfrcrange=\"-0.05 0.05\"",
+        "<motor joint=\"j\" gear=\"3\" ctrlrange=\"-1 1\"/>",
+    );
+    // Two actuators of one joint add up.
+    let half = "<motor joint=\"j\" gear=\"0.025\" ctrlrange=\"-1 1\"/>";
+    let wheel = "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 0 1\"/>\
+        <geom type=\"cylinder\" size=\"0.1 0.02\" mass=\"2\"/></body>";
+    let mut both = world(wheel, &half.repeat(2));
+    hold(&mut both, &[1.0, 1.0], 0.2);
+    let mut speed = [0.0];
+    both.velocities(&mut speed);
+    assert_near("two motors", &speed, &[1.0], 1e-3);
+}
+
+#[test]
+fn a_pendulum_on_a_fixed_base_has_the_period_of_its_inertia() {
+    // A rod of 1 m, hinged at its end: T = 2 pi sqrt(2 l / 3 g) for small angles.
+    let rod = "<body name=\"stand\" pos=\"0 0 2\"><geom type=\"box\" size=\"0.1 0.1 0.1\"/>\
+        <body name=\"rod\"><joint name=\"j\" axis=\"0 1 0\"/>\
+        <geom type=\"box\" size=\"0.005 0.005 0.5\" pos=\"0 0 -0.5\"/></body></body>";
+    let mut world = world(rod, "");
+    assert_eq!(world.link_poses().len(), 2);
+    world.rebuild(&[0.05], &[0.0]);
+    let period = std::f32::consts::TAU * (2.0 / (3.0 * 9.81_f32)).sqrt();
+    hold(&mut world, &[], period);
+    assert_near("angle after a period", &coordinates(&world), &[0.05], 2e-4);
+}
+
+#[test]
+fn a_slide_falls_onto_its_spring_and_a_reference_shifts_its_coordinate() {
+    // k (q - springref) = -m g along the vertical axis, with q = 0.3 in the rest pose.
+    let cart = "<body pos=\"0 0 1\">\
+        <joint name=\"j\" type=\"slide\" axis=\"0 0 1\" ref=\"0.3\" springref=\"0.3\" stiffness=\"200\" damping=\"30\"/>\
+        <geom type=\"box\" size=\"0.1 0.1 0.1\" mass=\"2\"/></body>";
+    let mut world = world(cart, "");
+    hold(&mut world, &[], 3.0);
+    let reference = world.robot().reference()[0];
+    assert_near("height", &[coordinates(&world)[0] + reference], &[0.3 - 2.0 * 9.81 / 200.0], 1e-4);
+}
+
+#[test]
+fn dry_friction_holds_a_joint_below_its_torque_and_not_above() {
+    let moved = |friction: f32| {
+        let arm = format!(
+            "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 1 0\" frictionloss=\"{friction}\"/>\
+             <geom type=\"sphere\" size=\"0.02\" pos=\"0.5 0 0\" mass=\"1\" conaffinity=\"0\"/></body>"
+        );
+        let mut world = world(&arm, "");
+        hold(&mut world, &[], 0.3);
+        coordinates(&world)[0]
+    };
+    // The weight's torque is 4.9 N m.
+    assert!(moved(5.5).abs() < 0.01 && moved(4.0) > 0.03, "{} {}", moved(5.5), moved(4.0));
+}
+
+#[test]
+fn several_hinges_of_a_body_rotate_it_one_after_the_other() {
+    let body = "<body pos=\"0 0 1\"><joint name=\"z\" axis=\"0 0 1\"/><joint name=\"x\" axis=\"1 0 0\"/>\
+        <geom type=\"box\" size=\"0.1 0.2 0.3\"/></body>";
+    let mut world = world(body, "");
+    let quarter = std::f32::consts::FRAC_PI_2;
+    world.rebuild(&[quarter, quarter], &[0.0; 2]);
+    // The body's y axis first points up, then the outer hinge leaves it there; its x axis points along y.
+    let turn = world.link_poses()[1].quaternion;
+    assert_near("y axis", &crate::scene::rotated(turn, [0.0, 1.0, 0.0]), &[0.0, 0.0, 1.0], 1e-6);
+    assert_near("x axis", &crate::scene::rotated(turn, [1.0, 0.0, 0.0]), &[0.0, 1.0, 0.0], 1e-6);
+}
+
+/// A free body whose mass centre is far from its origin, with an arm.
+pub(super) const LOPSIDED: &str = "<body pos=\"0 0 40\"><freejoint name=\"root\"/>\
+    <geom type=\"box\" size=\"0.1 0.2 0.3\" pos=\"0.4 0.1 0\"/>\
+    <body pos=\"-0.2 0 0\"><joint name=\"j\" axis=\"1 1 0\" damping=\"0.1\"/>\
+    <geom type=\"capsule\" size=\"0.05\" fromto=\"0 0 0 -0.3 0.3 0\"/></body></body>";
+
+#[test]
+fn the_mass_centre_of_an_off_centre_free_robot_follows_a_parabola() {
+    let mut world = world(LOPSIDED, "");
+    let mut at = world.robot().rest().to_vec();
+    at[3..7].copy_from_slice(&[0.5, 0.5, -0.5, 0.5]);
+    world.rebuild(&at, &[2.0, 0.5, 1.0, 1.0, 3.0, -2.0, 0.0]);
+    let start = world.centre_of_mass();
+    hold(&mut world, &[], STEP);
+    let first = world.centre_of_mass();
+    hold(&mut world, &[], 1.0 - STEP);
+    let end = world.centre_of_mass();
+    let speed: [f32; 3] = std::array::from_fn(|axis| (first[axis] - start[axis]) / STEP);
+    let expected = [start[0] + speed[0], start[1] + speed[1], start[2] + speed[2] - 9.81 / 2.0];
+    assert_near("centre", &end, &expected, 0.03);
+    let mut motion = [0.0; 7];
+    world.velocities(&mut motion);
+    assert!(motion[3..6].iter().any(|speed| speed.abs() > 1.0), "{motion:?}");
+}
+
+#[test]
+fn an_off_centre_free_robot_continues_from_its_numbers_bit_for_bit() {
+    let mut world = world(LOPSIDED, "");
+    let numbers = |world: &World| {
+        let mut motion = vec![0.0; 7];
+        world.velocities(&mut motion);
+        (coordinates(world), motion)
+    };
+    let at = [1.0, -2.0, 4.0, 0.5, 0.5, -0.5, 0.5, 0.3];
+    let motion = [0.1, 0.2, -0.3, 1.0, 2.0, -1.0, 0.5];
+    world.rebuild(&at, &motion);
+    assert_eq!(numbers(&world), (at.to_vec(), motion.to_vec()));
+    hold(&mut world, &[], 0.1);
+    let (at, motion) = numbers(&world);
+    let mut second = World::new(Arc::new(robot(&document(LOPSIDED, "")).unwrap()));
+    world.rebuild(&at, &motion);
+    second.rebuild(&at, &motion);
+    for _ in 0..100 {
+        assert!(world.step(&[]) && second.step(&[]));
+        assert_eq!(numbers(&world), numbers(&second));
+    }
+}
+
+#[test]
+fn a_frictionless_shape_slides_on_and_masks_decide_what_touches_the_floor() {
+    let slid = |geom: &str| {
+        let body = format!(
+            "<body pos=\"0 0 0.1\"><freejoint/><geom type=\"box\" size=\"0.1 0.1 0.1\" {geom}/></body>"
+        );
+        let floor =
+            "<geom type=\"plane\" size=\"1 1 1\" condim=\"1\" contype=\"2\" conaffinity=\"4\"/>";
+        let mjcf = document(&body, "").replace("<geom type=\"plane\" size=\"1 1 1\"/>", floor);
+        let mut world = World::new(Arc::new(robot(&mjcf).unwrap()));
+        let at = world.robot().rest().to_vec();
+        world.rebuild(&at, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        hold(&mut world, &[], 0.5);
+        let at = coordinates(&world);
+        (at[0], at[2])
+    };
+    let (x, z) = slid("condim=\"1\" conaffinity=\"2\"");
+    assert_near("frictionless", &[x, z], &[0.5, 0.1], 2e-3);
+    let (x, z) = slid("condim=\"3\" contype=\"4\" conaffinity=\"0\"");
+    assert_near("stopped by friction", &[x, z], &[1.0 / (2.0 * 9.81), 0.1], 1e-2);
+    assert!(slid("contype=\"1\" conaffinity=\"1\"").1 < -1.0, "it falls through the floor");
+}
+
+#[test]
+fn what_is_left_out_is_listed() {
+    let pair = "<body pos=\"0 0 1\"><joint/><geom size=\"0.1\"/><body pos=\"1 0 0\"><joint/><geom size=\"0.1\"/></body></body>";
+    let mjcf = document(pair, "").replace("<option ", "<option cone=\"elliptic\" impratio=\"10\" ");
+    let left_out = robot(&mjcf).unwrap().left_out().join("; ");
+    assert!(left_out.contains("contacts between 2 shapes"), "{left_out}");
+    assert!(left_out.contains("elliptic") && left_out.contains("impratio"), "{left_out}");
+    let one_way = mjcf.replace("<geom size", "<geom conaffinity=\"0\" size");
+    assert!(!robot(&one_way).unwrap().left_out().join("; ").contains("contacts between"));
+}

@@ -1,0 +1,119 @@
+//! Tests of models that cannot be built: the error names the element and its line.
+
+use super::loaded::{LOPSIDED, document, robot};
+
+fn bodies(body: &str) -> String {
+    document(&format!("<body name=\"b\">{body}</body>"), "")
+}
+
+fn geom(attributes: &str) -> String {
+    bodies(&format!("<joint name=\"j\"/>\n<geom {attributes}/>"))
+}
+
+fn actuator(actuator: &str) -> String {
+    document(LOPSIDED, &format!("\n{actuator}"))
+}
+
+fn section(text: &str) -> String {
+    document(LOPSIDED, "").replace("</mujoco>", &format!("{text}</mujoco>"))
+}
+
+fn assert_refused(cases: &[(String, &str)]) {
+    for (mjcf, expected) in cases {
+        let Err(reason) = robot(mjcf) else { panic!("built instead of: {expected}") };
+        assert!(reason.contains(expected), "{reason}\ninstead of: {expected}");
+        assert!(!reason.contains('\n'), "{reason}");
+    }
+}
+
+#[test]
+fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
+    assert_refused(&[
+        (geom("size=\"0.1\" shiny=\"1\""), "line 4, <geom>: the attribute `shiny`"),
+        (geom("type=\"hfield\""), "line 4, <geom>: the type `hfield`"),
+        (geom("type=\"mesh\" mesh=\"lost\""), "line 4, <geom>: there is no mesh `lost`"),
+        (geom("size=\"1e-50\""), "line 4, <geom>: `size` must have 1 positive numbers"),
+        (geom("size=\"1e39\""), "line 4, <geom>: size=\"1e39\" must be finite numbers"),
+        (
+            geom("type=\"box\" size=\"1 0 1\""),
+            "line 4, <geom>: `size` must have 3 positive numbers",
+        ),
+        (geom("size=\"0.1\" solref=\"0.02 0.5\""), "line 4, <geom>: the damping ratio"),
+        (
+            geom("size=\"0.1\" class=\"lost\""),
+            "line 4, <geom class=\"lost\">: no default has the class",
+        ),
+        (geom("size=\"x\""), "line 4, <geom>: size=\"x\" must be finite numbers"),
+        (
+            bodies("\n<joint name=\"j\" type=\"ball\"/><geom size=\"1\"/>"),
+            "line 4, <joint name=\"j\">: the type `ball`",
+        ),
+        (
+            bodies("\n<joint name=\"j\" springdamper=\"1 1\"/>"),
+            "line 4, <joint name=\"j\">: the attribute `springdamper`",
+        ),
+        (bodies("<joint/>"), "line 3, <body name=\"b\">: a body that moves must have a mass"),
+        (bodies("<composite/>"), "line 3, <composite>: this element is not supported"),
+        (bodies("<geom size=\"0.1\"/>"), "the model has no joints"),
+        (document("<body mocap=\"true\"/>", ""), "line 3, <body>: mocap bodies"),
+        (
+            document(&format!("<geom name=\"wall\" type=\"box\" size=\"1 1 1\"/>{LOPSIDED}"), ""),
+            "line 3, <geom name=\"wall\">: links touch nothing",
+        ),
+        (
+            document("<geom type=\"plane\" size=\"1 1 1\"/>", ""),
+            "line 3, <geom>: the world has more than one plane",
+        ),
+    ]);
+}
+
+#[test]
+fn a_model_that_is_nested_too_deeply_is_refused_before_the_stack_overflows() {
+    let nested = |depth: usize| format!("{}{}", "<body>".repeat(depth), "</body>".repeat(depth));
+    assert_refused(&[(section(&nested(10_000)), "nested more than 200 deep")]);
+}
+
+#[test]
+fn refused_actuators_and_sections_are_named_with_their_lines() {
+    assert_refused(&[
+        (
+            actuator("<motor joint=\"lost\" ctrlrange=\"-1 1\"/>"),
+            "line 6, <motor joint=\"lost\">: no hinge or slide",
+        ),
+        (
+            actuator("<motor joint=\"j\"/>"),
+            "line 6, <motor joint=\"j\">: its control must be limited",
+        ),
+        (
+            actuator("<motor tendon=\"t\" ctrlrange=\"-1 1\"/>"),
+            "line 6, <motor>: the attribute `tendon`",
+        ),
+        (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
+        (
+            actuator("<general joint=\"j\" dyntype=\"filter\"/>"),
+            "line 6, <general joint=\"j\">: actuators with an activation",
+        ),
+        (
+            actuator("<position joint=\"j\" dampratio=\"1\"/>"),
+            "line 6, <position joint=\"j\">: the attribute `dampratio`",
+        ),
+        (
+            section("<equality>\n<weld body1=\"b\"/></equality>"),
+            "line 6, <weld>: equality constraints",
+        ),
+        (
+            section("\n<tendon><fixed name=\"t\" stiffness=\"1\"/></tendon>"),
+            "line 6, <fixed name=\"t\">: tendons with forces",
+        ),
+        (
+            section("\n<contact><pair geom1=\"a\"/></contact>"),
+            "line 6, <pair>: explicit contact pairs",
+        ),
+        (section("\n<deformable/>"), "line 6, <deformable>: this element"),
+        (section("\n<option viscosity=\"0.1\"/>"), "line 6, <option>: viscosity=\"0.1\""),
+        (
+            section("\n<asset><mesh file=\"/a.stl\"/></asset><include file=\"../b.xml\"/>"),
+            "line 6, <include file=\"../b.xml\">: `/",
+        ),
+    ]);
+}

@@ -1,0 +1,186 @@
+//! `s2mia task`: checks a task file, or writes an example of one.
+
+use anyhow::Context as _;
+use policy::randomness::uniform;
+use policy::{Draw, Key, Purpose, RunSeed};
+use sim::{EnvironmentBatch, Outcome, Pose, Robot, TaskDefinition};
+
+use super::tasks;
+use crate::cli::{TaskCheckArguments, TaskCommand, TaskNewArguments};
+use crate::config::run_config::RunConfig;
+use crate::config::{Request, layers};
+use crate::errors::Usage;
+use crate::film::{self, Frame, RobotShapes};
+use crate::process::output;
+
+/// Seed of the random actions.
+const SEED: RunSeed = RunSeed(0);
+/// Pictures of a film.
+const FRAMES: usize = 8;
+
+/// Runs one of the commands.
+pub(super) fn run(command: &TaskCommand) -> anyhow::Result<()> {
+    match command {
+        TaskCommand::Check(arguments) => check(arguments),
+        TaskCommand::New(arguments) => new(arguments),
+    }
+}
+
+/// Writes the example; refuses to replace a file.
+fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
+    let TaskDefinition { file, model } = TaskDefinition::example();
+    let texts = [("hopper.toml", file), ("hopper.xml", model)];
+    let texts = texts.map(|(name, text)| (arguments.folder.join(name), text));
+    if let Some((path, _)) = texts.iter().find(|(path, _)| path.exists()) {
+        return Err(Usage::new(format!("{} exists already", path.display())).into());
+    }
+    output::option_folder("DIR", &arguments.folder)?;
+    for (path, text) in &texts {
+        output::file(path, text.as_bytes())?;
+    }
+    let task = texts[0].0.display();
+    output::line(format!("{task}: next `s2mia task check {task}`, then `s2mia train {task}`"));
+    Ok(())
+}
+
+/// Prints the robot, its agents and what random actions do.
+fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
+    let request = Request { settings: vec![arguments.task.clone()], ..Request::default() };
+    let config = RunConfig::build(layers::resolve(&request)?)?;
+    let mut world = sim::environments(&config.task, 1).context("cannot build the task")?;
+    let Some(robot) = world.robot() else {
+        let why = format!("{} is a game: it has no robot to check", arguments.task);
+        return Err(Usage::new(why).into());
+    };
+    output::line(tasks::as_table(world.description()).trim_end());
+    output::line(links(robot));
+    output::line(joints(robot));
+    let mut trial = Trial::default();
+    for episode in 0..arguments.episodes {
+        trial.play(&mut *world, episode)?;
+    }
+    if let Some(path) = &arguments.film {
+        output::file(path, &trial.film(&*world)?)?;
+        output::line(path.display());
+    }
+    output::line(trial.summary(arguments.episodes));
+    anyhow::ensure!(trial.faults == 0, "the simulation is unstable: shorten the model's timestep");
+    Ok(())
+}
+
+/// Mass and principal inertias of each link, and the sum of the masses.
+fn links(robot: &Robot) -> String {
+    let mut text = String::new();
+    let mut total = 0.0;
+    for (name, mass, [a, b, c]) in robot.masses() {
+        total += f64::from(mass);
+        text +=
+            &format!("link  {name:<16} {mass:>9.4} kg, inertia {a:.3e} {b:.3e} {c:.3e} kg m^2\n");
+    }
+    text + &format!("total {:<16} {total:>9.4} kg", "")
+}
+
+/// Limits and largest torque of each hinge.
+fn joints(robot: &Robot) -> String {
+    let line = |(name, range): (&str, Option<[f32; 2]>)| {
+        let range = match range {
+            Some([low, high]) => format!("{low} to {high} rad"),
+            None => "no limits".to_owned(),
+        };
+        let torque = match robot.torque(name, f32::MAX) {
+            Some(torque) => format!("motor up to {torque} N m"),
+            None => "no motor".to_owned(),
+        };
+        format!("joint {name:<16} {range}, {torque}")
+    };
+    robot.hinges().map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// What happens under random actions.
+#[derive(Default)]
+struct Trial {
+    steps: u64,
+    total: f64,
+    terminated: u32,
+    faults: u32,
+    /// Largest velocity, m/s or rad/s, and its name.
+    fastest: (f32, String),
+    /// Poses of the first episode.
+    poses: Vec<Pose>,
+}
+
+impl Trial {
+    /// Plays a whole episode with uniformly distributed actions.
+    fn play(&mut self, world: &mut dyn EnvironmentBatch, episode: u32) -> anyhow::Result<()> {
+        let limit = world.description().episode_steps;
+        let start = Draw::of(Purpose::EvaluationReset).iteration(episode.into());
+        world.reset(0, 0, limit, Key::of(SEED, start).0)?;
+        let mut outcome = [Outcome::default()];
+        for step in 0.. {
+            if episode == 0 {
+                self.poses.push(world.pose(0));
+            }
+            let action = random_action(world, episode, step);
+            world.step(&action, &mut outcome)?;
+            self.steps += 1;
+            self.total += f64::from(outcome[0].reward);
+            self.note_speed(world);
+            if outcome[0].terminated || outcome[0].truncated {
+                break;
+            }
+        }
+        self.terminated += u32::from(outcome[0].terminated);
+        self.faults += u32::from(outcome[0].fault);
+        Ok(())
+    }
+
+    fn note_speed(&mut self, world: &dyn EnvironmentBatch) {
+        let Some(world) = world.world(0) else { return };
+        let mut velocities = vec![0.0; world.robot().velocity_names().len()];
+        world.velocities(&mut velocities);
+        for (velocity, name) in velocities.into_iter().zip(world.robot().velocity_names()) {
+            if velocity.abs() > self.fastest.0 {
+                self.fastest = (velocity.abs(), name.clone());
+            }
+        }
+    }
+
+    fn summary(&self, episodes: u32) -> String {
+        let mean = |sum: f64| sum / f64::from(episodes);
+        format!(
+            "{episodes} episodes of random actions: mean length {:.1} steps, mean return {:.1}, {} ended by the task's \
+             rules, {} by a physics fault; largest speed {:.1} ({})",
+            mean(self.steps as f64),
+            mean(self.total),
+            self.terminated,
+            self.faults,
+            self.fastest.0,
+            self.fastest.1,
+        )
+    }
+
+    /// Pictures of the first episode at equal distances.
+    fn film(&self, world: &dyn EnvironmentBatch) -> anyhow::Result<Vec<u8>> {
+        let robot = RobotShapes::of(world).context("only robots can be drawn")?;
+        let dt_secs = world.description().dt_secs;
+        let count = FRAMES.min(self.poses.len());
+        let frame = |picture: usize| {
+            let step = picture * (self.poses.len() - 1) / count.saturating_sub(1).max(1);
+            Frame { time_secs: step as f64 * dt_secs, pose: &self.poses[step] }
+        };
+        film::strip(&robot, &(0..count).map(frame).collect::<Vec<_>>())
+    }
+}
+
+/// Actions of all agents, uniform in their ranges, `[A]`.
+fn random_action(world: &dyn EnvironmentBatch, episode: u32, step: u32) -> Vec<f32> {
+    let agents = (0..).zip(&world.description().agents);
+    let draw = |(number, agent): (u32, &sim::AgentDescription)| {
+        let key = Draw::of_action(0, episode, step, number);
+        let mut rng = Key::of(SEED, key).generator();
+        let range = agent.action.low..agent.action.high;
+        let width = range.end - range.start;
+        (0..agent.action.size).map(|_| range.start + width * uniform(&mut rng)).collect::<Vec<_>>()
+    };
+    agents.flat_map(draw).collect()
+}

@@ -1,0 +1,134 @@
+//! A task that the settings name by the path of its file. The texts of the file and of its model become settings, so that
+//! they take part in the hash of the settings and travel with the run.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read as _;
+use std::path::Path;
+
+use sim::TaskDefinition;
+
+use super::error::ConfigError;
+use super::layers::Layer;
+use super::scalar::Scalar;
+
+/// Text of the task file; empty for a task of the program.
+pub(crate) const FILE: &str = "task_file.text";
+/// Text of the model that the file names.
+pub(crate) const MODEL: &str = "task_file.model";
+
+/// A larger task file or model is a mistake.
+const LIMIT_BYTES: u64 = 256 << 10;
+
+/// A task that is not part of the program.
+#[derive(Clone, Debug)]
+pub(crate) struct OwnTask {
+    /// File that defines it, for messages.
+    pub(crate) place: String,
+    /// Name of the task.
+    pub(crate) name: String,
+    /// Texts of the file and of its model.
+    pub(crate) definition: TaskDefinition,
+}
+
+impl OwnTask {
+    /// The task that these layers define: by the path of its file, or with its texts, as the settings of a run do.
+    pub(super) fn of(asked: &[Layer]) -> Result<Option<Self>, ConfigError> {
+        let text = |key: &str| {
+            asked.iter().rev().find_map(|layer| match layer.values.get(key) {
+                Some(Scalar::Text(text)) if !text.is_empty() => Some((text.clone(), &layer.place)),
+                _ => None,
+            })
+        };
+        let Some((name, place)) = text("task") else { return Ok(None) };
+        if let Some(read) = Self::read(&name) {
+            return read.map(Some);
+        }
+        let (Some((file, _)), Some((model, _))) = (text(FILE), text(MODEL)) else {
+            return Ok(None);
+        };
+        let definition = TaskDefinition { file, model };
+        Self { place: place.clone(), name, definition }.checked().map(Some)
+    }
+
+    /// The settings that define the task, in the place of the path of its file.
+    pub(super) fn identity(&self) -> Layer {
+        let TaskDefinition { file, model } = &self.definition;
+        let texts = [("task", &self.name), (FILE, file), (MODEL, model)];
+        let values = texts.map(|(key, text)| (key.to_owned(), Scalar::Text(text.clone())));
+        Layer { place: self.place.clone(), values: BTreeMap::from(values) }
+    }
+
+    /// Reads the file that `task` names: `FILE.toml`, or `FILE.toml:PARTITION` if the file has several partitions. `None`
+    /// if `task` is no path.
+    pub(crate) fn read(task: &str) -> Option<Result<Self, ConfigError>> {
+        let (path, partition) = match task.rsplit_once(".toml:") {
+            Some((path, partition)) => (format!("{path}.toml"), Some(partition)),
+            None => (task.to_owned(), None),
+        };
+        let is_path = path.ends_with(".toml") || task.contains(std::path::is_separator);
+        is_path.then(|| Self::of_file(Path::new(&path), partition))
+    }
+
+    fn of_file(path: &Path, partition: Option<&str>) -> Result<Self, ConfigError> {
+        let place = path.display().to_string();
+        let file = text(path)?;
+        let model = TaskDefinition::model_of(&file).map_err(|error| refused(&place, error))?;
+        let model = path.parent().unwrap_or(Path::new("")).join(model);
+        let model = text(&model).map_err(|error| refused(&format!("{place}: model"), error))?;
+        let definition = TaskDefinition { file, model };
+        let names = definition.task_names().map_err(|error| refused(&place, error))?;
+        let partitions = definition.partitions().map_err(|error| refused(&place, error))?;
+        let name = match (partition, names.as_slice()) {
+            (None, [name]) => Some(name),
+            (None, _) => None,
+            (Some(partition), names) => {
+                partitions.iter().position(|known| known == partition).map(|index| &names[index])
+            }
+        };
+        let Some(name) = name else {
+            let known = partitions.iter().map(|partition| format!("{place}:{partition}"));
+            let known = known.collect::<Vec<_>>().join(", ");
+            return Err(refused(&place, format!("name one of its partitions: {known}")));
+        };
+        Self { name: name.clone(), place, definition }.checked()
+    }
+
+    /// Builds the task once.
+    fn checked(self) -> Result<Self, ConfigError> {
+        match self.definition.check(&self.name) {
+            Ok(()) => Ok(self),
+            Err(error) => Err(refused(&self.place, error)),
+        }
+    }
+
+    /// The table `settings` of the file.
+    pub(crate) fn settings(&self) -> Result<toml::Table, ConfigError> {
+        let text = self.definition.settings().map_err(|error| refused(&self.place, error))?;
+        let table: toml::Table = text.parse().map_err(|error| refused(&self.place, error))?;
+        let chosen = ["task", "algorithm", "preset", "task_file"];
+        match chosen.into_iter().find(|key| table.contains_key(*key)) {
+            None => Ok(table),
+            Some(key) => {
+                let why = "is chosen on the command line, not in a task file";
+                Err(refused(&self.place, format!("settings.{key}: `{key}` {why}")))
+            }
+        }
+    }
+}
+
+fn text(path: &Path) -> Result<String, ConfigError> {
+    let place = path.display().to_string();
+    let mut text = String::new();
+    let file = File::open(path).map_err(|error| refused(&place, error))?;
+    let read = file.take(LIMIT_BYTES + 1).read_to_string(&mut text);
+    match read.map_err(|error| refused(&place, error))? as u64 {
+        0..=LIMIT_BYTES => Ok(text),
+        _ => Err(refused(&place, format!("it has more than {LIMIT_BYTES} bytes"))),
+    }
+}
+
+fn refused(place: &str, error: impl std::fmt::Display) -> ConfigError {
+    let detail = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    ConfigError::Unreadable { place: place.to_owned(), detail }
+}

@@ -1,0 +1,134 @@
+//! The curves of a run, read from its metrics as they grow.
+
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::os::unix::fs::MetadataExt as _;
+use std::path::PathBuf;
+
+use learner::metrics::Curves;
+use serde_json::{Map, Value};
+
+/// The curves of a run, as far as they have been read.
+pub(crate) struct Growing {
+    lines: Lines,
+    curves: Curves,
+}
+
+impl Growing {
+    /// From this file, which need not exist yet.
+    pub(crate) fn of(metrics: PathBuf) -> Self {
+        Self { lines: Lines::of(metrics), curves: Curves::default() }
+    }
+
+    /// The curves that have been read.
+    pub(crate) fn get(&self) -> &Curves {
+        &self.curves
+    }
+
+    /// Reads what is new, and returns whether anything is. A file that cannot be read is reported and tried again.
+    pub(crate) fn follow(&mut self) -> bool {
+        match self.lines.more() {
+            Ok(more) => {
+                if more.from_the_start {
+                    self.curves = Curves::default();
+                }
+                more.lines.iter().for_each(|line| self.curves.add(line));
+                !more.lines.is_empty()
+            }
+            Err(error) => {
+                tracing::warn!("{}: {error}", self.lines.path.display());
+                false
+            }
+        }
+    }
+}
+
+/// A file of JSON objects that grows, and may be cut back by a resume.
+struct Lines {
+    path: PathBuf,
+    /// Which file stood at the path.
+    inode: u64,
+    /// Bytes of it that have been read.
+    read: u64,
+}
+
+/// What has come since.
+struct More {
+    lines: Vec<Map<String, Value>>,
+    /// Whether they are all there are: the file is another one than before.
+    from_the_start: bool,
+}
+
+impl Lines {
+    fn of(path: PathBuf) -> Self {
+        Self { path, inode: 0, read: 0 }
+    }
+
+    /// The whole lines that have not been read yet; none if there is no file.
+    fn more(&mut self) -> std::io::Result<More> {
+        let mut file = match File::open(&self.path) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Ok(More { lines: Vec::new(), from_the_start: false });
+            }
+            opened => opened?,
+        };
+        let found = file.metadata()?;
+        let from_the_start = found.ino() != self.inode || found.len() < self.read;
+        if from_the_start {
+            (self.inode, self.read) = (found.ino(), 0);
+        }
+        file.seek(SeekFrom::Start(self.read))?;
+        let mut text = Vec::new();
+        file.read_to_end(&mut text)?;
+        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        self.read += whole as u64;
+        let lines = text[..whole].split(|byte| *byte == b'\n');
+        let lines = lines.filter_map(|line| serde_json::from_slice(line).ok()).collect();
+        Ok(More { lines, from_the_start })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::OpenOptions;
+    use std::io::Write as _;
+    use std::path::Path;
+
+    use super::*;
+
+    fn append(path: &Path, text: &str) {
+        let mut file = OpenOptions::new().create(true).append(true).open(path).unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+    }
+
+    fn more(lines: &mut Lines) -> (Vec<u64>, bool) {
+        let More { lines, from_the_start } = lines.more().unwrap();
+        (lines.iter().map(|line| line["iteration"].as_u64().unwrap()).collect(), from_the_start)
+    }
+
+    #[test]
+    fn each_line_is_read_once_and_only_when_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        let mut lines = Lines::of(path.clone());
+        assert_eq!(more(&mut lines), (vec![], false));
+        append(&path, "{\"iteration\":1}\n{\"itera");
+        assert_eq!(more(&mut lines), (vec![1], true));
+        assert_eq!(more(&mut lines), (vec![], false));
+        append(&path, "tion\":2}\n");
+        assert_eq!(more(&mut lines), (vec![2], false));
+    }
+
+    #[test]
+    fn a_file_that_a_resume_has_cut_back_is_read_from_its_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, cut) = (folder.path().join("metrics.jsonl"), folder.path().join("cut"));
+        let mut lines = Lines::of(path.clone());
+        append(&path, "{\"iteration\":1}\n{\"iteration\":2}\n");
+        assert_eq!(more(&mut lines), (vec![1, 2], true));
+        // As long as before, so that its length would not tell.
+        append(&cut, "{\"iteration\":1}\n{\"iteration\":3}\n");
+        std::fs::rename(&cut, &path).unwrap();
+        assert_eq!(more(&mut lines), (vec![1, 3], true));
+    }
+}

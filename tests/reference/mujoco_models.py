@@ -1,0 +1,168 @@
+"""Writes sim/tests/data/mujoco-models.json: masses and joints that MuJoCo compiles from models of many kinds.
+
+    python -m venv venv && venv/bin/pip install mujoco==4.0.0
+    venv/bin/python tests/reference/mujoco_models.py
+"""
+
+import json
+import pathlib
+
+import mujoco
+import numpy
+
+# A trough with an open top: neither convex nor star-shaped.
+OUTLINE = [(0, 0), (3, 0), (3, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2)]
+QUADS = [(0, 1, 4, 5), (1, 2, 3, 4), (0, 5, 6, 7)]
+
+
+def trough():
+    """The trough as an OBJ file, one metre thick."""
+    count = len(OUTLINE)
+    lines = [f"v {x} {y} {z}" for z in (0, 1) for x, y in OUTLINE]
+    for quad in QUADS:
+        lines.append("f " + " ".join(str(corner + 1) for corner in reversed(quad)))
+        lines.append("f " + " ".join(str(corner + count + 1) for corner in quad))
+    for a in range(count):
+        b = (a + 1) % count
+        lines.append(f"f {a + 1} {b + 1} {b + count + 1} {a + count + 1}")
+    return "\n".join(lines) + "\n"
+
+
+PRIMITIVES = """<mujoco>
+  <compiler angle="degree"/>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body name="trunk" pos="0 0 1" euler="10 20 30">
+      <freejoint name="root"/>
+      <geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0.05" euler="20 0 50"/>
+      <geom type="ellipsoid" size="0.1 0.2 0.15" pos="-0.2 0.1 0" density="700"/>
+      <body name="wheel" pos="0.4 0 0" axisangle="1 1 0 40">
+        <joint name="axle" axis="1 2 3" pos="0.01 0.02 0.03"/>
+        <geom type="cylinder" size="0.1 0.02" mass="0.7"/>
+        <geom type="cylinder" size="0.02" fromto="0 0 -0.1 0.05 0.1 0.1"/>
+      </body>
+      <body name="bar" pos="0 -0.4 0" xyaxes="0 1 0.2 -1 0.3 0">
+        <joint name="shift" type="slide" axis="0 1 1"/>
+        <geom type="box" size="0.03" fromto="0 0 0 0.1 0.2 0.3"/>
+        <geom type="capsule" size="0.03" fromto="0 0 0 -0.1 0.2 0.3" mass="0.4"/>
+        <body name="tip" pos="0 0 0.1" zaxis="1 2 3">
+          <geom type="sphere" size="0.05" mass="0.1"/>
+          <frame pos="0.1 0 0" euler="0 90 0">
+            <geom type="ellipsoid" size="0.02" fromto="0 0 0 0.1 0 0.1"/>
+          </frame>
+        </body>
+      </body>
+      <body name="stated" pos="0 0.5 0">
+        <joint name="twist" axis="0 0 1"/>
+        <joint name="bend" axis="1 0 0" pos="0 0 0.1"/>
+        <inertial pos="0.1 0.2 0.3" quat="1 0.5 0 0.2" mass="2" diaginertia="0.02 0.03 0.04"/>
+        <geom type="sphere" size="0.1"/>
+        <body name="full" pos="0 0 0.2">
+          <inertial pos="0 0 0" mass="1" fullinertia="0.02 0.03 0.04 0.001 -0.002 0.003"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+CLASSES = """<mujoco>
+  <compiler angle="radian" eulerseq="zYx" settotalmass="5"/>
+  <default>
+    <geom density="500" size="0.1"/>
+    <default class="leg">
+      <geom type="capsule" size="0.05 0.2"/>
+      <joint axis="0 1 0"/>
+      <default class="foot"><geom type="box" size="0.1 0.05 0.02" quat="1 0 0 1"/></default>
+    </default>
+  </default>
+  <worldbody>
+    <body name="base"><geom type="box" size="0.1 0.1 0.1"/>
+      <body name="upper" childclass="leg" pos="0 0 1" euler="0.3 0.2 0.1">
+        <joint name="hip"/>
+        <geom/>
+        <geom class="main" pos="0 0 0.3"/>
+        <body name="lower" pos="0 0 0.5">
+          <joint name="knee" class="main" axis="1 0 0"/>
+          <geom class="foot"/>
+          <geom class="foot" euler="0.1 0.2 0.3"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+MESHES = """<mujoco>
+  <compiler meshdir="parts"/>
+  <asset>
+    <mesh file="trough.obj" scale="0.1 0.1 0.1"/>
+    <mesh name="exact" file="trough.obj" scale="0.1 0.1 0.1" inertia="exact"/>
+    <mesh name="convex" file="trough.obj" scale="0.1 -0.1 0.2" inertia="convex"/>
+    <mesh name="points" vertex="0 0 0 0.1 0 0 0 0.2 0 0 0 0.3 0.02 0.02 0.02"/>
+  </asset>
+  <worldbody>
+    <body name="a"><joint name="ja"/><geom type="mesh" mesh="trough" pos="0 0 0.1" quat="1 1 0 0"/></body>
+    <body name="b"><joint name="jb"/><geom type="mesh" mesh="exact" density="300"/></body>
+    <body name="c"><joint name="jc"/><geom type="mesh" mesh="convex" mass="2"/></body>
+    <body name="d"><joint name="jd"/><geom type="mesh" mesh="points"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+FILES = {"parts/trough.obj": trough()}
+MODELS = {"primitives": PRIMITIVES, "classes": CLASSES, "meshes": MESHES}
+
+
+def links(model, data):
+    """Mass, world mass centre and principal moments of each moving body with the jointless bodies on it."""
+    found = {}
+    for body in range(1, model.nbody):
+        home = body
+        while home and model.body_jntnum[home] == 0:
+            home = model.body_parentid[home]
+        if home:
+            found.setdefault(home, []).append(body)
+    for home, bodies in found.items():
+        mass = sum(model.body_mass[body] for body in bodies)
+        centre = sum(model.body_mass[body] * data.xipos[body] for body in bodies) / mass
+        inertia = numpy.zeros((3, 3))
+        for body in bodies:
+            turn, away = data.ximat[body].reshape(3, 3), data.xipos[body] - centre
+            inertia += turn @ numpy.diag(model.body_inertia[body]) @ turn.T
+            inertia += model.body_mass[body] * (away @ away * numpy.eye(3) - numpy.outer(away, away))
+        yield {
+            "name": model.body(home).name,
+            "mass": mass,
+            "centre": centre.tolist(),
+            "moments": sorted(numpy.linalg.eigvalsh(inertia).tolist()),
+        }
+
+
+def joints(model, data):
+    for index in range(model.njnt):
+        if model.jnt_type[index] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            yield {
+                "name": model.joint(index).name,
+                "anchor": data.xanchor[index].tolist(),
+                "axis": data.xaxis[index].tolist(),
+            }
+
+
+def compiled(mjcf, files):
+    assets = {pathlib.PurePath(name).name: text.encode() for name, text in files.items()}
+    model = mujoco.MjModel.from_xml_string(mjcf, assets)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return {"links": list(links(model, data)), "joints": list(joints(model, data))}
+
+
+def main():
+    out = pathlib.Path(__file__).resolve().parents[2] / "sim" / "tests" / "data" / "mujoco-models.json"
+    models = {name: {"mjcf": mjcf, **compiled(mjcf, FILES)} for name, mjcf in MODELS.items()}
+    document = {"mujoco": mujoco.__version__, "files": FILES, "models": models}
+    out.write_text(json.dumps(document, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
