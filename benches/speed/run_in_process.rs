@@ -127,13 +127,14 @@ pub(crate) fn through_the_exchange(
         observer: log.observer(),
         stop: Box::new(|| false),
     };
+    let running = trainer.begin(outside)?;
     scope(|scope| {
         for index in 0..ACTORS {
             let exchange = &exchange;
             let work = move || act(exchange, ConnectionId(index as u64), settings);
             Builder::new().name("actor".to_owned()).spawn_scoped(scope, work)?;
         }
-        let trained = trainer.train(outside);
+        let trained = running.train();
         exchange.finish();
         trained?;
         Ok(log)

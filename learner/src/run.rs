@@ -15,7 +15,7 @@ use crate::launch::{Launch, prepare};
 use crate::listener::Listener;
 use crate::page::{self, Facts, Page, RunView};
 use crate::service;
-use crate::trainer::{Observer, Outside, Summary, Trainer};
+use crate::trainer::{Observer, Outside, RunningTrainer, Summary, Trainer};
 
 /// How long actors have to hear that the run is over.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -51,13 +51,16 @@ pub async fn run(
     let exchange = Exchange::new(description, lease, audit);
     let certificates = door.tls();
     let _shown = page.map(|page| show(page, facts, certificates, &trainer, &exchange));
-    let server = Server::start(door, connections, &exchange);
-    let broken = Arc::clone(&server.broken);
-    let asked = Arc::clone(&exchange);
-    let stop =
-        move || *stop.borrow() || asked.orders().is_stopped() || broken.load(Ordering::Relaxed);
+    let (asked, broken) = (Arc::clone(&exchange), Arc::new(AtomicBool::new(false)));
+    let service_ended = Arc::clone(&broken);
+    let stop = move || {
+        *stop.borrow() || asked.orders().is_stopped() || service_ended.load(Ordering::Relaxed)
+    };
     let outside = Outside { exchange: Arc::clone(&exchange), observer, stop: Box::new(stop) };
-    let result = on_own_thread(trainer, outside).await;
+    // The first answer to a client already has the figures of the run.
+    let running = trainer.begin(outside)?;
+    let server = Server::start(door, connections, &exchange, broken);
+    let result = on_own_thread(running).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
     // After a signal actors wait for the next learner: it may be a restart.
     let actors_end = complete || exchange.orders().is_stopped();
@@ -89,25 +92,27 @@ fn show(
 struct Server {
     task: JoinHandle<Result<(), tonic::transport::Error>>,
     close: oneshot::Sender<()>,
-    /// Set when the service ends before it was told to.
-    broken: Arc<AtomicBool>,
 }
 
 impl Server {
-    fn start(door: Listener, connections: usize, exchange: &Arc<Exchange>) -> Self {
+    /// `broken` becomes true when the service ends, also before it was told to.
+    fn start(
+        door: Listener,
+        connections: usize,
+        exchange: &Arc<Exchange>,
+        broken: Arc<AtomicBool>,
+    ) -> Self {
         let (close, closed) = oneshot::channel::<()>();
-        let broken = Arc::new(AtomicBool::new(false));
         let serving = service::serve(Arc::clone(exchange), door, connections, async move {
             // An error means that the sender is gone, which ends the service as well.
             let _told = closed.await;
         });
-        let flag = Arc::clone(&broken);
         let task = tokio::spawn(async move {
             let result = serving.await;
-            flag.store(true, Ordering::Relaxed);
+            broken.store(true, Ordering::Relaxed);
             result
         });
-        Self { task, close, broken }
+        Self { task, close }
     }
 
     /// Lets actors hear that the run is done.
@@ -137,11 +142,11 @@ impl Server {
     }
 }
 
-async fn on_own_thread(trainer: Trainer, outside: Outside) -> Result<Summary, LearnerError> {
+async fn on_own_thread(trainer: RunningTrainer) -> Result<Summary, LearnerError> {
     let (sender, ended) = oneshot::channel();
     let thread = std::thread::Builder::new().name("trainer".to_owned()).spawn(move || {
         // Nobody is left to hear the result only if the whole run has been dropped.
-        let _heard = sender.send(trainer.train(outside));
+        let _heard = sender.send(trainer.train());
     });
     let thread = thread.map_err(|error| LearnerError::Threads {
         what: "the trainer",

@@ -86,8 +86,8 @@ pub struct Outside {
     pub stop: Box<dyn Fn() -> bool + Send>,
 }
 
-/// A running trainer.
-struct Work {
+/// A trainer whose first slots are open.
+pub struct RunningTrainer {
     trainer: Trainer,
     outside: Outside,
     progress: ProgressMonitor,
@@ -113,12 +113,12 @@ impl Trainer {
         self.steps_after(self.iteration)
     }
 
-    /// Trains to the last iteration, or until stopped. Both end with a checkpoint.
+    /// Publishes the newest policies and opens the slots of the next iteration.
     ///
     /// # Errors
-    /// Training failed; the run can be resumed from the last checkpoint.
-    pub fn train(self, outside: Outside) -> Result<Summary, LearnerError> {
-        let mut work = Work {
+    /// The policies cannot be published.
+    pub fn begin(self, outside: Outside) -> Result<RunningTrainer, LearnerError> {
+        let mut running = RunningTrainer {
             trainer: self,
             outside,
             progress: ProgressMonitor::new(Instant::now()),
@@ -126,12 +126,8 @@ impl Trainer {
             behaviour: None,
             ended: Instant::now(),
         };
-        let result = work.run();
-        if let Err(LearnerError::Exchange(_)) = &result {
-            // The trainer's state is still that of the last finished iteration.
-            work.save_now()?;
-        }
-        result
+        running.begin()?;
+        Ok(running)
     }
 
     /// Aborts the process if a test injects a fault at `point`.
@@ -144,9 +140,22 @@ impl Trainer {
     }
 }
 
-impl Work {
+impl RunningTrainer {
+    /// Trains to the last iteration, or until stopped. Both end with a checkpoint.
+    ///
+    /// # Errors
+    /// Training failed; the run can be resumed from the last checkpoint.
+    pub fn train(mut self) -> Result<Summary, LearnerError> {
+        let result = self.run();
+        if let Err(LearnerError::Exchange(_)) = &result {
+            // The trainer's state is still that of the last finished iteration.
+            self.save_now()?;
+        }
+        result
+    }
+
     fn run(&mut self) -> Result<Summary, LearnerError> {
-        self.begin()?;
+        self.evaluate_if_due()?;
         while self.trainer.iteration < self.trainer.last_iteration {
             let collected = self.collect()?;
             let Some(collected) = collected else { break };
@@ -176,7 +185,7 @@ impl Work {
         }
         self.publish()?;
         self.lease();
-        self.evaluate_if_due()
+        Ok(())
     }
 
     /// Writes the last checkpoint, then waits for the last evaluation.

@@ -31,7 +31,6 @@ fn train_until(
     let (lease, audit) = (launch.config.lease, launch.config.audit);
     let (trainer, run) = launch::prepare(launch).unwrap();
     let exchange = Exchange::new(run, lease, audit);
-    let actors = Actors::start(actors, &exchange);
     let events = Arc::new(Mutex::new(Vec::new()));
     let stops = Arc::new(AtomicUsize::new(0));
     let (observed, stopping) = (Arc::clone(&events), Arc::clone(&stops));
@@ -40,7 +39,10 @@ fn train_until(
         observed.lock().unwrap().push(event.clone());
     });
     let stop = Box::new(move || stops.load(Ordering::Relaxed) > 0);
-    let summary = trainer.train(Outside { exchange: Arc::clone(&exchange), observer, stop });
+    let running =
+        trainer.begin(Outside { exchange: Arc::clone(&exchange), observer, stop }).unwrap();
+    let actors = Actors::start(actors, &exchange);
+    let summary = running.train();
     exchange.finish();
     actors.end();
     let events = std::mem::take(&mut *events.lock().unwrap());

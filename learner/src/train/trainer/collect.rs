@@ -9,7 +9,7 @@ use crate::evaluation::Spread;
 use crate::event::{Event, Stage};
 use crate::exchange::{EvaluationOutcome, SlotRollout, Wake};
 use crate::snapshot::RunSnapshot;
-use crate::trainer::Work;
+use crate::trainer::RunningTrainer;
 
 /// Interval at which the trainer checks whether to stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -27,7 +27,7 @@ pub(super) struct Collected {
     pub(super) behaviour: WeightsName,
 }
 
-impl Work {
+impl RunningTrainer {
     /// Waits for the rollouts of the open iteration; `None` if the run must stop.
     pub(super) fn collect(&mut self) -> Result<Option<Collected>, LearnerError> {
         self.enter(Stage::Collect);

@@ -11,9 +11,9 @@ use crate::error::LearnerError;
 use crate::event::{Event, Stage};
 use crate::exchange::Storage;
 use crate::fault::{self, Point};
-use crate::trainer::{Trainer, Work};
+use crate::trainer::{RunningTrainer, Trainer};
 
-impl Work {
+impl RunningTrainer {
     /// Writes a checkpoint every `checkpoint.every` iterations. A failed one is logged as an error and retried after
     /// the next iteration. Meanwhile training continues and the service reports [`Storage::Degraded`].
     pub(super) fn save_if_due(&mut self) {
