@@ -16,6 +16,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::run::fingerprints::BUILD;
+
 pub(crate) use control::{
     CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
     WatchArguments, patience,
@@ -32,7 +34,7 @@ pub(crate) use tls::{ClientTlsArguments, ServerTlsArguments, credentials};
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: a learner and rollout actors communicate over gRPC.
 #[derive(Debug, Parser)]
-#[command(name = "s2mia", version, propagate_version = true, max_term_width = 100)]
+#[command(name = "s2mia", version = BUILD, propagate_version = true, max_term_width = 100)]
 pub(crate) struct Arguments {
     /// Log format on stderr.
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]

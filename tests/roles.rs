@@ -6,15 +6,17 @@ mod runs;
 #[path = "system/waiting.rs"]
 mod waiting;
 
+use std::fs;
 use std::io::{BufRead as _, BufReader, Lines};
 use std::net::TcpListener;
-use std::path::Path;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
 use serde_json::json;
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, has_begun};
+use waiting::has_begun;
 
 const SIXTY: &str = "run.iterations=60";
 
@@ -26,11 +28,11 @@ struct Learner {
 
 impl Learner {
     /// Starts a learner and waits until it is ready for actors.
-    fn start(folder: &Path, address: &str) -> Self {
+    fn start(folder: &Path, address: &str, more: &[&str]) -> Self {
         let dir = format!("run.dir={}", folder.display());
         let own = ["learner", "--listen", address, dir.as_str(), SIXTY];
         let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        command.arg(own[0]).args(&TINY[..1]).args(&own[1..]).args(&TINY[1..]);
+        command.arg(own[0]).args(&TINY[..1]).args(&own[1..]).args(&TINY[1..]).args(more);
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
         assert!(lines.next().unwrap().unwrap().contains("waits for actors"));
@@ -68,27 +70,62 @@ fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
     let (folder, undisturbed) = (runs.folder("roles"), runs.folder("undisturbed"));
     let address = free_address();
     let mut actor = actor(&format!("http://{address}"));
-    let mut learner = Learner::start(&folder, &address);
+    let mut learner = Learner::start(&folder, &address, &[]);
     has_begun(&folder);
     assert!(learner.terminate().starts_with("stopped after iteration"));
     assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
-    let mut learner = Learner::start(&folder, &address);
+    let mut learner = Learner::start(&folder, &address, &[]);
     assert!(learner.end().starts_with("finished after iteration 60"));
     assert!(actor.wait().unwrap().success());
     train(&undisturbed, &[SIXTY, "run.actors=1"]);
     assert_eq!(inspect(&folder), inspect(&undisturbed));
 }
 
-fn status(of: &str) -> serde_json::Value {
-    serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
+/// A copy of the program that differs only in the commit that it was built from.
+fn another_build(folder: &Path) -> PathBuf {
+    let version = succeeded(&["--version"]);
+    let commit = version.trim_end().split_once('+').unwrap().1.as_bytes();
+    let mut program = fs::read(env!("CARGO_BIN_EXE_s2mia")).unwrap();
+    let other: Vec<u8> = commit.iter().rev().copied().collect();
+    let places: Vec<usize> = (0..=program.len() - commit.len())
+        .filter(|at| program[*at] == commit[0] && program[*at..].starts_with(commit))
+        .collect();
+    assert!(!places.is_empty(), "the program does not contain its commit");
+    places.iter().for_each(|at| program[*at..at + other.len()].copy_from_slice(&other));
+    let path = folder.join("another-s2mia");
+    fs::write(&path, program).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).unwrap();
+    path
 }
 
-/// The status by address, once the first slots are open, which is shortly after the learner listens.
-fn status_when_open(url: &str) -> serde_json::Value {
-    eventually(|| match status(url) {
-        told if told["slots"] == json!(0) => Err(format!("no slot is open: {told}")),
-        told => Ok(told),
-    })
+#[test]
+fn an_actor_of_another_build_takes_part_only_if_the_operator_admits_it() {
+    let runs = Runs::new();
+    let other = another_build(runs.folder("").as_path());
+    let act = |address: &str| {
+        let url = format!("http://{address}");
+        Command::new(&other).args(["actor", "--learner", &url]).output().unwrap()
+    };
+    let (address, folder) = (free_address(), runs.folder("strict"));
+    let mut learner = Learner::start(&folder, &address, &[]);
+    let refused = act(&address);
+    let line = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(1), "{line}");
+    assert!(line.contains("OTHER_BUILD") && line.contains("learner.other_builds=true"), "{line}");
+    learner.terminate();
+
+    let (address, admitted) = (free_address(), runs.folder("admitted"));
+    let mut learner = Learner::start(&admitted, &address, &["learner.other_builds=true"]);
+    let acted = act(&address);
+    assert!(acted.status.success(), "{}", String::from_utf8_lossy(&acted.stderr));
+    assert!(learner.end().starts_with("finished after iteration 60"));
+    let own = runs.folder("own-actor");
+    train(&own, &[SIXTY, "run.actors=1"]);
+    assert_eq!(inspect(&admitted)["state_sha256"], inspect(&own)["state_sha256"]);
+}
+
+fn status(of: &str) -> serde_json::Value {
+    serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
 }
 
 #[test]
@@ -96,8 +133,8 @@ fn status_works_by_address_by_folder_and_for_ended_runs() {
     let runs = Runs::new();
     let (folder, address) = (runs.folder("status"), free_address());
     let path = folder.to_str().unwrap();
-    let mut learner = Learner::start(&folder, &address);
-    let asked = status_when_open(&format!("http://{address}"));
+    let mut learner = Learner::start(&folder, &address, &[]);
+    let asked = status(&format!("http://{address}"));
     assert_eq!(asked, status(path));
     let figures = ["state", "iteration", "slots", "complete_slots", "actors"];
     assert_eq!(
@@ -131,7 +168,7 @@ fn a_learner_is_healthy_only_while_it_serves() {
     let address = free_address();
     let url = format!("http://{address}");
     let health = || s2mia(&["health", "--learner", &url]);
-    let mut learner = Learner::start(&runs.folder("health"), &address);
+    let mut learner = Learner::start(&runs.folder("health"), &address, &[]);
     assert!(health().status.success());
     learner.terminate();
     let silent = health();

@@ -6,16 +6,16 @@ mod sample;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use candle_core::DType;
-use fuzz::{TASKS, world};
+use fuzz::{TASKS, recording, small_policy, world};
 use policy::randomness::{Draw, Key, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden};
+use policy::{CoreKind, PolicySnapshot};
 use prost::Message;
+use proto::wire::play_response::Answer;
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     Digest, EnvironmentStart, EvaluationResult, Incarnation, Lease, LeaseAnswer, LeaseId,
-    PROTOCOL_VERSION, PolicyVersion, PushHeader, Registration, RolloutWork, Start, WeightsName,
-    Work,
+    PROTOCOL_VERSION, PolicyVersion, PushHeader, Registration, RolloutWork, ShareRewards, Start,
+    Steps, View, WeightsName, Work, wire,
 };
 use sim::ContactForces;
 
@@ -30,6 +30,9 @@ fn main() {
         ("environment_state", states()),
         ("checkpoint", noise()),
         ("slots", noise()),
+        ("log", logs()),
+        ("reward_log", reward_logs()),
+        ("environment_answers", answers()),
     ] {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target);
         fs::create_dir_all(&folder).expect("the corpus can be written");
@@ -105,28 +108,8 @@ fn files_in(folder: &Path) -> Vec<PathBuf> {
 
 /// One policy with memory and one without.
 fn policies() -> Vec<Seed> {
-    let policy = |core| {
-        let config = PolicyConfig {
-            core,
-            input_norm: InputNorm::LayerNorm,
-            encoder: 4,
-            hidden: 3,
-            width: 4,
-            layers: 1,
-            backpropagation_steps: 5,
-            burn_in: 0,
-            refresh_hidden: RefreshHidden::Never,
-            initial_sigma: 0.365_529_29,
-            sigma_scale: 0.5,
-            sigma_floor: 0.05,
-            head_gain: 1.0,
-        };
-        let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
-        let network = ActorNetwork::new(&config, 5, 2, DType::F32, &mut rng);
-        network.and_then(|network| network.policy()).expect("a small network")
-    };
     let snapshot = |cores: &[CoreKind]| {
-        let agents = cores.iter().map(|core| policy(*core)).collect();
+        let agents = cores.iter().map(|core| small_policy(*core, 5, 2)).collect();
         (None, PolicySnapshot { agents }.to_bytes().expect("a small policy"))
     };
     vec![
@@ -147,6 +130,55 @@ fn states() -> Vec<Seed> {
         states
     };
     (0..).zip(TASKS).flat_map(both).collect()
+}
+
+/// A whole log, and changes of its messages.
+fn logs() -> Vec<Seed> {
+    let changes = noise().into_iter().map(|(_, bytes)| (Some(1), bytes));
+    std::iter::once((Some(0), recording())).chain(changes).collect()
+}
+
+/// The first and the second share of the episodes of [`recording`], as a line each.
+fn reward_logs() -> Vec<Seed> {
+    let line = |episode_id: &str, first_step| {
+        let share = ShareRewards {
+            episode_id: episode_id.to_owned(),
+            first_step,
+            iteration: 3,
+            weights_sha256: Digest([9; 32]).to_string(),
+            config_sha256: Digest([8; 32]).to_string(),
+            intrinsic_reward: vec![vec![Some(0.5), None], vec![Some(-1.0), Some(0.0)]],
+            sha256: String::new(),
+        };
+        serde_json::to_string(&share.sealed()).expect("a share") + "\n"
+    };
+    let both = line("rollout-0-0", 0) + &line("rollout-0-0", 2);
+    vec![(None, both.clone().into_bytes()), (None, both.replace("0.5", "1e39").into_bytes())]
+}
+
+/// A specification, and the answers to each request.
+fn answers() -> Vec<Seed> {
+    let described =
+        wire::DescribeEnvironmentResponse { environment: Some(sample::environment().to_wire()) };
+    let rows = |count: usize, size: usize| vec![0.5_f32; count * size];
+    let view = |count| View {
+        observations: vec![rows(count, 3), rows(count, 2)],
+        state: rows(count, 4),
+    };
+    let steps = Steps {
+        view: view(2),
+        reward: vec![0.5, -1.0],
+        terminated: vec![true, false],
+        truncated: vec![false, true],
+    };
+    let state = wire::EnvironmentState { state: vec![7; 64].into() };
+    let saved = wire::PlayResponse { answer: Some(Answer::Saved(state)) };
+    vec![
+        (Some(0), described.encode_to_vec()),
+        (Some(1), view(1).to_wire(1).encode_to_vec()),
+        (Some(2), steps.to_wire().encode_to_vec()),
+        (Some(3), saved.encode_to_vec()),
+    ]
 }
 
 /// Bytes for targets that read them as lists of events.
