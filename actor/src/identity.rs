@@ -1,5 +1,7 @@
 //! Data for an actor's registration: the environment's specification and the numeric fingerprint.
 
+use std::sync::LazyLock;
+
 use proto::{ActionSpec, AgentSpec, Digest, EnvironmentSpec, FeatureRole, FeatureSpec};
 use sha2::{Digest as _, Sha256};
 
@@ -19,13 +21,17 @@ pub fn environment_spec(description: &sim::Description) -> EnvironmentSpec {
     }
 }
 
-/// SHA-256 of the probes of simulator and policy. Programs with equal fingerprints compute equal rollouts.
+/// SHA-256 of the probes of simulator and policy. Programs with equal fingerprints compute equal rollouts. The first
+/// call computes it, which takes a moment.
 #[must_use]
 pub fn rollout_fingerprint() -> Digest {
-    let mut hash = Sha256::new();
-    hash.update(sim::probe());
-    hash.update(policy::probe());
-    Digest(hash.finalize().into())
+    static FINGERPRINT: LazyLock<Digest> = LazyLock::new(|| {
+        let mut hash = Sha256::new();
+        hash.update(sim::probe());
+        hash.update(policy::probe());
+        Digest(hash.finalize().into())
+    });
+    *FINGERPRINT
 }
 
 /// Converts the protocol's specification to the simulator's description; the inverse of [`environment_spec`].

@@ -92,7 +92,7 @@ fn changed(unstructured: &mut Unstructured<'_>, run: &RunDescription) -> arbitra
     for change in Vec::<Change>::arbitrary(unstructured)? {
         apply(&mut chunk, change);
     }
-    let (mut message, digest) = chunk.to_wire(run);
+    let (mut message, digest) = chunk.to_wire(run, &sample::origin());
     for forgery in Vec::<Forgery>::arbitrary(unstructured)? {
         forge(&mut message, forgery);
     }

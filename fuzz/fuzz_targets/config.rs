@@ -6,16 +6,24 @@
 /// As `src/config.rs` has them; the command line is no library.
 #[path = "."]
 mod config {
+    #[path = "../../src/config/environment_section.rs"]
+    pub(crate) mod environment_section;
     #[path = "../../src/config/error.rs"]
     pub(crate) mod error;
     #[path = "../../src/config/keys.rs"]
     pub(crate) mod keys;
     #[path = "../../src/config/layers.rs"]
     pub(crate) mod layers;
+    #[path = "../../src/config/own_task.rs"]
+    pub(crate) mod own_task;
     #[path = "../../src/config/presets.rs"]
     pub(crate) mod presets;
     #[path = "../../src/config/resolved.rs"]
     pub(crate) mod resolved;
+    #[path = "../../src/config/run_config.rs"]
+    pub(crate) mod run_config;
+    #[path = "../../src/config/run_settings.rs"]
+    pub(crate) mod run_settings;
     #[path = "../../src/config/scalar.rs"]
     pub(crate) mod scalar;
 
@@ -23,18 +31,12 @@ mod config {
     pub(crate) use layers::Request;
     pub(crate) use resolved::Resolved;
 }
-#[path = "../../src/environment_section.rs"]
-mod environment_section;
-#[path = "../../src/run_config.rs"]
-mod run_config;
-#[path = "../../src/run_path.rs"]
-mod run_path;
 
 use std::path::{Path, PathBuf};
 
+use config::run_config::RunConfig;
 use config::{ConfigError, Request, Resolved, layers};
 use libfuzzer_sys::fuzz_target;
-use run_config::RunConfig;
 use tempfile::TempDir;
 
 thread_local! {

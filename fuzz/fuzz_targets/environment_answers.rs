@@ -1,6 +1,7 @@
 //! What a program that offers environments may answer: its specification, and views, steps and states that must have
 //! the shapes of the specification.
 #![no_main]
+#![expect(dead_code, reason = "the samples also have messages between learner and actors")]
 
 #[path = "../../proto/tests/wire/sample.rs"]
 mod sample;

@@ -54,8 +54,8 @@ enum Change {
 
 fn changed(log: &[u8], unstructured: &mut Unstructured<'_>) -> arbitrary::Result<Vec<u8>> {
     let messages = MessageStream::new(log).expect("a log of the program");
-    let mut messages: Vec<Message<'static>> =
-        messages.map(|message| message.expect("as before").into_owned()).collect();
+    let mut messages: Vec<Message<'_>> =
+        messages.map(|message| message.expect("as before")).collect();
     let mut attachments = attachments(log);
     for change in Vec::<Change>::arbitrary(unstructured)? {
         apply(&mut messages, &mut attachments, change);
@@ -66,7 +66,7 @@ fn changed(log: &[u8], unstructured: &mut Unstructured<'_>) -> arbitrary::Result
     Ok(written(log, &messages, &attachments))
 }
 
-fn apply(messages: &mut Vec<Message<'static>>, attachments: &mut [Attachment<'_>], change: Change) {
+fn apply(messages: &mut Vec<Message<'_>>, attachments: &mut [Attachment<'_>], change: Change) {
     let count = messages.len();
     let place = |index: u16| usize::from(index) % count;
     match change {

@@ -19,7 +19,7 @@ use events::{ACTORS, Event, MOST_IN_FLIGHT};
 use learner::slots::{ChunkPreview, ConnectionId, Effect, Offer, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
-    AckState, ActorId, Heartbeat, Digest, EvaluationResult, Incarnation, LeaseId, PolicyVersion,
+    AckState, ActorId, Digest, EvaluationResult, Heartbeat, Incarnation, LeaseId, PolicyVersion,
     PushHeader, WeightsName, Work,
 };
 use table::{CHUNKS, Held, INCARNATION, TTL, chunk, honest, weights, works};
@@ -161,7 +161,11 @@ impl Siege {
             }
             Call::OpenIteration => self.open_next(),
             Call::OpenEvaluation(episodes) if self.evaluations < 4 => {
-                self.table.open_evaluation(self.evaluations, weights(), u32::from(episodes % 3) + 1);
+                self.table.open_evaluation(
+                    self.evaluations,
+                    weights(),
+                    u32::from(episodes % 3) + 1,
+                );
                 self.evaluations += 1;
             }
             Call::OpenEvaluation(_) => {}

@@ -57,7 +57,8 @@ pub fn recording() -> Vec<u8> {
     let mut world = sim::environments(&config, 1).expect("the documented example");
     let sizes = world.description().agents.iter();
     let sizes = sizes.map(|agent| (agent.observation.len(), agent.action.size));
-    let agents = sizes.map(|(observation, action)| small_policy(CoreKind::Mlp, observation, action));
+    let agents =
+        sizes.map(|(observation, action)| small_policy(CoreKind::Mlp, observation, action));
     let policy = PolicySnapshot { agents: agents.collect() };
     let run = RecordedRun {
         policy: &policy,

@@ -161,10 +161,8 @@ fn answers() -> Vec<Seed> {
     let described =
         wire::DescribeEnvironmentResponse { environment: Some(sample::environment().to_wire()) };
     let rows = |count: usize, size: usize| vec![0.5_f32; count * size];
-    let view = |count| View {
-        observations: vec![rows(count, 3), rows(count, 2)],
-        state: rows(count, 4),
-    };
+    let view =
+        |count| View { observations: vec![rows(count, 3), rows(count, 2)], state: rows(count, 4) };
     let steps = Steps {
         view: view(2),
         reward: vec![0.5, -1.0],
