@@ -12,6 +12,7 @@ use serde_json::json;
 use sim::{AgentDescription, Description, EnvironmentBatch};
 
 use crate::process::output;
+use crate::progress::WorkProgress;
 use crate::run::checkpointed::{self, Trained};
 
 /// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`. Returns the
@@ -34,7 +35,7 @@ pub(crate) fn export(
     output::file(&folder.join("policy.safetensors"), &snapshot.to_bytes()?)?;
     files.push(("policy.safetensors".to_owned(), "all agents' weights".to_owned()));
     let chosen = trained.episode(0);
-    let episode = episode::play(world, snapshot, chosen.key())?;
+    let episode = episode::play(world, snapshot, chosen.key(), &mut WorkProgress::new())?;
     output::file(&folder.join("episode.safetensors"), &episode.to_bytes()?)?;
     let (value, steps) = (episode.extrinsic_return, episode.steps);
     let told = format!(

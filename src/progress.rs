@@ -1,7 +1,8 @@
 //! The progress that `s2mia train` and `s2mia learner` print: a bar on a terminal, plain lines elsewhere.
-//! `progress/wording.rs` writes the text of both.
+//! `progress/wording.rs` writes the text of both. `progress/work.rs` is the progress of shorter commands.
 
 mod wording;
+mod work;
 
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
@@ -11,6 +12,7 @@ use learner::Event;
 
 use crate::process::{logging, output};
 use wording::RecentIterations;
+pub(crate) use work::WorkProgress;
 
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(10);

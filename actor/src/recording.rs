@@ -77,7 +77,7 @@ pub struct RecordSummary {
 }
 
 /// Plays `episodes` with mean actions in the only environment of `world` and writes them to `path`. The file is flushed
-/// to disk, closed and verified.
+/// to disk, closed and verified. `on_step` gets the position in `episodes` and the number of steps after each step.
 ///
 /// # Errors
 /// If an episode fails, or the file cannot be written or verified.
@@ -86,15 +86,19 @@ pub fn record(
     run: &RecordedRun<'_>,
     episodes: &[EvaluationEpisode],
     path: &Path,
+    mut on_step: impl FnMut(usize, u32),
 ) -> Result<RecordSummary, RecordError> {
     let origin = Origin::of_recording(run, world);
     let mut file = LogFile::begin((path.to_path_buf(), File::create(path)?), &origin)?;
     let mut summary = RecordSummary::default();
-    for episode in episodes {
+    for (index, episode) in episodes.iter().enumerate() {
         world.reset(0, 0, world.description().episode_steps, episode.key().0)?;
         let mut collector = EvaluationCollector::new(*episode, (run.weights, 0), world)?;
         let acting = (run.policy, ActionChoice::Mean);
-        let played = play_on(world, acting, &mut |step| collector.collect(step))?;
+        let played = play_on(world, acting, &mut |step| {
+            collector.collect(step);
+            on_step(index, step.step);
+        })?;
         file.write(&collector.finish())?;
         summary.episodes.push(played);
     }

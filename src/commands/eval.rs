@@ -1,6 +1,6 @@
 //! `s2mia eval`: whole episodes of a trained policy, mean or drawn actions, extrinsic return only.
 
-use actor::Episode;
+use actor::{Episode, PlayedStep};
 use anyhow::Context as _;
 use learner::evaluation::Spread;
 use proto::ActionChoice;
@@ -10,6 +10,7 @@ use sim::EnvironmentBatch;
 use crate::cli::EvalArguments;
 use crate::figures::chart;
 use crate::process::output;
+use crate::progress::WorkProgress;
 use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::Stage;
 
@@ -40,13 +41,20 @@ fn play(
     trained: &Trained,
     arguments: &EvalArguments,
 ) -> anyhow::Result<Vec<Episode>> {
+    let most = u64::from(world.description().episode_steps);
+    let (count, mut progress) = (arguments.episodes, WorkProgress::new());
     let episode = |episode: u32| {
         let choice = match arguments.sampled {
             Some(seed) => ActionChoice::Sampled { seed: seed.wrapping_add(episode.into()) },
             None => ActionChoice::Mean,
         };
         let start = (trained.episode(episode).key(), choice);
-        actor::play_episode(world, &trained.policy, start, |_| {}).context("the episode failed")
+        let on_step = |step: &PlayedStep<'_>| {
+            let done = u64::from(episode) * most + u64::from(step.step);
+            let place = || format!("episode {}/{count}, step {}", episode + 1, step.step);
+            progress.reach(done, u64::from(count) * most, place);
+        };
+        actor::play_episode(world, &trained.policy, start, on_step).context("the episode failed")
     };
     (0..arguments.episodes).map(episode).collect()
 }

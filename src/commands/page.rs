@@ -1,15 +1,16 @@
 //! `s2mia page`: one web page with the curves of several runs, from nothing but their folders.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use learner::metrics::Curves;
-use learner::{Hosts, Overlay, Page};
+use learner::{Hosts, OverlaidRun, Overlay, Page};
 use tokio::net::TcpListener;
 
 use crate::cli::RunsPageArguments;
 use crate::errors::Usage;
+use crate::figures::learning_curve;
 use crate::listening::demand_loopback;
 use crate::process::{output, runtime};
 use crate::run::growing::Growing;
@@ -43,15 +44,35 @@ pub(super) fn run(arguments: RunsPageArguments) -> anyhow::Result<()> {
 
 /// Several runs, whose metrics are read when somebody asks.
 struct Followed {
-    runs: Vec<(Growing, String, Arc<Curves>)>,
+    runs: Vec<FollowedRun>,
     version: u64,
     looked: Option<Instant>,
 }
 
+struct FollowedRun {
+    name: String,
+    /// Name of its group of seeds, or why its settings cannot be read.
+    group: Result<String, String>,
+    growing: Growing,
+    curves: Arc<Curves>,
+}
+
+impl FollowedRun {
+    fn shown(&self) -> OverlaidRun {
+        let (name, curves) = (self.name.clone(), Arc::clone(&self.curves));
+        let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.growing.trouble());
+        let troubles = troubles.collect::<Vec<_>>().join("; ");
+        let trouble = Some(troubles).filter(|troubles| !troubles.is_empty());
+        OverlaidRun { name, group: self.group.clone().ok(), trouble, curves }
+    }
+}
+
 impl Followed {
     fn of(folders: &[PathBuf]) -> Self {
-        let runs = folders.iter().zip(names(folders)).map(|(folder, name)| {
-            (Growing::of(run_path::metrics_file(folder)), name, Arc::default())
+        let all = folders.iter().zip(names(folders)).zip(groups(folders));
+        let runs = all.map(|((folder, name), group)| {
+            let growing = Growing::of(run_path::metrics_file(folder));
+            FollowedRun { name, group, growing, curves: Arc::default() }
         });
         Self { runs: runs.collect(), version: 0, looked: None }
     }
@@ -62,14 +83,14 @@ impl Followed {
             self.follow();
             self.looked = Some(Instant::now());
         }
-        let runs = self.runs.iter().map(|(_, name, curves)| (name.clone(), Arc::clone(curves)));
-        Overlay { version: self.version, runs: runs.collect() }
+        let runs = self.runs.iter().map(FollowedRun::shown).collect();
+        Overlay { version: self.version, runs }
     }
 
     fn follow(&mut self) {
-        for (growing, _, curves) in &mut self.runs {
-            if growing.follow() {
-                *curves = Arc::new(growing.get().clone());
+        for run in &mut self.runs {
+            if run.growing.follow() {
+                run.curves = Arc::new(run.growing.get().clone());
                 self.version += 1;
             }
         }
@@ -86,6 +107,21 @@ fn names(folders: &[PathBuf]) -> Vec<String> {
         return short;
     }
     folders.iter().map(|folder| folder.display().to_string()).collect()
+}
+
+/// For each run the name of its group, which all runs have that differ from it only in their seed, or why its settings
+/// cannot be read.
+fn groups(folders: &[PathBuf]) -> Vec<Result<String, String>> {
+    let read = |folder: &Path| {
+        learning_curve::without_points(folder)
+            .map_err(|error| format!("its settings are unknown, so it is in no group: {error:#}"))
+    };
+    let found: Vec<_> = folders.iter().map(|folder| read(folder)).collect();
+    let known: Vec<_> = found.iter().flatten().cloned().collect();
+    let mut names = learning_curve::tasks_and_variants(&known).into_iter();
+    let named =
+        |run: Result<_, String>| run.map(|_| names.next().expect("each known run has a name"));
+    found.into_iter().map(named).collect()
 }
 
 #[cfg(test)]
@@ -115,6 +151,6 @@ mod tests {
         file.write_all(line.as_bytes()).unwrap();
         followed.follow();
         let Overlay { version, runs } = followed.look();
-        assert_eq!((version, runs[0].1.lines()), (2, 2));
+        assert_eq!((version, runs[0].curves.lines()), (2, 2));
     }
 }

@@ -1,13 +1,14 @@
 //! `s2mia record`: episodes of a trained policy as MCAP.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use actor::{EvaluationEpisode, RecordedRun};
+use actor::{EvaluationEpisode, RecordError, RecordSummary, RecordedRun};
 use anyhow::Context as _;
 
 use crate::cli::RecordArguments;
 use crate::figures::chart;
 use crate::process::output;
+use crate::progress::WorkProgress;
 use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::Stage;
 use crate::run::run_path;
@@ -19,7 +20,7 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let mut stage = Stage::of(&trained.config)?;
     let run = recorded(arguments, &trained, &stage)?;
     let episodes = episodes(arguments, &trained);
-    let summary = actor::record(stage.environment.as_mut(), &run, &episodes, &path)
+    let summary = played(&mut stage, &run, &episodes, &path)
         .with_context(|| format!("cannot record {}", path.display()))?;
     for (episode, played) in episodes.iter().zip(&summary.episodes) {
         let (value, steps) = (played.extrinsic_return, played.steps);
@@ -29,6 +30,22 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let (messages, shown) = (chart::thousands(summary.messages), path.display());
     output::line(format!("{shown}: {messages} messages, {megabytes:.1} MB; open it in Foxglove"));
     Ok(())
+}
+
+/// Plays the episodes one after the other and records them.
+fn played(
+    stage: &mut Stage,
+    run: &RecordedRun<'_>,
+    episodes: &[EvaluationEpisode],
+    path: &Path,
+) -> Result<RecordSummary, RecordError> {
+    let world = stage.environment.as_mut();
+    let most = u64::from(world.description().episode_steps);
+    let (count, mut progress) = (episodes.len(), WorkProgress::new());
+    actor::record(world, run, episodes, path, |index, step| {
+        let place = || format!("episode {}/{count}, step {step}", index + 1);
+        progress.reach(index as u64 * most + u64::from(step), count as u64 * most, place);
+    })
 }
 
 /// The file to write; its folder must exist. The run's own folder of logs is created.

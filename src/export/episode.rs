@@ -7,6 +7,8 @@ use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
 use sim::{EnvironmentBatch, SimError};
 
+use crate::progress::WorkProgress;
+
 /// Observations, hidden states and actions of every agent.
 pub(super) struct Episode {
     pub(super) steps: usize,
@@ -28,7 +30,9 @@ pub(super) fn play(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
     start: Key,
+    progress: &mut WorkProgress,
 ) -> Result<Episode, SimError> {
+    let most = u64::from(world.description().episode_steps);
     let mut agents: Vec<Track> = Vec::new();
     for agent in &policy.agents {
         agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });
@@ -39,6 +43,8 @@ pub(super) fn play(
             track.hidden.extend(&step.hidden[index]);
             track.action.extend(&step.actions[index]);
         }
+        let place = || format!("episode for comparison, step {}", step.step);
+        progress.reach(step.step.into(), most, place);
     })?;
     // No step uses the hidden state after the last one.
     for (track, agent) in agents.iter_mut().zip(&policy.agents) {

@@ -84,17 +84,23 @@ pub(crate) struct Panel {
 /// Reads the curves of a run folder.
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     demand_run(folder)?;
+    let lines = lines(&run_path::metrics_file(folder))?;
+    let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();
+    Ok(Curve { points, ..without_points(folder)? })
+}
+
+/// Reads the settings of a run folder, without its curves.
+pub(crate) fn without_points(folder: &Path) -> anyhow::Result<Curve> {
     let file = run_path::config_file(folder);
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
     let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
     let settings = semantic.map(|(key, _)| (key.to_owned(), resolved.shown(key))).collect();
-    let lines = lines(&run_path::metrics_file(folder))?;
     Ok(Curve {
         task: resolved.text("task").to_owned(),
         algorithm: resolved.text("algorithm").to_owned(),
         seed: resolved.shown("run.seed"),
         settings,
-        points: Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into(),
+        points: BTreeMap::new(),
     })
 }
 
@@ -179,14 +185,29 @@ pub(crate) fn panels(curves: &[Curve], quantities: &[Quantity]) -> Vec<Panel> {
 
 fn grouped(curves: &[Curve]) -> Groups<'_> {
     let mut groups = Groups::new();
-    for curve in curves {
-        let rivals = curves
-            .iter()
-            .filter(|other| (&other.task, &other.algorithm) == (&curve.task, &curve.algorithm));
-        let rivals: Vec<&Curve> = rivals.collect();
-        groups.entry((&curve.task, variant(curve, &rivals))).or_default().push(curve);
+    for (curve, variant) in curves.iter().zip(variants(curves)) {
+        groups.entry((&curve.task, variant)).or_default().push(curve);
     }
     groups
+}
+
+/// The variant of each run: runs of a task that differ only in their seed have the same one.
+fn variants(curves: &[Curve]) -> Vec<String> {
+    let variant = |curve: &Curve| {
+        let same =
+            |other: &&Curve| (&other.task, &other.algorithm) == (&curve.task, &curve.algorithm);
+        variant(curve, &curves.iter().filter(same).collect::<Vec<_>>())
+    };
+    curves.iter().map(variant).collect()
+}
+
+/// As [`variants`], with the task before it if there are several.
+pub(crate) fn tasks_and_variants(curves: &[Curve]) -> Vec<String> {
+    let is_one = curves.iter().all(|curve| curve.task == curves[0].task);
+    let names = curves.iter().zip(variants(curves));
+    names
+        .map(|(curve, name)| if is_one { name } else { format!("{} {name}", curve.task) })
+        .collect()
 }
 
 /// The algorithm, then each setting in which some run of the same task and algorithm differs.

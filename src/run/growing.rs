@@ -8,16 +8,23 @@ use std::path::PathBuf;
 use learner::metrics::Curves;
 use serde_json::{Map, Value};
 
+use crate::run::run_path;
+
 /// The curves of a run, as far as they have been read.
 pub(crate) struct Growing {
     lines: Lines,
     curves: Curves,
+    /// Lines that are no JSON objects.
+    damaged: u64,
+    /// Why the file could not be read at the last attempt.
+    error: Option<String>,
 }
 
 impl Growing {
     /// From this file, which need not exist yet.
     pub(crate) fn of(metrics: PathBuf) -> Self {
-        Self { lines: Lines::of(metrics), curves: Curves::default() }
+        let (lines, curves) = (Lines::of(metrics), Curves::default());
+        Self { lines, curves, damaged: 0, error: None }
     }
 
     /// The curves that have been read.
@@ -25,19 +32,38 @@ impl Growing {
         &self.curves
     }
 
-    /// Reads what is new, and returns whether anything is. A file that cannot be read is reported and tried again.
+    /// What of the file cannot be read, if anything.
+    pub(crate) fn trouble(&self) -> Option<String> {
+        let damage = match self.damaged {
+            0 => None,
+            1 => Some("1 damaged line is skipped".to_owned()),
+            lines => Some(format!("{lines} damaged lines are skipped")),
+        };
+        let name = run_path::file_name(&self.lines.path).unwrap_or_default();
+        self.error.clone().or(damage).map(|why| format!("{name}: {why}"))
+    }
+
+    /// Reads what is new, and returns whether anything is. A file that cannot be read is tried again; each new reason is
+    /// reported once.
     pub(crate) fn follow(&mut self) -> bool {
         match self.lines.more() {
             Ok(more) => {
+                let mended = self.error.take().is_some();
                 if more.from_the_start {
-                    self.curves = Curves::default();
+                    (self.curves, self.damaged) = (Curves::default(), 0);
                 }
+                self.damaged += more.damaged;
                 more.lines.iter().for_each(|line| self.curves.add(line));
-                !more.lines.is_empty()
+                mended || more.damaged > 0 || !more.lines.is_empty()
             }
             Err(error) => {
-                tracing::warn!("{}: {error}", self.lines.path.display());
-                false
+                let error = error.to_string();
+                let is_new = self.error.as_ref() != Some(&error);
+                if is_new {
+                    tracing::warn!("{}: {error}", self.lines.path.display());
+                }
+                self.error = Some(error);
+                is_new
             }
         }
     }
@@ -55,6 +81,8 @@ struct Lines {
 /// What has come since.
 struct More {
     lines: Vec<Map<String, Value>>,
+    /// Number of whole lines that are no JSON objects.
+    damaged: u64,
     /// Whether they are all there are: the file is another one than before.
     from_the_start: bool,
 }
@@ -68,7 +96,7 @@ impl Lines {
     fn more(&mut self) -> std::io::Result<More> {
         let mut file = match File::open(&self.path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Ok(More { lines: Vec::new(), from_the_start: false });
+                return Ok(More { lines: Vec::new(), damaged: 0, from_the_start: false });
             }
             opened => opened?,
         };
@@ -82,9 +110,15 @@ impl Lines {
         file.read_to_end(&mut text)?;
         let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         self.read += whole as u64;
-        let lines = text[..whole].split(|byte| *byte == b'\n');
-        let lines = lines.filter_map(|line| serde_json::from_slice(line).ok()).collect();
-        Ok(More { lines, from_the_start })
+        let texts = text[..whole].split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let (mut lines, mut damaged) = (Vec::new(), 0);
+        for text in texts {
+            match serde_json::from_slice(text) {
+                Ok(line) => lines.push(line),
+                Err(_) => damaged += 1,
+            }
+        }
+        Ok(More { lines, damaged, from_the_start })
     }
 }
 
@@ -102,7 +136,7 @@ mod tests {
     }
 
     fn more(lines: &mut Lines) -> (Vec<u64>, bool) {
-        let More { lines, from_the_start } = lines.more().unwrap();
+        let More { lines, from_the_start, .. } = lines.more().unwrap();
         (lines.iter().map(|line| line["iteration"].as_u64().unwrap()).collect(), from_the_start)
     }
 
@@ -117,6 +151,31 @@ mod tests {
         assert_eq!(more(&mut lines), (vec![], false));
         append(&path, "tion\":2}\n");
         assert_eq!(more(&mut lines), (vec![2], false));
+    }
+
+    #[test]
+    fn damaged_lines_are_counted_and_skipped() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        let mut growing = Growing::of(path.clone());
+        append(&path, "{\"env_steps\":40,\"a\":1}\n\0\0\0\n{\"env_st\n");
+        assert!(growing.follow());
+        assert_eq!(growing.get().newest("a"), Some(1.0));
+        let trouble = "metrics.jsonl: 2 damaged lines are skipped";
+        assert_eq!(growing.trouble().as_deref(), Some(trouble));
+        assert!(!growing.follow());
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_is_reported_once_until_it_can_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        std::fs::create_dir(&path).unwrap();
+        let mut growing = Growing::of(path.clone());
+        assert_eq!([growing.follow(), growing.follow()], [true, false]);
+        assert!(growing.trouble().unwrap().contains("directory"), "{:?}", growing.trouble());
+        std::fs::remove_dir(&path).unwrap();
+        assert_eq!((growing.follow(), growing.trouble()), (true, None));
     }
 
     #[test]

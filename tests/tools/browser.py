@@ -7,12 +7,15 @@ import os
 import pathlib
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 
 NAMES = ["chromium", "chromium-browser", "google-chrome"]
 PATIENCE_SECS = 60
+# How a test ends on a machine without a browser.
+MISSING = 3
 
 
 class Tab:
@@ -70,6 +73,11 @@ class Tab:
                 raise SystemExit(f"not true after {PATIENCE_SECS} s: {expression}")
             time.sleep(0.2)
 
+    def press(self, key: str) -> None:
+        """A key that types a character, such as the space bar, into what has the focus."""
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, text=key, windowsVirtualKeyCode=ord(key))
+
     def screenshot(self, file: pathlib.Path) -> None:
         file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
 
@@ -82,10 +90,11 @@ class Tab:
 
 @contextlib.contextmanager
 def tab() -> Iterator[Tab]:
-    """A browser with one page, for as long as it is needed."""
+    """A browser with one page, for as long as it is needed; without any browser, one line says so and all ends with 3."""
     program = next((found for name in NAMES if (found := shutil.which(name))), None)
     if program is None:
-        raise SystemExit(f"none of {', '.join(NAMES)} is installed")
+        print(f"{pathlib.Path(sys.argv[0]).name} not run: none of {', '.join(NAMES)} is installed")
+        raise SystemExit(MISSING)
     their_in, our_out = os.pipe()
     our_in, their_out = os.pipe()
 

@@ -22,11 +22,15 @@ pub struct Joined {
 }
 
 /// Writes every share of `index` once to the new file `out`: rollouts by environment and episode, then evaluations.
-/// Only one share is in memory at a time.
+/// Only one share is in memory at a time. `on_share` gets the number of written shares and of all shares after each share.
 ///
 /// # Errors
 /// If two shares contradict each other, a file has changed since it was indexed, or `out` exists or cannot be written.
-pub fn join(index: &Index, out: &Path) -> Result<Joined, LogError> {
+pub fn join(
+    index: &Index,
+    out: &Path,
+    mut on_share: impl FnMut(u64, u64),
+) -> Result<Joined, LogError> {
     if let Some(contradiction) = index.contradictions().into_iter().next() {
         return Err(LogError::Unfit(contradiction));
     }
@@ -35,14 +39,16 @@ pub fn join(index: &Index, out: &Path) -> Result<Joined, LogError> {
         index.files.iter().map(|path| Source::open(path)).collect::<Result<Vec<_>, _>>()?;
     let origin = Origin::of_log(&index.log)?.with("joined_files", sources.len().to_string());
     let mut file = LogFile::begin(target, &origin)?;
-    for part in index.parts.values().flat_map(|parts| parts.values()).flatten() {
+    let (shares, steps) = index.shares_and_steps();
+    let parts = index.parts.values().flat_map(|parts| parts.values()).flatten();
+    for (written, part) in (1..).zip(parts) {
         let mut share = sources[part.file].share(part)?;
         index.rewards.fill(&mut share)?;
         file.write(&share)?;
+        on_share(written, shares);
     }
     file.finish(index.lost())?;
     draft.publish()?;
-    let (shares, steps) = index.shares_and_steps();
     Ok(Joined { episodes: index.episodes(), shares, steps })
 }
 

@@ -44,12 +44,16 @@ pub struct Replayed {
     pub other_program: Option<String>,
 }
 
-/// Replays all complete shares of a log.
+/// Replays all complete shares of a log. `on_share` gets the number of replayed steps and of all steps after each share.
 ///
 /// # Errors
 /// If the file is damaged or not a trajectory log, or this program does not support its task or a state.
-pub fn replay(bytes: &[u8]) -> Result<Replayed, LogError> {
-    let log = read_shares(bytes, |_, _| Ok(()))?;
+pub fn replay(bytes: &[u8], mut on_share: impl FnMut(u64, u64)) -> Result<Replayed, LogError> {
+    let mut all = 0;
+    let log = read_shares(bytes, |share, _| {
+        all += share.steps.len() as u64;
+        Ok(())
+    })?;
     let world = sim::environments(&log.task()?, 1);
     let mut player = Player::new(world.map_err(|error| LogError::Unfit(error.to_string()))?);
     let mut replayed = Replayed::default();
@@ -60,6 +64,7 @@ pub fn replay(bytes: &[u8]) -> Result<Replayed, LogError> {
                 None => {
                     replayed.shares += 1;
                     replayed.steps += share.steps.len() as u64;
+                    on_share(replayed.steps, all);
                 }
             }
         }

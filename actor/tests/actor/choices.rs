@@ -121,7 +121,7 @@ fn a_recorded_game_has_states_and_choices_but_no_links() {
         task_settings: serde_json::to_string(&task()).unwrap(),
     };
     let episodes = [0, 1].map(|index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index });
-    let summary = actor::record(&mut *world, &run, &episodes, &path).unwrap();
+    let summary = actor::record(&mut *world, &run, &episodes, &path, |_, _| {}).unwrap();
     assert_eq!(summary.episodes[0].steps, 50);
     let bytes = std::fs::read(&path).unwrap();
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();

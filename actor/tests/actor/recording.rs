@@ -24,7 +24,7 @@ fn run(policy: &PolicySnapshot) -> RecordedRun<'_> {
 fn record(path: &Path) -> RecordSummary {
     let episode = |index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index };
     let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
-    actor::record(&mut *world, &run(&policy), &[episode(2), episode(3)], path).unwrap()
+    actor::record(&mut *world, &run(&policy), &[episode(2), episode(3)], path, |_, _| {}).unwrap()
 }
 
 #[test]
@@ -107,13 +107,25 @@ fn a_recording_is_a_log_of_the_episodes_and_is_replayed_bit_for_bit() {
         assert_eq!(rewards.sum::<f64>(), episode.extrinsic_return);
         assert_eq!((share.head.seed, share.head.weights_version), (1, 4));
     }
-    let replayed = replay(&bytes).unwrap();
+    let replayed = replay(&bytes, |_, _| {}).unwrap();
     assert_eq!((replayed.shares, replayed.steps, replayed.difference), (2, 2000, None));
+}
+
+#[test]
+fn every_step_is_reported_with_the_position_of_its_episode() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut world, policy, mut told) =
+        (sim::environments(&task(), 1).unwrap(), policy(), Vec::new());
+    let episodes = [2, 3].map(|index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index });
+    let path = folder.path().join("walk.mcap");
+    let on_step = |index, step| told.push((index, step));
+    actor::record(&mut *world, &run(&policy), &episodes, &path, on_step).unwrap();
+    assert_eq!((told.len(), told[0], told[1999]), (2000, (0, 1), (1, 1000)));
 }
 
 #[test]
 fn a_missing_folder_is_an_error() {
     let path = Path::new("/nowhere/at/all.mcap");
     let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
-    assert!(actor::record(&mut *world, &run(&policy), &[], path).is_err());
+    assert!(actor::record(&mut *world, &run(&policy), &[], path, |_, _| {}).is_err());
 }

@@ -31,11 +31,24 @@ pub struct Page {
     pub tls: Option<Arc<ServerTls>>,
 }
 
+/// A run whose curves the page shows together with those of other runs.
+#[derive(Clone, Debug, Default)]
+pub struct OverlaidRun {
+    /// Its name.
+    pub name: String,
+    /// Name of its group, which all runs have that differ from it only in their seed; `None` if its settings are unknown.
+    pub group: Option<String>,
+    /// What cannot be read in its folder, if anything.
+    pub trouble: Option<String>,
+    /// Its curves.
+    pub curves: Arc<Curves>,
+}
+
 /// The curves of several runs that the page shows together.
 #[derive(Clone, Debug, Default)]
 pub struct Overlay {
-    /// Counts changes: with equal numbers, all curves are equal.
+    /// Counts changes: with equal numbers, all runs are equal.
     pub version: u64,
-    /// Name and curves of each run, always in the same order.
-    pub runs: Vec<(String, Arc<Curves>)>,
+    /// The runs, always in the same order.
+    pub runs: Vec<OverlaidRun>,
 }

@@ -10,6 +10,7 @@ use proto::is_reward_log_name;
 use crate::cli::LogFiles;
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
+use crate::progress::WorkProgress;
 use crate::run::run_path;
 
 /// The trajectory logs that the arguments name, each once, ordered by name within a folder.
@@ -27,16 +28,29 @@ pub(super) fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
 }
 
 /// All shares of the logs that the arguments name, with the intrinsic rewards that learners log.
-pub(super) fn index(logs: &LogFiles) -> anyhow::Result<Index> {
-    let mut index = Index::default();
-    for path in paths_of(logs, |name| is_log_name(name) || is_reward_log_name(name))? {
-        in_file(&path, index.add(&path))?;
+pub(super) fn index(logs: &LogFiles, progress: &mut WorkProgress) -> anyhow::Result<Index> {
+    let paths = paths_of(logs, |name| is_log_name(name) || is_reward_log_name(name))?;
+    let (mut index, mut done, all) = (Index::default(), 0, sizes(&paths));
+    for path in &paths {
+        in_file(path, index.add(path))?;
+        done += size(path);
+        progress.reach(done, all, || format!("read {}", run_path::name(path)));
     }
     if index.logs() == 0 {
         let why = "reward logs alone; name the trajectory logs that they belong to, too";
         return Err(Usage::new(why).into());
     }
     Ok(index)
+}
+
+/// Bytes of all files together.
+pub(super) fn sizes(paths: &[PathBuf]) -> u64 {
+    paths.iter().map(|path| size(path)).sum()
+}
+
+/// Bytes of a file, for progress; 0 if it cannot be read, which reading it reports.
+pub(super) fn size(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |file| file.len())
 }
 
 /// Number of shares with intrinsic rewards, as text.

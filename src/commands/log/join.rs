@@ -7,12 +7,20 @@ use crate::commands::log::files::{in_file, index, paid};
 use crate::errors::Incomplete;
 use crate::figures::chart::thousands;
 use crate::process::output;
+use crate::progress::WorkProgress;
 
 /// Writes the file and prints its contents. Ends with status 3 if part of a reward log is damaged.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
     output::check_file("--out", &arguments.out)?;
-    let index = index(&arguments.logs)?;
-    let joined = in_file(&arguments.out, join(&index, &arguments.out))?;
+    let mut progress = WorkProgress::new();
+    let index = index(&arguments.logs, &mut progress)?;
+    progress.begin_phase();
+    let joined = join(&index, &arguments.out, |share, shares| {
+        let place = || format!("wrote share {} of {}", thousands(share), thousands(shares));
+        progress.reach(share, shares, place);
+    });
+    drop(progress);
+    let joined = in_file(&arguments.out, joined)?;
     let [episodes, shares, steps] =
         [joined.episodes as u64, joined.shares, joined.steps].map(thousands);
     let shown = arguments.out.display();

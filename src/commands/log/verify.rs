@@ -7,10 +7,11 @@ use crate::commands::log::files::{index, paid};
 use crate::errors::Incomplete;
 use crate::figures::chart::thousands;
 use crate::process::output;
+use crate::progress::WorkProgress;
 
 /// Ends with status 1 if a file is damaged or shares contradict each other, with 3 if only data is missing.
 pub(super) fn run(logs: &LogFiles) -> anyhow::Result<()> {
-    let index = index(logs)?;
+    let index = index(logs, &mut WorkProgress::new())?;
     let damaged = index.damaged();
     damaged.iter().for_each(output::line);
     anyhow::ensure!(damaged.is_empty(), "{} damaged reward logs", damaged.len());

@@ -57,7 +57,7 @@ fn index(paths: &[PathBuf]) -> Index {
 
 fn joined(folder: &Path, paths: &[PathBuf]) -> Vec<LoggedShare> {
     let out = folder.join("joined.mcap");
-    join(&index(paths), &out).unwrap();
+    join(&index(paths), &out, |_, _| {}).unwrap();
     read(&out).1
 }
 
@@ -113,7 +113,7 @@ fn a_joined_log_keeps_its_rewards_when_joined_again_with_its_sources() {
         let index = index(&order);
         assert_eq!((index.paid(), index.copies()), ((3, 3), 3));
         let out = folder.path().join("again.mcap");
-        join(&index, &out).unwrap();
+        join(&index, &out, |_, _| {}).unwrap();
         assert_eq!(found(&read(&out).1), expected(&rewards));
         std::fs::remove_file(out).unwrap();
     }
@@ -123,7 +123,7 @@ fn a_joined_log_keeps_its_rewards_when_joined_again_with_its_sources() {
 fn contradiction(folder: &Path) -> String {
     let index = index(&files(folder));
     let found = index.contradictions();
-    let refused = join(&index, &folder.join("joined.mcap")).unwrap_err().to_string();
+    let refused = join(&index, &folder.join("joined.mcap"), |_, _| {}).unwrap_err().to_string();
     assert_eq!(found.len(), 1, "{found:?}");
     assert_eq!(found[0], refused);
     refused
@@ -166,7 +166,9 @@ fn rewards_for_a_wrong_number_of_agents_are_rejected_without_a_file() {
     alter(&mut rewards[0], |line| drop(line.intrinsic_reward.pop()));
     reward_log(folder.path(), 1, &lines(&rewards));
     let paths = files(folder.path());
-    let refused = join(&index(&paths), &folder.path().join("joined.mcap")).unwrap_err().to_string();
+    let refused = join(&index(&paths), &folder.path().join("joined.mcap"), |_, _| {})
+        .unwrap_err()
+        .to_string();
     assert!(
         refused.contains("rollout-6-0 has rewards for 1 agents, but the log has 2 agents"),
         "{refused}"
@@ -185,7 +187,7 @@ fn joined_logs_and_lines_with_different_rewards_are_contradictions() {
     let line = reward_log(folder.path(), 1, &lines(&rewards));
     let raw = folder.path().join("trajectories-a-0000.mcap");
     let two = folder.path().join("other.mcap");
-    join(&index(&[raw, line.clone()]), &two).unwrap();
+    join(&index(&[raw, line.clone()]), &two, |_, _| {}).unwrap();
     let first = &read(&two).1[1].steps[0].agents[0];
     assert!(first.intrinsic_reward.unwrap().is_nan(), "a non-finite reward is NaN");
     let shown = [&one, &two, &line].map(|path| path.display().to_string());

@@ -46,7 +46,7 @@ fn joined_shares_are_in_order_and_can_be_replayed() {
     let out = folder.path().join("joined.mcap");
     let all = index(&files(folder.path()));
     assert_eq!((all.contradictions(), all.gaps()), (Vec::new(), Vec::new()));
-    let joined = join(&all, &out).unwrap();
+    let joined = join(&all, &out, |_, _| {}).unwrap();
     assert_eq!((joined.episodes, joined.shares, joined.steps), (4, 6, 185));
     let shares = read(&out).1;
     let order: Vec<_> = shares
@@ -62,10 +62,22 @@ fn joined_shares_are_in_order_and_can_be_replayed() {
         ("evaluation-4-1", 0),
     ];
     assert_eq!(order, expected);
-    assert_eq!(replay(&read_bytes(&out).unwrap()).unwrap().steps, 185);
+    assert_eq!(replay(&read_bytes(&out).unwrap(), |_, _| {}).unwrap().steps, 185);
     let parts = index(std::slice::from_ref(&out));
     assert_eq!((parts.gaps(), parts.copies()), (Vec::new(), 0));
-    assert!(join(&all, &out).unwrap_err().to_string().contains("already exists"));
+    assert!(join(&all, &out, |_, _| {}).unwrap_err().to_string().contains("already exists"));
+}
+
+#[test]
+fn a_join_and_a_replay_report_each_share_up_to_the_last_one() {
+    let folder = tempfile::tempdir().unwrap();
+    two_actors(folder.path());
+    let out = folder.path().join("joined.mcap");
+    let (mut written, mut replayed) = (Vec::new(), Vec::new());
+    join(&index(&files(folder.path())), &out, |share, all| written.push((share, all))).unwrap();
+    assert_eq!(written, [1, 2, 3, 4, 5, 6].map(|share| (share, 6)));
+    replay(&read_bytes(&out).unwrap(), |step, all| replayed.push((step, all))).unwrap();
+    assert_eq!((replayed.len(), replayed.last()), (6, Some(&(185, 185))));
 }
 
 #[test]
@@ -104,7 +116,7 @@ fn two_different_shares_are_a_contradiction_and_are_not_joined() {
     let found = index.contradictions();
     assert_eq!(found.len(), 3);
     assert!(found[0].starts_with("rollout-6-0 from step 0 on: "), "{}", found[0]);
-    let refused = join(&index, &folder.path().join("out.mcap")).unwrap_err().to_string();
+    let refused = join(&index, &folder.path().join("out.mcap"), |_, _| {}).unwrap_err().to_string();
     assert_eq!(refused, found[0]);
     assert_eq!(files(folder.path()).len(), 1, "the rejected file is deleted");
 }

@@ -108,7 +108,7 @@ fn the_simulator_replays_a_log_bit_for_bit() {
     roll(&handle, &next_work(&chunks), WHOLE);
     evaluate(&handle, EvaluationWork { iteration: 4, episode: 0 });
     log.close();
-    let replayed = replay(&read_bytes(&files(folder.path())[0]).unwrap()).unwrap();
+    let replayed = replay(&read_bytes(&files(folder.path())[0]).unwrap(), |_, _| {}).unwrap();
     assert_eq!((replayed.shares, replayed.steps, replayed.difference), (6, 185, None));
     assert_eq!(replayed.other_program, None);
 }
@@ -123,7 +123,7 @@ fn difference_after(change: impl Fn(&mut LoggedShare)) -> String {
     let mut file = LogFile::begin((path.clone(), target), &origin).unwrap();
     shares.iter().for_each(|share| file.write(share).unwrap());
     file.finish((0, 0)).unwrap();
-    let replayed = replay(&read_bytes(&path).unwrap()).unwrap();
+    let replayed = replay(&read_bytes(&path).unwrap(), |_, _| {}).unwrap();
     assert_eq!(replayed.shares, 1, "the share before is unchanged");
     replayed.difference.unwrap().to_string()
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-use super::{Overlay, RunView};
+use super::{OverlaidRun, Overlay, RunView};
 use crate::exchange::status_json;
 use crate::metrics::Curves;
 
@@ -41,15 +41,17 @@ pub(super) fn curves(view: &RunView) -> Value {
 
 /// The names of several runs.
 pub(super) fn runs(overlay: &Overlay) -> Value {
-    let names: Vec<_> = overlay.runs.iter().map(|(name, _)| name).collect();
+    let names: Vec<_> = overlay.runs.iter().map(|run| &run.name).collect();
     json!({"version": overlay.version, "runs": names})
 }
 
-/// All curves of several runs.
+/// All curves of several runs, with each run's group of seeds and what cannot be read of it, or null.
 pub(super) fn curves_of_runs(overlay: &Overlay) -> Value {
-    let runs = overlay.runs.iter();
-    let runs: Vec<_> =
-        runs.map(|(name, curves)| json!({"name": name, "curves": arrays(curves)})).collect();
+    let of_run = |run: &OverlaidRun| {
+        let OverlaidRun { name, group, trouble, curves } = run;
+        json!({"name": name, "group": group, "trouble": trouble, "curves": arrays(curves)})
+    };
+    let runs: Vec<_> = overlay.runs.iter().map(of_run).collect();
     json!({"version": overlay.version, "runs": runs})
 }
 
