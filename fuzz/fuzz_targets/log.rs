@@ -26,7 +26,7 @@ fuzz_target!(|data: &[u8]| {
 
 fn read(bytes: &[u8]) {
     let _survey = survey(bytes);
-    let _replayed = replay(bytes);
+    let _replayed = replay(bytes, |done, all| assert!(done <= all));
     let (path, out) = (FOLDER.path().join("log.mcap"), FOLDER.path().join("recovered.mcap"));
     fs::write(&path, bytes).expect("a writable folder");
     let mut index = Index::default();
