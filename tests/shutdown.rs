@@ -74,6 +74,29 @@ fn all_collected(url: &str) -> bool {
     status["slots"] == 2 && status["complete_slots"] == 2
 }
 
+/// Whether the process handles SIGTERM itself.
+fn handles_terminate(process: &Child) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+    u64::from_str_radix(caught.trim(), 16).unwrap() & (1 << 14) != 0
+}
+
+#[test]
+fn a_learner_that_is_asked_to_stop_while_it_starts_stops_with_a_checkpoint() {
+    let runs = Runs::new();
+    let folder = runs.folder("early");
+    let dir = format!("run.dir={}", folder.display());
+    let mut learner = started(&[&["learner", "--listen=127.0.0.1:0"], TINY, &[&dir]].concat());
+    let patience = Instant::now() + GRACE;
+    while !handles_terminate(&learner) {
+        assert!(Instant::now() < patience, "the learner does not handle signals");
+    }
+    assert!(!folder.exists(), "the learner handles signals too late");
+    signal(&learner, "-TERM");
+    assert!(learner.wait().unwrap().success());
+    assert_eq!(inspect(&folder)["iteration"], 0);
+}
+
 #[test]
 fn the_second_signal_ends_a_learner_at_once_with_the_status_of_the_signal() {
     let runs = Runs::new();

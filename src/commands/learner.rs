@@ -19,9 +19,14 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
     let page_tls = arguments.page_tls.then(|| listening.tls()).flatten();
     page::check(&arguments.page, page_tls.as_ref())?;
+    let (runtime, (stop_sender, stop)) = (runtime()?, watch::channel(false));
+    // Before the launch, which takes a moment, so that a stop is never lost.
+    runtime.block_on(async {
+        signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))
+    })?;
     let prepared =
         launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
-    runtime()?.block_on(serve(prepared, listening, page_tls, arguments))
+    runtime.block_on(serve(prepared, listening, page_tls, arguments, stop))
 }
 
 /// The machines on which an external environment may run.
@@ -37,6 +42,7 @@ async fn serve(
     listening: Listening,
     page_tls: Option<Arc<ServerTls>>,
     arguments: &LearnerArguments,
+    stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch } = prepared;
     let token = token::of_environment()?;
@@ -46,8 +52,6 @@ async fn serve(
     }
     output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = page::open(&arguments.page, page_tls).await?;
-    let (stop_sender, stop) = watch::channel(false);
-    signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))?;
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary =

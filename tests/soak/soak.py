@@ -47,6 +47,8 @@ DEATHS = ["after-collect", "mid-update", "after-publish", "mid-checkpoint"]
 FULL_DISKS = ["disk-make-folder", "disk-write-file", "disk-flush-files", "disk-rename", "disk-remove-old"]
 FULL = "no storage space"
 MOST_ACTORS = 4
+# A process that is younger than this may not handle signals yet.
+STARTED_SECS = 1.0
 # The learner dies only before this share of the time, so that its memory can be watched over the rest.
 DEATHS_END = 0.4
 # The other host's network fails only before this share, so that its actors hear of the end.
@@ -260,6 +262,8 @@ class Soak:
 
     def stop_learner(self) -> None:
         """learner asked to stop."""
+        if self.learner.up_secs() < STARTED_SECS:
+            self.good_ends.add(-signal.SIGTERM)
         self.learner.process.terminate()
         self.good_ends.add(0)
         self.learner.process.wait(timeout=30)

@@ -88,7 +88,59 @@ pub(super) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, LogError> {
     if opcode == op::ATTACHMENT && !is_attachment(body) {
         return Err(LogError::Damaged("the sizes in an attachment are inconsistent".to_owned()));
     }
+    if skip_parts(parts(opcode), body).is_none() {
+        return Err(LogError::Damaged("a text is longer than its record".to_owned()));
+    }
     Ok(mcap::parse_record(opcode, body)?)
+}
+
+/// A part of a record's body.
+enum Part {
+    /// Numbers of this size in all, bytes.
+    Numbers(usize),
+    /// A size and as many bytes.
+    Text,
+    /// A size in bytes and as many bytes of texts.
+    Texts,
+}
+
+/// The parts of a record up to its last text.
+fn parts(opcode: u8) -> &'static [Part] {
+    use Part::{Numbers, Text, Texts};
+    match opcode {
+        op::HEADER => &[Text, Text],
+        op::SCHEMA => &[Numbers(2), Text, Text, Text],
+        op::CHANNEL => &[Numbers(4), Text, Text, Texts],
+        op::CHUNK_INDEX => &[Numbers(32), Text, Numbers(8), Text],
+        op::ATTACHMENT_INDEX => &[Numbers(40), Text, Text],
+        op::METADATA => &[Text, Texts],
+        op::METADATA_INDEX => &[Numbers(16), Text],
+        _ => &[],
+    }
+}
+
+/// What follows these parts; `None` if one is longer than `body`. The MCAP library allocates the stated size of a text
+/// before it reads the text.
+fn skip_parts<'a>(parts: &[Part], mut body: &'a [u8]) -> Option<&'a [u8]> {
+    for part in parts {
+        let size = match part {
+            Part::Numbers(size) => *size,
+            Part::Text | Part::Texts => {
+                let (size, rest) = body.split_first_chunk()?;
+                body = rest;
+                u32::from_le_bytes(*size) as usize
+            }
+        };
+        let (own, rest) = body.split_at_checked(size)?;
+        if let Part::Texts = part {
+            let mut texts = own;
+            while !texts.is_empty() {
+                texts = skip_parts(&[Part::Text], texts)?;
+            }
+        }
+        body = rest;
+    }
+    Some(body)
 }
 
 /// Whether the sizes in a chunk's body are consistent and at most [`MOST_BYTES`] decompressed. The records of an
