@@ -110,6 +110,52 @@ fn terms_of_actions_are_sums_of_squares() {
     assert_eq!(rewards("term = \"alive\""), [1.0, 1.0]);
 }
 
+/// The example with these control ranges of hip and knee and these agents, and the reward `control`.
+fn ranged([hip, knee]: [&str; 2], agents: &str) -> Box<dyn EnvironmentBatch> {
+    let mut file = HOPPER.replace("2x1 = [[\"hip\"], [\"knee\"]]", &format!("2x1 = {agents}"));
+    let rewards = file.find("\n[[reward]]").unwrap()..file.find("\n[[healthy]]").unwrap();
+    file.replace_range(rewards, "\n[[reward]]\nterm = \"control\"\nweight = 1.0\n");
+    let mut config = config(&file, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    for (joint, range) in [("hip", hip), ("knee", knee)] {
+        let motor = format!("<motor name=\"{joint}\"");
+        assert!(model.contains(&motor));
+        *model = model.replace(&motor, &format!("{motor} ctrlrange=\"{range}\""));
+    }
+    environments(&config, 1).unwrap()
+}
+
+/// Reward and torques of hip and knee, whose gears are 80, for an action.
+fn driven(world: &mut dyn EnvironmentBatch, action: [f32; 2]) -> (f32, [f32; 2]) {
+    let mut outcome = [Outcome::default()];
+    world.step(&action, &mut outcome).unwrap();
+    let torques = ["hip", "knee"].map(|joint| world.world(0).unwrap().torque(joint).unwrap());
+    (outcome[0].reward, torques)
+}
+
+#[test]
+fn an_agent_with_several_control_ranges_acts_in_minus_one_to_one() {
+    let mut world = ranged(["-0.5 0.5", "2 10"], "[[\"hip\", \"knee\"]]");
+    let action = &world.description().agents[0].action;
+    assert_eq!((action.size, action.low, action.high), (2, -1.0, 1.0));
+    // Controls 0 + 0.5 x 0.5 and 6 + 4 x -0.25. The reward is that of the actions.
+    assert_eq!(driven(&mut *world, [0.5, -0.25]), (0.3125, [20.0, 400.0]));
+    // Controls -1 and 18, clamped to -0.5 and 10.
+    assert_eq!(driven(&mut *world, [-2.0, 3.0]), (13.0, [-40.0, 800.0]));
+}
+
+#[test]
+fn an_agent_with_one_control_range_acts_in_it() {
+    for (ranges, agents) in
+        [(["0 10", "0 10"], "[[\"hip\", \"knee\"]]"), (["-4 5", "0 10"], "[[\"hip\"], [\"knee\"]]")]
+    {
+        let mut world = ranged(ranges, agents);
+        let action = &world.description().agents.last().unwrap().action;
+        assert_eq!((action.low, action.high), (0.0, 10.0));
+        assert_eq!(driven(&mut *world, [3.0, 4.0]), (25.0, [240.0, 320.0]));
+    }
+}
+
 #[test]
 fn terms_of_the_motion_describe_a_hopper_that_stands() {
     let speed = rewards("term = \"forward_speed\"");
