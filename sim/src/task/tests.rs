@@ -157,6 +157,26 @@ fn an_agent_with_one_control_range_acts_in_it() {
 }
 
 #[test]
+fn a_root_of_three_joints_in_another_order_is_a_chain_of_links_without_masses() {
+    let mut config = config(HOPPER, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    let slides = [
+        "name=\"rootx\" type=\"slide\" axis=\"1 0 0\"",
+        "name=\"rootz\" type=\"slide\" axis=\"0 0 1\"",
+    ];
+    *model = model
+        .replace(slides[0], "x")
+        .replace(slides[1], slides[0])
+        .replace("<joint x", &format!("<joint {}", slides[1]));
+    let mut world = environments(&config, 1).unwrap();
+    let names = world.description().state.iter().map(|feature| feature.name.as_str());
+    assert_eq!(names.take(2).collect::<Vec<_>>(), ["rootz.position", "rooty.position"]);
+    let mut outcome = [Outcome::default()];
+    (0..20).for_each(|_| world.step(&[0.0, 0.0], &mut outcome).unwrap());
+    assert!(!outcome[0].fault && outcome[0].reward > 0.0, "{outcome:?}");
+}
+
+#[test]
 fn terms_of_the_motion_describe_a_hopper_that_stands() {
     let speed = rewards("term = \"forward_speed\"");
     let height = rewards("term = \"forward_speed\"\ncoordinate = \"rootz\"");
