@@ -6,6 +6,7 @@ use crate::config::{
     RootView,
 };
 use crate::environment_batch::{EnvironmentBatch, Outcome};
+use crate::robot::{JointPlan, Softness};
 use crate::simulation::environments;
 
 const HOPPER: &str = include_str!("../../assets/hopper.toml");
@@ -189,6 +190,55 @@ fn terms_of_the_motion_describe_a_hopper_that_stands() {
     // A target 3 m ahead and 4 m up is 5 m away.
     let distance = rewards("term = \"target_distance\"\ntarget = { rootx = 3.0, rootz = 4.0 }")[0];
     assert!((distance - 5.0).abs() < 0.1, "{distance}");
+}
+
+/// Integrator, softness of the first limit and contact, margin and compliance of the example's robot, whose model states
+/// its own, with these lines under `[physics]`.
+fn physics(lines: &str) -> String {
+    let geom = "<geom type=\"capsule\"";
+    let soft = "solref=\"0.03 1\" solimp=\"0.8 0.85 0.002\" margin=\"0.004\"";
+    let joint = "solreflimit=\"0.05 1\" solimplimit=\"0.7 0.75 0.03\"";
+    let model = include_str!("../../assets/hopper.xml")
+        .replace("<option ", "<option integrator=\"RK4\" ")
+        .replace(geom, &format!("{geom} {soft}"))
+        .replace("<joint axis", &format!("<joint {joint} axis"));
+    let file = TaskFile::parse(&format!("{HOPPER}\n[physics]\n{lines}")).unwrap();
+    let robot = Robot::build(file.robot_row(model)).unwrap();
+    let blueprint = robot.blueprint();
+    let contact = blueprint.shapes().find_map(|shape| shape.contact).unwrap();
+    let limit = blueprint.links.iter().find_map(|link| match &link.joint {
+        JointPlan::Hinge(hinge) => Some(hinge.limit),
+        _ => None,
+    });
+    let softness = |Softness { time_constant_secs, impedance: [first, last], width }: Softness| {
+        format!("{time_constant_secs} {first} {last} {width}")
+    };
+    let [contacts, limits] = [contact.softness, limit.unwrap()].map(softness);
+    let (integration, margin) = (blueprint.integration, contact.margin);
+    format!("{integration:?}, {contacts}, {limits}, {margin}, {}", robot.contact_compliance())
+}
+
+#[test]
+fn every_physics_key_is_optional_and_replaces_only_its_number_of_the_model() {
+    // The plane has the softness and margin of its class, the capsules' one: margins add up.
+    assert_eq!(physics(""), "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.1");
+    for (line, expected) in [
+        ("integration = \"euler\"", "Euler, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.1"),
+        ("contacts.width = 0.1", "RungeKutta, 0.03 0.8 0.85 0.1, 0.05 0.7 0.75 0.03, 0.008, 0.1"),
+        (
+            "limits = { impedance = [0.0, 0.9], time_constant_secs = 0.5 }",
+            "RungeKutta, 0.03 0.8 0.85 0.002, 0.5 0 0.9 0.03, 0.008, 0.1",
+        ),
+        ("margin = 0.0", "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0, 0.1"),
+        (
+            "contact_compliance = 0.5",
+            "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.5",
+        ),
+    ] {
+        assert_eq!(physics(line), expected, "{line}");
+    }
+    let refusal = TaskFile::parse(&format!("{HOPPER}\n[physics]\nlimits.width = 0.0")).err();
+    assert!(refusal.unwrap().to_string().contains("physics.limits.width must lie in"));
 }
 
 #[test]
