@@ -65,15 +65,15 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
         });
     }
     mark_base(&bodies, &mut rests, &mut hulls);
-    // Where the shapes decide, an `inertial` of the document counts for nothing.
-    let stated = context.options.mass_source != MassSource::Shapes;
+    let source = context.options.mass_source;
     root.children.retain(|section| !SECTIONS.contains(&section.tag.as_str()));
     for section in &mut root.children {
         match section.tag.as_str() {
             "compiler" => {
                 let keep = |name: &str| !PATHS.contains(&name) && name != "inertiafromgeom";
-                let keep = |name: &str| keep(name) || (stated && name == "inertiafromgeom");
-                section.attributes.retain(|name, _| keep(name));
+                let is_source =
+                    |name: &str| source != MassSource::Shapes && name == "inertiafromgeom";
+                section.attributes.retain(|name, _| keep(name) || is_source(name));
             }
             "asset" => assets(section, &context, &hulls)?,
             "default" => without_materials(section),
@@ -82,7 +82,7 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
     }
     let mut next = 0;
     for world in root.children.iter_mut().filter(|section| section.tag == "worldbody") {
-        rewrite(world, 0, &mut next, &mut rests, stated);
+        rewrite(world, 0, &mut next, &mut rests, source);
     }
     Ok(written(&root))
 }
@@ -171,11 +171,18 @@ fn without_materials(default: &mut Element) {
 }
 
 /// Rewrites the children of a body, or of a frame in it. `next` counts the bodies in the order of the document.
-fn rewrite(element: &mut Element, own: usize, next: &mut usize, rests: &mut [Rest], stated: bool) {
+fn rewrite(
+    element: &mut Element,
+    own: usize,
+    next: &mut usize,
+    rests: &mut [Rest],
+    source: MassSource,
+) {
     for mut child in std::mem::take(&mut element.children) {
         match child.tag.as_str() {
             "site" | "camera" | "light" => continue,
-            "inertial" if !stated => continue,
+            // Where the shapes decide, an `inertial` of the document counts for nothing.
+            "inertial" if source == MassSource::Shapes => continue,
             "geom" => match rests[own].shapes.pop_front() {
                 Some(Kept::Nothing) | None => continue,
                 Some(Kept::Whole) => drop(child.attributes.remove("material")),
@@ -185,11 +192,11 @@ fn rewrite(element: &mut Element, own: usize, next: &mut usize, rests: &mut [Res
                     child.attributes.extend(seen.map(|(k, v)| (k.to_owned(), v.to_owned())));
                 }
             },
-            "frame" => rewrite(&mut child, own, next, rests, stated),
+            "frame" => rewrite(&mut child, own, next, rests, source),
             "body" => {
                 *next += 1;
                 let index = *next;
-                rewrite(&mut child, index, next, rests, stated);
+                rewrite(&mut child, index, next, rests, source);
                 if let Some(solid) = rests[index].inertial {
                     child.children.insert(0, inertial(&child, &solid));
                 }
