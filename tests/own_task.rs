@@ -19,6 +19,46 @@ fn example(runs: &Runs) -> std::path::PathBuf {
     folder.join("hopper.toml")
 }
 
+/// A binary STL file of an octahedron with these half sizes, m.
+fn octahedron([x, y, z]: [f32; 3]) -> Vec<u8> {
+    let mut bytes = vec![0; 80];
+    bytes.extend(8_u32.to_le_bytes());
+    for corner in 0..8 {
+        let sign = |bit: u8| if corner & bit == 0 { 1.0 } else { -1.0 };
+        let mut points =
+            [[sign(1) * x, 0.0, 0.0], [0.0, sign(2) * y, 0.0], [0.0, 0.0, sign(4) * z]];
+        if sign(1) * sign(2) * sign(4) < 0.0 {
+            points.swap(0, 1);
+        }
+        bytes.extend([0; 12]);
+        bytes.extend(points.as_flattened().iter().flat_map(|number| number.to_le_bytes()));
+        bytes.extend([0; 2]);
+    }
+    bytes
+}
+
+/// The example, with its defaults in an included file and a mesh as its torso.
+fn example_of_files(runs: &Runs) -> std::path::PathBuf {
+    let task = example(runs);
+    let folder = task.parent().unwrap();
+    let model = std::fs::read_to_string(folder.join("hopper.xml")).unwrap();
+    let (start, rest) = model.split_once("  <default>").unwrap();
+    let (defaults, end) = rest.split_once("</default>").unwrap();
+    let asset = "<asset><mesh name=\"trunk\" file=\"trunk.stl\"/></asset>";
+    let mesh = "<geom name=\"torso\" type=\"mesh\" mesh=\"trunk\"/>";
+    let end = end.replace("<geom name=\"torso\" size=\"0.06 0.2\"/>", mesh);
+    assert!(end.contains(mesh));
+    let parts = folder.join("parts");
+    std::fs::create_dir(&parts).unwrap();
+    let defaults = format!("<mujoco><default>{defaults}</default></mujoco>");
+    std::fs::write(parts.join("defaults.xml"), defaults).unwrap();
+    std::fs::write(parts.join("trunk.stl"), octahedron([0.1, 0.1, 0.25])).unwrap();
+    let model = format!("{start}  <include file=\"parts/defaults.xml\"/>\n{asset}\n{end}");
+    let model = model.replace("<compiler ", "<compiler meshdir=\"parts\" ");
+    std::fs::write(folder.join("hopper.xml"), model).unwrap();
+    task
+}
+
 /// The error of a command that is refused in one line.
 fn refusal(arguments: &[&str]) -> String {
     let output = s2mia(arguments);
@@ -66,6 +106,63 @@ fn a_run_of_an_own_task_continues_and_is_evaluated_without_its_files() {
     succeeded(&["film", run, "--frames", "1"]);
     succeeded(&["record", run]);
     succeeded(&["export", run, "--onnx", text(&runs.folder("onnx"))]);
+}
+
+#[test]
+fn a_run_of_a_model_of_several_files_continues_without_them() {
+    let runs = Runs::new();
+    let task = example_of_files(&runs);
+    let (whole, resumed) = (runs.folder("whole"), runs.folder("resumed"));
+    let told = succeeded(&["task", "check", text(&task), "--episodes", "1"]);
+    // Eight tetrahedra of 0.1 x 0.1 x 0.25 / 6 m^3 and 1000 kg/m^3.
+    let torso = told.lines().find(|line| line.starts_with("link  torso")).unwrap();
+    assert!(torso.contains(" 3.3333 kg"), "{torso}");
+    let named = format!("task={}", text(&task));
+    train(&whole, &[&named, "run.iterations=2", "run.actors=1"]);
+    train(&resumed, &[&named, "run.iterations=1", "run.actors=2"]);
+    std::fs::remove_dir_all(task.parent().unwrap()).unwrap();
+    succeeded(&["train", "--resume", text(&resumed), "run.iterations=2"]);
+    assert_eq!(inspect(&whole), inspect(&resumed));
+    succeeded(&["eval", text(&resumed), "--episodes", "1"]);
+    let config = std::fs::read_to_string(resumed.join("config.toml")).unwrap();
+    assert!(config.contains("0 0 0.25") && !config.contains("trunk.stl"), "{config}");
+}
+
+#[test]
+fn a_file_of_a_model_that_cannot_be_used_is_refused_before_anything_is_written() {
+    let runs = Runs::new();
+    let task = example_of_files(&runs);
+    let folder = runs.folder("run");
+    let dir = format!("run.dir={}", folder.display());
+    let refused = |path: &Path, from: &str, to: &str, part: &str| {
+        let valid = std::fs::read_to_string(path).unwrap();
+        assert!(valid.contains(from), "{from}");
+        std::fs::write(path, valid.replacen(from, to, 1)).unwrap();
+        let error = refusal(&["train", text(&task), &dir]);
+        assert!(error.contains(part) && error.contains(text(&task)), "{error}");
+        assert!(!folder.exists());
+        std::fs::write(path, valid).unwrap();
+    };
+    let model = task.with_file_name("hopper.xml");
+    let mesh = "line 6, <mesh name=\"trunk\">:";
+    let absent = "No such file or directory";
+    for (file, part) in [
+        ("lost.stl", format!("{mesh} parts/lost.stl: {absent}")),
+        ("/trunk.stl", format!("{mesh} `/trunk.stl` is an absolute path")),
+        ("../../trunk.stl", "leaves the model's folder".to_owned()),
+    ] {
+        refused(&model, "trunk.stl", file, &part);
+    }
+    refused(&model, "parts/def", "../def", "line 5, <include file=\"../defaults.xml\">: ");
+    refused(&task, "\"hopper.xml\"", "\"../robot/hopper.xml\"", "leaves the model's folder");
+    let absolute = format!("\"{}\"", model.display());
+    refused(&task, "\"hopper.xml\"", &absolute, "is an absolute path");
+    let long = format!("model=\"{}\"", "x".repeat(1 << 18));
+    refused(&model, "model=\"hopper\"", &long, "at most 262144 travel");
+    let stl = task.with_file_name("parts").join("trunk.stl");
+    std::fs::write(&stl, &octahedron([1.0; 3])[1..]).unwrap();
+    let broken = format!("{mesh} parts/trunk.stl: it is not a binary STL file");
+    refused(&model, "trunk", "trunk", &broken);
 }
 
 #[test]

@@ -38,8 +38,9 @@ pub struct AgentDescription {
     pub action: ActionRange,
 }
 
-/// Size and range of an agent's action. Torques use the clamped action; the reward's control cost uses the action
-/// before clamping.
+/// Size and range of an agent's action. If all motors of the agent have one control range, the range is that one and
+/// actions are controls. Otherwise it is -1 to 1, mapped linearly to the control range of each motor. Controls are
+/// clamped to their ranges; the reward's control cost uses the action before clamping.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActionRange {
     /// Number of components.

@@ -19,6 +19,7 @@ use crate::state::{State, StateBounds};
 use crate::task::{self, Motion, Rules, Transition};
 use crate::world::World;
 use crate::world::contact_forces::PER_BODY;
+use describe::Driven;
 
 /// The robot environments of a slot.
 pub(crate) struct RobotEnvironments {
@@ -29,7 +30,7 @@ pub(crate) struct RobotEnvironments {
     observation: Observation,
     contact_forces: ContactForces,
     /// Motor driven by each component of the joint action, `[A]`.
-    motors: Vec<usize>,
+    motors: Vec<Driven>,
     environments: Vec<Environment>,
     /// Controls in motor order, `[A]`.
     controls: Vec<f32>,
@@ -83,7 +84,7 @@ impl RobotEnvironments {
         if task.rules.reads_last_action() {
             bounds.actions = actuators.len();
         }
-        let (description, observation) = describe::describe(&task, &agents, &view, &bounds)?;
+        let (description, observation) = describe::describe(&task, &agents, &view, &bounds);
         let robot = Arc::new(task.robot);
         let rest = Numbers {
             coordinates: robot.rest().to_vec(),
@@ -102,9 +103,9 @@ impl RobotEnvironments {
         let mut environments = Self {
             rules: task.rules,
             bounds,
-            motors: agents.concat(),
+            motors: Driven::all(&robot, &agents),
             environments: (0..count).map(fresh).collect(),
-            controls: vec![0.0; agents.concat().len()],
+            controls: vec![0.0; agents.iter().map(Vec::len).sum()],
             next: rest.clone(),
             robot,
             description,
@@ -244,8 +245,8 @@ impl RobotEnvironments {
     }
 
     fn step_one(&mut self, index: usize, action: &[f32]) -> Outcome {
-        for (&motor, &number) in self.motors.iter().zip(action) {
-            self.controls[motor] = number;
+        for (driven, &number) in self.motors.iter().zip(action) {
+            self.controls[driven.motor] = driven.control(number);
         }
         let environment = &mut self.environments[index];
         environment.step = environment.step.saturating_add(1);

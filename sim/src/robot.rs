@@ -24,8 +24,7 @@ pub(crate) use convex::Convex;
 pub use files::ModelFiles;
 pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind, MotorMap};
 pub(crate) use neighbourhood::Neighbourhood;
-pub(crate) use softness::DEFAULT as DEFAULT_SOFTNESS;
-pub(crate) use softness::{Integration, Softness, Spring};
+pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
 
 /// A robot: its model and the settings that MJCF does not contain.
 #[derive(Debug)]
@@ -38,21 +37,21 @@ pub(crate) struct RobotRow {
     pub(crate) frame_skip: u32,
     /// Neighbouring joints, for agents with local observations.
     pub(crate) neighbourhood: Neighbourhood,
-    /// MuJoCo's integrator for this robot.
-    pub(crate) integration: Integration,
-    /// MuJoCo's softness of the joint limits.
-    pub(crate) limits: Softness,
-    /// MuJoCo's softness of the contacts.
-    pub(crate) contacts: Softness,
-    /// Distance at which contacts become active, m.
-    pub(crate) margin: f32,
+    /// MuJoCo's integrator, in place of the model's.
+    pub(crate) integration: Option<Integration>,
+    /// MuJoCo's softness of the joint limits, in place of the model's.
+    pub(crate) limits: SoftnessOverride,
+    /// MuJoCo's softness of the contacts, in place of the model's.
+    pub(crate) contacts: SoftnessOverride,
+    /// Distance at which contacts become active, in place of the model's, m.
+    pub(crate) margin: Option<f32>,
     /// Part of the contacts' compliance that the engine's solver applies, in units of their inverse mass.
     /// [`ContactLaw`](crate::world::ContactLaw) applies the rest, from the impulses of the last step.
-    pub(crate) contact_compliance: f32,
+    pub(crate) contact_compliance: Option<f32>,
 }
 
-/// `contact_compliance` of a robot whose model is loaded from files.
-const LOADED_COMPLIANCE: f32 = 0.1;
+/// `contact_compliance` of a robot that states none.
+const DEFAULT_COMPLIANCE: f32 = 0.1;
 
 /// A robot from which worlds are created. Immutable and shared.
 pub struct Robot {
@@ -74,9 +73,10 @@ impl Robot {
         };
         let mut folder = files::Folder::new(&row.name, &no_file).map_err(refused)?;
         let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
-        blueprint.integration = row.integration;
-        blueprint.soften(row.contacts, row.margin, row.limits);
-        let robot = Self::assemble(name.clone(), blueprint, row.contact_compliance);
+        blueprint.integration = row.integration.unwrap_or(blueprint.integration);
+        blueprint.soften(&row.contacts, row.margin, &row.limits);
+        let compliance = row.contact_compliance.unwrap_or(DEFAULT_COMPLIANCE);
+        let robot = Self::assemble(name.clone(), blueprint, compliance);
         let robot = robot.map_err(refused)?;
         Ok(Self { frame_skip: row.frame_skip, neighbourhood: row.neighbourhood, ..robot })
     }
@@ -98,7 +98,7 @@ impl Robot {
         let text = folder.document().map_err(refused)?;
         let blueprint = model::read(&text, &mut folder).map_err(refused)?;
         let name = Cow::Owned(name.to_owned());
-        let robot = Self::assemble(name, blueprint, LOADED_COMPLIANCE).map_err(refused)?;
+        let robot = Self::assemble(name, blueprint, DEFAULT_COMPLIANCE).map_err(refused)?;
         Ok(Self { frame_skip, ..robot })
     }
 

@@ -194,7 +194,11 @@ fn check_numbers(robot: &Robot) -> Result<(), SimError> {
         return Err(unfit(format!("its timestep must lie in 0.00001..=0.1 s, is {step_secs}")));
     }
     for (link, mass, inertia) in robot.masses() {
-        if !inertia.iter().chain([&mass]).all(|number| number.is_finite() && *number > 0.0) {
+        // The base, and all but the last link of a body with several joints, have no mass.
+        let is_massless = mass == 0.0 && inertia == [0.0; 3];
+        let is_solid =
+            inertia.iter().chain([&mass]).all(|number| number.is_finite() && *number > 0.0);
+        if !is_solid && !is_massless {
             return Err(unfit(format!(
                 "{link}: mass {mass} kg and inertia {inertia:?} must be above 0"
             )));

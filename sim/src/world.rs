@@ -7,6 +7,8 @@ mod hinge_drives;
 #[cfg(test)]
 mod loaded;
 #[cfg(test)]
+mod one_document;
+#[cfg(test)]
 mod other_roots;
 #[cfg(test)]
 mod refused;

@@ -1,12 +1,12 @@
-//! A task that the settings name by the path of its file. The texts of the file and of its model become settings, so that
-//! they take part in the hash of the settings and travel with the run.
+//! A task that the settings name by the path of its file. The texts of the file and of its model, with all files that the
+//! model names, become settings, so that they take part in the hash of the settings and travel with the run.
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
 
-use sim::TaskDefinition;
+use sim::{ModelFiles, TaskDefinition};
 
 use super::error::ConfigError;
 use super::layers::Layer;
@@ -17,8 +17,10 @@ pub(crate) const FILE: &str = "task_file.text";
 /// Text of the model that the file names.
 pub(crate) const MODEL: &str = "task_file.model";
 
-/// A larger task file or model is a mistake.
+/// Largest task file, and largest model as one document: both are part of every `config.toml` of the run.
 const LIMIT_BYTES: u64 = 256 << 10;
+/// Largest file that a model names.
+const MODEL_FILE_BYTES: u64 = 64 << 20;
 
 /// A task that is not part of the program.
 #[derive(Clone, Debug)]
@@ -74,8 +76,8 @@ impl OwnTask {
         let place = path.display().to_string();
         let file = text(path)?;
         let model = TaskDefinition::model_of(&file).map_err(|error| refused(&place, error))?;
-        let model = path.parent().unwrap_or(Path::new("")).join(model);
-        let model = text(&model).map_err(|error| refused(&format!("{place}: model"), error))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let model = one_document(folder, &model).map_err(|error| refused(&place, error))?;
         let definition = TaskDefinition { file, model };
         let names = definition.task_names().map_err(|error| refused(&place, error))?;
         let partitions = definition.partitions().map_err(|error| refused(&place, error))?;
@@ -119,12 +121,34 @@ impl OwnTask {
 
 fn text(path: &Path) -> Result<String, ConfigError> {
     let place = path.display().to_string();
-    let mut text = String::new();
-    let file = File::open(path).map_err(|error| refused(&place, error))?;
-    let read = file.take(LIMIT_BYTES + 1).read_to_string(&mut text);
-    match read.map_err(|error| refused(&place, error))? as u64 {
+    let bytes = content(path, LIMIT_BYTES).map_err(|error| refused(&place, error))?;
+    String::from_utf8(bytes).map_err(|_| refused(&place, "it is not UTF-8 text"))
+}
+
+/// Text of the model `document` in `folder`, with all files that it needs.
+fn one_document(folder: &Path, document: &str) -> Result<String, String> {
+    let read = |path: &str| {
+        let bytes = content(&folder.join(path), MODEL_FILE_BYTES);
+        bytes.map_err(|error| format!("{path}: {error}"))
+    };
+    let text = ModelFiles::one_document(document, read).map_err(|error| error.to_string())?;
+    match text.len() as u64 {
         0..=LIMIT_BYTES => Ok(text),
-        _ => Err(refused(&place, format!("it has more than {LIMIT_BYTES} bytes"))),
+        size => Err(format!(
+            "the model {document} has {size} bytes as one document, at most {LIMIT_BYTES} travel with a run: remove what it \
+             does not need, and use meshes with fewer corners for contacts"
+        )),
+    }
+}
+
+/// Content of a file of at most `limit` bytes.
+fn content(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(|error| error.to_string())?;
+    file.take(limit + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+    match bytes.len() as u64 <= limit {
+        true => Ok(bytes),
+        false => Err(format!("it has more than {limit} bytes")),
     }
 }
 

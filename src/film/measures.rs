@@ -38,14 +38,14 @@ impl Moment {
     /// After a step from `before`. A motor's torque is constant within a step, so its work is torque times turn.
     pub(super) fn after(step: &PlayedStep<'_>, before: &Self) -> Self {
         let now = Self::of(step.world);
-        let robot = robot(step.world).robot();
+        let world = robot(step.world);
         let joints = step.world.description().agents.iter().flat_map(|agent| &agent.joints);
-        let work = joints.zip(step.action).map(|(joint, control)| {
+        let work = joints.map(|joint| {
             let angle =
                 |pose: &Pose| pose.joints.iter().find(|j| j.name == *joint).map(|j| j.position);
             let turn =
                 angle(&now.pose).zip(angle(&before.pose)).map_or(0.0, |(to, from)| to - from);
-            f64::from(robot.torque(joint, *control).unwrap_or(0.0) * turn)
+            f64::from(world.torque(joint).unwrap_or(0.0) * turn)
         });
         let work = work.sum();
         Self { work, ..now }

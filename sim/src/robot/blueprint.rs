@@ -3,7 +3,7 @@
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
-use super::softness::{Integration, Softness};
+use super::softness::{Integration, Softness, SoftnessOverride};
 use crate::scene::Shape;
 
 /// Description of a robot and its floor.
@@ -175,14 +175,20 @@ pub(crate) struct Servo {
 }
 
 impl Blueprint {
-    /// Replaces the softness and margin of all contacts and limits.
-    pub(crate) fn soften(&mut self, contacts: Softness, margin: f32, limits: Softness) {
+    /// Replaces what a task states of the softness and margin of all contacts and limits.
+    pub(crate) fn soften(
+        &mut self,
+        contacts: &SoftnessOverride,
+        margin: Option<f32>,
+        limits: &SoftnessOverride,
+    ) {
         for link in &mut self.links {
             for contact in link.shapes.iter_mut().filter_map(|shape| shape.contact.as_mut()) {
-                (contact.softness, contact.margin) = (contacts, margin);
+                contact.softness = contact.softness.with(contacts);
+                contact.margin = margin.unwrap_or(contact.margin);
             }
             if let JointPlan::Hinge(hinge) = &mut link.joint {
-                hinge.limit = limits;
+                hinge.limit = hinge.limit.with(limits);
             }
         }
     }

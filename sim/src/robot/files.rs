@@ -36,6 +36,28 @@ impl ModelFiles {
         super::model::read(&text, &mut folder).map_err(refused)?;
         Ok(Self { document: folder.path.clone(), files: folder.known })
     }
+
+    /// Reads a model as one document. A document that needs no other file is returned unchanged. Otherwise the files that
+    /// it includes become part of it, colliding meshes become the corners of their convex hulls, and masses that come
+    /// from meshes become `inertial` elements; what has no effect on the motion is left out. `read` is that of
+    /// [`Self::collect`].
+    ///
+    /// # Errors
+    /// If a file cannot be read or the model cannot be built.
+    pub fn one_document(
+        document: &str,
+        read: impl Fn(&str) -> Result<Vec<u8>, String>,
+    ) -> Result<String, SimError> {
+        let refused = |reason| SimError::Model { robot: document.to_owned(), reason };
+        let mut folder = Folder::new(document, &read).map_err(refused)?;
+        let text = folder.document().map_err(refused)?;
+        super::model::read(&text, &mut folder).map_err(refused)?;
+        if folder.known.len() == 1 {
+            return Ok(text);
+        }
+        folder.reads = 0;
+        super::model::flat(&text, &mut folder).map_err(refused)
+    }
 }
 
 /// Source of a model's files. It remembers every file that was read.
@@ -53,6 +75,7 @@ impl<'a> Folder<'a> {
         document: &str,
         source: &'a dyn Fn(&str) -> Result<Vec<u8>, String>,
     ) -> Result<Self, String> {
+        check_relative(document)?;
         Ok(Self { path: resolved(document)?, source, known: BTreeMap::new(), reads: 0 })
     }
 
@@ -68,15 +91,10 @@ impl<'a> Folder<'a> {
         subfolder: &str,
         name: &str,
     ) -> Result<(String, Vec<u8>), String> {
-        for part in [subfolder, name] {
-            if part.starts_with(['/', '\\']) || part.contains(':') {
-                return Err(format!(
-                    "`{part}` is an absolute path; name files relative to the model"
-                ));
-            }
-        }
+        [subfolder, name].into_iter().try_for_each(check_relative)?;
         let own = self.path.rsplit_once('/').map_or("", |(folder, _)| folder);
-        let path = resolved(&format!("{own}/{subfolder}/{name}"))?;
+        let parts = [own, subfolder, name].into_iter().filter(|part| !part.is_empty());
+        let path = resolved(&parts.collect::<Vec<_>>().join("/"))?;
         let bytes = self.content(&path)?;
         Ok((path, bytes))
     }
@@ -95,6 +113,13 @@ impl<'a> Folder<'a> {
         }
         self.known.insert(path.to_owned(), bytes.clone());
         Ok(bytes)
+    }
+}
+
+fn check_relative(path: &str) -> Result<(), String> {
+    match path.starts_with(['/', '\\']) || path.contains(':') {
+        true => Err(format!("`{path}` is an absolute path; name files by relative paths")),
+        false => Ok(()),
     }
 }
 
@@ -127,5 +152,8 @@ mod tests {
         assert_eq!(folder.read("../meshes", "hand.stl").unwrap().0, "meshes/hand.stl");
         assert!(folder.read("", "/etc/hand.stl").unwrap_err().contains("absolute path"));
         assert!(folder.read("../..", "hand.stl").is_err());
+        let refusal = |document| Folder::new(document, &source).err().unwrap();
+        assert!(refusal("/robots/arm.xml").contains("absolute path"));
+        assert!(refusal("../arm.xml").contains("leaves the model's folder"));
     }
 }

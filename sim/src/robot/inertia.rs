@@ -127,10 +127,10 @@ impl MassSum {
         self.mass
     }
 
-    /// Mass properties, with mass and inertia multiplied by `factor`.
-    pub(super) fn properties(&self, factor: f64) -> MassProperties {
+    /// The sum as one part; without a mass, nothing.
+    pub(super) fn solid(&self) -> Solid {
         if self.mass <= 0.0 {
-            return MassProperties::default();
+            return Solid::default();
         }
         let centre = self.moments.map(|moment| moment / self.mass);
         let square: f64 = centre.iter().map(|x| x * x).sum();
@@ -141,10 +141,19 @@ impl MassSum {
                 inertia[row][column] -= self.mass * shift;
             }
         }
+        Solid { mass: self.mass, centre, inertia }
+    }
+
+    /// Mass properties, with mass and inertia multiplied by `factor`.
+    pub(super) fn properties(&self, factor: f64) -> MassProperties {
+        if self.mass <= 0.0 {
+            return MassProperties::default();
+        }
+        let Solid { mass, centre, inertia } = self.solid();
         let (principal, frame) = principal_axes(inertia);
         MassProperties::with_principal_inertia_frame(
             vector(centre),
-            (factor * self.mass) as f32,
+            (factor * mass) as f32,
             vector(principal.map(|moment| factor * moment)),
             frame,
         )

@@ -3,6 +3,7 @@
 
 mod actuators;
 mod bodies;
+mod flat;
 mod geoms;
 mod joints;
 mod meshes;
@@ -16,6 +17,7 @@ use super::document::{Classes, Element, check_names};
 use super::files::Folder;
 use super::inertia::MassSum;
 use bodies::Body;
+pub(super) use flat::flat;
 use geoms::{Geom, Ground};
 use meshes::Meshes;
 use options::Options;
@@ -27,13 +29,20 @@ struct Context {
     meshes: Meshes,
 }
 
+impl Context {
+    /// Reads the settings, and what MuJoCo would do in addition to this simulator.
+    fn read(root: &Element) -> Result<(Self, Vec<String>), String> {
+        let (options, left_out) = Options::read(root)?;
+        let classes = Classes::new(root)?;
+        let meshes = Meshes::read(root, &classes, &options)?;
+        Ok((Self { classes, options, meshes }, left_out))
+    }
+}
+
 /// Reads an MJCF document and the files of `folder` that it needs.
 pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, String> {
     let root = Element::parse(mjcf, folder)?;
-    let (options, mut left_out) = Options::read(&root)?;
-    let classes = Classes::new(&root)?;
-    let meshes = Meshes::read(&root, &classes, &options)?;
-    let mut context = Context { classes, options, meshes };
+    let (mut context, mut left_out) = Context::read(&root)?;
     let mut bodies = bodies::flat(&root, &context)?;
     let ground = geoms::take_ground(&mut bodies, &context)?;
     let mut links = read_links(&bodies, &mut context, ground.as_ref(), folder)?;

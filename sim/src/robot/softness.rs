@@ -1,5 +1,7 @@
 //! MuJoCo's soft constraints, used for contacts and joint limits: their force as a function of the violation.
 
+use serde::Deserialize;
+
 /// MuJoCo's integrator for a robot. The springs of soft constraints are integrated in the same way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Integration {
@@ -20,9 +22,17 @@ pub(crate) struct Softness {
     pub(crate) width: f32,
 }
 
-/// MuJoCo's default.
-pub(crate) const DEFAULT: Softness =
-    Softness { time_constant_secs: 0.02, impedance: [0.9, 0.95], width: 0.001 };
+/// Numbers that replace those of a model.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SoftnessOverride {
+    /// In place of [`Softness::time_constant_secs`], s.
+    pub(crate) time_constant_secs: Option<f32>,
+    /// In place of [`Softness::impedance`].
+    pub(crate) impedance: Option<[f32; 2]>,
+    /// In place of [`Softness::width`], m or rad.
+    pub(crate) width: Option<f32>,
+}
 
 /// Smallest impedance, as in MuJoCo.
 const SMALLEST_IMPEDANCE: f32 = 1e-4;
@@ -50,6 +60,15 @@ impl Softness {
             impedance: [impedance(first), impedance(last)],
             width: width.max(1e-9) as f32,
         })
+    }
+
+    /// The softness with other numbers.
+    pub(super) fn with(&self, other: &SoftnessOverride) -> Self {
+        Self {
+            time_constant_secs: other.time_constant_secs.unwrap_or(self.time_constant_secs),
+            impedance: other.impedance.unwrap_or(self.impedance),
+            width: other.width.unwrap_or(self.width),
+        }
     }
 
     /// Compliance of a constraint in units of its inverse mass, `R / A = (1 - d) / d`.
@@ -103,6 +122,10 @@ impl Spring {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// MuJoCo's default.
+    const DEFAULT: Softness =
+        Softness { time_constant_secs: 0.02, impedance: [0.9, 0.95], width: 0.001 };
 
     #[test]
     fn the_impedance_rises_from_its_first_to_its_last_value() {

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::error::SimError;
-use crate::robot::{DEFAULT_SOFTNESS, Integration, Neighbourhood, RobotRow, Softness};
+use crate::robot::{Integration, Neighbourhood, RobotRow, SoftnessOverride};
 use crate::spelling;
 
 /// Content of a task file.
@@ -159,15 +159,15 @@ struct TouchingRow {
     bodies: Vec<String>,
 }
 
-/// MuJoCo's parameters of the robot, with MuJoCo's defaults.
-#[derive(Clone, Debug, Deserialize)]
+/// MuJoCo's parameters in place of the model's; absent ones are the model's.
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct PhysicsRow {
-    integration: IntegrationName,
-    limits: SoftnessRow,
-    contacts: SoftnessRow,
-    margin: f32,
-    contact_compliance: f32,
+    integration: Option<IntegrationName>,
+    limits: SoftnessOverride,
+    contacts: SoftnessOverride,
+    margin: Option<f32>,
+    contact_compliance: Option<f32>,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -175,49 +175,6 @@ struct PhysicsRow {
 enum IntegrationName {
     Euler,
     RungeKutta,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct SoftnessRow {
-    time_constant_secs: f32,
-    impedance: [f32; 2],
-    width: f32,
-}
-
-impl Default for PhysicsRow {
-    fn default() -> Self {
-        Self {
-            integration: IntegrationName::Euler,
-            limits: SoftnessRow::default(),
-            contacts: SoftnessRow::default(),
-            margin: 0.0,
-            contact_compliance: 0.1,
-        }
-    }
-}
-
-impl Default for SoftnessRow {
-    fn default() -> Self {
-        let Softness { time_constant_secs, impedance, width } = DEFAULT_SOFTNESS;
-        Self { time_constant_secs, impedance, width }
-    }
-}
-
-impl SoftnessRow {
-    fn softness(&self) -> Softness {
-        let Self { time_constant_secs, impedance, width } = *self;
-        Softness { time_constant_secs, impedance, width }
-    }
-
-    fn check(&self, key: &str) -> Result<(), SimError> {
-        within(&format!("{key}.time_constant_secs"), self.time_constant_secs, 1e-4, 10.0)?;
-        within(&format!("{key}.width"), self.width, 1e-6, 10.0)?;
-        for impedance in self.impedance {
-            within(&format!("{key}.impedance"), impedance, 0.0, 0.9999)?;
-        }
-        Ok(())
-    }
 }
 
 impl TaskFile {
@@ -263,12 +220,12 @@ impl TaskFile {
             mjcf: mjcf.into(),
             frame_skip: self.frame_skip,
             neighbourhood: Neighbourhood { edges, touching, globals },
-            integration: match self.physics.integration {
+            integration: self.physics.integration.map(|name| match name {
                 IntegrationName::Euler => Integration::Euler,
                 IntegrationName::RungeKutta => Integration::RungeKutta,
-            },
-            limits: self.physics.limits.softness(),
-            contacts: self.physics.contacts.softness(),
+            }),
+            limits: self.physics.limits,
+            contacts: self.physics.contacts,
             margin: self.physics.margin,
             contact_compliance: self.physics.contact_compliance,
         }
@@ -277,10 +234,19 @@ impl TaskFile {
 
 impl PhysicsRow {
     fn check(&self) -> Result<(), SimError> {
-        self.limits.check("physics.limits")?;
-        self.contacts.check("physics.contacts")?;
-        within("physics.margin", self.margin, 0.0, 1.0)?;
-        within("physics.contact_compliance", self.contact_compliance, 1e-3, 1.0)
+        let given = |key: &str, value: Option<f32>, low, high| {
+            value.map_or(Ok(()), |value| within(key, value, low, high))
+        };
+        for (key, row) in [("limits", &self.limits), ("contacts", &self.contacts)] {
+            let key = |name: &str| format!("physics.{key}.{name}");
+            given(&key("time_constant_secs"), row.time_constant_secs, 1e-4, 10.0)?;
+            given(&key("width"), row.width, 1e-6, 10.0)?;
+            for impedance in row.impedance.into_iter().flatten() {
+                within(&key("impedance"), impedance, 0.0, 0.9999)?;
+            }
+        }
+        given("physics.margin", self.margin, 0.0, 1.0)?;
+        given("physics.contact_compliance", self.contact_compliance, 1e-3, 1.0)
     }
 }
 

@@ -55,7 +55,8 @@ pub(super) fn alive() -> f32 {
     1.0
 }
 
-/// `sum a^2` over the actions of all agents before clamping, in squared units of action.
+/// `sum a^2` over the actions of all agents before clamping, in squared units of action. Actions are controls, or their
+/// place in -1 to 1 for an agent whose motors have different control ranges.
 pub(super) fn control(step: &Transition<'_>) -> f32 {
     sum_of_squares(step.action)
 }
@@ -88,8 +89,8 @@ pub(super) fn in_range(step: &Transition<'_>, coordinate: usize, [low, high]: [f
     if (low..=high).contains(&step.after.position(coordinate)) { 1.0 } else { 0.0 }
 }
 
-/// `sum (a - a_last)^2` over the actions of all agents before clamping, in squared units of action. `a_last` is 0 in the
-/// first step of an episode.
+/// `sum (a - a_last)^2` over the actions of all agents before clamping, in squared units of action as in [`control`].
+/// `a_last` is 0 in the first step of an episode.
 pub(super) fn action_rate(step: &Transition<'_>) -> f32 {
     let changes = step.action.iter().zip(step.last_action);
     changes.map(|(now, last)| (now - last) * (now - last)).sum()

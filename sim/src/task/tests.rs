@@ -6,6 +6,7 @@ use crate::config::{
     RootView,
 };
 use crate::environment_batch::{EnvironmentBatch, Outcome};
+use crate::robot::{JointPlan, Softness};
 use crate::simulation::environments;
 
 const HOPPER: &str = include_str!("../../assets/hopper.toml");
@@ -110,6 +111,72 @@ fn terms_of_actions_are_sums_of_squares() {
     assert_eq!(rewards("term = \"alive\""), [1.0, 1.0]);
 }
 
+/// The example with these control ranges of hip and knee and these agents, and the reward `control`.
+fn ranged([hip, knee]: [&str; 2], agents: &str) -> Box<dyn EnvironmentBatch> {
+    let mut file = HOPPER.replace("2x1 = [[\"hip\"], [\"knee\"]]", &format!("2x1 = {agents}"));
+    let rewards = file.find("\n[[reward]]").unwrap()..file.find("\n[[healthy]]").unwrap();
+    file.replace_range(rewards, "\n[[reward]]\nterm = \"control\"\nweight = 1.0\n");
+    let mut config = config(&file, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    for (joint, range) in [("hip", hip), ("knee", knee)] {
+        let motor = format!("<motor name=\"{joint}\"");
+        assert!(model.contains(&motor));
+        *model = model.replace(&motor, &format!("{motor} ctrlrange=\"{range}\""));
+    }
+    environments(&config, 1).unwrap()
+}
+
+/// Reward and torques of hip and knee, whose gears are 80, for an action.
+fn driven(world: &mut dyn EnvironmentBatch, action: [f32; 2]) -> (f32, [f32; 2]) {
+    let mut outcome = [Outcome::default()];
+    world.step(&action, &mut outcome).unwrap();
+    let torques = ["hip", "knee"].map(|joint| world.world(0).unwrap().torque(joint).unwrap());
+    (outcome[0].reward, torques)
+}
+
+#[test]
+fn an_agent_with_several_control_ranges_acts_in_minus_one_to_one() {
+    let mut world = ranged(["-0.5 0.5", "2 10"], "[[\"hip\", \"knee\"]]");
+    let action = &world.description().agents[0].action;
+    assert_eq!((action.size, action.low, action.high), (2, -1.0, 1.0));
+    // Controls 0 + 0.5 x 0.5 and 6 + 4 x -0.25. The reward is that of the actions.
+    assert_eq!(driven(&mut *world, [0.5, -0.25]), (0.3125, [20.0, 400.0]));
+    // Controls -1 and 18, clamped to -0.5 and 10.
+    assert_eq!(driven(&mut *world, [-2.0, 3.0]), (13.0, [-40.0, 800.0]));
+}
+
+#[test]
+fn an_agent_with_one_control_range_acts_in_it() {
+    for (ranges, agents) in
+        [(["0 10", "0 10"], "[[\"hip\", \"knee\"]]"), (["-4 5", "0 10"], "[[\"hip\"], [\"knee\"]]")]
+    {
+        let mut world = ranged(ranges, agents);
+        let action = &world.description().agents.last().unwrap().action;
+        assert_eq!((action.low, action.high), (0.0, 10.0));
+        assert_eq!(driven(&mut *world, [3.0, 4.0]), (25.0, [240.0, 320.0]));
+    }
+}
+
+#[test]
+fn a_root_of_three_joints_in_another_order_is_a_chain_of_links_without_masses() {
+    let mut config = config(HOPPER, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    let slides = [
+        "name=\"rootx\" type=\"slide\" axis=\"1 0 0\"",
+        "name=\"rootz\" type=\"slide\" axis=\"0 0 1\"",
+    ];
+    *model = model
+        .replace(slides[0], "x")
+        .replace(slides[1], slides[0])
+        .replace("<joint x", &format!("<joint {}", slides[1]));
+    let mut world = environments(&config, 1).unwrap();
+    let names = world.description().state.iter().map(|feature| feature.name.as_str());
+    assert_eq!(names.take(2).collect::<Vec<_>>(), ["rootz.position", "rooty.position"]);
+    let mut outcome = [Outcome::default()];
+    (0..20).for_each(|_| world.step(&[0.0, 0.0], &mut outcome).unwrap());
+    assert!(!outcome[0].fault && outcome[0].reward > 0.0, "{outcome:?}");
+}
+
 #[test]
 fn terms_of_the_motion_describe_a_hopper_that_stands() {
     let speed = rewards("term = \"forward_speed\"");
@@ -123,6 +190,55 @@ fn terms_of_the_motion_describe_a_hopper_that_stands() {
     // A target 3 m ahead and 4 m up is 5 m away.
     let distance = rewards("term = \"target_distance\"\ntarget = { rootx = 3.0, rootz = 4.0 }")[0];
     assert!((distance - 5.0).abs() < 0.1, "{distance}");
+}
+
+/// Integrator, softness of the first limit and contact, margin and compliance of the example's robot, whose model states
+/// its own, with these lines under `[physics]`.
+fn physics(lines: &str) -> String {
+    let geom = "<geom type=\"capsule\"";
+    let soft = "solref=\"0.03 1\" solimp=\"0.8 0.85 0.002\" margin=\"0.004\"";
+    let joint = "solreflimit=\"0.05 1\" solimplimit=\"0.7 0.75 0.03\"";
+    let model = include_str!("../../assets/hopper.xml")
+        .replace("<option ", "<option integrator=\"RK4\" ")
+        .replace(geom, &format!("{geom} {soft}"))
+        .replace("<joint axis", &format!("<joint {joint} axis"));
+    let file = TaskFile::parse(&format!("{HOPPER}\n[physics]\n{lines}")).unwrap();
+    let robot = Robot::build(file.robot_row(model)).unwrap();
+    let blueprint = robot.blueprint();
+    let contact = blueprint.shapes().find_map(|shape| shape.contact).unwrap();
+    let limit = blueprint.links.iter().find_map(|link| match &link.joint {
+        JointPlan::Hinge(hinge) => Some(hinge.limit),
+        _ => None,
+    });
+    let softness = |Softness { time_constant_secs, impedance: [first, last], width }: Softness| {
+        format!("{time_constant_secs} {first} {last} {width}")
+    };
+    let [contacts, limits] = [contact.softness, limit.unwrap()].map(softness);
+    let (integration, margin) = (blueprint.integration, contact.margin);
+    format!("{integration:?}, {contacts}, {limits}, {margin}, {}", robot.contact_compliance())
+}
+
+#[test]
+fn every_physics_key_is_optional_and_replaces_only_its_number_of_the_model() {
+    // The plane has the softness and margin of its class, the capsules' one: margins add up.
+    assert_eq!(physics(""), "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.1");
+    for (line, expected) in [
+        ("integration = \"euler\"", "Euler, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.1"),
+        ("contacts.width = 0.1", "RungeKutta, 0.03 0.8 0.85 0.1, 0.05 0.7 0.75 0.03, 0.008, 0.1"),
+        (
+            "limits = { impedance = [0.0, 0.9], time_constant_secs = 0.5 }",
+            "RungeKutta, 0.03 0.8 0.85 0.002, 0.5 0 0.9 0.03, 0.008, 0.1",
+        ),
+        ("margin = 0.0", "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0, 0.1"),
+        (
+            "contact_compliance = 0.5",
+            "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.5",
+        ),
+    ] {
+        assert_eq!(physics(line), expected, "{line}");
+    }
+    let refusal = TaskFile::parse(&format!("{HOPPER}\n[physics]\nlimits.width = 0.0")).err();
+    assert!(refusal.unwrap().to_string().contains("physics.limits.width must lie in"));
 }
 
 #[test]

@@ -42,6 +42,12 @@ impl World {
         heights.fold(f32::INFINITY, f32::min)
     }
 
+    /// Torque of the motor of `joint` for its last control, N m; `None` in the cases of [`Robot::torque`](crate::Robot::torque).
+    pub fn torque(&self, joint: &str) -> Option<f32> {
+        let motor = self.robot.actuators().position(|name| name == joint)?;
+        self.robot.torque(joint, self.drives.control(motor))
+    }
+
     /// Sum of the normal impulses in the last physics step, N s.
     pub fn contact_impulse(&self) -> f32 {
         let manifolds = self.physics.narrow_phase.contact_pairs().flat_map(|pair| pair.manifolds());

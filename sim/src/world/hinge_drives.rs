@@ -72,6 +72,11 @@ impl HingeDrives {
         *last = control.clamp(motor.range[0], motor.range[1]);
     }
 
+    /// The last control of a motor, clamped; 0 without one.
+    pub(crate) fn control(&self, motor: usize) -> f32 {
+        self.motors[motor].1
+    }
+
     /// Applies the torques of the next physics step to the robot. The engine's spring has the torque `-k (q - rest)`. A
     /// weak spring with its rest at distance `torque / k` therefore adds a torque without a constraint.
     pub(crate) fn apply(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {

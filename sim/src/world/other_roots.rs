@@ -6,7 +6,10 @@ use std::sync::Arc;
 
 use super::World;
 use crate::error::SimError;
-use crate::robot::{DEFAULT_SOFTNESS, Integration, Neighbourhood, Robot, RobotRow};
+use crate::robot::{Neighbourhood, Robot, RobotRow, SoftnessOverride};
+
+const AS_IN_MODEL: SoftnessOverride =
+    SoftnessOverride { time_constant_secs: None, impedance: None, width: None };
 
 /// A ball with two fixed opposite arms, a leg on a skew hinge axis and a leg on the axis -y.
 const STRIDER: RobotRow = RobotRow {
@@ -38,11 +41,11 @@ const STRIDER: RobotRow = RobotRow {
     ),
     frame_skip: 5,
     neighbourhood: Neighbourhood { edges: Vec::new(), touching: Vec::new(), globals: Vec::new() },
-    integration: Integration::Euler,
-    limits: DEFAULT_SOFTNESS,
-    contacts: DEFAULT_SOFTNESS,
-    margin: 0.0,
-    contact_compliance: 0.1,
+    integration: None,
+    limits: AS_IN_MODEL,
+    contacts: AS_IN_MODEL,
+    margin: None,
+    contact_compliance: None,
 };
 
 fn strider() -> World {

@@ -113,7 +113,7 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         (section("\n<option viscosity=\"0.1\"/>"), "line 6, <option>: viscosity=\"0.1\""),
         (
             section("\n<asset><mesh file=\"/a.stl\"/></asset><include file=\"../b.xml\"/>"),
-            "line 6, <include file=\"../b.xml\">: `/",
+            "line 6, <include file=\"../b.xml\">: `../b.xml` leaves",
         ),
     ]);
 }

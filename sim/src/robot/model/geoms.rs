@@ -106,6 +106,10 @@ impl Geom {
         self.kind() == "mesh"
     }
 
+    pub(super) fn is_plane(&self) -> bool {
+        self.kind() == "plane"
+    }
+
     fn kind(&self) -> &str {
         self.element.text("type").unwrap_or("sphere")
     }
@@ -313,17 +317,17 @@ pub(super) fn take_ground(
         let parent = if index == 0 { IDENTITY } else { frames[bodies[index].parent] };
         frames.push(if index == 0 { IDENTITY } else { parent.then(&bodies[index].frame) });
         let is_static = bodies[index].is_static;
-        let is_plane = |geom: &Geom| geom.kind() == "plane";
-        if let Some(plane) = bodies[index].geoms.iter().find(|geom| is_plane(geom) && !is_static) {
+        let loose = |geom: &&Geom| geom.is_plane() && !is_static;
+        if let Some(plane) = bodies[index].geoms.iter().find(loose) {
             return Err(plane.element.refuse("a plane must be fixed to the world"));
         }
-        for plane in bodies[index].geoms.iter().filter(|geom| is_plane(geom) && geom.collides()) {
+        for plane in bodies[index].geoms.iter().filter(|geom| geom.is_plane() && geom.collides()) {
             if ground.is_some() {
                 return Err(plane.element.refuse("the world has more than one plane"));
             }
             ground = Some(plane.ground(&frames[index], context));
         }
-        bodies[index].geoms.retain(|geom| !is_plane(geom));
+        bodies[index].geoms.retain(|geom| !geom.is_plane());
     }
     let moving = || bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
     let touched = |geom: &&Geom| moving().any(|other| geom.meets(other));

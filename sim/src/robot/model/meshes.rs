@@ -51,10 +51,7 @@ impl Meshes {
         let mut assets = BTreeMap::new();
         for element in root.all("asset").flat_map(|section| section.all("mesh")) {
             let element = classes.resolve(element, None)?;
-            let file =
-                element.text("file").map(|file| file.rsplit(['/', '\\']).next().unwrap_or(file));
-            let stem = file.map(|file| file.rsplit_once('.').map_or(file, |(stem, _)| stem));
-            let name = element.text("name").or(stem).unwrap_or_default().to_owned();
+            let name = asset_name(&element);
             let refused =
                 element.refuse("it has neither a name nor a file, or another mesh has its name");
             if name.is_empty() || assets.insert(name, Asset { element, loaded: None }).is_some() {
@@ -100,6 +97,13 @@ impl Meshes {
         };
         mesh.solid_of(volume, hull).map_err(|reason| asset.element.refuse(reason))
     }
+}
+
+/// Name of a mesh, which is that of its file unless stated; empty without both.
+pub(super) fn asset_name(mesh: &Element) -> String {
+    let file = mesh.text("file").map(|file| file.rsplit(['/', '\\']).next().unwrap_or(file));
+    let stem = file.map(|file| file.rsplit_once('.').map_or(file, |(stem, _)| stem));
+    mesh.text("name").or(stem).unwrap_or_default().to_owned()
 }
 
 /// What of the path of a mesh's file counts.

@@ -1,0 +1,249 @@
+//! Writes a model that names other files as one document without files: included files stand in it, meshes that collide
+//! are the corners of their hulls, and masses of meshes are stated. All other meshes are left out, and so is what has no
+//! effect on the motion.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+use super::super::document::Element;
+use super::super::files::Folder;
+use super::super::inertia::{MassSum, Solid};
+use super::Context;
+use super::bodies::{self, Body};
+use super::geoms::Geom;
+use super::joints;
+use super::meshes::asset_name;
+use super::options::MassSource;
+use crate::scene::Hull;
+
+/// Sections without effect on the motion.
+const SECTIONS: [&str; 8] =
+    ["size", "statistic", "visual", "custom", "sensor", "keyframe", "tendon", "equality"];
+/// Paths of files, which the document does not name any more.
+const PATHS: [&str; 4] = ["meshdir", "assetdir", "texturedir", "strippath"];
+/// Corners of a mesh that only marks the base of a robot, m.
+const MARK: &str = "0 0 0 0.001 0 0 0 0.001 0 0 0 0.001";
+
+/// What remains of a body.
+#[derive(Default)]
+struct Rest {
+    /// Mass and inertia to state, in the body's frame; `None` if the document states or implies them without meshes.
+    inertial: Option<Solid>,
+    /// For each shape of the body, in order.
+    shapes: VecDeque<Kept>,
+}
+
+/// What remains of a shape.
+#[derive(Clone, Copy, PartialEq)]
+enum Kept {
+    Whole,
+    Nothing,
+    /// Its existence: a base without any shape would not be a link.
+    Mark,
+}
+
+/// Corners of the meshes that remain, by name; without a hull for a mark.
+type Hulls = BTreeMap<String, Option<Arc<Hull>>>;
+
+/// A document that can be built, as one without other files. The robots of both have the same shapes, masses and joints.
+pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<String, String> {
+    let mut root = Element::parse(mjcf, folder)?;
+    let (mut context, _) = Context::read(&root)?;
+    let mut hulls = Hulls::new();
+    let bodies = bodies::flat(&root, &context)?;
+    let mut rests = Vec::new();
+    for (index, body) in bodies.iter().enumerate() {
+        let is_built = index > 0 && (!body.is_static || has_base(&bodies));
+        rests.push(match is_built {
+            true => rest(body, &mut context, folder, &mut hulls)?,
+            // Nothing of the world but its plane is built.
+            false => {
+                let kept = |geom: &Geom| if geom.is_mesh() { Kept::Nothing } else { Kept::Whole };
+                Rest { inertial: None, shapes: body.geoms.iter().map(kept).collect() }
+            }
+        });
+    }
+    mark_base(&bodies, &mut rests, &mut hulls);
+    let source = context.options.mass_source;
+    root.children.retain(|section| !SECTIONS.contains(&section.tag.as_str()));
+    for section in &mut root.children {
+        match section.tag.as_str() {
+            "compiler" => {
+                let keep = |name: &str| !PATHS.contains(&name) && name != "inertiafromgeom";
+                let is_source =
+                    |name: &str| source != MassSource::Shapes && name == "inertiafromgeom";
+                section.attributes.retain(|name, _| keep(name) || is_source(name));
+            }
+            "asset" => assets(section, &context, &hulls)?,
+            "default" => without_materials(section),
+            _ => {}
+        }
+    }
+    let mut next = 0;
+    for world in root.children.iter_mut().filter(|section| section.tag == "worldbody") {
+        rewrite(world, 0, &mut next, &mut rests, source);
+    }
+    Ok(written(&root))
+}
+
+/// Whether bodies that are fixed to the world are a link.
+fn has_base(bodies: &[Body]) -> bool {
+    !bodies.iter().any(|body| body.joints.iter().any(joints::is_free))
+}
+
+fn rest(
+    body: &Body,
+    context: &mut Context,
+    folder: &mut Folder<'_>,
+    hulls: &mut Hulls,
+) -> Result<Rest, String> {
+    let mut rest = Rest::default();
+    let is_stated = bodies::stated_inertia(body, &context.options)?.is_some();
+    let weighs = |geom: &Geom| !is_stated && geom.weighs() && !geom.is_plane();
+    let mut sum = MassSum::default();
+    let states = body.geoms.iter().any(|geom| geom.is_mesh() && weighs(geom));
+    for geom in &body.geoms {
+        if states && weighs(geom) {
+            let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
+            sum.add(&geom.solid(&shape, &pose, &context.meshes)?);
+        }
+        let is_kept = !geom.is_mesh() || geom.collides();
+        if let Some(name) = geom.element.text("mesh").filter(|_| geom.is_mesh() && is_kept) {
+            let hull = context.meshes.hull(&geom.element, folder)?;
+            hulls.insert(name.to_owned(), Some(hull));
+        }
+        rest.shapes.push_back(if is_kept { Kept::Whole } else { Kept::Nothing });
+    }
+    rest.inertial = states.then(|| sum.solid());
+    Ok(rest)
+}
+
+/// Keeps a shape of the first body that is fixed to the world and has shapes: the base has its name.
+fn mark_base(bodies: &[Body], rests: &mut [Rest], hulls: &mut Hulls) {
+    let shaped = |body: &&Body| body.is_static && body.geoms.iter().any(|geom| !geom.is_plane());
+    let Some(index) = bodies.iter().skip(1).position(|body| shaped(&body)) else { return };
+    let (body, rest) = (&bodies[index + 1], &mut rests[index + 1]);
+    let planes = body.geoms.iter().map(Geom::is_plane);
+    let stays = |(kept, is_plane): (&Kept, bool)| *kept == Kept::Whole && !is_plane;
+    if !has_base(bodies) || rest.shapes.iter().zip(planes).any(stays) {
+        return;
+    }
+    let first = rest.shapes.iter().position(|kept| *kept == Kept::Nothing);
+    let Some(first) = first else { return };
+    rest.shapes[first] = Kept::Mark;
+    if let Some(name) = body.geoms[first].element.text("mesh") {
+        hulls.entry(name.to_owned()).or_insert(None);
+    }
+}
+
+/// Leaves the meshes that shapes need, as lists of corners.
+fn assets(section: &mut Element, context: &Context, hulls: &Hulls) -> Result<(), String> {
+    for mut asset in std::mem::take(&mut section.children) {
+        let name = match asset.tag.as_str() {
+            "mesh" => asset_name(&context.classes.resolve(&asset, None)?),
+            _ => continue,
+        };
+        if let Some(hull) = hulls.get(&name) {
+            let vertex = hull.as_ref().map_or_else(|| MARK.to_owned(), |hull| corners(hull));
+            let attributes = [("name", name), ("vertex", vertex)];
+            asset.attributes = attributes.map(|(name, text)| (name.to_owned(), text)).into();
+            section.children.push(asset);
+        }
+    }
+    Ok(())
+}
+
+fn corners(hull: &Hull) -> String {
+    let numbers = hull.points.iter().flatten().map(|number| number.to_string());
+    numbers.collect::<Vec<_>>().join(" ")
+}
+
+/// Removes the defaults of meshes, which have their final coordinates, and of materials.
+fn without_materials(default: &mut Element) {
+    default.children.retain(|child| !["mesh", "material"].contains(&child.tag.as_str()));
+    for child in &mut default.children {
+        child.attributes.remove("material");
+        if child.tag == "default" {
+            without_materials(child);
+        }
+    }
+}
+
+/// Rewrites the children of a body, or of a frame in it. `next` counts the bodies in the order of the document.
+fn rewrite(
+    element: &mut Element,
+    own: usize,
+    next: &mut usize,
+    rests: &mut [Rest],
+    source: MassSource,
+) {
+    for mut child in std::mem::take(&mut element.children) {
+        match child.tag.as_str() {
+            "site" | "camera" | "light" => continue,
+            // Where the shapes decide, an `inertial` of the document counts for nothing.
+            "inertial" if source == MassSource::Shapes => continue,
+            "geom" => match rests[own].shapes.pop_front() {
+                Some(Kept::Nothing) | None => continue,
+                Some(Kept::Whole) => drop(child.attributes.remove("material")),
+                Some(Kept::Mark) => {
+                    let seen = [("contype", "0"), ("conaffinity", "0"), ("mass", "0")];
+                    child.attributes.remove("material");
+                    child.attributes.extend(seen.map(|(k, v)| (k.to_owned(), v.to_owned())));
+                }
+            },
+            "frame" => rewrite(&mut child, own, next, rests, source),
+            "body" => {
+                *next += 1;
+                let index = *next;
+                rewrite(&mut child, index, next, rests, source);
+                if let Some(solid) = rests[index].inertial {
+                    child.children.insert(0, inertial(&child, &solid));
+                }
+            }
+            _ => {}
+        }
+        element.children.push(child);
+    }
+}
+
+fn inertial(body: &Element, solid: &Solid) -> Element {
+    let text =
+        |numbers: &[f64]| numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
+    let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = solid.inertia;
+    let attributes = [
+        ("pos", text(&solid.centre)),
+        ("mass", text(&[solid.mass])),
+        ("fullinertia", text(&[xx, yy, zz, xy, xz, yz])),
+    ];
+    let attributes = attributes.map(|(name, text)| (name.to_owned(), text)).into();
+    let mut inertial = body.with(attributes);
+    "inertial".clone_into(&mut inertial.tag);
+    inertial
+}
+
+/// The text of an element.
+fn written(root: &Element) -> String {
+    let mut text = String::new();
+    write_element(root, 0, &mut text);
+    text
+}
+
+fn write_element(element: &Element, depth: usize, text: &mut String) {
+    let indent = "  ".repeat(depth);
+    let _ = write!(text, "{indent}<{}", element.tag);
+    for (name, value) in &element.attributes {
+        let _ = write!(text, " {name}=\"{}\"", escaped(value));
+    }
+    if element.children.is_empty() {
+        text.push_str("/>\n");
+        return;
+    }
+    text.push_str(">\n");
+    element.children.iter().for_each(|child| write_element(child, depth + 1, text));
+    let _ = writeln!(text, "{indent}</{}>", element.tag);
+}
+
+fn escaped(value: &str) -> String {
+    value.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

@@ -1,0 +1,215 @@
+//! Tests of models that are written as one document: the robot is that of the model's files.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::robot::{Blueprint, LinkPlan, ModelFiles, Robot, ShapePlan};
+use crate::scene::Shape;
+
+/// Two legs on a trunk. Files in two folders, classes that scale and hide meshes, and masses from meshes.
+const WALKER: &str = r#"<mujoco>
+  <compiler angle="radian" meshdir="meshes"/>
+  <include file="parts/classes.xml"/>
+  <asset><include file="parts/assets.xml"/><texture name="t" builtin="flat"/><material name="m" texture="t"/></asset>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <geom type="plane" size="1 1 1" material="m"/>
+    <geom class="seen" mesh="wedge"/>
+    <body name="trunk" pos="0 0 1">
+      <freejoint name="root"/>
+      <geom type="mesh" mesh="wedge" pos="0.1 0 0" euler="0.1 0.2 0.3"/>
+      <geom class="seen" mesh="trough" mass="0.4"/>
+      <geom type="box" size="0.1 0.2 0.3"/>
+      <frame pos="0 0.1 0" euler="0 0 0.5"><geom class="seen" mesh="trough" pos="0 0 0.1"/></frame>
+      <body name="leg" pos="0.2 0 -0.1" childclass="light">
+        <joint name="hip" axis="0 1 1" range="-1 1"/>
+        <geom type="mesh" mesh="scaled"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0 0.1 0 0.2"/>
+        <site name="s &amp; &quot;t&quot;"/>
+        <body name="foot" pos="0 0 -0.2">
+          <geom class="seen" mesh="wedge" pos="0.01 0.02 0.03" quat="1 0.2 0 0"/>
+          <geom name="a &lt; &quot;b&quot;" size="0.02"/>
+        </body>
+      </body>
+      <body name="arm" pos="-0.2 0 0.1">
+        <inertial pos="0 0 0.1" mass="0.3" diaginertia="0.001 0.002 0.0015"/>
+        <joint name="shoulder" axis="0 0 1"/>
+        <geom class="seen" mesh="lost"/>
+        <geom type="mesh" mesh="wedge" contype="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hip" ctrlrange="-1 1"/></actuator>
+</mujoco>"#;
+const CLASSES: &str = r#"<mujoco><default>
+  <mesh scale="0.05 0.05 0.05"/>
+  <default class="seen"><geom type="mesh" contype="0" conaffinity="0" material="m"/></default>
+  <default class="light"><geom density="200"/><mesh scale="0.1 -0.02 0.03" inertia="exact"/></default>
+</default></mujoco>"#;
+const ASSETS: &str = r#"<mujoco>
+  <mesh file="trough.obj"/><mesh name="lost" file="lost.stl"/><mesh file="wedge.obj" inertia="convex"/>
+  <mesh name="scaled" class="light" file="sub/trough.obj"/><mesh name="unused" file="lost.stl"/>
+</mujoco>"#;
+const WEDGE: &str = "v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 3\nv 0.3 0.2 0.5\nv 0.1 0.1 0.1\n\
+    f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n";
+
+fn trough() -> String {
+    let data: serde_json::Value =
+        serde_json::from_str(include_str!("../../tests/data/mujoco-models.json")).unwrap();
+    data["files"]["parts/trough.obj"].as_str().unwrap().to_owned()
+}
+
+fn files(document: &str) -> BTreeMap<&'static str, String> {
+    BTreeMap::from([
+        ("robot.xml", document.to_owned()),
+        ("parts/classes.xml", CLASSES.to_owned()),
+        ("parts/assets.xml", ASSETS.to_owned()),
+        ("meshes/trough.obj", trough()),
+        ("meshes/sub/trough.obj", trough()),
+        ("meshes/wedge.obj", WEDGE.to_owned()),
+    ])
+}
+
+/// The robot of the files, that of the one document, and the document.
+fn both(document: &str) -> (Robot, Robot, String) {
+    let files = files(document);
+    let read = |path: &str| match files.get(path) {
+        Some(text) => Ok(text.as_bytes().to_vec()),
+        None => Err(format!("{path} does not exist")),
+    };
+    let model = ModelFiles::collect("robot.xml", read).unwrap();
+    let direct = Robot::from_model("direct", &model, 1).unwrap();
+    let text = ModelFiles::one_document("robot.xml", read).unwrap();
+    let alone = ModelFiles {
+        document: "flat.xml".to_owned(),
+        files: BTreeMap::from([("flat.xml".to_owned(), text.clone().into_bytes())]),
+    };
+    (direct, Robot::from_model("flat", &alone, 1).unwrap(), text)
+}
+
+fn assert_near(what: &str, got: &[f32], expected: &[f32]) {
+    let size = expected.iter().fold(1e-6, |most: f32, x| most.max(x.abs()));
+    let off = got.iter().zip(expected).fold(0.0, |most: f32, (a, b)| most.max((a - b).abs()));
+    assert!(off <= 2e-6 * size, "{what}: {got:?} against {expected:?}");
+}
+
+fn assert_same_shape(name: &str, got: &ShapePlan, expected: &ShapePlan) {
+    let place = |plan: &ShapePlan| format!("{:?} {:?} {}", plan.pose, plan.contact, plan.body);
+    assert_eq!(place(got), place(expected), "{name}");
+    let corners = |shape: &Shape| match shape {
+        Shape::Hull(hull) => hull.points.iter().map(|point| point.map(f32::to_bits)).collect(),
+        _ => BTreeSet::new(),
+    };
+    assert_eq!(corners(&got.shape), corners(&expected.shape), "{name}");
+    if !matches!(expected.shape, Shape::Hull(_)) {
+        assert_eq!(got.shape, expected.shape, "{name}");
+    }
+}
+
+fn assert_same_link(got: &LinkPlan, expected: &LinkPlan) {
+    let name = expected.name.as_str();
+    let frame = |link: &LinkPlan| {
+        format!("{} {:?} {:?} {:?}", link.name, link.parent, link.rest, link.joint)
+    };
+    assert_eq!(frame(got), frame(expected));
+    let [mass, other] = [got, expected].map(|link| link.mass);
+    assert_near(name, &[mass.mass()], &[other.mass()]);
+    assert_near(name, &mass.local_com.to_array(), &other.local_com.to_array());
+    // The whole inertia, since the axes of equal moments are arbitrary.
+    let [got_inertia, inertia] = [mass, other].map(|mass| mass.reconstruct_inertia_matrix());
+    assert_near(name, &got_inertia.to_cols_array(), &inertia.to_cols_array());
+    assert_eq!(got.shapes.len(), expected.shapes.len(), "{name}");
+    got.shapes.iter().zip(&expected.shapes).for_each(|(a, b)| assert_same_shape(name, a, b));
+}
+
+fn assert_same(document: &str) -> String {
+    let (direct, flat, text) = both(document);
+    let [expected, got] = [direct.blueprint(), flat.blueprint()];
+    let rest = |plan: &Blueprint| {
+        let Blueprint {
+            timestep_secs, gravity, integration, floor, motors, bodies, left_out, ..
+        } = plan;
+        format!(
+            "{timestep_secs} {gravity} {integration:?} {floor:?} {motors:?} {bodies:?} {left_out:?}"
+        )
+    };
+    assert_eq!(rest(got), rest(expected));
+    assert_eq!(got.links.len(), expected.links.len());
+    got.links.iter().zip(&expected.links).for_each(|(a, b)| assert_same_link(a, b));
+    assert!(!text.contains("file="), "{text}");
+    text
+}
+
+#[test]
+fn a_model_written_as_one_document_has_the_masses_and_shapes_of_its_files() {
+    let text = assert_same(WALKER);
+    // The wedge has four corners in its hull and two inside. What only decorates is gone.
+    assert_eq!(text.matches("<mesh ").count(), 2, "{text}");
+    assert_eq!(text.matches("<inertial ").count(), 4, "{text}");
+    assert!(!text.contains("trough\"") && !text.contains("material"), "{text}");
+}
+
+#[test]
+fn every_source_of_masses_survives() {
+    for compiler in ["inertiafromgeom=\"true\"", "inertiafromgeom=\"auto\" settotalmass=\"7\""] {
+        assert_same(
+            &WALKER
+                .replace("<compiler", &format!("<compiler {compiler}"))
+                .replace("mesh=\"lost\"", "mesh=\"wedge\""),
+        );
+    }
+    let inertial = "<inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"1 1 1\"/>";
+    let stated = WALKER
+        .replace("<compiler", "<compiler inertiafromgeom=\"false\"")
+        .replace("<freejoint name=\"root\"/>", &format!("<freejoint name=\"root\"/>{inertial}"))
+        .replace("<joint name=\"hip\"", &format!("{inertial}<joint name=\"hip\""));
+    assert_same(&stated);
+}
+
+#[test]
+fn a_base_of_decoration_remains_a_link() {
+    let fixed = WALKER.replace("<freejoint name=\"root\"/>", "").replace(
+        "<body name=\"trunk\"",
+        "<body name=\"base\"><geom class=\"seen\" mesh=\"lost\" mass=\"0\"/></body><body name=\"trunk\"",
+    );
+    let text = assert_same(&fixed);
+    assert!(text.contains("<mesh name=\"lost\" vertex=\"0 0 0 0.001"), "{text}");
+}
+
+#[test]
+fn a_model_that_needs_no_other_file_is_returned_unchanged() {
+    let document = "<mujoco>  <asset><mesh name=\"m\" file=\"lost.stl\"/></asset><worldbody><body>\
+        <joint/><geom size=\"0.1\"/></body></worldbody></mujoco>";
+    let read = |_: &str| Ok(document.as_bytes().to_vec());
+    assert_eq!(ModelFiles::one_document("a.xml", read).unwrap(), document);
+}
+
+#[test]
+fn a_file_that_cannot_be_used_is_named_with_its_element() {
+    for (from, to, expected) in [
+        ("\"parts/classes.xml\"", "\"lost.xml\"", "line 3, <include file=\"lost.xml\">: lost.xml"),
+        (
+            "\"parts/classes.xml\"",
+            "\"../a.xml\"",
+            "line 3, <include file=\"../a.xml\">: `../a.xml` leaves",
+        ),
+        (
+            "\"parts/classes.xml\"",
+            "\"/etc/a.xml\"",
+            "<include file=\"/etc/a.xml\">: `/etc/a.xml` is",
+        ),
+        (
+            "meshdir=\"meshes\"",
+            "meshdir=\"../m\"",
+            "assets.xml line 2, <mesh file=\"wedge.obj\">: `../m/wedge.obj` leaves",
+        ),
+        ("meshdir=\"meshes\"", "meshdir=\"parts\"", "parts/wedge.obj does not exist"),
+    ] {
+        let files = files(&WALKER.replace(from, to));
+        let read = |path: &str| match files.get(path) {
+            Some(text) => Ok(text.as_bytes().to_vec()),
+            None => Err(format!("{path} does not exist")),
+        };
+        let error = ModelFiles::one_document("robot.xml", read).unwrap_err().to_string();
+        assert!(error.contains(expected) && !error.contains('\n'), "{error}\nnot {expected}");
+    }
+}
