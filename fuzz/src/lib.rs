@@ -69,7 +69,7 @@ pub fn recording() -> Vec<u8> {
     };
     let episode = |index| EvaluationEpisode { seed: RunSeed(1), iteration: 3, index };
     let file = tempfile::NamedTempFile::new().expect("a writable temporary folder");
-    actor::record(world.as_mut(), &run, &[episode(0), episode(1)], file.path())
+    actor::record(world.as_mut(), &run, &[episode(0), episode(1)], file.path(), |_, _| {})
         .expect("the hopper can be recorded");
     std::fs::read(file.path()).expect("the file just written")
 }
