@@ -99,11 +99,14 @@ pub(crate) struct HealthyRow {
     pub(crate) at_most: Option<f32>,
 }
 
-/// Noise of the start of an episode; absent: none.
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
+/// The start of an episode: the rest pose, with other values for some coordinates and with noise.
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct StartRow {
-    /// Noise on each coordinate of the rest pose, m or rad. A quaternion is normalised after it.
+    /// Values of coordinates instead of those of the rest pose, m or rad.
+    #[serde(default)]
+    pub(crate) coordinates: BTreeMap<String, f32>,
+    /// Noise on each coordinate, m or rad. A quaternion is normalised after it.
     pub(crate) positions: Option<Noise>,
     /// Noise on each velocity, m/s or rad/s.
     pub(crate) velocities: Option<Noise>,

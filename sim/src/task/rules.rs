@@ -17,10 +17,19 @@ const FARTHEST_NORMAL: f32 = 5.77;
 /// Largest noise of a quaternion's components, which keeps its length well above 0.
 const LARGEST_TURN: f32 = 0.5;
 
+/// The start of an episode, with names resolved to indices.
+#[derive(Clone, Debug)]
+struct Start {
+    /// Coordinates that differ from the rest pose.
+    coordinates: Vec<(usize, f32)>,
+    positions: Option<Noise>,
+    velocities: Option<Noise>,
+}
+
 /// Rules of an episode, with all names resolved to indices.
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
-    start: StartRow,
+    start: Start,
     reward: WeightedSum,
     cost: WeightedSum,
     healthy: Vec<(usize, HealthyRow)>,
@@ -40,7 +49,7 @@ impl Rules {
         let names = Names::coordinates(robot);
         let orientation = robot.layout().orientation;
         let rules = Self {
-            start: checked_start(file.start, robot)?,
+            start: checked_start(&file.start, names, robot)?,
             reward: WeightedSum::new("reward", &file.reward, robot)?,
             cost: WeightedSum::new("cost", &file.cost, robot)?,
             healthy: file
@@ -72,20 +81,23 @@ impl Rules {
         }
     }
 
-    /// Adds the start noise to a rest pose `[nq]` with zero velocities `[nv]`. A quaternion is normalised.
+    /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start: sets the stated coordinates and adds noise. A
+    /// quaternion is normalised.
     pub(crate) fn randomise(
         &self,
         rng: &mut impl RngCore,
         coordinates: &mut [f32],
         velocities: &mut [f32],
     ) {
+        self.start.coordinates.iter().for_each(|(index, value)| coordinates[*index] = *value);
         if let Some(distribution) = self.start.positions {
             coordinates.iter_mut().for_each(|number| *number += draw(distribution, rng));
-            if let Some(first) = self.orientation {
-                let quaternion = &mut coordinates[first..first + 4];
-                let length = quaternion.iter().map(|q| q * q).sum::<f32>().sqrt();
-                quaternion.iter_mut().for_each(|q| *q /= length);
-            }
+        }
+        let moves = self.start.positions.is_some() || !self.start.coordinates.is_empty();
+        if let (true, Some(first)) = (moves, self.orientation) {
+            let quaternion = &mut coordinates[first..first + 4];
+            let length = quaternion.iter().map(|q| q * q).sum::<f32>().sqrt();
+            quaternion.iter_mut().for_each(|q| *q /= length);
         }
         if let Some(distribution) = self.start.velocities {
             velocities.iter_mut().for_each(|number| *number += draw(distribution, rng));
@@ -157,35 +169,46 @@ fn draw(distribution: Noise, rng: &mut impl RngCore) -> f32 {
     }
 }
 
-/// Refuses noise that could leave the bounds of a state.
-fn checked_start(start: StartRow, robot: &Robot) -> Result<StartRow, SimError> {
+/// Refuses a start that could leave the bounds of a state.
+fn checked_start(row: &StartRow, names: Names<'_>, robot: &Robot) -> Result<Start, SimError> {
     let bounds = robot.state_bounds(1);
-    let farthest = |key: &str, distribution: Option<Noise>| {
-        let (size, factor) = match distribution {
-            None => (0.0, 0.0),
-            Some(Noise::Uniform(width)) => (width, 1.0),
-            Some(Noise::Normal(deviation)) => (deviation, FARTHEST_NORMAL),
-        };
-        within(key, size, 0.0, bounds.fastest / FARTHEST_NORMAL).map(|()| size * factor)
+    let index = |(name, value): (&String, &f32)| {
+        names.index("start.coordinates", name).map(|index| (index, *value))
     };
-    farthest("start.velocities", start.velocities)?;
-    let reach = farthest("start.positions", start.positions)?;
-    if bounds.orientation.is_some() {
-        within(
-            "start.positions (largest noise of the root's quaternion)",
-            reach,
-            0.0,
-            LARGEST_TURN,
-        )?;
-    }
+    let start = Start {
+        coordinates: row.coordinates.iter().map(index).collect::<Result<_, _>>()?,
+        positions: row.positions,
+        velocities: row.velocities,
+    };
+    farthest("start.velocities", start.velocities, bounds.fastest)?;
+    let reach = farthest("start.positions", start.positions, bounds.fastest)?;
+    let mut pose = robot.rest().to_vec();
+    start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
     let turn = bounds.orientation.map_or(0..0, |first| first..first + 4);
-    for (index, (rest, [low, high])) in robot.rest().iter().zip(&bounds.coordinates).enumerate() {
-        if !turn.contains(&index) && (rest - reach < *low || rest + reach > *high) {
+    if !turn.is_empty() {
+        let place = "start.positions (largest noise of the root's quaternion)";
+        within(place, reach, 0.0, LARGEST_TURN)?;
+        let length = pose[turn.clone()].iter().map(|q| q * q).sum::<f32>().sqrt();
+        within("start.coordinates (length of the root's quaternion)", length, 0.99, 1.01)?;
+    }
+    for (index, (value, [low, high])) in pose.iter().zip(&bounds.coordinates).enumerate() {
+        let is_within = value - reach >= *low && value + reach <= *high;
+        if !turn.contains(&index) && !is_within {
             let name = &robot.coordinate_names()[index];
-            return Err(refused(format!("start.positions moves `{name}` out of {low}..={high}")));
+            return Err(refused(format!("the start moves `{name}` out of {low}..={high}")));
         }
     }
     Ok(start)
+}
+
+/// The largest noise that a distribution draws.
+fn farthest(key: &str, distribution: Option<Noise>, fastest: f32) -> Result<f32, SimError> {
+    let (size, factor) = match distribution {
+        None => (0.0, 0.0),
+        Some(Noise::Uniform(width)) => (width, 1.0),
+        Some(Noise::Normal(deviation)) => (deviation, FARTHEST_NORMAL),
+    };
+    within(key, size, 0.0, fastest / FARTHEST_NORMAL).map(|()| size * factor)
 }
 
 /// Refuses a condition without bounds, or one that the rest pose violates.

@@ -81,6 +81,25 @@ fn the_example_task_runs_and_terminates_without_control() {
 }
 
 #[test]
+fn an_episode_starts_at_the_stated_coordinates() {
+    let file = changed(
+        "positions = { uniform = 0.005 }",
+        "coordinates = { rootz = 0.1, knee = -0.4 }\npositions = { uniform = 0.005 }",
+    );
+    let mut world = hopper(&file);
+    world.reset(0, 0, 1000, [1; 32]).unwrap();
+    let features = world.description().state.iter().map(|feature| feature.name.clone());
+    let features: Vec<String> = features.collect();
+    let mut state = vec![0.0; features.len()];
+    world.state(0, &mut state);
+    for (name, stated) in [("rootz", 0.1), ("rooty", 0.0), ("hip", 0.0), ("knee", -0.4)] {
+        let name = format!("{name}.position");
+        let value = state[features.iter().position(|feature| *feature == name).unwrap()];
+        assert!((value - stated).abs() <= 0.005 && value != stated, "{name}: {value}");
+    }
+}
+
+#[test]
 fn an_agent_of_the_example_observes_its_joint_the_neighbouring_angle_and_the_root() {
     let world = environments(&config(HOPPER, ObservationMode::KNearest), 1).unwrap();
     let names = world.description().agents[1].observation.iter();
@@ -291,7 +310,17 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         (
             "positions = { uniform = 0.005 }",
             "positions = { uniform = 9.0 }",
-            &["start.positions moves `hip` out of"],
+            &["the start moves `hip` out of"],
+        ),
+        (
+            "positions = { uniform",
+            "coordinates = { hipp = 0.1 }\npositions = { uniform",
+            &["start.coordinates", "`hipp`; did you mean `hip`?"],
+        ),
+        (
+            "positions = { uniform",
+            "coordinates = { knee = nan }\npositions = { uniform",
+            &["the start moves `knee` out of"],
         ),
         (
             "velocities = { uniform",
