@@ -117,6 +117,29 @@ fn a_run_that_another_host_computes_is_passed_over_and_listed_with_its_host() {
 }
 
 #[test]
+fn a_process_that_lost_its_claim_ends_the_run_and_leaves_it_to_the_other_host() {
+    let experiment = Experiment::new();
+    let text = std::fs::read_to_string(experiment.file()).unwrap();
+    std::fs::write(experiment.file(), text.replace("40_000", "40_000_000")).unwrap();
+    let process = experiment.start_part(&["--only", "1"]);
+    let run = experiment.folder().join("cue-2x1-long-seed3");
+    while !run.join("metrics.jsonl").exists() {
+        std::thread::yield_now();
+    }
+    let other = r#"{"host": "node9", "pid": 7, "boot": "b", "id": "x", "beat": 1}"#;
+    std::fs::write(run.with_extension("claim"), other).unwrap();
+    let output = process.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{told}");
+    assert!(told.contains("cue-2x1-long-seed3 is held by node9 now\n"), "{told}");
+    assert!(told.contains("1 of 1 runs are held by other processes: 1 on node9\n"), "{told}");
+    assert_eq!(std::fs::read_to_string(run.with_extension("claim")).unwrap(), other);
+    // The process of the run holds this lock as long as it lives.
+    let log = std::fs::File::open(run.with_extension("log")).unwrap();
+    assert!(log.try_lock().is_ok());
+}
+
+#[test]
 fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
     let whole = Experiment::new();
     whole.run();
@@ -180,6 +203,7 @@ fn a_host_without_slurm_and_an_option_of_the_other_engine_are_refused_in_one_lin
         let told = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{told}");
         assert!(told.contains(words) && told.lines().count() == 1, "{told}");
+        assert!(!experiment.folder().exists());
     }
 }
 

@@ -78,6 +78,7 @@ fn submit(
         }
         Engine::Slurm => {
             let script = slurm::script(file, &jobs, cluster.slurm()?)?;
+            slurm::demand_sbatch()?;
             learner::durable::make_folder(&file.folder)?;
             let path = file.folder.join(slurm::SCRIPT_NAME);
             output::file(&path, script.as_bytes())?;

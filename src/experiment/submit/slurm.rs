@@ -62,19 +62,23 @@ pub(crate) fn script(
     ))
 }
 
+/// Refuses a host without `sbatch`, before anything is written.
+pub(crate) fn demand_sbatch() -> Result<(), Usage> {
+    match Command::new("sbatch").arg("--version").output() {
+        Err(error) if error.kind() == ErrorKind::NotFound => Err(Usage::new(
+            "sbatch is not installed on this host; run the command on a login node of the cluster, \
+             or print the script with --dry-run",
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Submits the script; returns what `sbatch` says.
 ///
 /// # Errors
-/// Says that there is no `sbatch`, or what it refuses.
+/// Tells what `sbatch` refuses.
 pub(crate) fn submit(script: &Path) -> anyhow::Result<String> {
-    let output = match Command::new("sbatch").arg(script).output() {
-        Err(error) if error.kind() == ErrorKind::NotFound => {
-            let why = "sbatch is not installed on this host; run the command on a login node of the cluster, \
-                       or print the script with --dry-run";
-            return Err(Usage::new(why).into());
-        }
-        output => output.context("cannot start sbatch")?,
-    };
+    let output = Command::new("sbatch").arg(script).output().context("cannot start sbatch")?;
     if !output.status.success() {
         let why = String::from_utf8_lossy(&output.stderr);
         let why = why.split_whitespace().collect::<Vec<_>>().join(" ");
