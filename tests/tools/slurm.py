@@ -72,7 +72,7 @@ PartitionName=test Nodes=ALL Default=YES MaxTime=10 State=UP
 STUDY = """
 folder = "runs"
 record = "record.csv"
-env_steps = 30_000
+env_steps = 60_000
 seeds = [0, 1, 2, 3, 4, 5]
 tasks = ["cue-2x1"]
 settings.checkpoint.every = 2
@@ -175,16 +175,16 @@ def disturbed(slurm: Slurm, study: pathlib.Path) -> list[str]:
     told = slurm.call(PROGRAM, "experiment", "study.toml", "--submit", "slurm", "--time", "5", cwd=study)
     array = told.split()[-1]
     computes = lambda index: (run_of(index, study) / "metrics.jsonl").exists()
-    eventually(lambda: all(computes(index) for index in (0, 1, 2)), "the first runs")
-    slurm.call("scontrol", "requeue", f"{array}_0")
-    slurm.call("scontrol", "requeue", f"{array}_1")
-    # What Slurm sends before the time limit.
-    slurm.call("scancel", "--batch", "--signal=TERM", f"{array}_2")
+    # The first is what Slurm sends before the time limit.
+    for index, order in enumerate([("scancel", "--batch", "--signal=TERM"), ("scontrol", "requeue"), ("scontrol", "requeue")]):
+        eventually(lambda: computes(index), f"run {index}")
+        slurm.call(*order, f"{array}_{index}")
     lost: list[str] = []
 
     def is_on_the_second_node() -> bool:
-        running = slurm.call("squeue", "-h", "-r", "-t", "R", "-w", "node2", "-o", "%K").split()
-        lost[:] = [index for index in running if computes(int(index)) and index not in "012"]
+        running = [line.split() for line in slurm.call("squeue", "-h", "-r", "-t", "R", "-o", "%K %N").splitlines()]
+        on_node = [index for index, node in running if node == "node2"]
+        lost[:] = [index for index in on_node if int(index) > 2 and computes(int(index))]
         return bool(lost)
 
     eventually(is_on_the_second_node, "a run on node2")
@@ -199,7 +199,7 @@ def demand_restarts(slurm: Slurm, study: pathlib.Path, disturbed: list[str]) -> 
     restarts = {job: int(slurm.job(job)["Restarts"]) for job in disturbed}
     if min(restarts.values()) < 1:
         raise SystemExit(f"restarts of the disturbed jobs: {restarts}")
-    log = next((study / "runs").glob("slurm-*_2.log")).read_text()
+    log = next((study / "runs").glob("slurm-*_0.log")).read_text()
     if "stopped with 0 of 1 runs finished" not in log:
         raise SystemExit(f"the run before its time limit was not stopped:\n{log}")
 
