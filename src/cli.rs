@@ -1,6 +1,7 @@
 //! The command-line arguments of all commands.
 
 mod control;
+mod experiment;
 mod export;
 mod figures;
 mod log;
@@ -22,8 +23,9 @@ pub(crate) use control::{
     CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
     WatchArguments, patience,
 };
+pub(crate) use experiment::{ClusterArguments, Engine, ExperimentArguments};
 pub(crate) use export::ExportArguments;
-pub(crate) use figures::{ExperimentArguments, PlotArguments};
+pub(crate) use figures::PlotArguments;
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use page::{PageAddress, PageArguments, RunsPageArguments};
 pub(crate) use refusal::report;

@@ -1,12 +1,17 @@
-//! Many runs from one file: tasks x variants x seeds. Reads the file, plans the runs, runs them and compares them.
+//! Many runs from one file: tasks x variants x seeds. Reads the file, plans the runs, claims and runs
+//! them, and compares them.
 
+pub(crate) mod claim;
 pub(crate) mod comparison;
 pub(crate) mod file;
 pub(crate) mod listing;
 pub(crate) mod plan;
 pub(crate) mod progress;
+pub(crate) mod queue;
 pub(crate) mod record;
 pub(crate) mod report;
 pub(crate) mod results;
 pub(crate) mod run_state;
 pub(crate) mod scheduler;
+pub(crate) mod selection;
+pub(crate) mod submit;

@@ -6,6 +6,7 @@
 mod experiments;
 
 use std::path::Path;
+use std::process::Command;
 
 use experiments::{Experiment, s2mia};
 
@@ -71,6 +72,138 @@ fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
         let told = experiment.run();
         assert!(told.contains("3 of 3 runs are finished"), "{told}");
         assert_eq!(experiment.hashes(), whole.hashes(), "{signal}");
+    }
+}
+
+#[test]
+fn processes_that_share_a_folder_compute_each_run_once_with_the_same_weights() {
+    let whole = Experiment::new();
+    whole.run();
+    let experiment = Experiment::new();
+    let processes = [experiment.start_part(&[]), experiment.start_part(&[])];
+    let told = processes.map(|process| {
+        let output = process.wait_with_output().unwrap();
+        let told = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{told}");
+        told
+    });
+    let finished: usize = told.iter().map(|told| told.matches(" is finished\n").count()).sum();
+    assert_eq!(finished, 3, "{told:?}");
+    assert_eq!(experiment.hashes(), whole.hashes());
+    let claims = std::fs::read_dir(experiment.folder()).unwrap();
+    let claim = |file: &std::fs::DirEntry| file.path().extension().is_some_and(|e| e == "claim");
+    assert_eq!(claims.filter(|file| claim(file.as_ref().unwrap())).count(), 0);
+}
+
+#[test]
+fn a_run_that_another_host_computes_is_passed_over_and_listed_with_its_host() {
+    let experiment = Experiment::new();
+    std::fs::create_dir_all(experiment.folder()).unwrap();
+    let claim = experiment.folder().join("cue-2x1-long-seed3.claim");
+    let holder = r#"{"host": "node9", "pid": 7, "boot": "b", "id": "x", "beat": 1}"#;
+    std::fs::write(&claim, holder).unwrap();
+    let held = std::fs::File::open(&claim).unwrap();
+    held.lock().unwrap();
+    let (_, listed) = s2mia(&["experiment", experiment.file(), "--status"]);
+    assert!(
+        listed.contains("1  cue-2x1-long-seed3 ")
+            && listed.contains("new, held by node9 (process 7)"),
+        "{listed}"
+    );
+    let told = experiment.run();
+    assert!(told.contains("2 of 3 runs are finished"), "{told}");
+    assert!(told.contains("1 of 3 runs are held by other processes: 1 on node9\n"), "{told}");
+    assert_eq!(std::fs::read_to_string(&claim).unwrap(), holder);
+}
+
+#[test]
+fn a_process_that_lost_its_claim_ends_the_run_and_leaves_it_to_the_other_host() {
+    let experiment = Experiment::new();
+    let text = std::fs::read_to_string(experiment.file()).unwrap();
+    std::fs::write(experiment.file(), text.replace("40_000", "40_000_000")).unwrap();
+    let process = experiment.start_part(&["--only", "1"]);
+    let run = experiment.folder().join("cue-2x1-long-seed3");
+    while !run.join("metrics.jsonl").exists() {
+        std::thread::yield_now();
+    }
+    let other = r#"{"host": "node9", "pid": 7, "boot": "b", "id": "x", "beat": 1}"#;
+    std::fs::write(run.with_extension("claim"), other).unwrap();
+    let output = process.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{told}");
+    assert!(told.contains("cue-2x1-long-seed3 is held by node9 now\n"), "{told}");
+    assert!(told.contains("1 of 1 runs are held by other processes: 1 on node9\n"), "{told}");
+    assert_eq!(std::fs::read_to_string(run.with_extension("claim")).unwrap(), other);
+    // The process of the run holds this lock as long as it lives.
+    let log = std::fs::File::open(run.with_extension("log")).unwrap();
+    assert!(log.try_lock().is_ok());
+}
+
+#[test]
+fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
+    let whole = Experiment::new();
+    whole.run();
+    let experiment = Experiment::new();
+    let (status, told) = experiment.run_part(&["--only", "3"]);
+    assert_eq!(status, Some(2), "{told}");
+    let (status, told) = experiment.run_part(&["--shard", "0/2"]);
+    assert_eq!((status, told.matches(" is finished\n").count()), (Some(0), 2), "{told}");
+    assert!(told.contains("2 of 2 selected runs are finished; when all runs are"), "{told}");
+    assert!(!experiment.folder().join("results.md").exists());
+    let process = experiment.start_part(&["--shard", "1/2"]);
+    let begun = experiment.folder().join("cue-2x1-long-seed3/metrics.jsonl");
+    while !begun.exists() {
+        std::thread::yield_now();
+    }
+    // A cluster signals all processes of a job, and the job's script passes the signal on.
+    for _ in 0..2 {
+        let id = process.id().to_string();
+        assert!(Command::new("kill").args(["-s", "TERM", &id]).status().unwrap().success());
+    }
+    let output = process.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{told}");
+    let resume = format!("resume with `s2mia experiment {} --shard 1/2`", experiment.file());
+    assert!(told.contains(&resume), "{told}");
+    let (status, told) = experiment.run_part(&["--only", "1"]);
+    assert_eq!(status, Some(0), "{told}");
+    assert!(told.contains("3 of 3 runs are finished"), "{told}");
+    assert!(experiment.folder().join("results.md").exists());
+    assert_eq!(experiment.hashes(), whole.hashes());
+}
+
+#[test]
+fn a_dry_run_prints_the_script_of_the_job_array_and_writes_nothing() {
+    let experiment = Experiment::new();
+    let slurm = ["--submit", "slurm", "--time", "4:00:00", "--dry-run"];
+    let (status, script) = s2mia(&[&["experiment", experiment.file()], &slurm[..]].concat());
+    assert_eq!(status, Some(0), "{script}");
+    assert!(script.starts_with("#!/bin/bash\n") && script.contains("--array=0-2\n"), "{script}");
+    assert!(script.contains(&format!("experiment '{}' --shard", experiment.file())), "{script}");
+    assert!(!experiment.folder().exists());
+    let checked = Command::new("bash").args(["-n", "-c", &script]).status().unwrap();
+    assert!(checked.success());
+}
+
+#[test]
+fn a_host_without_slurm_and_an_option_of_the_other_engine_are_refused_in_one_line() {
+    let experiment = Experiment::new();
+    for (engine, option, words) in [
+        ("slurm", "--runs-per-job=2", "sbatch is not installed on this host; run the command on"),
+        ("slurm", "--queue=q", "--queue is an option of --submit k8s"),
+        ("k8s", "--time=1", "--time is an option of --submit slurm"),
+        ("k8s", "--dry-run", "--dry-run is an option of --submit slurm"),
+        ("k8s", "--array-limit=2", "does not exist in a pod; --submit k8s needs a relative path"),
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_s2mia"))
+            .args(["experiment", experiment.file(), "--submit", engine, option])
+            .env("PATH", "")
+            .output()
+            .unwrap();
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains(words) && told.lines().count() == 1, "{told}");
+        assert!(!experiment.folder().exists());
     }
 }
 

@@ -1,4 +1,4 @@
-//! The arguments of the commands for figures, tables and experiments.
+//! The arguments of the command for figures.
 
 use std::path::PathBuf;
 
@@ -17,20 +17,4 @@ pub(crate) struct PlotArguments {
     /// Folder for learning_curve.svg and .png [default: the run folder; with several runs the current folder].
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-}
-
-/// `s2mia experiment`
-#[derive(Args, Debug)]
-pub(crate) struct ExperimentArguments {
-    /// TOML file with tasks, variants and seeds.
-    pub(crate) file: PathBuf,
-    /// Only list the runs and their progress.
-    #[arg(long, conflicts_with = "report")]
-    pub(crate) list: bool,
-    /// Only make tables and figures from the existing runs.
-    #[arg(long)]
-    pub(crate) report: bool,
-    /// Number of parallel runs [default: from the number of cores].
-    #[arg(long, value_name = "RUNS", value_parser = clap::value_parser!(u16).range(1..))]
-    pub(crate) jobs: Option<u16>,
 }

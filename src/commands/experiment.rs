@@ -1,29 +1,46 @@
 //! `s2mia experiment`: runs all trainings that a file describes and reports their results.
 
+use std::time::Duration;
+
 use learner::run_folder::RunFolder;
 use tokio::sync::watch;
 
-use crate::cli::ExperimentArguments;
+use crate::cli::{ClusterArguments, Engine, ExperimentArguments};
 use crate::errors::Usage;
+use crate::experiment::claim::Claimant;
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
 use crate::experiment::plan::{PlannedRun, plan, remarks};
 use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
 use crate::experiment::report;
+use crate::experiment::run_state::is_finished;
 use crate::experiment::scheduler::{self, Tally};
+use crate::experiment::selection::Selection;
+use crate::experiment::submit::{k8s, slurm};
 use crate::process::{output, runtime, signals};
+
+/// Signals within this time are one stop request: Slurm signals all processes of a job, and the job's script passes the
+/// signal on.
+const REPEATED: Duration = Duration::from_secs(2);
+
+/// Name of the claim on tables, figures and the record.
+const REPORT_CLAIM: &str = "report.claim";
 
 /// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed or
 /// could not start.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let file = ExperimentFile::read(&arguments.file)?;
     let runs = plan(&file)?;
+    let selected = arguments.selection().of(&runs)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let at_once = arguments.jobs.map_or_else(|| file.runs_at_once(cores), usize::from);
+    if let Some(engine) = arguments.submit {
+        return submit(&file, runs.len(), engine, &arguments.cluster);
+    }
     remarks(&runs).iter().for_each(output::line);
     if arguments.list {
-        output::line(listing(&runs, &Record::read(&file.record)?, at_once));
+        output::line(listing(&selected, &Record::read(&file.record)?, at_once));
         return Ok(());
     }
     if arguments.report {
@@ -33,16 +50,47 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     learner::durable::make_folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
-        runs.iter().cloned().partition(|run| record.holds(run));
+        selected.iter().cloned().partition(|run| record.holds(run));
     let (mut tally, stopped) = runtime()?.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
-    tell(&file, &runs)?;
-    finish(&tally, runs.len(), stopped.then_some(arguments))
+    match arguments.selection() == Selection::All || all_finished(&file, &runs)? {
+        true => tell(&file, &runs)?,
+        false => output::line(rest(&tally, selected.len(), arguments)),
+    }
+    finish(&tally, selected.len(), stopped.then_some(arguments))
+}
+
+/// Writes and submits the script of Slurm's jobs, or prints what Kubernetes needs.
+fn submit(
+    file: &ExperimentFile,
+    runs: usize,
+    engine: Engine,
+    cluster: &ClusterArguments,
+) -> anyhow::Result<()> {
+    let jobs = cluster.jobs(runs);
+    match engine {
+        Engine::K8s => {
+            let (image, queue) = cluster.k8s()?;
+            output::line(k8s::manifest(file, &jobs, image, queue)?.trim_end());
+        }
+        Engine::Slurm if cluster.dry_run => {
+            output::line(slurm::script(file, &jobs, cluster.slurm()?)?.trim_end());
+        }
+        Engine::Slurm => {
+            let script = slurm::script(file, &jobs, cluster.slurm()?)?;
+            slurm::demand_sbatch()?;
+            learner::durable::make_folder(&file.folder)?;
+            let path = file.folder.join(slurm::SCRIPT_NAME);
+            output::file(&path, script.as_bytes())?;
+            output::line(slurm::submit(&path)?);
+        }
+    }
+    Ok(())
 }
 
 async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Tally, bool)> {
     let (stop_sender, stop) = watch::channel(false);
-    signals::stop_on_signal(stop_sender, || {
+    signals::stop_on_repeated_signal(stop_sender, REPEATED, || {
         output::line("stopping after a checkpoint of each run; Ctrl-C again ends at once");
     })?;
     let mut progress = Progress::new(runs);
@@ -62,8 +110,28 @@ fn demand_any(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> 
     Err(Usage::new(why).into())
 }
 
+/// Whether the runs of all shards are finished.
+fn all_finished(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<bool> {
+    let record = Record::read(&file.record)?;
+    Ok(runs.iter().all(|run| record.holds(run) || is_finished(run)))
+}
+
+/// Result of a part of an experiment whose other runs are not finished.
+fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> String {
+    let (finished, file) = (tally.finished, arguments.file.display());
+    format!(
+        "{finished} of {planned} selected runs are finished; when all runs are, `s2mia experiment {file} --report` \
+         compares them"
+    )
+}
+
 fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
-    let (table, written) = report::write(file, runs)?;
+    output::folder(&file.folder)?;
+    // Several processes may end at the same time; each writes the same files.
+    let (table, written) = runtime()?.block_on(async {
+        let _claim = Claimant::of_this_host().wait(&file.folder.join(REPORT_CLAIM)).await?;
+        report::write(file, runs)
+    })?;
     output::line(table);
     written.iter().for_each(|path| output::line(path.display()));
     Ok(())
@@ -74,11 +142,20 @@ fn finish(
     planned: usize,
     stopped: Option<&ExperimentArguments>,
 ) -> anyhow::Result<()> {
-    let Tally { finished, failed, misplaced } = tally;
-    if let Some(arguments) = stopped {
-        let file = arguments.file.display();
+    let Tally { finished, failed, misplaced, held } = tally;
+    if !held.is_empty() {
+        let hosts: Vec<String> =
+            held.iter().map(|(host, runs)| format!("{runs} on {host}")).collect();
+        let count: usize = held.values().sum();
         output::line(format!(
-            "stopped with {finished} of {planned} runs finished; resume with `s2mia experiment {file}`"
+            "{count} of {planned} runs are held by other processes: {}",
+            hosts.join(", ")
+        ));
+    }
+    if let Some(arguments) = stopped {
+        let (file, selection) = (arguments.file.display(), arguments.selection());
+        output::line(format!(
+            "stopped with {finished} of {planned} runs finished; resume with `s2mia experiment {file}{selection}`"
         ));
     }
     let refused = format!(

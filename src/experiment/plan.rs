@@ -21,6 +21,8 @@ const FEWEST: u64 = 3;
 /// One run of an experiment.
 #[derive(Clone, Debug)]
 pub(crate) struct PlannedRun {
+    /// Position in the plan, from 0.
+    pub(crate) index: usize,
     /// Task.
     pub(crate) task: String,
     /// Name of the variant.
@@ -45,6 +47,11 @@ impl PlannedRun {
     pub(crate) fn log(&self) -> PathBuf {
         self.folder.with_file_name(format!("{}.log", self.name()))
     }
+
+    /// Path of the file that names the process that computes the run.
+    pub(crate) fn claim(&self) -> PathBuf {
+        self.folder.with_file_name(format!("{}.claim", self.name()))
+    }
 }
 
 /// All runs: every variant on every task with its first seed, then with its second, and so on. An experiment that is
@@ -57,7 +64,8 @@ pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
         for variant in &file.variants {
             let Some(&seed) = seeds(variant).get(turn) else { continue };
             for task in variant.tasks.as_ref().unwrap_or(&file.tasks) {
-                runs.push(planned(file, variant, task, seed)?);
+                let run = planned(file, variant, task, seed)?;
+                runs.push(PlannedRun { index: runs.len(), ..run });
             }
         }
     }
@@ -93,7 +101,8 @@ fn planned(
     }
     let task = config.resolved.text("task").to_owned();
     let folder = file.folder.join(format!("{task}-{}-seed{seed}", variant.name));
-    Ok(PlannedRun { task, variant: variant.name.clone(), seed, folder, settings, config })
+    let variant = variant.name.clone();
+    Ok(PlannedRun { index: 0, task, variant, seed, folder, settings, config })
 }
 
 fn resolved(settings: &[String], place: &str) -> anyhow::Result<RunConfig> {

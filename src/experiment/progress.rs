@@ -91,9 +91,10 @@ impl Progress {
     pub(crate) fn ended(&self, run: &PlannedRun, ending: &Ending) {
         let line = match ending {
             Ending::Finished => format!("{} is finished", run.name()),
-            Ending::Stopped => format!("{} stopped and can be gone on with", run.name()),
+            Ending::Stopped => format!("{} stopped; it can be resumed", run.name()),
             Ending::Failed(why) => format!("{} failed: {why}", run.name()),
             Ending::Misplaced(why) => format!("{} cannot begin: {why}", run.name()),
+            Ending::Lost(host) => format!("{} is held by {host} now", run.name()),
         };
         match &self.screen {
             Screen::Bar(bar) => bar.println(line),

@@ -50,6 +50,8 @@ pub(crate) enum Ending {
     Failed(String),
     /// The folder holds another run, with the difference.
     Misplaced(String),
+    /// A process on another host took the run over, because this one did not renew its claim.
+    Lost(String),
 }
 
 /// The state of the run; does not check whether the folder holds this run.
@@ -67,6 +69,11 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunState {
             RunState::Begun { env_steps: steps.max().unwrap_or(0) }
         }
     }
+}
+
+/// Whether the folder holds this run and it is finished.
+pub(crate) fn is_finished(run: &PlannedRun) -> bool {
+    run_state(run) == RunState::Finished && mismatch(run).is_none()
 }
 
 /// How the run in the folder differs from the planned one; `None` if it does not, or if there is none.

@@ -1,9 +1,10 @@
 //! Runs an experiment's trainings, several at once, each in its own process: starts new ones, resumes stopped ones,
-//! skips finished ones. A run that fails does not stop the others.
+//! skips finished ones and those of other processes. A run that fails does not stop the others.
 
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -11,8 +12,10 @@ use tokio::process::{Child, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use super::claim::Claim;
 use super::plan::PlannedRun;
 use super::progress::Progress;
+use super::queue::Queue;
 use super::run_state::{Ending, RunState, mismatch, run_state};
 use crate::run::process_log::ProcessLog;
 
@@ -20,7 +23,7 @@ use crate::run::process_log::ProcessLog;
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Numbers of runs by how they ended.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
     /// Finished runs, including those that were finished before.
     pub(crate) finished: usize,
@@ -28,9 +31,12 @@ pub(crate) struct Tally {
     pub(crate) failed: usize,
     /// Runs whose folders hold other runs.
     pub(crate) misplaced: usize,
+    /// Runs that other processes hold, by host.
+    pub(crate) held: BTreeMap<String, usize>,
 }
 
-/// Runs all to their end, at most `at_once` at a time, or stops them with checkpoints.
+/// Runs all to their end, at most `at_once` at a time, or stops them with checkpoints. Does not wait for runs that
+/// other processes hold.
 pub(crate) async fn run_all(
     runs: &[PlannedRun],
     at_once: usize,
@@ -39,37 +45,45 @@ pub(crate) async fn run_all(
 ) -> anyhow::Result<Tally> {
     let program = std::env::current_exe().context("cannot find this program")?;
     let mut tally = Tally::default();
-    let mut waiting = runs.iter();
+    let mut queue = Queue::new(runs);
     let mut going = JoinSet::new();
     loop {
         while going.len() < at_once && !*stop.borrow() {
-            let Some(run) = waiting.next() else { break };
-            match run_state(run) {
-                RunState::Finished if mismatch(run).is_none() => tally.finished += 1,
-                _ => drop(going.spawn(finish(program.clone(), run.clone(), stop.clone()))),
-            }
+            let Some((run, claim)) = queue.next().await else { break };
+            going.spawn(finish(program.clone(), run, claim, stop.clone()));
+        }
+        if going.is_empty() && (queue.is_empty() || *stop.borrow()) {
+            tally.finished += queue.finished;
+            return Ok(Tally { held: queue.held(), ..tally });
         }
         tokio::select! {
-            ended = going.join_next() => {
-                let Some(ended) = ended else { return Ok(tally) };
+            Some(ended) = going.join_next() => {
                 let (run, ending) = ended.context("the task of a run failed")?;
                 tally.finished += usize::from(ending == Ending::Finished);
                 tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
                 tally.misplaced += usize::from(matches!(ending, Ending::Misplaced(_)));
                 progress.ended(&run, &ending);
+                queue.retry_held();
+                if let Ending::Lost(host) = ending {
+                    queue.lost(run, host);
+                }
             }
             () = tokio::time::sleep(POLL_INTERVAL) => progress.show(runs, going.len()),
         }
     }
 }
 
-/// Starts or resumes one run and waits for its end.
+/// Starts or resumes one run and waits for its end. Then the claim is released.
 async fn finish(
     program: PathBuf,
     run: PlannedRun,
+    claim: anyhow::Result<Claim>,
     mut stop: watch::Receiver<bool>,
 ) -> (PlannedRun, Ending) {
-    let ending = train(&program, &run, &mut stop).await;
+    let ending = match claim {
+        Ok(claim) => train(&program, &run, &claim, &mut stop).await,
+        Err(error) => Err(error),
+    };
     let ending = ending.unwrap_or_else(|error| Ending::Failed(format!("{error:#}")));
     (run, ending)
 }
@@ -77,6 +91,7 @@ async fn finish(
 async fn train(
     program: &Path,
     run: &PlannedRun,
+    claim: &Claim,
     stop: &mut watch::Receiver<bool>,
 ) -> anyhow::Result<Ending> {
     let Some(log) = claimed_log(&run.log(), stop).await? else { return Ok(Ending::Stopped) };
@@ -86,14 +101,21 @@ async fn train(
     let own_log = ProcessLog::before_start(&run.log());
     let mut child = start(program, run, log)?;
     let stdin = child.stdin.take();
-    let asked = tokio::select! {
-        _ = child.wait() => false,
-        _ = stop.wait_for(|stop| *stop) => true,
-    };
-    if asked {
+    let stopped = async {
+        // Without its sender no stop can come.
+        if stop.wait_for(|stop| *stop).await.is_err() {
+            std::future::pending::<()>().await;
+        }
         drop(stdin);
-    }
-    let status = child.wait().await.context("cannot wait for a run")?;
+    };
+    let status = tokio::select! {
+        status = ended(&mut child, stopped) => status.context("cannot wait for a run")?,
+        holder = claim.lost() => {
+            // The folder belongs to the other process, so this one must not write a checkpoint into it.
+            child.kill().await.context("cannot end a run")?;
+            return Ok(Ending::Lost(holder.host_name()));
+        }
+    };
     Ok(match (status.success(), run_state(run)) {
         (true, RunState::Finished) => Ending::Finished,
         (true, _) => Ending::Stopped,
@@ -101,6 +123,18 @@ async fn train(
             Ending::Failed(format!("{}; its log is {}", own_log.cause(status), run.log().display()))
         }
     })
+}
+
+/// Waits for the end of a process, before or after the stop request.
+async fn ended(
+    child: &mut Child,
+    stopped: impl Future<Output = ()>,
+) -> std::io::Result<ExitStatus> {
+    tokio::select! {
+        status = child.wait() => return status,
+        () = stopped => {}
+    }
+    child.wait().await
 }
 
 /// The run's log, locked. The process that writes to it holds the lock until it ends. A run of an experiment that was

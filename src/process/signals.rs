@@ -2,6 +2,7 @@
 //! number. The end of the parent process is also a stop request.
 
 use std::io::Read as _;
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -15,9 +16,18 @@ pub(crate) fn stop_on_signal(
     stop: watch::Sender<bool>,
     announce: impl FnOnce() + Send + 'static,
 ) -> anyhow::Result<()> {
+    stop_on_repeated_signal(stop, Duration::ZERO, announce)
+}
+
+/// The same, but the signals that arrive within `repeated` after the first one are the same stop request.
+pub(crate) fn stop_on_repeated_signal(
+    stop: watch::Sender<bool>,
+    repeated: Duration,
+    announce: impl FnOnce() + Send + 'static,
+) -> anyhow::Result<()> {
     let interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
     let terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
-    tokio::spawn(watch_signals(stop, announce, interrupt, terminate));
+    tokio::spawn(watch_signals(stop, repeated, announce, interrupt, terminate));
     Ok(())
 }
 
@@ -36,6 +46,7 @@ pub(crate) fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
 
 async fn watch_signals(
     stop: watch::Sender<bool>,
+    repeated: Duration,
     announce: impl FnOnce(),
     mut interrupt: Signal,
     mut terminate: Signal,
@@ -43,7 +54,11 @@ async fn watch_signals(
     either(&mut interrupt, &mut terminate).await;
     announce();
     stop.send_replace(true);
-    let second = either(&mut interrupt, &mut terminate).await;
+    let first = Instant::now();
+    let mut second = either(&mut interrupt, &mut terminate).await;
+    while first.elapsed() < repeated {
+        second = either(&mut interrupt, &mut terminate).await;
+    }
     std::process::exit(ENDED_BY_SIGNAL + second.as_raw_value());
 }
 

@@ -7,6 +7,7 @@ import jsonpatch
 import kubernetes_validate
 import pytest
 import yaml
+from conftest import s2mia
 from kustomize import documents, patched, rendered
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -74,6 +75,43 @@ def test_pods_end_with_their_run_and_are_replaced_if_they_fail_or_move(path):
         fail, ignore = job["podFailurePolicy"]["rules"]
         assert fail["action"] == "FailJob" and fail["onExitCodes"]["containerName"] == container["name"]
         assert ignore == {"action": "Ignore", "onPodConditions": [{"type": "DisruptionTarget", "status": "True"}]}
+
+
+EXPERIMENT = """ # A file whose first line begins with a space: "quotes", 'quotes' and $(variables).
+env_steps = 1_000_000
+seeds = [0, 1]
+tasks = ["ant-4x2", "walker2d-2x3"]
+threads = 4
+
+[[variants]]
+algorithm = "happo"
+"""
+
+
+@pytest.mark.parametrize("options", [[], ["--queue=robots", "--array-limit=2", "--runs-per-job=3", "--image=registry:5000/s2mia:1"]])
+def test_an_experiment_becomes_a_valid_job_whose_pods_are_its_shards(tmp_path, options):
+    (tmp_path / "Study_1.toml").write_text(EXPERIMENT)
+    found = list(yaml.safe_load_all(s2mia("experiment", tmp_path / "Study_1.toml", "--submit", "k8s", *options)))
+    for document in found:
+        kubernetes_validate.validate(document, VERSION, strict=True)
+    configuration, claim, job = found
+    assert {one["metadata"]["name"] for one in found} == {"s2mia-study-1"}
+    assert configuration["data"] == {"Study_1.toml": EXPERIMENT}
+    assert claim["kind"] == "PersistentVolumeClaim" and claim["spec"]["accessModes"] == ["ReadWriteMany"]
+    shards = 2 if options else 4
+    specification = job["spec"]
+    assert specification["completionMode"] == "Indexed" and specification["backoffLimitPerIndex"]
+    assert (specification["completions"], specification["parallelism"]) == (shards, 2 if options else 4)
+    labels = job["metadata"].get("labels", {})
+    assert labels == ({"kueue.x-k8s.io/queue-name": "robots"} if options else {})
+    (pod,) = pods(found)
+    (container,) = pod["containers"]
+    assert container["image"] == ("registry:5000/s2mia:1" if options else "s2mia")
+    assert container["command"][:3] == ["s2mia-job", "experiment", "/experiment/Study_1.toml"]
+    assert container["command"][-2:] == ["--shard", f"$(JOB_COMPLETION_INDEX)/{shards}"]
+    assert container["resources"]["requests"]["cpu"] == "4"
+    context = container["securityContext"]
+    assert pod["securityContext"]["runAsNonRoot"] and context["readOnlyRootFilesystem"] and context["capabilities"] == {"drop": ["ALL"]}
 
 
 def test_prometheus_may_read_the_metrics_of_the_base_and_nothing_else():

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 /// Runs `s2mia`; returns its exit status and output.
 pub(crate) fn s2mia(arguments: &[&str]) -> (Option<i32>, String) {
@@ -86,6 +86,18 @@ impl Experiment {
         assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
         lines.read_to_string(&mut output).unwrap();
         (child.wait().unwrap().code(), output)
+    }
+
+    /// The same for a part of the runs, alone; returns the exit status and the output.
+    pub(crate) fn run_part(&self, part: &[&str]) -> (Option<i32>, String) {
+        s2mia(&[&["experiment", &self.file, "--jobs", "1"], part].concat())
+    }
+
+    /// Starts a part of the runs.
+    pub(crate) fn start_part(&self, part: &[&str]) -> Child {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        command.args(["experiment", &self.file, "--jobs", "1"]).args(part);
+        command.stdout(Stdio::piped()).spawn().unwrap()
     }
 
     /// State hashes of all runs, in the order of their names.

@@ -1,0 +1,68 @@
+//! An Indexed Job of Kubernetes with its volume and the experiment's file.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+
+use super::{Jobs, MEMORY_GIB, cores, filled, name, word};
+use crate::errors::Usage;
+use crate::experiment::file::ExperimentFile;
+
+/// All documents.
+const MANIFEST: &str = include_str!("k8s.yaml");
+
+/// The manifest for `kubectl apply`.
+///
+/// # Errors
+/// Names an option, a folder or a task that does not exist in a pod, or the file if it cannot be read.
+pub(crate) fn manifest(
+    file: &ExperimentFile,
+    jobs: &Jobs,
+    image: &str,
+    queue: Option<&str>,
+) -> anyhow::Result<String> {
+    demand_relative("folder", &file.folder)?;
+    demand_relative("record", &file.record)?;
+    let mut tasks =
+        file.variants.iter().filter_map(|v| v.tasks.as_ref()).chain([&file.tasks]).flatten();
+    if let Some(task) = tasks.find(|task| Path::new(task).extension().is_some()) {
+        let why = format!(
+            "{task} is a file of this host; --submit k8s needs tasks that `s2mia tasks` lists"
+        );
+        return Err(Usage::new(why).into());
+    }
+    let text = std::fs::read_to_string(&file.path);
+    let text = text.with_context(|| format!("cannot read {}", file.path.display()))?;
+    let text: Vec<String> = text.lines().map(|line| format!("    {line}")).collect();
+    let queue = queue.map(|queue| word("--queue", queue)).transpose()?;
+    let queue = queue.map_or_else(String::new, |queue| {
+        format!("\n  labels: {{kueue.x-k8s.io/queue-name: \"{queue}\"}}")
+    });
+    let count = jobs.count();
+    let file_name = file.path.file_name().unwrap_or_default().to_string_lossy();
+    Ok(filled(
+        MANIFEST,
+        &[
+            ("NAME", &name(file)),
+            ("QUEUE", &queue),
+            ("COUNT", &count.to_string()),
+            ("PARALLEL", &jobs.limit.unwrap_or(count).min(count).to_string()),
+            ("IMAGE", word("--image", image)?),
+            ("CPUS", &cores(file).to_string()),
+            ("MEMORY", &MEMORY_GIB.to_string()),
+            ("FILE", word("the name of the file", &file_name)?),
+            ("TEXT", &text.join("\n")),
+        ],
+    ))
+}
+
+/// The volume holds the paths that start in the working folder.
+fn demand_relative(key: &str, path: &Path) -> Result<(), Usage> {
+    match path.is_absolute() {
+        true => Err(Usage::new(format!(
+            "{key} = \"{}\" does not exist in a pod; --submit k8s needs a relative path",
+            path.display()
+        ))),
+        false => Ok(()),
+    }
+}
