@@ -303,26 +303,6 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         ("at_least = -0.5", "", &["healthy.rootz needs a bound"]),
         ("at_least = -0.5", "at_least = inf", &["healthy.rootz: a bound must be finite"]),
         (
-            "positions = { uniform = 0.005 }",
-            "positions = { uniform = -1 }",
-            &["start.positions must lie in"],
-        ),
-        (
-            "positions = { uniform = 0.005 }",
-            "positions = { uniform = 9.0 }",
-            &["the start moves `hip` out of"],
-        ),
-        (
-            "positions = { uniform",
-            "coordinates = { hipp = 0.1 }\npositions = { uniform",
-            &["start.coordinates", "`hipp`; did you mean `hip`?"],
-        ),
-        (
-            "positions = { uniform",
-            "coordinates = { knee = nan }\npositions = { uniform",
-            &["the start moves `knee` out of"],
-        ),
-        (
             "velocities = { uniform",
             "velocities = { even",
             &["`even`, expected `uniform` or `normal`"],
@@ -346,5 +326,18 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         let message = refusal(&changed(from, to));
         assert!(parts.iter().all(|part| message.contains(part)), "{to}: {message}");
         assert!(!message.contains('\n'), "{message}");
+    }
+}
+
+#[test]
+fn a_start_outside_the_bounds_of_a_state_is_refused() {
+    for (start, part) in [
+        ("positions = { uniform = -1 }", "start.positions must lie in"),
+        ("positions = { uniform = 9.0 }", "the start moves `hip` out of"),
+        ("coordinates = { hipp = 0.1 }", "did you mean `hip`?"),
+        ("coordinates = { knee = nan }", "the start moves `knee` out of"),
+    ] {
+        let message = refusal(&changed("positions = { uniform = 0.005 }", start));
+        assert!(message.contains(part) && !message.contains('\n'), "{start}: {message}");
     }
 }
