@@ -2,7 +2,7 @@
 
 use crate::config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
-    RootView, TaskConfig,
+    RootView, TaskConfig, TaskDefinition,
 };
 use crate::description::ActionRange;
 use crate::environment_batch::{EnvironmentBatch, Outcome};
@@ -14,11 +14,14 @@ const STEPS: usize = 24;
 /// Ends one of the two episodes before the last step.
 const LIMIT: u32 = 15;
 
-/// Start states, observations, global states, rewards and ends of two episodes of every task with every kind of
-/// observation, under fixed actions. Little-endian f32.
+/// Start states, observations, global states, rewards and ends of two episodes of every task, and of one that files
+/// define, with every kind of observation, under fixed actions. Little-endian f32.
 pub fn probe() -> Vec<u8> {
-    let tasks = task_names().iter();
-    tasks.flat_map(|task| views().map(|view| trace(task, view))).flatten().flatten().collect()
+    let tasks = task_names().iter().map(|task| (*task, None));
+    let tasks = tasks.chain([("hopper-2x1", Some(TaskDefinition::example()))]);
+    let traces = tasks
+        .flat_map(|(task, definition)| views().map(|view| trace(task, definition.clone(), view)));
+    traces.flatten().flatten().collect()
 }
 
 /// An observation of everything, scaled; one of the neighbourhood; and the only one that games have.
@@ -38,10 +41,14 @@ fn views() -> [ObservationConfig; 3] {
 }
 
 /// `None` if the task has no such observation.
-fn trace(task: &str, observation: ObservationConfig) -> Option<Vec<u8>> {
+fn trace(
+    task: &str,
+    definition: Option<TaskDefinition>,
+    observation: ObservationConfig,
+) -> Option<Vec<u8>> {
     let partition = PartitionSemantics::ActuatorSlices;
     let task = task.to_owned();
-    let config = TaskConfig { task, definition: None, observation, partition };
+    let config = TaskConfig { task, definition, observation, partition };
     let mut environments = environments(&config, 2).ok()?;
     let mut numbers = Vec::new();
     for (environment, limit) in [(0, u32::MAX), (1, LIMIT)] {

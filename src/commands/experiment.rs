@@ -51,7 +51,9 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         selected.iter().cloned().partition(|run| record.holds(run));
-    let (mut tally, stopped) = runtime()?.block_on(bring_to_end(&missing, at_once))?;
+    // Lives until the report is written, so that a second signal ends the process then, too.
+    let runtime = runtime()?;
+    let (mut tally, stopped) = runtime.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
     match arguments.selection() == Selection::All || all_finished(&file, &runs)? {
         true => tell(&file, &runs)?,
@@ -91,7 +93,9 @@ fn submit(
 async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Tally, bool)> {
     let (stop_sender, stop) = watch::channel(false);
     signals::stop_on_repeated_signal(stop_sender, REPEATED, || {
-        output::line("stopping after a checkpoint of each run; Ctrl-C again ends at once");
+        output::line(
+            "stopping after a checkpoint of each run; Ctrl-C again, two seconds later, ends at once",
+        );
     })?;
     let mut progress = Progress::new(runs);
     let tally = scheduler::run_all(runs, at_once, stop.clone(), &mut progress).await?;

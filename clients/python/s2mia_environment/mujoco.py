@@ -59,7 +59,8 @@ class MultiAgentMujoco(Parallel):
     def restore(self, state: bytes) -> None:
         if len(state) != self.spec.max_state_bytes:
             raise ValueError(f"a state has {self.spec.max_state_bytes} bytes, this one {len(state)}")
-        numbers = np.frombuffer(state[_STEPS.size :], "<f8")
+        # A copy, because older versions of MuJoCo take only writable arrays.
+        numbers = np.frombuffer(state, "<f8", offset=_STEPS.size).copy()
         mujoco.mj_setState(self.model, self.data, numbers[: self.size], STATE)
         mujoco.mj_forward(self.model, self.data)
         # mj_forward changed the solver's warm start and the late arrays, so set them again.

@@ -95,7 +95,8 @@ class Robots(EnvironmentBatch):
     def restore(self, number: int, state: bytes) -> None:
         if len(state) != self.spec.max_state_bytes:
             raise ValueError(f"a state has {self.spec.max_state_bytes} bytes, this one {len(state)}")
-        robot, numbers = self._begin(number), np.frombuffer(state, "<f8", offset=_STEPS.size)
+        # A copy, because older versions of MuJoCo take only writable arrays.
+        robot, numbers = self._begin(number), np.frombuffer(state, "<f8", offset=_STEPS.size).copy()
         (robot.steps,) = _STEPS.unpack_from(state)
         mujoco.mj_setState(self.model, robot.data, numbers[: self.size], STATE)
         at = self.size

@@ -14,8 +14,10 @@ use crate::robot::Robot;
 
 /// Largest draw of the standard normal distribution in [`noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
 const FARTHEST_NORMAL: f32 = 5.77;
-/// Largest noise of a quaternion's components, which keeps its length well above 0.
-const LARGEST_TURN: f32 = 0.5;
+/// Largest noise of a quaternion's components. The noise of all four is shorter than the quaternion, which is 1 long.
+const LARGEST_TURN: f32 = 0.25;
+/// The same for the quaternion (1, 0, 0, 0), whose first component then stays positive.
+const LARGEST_TURN_FROM_REST: f32 = 0.5;
 
 /// The start of an episode, with names resolved to indices.
 #[derive(Clone, Debug)]
@@ -187,7 +189,8 @@ fn checked_start(row: &StartRow, names: Names<'_>, robot: &Robot) -> Result<Star
     let turn = bounds.orientation.map_or(0..0, |first| first..first + 4);
     if !turn.is_empty() {
         let place = "start.positions (largest noise of the root's quaternion)";
-        within(place, reach, 0.0, LARGEST_TURN)?;
+        let turned = start.coordinates.iter().any(|(index, _)| turn.contains(index));
+        within(place, reach, 0.0, if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST })?;
         let length = pose[turn.clone()].iter().map(|q| q * q).sum::<f32>().sqrt();
         within("start.coordinates (length of the root's quaternion)", length, 0.99, 1.01)?;
     }

@@ -1,6 +1,6 @@
 //! An Indexed Job of Kubernetes with its volume and the experiment's file.
 
-use std::path::Path;
+use std::path::{Component, Path};
 
 use anyhow::Context as _;
 
@@ -50,19 +50,30 @@ pub(crate) fn manifest(
             ("IMAGE", word("--image", image)?),
             ("CPUS", &cores(file).to_string()),
             ("MEMORY", &MEMORY_GIB.to_string()),
-            ("FILE", word("the name of the file", &file_name)?),
+            ("FILE", key_of_a_map(&file_name)?),
             ("TEXT", &text.join("\n")),
         ],
     ))
 }
 
+/// Refuses a name that no key of a ConfigMap can have.
+fn key_of_a_map(name: &str) -> Result<&str, Usage> {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+    match name.chars().all(plain) {
+        true => Ok(name),
+        false => Err(Usage::new(format!(
+            "{name}: --submit k8s needs a file name of letters, digits, `-`, `_` and `.`"
+        ))),
+    }
+}
+
 /// The volume holds the paths that start in the working folder.
 fn demand_relative(key: &str, path: &Path) -> Result<(), Usage> {
-    match path.is_absolute() {
-        true => Err(Usage::new(format!(
-            "{key} = \"{}\" does not exist in a pod; --submit k8s needs a relative path",
+    match path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
+        false => Err(Usage::new(format!(
+            "{key} = \"{}\" does not exist in a pod; --submit k8s needs a relative path without `..`",
             path.display()
         ))),
-        false => Ok(()),
+        true => Ok(()),
     }
 }

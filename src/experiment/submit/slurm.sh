@@ -11,9 +11,10 @@
 # Slurm sends TERM to this script before the time limit. The runs then write checkpoints, and the job waits in the queue again.
 cd @DIRECTORY@ || exit 1
 job=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID
+trap 'stopped=yes; [ -z "$runs" ] || kill -TERM "$runs"' TERM
 @PROGRAM@ experiment @FILE@ --shard "$SLURM_ARRAY_TASK_ID/@COUNT@" --jobs 1 &
 runs=$!
-trap 'stopped=yes; kill -TERM "$runs"' TERM
+[ -z "$stopped" ] || kill -TERM "$runs"
 wait "$runs"
 status=$?
 if [ -n "$stopped" ]; then
