@@ -43,20 +43,20 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
         output::line(listing(&selected, &Record::read(&file.record)?, at_once));
         return Ok(());
     }
+    // Lives until the report is written, so that a second signal ends the process then, too.
+    let runtime = runtime()?;
     if arguments.report {
         demand_any(&file, &runs)?;
-        return tell(&file, &runs);
+        return runtime.block_on(tell(&file, &runs));
     }
     learner::durable::make_folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         selected.iter().cloned().partition(|run| record.holds(run));
-    // Lives until the report is written, so that a second signal ends the process then, too.
-    let runtime = runtime()?;
     let (mut tally, stopped) = runtime.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
     match arguments.selection() == Selection::All || all_finished(&file, &runs)? {
-        true => tell(&file, &runs)?,
+        true => runtime.block_on(tell(&file, &runs))?,
         false => output::line(rest(&tally, selected.len(), arguments)),
     }
     finish(&tally, selected.len(), stopped.then_some(arguments))
@@ -129,13 +129,12 @@ fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> Strin
     )
 }
 
-fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
+async fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
     output::folder(&file.folder)?;
     // Several processes may end at the same time; each writes the same files.
-    let (table, written) = runtime()?.block_on(async {
-        let _claim = Claimant::of_this_host().wait(&file.folder.join(REPORT_CLAIM)).await?;
-        report::write(file, runs)
-    })?;
+    let claim = Claimant::of_this_host().wait(&file.folder.join(REPORT_CLAIM)).await?;
+    let (table, written) = report::write(file, runs)?;
+    drop(claim);
     output::line(table);
     written.iter().for_each(|path| output::line(path.display()));
     Ok(())

@@ -4,14 +4,17 @@ import json
 import os
 import pathlib
 import subprocess
+import sys
 
 import gymnasium
 import gymnasium_robotics
 import mujoco
-import numpy
 import pytest
 
 from conftest import ROOT
+
+sys.path.append(str(ROOT / "tests" / "reference"))
+from mujoco_models import links
 
 EPISODES, STEPS = 3, 200
 GYMNASIUM = pathlib.Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
@@ -41,25 +44,6 @@ def model(request, tmp_path):
     return tmp_path, "arm.xml"
 
 
-def links(model, data):
-    """Mass and principal moments of each moving body with the jointless bodies on it."""
-    homes = {}
-    for body in range(1, model.nbody):
-        home = body
-        while home and model.body_jntnum[home] == 0:
-            home = model.body_parentid[home]
-        homes.setdefault(home, []).append(body)
-    for home, bodies in homes.items():
-        mass = sum(model.body_mass[body] for body in bodies)
-        centre = sum(model.body_mass[body] * data.xipos[body] for body in bodies) / mass
-        inertia = numpy.zeros((3, 3))
-        for body in bodies:
-            turn, away = data.ximat[body].reshape(3, 3), data.xipos[body] - centre
-            inertia += turn @ numpy.diag(model.body_inertia[body]) @ turn.T
-            inertia += model.body_mass[body] * (away @ away * numpy.eye(3) - numpy.outer(away, away))
-        yield model.body(home or bodies[0]).name, mass, numpy.linalg.eigvalsh(inertia)
-
-
 def test_a_robot_nobody_here_wrote_loads_and_stays_finite(model):
     folder, document = model
     done = subprocess.run(
@@ -73,8 +57,9 @@ def test_a_robot_nobody_here_wrote_loads_and_stays_finite(model):
     data = mujoco.MjData(reference)
     mujoco.mj_forward(reference, data)
     found = {link["name"]: link for link in robot["links"]}
-    for name, mass, moments in links(reference, data):
-        assert found[name]["mass"] == pytest.approx(mass, rel=1e-4), name
+    for link in links(reference, data, with_base=True):
+        name, moments = link["name"], link["moments"]
+        assert found[name]["mass"] == pytest.approx(link["mass"], rel=1e-4), name
         assert found[name]["moments"] == pytest.approx(moments, rel=1e-3, abs=1e-4 * moments[-1]), name
     moving = reference.body_mass[1:]
     centre = moving @ data.xipos[1:] / moving.sum()

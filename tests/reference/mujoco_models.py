@@ -114,14 +114,17 @@ FILES = {"parts/trough.obj": trough()}
 MODELS = {"primitives": PRIMITIVES, "classes": CLASSES, "meshes": MESHES}
 
 
-def links(model, data):
-    """Mass, world mass centre and principal moments of each moving body with the jointless bodies on it."""
+def links(model, data, with_base=False):
+    """Mass, world mass centre and principal moments of each moving body with the jointless bodies on it.
+
+    With the base, the bodies that are fixed to the world are a link, too, with the name of the first one.
+    """
     found = {}
     for body in range(1, model.nbody):
         home = body
         while home and model.body_jntnum[home] == 0:
             home = model.body_parentid[home]
-        if home:
+        if home or with_base:
             found.setdefault(home, []).append(body)
     for home, bodies in found.items():
         mass = sum(model.body_mass[body] for body in bodies)
@@ -132,7 +135,7 @@ def links(model, data):
             inertia += turn @ numpy.diag(model.body_inertia[body]) @ turn.T
             inertia += model.body_mass[body] * (away @ away * numpy.eye(3) - numpy.outer(away, away))
         yield {
-            "name": model.body(home).name,
+            "name": model.body(home or bodies[0]).name,
             "mass": mass,
             "centre": centre.tolist(),
             "moments": sorted(numpy.linalg.eigvalsh(inertia).tolist()),

@@ -11,8 +11,6 @@ pub(super) const RECORD_HEAD: usize = 9;
 const CHUNK_HEAD: usize = 40;
 /// Largest size of a record and of a decompressed chunk, bytes.
 const MOST_BYTES: usize = 1 << 30;
-/// Size of an attachment record without its two names and data, bytes.
-const ATTACHMENT_HEAD: usize = 36;
 
 /// Reads all records of a finished file, including those in chunks, and checks all checksums.
 ///
@@ -63,7 +61,7 @@ pub(super) fn unpack(
 }
 
 /// Passes `bytes` to a reader and each record to `each`.
-fn scan(
+pub(super) fn scan(
     mut bytes: &[u8],
     options: LinearReaderOptions,
     each: &mut impl FnMut(u8, &[u8]) -> Result<(), LogError>,
@@ -176,14 +174,10 @@ fn fits(mut bytes: &[u8]) -> bool {
 
 /// Whether the sizes in an attachment's body are consistent.
 fn is_attachment(body: &[u8]) -> bool {
-    let mut at = 16;
-    for _ in 0..2 {
-        let Some(length) = body.get(at..at + 4) else { return false };
-        at += 4 + u32::from_le_bytes([length[0], length[1], length[2], length[3]]) as usize;
-    }
-    let names = at - 24;
-    let Some(rest) = body.len().checked_sub(ATTACHMENT_HEAD + names) else { return false };
-    number(body, at) == rest as u64
+    let head = [Part::Numbers(16), Part::Text, Part::Text];
+    let Some(rest) = skip_parts(&head, body) else { return false };
+    // The size of the data, the data and a checksum.
+    rest.len().checked_sub(12).is_some_and(|size| number(rest, 0) == size as u64)
 }
 
 /// Reads a little-endian u64 at `at`, which must be within bounds.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 
 use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::sans_io::linear_reader::LinearReaderOptions;
 use serde_json::json;
 
 use super::slot_log;
@@ -206,35 +206,25 @@ fn a_text_that_states_another_size_than_it_has_is_refused_before_it_is_read() {
     };
     let mut tried = 0;
     let options = LinearReaderOptions::default().with_emit_chunks(true);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut rest = bytes.as_slice();
-    while let Some(event) = reader.next_event() {
-        match event.unwrap() {
-            LinearReadEvent::ReadRequest(wanted) => {
-                let (now, later) = rest.split_at(wanted.min(rest.len()));
-                reader.insert(now.len()).copy_from_slice(now);
-                reader.notify_read(now.len());
-                rest = later;
-            }
-            LinearReadEvent::Record { opcode, data } => {
-                assert!(!refused(opcode, data), "opcode {opcode}");
-                // Where the first text of each kind of record has its size.
-                let at = match opcode {
-                    op::HEADER | op::METADATA => 0,
-                    op::SCHEMA => 2,
-                    op::CHANNEL => 4,
-                    op::METADATA_INDEX => 16,
-                    op::CHUNK_INDEX => 32,
-                    op::ATTACHMENT_INDEX => 40,
-                    _ => continue,
-                };
-                let mut body = data.to_vec();
-                body[at..at + 4].copy_from_slice(&3_000_000_000_u32.to_le_bytes());
-                assert!(refused(opcode, &body), "opcode {opcode}");
-                tried += 1;
-            }
-        }
-    }
+    let scanned = records::scan(&bytes, options, &mut |opcode, data| {
+        assert!(!refused(opcode, data), "opcode {opcode}");
+        // Where the first text of each kind of record has its size.
+        let at = match opcode {
+            op::HEADER | op::METADATA => 0,
+            op::SCHEMA => 2,
+            op::CHANNEL => 4,
+            op::METADATA_INDEX => 16,
+            op::CHUNK_INDEX => 32,
+            op::ATTACHMENT_INDEX => 40,
+            _ => return Ok(()),
+        };
+        let mut body = data.to_vec();
+        body[at..at + 4].copy_from_slice(&3_000_000_000_u32.to_le_bytes());
+        assert!(refused(opcode, &body), "opcode {opcode}");
+        tried += 1;
+        Ok(())
+    });
+    scanned.unwrap();
     assert!(tried >= 7, "{tried} records were tried");
     // A map with one name, which states three gigabytes.
     let map = [&[0; 4][..], &4_u32.to_le_bytes(), &3_000_000_000_u32.to_le_bytes()].concat();
