@@ -1,3 +1,242 @@
-//! Games: tasks without physics, whose states are a few whole numbers.
+//! Games: tasks without physics, whose states are a few numbers and whose optima are known.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+use crate::config::{ObservationMode, ObservationNorm, TaskConfig};
+use crate::description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
+use crate::environment_batch::{EnvironmentBatch, Outcome};
+use crate::error::{ActionError, SimError, StateError};
+use crate::state::{STATE_VERSION, State, StateBounds};
 
 pub(crate) mod cue;
+pub(crate) mod signal;
+
+/// Steps of an episode of every game.
+const EPISODE_STEPS: u32 = 50;
+/// Duration of a step in recordings; games have no time.
+const STEP_SECS: f64 = 0.1;
+
+/// A game with two agents, each of whose actions is one number. The value is its state before step `step`.
+pub(crate) trait Game: Clone + Send {
+    /// Name of the task.
+    const NAME: &'static str;
+    /// Name of the encoding of its states.
+    const STATE_KIND: &'static str;
+    /// The action of every agent.
+    const ACTION: ActionRange;
+
+    /// Features of an agent's observation.
+    fn observed(agent: usize) -> Vec<Feature>;
+
+    /// Features of the global state.
+    fn global() -> Vec<Feature>;
+
+    /// Draws the start of an episode.
+    fn start(rng: &mut ChaCha8Rng) -> Self;
+
+    /// Range of each of its numbers.
+    fn bounds() -> Vec<[f32; 2]>;
+
+    /// The game with these numbers, which are within bounds.
+    fn from_numbers(numbers: &[f32]) -> Result<Self, StateError>;
+
+    /// The numbers that define the game.
+    fn numbers(&self) -> Vec<f32>;
+
+    /// Takes a step and returns the reward. `actions` has a valid action of each agent.
+    fn step(&mut self, step: u32, actions: &[f32]) -> f32;
+
+    /// Writes the observation of an agent, `[obs]`, zeroed before.
+    fn observe(&self, step: u32, agent: usize, out: &mut [f32]);
+
+    /// Writes the global state, `[S]`, zeroed before.
+    fn state(&self, step: u32, out: &mut [f32]);
+}
+
+/// Names of the games.
+pub(crate) const NAMES: [&str; 2] = [cue::Cue::NAME, signal::Signal::NAME];
+
+/// Agents of every game.
+const AGENTS: usize = 2;
+
+/// The games of a slot.
+pub(crate) struct GameEnvironments<G> {
+    description: Description,
+    bounds: StateBounds,
+    episodes: Vec<Episode<G>>,
+}
+
+/// Complete state of an environment.
+#[derive(Clone)]
+struct Episode<G> {
+    index: u64,
+    step: u32,
+    limit: u32,
+    game: G,
+}
+
+impl<G: Game> GameEnvironments<G> {
+    /// Returns `count` games whose numbers are all 0, in episode 0.
+    pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
+        let (mode, norm) = (config.observation.mode, config.observation.norm);
+        if (mode, norm) != (ObservationMode::FullId, ObservationNorm::None) {
+            return Err(SimError::OnlyPlain { task: G::NAME });
+        }
+        if count == 0 {
+            return Err(SimError::NoEnvironments);
+        }
+        let bounds = bounds::<G>();
+        let game = G::from_numbers(&vec![0.0; bounds.coordinates.len()])?;
+        let episode = Episode { index: 0, step: 0, limit: EPISODE_STEPS, game };
+        Ok(Self { description: describe::<G>(&bounds), bounds, episodes: vec![episode; count] })
+    }
+
+    fn check(&self, actions: &[f32]) -> Result<(), ActionError> {
+        let (got, environments) = (actions.len(), self.count());
+        if got != environments * AGENTS {
+            return Err(ActionError::Length { got, environments, size: AGENTS });
+        }
+        let valid = |&a: &f32| match G::ACTION.choices {
+            Some(choices) => a >= 0.0 && a < choices as f32 && a.fract() == 0.0,
+            None => a.is_finite(),
+        };
+        let Some(at) = actions.iter().position(|action| !valid(action)) else { return Ok(()) };
+        let (environment, agent, value) = (at / AGENTS, at % AGENTS, actions[at]);
+        Err(match G::ACTION.choices {
+            Some(choices) => {
+                ActionError::NoChoice { environment, agent, value, choices: choices as usize }
+            }
+            None => ActionError::NotFinite { environment, agent, index: 0, value },
+        })
+    }
+}
+
+impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
+    fn description(&self) -> &Description {
+        &self.description
+    }
+
+    fn state_bounds(&self) -> Option<&StateBounds> {
+        Some(&self.bounds)
+    }
+
+    fn count(&self) -> usize {
+        self.episodes.len()
+    }
+
+    fn reset(
+        &mut self,
+        environment: usize,
+        episode: u64,
+        limit: u32,
+        key: [u8; 32],
+    ) -> Result<(), SimError> {
+        let (index, limit) = (episode, limit.clamp(1, EPISODE_STEPS));
+        let game = G::start(&mut ChaCha8Rng::from_seed(key));
+        self.episodes[environment] = Episode { index, step: 0, limit, game };
+        Ok(())
+    }
+
+    fn restore(&mut self, environment: usize, bytes: &[u8]) -> Result<(), SimError> {
+        let state = State::from_bytes(bytes, &self.bounds)?;
+        let game = G::from_numbers(&state.coordinates)?;
+        let (index, step, limit) = (state.episode, state.step, state.limit);
+        self.episodes[environment] = Episode { index, step, limit, game };
+        Ok(())
+    }
+
+    fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
+        let episode = &self.episodes[environment];
+        let state = State {
+            episode: episode.index,
+            step: episode.step,
+            limit: episode.limit,
+            coordinates: episode.game.numbers(),
+            velocities: Vec::new(),
+            contact_forces: Vec::new(),
+            actions: Vec::new(),
+        };
+        Ok(state.to_bytes(&self.bounds.kind))
+    }
+
+    fn episode(&self, environment: usize) -> u64 {
+        self.episodes[environment].index
+    }
+
+    fn episode_step(&self, environment: usize) -> u32 {
+        self.episodes[environment].step
+    }
+
+    fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
+        assert_eq!(outcome.len(), self.count(), "outcome [E]");
+        self.check(actions)?;
+        let rows = self.episodes.iter_mut().zip(actions.chunks_exact(AGENTS));
+        for ((episode, actions), outcome) in rows.zip(outcome) {
+            let reward = episode.game.step(episode.step, actions);
+            episode.step = episode.step.saturating_add(1);
+            let truncated = episode.step >= episode.limit;
+            *outcome = Outcome { reward, truncated, ..Outcome::default() };
+        }
+        Ok(())
+    }
+
+    fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
+        assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
+        let episode = &self.episodes[environment];
+        out.fill(0.0);
+        episode.game.observe(episode.step, agent, out);
+    }
+
+    fn state(&self, environment: usize, out: &mut [f32]) {
+        assert_eq!(out.len(), self.description.state.len(), "state");
+        let episode = &self.episodes[environment];
+        out.fill(0.0);
+        episode.game.state(episode.step, out);
+    }
+}
+
+/// The number of a list with one for each step and one after the last that belongs to `step`.
+fn at<T: Copy>(numbers: &[T], step: u32) -> T {
+    numbers[(step as usize).min(numbers.len() - 1)]
+}
+
+/// Features `name.0`, `name.1` and so on.
+fn features(name: &str, count: usize, role: FeatureRole) -> Vec<Feature> {
+    (0..count).map(|k| Feature { name: format!("{name}.{k}"), role }).collect()
+}
+
+fn bounds<G: Game>() -> StateBounds {
+    StateBounds {
+        kind: G::STATE_KIND.to_owned(),
+        longest: EPISODE_STEPS,
+        coordinates: G::bounds(),
+        velocities: 0,
+        fastest: 0.0,
+        contact_forces: 0,
+        actions: 0,
+        orientation: None,
+    }
+}
+
+fn describe<G: Game>(bounds: &StateBounds) -> Description {
+    let agent = |index: usize| AgentDescription {
+        name: format!("agent_{index}"),
+        joints: Vec::new(),
+        observation: G::observed(index),
+        // The global state lacks what an agent alone observes.
+        seen: Vec::new(),
+        near: Vec::new(),
+        action: G::ACTION,
+    };
+    Description {
+        task: G::NAME.to_owned(),
+        agents: (0..AGENTS).map(agent).collect(),
+        dt_secs: STEP_SECS,
+        episode_steps: EPISODE_STEPS,
+        state_kind: bounds.kind.clone(),
+        state_version: STATE_VERSION,
+        max_state_bytes: bounds.bytes() as u32,
+        state: G::global(),
+    }
+}

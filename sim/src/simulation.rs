@@ -4,7 +4,9 @@ use crate::config::TaskConfig;
 use crate::environment_batch::EnvironmentBatch;
 use crate::environments::RobotEnvironments;
 use crate::error::SimError;
-use crate::game::cue::{self, CueEnvironments};
+use crate::game::cue::Cue;
+use crate::game::signal::Signal;
+use crate::game::{Game, GameEnvironments};
 
 /// Returns `count` environments of a task in their rest state, in episode 0.
 ///
@@ -15,7 +17,8 @@ pub fn environments(
     count: usize,
 ) -> Result<Box<dyn EnvironmentBatch>, SimError> {
     Ok(match config.task.as_str() {
-        cue::NAME => Box::new(CueEnvironments::new(config, count)?),
+        Cue::NAME => Box::new(GameEnvironments::<Cue>::new(config, count)?),
+        Signal::NAME => Box::new(GameEnvironments::<Signal>::new(config, count)?),
         _ => Box::new(RobotEnvironments::new(config, count)?),
     })
 }

@@ -66,7 +66,7 @@ static FILES: LazyLock<Vec<(TaskFile, &str)>> = LazyLock::new(|| {
 /// Names of the robots' tasks, then of the games.
 static NAMES: LazyLock<Vec<String>> = LazyLock::new(|| {
     let robots = FILES.iter().flat_map(|(file, _)| file.task_names());
-    robots.chain([game::cue::NAME.to_owned()]).collect()
+    robots.chain(game::NAMES.map(str::to_owned)).collect()
 });
 
 static NAME_LIST: LazyLock<Vec<&str>> =

@@ -174,7 +174,8 @@ fn misplaced(argument: &str) -> ConfigError {
     }
 }
 
-/// Name and settings of the task.
+/// Name and settings of the task. An environment from outside has none unless a task is named: the default's would be
+/// those of another robot.
 fn task_layers(
     base: &Layer,
     asked: &[Layer],
@@ -182,6 +183,9 @@ fn task_layers(
     schema: &Schema,
 ) -> Result<(String, Vec<Layer>), ConfigError> {
     let Some(own) = own else {
+        if names_outside(asked) && !asked.iter().any(|layer| layer.values.contains_key("task")) {
+            return Ok((String::new(), Vec::new()));
+        }
         let task = chosen("task", presets::TASKS, base, asked)?;
         return Ok((task.name.to_owned(), vec![preset_layer(task, schema)?]));
     };

@@ -45,7 +45,7 @@ pub(crate) const OWN_TASK: Preset = Preset {
 /// Settings per task.
 pub(crate) const TASKS: &[Preset] = presets!(
     "tasks":
-    "cue-2x1",
+    "cue-2x1", "signal-2x1",
     "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1",
     "walker2d-2x3", "walker2d-3x2", "walker2d-6x1",
     "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",

@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn every_task_with_every_algorithm_and_preset_is_valid_but_a_game_with_maddpg() {
+    fn every_task_with_every_algorithm_and_preset_is_valid_but_choices_with_maddpg() {
         for (task, preset) in tasks_and_presets() {
             for algorithm in presets::ALGORITHMS {
                 if (task, algorithm.name) == ("cue-2x1", "maddpg") {

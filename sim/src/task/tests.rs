@@ -55,7 +55,7 @@ fn the_error_for_an_unknown_task_names_the_known_ones() {
 
 #[test]
 fn every_task_of_the_program_can_be_built() {
-    for &task in task_names().iter().filter(|name| **name != game::cue::NAME) {
+    for &task in task_names().iter().filter(|name| !game::NAMES.contains(*name)) {
         let named = TaskConfig {
             task: task.to_owned(),
             definition: None,

@@ -66,6 +66,20 @@ fn an_environment_from_outside_has_its_own_defaults_below_those_of_tasks_presets
 }
 
 #[test]
+fn an_environment_from_outside_takes_the_settings_of_a_task_only_if_it_is_named() {
+    let epochs = |settings: &[&str]| {
+        let resolved = resolve(&request(settings)).unwrap();
+        resolved.entries["update.epochs"].value.clone()
+    };
+    let (url, harl) = ("environment_service.url=http://localhost:7", "preset=harl");
+    assert_eq!(epochs(&[harl]), Scalar::Integer(15));
+    assert_eq!(epochs(&[url, harl]), Scalar::Integer(5));
+    assert_eq!(epochs(&["halfcheetah-2x3", url, harl]), Scalar::Integer(15));
+    let gamma = resolve(&request(&["walker2d-2x3", url])).unwrap();
+    assert_eq!(gamma.origin("update.gamma"), "configs/tasks/walker2d-2x3.toml");
+}
+
+#[test]
 fn a_file_may_choose_the_task() {
     let folder = tempfile::tempdir().unwrap();
     let mut request = request(&[]);
