@@ -29,7 +29,7 @@ pub enum SimError {
     },
     /// The game does not support these observation settings.
     #[error(
-        "{task} has unscaled one-hot features only: set observation.mode=full_id and observation.norm=none"
+        "{task} has unscaled features only: set observation.mode=full_id and observation.norm=none"
     )]
     OnlyPlain {
         /// The task.
