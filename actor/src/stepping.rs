@@ -168,7 +168,8 @@ impl Worlds {
             _ => None,
         };
         let mut steps = 0;
-        let episode = play_on(world, (&job.policy, ActionChoice::Mean), &mut |step| {
+        let choice = choice(&self.run, index);
+        let episode = play_on(world, (&job.policy, choice), &mut |step| {
             steps += 1;
             job.progress.step.store(steps, Ordering::Relaxed);
             if let Some(camera) = &mut camera {
@@ -187,6 +188,15 @@ impl Worlds {
             steps: episode.steps,
         };
         Ok((result, camera.map(Camera::film)))
+    }
+}
+
+/// How the actions of evaluation episode `index` are chosen. Sampled ones are those of `s2mia eval --sampled` with the
+/// run's seed.
+fn choice(run: &RunDescription, index: u32) -> ActionChoice {
+    match run.sampled_evaluations {
+        true => ActionChoice::Sampled { seed: run.seed.wrapping_add(index.into()) },
+        false => ActionChoice::Mean,
     }
 }
 

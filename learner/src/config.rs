@@ -104,8 +104,10 @@ impl AuditConfig {
 pub struct EvaluationConfig {
     /// Environment steps between two evaluations; 0: never.
     pub every_steps: u64,
-    /// Whole episodes with the mean action.
+    /// Number of whole episodes.
     pub episodes: u32,
+    /// Whether actions are sampled instead of means or likeliest choices.
+    pub sampled: bool,
 }
 
 /// When the run is saved.

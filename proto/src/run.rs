@@ -46,6 +46,8 @@ pub struct RunDescription {
     pub build: String,
     /// Whether actors of other builds may register if their fingerprint is the run's.
     pub other_builds: bool,
+    /// Whether evaluation episodes use sampled actions.
+    pub sampled_evaluations: bool,
 }
 
 impl RunDescription {
@@ -120,6 +122,7 @@ impl RunDescription {
             settings_toml: self.settings_toml.clone(),
             build: self.build.clone(),
             other_builds: self.other_builds,
+            sampled_evaluations: self.sampled_evaluations,
         }
     }
 
@@ -148,6 +151,7 @@ impl RunDescription {
             settings_toml: wire.settings_toml,
             build: wire.build,
             other_builds: wire.other_builds,
+            sampled_evaluations: wire.sampled_evaluations,
         };
         run.validate()?;
         Ok(run)

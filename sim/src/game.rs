@@ -29,6 +29,9 @@ pub(crate) trait Game: Clone + Send {
     /// Features of an agent's observation.
     fn observed(agent: usize) -> Vec<Feature>;
 
+    /// Indices in the global state of the observed features; empty if the state lacks any of them.
+    fn seen(agent: usize) -> Vec<usize>;
+
     /// Features of the global state.
     fn global() -> Vec<Feature>;
 
@@ -224,9 +227,8 @@ fn describe<G: Game>(bounds: &StateBounds) -> Description {
         name: format!("agent_{index}"),
         joints: Vec::new(),
         observation: G::observed(index),
-        // The global state lacks what an agent alone observes.
-        seen: Vec::new(),
-        near: Vec::new(),
+        seen: G::seen(index),
+        near: G::seen(index),
         action: G::ACTION,
     };
     Description {

@@ -118,4 +118,8 @@ fn the_receiver_observes_the_leg_alone() {
         agents[agent].observation.iter().map(|feature| feature.name.as_str()).collect()
     };
     assert_eq!((names(0), names(1)), (vec!["target", "leg"], vec!["leg"]));
+    for agent in agents {
+        let state = |index: &usize| &game.description().state[*index];
+        assert!(agent.seen.iter().map(state).eq(&agent.observation));
+    }
 }

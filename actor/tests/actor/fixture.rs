@@ -81,6 +81,7 @@ pub(crate) fn run() -> RunDescription {
         settings_toml: "task = \"halfcheetah-2x3\"".to_owned(),
         build: "0.1.0+abc".to_owned(),
         other_builds: false,
+        sampled_evaluations: false,
     }
 }
 

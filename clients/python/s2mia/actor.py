@@ -144,7 +144,7 @@ class Slot:
 
 
 def evaluate(run: Any, work: Any, policy: Policy, environment: Environment, rng: np.random.Generator) -> Any:
-    """Computes one whole episode with mean actions, or the likeliest choices."""
+    """Computes one whole episode with mean actions or the likeliest choices, or with sampled ones if the run has these."""
     environment.reset(work.episode, run.environment.episode_steps, rng)
     hidden = [np.zeros((1, agent.hidden_size), np.float32) for agent in policy.agents]
     total, steps, ended = 0.0, 0, False
@@ -153,7 +153,7 @@ def evaluate(run: Any, work: Any, policy: Policy, environment: Environment, rng:
         actions = []
         for index, agent in enumerate(policy.agents):
             output, hidden[index] = agent.forward(observations[index][None], hidden[index])
-            actions.append(agent.mode(output)[0])
+            actions.append((agent.draw(output, rng) if run.sampled_evaluations else agent.mode(output))[0])
         reward, terminated, truncated = environment.step(actions)
         total, steps, ended = total + reward, steps + 1, terminated or truncated
     return wire.EvaluationResult(episode=work.episode, extrinsic_return=total, steps=steps)

@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     fn evaluations(every_steps: u64) -> Evaluations {
-        let config = EvaluationConfig { every_steps, episodes: 2 };
+        let config = EvaluationConfig { every_steps, episodes: 2, sampled: false };
         Evaluations::new(config, 4000, 30, BTreeSet::new())
     }
 

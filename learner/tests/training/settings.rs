@@ -53,7 +53,7 @@ fn config() -> Config {
         },
         lease: LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 },
         audit: AuditConfig { share: 0.5 },
-        evaluation: EvaluationConfig { every_steps: 64, episodes: 3 },
+        evaluation: EvaluationConfig { every_steps: 64, episodes: 3, sampled: false },
         checkpoint: CheckpointConfig { every: 2, keep_last: 3, keep_every: 0 },
         metrics: MetricsConfig { csv: true, tensorboard: true },
         learner: ThreadsConfig { threads: 2, connections: 16, other_builds: false },

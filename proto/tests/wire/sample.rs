@@ -62,6 +62,7 @@ pub(crate) fn run() -> RunDescription {
         settings_toml: "task = \"toy\"".to_owned(),
         build: "0.1.0+abc".to_owned(),
         other_builds: false,
+        sampled_evaluations: true,
     }
 }
 

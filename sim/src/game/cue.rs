@@ -38,6 +38,11 @@ impl Game for Cue {
         [Self::global(), cue, features("id", AGENTS, FeatureRole::Identity)].concat()
     }
 
+    /// The global state does not contain the cue.
+    fn seen(_agent: usize) -> Vec<usize> {
+        Vec::new()
+    }
+
     fn global() -> Vec<Feature> {
         features("place", PLACES, FeatureRole::Signal)
     }

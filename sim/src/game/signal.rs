@@ -45,6 +45,13 @@ impl Game for Signal {
         }
     }
 
+    fn seen(agent: usize) -> Vec<usize> {
+        match agent {
+            SENDER => vec![0, 2],
+            _ => vec![2],
+        }
+    }
+
     fn global() -> Vec<Feature> {
         vec![feature("target"), feature("needed"), feature("leg")]
     }
