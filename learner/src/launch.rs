@@ -100,6 +100,7 @@ impl Launch {
             settings_toml: self.config_toml.clone(),
             build: self.build.clone(),
             other_builds: self.config.learner.other_builds,
+            restores_observations: true,
         }
     }
 

@@ -46,6 +46,8 @@ pub struct RunDescription {
     pub build: String,
     /// Whether actors of other builds may register if their fingerprint is the run's.
     pub other_builds: bool,
+    /// Whether the learner restores observations that a chunk leaves out.
+    pub restores_observations: bool,
 }
 
 impl RunDescription {
@@ -120,6 +122,7 @@ impl RunDescription {
             settings_toml: self.settings_toml.clone(),
             build: self.build.clone(),
             other_builds: self.other_builds,
+            restores_observations: self.restores_observations,
         }
     }
 
@@ -148,6 +151,7 @@ impl RunDescription {
             settings_toml: wire.settings_toml,
             build: wire.build,
             other_builds: wire.other_builds,
+            restores_observations: wire.restores_observations,
         };
         run.validate()?;
         Ok(run)
