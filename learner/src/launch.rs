@@ -15,12 +15,12 @@ use crate::config::Config;
 use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::Evaluations;
-use crate::exchange::random_number;
 use crate::fault::Fault;
 use crate::metrics::Metrics;
 use crate::provenance::Provenance;
 use crate::reward_log::RewardLog;
 use crate::run_folder::{RunFolder, RunFolderError};
+use crate::sample::random_number;
 use crate::trainer::{Trainer, policy_bytes};
 
 /// What a run is started with.
@@ -101,6 +101,7 @@ impl Launch {
             build: self.build.clone(),
             other_builds: self.config.learner.other_builds,
             sampled_evaluations: self.config.evaluation.sampled,
+            restores_observations: true,
         }
     }
 

@@ -3,4 +3,5 @@
 pub mod canary;
 pub mod exchange;
 pub mod published;
+pub mod sample;
 pub mod slots;

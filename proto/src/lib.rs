@@ -13,6 +13,7 @@ mod environment;
 mod episodes;
 mod film;
 mod ids;
+mod left_out;
 mod line;
 mod play;
 mod read;

@@ -48,6 +48,8 @@ pub struct RunDescription {
     pub other_builds: bool,
     /// Whether evaluation episodes use sampled actions.
     pub sampled_evaluations: bool,
+    /// Whether the learner restores observations that a chunk leaves out.
+    pub restores_observations: bool,
 }
 
 impl RunDescription {
@@ -123,6 +125,7 @@ impl RunDescription {
             build: self.build.clone(),
             other_builds: self.other_builds,
             sampled_evaluations: self.sampled_evaluations,
+            restores_observations: self.restores_observations,
         }
     }
 
@@ -152,6 +155,7 @@ impl RunDescription {
             build: wire.build,
             other_builds: wire.other_builds,
             sampled_evaluations: wire.sampled_evaluations,
+            restores_observations: wire.restores_observations,
         };
         run.validate()?;
         Ok(run)

@@ -15,6 +15,11 @@ pub(crate) fn floats(shape: &[usize], values: &[f32]) -> wire::Tensor {
     tensor(wire::DataType::F32, shape, data)
 }
 
+/// Encoded floats as a tensor of `shape`.
+pub(crate) fn encoded(shape: &[usize], data: Vec<u8>) -> wire::Tensor {
+    tensor(wire::DataType::F32, shape, data)
+}
+
 /// Flags as a tensor of `shape`, one byte each.
 pub(crate) fn flags(shape: &[usize], values: &[bool]) -> wire::Tensor {
     debug_assert_eq!(shape.iter().product::<usize>(), values.len(), "shape {shape:?}");
@@ -42,6 +47,11 @@ impl<'a> Floats<'a> {
     ) -> Result<Self, Refusal> {
         let data = checked(tensor, wire::DataType::F32, shape, &field)?;
         Ok(Self { data, field })
+    }
+
+    /// The encoded values.
+    pub(crate) fn bytes(&self) -> &'a [u8] {
+        self.data
     }
 
     /// Decodes the values and checks that they are finite and at most [`MAX_MAGNITUDE`].

@@ -3,7 +3,7 @@
 
 use bytes::Bytes;
 
-use crate::{Digest, RolloutOrigin, RunDescription, digest, tensor, wire};
+use crate::{Digest, RolloutOrigin, RunDescription, digest, left_out, tensor, wire};
 
 /// Consecutive steps of one slot: `t` steps of `E` environments.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,7 +124,8 @@ impl TrajectoryChunk {
         digest::of_chunk(&self.message(&Shapes::unknown(self)), origin)
     }
 
-    /// The message for it, and its digest as a chunk of the slot `origin`.
+    /// The message for it, without the observations that the learner restores, and its digest as a chunk of the slot
+    /// `origin`.
     ///
     /// # Panics
     /// If the arrays do not have the run's sizes.
@@ -134,8 +135,12 @@ impl TrajectoryChunk {
         run: &RunDescription,
         origin: &RolloutOrigin,
     ) -> (wire::TrajectoryChunk, Digest) {
-        let message = self.message(&Shapes::of(&Sizes::of(run), self));
+        let sizes = Sizes::of(run);
+        let mut message = self.message(&Shapes::of(&sizes, self));
         let digest = digest::of_chunk(&message, origin);
+        if run.restores_observations {
+            left_out::leave_out(&mut message, &sizes);
+        }
         (message, digest)
     }
 

@@ -1,6 +1,7 @@
-//! The only validation of pushed results, in a fixed order: counters; types, shapes and lengths of every tensor; digest.
-//! Only then is memory allocated and are values checked: they are finite, choices exist, flags are consistent, and
-//! final steps and end states are exactly where required. Later code does not repeat these checks.
+//! The only validation of pushed results, in a fixed order: counters; observations that were left out, which are restored;
+//! types, shapes and lengths of every tensor; digest. Only then is other memory allocated and are values checked: they are
+//! finite, choices exist, flags are consistent, and final steps and end states are exactly where required. Later code does
+//! not repeat these checks.
 
 mod acting;
 
@@ -10,7 +11,7 @@ use crate::trajectory::Sizes;
 use crate::work::state_size;
 use crate::{
     AgentChunk, Digest, EvaluationResult, FinalStep, Reason, Refusal, RolloutOrigin,
-    RunDescription, SlotEnd, TrajectoryChunk, digest, wire,
+    RunDescription, SlotEnd, TrajectoryChunk, digest, left_out, wire,
 };
 
 impl TrajectoryChunk {
@@ -27,8 +28,9 @@ impl TrajectoryChunk {
     ) -> Result<Self, Refusal> {
         let sizes = Sizes::of(run);
         let last = check_counters(wire, run)?;
-        let shaped = Shaped::check(wire, &sizes, last)?;
-        same_digest(digest::of_chunk(wire, origin), claimed)?;
+        let whole = left_out::restored(wire, &sizes)?;
+        let shaped = Shaped::check(&whole, &sizes, last)?;
+        same_digest(digest::of_chunk(&whole, origin), claimed)?;
         let chunk = shaped.decode(wire)?;
         check_choices(&chunk, run)?;
         check_flags(&chunk, sizes.environments)?;

@@ -9,6 +9,8 @@ mod choices;
 mod film;
 #[path = "wire/hostile.rs"]
 mod hostile;
+#[path = "wire/left_out.rs"]
+mod left_out;
 #[path = "wire/lies.rs"]
 mod lies;
 #[path = "wire/play.rs"]

@@ -36,6 +36,10 @@ pub(crate) fn world() -> Box<dyn EnvironmentBatch> {
 }
 
 pub(crate) fn policy() -> PolicySnapshot {
+    policy_for(world().description())
+}
+
+pub(crate) fn policy_for(description: &sim::Description) -> PolicySnapshot {
     let config = PolicyConfig {
         core: CoreKind::Gru,
         input_norm: InputNorm::LayerNorm,
@@ -51,7 +55,6 @@ pub(crate) fn policy() -> PolicySnapshot {
         sigma_floor: 0.05,
         head_gain: 1.0,
     };
-    let description = world().description().clone();
     let agent = |(index, shape): (usize, &sim::AgentDescription)| {
         let mut rng = generator(RunSeed(5), Draw::of(Purpose::Initialisation).agent(index as u32));
         let (observation, action) = (shape.observation.len(), shape.action.size);
@@ -62,13 +65,17 @@ pub(crate) fn policy() -> PolicySnapshot {
 }
 
 pub(crate) fn run() -> RunDescription {
-    let world = world();
+    run_of(&task())
+}
+
+pub(crate) fn run_of(task: &TaskConfig) -> RunDescription {
+    let world = sim::environments(task, ENVIRONMENTS).unwrap();
     RunDescription {
         run_id: "test".to_owned(),
         protocol_version: PROTOCOL_VERSION,
         incarnation: Incarnation(1),
         seed: 3,
-        task_settings: serde_json::to_string(&task()).unwrap(),
+        task_settings: serde_json::to_string(task).unwrap(),
         environment: actor::environment_spec(world.description()),
         environments_per_slot: ENVIRONMENTS as u32,
         slot_steps: STEPS,
@@ -82,6 +89,7 @@ pub(crate) fn run() -> RunDescription {
         build: "0.1.0+abc".to_owned(),
         other_builds: false,
         sampled_evaluations: false,
+        restores_observations: true,
     }
 }
 

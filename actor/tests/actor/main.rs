@@ -3,6 +3,7 @@
 
 mod choices;
 mod fixture;
+mod left_out;
 mod overlap;
 mod recording;
 mod rollout;

@@ -1,6 +1,6 @@
 //! A cheap proof that an actor acted as it says: the learner runs the named policy over the chunk's own
-//! observations, from the stored recurrent states, and compares. Wrong weights, a wrong recurrent state
-//! or another order of observations show at once.
+//! observations, from the stored recurrent states, and compares. Wrong weights or another order of observations show
+//! in the first step of the first chunk. Later steps and recurrent states are checked in a sample of the chunks.
 
 use policy::{ActorPolicy, Draw, PolicySnapshot, RunSeed, Scratch, generator};
 use proto::{AgentChunk, Reason, Refusal, RolloutOrigin, RunDescription, TrajectoryChunk};
@@ -9,9 +9,22 @@ use proto::{AgentChunk, Reason, Refusal, RolloutOrigin, RunDescription, Trajecto
 /// Another program's rounding stays well below it, another policy does not.
 pub const TOLERANCE: f32 = 1e-3;
 
+/// Share of the chunks that are checked whole as long as no check has failed.
+pub const SHARE: f64 = 0.125;
+
+/// How much of a chunk is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// The first step.
+    FirstStep,
+    /// Every step and every recurrent state.
+    Chunk,
+}
+
 /// Whether `policy` gives the chunk's log-probabilities and leads from each stored recurrent state to the
-/// next one. The chunk has been validated for `run`, and the policy fits the run's environment. With `origin`, the slot
-/// that an exact actor computed, the actions of the chunk's first step must also be the ones that the slot's keys draw.
+/// next one, as far as `extent` says. The chunk has been validated for `run`, and the policy fits the run's environment.
+/// With `origin`, the slot that an exact actor computed, the actions of the chunk's first step must also be the ones that
+/// the slot's keys draw.
 ///
 /// # Errors
 /// Refuses the first agent and step at which they differ.
@@ -20,15 +33,23 @@ pub fn check(
     run: &RunDescription,
     chunk: &TrajectoryChunk,
     origin: Option<&RolloutOrigin>,
+    extent: Extent,
 ) -> Result<(), Refusal> {
     let environments = run.environments_per_slot as usize;
-    let done =
-        chunk.terminated.iter().zip(&chunk.truncated).map(|(a, b)| *a || *b).collect::<Vec<_>>();
+    let (checked, end) = match extent {
+        Extent::FirstStep => (environments, None),
+        Extent::Chunk => (chunk.reward.len(), chunk.end.as_ref()),
+    };
+    let ends = chunk.terminated.iter().zip(&chunk.truncated).take(checked);
+    let done = ends.map(|(terminated, truncated)| *terminated || *truncated).collect::<Vec<_>>();
     let mut scratch = Scratch::default();
     for (i, (policy, rows)) in policy.agents.iter().zip(&chunk.agents).enumerate() {
-        let end = chunk.end.as_ref().map(|end| end.recurrent[i].as_slice());
+        let end = end.map(|end| end.recurrent[i].as_slice());
         // A policy without memory starts anew at each step.
-        let every = if policy.hidden_size() == 0 { 1 } else { run.hidden_every as usize };
+        let every = match extent {
+            Extent::Chunk if policy.hidden_size() > 0 => run.hidden_every as usize,
+            _ => 1,
+        };
         let replay = Replay { policy, rows, environments, every, done: &done, end };
         let found = replay.run(&mut scratch).and_then(|first| {
             let Some(origin) = origin else { return Ok(()) };
@@ -46,16 +67,16 @@ pub fn check(
     Ok(())
 }
 
-/// One agent's rows of a chunk, and the policy that should have made them. A block is the `every` steps between two
-/// stored recurrent states.
+/// One agent's rows of a chunk, of which the first are checked, and the policy that should have made them. A block is
+/// the `every` steps between two stored recurrent states.
 struct Replay<'a> {
     policy: &'a ActorPolicy,
     rows: &'a AgentChunk,
     environments: usize,
     every: usize,
-    /// `[t, E]`: the episode ended with this step.
+    /// `[t, E]`: the episode ended with this step, for each checked step.
     done: &'a [bool],
-    /// `[E, H]` after the slot's last step, in its last chunk.
+    /// `[E, H]` after the slot's last step, in its last chunk if that is checked whole.
     end: Option<&'a [f32]>,
 }
 
@@ -130,7 +151,8 @@ impl Replay<'_> {
         let mut observation = Vec::with_capacity(blocks * count * obs);
         for (step, output) in output.chunks_exact_mut(size).enumerate() {
             observation.clear();
-            for block in self.rows.observation.chunks_exact(self.every * count * obs) {
+            let rows = self.rows.observation.chunks_exact(self.every * count * obs);
+            for block in rows.take(blocks) {
                 observation.extend_from_slice(&block[step * count * obs..][..count * obs]);
             }
             self.policy.forward(blocks * count, &observation, &mut hidden, output, scratch);

@@ -2,7 +2,6 @@
 //! under one lock, and the queue of what the trainer waits for.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -13,11 +12,11 @@ use proto::{
 };
 use tokio::sync::{Notify, watch};
 
+use crate::canary;
 use crate::config::{AuditConfig, LeaseConfig};
 use crate::published::Published;
-use crate::slots::{
-    AuditPlan, ConnectionId, Disagreement, Effect, Offer, SlotRules, SlotTable, Trust,
-};
+use crate::sample::SecretSample;
+use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotRules, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 pub use crate::snapshot::FilmedEpisode;
 use crate::snapshot::RunSnapshot;
@@ -86,6 +85,8 @@ pub struct Exchange {
     work: Notify,
     storage: watch::Sender<Storage>,
     orders: Orders,
+    /// Chunks that are checked whole although no check has failed, by lease and sequence.
+    checked: SecretSample,
     /// Shared with readers, who then hold no lock; it is copied if a reader still has it when it changes.
     snapshot: watch::Sender<Arc<RunSnapshot>>,
 }
@@ -113,7 +114,7 @@ impl Exchange {
             chunks_per_slot: run.chunks_per_slot(),
             steps_per_slot: run.slot_steps,
             episode_steps: run.environment.episode_steps,
-            audit: AuditPlan { share: audit.share, secret: random_number() },
+            audit: SecretSample::new(audit.share),
         });
         let shared = Shared {
             table,
@@ -128,6 +129,7 @@ impl Exchange {
         Arc::new(Self {
             snapshot: watch::Sender::new(Arc::new(snapshot)),
             orders: Orders::default(),
+            checked: SecretSample::new(canary::SHARE),
             run,
             begun: Instant::now(),
             shared: Mutex::new(shared),
@@ -356,12 +358,6 @@ impl Exchange {
         // Nothing panics while it holds the lock half-changed: the table's methods check first.
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// A number that no peer can guess. No result depends on it.
-pub(crate) fn random_number() -> u64 {
-    // The standard library keys its hashers from the system's random source.
-    RandomState::new().build_hasher().finish()
 }
 
 fn retry(wait: Duration) -> LeaseAnswer {

@@ -8,7 +8,7 @@
 //!
 //! Results are compared by digest. What an ended lease had sent is kept: a later result that contradicts it is computed
 //! once more, and if two complete ones differ, the run must stop. A slot that takes much longer than others gets a
-//! backup lease, and a share of the slots is audited ([`AuditPlan`]).
+//! backup lease, and a share of the slots is audited ([`SecretSample`]).
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -31,8 +31,8 @@ mod typical;
 
 use actors::{Actors, Admission, Owner};
 pub use actors::{ConnectionId, Trust};
+pub use audits::AuditCounts;
 use audits::Audits;
-pub use audits::{AuditCounts, AuditPlan};
 use evaluations::Evaluations;
 use iteration::{ClaimedSlot, OpenIteration};
 pub use iteration::{ComputedChunk, Disagreement};
@@ -40,6 +40,8 @@ use leases::{Claim, Finished, OpenLease};
 pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Incident, Offer, SlotRollout};
 pub use results::{ChunkPreview, EvaluationPreview};
 use typical::TypicalTime;
+
+use crate::sample::SecretSample;
 
 /// What holds for a table as long as it exists.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +57,7 @@ pub struct SlotRules {
     /// Steps of the longest episode.
     pub episode_steps: u32,
     /// Which slots are computed twice.
-    pub audit: AuditPlan,
+    pub audit: SecretSample,
 }
 
 /// Who computes what.

@@ -3,7 +3,8 @@
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
-use learner::slots::{AuditPlan, ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
+use learner::sample::SecretSample;
+use learner::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
 use proto::{
     Ack, ActorId, Digest, EnvironmentStart, Incarnation, Lease, PolicyVersion, PushHeader, Refusal,
     RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
@@ -36,13 +37,13 @@ pub(crate) fn rules(incarnation: Incarnation) -> SlotRules {
         chunks_per_slot: CHUNKS,
         steps_per_slot: 50,
         episode_steps: 1000,
-        audit: AuditPlan::NONE,
+        audit: SecretSample::NONE,
     }
 }
 
 /// The rules of a start of the learner that audits every second slot.
 pub(crate) fn half_audited(incarnation: Incarnation) -> SlotRules {
-    SlotRules { audit: AuditPlan { share: 0.5, secret: 3 }, ..rules(incarnation) }
+    SlotRules { audit: SecretSample { share: 0.5, secret: 3 }, ..rules(incarnation) }
 }
 
 /// A table with an open iteration of `slots` slots.
@@ -52,7 +53,7 @@ pub(crate) fn table(slots: u32) -> SlotTable {
 
 /// A table whose slots are all audited.
 pub(crate) fn audited_table(slots: u32) -> SlotTable {
-    let audit = AuditPlan { share: 1.0, secret: 5 };
+    let audit = SecretSample { share: 1.0, secret: 5 };
     open(SlotTable::new(SlotRules { audit, ..rules(INCARNATION) }), slots)
 }
 

@@ -57,7 +57,8 @@ fn work(exchange: &Exchange, connection: ConnectionId, stop: &AtomicBool) {
     exchange.disconnect(connection);
 }
 
-fn registration(run: &RunDescription) -> Registration {
+/// Registers with the run's fingerprint.
+pub(crate) fn registration(run: &RunDescription) -> Registration {
     Registration {
         client: "toy".to_owned(),
         build: run.build.clone(),

@@ -14,7 +14,11 @@ fn agent(name: &str, observation: usize, action: u32) -> AgentSpec {
     AgentSpec {
         name: name.to_owned(),
         joints: vec![format!("{name}.hip"), format!("{name}.knee")],
-        observation: features(observation, FeatureRole::Signal),
+        observation: [
+            features(2, FeatureRole::Signal),
+            features(observation - 2, FeatureRole::Identity),
+        ]
+        .concat(),
         seen: vec![0, 2],
         near: vec![3],
         action: ActionSpec { size: action, low: -1.0, high: 1.0, choices: None },
@@ -63,6 +67,7 @@ pub(crate) fn run() -> RunDescription {
         build: "0.1.0+abc".to_owned(),
         other_builds: false,
         sampled_evaluations: true,
+        restores_observations: true,
     }
 }
 
@@ -70,13 +75,35 @@ fn numbers(count: usize, from: f32) -> Vec<f32> {
     (0..count).map(|i| from + i as f32 * 0.25).collect()
 }
 
+/// The agents' observations of the global states `[n, 4]`, as the description says; only the first has an identity.
+fn observations(states: &[f32]) -> [Vec<f32>; 2] {
+    let rows = |constants: &[f32]| {
+        let row = |state: &[f32]| [&[state[0], state[2]][..], constants].concat();
+        states.chunks(4).flat_map(row).collect::<Vec<_>>()
+    };
+    [rows(&[1.0]), rows(&[])]
+}
+
 fn final_step(step: u32, environment: u32) -> FinalStep {
     let observation = vec![numbers(3, 5.0), numbers(2, 6.0)];
     FinalStep { step, environment, state: numbers(4, step as f32), observation }
 }
 
-/// Chunk 0 ends an episode in each environment's way, chunk 1 ends the slot.
+/// Chunk 0 ends an episode in each environment's way. Chunk 1 ends the slot; its observations are copies of the states.
 pub(crate) fn chunk(sequence: u32) -> TrajectoryChunk {
+    let mut chunk = uncopied(sequence);
+    if sequence == 1 {
+        for (agent, rows) in chunk.agents.iter_mut().zip(observations(&chunk.state)) {
+            agent.observation = rows;
+        }
+        for last in &mut chunk.finals {
+            last.observation = observations(&last.state).into();
+        }
+    }
+    chunk
+}
+
+fn uncopied(sequence: u32) -> TrajectoryChunk {
     let last = sequence == 1;
     let finals = if last { [(3, 0), (3, 1)] } else { [(0, 1), (1, 0)] };
     TrajectoryChunk {

@@ -1,9 +1,12 @@
 //! Results of actors: decoded and checked without the lock, then taken in.
 
-use proto::{Ack, AckState, EvaluationResult, PushHeader, Refusal, RolloutOrigin, TrajectoryChunk};
+use proto::{
+    Ack, AckState, EvaluationResult, LeaseId, PushHeader, Reason, Refusal, RolloutOrigin,
+    TrajectoryChunk,
+};
 
 use super::Exchange;
-use crate::canary;
+use crate::canary::{self, Extent};
 use crate::slots::{ChunkPreview, ConnectionId, EvaluationPreview, Trust};
 
 impl Exchange {
@@ -20,7 +23,7 @@ impl Exchange {
     }
 
     /// Takes in a chunk, which `read` decodes and checks as one of the slot that it is given. Runs the policies over
-    /// it, so it belongs on a thread that may block.
+    /// all or the first of its steps, so it belongs on a thread that may block.
     ///
     /// # Errors
     /// Refuses what [`crate::slots::SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights
@@ -41,12 +44,23 @@ impl Exchange {
         let chunk = read(&origin)?;
         let published = self.lock().weights.find(header.weights)?;
         let drawn = (trust == Trust::Exact).then_some(&origin);
-        canary::check(&published.policy, &self.run, &chunk, drawn)?;
+        let extent = self.extent(header.lease, sequence);
+        canary::check(&published.policy, &self.run, &chunk, drawn, extent)?;
         self.change(|shared| {
             let ack = shared.table.chunk(sender, header, chunk)?;
             shared.chunks_accepted += u64::from(ack.state == AckState::Accepted);
             Ok(ack)
         })
+    }
+
+    /// How much of a chunk is checked: all of it if the secret sample covers it, or if any actor has failed a check since
+    /// this start. A suspect could otherwise register again.
+    fn extent(&self, lease: LeaseId, sequence: u32) -> Extent {
+        let failed = self.lock().refusals.contains_key(Reason::CanaryMismatch.name());
+        match failed || self.checked.covers([lease.0, sequence.into()]) {
+            true => Extent::Chunk,
+            false => Extent::FirstStep,
+        }
     }
 
     /// Takes in the result of an evaluation episode, which `read` checks as one of the iteration that it is given.

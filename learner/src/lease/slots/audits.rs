@@ -4,37 +4,14 @@
 use std::collections::VecDeque;
 
 use proto::{Digest, LeaseId, RolloutWork, WeightsName};
-use sha2::{Digest as _, Sha256};
 
 use super::actors::Owner;
 use super::iteration::{ComputedChunk, Disagreement, first_difference};
 use super::leases::OpenLease;
+use crate::sample::SecretSample;
 
 /// Audits that wait for an actor or are computed. When one more comes, the oldest that nobody computes is skipped.
 const MOST_OPEN: usize = 8;
-
-/// Which slots are audited.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AuditPlan {
-    /// Share of the slots, 0 to 1.
-    pub share: f64,
-    /// Secret of this start of the learner: no actor can tell which slots are audited. No result depends on it.
-    pub secret: u64,
-}
-
-impl AuditPlan {
-    /// No slot is audited.
-    pub const NONE: Self = Self { share: 0.0, secret: 0 };
-
-    fn covers(self, iteration: u64, slot: u32) -> bool {
-        let mut hash = Sha256::new_with_prefix(self.secret.to_le_bytes());
-        hash.update(iteration.to_le_bytes());
-        hash.update(slot.to_le_bytes());
-        let first = hash.finalize().first_chunk::<8>().copied().unwrap_or_default();
-        // Both are exact at 0 and 1.
-        (u64::from_le_bytes(first) as f64) < self.share * (u64::MAX as f64)
-    }
-}
 
 /// Results of all audits so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -50,7 +27,7 @@ pub struct AuditCounts {
 /// The open audits.
 #[derive(Debug)]
 pub(super) struct Audits {
-    plan: AuditPlan,
+    sample: SecretSample,
     open: VecDeque<Audit>,
     pub(super) counts: AuditCounts,
 }
@@ -67,8 +44,8 @@ struct Audit {
 }
 
 impl Audits {
-    pub(super) fn new(plan: AuditPlan) -> Self {
-        Self { plan, open: VecDeque::new(), counts: AuditCounts::default() }
+    pub(super) fn new(sample: SecretSample) -> Self {
+        Self { sample, open: VecDeque::new(), counts: AuditCounts::default() }
     }
 
     /// The run is over: no open audit will be computed.
@@ -77,7 +54,7 @@ impl Audits {
         self.open.clear();
     }
 
-    /// A slot's result was accepted: it is audited if the plan covers it. Whether it is.
+    /// A slot's result was accepted: it is audited if the sample covers it. Whether it is.
     pub(super) fn consider(
         &mut self,
         work: &RolloutWork,
@@ -86,7 +63,7 @@ impl Audits {
         owner: Owner,
         digests: &[Digest],
     ) -> bool {
-        if !self.plan.covers(work.iteration, work.slot) {
+        if !self.sample.covers([work.iteration, work.slot.into()]) {
             return false;
         }
         if self.open.len() == MOST_OPEN {
@@ -147,20 +124,5 @@ impl Audits {
 
     pub(super) fn open(&self) -> usize {
         self.open.len()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_plan_covers_its_share_of_the_slots() {
-        let covered = |share| {
-            let plan = AuditPlan { share, secret: 7 };
-            (0..10_000).filter(|iteration| plan.covers(*iteration, 3)).count()
-        };
-        assert_eq!((covered(0.0), covered(1.0)), (0, 10_000));
-        assert!((70..130).contains(&covered(0.01)), "{}", covered(0.01));
     }
 }
