@@ -63,6 +63,8 @@ struct Chunk {
 pub(crate) struct Cluster {
     scenario: Scenario,
     now: Duration,
+    /// The time that the table knows.
+    ticked: Duration,
     agenda: BTreeMap<(Duration, u64), Event>,
     planned: u64,
     deadline: Option<Duration>,
@@ -99,6 +101,7 @@ impl Cluster {
         let (Cores::Own(cores) | Cores::Shared(cores)) = scenario.cores;
         let mut cluster = Self {
             now: Duration::ZERO,
+            ticked: Duration::ZERO,
             agenda: BTreeMap::new(),
             planned: 0,
             deadline: None,
@@ -153,7 +156,7 @@ impl Cluster {
     fn happen(&mut self, event: Event) {
         match event {
             Event::Ask(actor) if self.actors[actor].asks => {
-                self.table.tick(self.now);
+                self.tick();
                 self.settle();
                 self.offer(actor);
             }
@@ -165,7 +168,7 @@ impl Cluster {
             Event::Beat(actor, lease) => self.beat(actor, lease),
             Event::Deadline => {
                 self.deadline = None;
-                self.table.tick(self.now);
+                self.tick_exactly();
                 self.settle();
                 self.wake();
             }
@@ -176,7 +179,7 @@ impl Cluster {
             }
             Event::Fail(actor) => self.fail(actor),
             Event::Disconnect(connection) => {
-                self.table.tick(self.now);
+                self.tick_exactly();
                 self.table.disconnect(connection);
                 self.settle();
             }

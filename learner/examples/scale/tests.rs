@@ -94,6 +94,17 @@ fn a_slot_of_a_failed_machine_is_computed_again_after_its_time_to_live() {
 }
 
 #[test]
+fn a_failed_machine_asks_for_nothing_although_a_message_to_it_is_on_its_way() {
+    let network = Network { latency: MILLISECOND, ..NO_NETWORK };
+    let failures = Failures { silent: Duration::ZERO, away: 10 * TTL, ..NO_FAILURES };
+    let mut cluster = Cluster::new(Scenario { failures, network, leases: 1, ..ideal(2, 2) });
+    // The learner acknowledged its last chunk half a millisecond ago.
+    cluster.fail_at(5 * MILLISECOND + SLOT + MILLISECOND / 2, 0);
+    let totals = cluster.run(2);
+    assert_eq!((totals.slots, totals.reissued), (4, 0));
+}
+
+#[test]
 fn a_slot_is_free_at_once_if_the_connection_closes() {
     let mut cluster = Cluster::new(Scenario {
         failures: Failures { silent: Duration::ZERO, away: 10 * TTL, ..NO_FAILURES },

@@ -105,6 +105,10 @@ impl Cluster {
     /// The actor stops what it does for the lease.
     pub(super) fn ended(&mut self, index: usize, lease: LeaseId) {
         let actor = &mut self.actors[index];
+        if !actor.open.contains(&lease) {
+            // Its machine has failed since then.
+            return;
+        }
         actor.open.retain(|open| *open != lease);
         actor.stepping = actor.stepping.filter(|stepping| *stepping != lease);
         self.ask(index);

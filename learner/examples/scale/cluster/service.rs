@@ -12,6 +12,8 @@ use super::actors::Actor;
 use super::{Chunk, Cluster, Event, INCARNATION, Stage};
 use crate::scenario::Duplicates;
 
+/// What the table's clock may be late in the simulation.
+const CLOCK: Duration = Duration::from_millis(5);
 /// A waiting request is repeated this long after the table's next deadline, as in the exchange.
 const AFTER_DEADLINE: Duration = Duration::from_millis(1);
 /// Actors that get nothing before the others need not ask: the only work that one actor gets and another does not is a
@@ -19,8 +21,20 @@ const AFTER_DEADLINE: Duration = Duration::from_millis(1);
 const REFUSALS: usize = 2;
 
 impl Cluster {
-    pub(super) fn open(&mut self) {
+    /// Tells the table the time. Its clock may be late by [`CLOCK`], because with thousands of leases a tick is slow.
+    pub(super) fn tick(&mut self) {
+        if self.now >= self.ticked + CLOCK {
+            self.tick_exactly();
+        }
+    }
+
+    pub(super) fn tick_exactly(&mut self) {
+        self.ticked = self.now;
         self.table.tick(self.now);
+    }
+
+    pub(super) fn open(&mut self) {
+        self.tick_exactly();
         let iteration = self.iteration;
         let work = |slot| RolloutWork { iteration, slot, environments: Vec::new() };
         let weights = WeightsName { version: PolicyVersion(iteration), digest: Digest([0; 32]) };
@@ -120,7 +134,7 @@ impl Cluster {
 
     fn take_in(&mut self, chunk: &Chunk) {
         let Chunk { actor, connection, ref lease, sequence } = *chunk;
-        self.table.tick(self.now);
+        self.tick();
         let header = PushHeader::of(lease, digest(lease, sequence));
         let answer = self.table.chunk(connection, &header, content(sequence));
         if answer.is_ok_and(|ack| !ack.lease_finished) {
@@ -138,7 +152,7 @@ impl Cluster {
         let beat = Heartbeat { actor: actor.id, incarnation: INCARNATION, lease, slot_step: 0 };
         let connection = actor.connection;
         self.locked(self.scenario.calls.other);
-        self.table.tick(self.now);
+        self.tick();
         match self.table.heartbeat(connection, &beat) {
             Ok(true) => {
                 self.at(self.now + self.scenario.lease.heartbeat, Event::Beat(index, lease))
