@@ -3,7 +3,8 @@
 
 use std::time::Duration;
 
-use learner::slots::{AuditPlan, ConnectionId, Offer, SlotRules, SlotTable, Trust};
+use learner::sample::SecretSample;
+use learner::slots::{ConnectionId, Offer, SlotRules, SlotTable, Trust};
 use proto::{
     ActorId, Digest, Heartbeat, Incarnation, Lease, PolicyVersion, RolloutWork, WeightsName,
 };
@@ -55,7 +56,7 @@ fn table(slots: u32) -> SlotTable {
         chunks_per_slot: 1,
         steps_per_slot: 1,
         episode_steps: 1,
-        audit: AuditPlan::NONE,
+        audit: SecretSample::NONE,
     });
     let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };
     let work = |slot| RolloutWork { iteration: 0, slot, environments: Vec::new() };

@@ -4,7 +4,8 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use learner::slots::{AuditPlan, ConnectionId, SlotRules, SlotTable};
+use learner::sample::SecretSample;
+use learner::slots::{ConnectionId, SlotRules, SlotTable};
 use proto::{Incarnation, Lease, LeaseId};
 
 use crate::figures::Totals;
@@ -96,7 +97,7 @@ impl Cluster {
             chunks_per_slot: scenario.chunks,
             steps_per_slot: scenario.chunks,
             episode_steps: 1,
-            audit: AuditPlan { share, secret: scenario.seed },
+            audit: SecretSample { share, secret: scenario.seed },
         });
         let (Cores::Own(cores) | Cores::Shared(cores)) = scenario.cores;
         let mut cluster = Self {
