@@ -1,6 +1,7 @@
 //! Client of the learner: one connection, deadlines, and a cache of weights.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -135,7 +136,7 @@ impl Client {
     }
 
     async fn fetch(&mut self, name: WeightsName) -> Result<Vec<u8>, ActorError> {
-        let request = wire::GetWeightsRequest { weights: Some(name.to_wire()) };
+        let request = wire::GetWeightsRequest { weights: Some(name.to_wire()), repeats: true };
         let mut parts = self.service.get_weights(request).await?.into_inner();
         let mut bytes = Vec::new();
         let mut total = None;
@@ -145,12 +146,11 @@ impl Client {
                 (Some(Part::Data(data)), Some(total)) if bytes.len() + data.len() <= total => {
                     bytes.extend_from_slice(&data);
                 }
-                _ => {
-                    return Err(wrong_weights(
-                        name,
-                        "parts are out of order or too long".to_owned(),
-                    ));
+                (Some(Part::Repeat(repeat)), Some(total)) => {
+                    let range = earlier(&repeat, bytes.len(), total);
+                    bytes.extend_from_within(range.ok_or_else(|| out_of_order(name))?);
                 }
+                _ => return Err(out_of_order(name)),
             }
         }
         if policy::digest(&bytes) != name.digest.0 {
@@ -275,6 +275,17 @@ fn size(header: &wire::WeightsHeader, name: WeightsName) -> Result<usize, ActorE
         ));
     }
     Ok(total as usize)
+}
+
+/// The received bytes that a part repeats; `None` if there are fewer, or if the snapshot would have more than `total`.
+fn earlier(repeat: &wire::WeightsRepeat, received: usize, total: usize) -> Option<Range<usize>> {
+    let offset = usize::try_from(repeat.offset).ok()?;
+    let length = usize::try_from(repeat.length).ok().filter(|it| *it <= total - received)?;
+    offset.checked_add(length).filter(|end| *end <= received).map(|end| offset..end)
+}
+
+fn out_of_order(name: WeightsName) -> ActorError {
+    wrong_weights(name, "parts are out of order or too long".to_owned())
 }
 
 fn wrong_weights(name: WeightsName, why: String) -> ActorError {

@@ -190,7 +190,7 @@ async fn weights(
     mut service: LearnerServiceClient<Channel>,
     name: WeightsName,
 ) -> anyhow::Result<PolicySnapshot> {
-    let request = wire::GetWeightsRequest { weights: Some(name.to_wire()) };
+    let request = wire::GetWeightsRequest { weights: Some(name.to_wire()), repeats: false };
     let mut parts = service.get_weights(request).await?.into_inner();
     let mut bytes = Vec::new();
     while let Some(part) = parts.message().await? {

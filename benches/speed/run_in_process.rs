@@ -179,8 +179,8 @@ fn perform(
     world: &mut dyn sim::EnvironmentBatch,
 ) {
     let Work::Rollout(work) = &lease.work else { return };
-    let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };
-    let policy = PolicySnapshot::from_bytes(&snapshot).expect("the learner's own bytes");
+    let Ok(weights) = exchange.weights(lease.weights) else { return };
+    let policy = PolicySnapshot::from_bytes(&weights.bytes).expect("the learner's own bytes");
     let origin = work.origin();
     let send = |chunk: TrajectoryChunk| {
         let header = PushHeader::of(lease, chunk.digest(&origin));

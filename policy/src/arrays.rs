@@ -1,10 +1,14 @@
 //! Named arrays, the representation of weights and all other state: file format and hash.
 
 use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
+
+/// Bytes before the header of a safetensors file: the header's length.
+const LENGTH_BYTES: usize = 8;
 
 /// An array with a shape, row-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -201,6 +205,20 @@ pub fn from_safetensors(
         arrays.insert(name.to_owned(), from_view(name, &view)?);
     }
     Ok((arrays, metadata))
+}
+
+/// Names of the arrays of a safetensors file and their bytes' places in it, in the order of the places.
+///
+/// # Errors
+/// If the bytes are not a safetensors file.
+pub(crate) fn places(bytes: &[u8]) -> Result<Vec<(String, Range<usize>)>, ArrayError> {
+    let (header, metadata) = SafeTensors::read_metadata(bytes)?;
+    let first = LENGTH_BYTES + header;
+    let place = |name: String| {
+        let (from, to) = metadata.info(&name)?.data_offsets;
+        Some((name, first + from..first + to))
+    };
+    Ok(metadata.offset_keys().into_iter().filter_map(place).collect())
 }
 
 /// SHA-256 of arrays sorted by name. For each: length of the name (8 bytes), its bytes,

@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 use sha2::{Digest, Sha256};
 
 use crate::acting::{ActorPolicy, ActorSpec};
-use crate::arrays::{NamedArrays, from_safetensors, to_safetensors};
+use crate::arrays::{NamedArrays, from_safetensors, places, to_safetensors};
 use crate::error::PolicyError;
 
 /// The metadata entry with the agents' specs as JSON.
 const SPEC_KEY: &str = "s2mia.policy";
+/// Shortest repeat, bytes. A shorter one costs about as much to name as to send.
+const SHORTEST_REPEAT: usize = 256;
 /// Maximum number of agents.
 const MAX_AGENTS: usize = 1024;
 
@@ -74,6 +76,49 @@ fn take_agent(arrays: &mut NamedArrays, index: usize) -> NamedArrays {
         arrays.keys().filter(|name| name.starts_with(&prefix)).cloned().collect();
     let own = names.into_iter().filter_map(|name| arrays.remove_entry(&name));
     own.map(|(name, array)| (name[prefix.len()..].to_owned(), array)).collect()
+}
+
+/// Bytes of a snapshot that are equal to earlier ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Repeat {
+    /// Index of the first byte.
+    pub at: usize,
+    /// Index of the byte that is equal to the first.
+    pub of: usize,
+    /// Number of bytes.
+    pub length: usize,
+}
+
+/// Parts of a snapshot in which later agents' arrays repeat the first agent's: agents that share a network. In the order of
+/// the bytes, without short ones.
+///
+/// # Errors
+/// If the bytes are not a safetensors file.
+pub fn repeats(bytes: &[u8]) -> Result<Vec<Repeat>, PolicyError> {
+    let places = places(bytes)?;
+    let own = |name: &str| name.split_once('.').map(|(_, own)| own.to_owned());
+    let first = places.iter().filter(|(name, _)| name.starts_with("agent_0."));
+    let first = first.map(|(name, place)| (own(name), place)).collect::<BTreeMap<_, _>>();
+    let mut found = Vec::<Repeat>::new();
+    for (name, place) in &places {
+        let Some(source) = first.get(&own(name)).filter(|source| source.end <= place.start) else {
+            continue;
+        };
+        if bytes[(*source).clone()] != bytes[place.clone()] {
+            continue;
+        }
+        match found.last_mut() {
+            Some(last)
+                if (last.at + last.length, last.of + last.length)
+                    == (place.start, source.start) =>
+            {
+                last.length += place.len();
+            }
+            _ => found.push(Repeat { at: place.start, of: source.start, length: place.len() }),
+        }
+    }
+    found.retain(|repeat| repeat.length >= SHORTEST_REPEAT);
+    Ok(found)
 }
 
 /// SHA-256 of a snapshot's bytes, its identity in messages.

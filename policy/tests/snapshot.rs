@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use candle_core::DType;
 use policy::arrays::{Array, from_safetensors, to_safetensors};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::snapshot::{Repeat, repeats};
 use policy::{
     ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch,
 };
@@ -56,6 +57,21 @@ fn a_snapshot_acts_alike_after_a_round_trip_and_equal_policies_have_equal_bytes(
         };
         assert_eq!(run(one), run(two));
     }
+}
+
+#[test]
+fn a_later_agent_with_the_first_ones_network_repeats_its_bytes() {
+    let mut snapshot = snapshot();
+    assert_eq!(repeats(&snapshot.to_bytes().unwrap()).unwrap(), []);
+    let first = snapshot.agents[0].clone();
+    let numbers = first.arrays().values().map(|array| array.shape().iter().product::<usize>());
+    let size = 4 * numbers.sum::<usize>();
+    snapshot.agents.push(first);
+    let bytes = snapshot.to_bytes().unwrap();
+    let found = repeats(&bytes).unwrap();
+    let [Repeat { at, of, length }] = found[..] else { panic!("one repeat, not {found:?}") };
+    assert_eq!((length, at + length), (size, bytes.len()));
+    assert_eq!(bytes[at..], bytes[of..of + length]);
 }
 
 #[test]

@@ -66,7 +66,7 @@ impl Observations<'_> {
         let mut first = None;
         for (i, tensor) in self.tensors.iter_mut().enumerate() {
             let source = first.as_ref().or(state).map(|source| &source.data[..]);
-            let copies = Copies::of(self.sizes, i, first.is_some());
+            let copies = Copies::of(self.sizes, i, first.as_ref());
             let equal = copies
                 .zip(source)
                 .is_some_and(|(copies, source)| copies.tensor(self.rows, source) == **tensor);
@@ -90,7 +90,7 @@ impl Observations<'_> {
             if !is_left_out(tensor) {
                 continue;
             }
-            let copies = Copies::of(self.sizes, i, first.is_some()).ok_or_else(|| {
+            let copies = Copies::of(self.sizes, i, first.as_ref()).ok_or_else(|| {
                 let detail = "must be set, because it is no copy of other numbers of the chunk";
                 Refusal::new(Reason::MissingField, field(i), detail)
             })?;
@@ -112,9 +112,12 @@ struct Copies<'a> {
 }
 
 impl<'a> Copies<'a> {
-    /// The observation of `agent` as a copy of the first agent's, if that is sent, or else of the global state.
-    fn of(sizes: &Sizes<'a>, agent: usize, first_is_sent: bool) -> Option<Self> {
-        if first_is_sent { Self::of_first(sizes, agent) } else { Self::of_state(sizes, agent) }
+    /// The observation of `agent` as a copy of the `first` agent's, if that is sent, or else of the global state.
+    fn of(sizes: &Sizes<'a>, agent: usize, first: Option<&wire::Tensor>) -> Option<Self> {
+        match first {
+            Some(_) => Self::of_first(sizes, agent),
+            None => Self::of_state(sizes, agent),
+        }
     }
 
     fn of_state(sizes: &Sizes<'a>, agent: usize) -> Option<Self> {

@@ -82,7 +82,8 @@ async fn send_invalid_requests(url: &str) -> usize {
     let status = service.lease_slots(unregistered).await.unwrap_err();
     assert_eq!(refused(status), Reason::UnknownActor);
     let unknown = wire::WeightsName { version: 99, digest: vec![3; 32].into() };
-    let status = service.get_weights(wire::GetWeightsRequest { weights: Some(unknown) }).await;
+    let request = wire::GetWeightsRequest { weights: Some(unknown), repeats: false };
+    let status = service.get_weights(request).await;
     assert_eq!(refused(status.unwrap_err()), Reason::UnknownWeights);
     5
 }

@@ -24,7 +24,7 @@ async fn peer(url: String, run: RunDescription, weights: WeightsName) -> impl Si
         endpoint.initial_stream_window_size(WINDOW).initial_connection_window_size(WINDOW);
     let mut service = LearnerServiceClient::new(endpoint.connect().await.unwrap());
     service.register(registration(&run).to_wire()).await.unwrap();
-    let request = wire::GetWeightsRequest { weights: Some(weights.to_wire()) };
+    let request = wire::GetWeightsRequest { weights: Some(weights.to_wire()), repeats: false };
     let unread = service.get_weights(request).await.unwrap();
     (service, unread)
 }

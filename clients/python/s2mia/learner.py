@@ -110,11 +110,13 @@ class Learner:
 
     def weights(self, name: Any) -> bytes:
         """Returns the snapshot `name`."""
-        parts = list(self._call("GetWeights", wire.GetWeightsRequest(weights=name), 60.0))
-        snapshot = b"".join(part.data for part in parts[1:])
+        snapshot = bytearray()
+        for part in self._call("GetWeights", wire.GetWeightsRequest(weights=name, repeats=True), 60.0):
+            earlier = part.repeat
+            snapshot += part.data + snapshot[earlier.offset : earlier.offset + earlier.length]
         if hashlib.sha256(snapshot).digest() != name.digest:
             raise ValueError(f"weights {name.version} do not match their digest")
-        return snapshot
+        return bytes(snapshot)
 
     def heartbeat(self, lease: Any, step: int) -> bool:
         """Keeps a lease alive. Returns False if the lease ended."""

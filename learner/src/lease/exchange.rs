@@ -299,12 +299,12 @@ impl Exchange {
         Ok(HeartbeatAnswer { lease_valid: lease_valid?, run_state })
     }
 
-    /// The bytes of a snapshot.
+    /// The weights with this name.
     ///
     /// # Errors
     /// Refuses names of weights that are not held.
-    pub fn snapshot(&self, name: WeightsName) -> Result<Bytes, Refusal> {
-        self.lock().weights.find(name).map(|published| published.bytes.clone())
+    pub fn weights(&self, name: WeightsName) -> Result<Arc<Published>, Refusal> {
+        self.lock().weights.find(name)
     }
 
     /// Logs and counts a refusal. If it was about a lease of the caller, the lease ends.

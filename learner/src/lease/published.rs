@@ -1,6 +1,7 @@
 //! One version of all agents' policies: the bytes that travel, and what they hold.
 
 use bytes::Bytes;
+use policy::snapshot::{Repeat, repeats};
 use policy::{ActorPolicy, Head, PolicySnapshot};
 use proto::{AgentSpec, Digest, PolicyVersion, WeightsName};
 
@@ -11,6 +12,8 @@ pub struct Published {
     pub name: WeightsName,
     /// A `policy::PolicySnapshot` as it travels.
     pub bytes: Bytes,
+    /// Parts of the bytes that repeat earlier ones.
+    pub repeats: Vec<Repeat>,
     /// The same, to act by.
     pub policy: PolicySnapshot,
 }
@@ -46,7 +49,8 @@ impl Published {
                  {expected:?}"
             ));
         }
+        let repeats = repeats(&bytes).map_err(|error| error.to_string())?;
         let digest = Digest(policy::digest(&bytes));
-        Ok(Self { name: WeightsName { version, digest }, bytes, policy })
+        Ok(Self { name: WeightsName { version, digest }, bytes, repeats, policy })
     }
 }

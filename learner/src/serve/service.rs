@@ -179,10 +179,12 @@ impl LearnerService for Learner {
         request: Request<wire::GetWeightsRequest>,
     ) -> Result<Response<Self::GetWeightsStream>, Status> {
         let caller = connections::caller(&request, "get_weights");
-        let found = WeightsName::from_wire(request.into_inner().weights, "weights")
-            .and_then(|name| self.exchange.snapshot(name).map(|bytes| (name, bytes)));
-        let (name, bytes) = found.map_err(|refusal| self.counted(&caller, refusal))?;
-        Ok(Response::new(snapshots::stream(name, bytes, caller)))
+        let wire::GetWeightsRequest { weights, repeats } = request.into_inner();
+        let found = WeightsName::from_wire(weights, "weights")
+            .and_then(|name| self.exchange.weights(name))
+            .map_err(|refusal| self.counted(&caller, refusal))?;
+        let repeats = if repeats { found.repeats.clone() } else { Vec::new() };
+        Ok(Response::new(snapshots::stream(found.name, found.bytes.clone(), repeats, caller)))
     }
 
     type PushTrajectoryStream = ReceiverStream<Result<wire::PushTrajectoryResponse, Status>>;

@@ -70,8 +70,8 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
 
 /// Computes a lease and sends the results. The learner refuses results that arrive after its stop.
 fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, lease: &Lease) {
-    let Ok(snapshot) = exchange.snapshot(lease.weights) else { return };
-    let policy = PolicySnapshot::from_bytes(&snapshot).unwrap();
+    let Ok(weights) = exchange.weights(lease.weights) else { return };
+    let policy = PolicySnapshot::from_bytes(&weights.bytes).unwrap();
     match &lease.work {
         Work::Rollout(work) => {
             for chunk in toy::roll_out(run, &policy, work) {

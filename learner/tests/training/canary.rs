@@ -115,7 +115,9 @@ fn the_first_of_several_differences_is_reported() {
 fn outside_the_sample_only_the_first_step_of_a_chunk_is_checked() {
     for core in [CoreKind::Gru, CoreKind::Mlp] {
         let (run, policy, mut chunks) = rolled_out(core);
-        let check = |chunk| canary::check(&policy, &run, chunk, Some(&origin()), Extent::FirstStep);
+        let check = |chunk: &TrajectoryChunk| {
+            canary::check(&policy, &run, chunk, Some(&origin()), Extent::FirstStep)
+        };
         let chunk = chunks.last_mut().unwrap();
         chunk.agents[0].log_prob[2] += 1.0;
         chunk.end.as_mut().unwrap().recurrent[0].iter_mut().for_each(|unit| *unit += 1.0);

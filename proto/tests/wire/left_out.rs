@@ -104,11 +104,12 @@ fn an_observation_that_is_no_copy_cannot_be_left_out() {
     let chunk = chunk(0, 0.7, [0.6, -0.2]);
     let refusal = refused(&chunk, |message| message.agents[0].observation = None);
     assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::DigestMismatch, "digest"));
-    for change in [
-        |run: &mut RunDescription| run.environment.agents[0].seen.clear(),
+    let changes: [fn(&mut RunDescription); 3] = [
+        |run| run.environment.agents[0].seen.clear(),
         |run| run.environment.agents[0].observation[4].role = FeatureRole::Signal,
         |run| run.environment.agents[0].observation.truncate(1),
-    ] {
+    ];
+    for change in changes {
         let mut run = run();
         change(&mut run);
         let (mut message, digest) = sample::chunk(0).to_wire(&sample::run(), &sample::origin());

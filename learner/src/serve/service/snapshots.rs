@@ -1,8 +1,10 @@
-//! Streams a policy snapshot: one header, then pieces that are slices of one copy in memory.
+//! Streams a policy snapshot: one header, then pieces that are slices of one copy in memory, and repeats of earlier bytes.
 
+use std::ops::Range;
 use std::time::Duration;
 
 use bytes::Bytes;
+use policy::snapshot::Repeat;
 use proto::wire::get_weights_response::Part;
 use proto::{WeightsName, wire};
 use tokio::sync::mpsc;
@@ -20,16 +22,17 @@ const PIECE_BYTES: usize = 64 << 10;
 /// Pieces buffered per stream.
 const PIECES_AHEAD: usize = 2;
 
-/// Streams the snapshot `bytes` with the name `name`.
+/// Streams the snapshot `bytes` with the name `name`, and names its `repeats` instead of sending them.
 pub(super) fn stream(
     name: WeightsName,
     bytes: Bytes,
+    repeats: Vec<Repeat>,
     caller: Caller,
 ) -> ReceiverStream<Result<wire::GetWeightsResponse, Status>> {
     // A full channel means a slow actor; the task below then waits without copying.
     let (sender, stream) = mpsc::channel(PIECES_AHEAD);
     tokio::spawn(async move {
-        for part in parts(name, &bytes) {
+        for part in parts(name, &bytes, &repeats) {
             let response = wire::GetWeightsResponse { part: Some(part) };
             if let Err(error) = sender.send_timeout(Ok(response), PIECE_TIMEOUT).await {
                 let version = name.version;
@@ -53,15 +56,24 @@ fn reason<T>(error: &SendTimeoutError<T>) -> String {
     }
 }
 
-fn parts(name: WeightsName, bytes: &Bytes) -> impl Iterator<Item = Part> {
+fn parts(name: WeightsName, bytes: &Bytes, repeats: &[Repeat]) -> Vec<Part> {
     let header =
         wire::WeightsHeader { weights: Some(name.to_wire()), total_bytes: bytes.len() as u64 };
-    let starts = (0..bytes.len()).step_by(PIECE_BYTES);
-    let pieces = starts.map(|start| {
-        let end = bytes.len().min(start + PIECE_BYTES);
-        Part::Data(bytes.slice(start..end))
-    });
-    std::iter::once(Part::Header(header)).chain(pieces)
+    let mut parts = vec![Part::Header(header)];
+    let mut sent = 0;
+    for Repeat { at, of, length } in repeats {
+        parts.extend(pieces(bytes, sent..*at));
+        let (offset, length) = (*of as u64, *length as u64);
+        parts.push(Part::Repeat(wire::WeightsRepeat { offset, length }));
+        sent = at + length as usize;
+    }
+    parts.extend(pieces(bytes, sent..bytes.len()));
+    parts
+}
+
+fn pieces(bytes: &Bytes, range: Range<usize>) -> impl Iterator<Item = Part> {
+    let starts = range.clone().step_by(PIECE_BYTES);
+    starts.map(move |start| Part::Data(bytes.slice(start..range.end.min(start + PIECE_BYTES))))
 }
 
 #[cfg(test)]
@@ -71,15 +83,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_snapshot_is_split_into_equal_pieces_and_a_remainder() {
+    fn a_snapshot_is_split_into_equal_pieces_and_a_remainder_around_its_repeats() {
         let bytes = Bytes::from(vec![7; 2 * PIECE_BYTES + 5]);
         const { assert!(PIECE_BYTES <= MAX_WEIGHTS_PIECE_BYTES) };
         let name = WeightsName { version: PolicyVersion(3), digest: Digest::of(&bytes) };
-        let parts = parts(name, &bytes).collect::<Vec<_>>();
-        let sizes = parts.iter().map(|part| match part {
-            Part::Header(header) => header.total_bytes as usize,
-            Part::Data(data) => data.len(),
-        });
-        assert_eq!(sizes.collect::<Vec<_>>(), [bytes.len(), PIECE_BYTES, PIECE_BYTES, 5]);
+        let sizes = |repeats: &[Repeat]| {
+            let size = |part: &Part| match part {
+                Part::Header(header) => header.total_bytes as usize,
+                Part::Data(data) => data.len(),
+                Part::Repeat(repeat) => (repeat.offset + 1000 * repeat.length) as usize,
+            };
+            parts(name, &bytes, repeats).iter().map(size).collect::<Vec<_>>()
+        };
+        assert_eq!(sizes(&[]), [bytes.len(), PIECE_BYTES, PIECE_BYTES, 5]);
+        let repeats = [
+            Repeat { at: 20, of: 3, length: 4 },
+            Repeat { at: 24, of: 0, length: 2 * PIECE_BYTES - 24 },
+        ];
+        let last = 1000 * (2 * PIECE_BYTES - 24);
+        assert_eq!(sizes(&repeats), [bytes.len(), 20, 4003, last, 5]);
     }
 }
