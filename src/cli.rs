@@ -216,6 +216,14 @@ pub(crate) struct ActorArguments {
     /// Name in the learner's log [default: host name and process id].
     #[arg(long)]
     pub(crate) name: Option<String>,
+    /// Number of threads; each steps its own slots, as N actor processes would, but they share connections and weights.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        value_parser = clap::value_parser!(u16).range(1..=1024)
+    )]
+    pub(crate) threads: u16,
     /// Exit when the learner cannot be reached for this long.
     #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
     pub(crate) max_outage_secs: f64,

@@ -16,7 +16,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use serde_json::json;
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::has_begun;
+use waiting::{eventually, has_begun};
 
 const SIXTY: &str = "run.iterations=60";
 
@@ -58,9 +58,9 @@ fn free_address() -> String {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
 }
 
-fn actor(url: &str) -> Child {
+fn actor(url: &str, threads: &str) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(["actor", "--learner", url]);
+    command.args(["actor", "--learner", url, "--threads", threads]);
     command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
@@ -69,7 +69,7 @@ fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
     let runs = Runs::new();
     let (folder, undisturbed) = (runs.folder("roles"), runs.folder("undisturbed"));
     let address = free_address();
-    let mut actor = actor(&format!("http://{address}"));
+    let mut actor = actor(&format!("http://{address}"), "1");
     let mut learner = Learner::start(&folder, &address, &[]);
     has_begun(&folder);
     assert!(learner.terminate().starts_with("stopped after iteration"));
@@ -79,6 +79,61 @@ fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
     assert!(actor.wait().unwrap().success());
     train(&undisturbed, &[SIXTY, "run.actors=1"]);
     assert_eq!(inspect(&folder), inspect(&undisturbed));
+}
+
+/// Trains six slots an iteration with one actor process of this many threads.
+fn train_with_threads(folder: &Path, threads: &str) -> serde_json::Value {
+    let address = free_address();
+    let mut learner = Learner::start(folder, &address, &["environments.count=12"]);
+    let mut actor = actor(&format!("http://{address}"), threads);
+    assert!(learner.end().starts_with("finished after iteration 60"));
+    assert!(actor.wait().unwrap().success());
+    inspect(folder)
+}
+
+#[test]
+fn an_actor_gives_the_same_results_with_one_thread_and_with_three() {
+    let runs = Runs::new();
+    let one = train_with_threads(&runs.folder("one"), "1");
+    assert_eq!(train_with_threads(&runs.folder("three"), "3"), one);
+}
+
+#[test]
+fn threads_of_several_connections_survive_a_restart_of_the_learner() {
+    let runs = Runs::new();
+    let (folder, address) = (runs.folder("six"), free_address());
+    let url = format!("http://{address}");
+    let mut actor = actor(&url, "6");
+    let mut learner = Learner::start(&folder, &address, &["environments.count=12"]);
+    eventually(|| {
+        let actors = status(&url)["actors"].clone();
+        if actors == 6 { Ok(()) } else { Err(format!("{actors} of six threads are registered")) }
+    });
+    has_begun(&folder);
+    assert!(learner.terminate().starts_with("stopped after iteration"));
+    assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
+    let mut learner = Learner::start(&folder, &address, &["environments.count=12"]);
+    assert!(learner.end().starts_with("finished after iteration 60"));
+    assert!(actor.wait().unwrap().success());
+    assert_eq!(inspect(&folder), train_with_threads(&runs.folder("one"), "1"));
+}
+
+#[test]
+fn a_learner_says_once_how_many_threads_have_no_slot() {
+    let runs = Runs::new();
+    let address = free_address();
+    let dir = format!("run.dir={}", runs.folder("idle").display());
+    let own = ["learner", "--listen", &address, TINY[0], &dir, "run.iterations=20"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    let learner = command.args(own).args(&TINY[1..]).stderr(Stdio::piped()).spawn().unwrap();
+    // Three threads, two slots.
+    let mut actor = actor(&format!("http://{address}"), "3");
+    let log = String::from_utf8(learner.wait_with_output().unwrap().stderr).unwrap();
+    assert!(actor.wait().unwrap().success());
+    let lines = log.lines().filter(|line| line.contains("actor threads had no work"));
+    let lines = lines.collect::<Vec<_>>();
+    assert_eq!(lines.len(), 1, "{log}");
+    assert!(lines[0].contains("1 of 3") && lines[0].contains("per_slot=1 (4 slots"), "{log}");
 }
 
 /// A copy of the program that differs only in the commit that it was built from.

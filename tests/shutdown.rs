@@ -43,7 +43,7 @@ impl Cluster {
         let mut lines = BufReader::new(learner.stdout.take().unwrap()).lines();
         let first = lines.next().unwrap().unwrap();
         let url = first.split_whitespace().last().unwrap();
-        let actor = started(&["actor", "--learner", url, "--exit-with-stdin"]);
+        let actor = started(&["actor", "--learner", url, "--exit-with-stdin", "--threads=5"]);
         let patience = Instant::now() + GRACE;
         while !all_collected(url) {
             assert!(Instant::now() < patience, "the first iteration's slots are not complete");
@@ -134,4 +134,34 @@ fn the_first_signal_during_an_update_leads_to_a_checkpoint_of_it_and_status_0() 
     // The actor also has to be stopped, since its learner has exited.
     signal(&cluster.actor, "-TERM");
     assert_eq!(cluster.actor.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn the_first_signal_ends_all_threads_of_an_actor_in_the_middle_of_their_slots() {
+    let runs = Runs::new();
+    let dir = format!("run.dir={}", runs.folder("long").display());
+    let long = ["environments.steps=100000", "environments.count=10", &dir];
+    let mut learner = started(&[&["learner", "--listen=127.0.0.1:0"], TINY, &long].concat());
+    let mut lines = BufReader::new(learner.stdout.take().unwrap()).lines();
+    let first = lines.next().unwrap().unwrap();
+    let url = first.split_whitespace().last().unwrap();
+    let mut actor = started(&["actor", "--learner", url, "--threads=5"]);
+    let patience = Instant::now() + GRACE;
+    while leases_with_chunks(url) < 5 {
+        assert!(Instant::now() < patience, "not all threads step");
+    }
+    let begun = Instant::now();
+    signal(&actor, "-TERM");
+    assert_eq!(actor.wait().unwrap().code(), Some(0));
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    signal(&learner, "-TERM");
+    assert!(learner.wait().unwrap().success());
+}
+
+/// Number of leases under which chunks have arrived.
+fn leases_with_chunks(url: &str) -> usize {
+    let told = s2mia(&["status", url, "--json"]);
+    let status: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
+    let leases = status["leases"].as_array().map_or(&[][..], Vec::as_slice);
+    leases.iter().filter(|lease| lease["chunks"].as_u64() > Some(0)).count()
 }

@@ -26,6 +26,17 @@ fn one_actor_and_two_actors_train_the_same_weights() {
     assert_eq!(one, two);
 }
 
+#[test]
+fn one_environment_and_four_environments_per_slot_train_the_same_weights() {
+    let runs = Runs::new();
+    let weights = ["environments.per_slot=1", "environments.per_slot=4"].map(|per_slot| {
+        let folder = runs.folder(per_slot);
+        train(&folder, &["run.iterations=5", "run.actors=2", per_slot]);
+        inspect(&folder)["state_sha256"].clone()
+    });
+    assert_eq!(weights[0], weights[1]);
+}
+
 /// Trains the game with the settings of its task file.
 fn train_cue(folder: &Path, more: &[&str]) -> String {
     let dir = format!("run.dir={}", folder.display());

@@ -1,6 +1,5 @@
 //! Client of the learner: one connection, deadlines, and a cache of weights.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,8 +8,8 @@ use policy::PolicySnapshot;
 use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
-    Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, PolicyVersion,
-    Registered, Registration, RunDescription, WeightsName, wire,
+    Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, Registered,
+    Registration, RunDescription, WeightsName, wire,
 };
 use security::{ClientFiles, Token};
 use tokio::sync::mpsc;
@@ -24,8 +23,10 @@ use crate::error::{ActorError, EnvironmentError, causes};
 
 mod diagnosis;
 mod environment;
+mod weights;
 
 pub(crate) use environment::{EnvironmentClient, Play};
+pub(crate) use weights::WeightsCache;
 
 /// Deadline of calls that the learner answers immediately.
 const CALL_DEADLINE: Duration = Duration::from_secs(10);
@@ -33,8 +34,6 @@ const CALL_DEADLINE: Duration = Duration::from_secs(10);
 const LEASE_WAIT_MILLIS: u32 = 10_000;
 /// Largest HTTP/2 frame, bytes. Weights need fewer frames than with the default of 16 KiB.
 const MOST_FRAME_BYTES: u32 = 256 << 10;
-/// Largest number of cached snapshots.
-const KEPT_WEIGHTS: usize = 3;
 /// Largest size of a snapshot, bytes.
 const MAX_WEIGHTS_BYTES: u64 = 1 << 30;
 /// Largest number of unacknowledged results.
@@ -50,12 +49,6 @@ pub(crate) struct PushStream {
 #[derive(Clone)]
 pub(crate) struct Client {
     service: LearnerServiceClient<InterceptedService<Channel, Authorization>>,
-}
-
-/// Cache of policy snapshots by version.
-#[derive(Default)]
-pub(crate) struct WeightsCache {
-    snapshots: BTreeMap<PolicyVersion, (WeightsName, Arc<PolicySnapshot>)>,
 }
 
 impl Client {
@@ -121,18 +114,16 @@ impl Client {
     /// Returns the snapshot with this name, from the cache or the learner.
     pub(crate) async fn weights(
         &mut self,
-        cache: &mut WeightsCache,
+        cache: &WeightsCache,
         name: WeightsName,
     ) -> Result<Arc<PolicySnapshot>, ActorError> {
-        if let Some((held, snapshot)) = cache.snapshots.get(&name.version)
-            && *held == name
-        {
-            return Ok(Arc::clone(snapshot));
-        }
-        let bytes = self.fetch(name).await?;
-        let snapshot = PolicySnapshot::from_bytes(&bytes)
-            .map_err(|error| wrong_weights(name, error.to_string()))?;
-        Ok(cache.keep(name, Arc::new(snapshot)))
+        let fetch = async {
+            let bytes = self.fetch(name).await?;
+            let snapshot = PolicySnapshot::from_bytes(&bytes)
+                .map_err(|error| wrong_weights(name, error.to_string()))?;
+            Ok(Arc::new(snapshot))
+        };
+        cache.get(name, fetch).await
     }
 
     async fn fetch(&mut self, name: WeightsName) -> Result<Vec<u8>, ActorError> {
@@ -198,16 +189,6 @@ fn tls(files: &ClientFiles) -> Result<ClientTlsConfig, ActorError> {
         Some(name) => tls.domain_name(name),
         None => tls,
     })
-}
-
-impl WeightsCache {
-    fn keep(&mut self, name: WeightsName, snapshot: Arc<PolicySnapshot>) -> Arc<PolicySnapshot> {
-        self.snapshots.insert(name.version, (name, Arc::clone(&snapshot)));
-        while self.snapshots.len() > KEPT_WEIGHTS {
-            self.snapshots.pop_first();
-        }
-        snapshot
-    }
 }
 
 impl From<Status> for ActorError {

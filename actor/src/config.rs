@@ -21,6 +21,8 @@ pub struct Config {
     pub max_outage_secs: f64,
     /// Display name of this actor.
     pub name: String,
+    /// Number of threads that step slots, at least 1; each is registered separately.
+    pub threads: usize,
     /// Version and commit of the program.
     pub build: String,
     /// Settings of the trajectory log, if enabled.
@@ -98,6 +100,7 @@ mod tests {
             max_outage_secs: 1.0,
             build: String::new(),
             name: "a".into(),
+            threads: 1,
             log: None,
         };
         config.validate().map_or_else(|error| error.to_string(), |()| "accepted".to_owned())

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use policy::PolicySnapshot;
 use proto::{Ack, Heartbeat, Lease, Registered};
-use tokio::sync::MappedMutexGuard;
+use tokio::sync::MutexGuard;
 use tonic::{Code, Status};
 
 use crate::client::{Client, MAX_UNACKNOWLEDGED, PushStream};
@@ -22,14 +22,14 @@ pub(crate) enum Ended {
 }
 
 /// The stepping thread, until its last output for the lease.
-type HeldStepper<'a> = Option<MappedMutexGuard<'a, Stepper>>;
+type HeldStepper<'a> = Option<MutexGuard<'a, Stepper>>;
 
 /// Processes `lease` with the stepping thread, streams its results and sends heartbeats until all messages are
 /// acknowledged. The stepping thread is released as soon as it has produced all results.
 pub(crate) async fn process_lease(
     client: &mut Client,
     own: &Registered,
-    stepper: MappedMutexGuard<'_, Stepper>,
+    stepper: MutexGuard<'_, Stepper>,
     lease: Lease,
     policy: Arc<PolicySnapshot>,
     pace: Duration,

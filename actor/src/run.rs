@@ -1,11 +1,16 @@
-//! Main loop of an actor: describe, register, then process leases until the run is done.
+//! Main loop of an actor process: its connections to the learner, the registration of its threads, and their leases until
+//! the run is done.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::sync::Arc;
+use std::ops::Range;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, PoisonError};
+use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use proto::{Lease, LeaseAnswer, Registered, Registration, RunDescription};
 use tokio::sync::{Mutex, MutexGuard, watch};
+use tokio::task::JoinSet;
 
 use crate::client::{Client, WeightsCache, explained, is_transient};
 use crate::config::Config;
@@ -14,18 +19,13 @@ use crate::identity::rollout_fingerprint;
 use crate::leasing::{Ended, process_lease};
 use crate::source::Source;
 use crate::stepping::Stepper;
-use crate::trajectory_log::Log;
+use crate::trajectory_log::{Log, LogHandle};
 
+/// Threads that share a connection. Each has two leases with a call and a heartbeat at a time, so that they need no more
+/// than the 16 concurrent calls that the learner allows.
+const THREADS_PER_CONNECTION: usize = 4;
 /// First and longest bound of the delay between two connection attempts.
 const RETRY_DELAY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
-
-/// End of a session with the learner.
-enum Session {
-    /// The run is done.
-    Done,
-    /// This actor was stopped.
-    Stopped,
-}
 
 /// Processes leases of the learner at `config.learner` until its run is done or `stop` becomes true. Reconnects after
 /// transient failures.
@@ -33,140 +33,202 @@ enum Session {
 /// # Errors
 /// If the learner rejects this actor permanently or is unreachable for too long, or the log cannot be started.
 pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), ActorError> {
-    let log = config.log.as_ref().map(|log| Log::start(log, &config.name)).transpose()?;
-    let ended = sessions(&config, log.as_ref(), stop).await;
-    if let Some(log) = log {
+    let log =
+        config.log.as_ref().map(|log| Log::start(log, &config.name, config.threads)).transpose()?;
+    let answered = std::sync::Mutex::new(Instant::now());
+    let all = config.threads;
+    let process = Arc::new(Process { config, log, weights: WeightsCache::default(), answered });
+    let mut connections = JoinSet::new();
+    for first in (0..all).step_by(THREADS_PER_CONNECTION) {
+        let threads = first..all.min(first + THREADS_PER_CONNECTION);
+        let connection =
+            Connection { process: Arc::clone(&process), threads, tries: AtomicU32::new(0) };
+        connections.spawn(connection.sessions(stop.clone()));
+    }
+    // What ends one connection ends all: the run is done, or this actor was stopped or rejected.
+    let ended = connections.join_next().await.unwrap_or(Ok(Ok(())));
+    connections.shutdown().await;
+    if let Some(log) = Arc::into_inner(process).and_then(|process| process.log) {
         tokio::task::spawn_blocking(move || log.close())
             .await
             .map_err(|_| ActorError::Log("the last file of the log was not closed".to_owned()))?;
     }
-    ended
+    ended.unwrap_or_else(|panic| Err(ActorError::Stepping(panic.to_string())))
 }
 
-/// Runs sessions until the run is done, with a delay after each failure.
-async fn sessions(
-    config: &Config,
-    log: Option<&Log>,
-    mut stop: watch::Receiver<bool>,
-) -> Result<(), ActorError> {
-    let mut outage = Outage::begin();
-    loop {
-        let session = tokio::select! {
-            session = explained_session(config, log, &mut outage) => session,
-            () = stopped(&mut stop) => Ok(Session::Stopped),
-        };
-        let error = match session {
-            Ok(Session::Done | Session::Stopped) => return Ok(()),
-            Err(error) => error,
-        };
-        if !is_transient(&error) {
-            return Err(error);
-        }
-        let pause = outage.next_pause(config, &error)?;
-        tracing::warn!(
-            learner = config.learner,
-            "session ended: {}; connecting again in {:.1} s",
-            line(&error),
-            pause.as_secs_f64()
-        );
-        tokio::select! {
-            () = tokio::time::sleep(pause) => {}
-            () = stopped(&mut stop) => return Ok(()),
-        }
-    }
-}
-
-/// Runs a session. An error of the TLS handshake is replaced by its reason.
-async fn explained_session(
-    config: &Config,
-    log: Option<&Log>,
-    outage: &mut Outage,
-) -> Result<Session, ActorError> {
-    match run_session(config, log, outage).await {
-        Err(error) => Err(explained(error, config).await),
-        done => done,
-    }
-}
-
-/// Runs a session, from a new connection to the end of the run. Two leases overlap: the next lease is stepped while the
-/// last messages of the previous one are sent and acknowledged.
-async fn run_session(
-    config: &Config,
-    log: Option<&Log>,
-    outage: &mut Outage,
-) -> Result<Session, ActorError> {
-    let mut client = Client::connect(config).await?;
-    let run = Arc::new(client.describe_run().await?);
-    let source = Source::of(config, &run).await?;
-    let own = client.register(&registration(config, &source)?).await?;
-    tracing::info!(actor = own.actor.0, run = run.run_id, "registered with {}", config.learner);
-    let handle = log.and_then(|log| Some(log.handle(&run, source.task()?)));
-    let stepper = Stepper::start(Arc::clone(&run), &source, handle)?;
-    let shared = Mutex::new(SharedState { stepper, weights: WeightsCache::default(), outage });
-    let worker = || LeaseWorker { client: client.clone(), own, run: &run, log, shared: &shared };
-    let (mut first, mut second) = (worker(), worker());
-    tokio::select! {
-        ended = first.work_until_done() => ended,
-        ended = second.work_until_done() => ended,
-    }
-}
-
-/// State that the two workers of a session use alternately.
-struct SharedState<'a> {
-    stepper: Stepper,
+/// State that all connections of an actor process share.
+struct Process {
+    config: Config,
+    log: Option<Log>,
     weights: WeightsCache,
-    outage: &'a mut Outage,
+    /// When the learner last answered a request for work.
+    answered: std::sync::Mutex<Instant>,
 }
 
-/// Processes leases. Holds the shared state from the request of a lease until its last step, and releases it to the
-/// other worker while its last messages are acknowledged.
-struct LeaseWorker<'a, 'o> {
-    client: Client,
+/// A connection to the learner, which is replaced when it fails, and the threads that use it.
+struct Connection {
+    process: Arc<Process>,
+    /// Indices of the threads in the process.
+    threads: Range<usize>,
+    /// Attempts to connect since the learner last answered a request for work over this connection.
+    tries: AtomicU32,
+}
+
+impl Connection {
+    /// Runs sessions until the run is done or `stop` becomes true, with a delay after each failure.
+    async fn sessions(self, mut stop: watch::Receiver<bool>) -> Result<(), ActorError> {
+        let config = &self.process.config;
+        loop {
+            let session = async {
+                match self.session().await {
+                    // An error of the TLS handshake is replaced by its reason.
+                    Err(error) => Err(explained(error, config).await),
+                    done => done,
+                }
+            };
+            let session = tokio::select! {
+                session = session => session,
+                () = stopped(&mut stop) => return Ok(()),
+            };
+            let Err(error) = session else { return Ok(()) };
+            if !is_transient(&error) {
+                return Err(error);
+            }
+            let pause = self.next_pause(&error)?;
+            tracing::warn!(
+                learner = config.learner,
+                "session ended: {}; connecting again in {:.1} s",
+                line(&error),
+                pause.as_secs_f64()
+            );
+            tokio::select! {
+                () = tokio::time::sleep(pause) => {}
+                () = stopped(&mut stop) => return Ok(()),
+            }
+        }
+    }
+
+    /// Runs a session, from a new connection to the end of the run.
+    async fn session(&self) -> Result<(), ActorError> {
+        let config = &self.process.config;
+        let mut client = Client::connect(config).await?;
+        let run = Arc::new(client.describe_run().await?);
+        let source = Source::of(config, &run).await?;
+        let log = self.process.log.as_ref();
+        let handle = log.and_then(|log| Some(log.handle(&run, source.task()?)));
+        let mut threads = Vec::new();
+        for index in self.threads.clone() {
+            let own = client.register(&registration(config, &source, index)?).await?;
+            tracing::info!(
+                actor = own.actor.0,
+                run = run.run_id,
+                "registered with {}",
+                config.learner
+            );
+            threads.push(Thread::start(index, own, (&run, &source, handle.clone()))?);
+        }
+        let worker =
+            |thread| LeaseWorker { connection: self, client: client.clone(), run: &run, thread };
+        // Two leases of a thread overlap: the next one is stepped while the last messages of the previous one are sent
+        // and acknowledged.
+        let workers = threads.iter().flat_map(|thread| [worker(thread), worker(thread)]);
+        first(workers.map(LeaseWorker::work_until_done)).await
+    }
+
+    /// The learner answered a request for work.
+    fn answered(&self) {
+        self.tries.store(0, Ordering::Relaxed);
+        *self.process.answered.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+    }
+
+    /// Delay before the next attempt to connect: exponential backoff with full jitter.
+    fn next_pause(&self, error: &ActorError) -> Result<Duration, ActorError> {
+        let Process { config, answered, .. } = &*self.process;
+        let answered = *answered.lock().unwrap_or_else(PoisonError::into_inner);
+        let secs = answered.elapsed().as_secs_f64();
+        if secs > config.max_outage_secs {
+            let (url, last) = (config.learner.clone(), line(error));
+            return Err(ActorError::Outage { url, secs, last });
+        }
+        let tries = self.tries.fetch_add(1, Ordering::Relaxed);
+        let bound = RETRY_DELAY.0.saturating_mul(1 << tries.min(10)).min(RETRY_DELAY.1);
+        // Any random source is allowed, because delays do not affect results.
+        let share = RandomState::new().build_hasher().finish() as f64 / u64::MAX as f64;
+        Ok(bound.mul_f64(share))
+    }
+}
+
+/// A registered thread of the process and its environments.
+struct Thread {
+    index: usize,
     own: Registered,
-    run: &'a RunDescription,
-    log: Option<&'a Log>,
-    shared: &'a Mutex<SharedState<'o>>,
+    stepper: Mutex<Stepper>,
 }
 
-impl LeaseWorker<'_, '_> {
+impl Thread {
+    fn start(
+        index: usize,
+        own: Registered,
+        (run, source, log): (&Arc<RunDescription>, &Source, Option<LogHandle>),
+    ) -> Result<Self, ActorError> {
+        let stepper = Mutex::new(Stepper::start(Arc::clone(run), source, log)?);
+        Ok(Self { index, own, stepper })
+    }
+}
+
+/// Processes leases, in turns with the other worker of its thread: it holds the stepper from the request of a lease until
+/// its last step, and releases it while the last messages are acknowledged.
+struct LeaseWorker<'a> {
+    connection: &'a Connection,
+    client: Client,
+    run: &'a RunDescription,
+    thread: &'a Thread,
+}
+
+impl LeaseWorker<'_> {
     /// Processes leases until the run is done.
-    async fn work_until_done(&mut self) -> Result<Session, ActorError> {
+    async fn work_until_done(mut self) -> Result<(), ActorError> {
         let mut worked = false;
         loop {
-            let mut shared = self.shared.lock().await;
+            let stepper = self.thread.stepper.lock().await;
             if std::mem::take(&mut worked) {
-                shared.outage.end();
+                self.connection.answered();
             }
-            let lost = self.log.map_or(0, Log::unreported);
-            let answer = self.client.lease(&self.own, self.run, lost).await?;
-            if let Some(log) = self.log {
-                log.mark_reported(lost);
-            }
-            match answer {
-                LeaseAnswer::Done => return Ok(Session::Done),
+            match self.lease().await? {
+                LeaseAnswer::Done => return Ok(()),
                 LeaseAnswer::Retry { wait_millis } => {
-                    shared.outage.end();
+                    self.connection.answered();
                     tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
                 }
                 LeaseAnswer::Lease(lease) => {
-                    self.work(lease, shared).await?;
+                    self.work(lease, stepper).await?;
                     worked = true;
                 }
             }
         }
     }
 
+    /// Requests a lease. The first thread also reports the steps that the log of the process lost.
+    async fn lease(&mut self) -> Result<LeaseAnswer, ActorError> {
+        let log = self.connection.process.log.as_ref().filter(|_| self.thread.index == 0);
+        let lost = log.map_or(0, Log::unreported);
+        let answer = self.client.lease(&self.thread.own, self.run, lost).await?;
+        if let Some(log) = log {
+            log.mark_reported(lost);
+        }
+        Ok(answer)
+    }
+
     /// Processes a lease.
     async fn work(
         &mut self,
         lease: Lease,
-        mut shared: MutexGuard<'_, SharedState<'_>>,
+        stepper: MutexGuard<'_, Stepper>,
     ) -> Result<(), ActorError> {
-        let (id, client) = (lease.id, &mut self.client);
+        let (id, client, own) = (lease.id, &mut self.client, &self.thread.own);
         let pace = Duration::from_secs_f64(self.run.heartbeat_secs);
-        let policy = client.weights(&mut shared.weights, lease.weights).await?;
-        let stepper = MutexGuard::map(shared, |shared| &mut shared.stepper);
-        match process_lease(client, &self.own, stepper, lease, policy, pace).await? {
+        let policy = client.weights(&self.connection.process.weights, lease.weights).await?;
+        match process_lease(client, own, stepper, lease, policy, pace).await? {
             Ended::Finished => {}
             Ended::Dropped(why) => tracing::warn!("lease {id} dropped: {why}; requesting another"),
         }
@@ -174,10 +236,17 @@ impl LeaseWorker<'_, '_> {
     }
 }
 
-/// Registration of this actor for the run.
-fn registration(config: &Config, source: &Source) -> Result<Registration, ActorError> {
+/// Registration of the thread with this index for the run.
+fn registration(
+    config: &Config,
+    source: &Source,
+    thread: usize,
+) -> Result<Registration, ActorError> {
     Ok(Registration {
-        client: config.name.clone(),
+        client: match config.threads {
+            1 => config.name.clone(),
+            _ => format!("{}/{thread}", config.name),
+        },
         build: config.build.clone(),
         protocol_version: proto::PROTOCOL_VERSION,
         environment: source.spec()?,
@@ -185,34 +254,14 @@ fn registration(config: &Config, source: &Source) -> Result<Registration, ActorE
     })
 }
 
-/// Duration of an outage of the learner and number of connection attempts.
-struct Outage {
-    since: Instant,
-    tries: u32,
-}
-
-impl Outage {
-    fn begin() -> Self {
-        Self { since: Instant::now(), tries: 0 }
-    }
-
-    fn end(&mut self) {
-        *self = Self::begin();
-    }
-
-    /// Delay before the next attempt: exponential backoff with full jitter.
-    fn next_pause(&mut self, config: &Config, error: &ActorError) -> Result<Duration, ActorError> {
-        let secs = self.since.elapsed().as_secs_f64();
-        if secs > config.max_outage_secs {
-            let (url, last) = (config.learner.clone(), line(error));
-            return Err(ActorError::Outage { url, secs, last });
-        }
-        let bound = RETRY_DELAY.0.saturating_mul(1 << self.tries.min(10)).min(RETRY_DELAY.1);
-        self.tries += 1;
-        // Any random source is allowed, because delays do not affect results.
-        let share = RandomState::new().build_hasher().finish() as f64 / u64::MAX as f64;
-        Ok(bound.mul_f64(share))
-    }
+/// Polls all futures and returns the output of the first that completes.
+async fn first<F: Future>(futures: impl Iterator<Item = F>) -> F::Output {
+    let mut futures = futures.map(Box::pin).collect::<Vec<_>>();
+    std::future::poll_fn(|context| {
+        let mut polled = futures.iter_mut().map(|future| future.as_mut().poll(context));
+        polled.find(Poll::is_ready).unwrap_or(Poll::Pending)
+    })
+    .await
 }
 
 fn line(error: &ActorError) -> String {

@@ -3,6 +3,7 @@
 //! do not change, because the learning rate is negligible and nothing is scaled by running statistics.
 
 use std::io::{BufRead as _, BufReader};
+use std::net::Ipv4Addr;
 use std::process::{Child, Stdio};
 use std::sync::Arc;
 
@@ -17,7 +18,7 @@ use proto::{
     WeightsName, Work, wire,
 };
 use tokio::sync::OnceCell;
-use tonic::transport::Channel;
+use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 
 use crate::Effort;
@@ -29,6 +30,8 @@ use crate::table::Row;
 
 const SLOTS: usize = 256;
 const STEPS: usize = 200;
+/// Actors for each address of the loopback network; a learner accepts 512 connections from one.
+const ACTORS_PER_ADDRESS: usize = 256;
 
 /// One environment per slot, and minimal training.
 const SETTINGS: [&str; 14] = [
@@ -72,10 +75,12 @@ fn row(actors: usize, effort: Effort) -> anyhow::Result<Row> {
     let runtime =
         tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
     let recording = Arc::new(OnceCell::new());
-    for _ in 0..actors {
-        let (url, settings, recording) = (url.clone(), settings.clone(), Arc::clone(&recording));
+    // One after the other: a learner keeps only 256 connections without an actor.
+    let registered = (0..actors).map(|index| runtime.block_on(Actor::register(&url, index)));
+    for mut actor in registered.collect::<anyhow::Result<Vec<_>>>()? {
+        let (settings, recording) = (settings.clone(), Arc::clone(&recording));
         // A failed call ends an actor, like the end of the run.
-        runtime.spawn(async move { act(url, &settings, &recording).await.ok() });
+        runtime.spawn(async move { actor.work(&settings, &recording).await.ok() });
     }
     let watched = watch(learner, &folder.path().join("run/metrics.jsonl"))?;
     let bytes = recording.get().map_or(0, |recording: &Recording| recording.bytes) * SLOTS;
@@ -104,39 +109,56 @@ fn address(learner: &mut Child) -> anyhow::Result<String> {
     Ok(first.split_whitespace().last().context("the learner printed no address")?.to_owned())
 }
 
-/// One actor, from its connection to the end of the run.
-async fn act(
-    url: String,
-    settings: &Settings,
-    recording: &OnceCell<Recording>,
-) -> anyhow::Result<()> {
-    let mut service = LearnerServiceClient::connect(url).await?;
-    let answer = service.describe_run(wire::DescribeRunRequest {}).await?.into_inner();
-    let run = RunDescription::from_wire(answer.run)?;
-    // The recording has the random draws of another slot, so only an actor without a fingerprint may send it.
-    let foreign = Registration { rollout_fingerprint: None, ..registration(&run) };
-    let registered = service.register(foreign.to_wire()).await?.into_inner();
-    let own = Registered::from_wire(&registered);
-    loop {
-        let request = wire::LeaseSlotsRequest {
-            actor_id: own.actor.0,
-            incarnation: own.incarnation.0,
-            wait_millis: 10_000,
-            log_steps_lost: 0,
-        };
-        let answer = service.lease_slots(request).await?.into_inner();
-        let lease = match LeaseAnswer::from_wire(answer, &run)? {
-            LeaseAnswer::Lease(lease) => lease,
-            LeaseAnswer::Retry { .. } => continue,
-            LeaseAnswer::Done => return Ok(()),
-        };
-        let recorded = record(service.clone(), settings, &run, &lease);
-        let recording = recording.get_or_try_init(|| recorded).await?;
-        // Another actor may have finished a copy of the slot first.
-        if let Err(status) = push(&mut service, &lease, recording).await
-            && status.code() != Code::Aborted
-        {
-            return Err(status.into());
+/// A registered actor.
+struct Actor {
+    service: LearnerServiceClient<Channel>,
+    run: RunDescription,
+    own: Registered,
+}
+
+impl Actor {
+    async fn register(url: &str, index: usize) -> anyhow::Result<Self> {
+        let address = Ipv4Addr::from_bits(
+            Ipv4Addr::LOCALHOST.to_bits() + (index / ACTORS_PER_ADDRESS) as u32,
+        );
+        let endpoint = Endpoint::from_shared(url.to_owned())?.local_address(Some(address.into()));
+        let mut service = LearnerServiceClient::new(endpoint.connect().await?);
+        let answer = service.describe_run(wire::DescribeRunRequest {}).await?.into_inner();
+        let run = RunDescription::from_wire(answer.run)?;
+        // The recording has the random draws of another slot, so only an actor without a fingerprint may send it.
+        let foreign = Registration { rollout_fingerprint: None, ..registration(&run) };
+        let registered = service.register(foreign.to_wire()).await?.into_inner();
+        let own = Registered::from_wire(&registered);
+        Ok(Self { service, run, own })
+    }
+
+    /// Sends results until the run is over.
+    async fn work(
+        &mut self,
+        settings: &Settings,
+        recording: &OnceCell<Recording>,
+    ) -> anyhow::Result<()> {
+        loop {
+            let request = wire::LeaseSlotsRequest {
+                actor_id: self.own.actor.0,
+                incarnation: self.own.incarnation.0,
+                wait_millis: 10_000,
+                log_steps_lost: 0,
+            };
+            let answer = self.service.lease_slots(request).await?.into_inner();
+            let lease = match LeaseAnswer::from_wire(answer, &self.run)? {
+                LeaseAnswer::Lease(lease) => lease,
+                LeaseAnswer::Retry { .. } => continue,
+                LeaseAnswer::Done => return Ok(()),
+            };
+            let recorded = record(self.service.clone(), settings, &self.run, &lease);
+            let recording = recording.get_or_try_init(|| recorded).await?;
+            // Another actor may have finished a copy of the slot first.
+            if let Err(status) = push(&mut self.service, &lease, recording).await
+                && status.code() != Code::Aborted
+            {
+                return Err(status.into());
+            }
         }
     }
 }

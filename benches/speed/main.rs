@@ -42,7 +42,7 @@ pub(crate) struct Effort {
     actors: &'static [usize],
 }
 
-const FULL: Effort = Effort { repeats: 5, iterations: 4, actors: &[1, 4, 16, 64, 256] };
+const FULL: Effort = Effort { repeats: 5, iterations: 4, actors: &[1, 4, 16, 64, 256, 1000] };
 const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 
 /// Name of a section, description of its rows, and the function that measures them.

@@ -50,6 +50,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
         environment: arguments.environment,
         max_outage_secs: patience,
         name: arguments.name.unwrap_or_else(default_name),
+        threads: arguments.threads.into(),
         build: BUILD.to_owned(),
         log: log(arguments.log)?,
     };

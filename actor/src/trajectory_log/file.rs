@@ -17,7 +17,7 @@ use crate::recording::writer::McapFile;
 use crate::recording::{RecordError, RecordedRun, verify};
 
 /// Origin of the shares of a file.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Origin {
     /// Metadata: run, task, actor.
     words: BTreeMap<String, String>,

@@ -32,7 +32,7 @@ pub(super) fn start(
 ) -> (Log, LogHandle) {
     let settings = LogSettings { episodes, max_file_mib };
     let config = LogConfig { folder: folder.to_path_buf(), settings };
-    let log = Log::start(&config, actor).unwrap();
+    let log = Log::start(&config, actor, 1).unwrap();
     let handle = log.handle(&Arc::new(run()), &task());
     (log, handle)
 }

@@ -18,8 +18,8 @@ use crate::error::ActorError;
 use crate::evaluation::EvaluationEpisode;
 use crate::recording::RecordError;
 
-/// Capacity of the queue, leases. When it is full, new leases are dropped and counted: a slow disk loses a part of the
-/// log but never delays the rollout.
+/// Capacity of the queue, leases of each stepping thread. When it is full, new leases are dropped and counted: a slow disk
+/// loses a part of the log but never delays the rollout.
 const QUEUE: usize = 32;
 
 /// The log of an actor.
@@ -32,6 +32,7 @@ pub(crate) struct Log {
 }
 
 /// Sends the log data of a session to the log-writer thread.
+#[derive(Clone)]
 pub(crate) struct LogHandle {
     commands: SyncSender<Command>,
     lost: Arc<Lost>,
@@ -72,8 +73,13 @@ impl Lost {
 }
 
 impl Log {
-    /// Creates the folder and starts the thread. `actor` is part of the file names.
-    pub(crate) fn start(config: &LogConfig, actor: &str) -> Result<Self, ActorError> {
+    /// Creates the folder and starts the log-writer thread for an actor with this number of stepping threads. `actor` is
+    /// part of the file names.
+    pub(crate) fn start(
+        config: &LogConfig,
+        actor: &str,
+        threads: usize,
+    ) -> Result<Self, ActorError> {
         source::make_folder(&config.folder)?;
         let lost = Arc::new(Lost::default());
         let writer = LogWriter {
@@ -85,7 +91,7 @@ impl Log {
             written: (0, 0),
             lost_before: (0, 0),
         };
-        let (commands, queue) = sync_channel(QUEUE);
+        let (commands, queue) = sync_channel(QUEUE * threads);
         let thread = std::thread::Builder::new().name("log".to_owned());
         let thread =
             thread.spawn(move || writer.work(&queue)).expect("a process can start the log thread");
@@ -226,7 +232,7 @@ impl LogWriter {
     }
 
     fn attempt(&mut self, origin: &Arc<Origin>, share: &LoggedShare) -> Result<(), RecordError> {
-        if self.file.as_ref().is_some_and(|(of, _)| !Arc::ptr_eq(of, origin)) {
+        if self.file.as_ref().is_some_and(|(of, _)| of != origin) {
             self.finish()?;
         }
         let (_, file) = match &mut self.file {
@@ -298,7 +304,8 @@ mod tests {
     fn a_folder_that_cannot_be_created_is_an_error_in_one_line() {
         let settings = crate::LogSettings { episodes: Episodes::All, max_file_mib: 1 };
         let folder = "/dev/null/logs".into();
-        let refusal = Log::start(&LogConfig { folder, settings }, "a").err().map(|e| e.to_string());
+        let refusal =
+            Log::start(&LogConfig { folder, settings }, "a", 1).err().map(|e| e.to_string());
         let line = refusal.unwrap_or_default();
         assert!(line.contains("cannot create /dev/null/logs") && !line.contains('\n'), "{line}");
     }

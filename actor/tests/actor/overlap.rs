@@ -160,6 +160,7 @@ async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
         max_outage_secs: 1.0,
         build: "test".to_owned(),
         name: "actor".to_owned(),
+        threads: 1,
         log: None,
     };
     let (_stop, never) = watch::channel(false);

@@ -268,9 +268,7 @@ impl Exchange {
             // Registered before the table is asked, so that no wake is missed in between.
             let mut freed = std::pin::pin!(self.work.notified());
             freed.as_mut().enable();
-            let (offer, deadline) = self.change(|shared| {
-                (shared.table.lease(sender, actor, incarnation), shared.table.next_deadline())
-            });
+            let offer = self.change(|shared| shared.table.lease(sender, actor, incarnation));
             let left = end.saturating_sub(self.begun.elapsed());
             let pause = match offer? {
                 Offer::Lease(lease) => return Ok(LeaseAnswer::Lease(lease)),
@@ -278,7 +276,10 @@ impl Exchange {
                 _ if left.is_zero() => return Ok(retry(RETRY)),
                 Offer::Quarantined(wait) if wait > left => return Ok(retry(wait)),
                 Offer::Quarantined(wait) => wait,
-                Offer::Nothing => deadline.map_or(left, |at| left.min(self.until(at))),
+                Offer::Nothing => {
+                    let deadline = self.lock().table.next_deadline();
+                    deadline.map_or(left, |at| left.min(self.until(at)))
+                }
             };
             // Either way the table is asked again: woken, or an open lease may have ended.
             let _ = tokio::time::timeout(pause, freed).await;

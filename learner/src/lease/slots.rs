@@ -132,7 +132,8 @@ impl SlotTable {
     pub fn next_deadline(&self) -> Option<Duration> {
         let ends = self.open.values().map(|lease| lease.deadline);
         let held = self.iteration.iter().flat_map(OpenIteration::held_since);
-        let backups = held.map(|since| since + self.backup_age()).filter(|at| *at > self.now);
+        let age = self.backup_age();
+        let backups = held.map(|since| since + age).filter(|at| *at > self.now);
         ends.chain(backups).min()
     }
 

@@ -11,7 +11,7 @@ use proto::{
     MAX_UNACKNOWLEDGED, Reason, Refusal, Registration, WeightsName, wire,
 };
 use security::Role;
-use tokio::sync::mpsc;
+use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Server;
@@ -79,7 +79,9 @@ pub async fn serve(
     let incoming = connections::accept(listener, most_with_actors, on_close);
     let storage = exchange.storage();
     let control = ControlServiceServer::new(Control { exchange: Arc::clone(&exchange) });
-    let learner = LearnerServiceServer::new(Learner { exchange })
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let learner = Learner { exchange, checks: Arc::new(Semaphore::new(cores)) };
+    let learner = LearnerServiceServer::new(learner)
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
@@ -121,6 +123,9 @@ fn reflection(services: &[&str]) -> Builder<'static> {
 #[derive(Debug)]
 struct Learner {
     exchange: Arc<Exchange>,
+    /// Permits of concurrent checks of results, one for each core. More threads would only wait for cores, and each thread
+    /// that has checked a result keeps freed memory.
+    checks: Arc<Semaphore>,
 }
 
 impl Learner {
@@ -202,7 +207,8 @@ impl LearnerService for Learner {
         // A full channel means that the actor does not receive its acknowledgements; then no further message is read.
         let (acks, stream) = mpsc::channel(MAX_UNACKNOWLEDGED);
         let (pushes, share) = (connections::pushes(&request), request.extensions().get().cloned());
-        let results = Results { messages: request.into_inner(), pushes, share };
+        let (messages, checks) = (request.into_inner(), Arc::clone(&self.checks));
+        let results = Results { messages, pushes, share, checks };
         tokio::spawn(ingest::pump(Arc::clone(&self.exchange), caller, results, acks));
         Ok(Response::new(ReceiverStream::new(stream)))
     }

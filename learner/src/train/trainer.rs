@@ -2,6 +2,7 @@
 //! measured here and affects only reports.
 
 mod collect;
+mod idle;
 mod save;
 
 use std::sync::Arc;
@@ -95,6 +96,8 @@ pub struct RunningTrainer {
     arrived: Option<Collected>,
     /// The weights used for the rollouts of the open iteration.
     behaviour: Option<WeightsName>,
+    /// Whether idle actor threads have been reported.
+    advised: bool,
     /// When the last iteration ended.
     ended: Instant,
 }
@@ -124,6 +127,7 @@ impl Trainer {
             progress: ProgressMonitor::new(Instant::now()),
             arrived: None,
             behaviour: None,
+            advised: false,
             ended: Instant::now(),
         };
         running.begin()?;
@@ -261,8 +265,19 @@ impl RunningTrainer {
         };
         trainer.metrics.iteration(&report)?;
         trainer.trace(collected.behaviour, &collected.rollouts, &update.report)?;
+        self.advise(report.actors);
         self.tell(&Event::Iteration(report));
         Ok(())
+    }
+
+    /// Logs once that there are more actor threads than slots.
+    fn advise(&mut self, actors: u64) {
+        let Trainer { iteration, config, .. } = &self.trainer;
+        let advice = idle::advice(actors, *iteration, &config.environments);
+        if let Some(advice) = advice.filter(|_| !self.advised) {
+            tracing::info!("{advice}");
+            self.advised = true;
+        }
     }
 
     /// Logs the intrinsic rewards of the iteration just finished.

@@ -31,11 +31,13 @@ pub(super) struct Results {
     pub(super) pushes: Arc<Semaphore>,
     /// The stream's share of the byte budget.
     pub(super) share: Option<Arc<Share>>,
+    /// Permits of concurrent checks, over all streams.
+    pub(super) checks: Arc<Semaphore>,
 }
 
 /// Accepts the messages of a stream until it ends or one is rejected.
 pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Results, acks: Acks) {
-    let Results { mut messages, pushes, share } = results;
+    let Results { mut messages, pushes, share, checks } = results;
     let _permit = tokio::select! {
         () = acks.closed() => return,
         permit = pushes.acquire_owned() => permit,
@@ -51,7 +53,7 @@ pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Resul
             Ok(Ok(Some(request))) => {
                 lease = Some(LeaseId(request.lease_id));
                 exchange.count_bytes(proto::wire_bytes(&request));
-                let accepted = accept(&exchange, caller, request).await;
+                let accepted = accept(&exchange, caller, request, &checks).await;
                 share.iter().for_each(|share| share.processed());
                 accepted
             }
@@ -98,7 +100,10 @@ async fn accept(
     exchange: &Arc<Exchange>,
     caller: Caller,
     request: wire::PushTrajectoryRequest,
+    checks: &Semaphore,
 ) -> Result<wire::PushTrajectoryResponse, Status> {
+    // The semaphore is never closed.
+    let _permit = checks.acquire().await;
     let shared = Arc::clone(exchange);
     let lease = LeaseId(request.lease_id);
     let result =
