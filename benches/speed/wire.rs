@@ -77,15 +77,16 @@ pub(crate) fn traffic(_effort: Effort) -> anyhow::Result<Vec<Row>> {
     let mut rows = Vec::new();
     for task in TASKS {
         for core in CORES {
-            rows.push(traffic_row(task, core)?);
+            let settings = Settings::harl(task, &[settings::core(core)])?;
+            rows.push(traffic_row(format!("{task} {core}"), &settings)?);
         }
+        rows.push(traffic_row(format!("{task}, default preset"), &Settings::of(&[task])?)?);
     }
     Ok(rows)
 }
 
-fn traffic_row(task: &str, core: &str) -> anyhow::Result<Row> {
-    let settings = Settings::harl(task, &[settings::core(core)])?;
-    let (slot, snapshot) = recorded(&settings)?;
+fn traffic_row(case: String, settings: &Settings) -> anyhow::Result<Row> {
+    let (slot, snapshot) = recorded(settings)?;
     let environments = &settings.learner.environments;
     let steps = (environments.per_slot * environments.steps) as f64;
     let figures = vec![
@@ -93,7 +94,7 @@ fn traffic_row(task: &str, core: &str) -> anyhow::Result<Row> {
         ("bytes per env step", slot.bytes as f64 / steps),
         ("weights, bytes", snapshot.to_bytes()?.len() as f64),
     ];
-    Ok(Row { case: format!("{task} {core}"), figures })
+    Ok(Row { case, figures })
 }
 
 /// The messages of a slot.
