@@ -216,7 +216,7 @@ pub(crate) struct ActorArguments {
     /// Name in the learner's log [default: host name and process id].
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Number of threads; each steps its own slots, as N actor processes would, but they share connections and weights.
+    /// Number of threads; each steps its own slots, as a separate actor would, but they share connections and weights.
     #[arg(
         long,
         value_name = "N",

@@ -125,7 +125,13 @@ fn a_learner_says_once_how_many_threads_have_no_slot() {
     let dir = format!("run.dir={}", runs.folder("idle").display());
     let own = ["learner", "--listen", &address, TINY[0], &dir, "run.iterations=20"];
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    let learner = command.args(own).args(&TINY[1..]).stderr(Stdio::piped()).spawn().unwrap();
+    let learner = command
+        .args(own)
+        .args(&TINY[1..])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
     // Three threads, two slots.
     let mut actor = actor(&format!("http://{address}"), "3");
     let log = String::from_utf8(learner.wait_with_output().unwrap().stderr).unwrap();

@@ -1,5 +1,5 @@
-//! Main loop of an actor process: its connections to the learner, the registration of its threads, and their leases until
-//! the run is done.
+//! Main loop of an actor process: its connections to the learner, the registration of its threads, and their leases
+//! until the run is done.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::ops::Range;
@@ -21,8 +21,8 @@ use crate::source::Source;
 use crate::stepping::Stepper;
 use crate::trajectory_log::{Log, LogHandle};
 
-/// Threads that share a connection. Each has two leases with a call and a heartbeat at a time, so that they need no more
-/// than the 16 concurrent calls that the learner allows.
+/// Threads that share a connection. Each has two leases with a call and a heartbeat at a time, so that they need no
+/// more than the 16 concurrent calls that the learner allows.
 const THREADS_PER_CONNECTION: usize = 4;
 /// First and longest bound of the delay between two connection attempts.
 const RETRY_DELAY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
@@ -176,8 +176,8 @@ impl Thread {
     }
 }
 
-/// Processes leases, in turns with the other worker of its thread: it holds the stepper from the request of a lease until
-/// its last step, and releases it while the last messages are acknowledged.
+/// Processes leases, in turns with the other worker of its thread: it holds the stepper from the request of a lease
+/// until its last step, and releases it while the last messages are acknowledged.
 struct LeaseWorker<'a> {
     connection: &'a Connection,
     client: Client,

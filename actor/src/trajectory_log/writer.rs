@@ -18,8 +18,8 @@ use crate::error::ActorError;
 use crate::evaluation::EvaluationEpisode;
 use crate::recording::RecordError;
 
-/// Capacity of the queue, leases of each stepping thread. When it is full, new leases are dropped and counted: a slow disk
-/// loses a part of the log but never delays the rollout.
+/// Capacity of the queue, leases of each stepping thread. When it is full, new leases are dropped and counted: a slow
+/// disk loses a part of the log but never delays the rollout.
 const QUEUE: usize = 32;
 
 /// The log of an actor.
@@ -73,8 +73,8 @@ impl Lost {
 }
 
 impl Log {
-    /// Creates the folder and starts the log-writer thread for an actor with this number of stepping threads. `actor` is
-    /// part of the file names.
+    /// Creates the folder and starts the log-writer thread for an actor with this number of stepping threads. `actor`
+    /// is part of the file names.
     pub(crate) fn start(
         config: &LogConfig,
         actor: &str,

@@ -123,8 +123,8 @@ fn reflection(services: &[&str]) -> Builder<'static> {
 #[derive(Debug)]
 struct Learner {
     exchange: Arc<Exchange>,
-    /// Permits of concurrent checks of results, one for each core. More threads would only wait for cores, and each thread
-    /// that has checked a result keeps freed memory.
+    /// Permits of concurrent checks of results, one for each core. More threads would only wait for cores, and each
+    /// thread that has checked a result keeps freed memory.
     checks: Arc<Semaphore>,
 }
 

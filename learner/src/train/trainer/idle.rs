@@ -20,8 +20,8 @@ pub(super) fn advice(
         }
     };
     Some(format!(
-        "{idle} of {actors} actor threads had no work in iteration {iteration}: there are {slots} slots; set {more} in a \
-         new run, or start fewer threads"
+        "{idle} of {actors} actor threads had no work in iteration {iteration}: there are {slots} slots; set {more} in \
+         a new run, or start fewer threads"
     ))
 }
 
@@ -39,8 +39,8 @@ mod tests {
     fn threads_without_a_slot_are_counted_with_the_setting_that_gives_them_one() {
         assert_eq!(
             advice(24, 3, &environments(2)).unwrap(),
-            "14 of 24 actor threads had no work in iteration 3: there are 10 slots; set environments.per_slot=1 (20 slots, \
-             same results) or a larger environments.count in a new run, or start fewer threads"
+            "14 of 24 actor threads had no work in iteration 3: there are 10 slots; set environments.per_slot=1 \
+             (20 slots, same results) or a larger environments.count in a new run, or start fewer threads"
         );
         let line = advice(24, 3, &environments(1)).unwrap();
         assert!(line.contains("there are 20 slots; set a larger environments.count in"), "{line}");
