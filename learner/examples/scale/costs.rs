@@ -138,11 +138,11 @@ pub(crate) mod load {
     /// Environment steps of a slot.
     pub(crate) const STEPS: f64 = 200.0;
     /// An actor's processor seconds for a slot.
-    const ACTOR_SECS: f64 = 0.5e-3;
+    const ACTOR_SECS: f64 = 0.62e-3;
     /// The learner's processor seconds for a slot.
-    const LEARNER_SECS: f64 = 1.2e-3;
+    const LEARNER_SECS: f64 = 1.10e-3;
     /// Time between two processes in which no processor works for them, seconds.
-    const LATENCY_SECS: f64 = 0.1e-3;
+    const LATENCY_SECS: f64 = 0.48e-3;
     /// Duration of the update, seconds.
     const UPDATE_SECS: f64 = 0.58;
 
