@@ -136,7 +136,7 @@ fn a_learner_says_once_how_many_threads_have_no_slot() {
     let mut actor = actor(&format!("http://{address}"), "3");
     let log = String::from_utf8(learner.wait_with_output().unwrap().stderr).unwrap();
     assert!(actor.wait().unwrap().success());
-    let lines = log.lines().filter(|line| line.contains("actor threads had no work"));
+    let lines = log.lines().filter(|line| line.contains("actor threads have no slot"));
     let lines = lines.collect::<Vec<_>>();
     assert_eq!(lines.len(), 1, "{log}");
     assert!(lines[0].contains("1 of 3") && lines[0].contains("per_slot=1 (4 slots"), "{log}");

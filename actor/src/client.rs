@@ -1,4 +1,4 @@
-//! Client of the learner: one connection, deadlines, and a cache of weights.
+//! Client of the learner: one connection and its deadlines.
 
 use std::ops::Range;
 use std::sync::Arc;

@@ -21,7 +21,7 @@ pub(crate) fn leave_out(chunk: &mut wire::TrajectoryChunk, sizes: &Sizes<'_>) {
 /// The chunk with all observations. Restored ones have the shapes of a valid chunk, all others are unchecked.
 ///
 /// # Errors
-/// If an observation is left out that the rule does not give, or what it is a copy of has another type, shape or length.
+/// If an observation is left out that the rule does not give, or its source has another type, shape or length.
 pub(crate) fn restored<'a>(
     wire: &'a wire::TrajectoryChunk,
     sizes: &Sizes<'_>,

@@ -89,7 +89,7 @@ pub enum Start {
     },
 }
 
-/// One whole episode with mean actions. Both fields are part of the key of its reset.
+/// One whole episode. Both fields are part of the key of its reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EvaluationWork {
     /// The iteration whose weights are evaluated.

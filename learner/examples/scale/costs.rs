@@ -19,6 +19,8 @@ pub(crate) struct Task {
     pub(crate) update_secs: f64,
     /// Bytes of the chunks, for each environment step; section `traffic`.
     pub(crate) bytes: f64,
+    /// The same with the observations that the learner restores; section `traffic`.
+    pub(crate) restored_bytes: f64,
     /// Bytes of the weights; section `traffic`.
     pub(crate) weights: f64,
 }
@@ -29,21 +31,24 @@ pub(crate) const TASKS: [Task; 3] = [
         name: "halfcheetah-6x1",
         rate: 6_300.0,
         update_secs: 2.47 / 4_000.0,
-        bytes: 682.0,
+        bytes: 219.0,
+        restored_bytes: 682.0,
         weights: 899_056.0,
     },
     Task {
         name: "ant-4x2",
         rate: 4_700.0,
         update_secs: 0.86 / 4_000.0,
-        bytes: 2_354.0,
+        bytes: 967.0,
+        restored_bytes: 2_354.0,
         weights: 792_832.0,
     },
     Task {
         name: "ant-4x2, slow simulator",
         rate: 100.0,
         update_secs: 0.86 / 4_000.0,
-        bytes: 2_354.0,
+        bytes: 967.0,
+        restored_bytes: 2_354.0,
         weights: 792_832.0,
     },
 ];
@@ -52,8 +57,8 @@ pub(crate) const TASKS: [Task; 3] = [
 pub(crate) const SLOT_STEPS: f64 = 400.0;
 /// Chunks of a slot: 50 steps each.
 const CHUNKS: u32 = 4;
-/// The learner's processor seconds for a byte of a chunk: section `load`.
-const CHECK_SECS_PER_BYTE: f64 = 22e-9;
+/// The learner's processor seconds for a byte of a chunk with all observations: section `load`.
+const CHECK_SECS_PER_BYTE: f64 = 14e-9;
 /// Seconds of a request for work and of another call of the slot table, for each actor that has a lease; section `leases`.
 const CALL_SECS: (f64, f64) = (2e-8, 1e-8);
 /// Bytes per second of the learner's network, each way: 10 Gbit/s.
@@ -88,7 +93,7 @@ pub(crate) fn scenario(task: &Task, threads: usize, actors: usize) -> Scenario {
         step: secs(steps / task.rate),
         update: secs(task.update_secs * SLOT_STEPS * slots as f64 / speed_up),
         cores: Cores::Own(threads),
-        check: secs(steps * task.bytes * CHECK_SECS_PER_BYTE),
+        check: secs(steps * task.restored_bytes * CHECK_SECS_PER_BYTE),
         calls: calls(actors),
         network: Network {
             latency: secs(LATENCY_SECS),
@@ -138,13 +143,13 @@ pub(crate) mod load {
     /// Environment steps of a slot.
     pub(crate) const STEPS: f64 = 200.0;
     /// An actor's processor seconds for a slot.
-    const ACTOR_SECS: f64 = 0.62e-3;
+    const ACTOR_SECS: f64 = 0.29e-3;
     /// The learner's processor seconds for a slot.
-    const LEARNER_SECS: f64 = 1.10e-3;
+    const LEARNER_SECS: f64 = 0.88e-3;
     /// Time between two processes in which no processor works for them, seconds.
-    const LATENCY_SECS: f64 = 0.48e-3;
+    const LATENCY_SECS: f64 = 0.19e-3;
     /// Duration of the update, seconds.
-    const UPDATE_SECS: f64 = 0.58;
+    const UPDATE_SECS: f64 = 0.43;
 
     /// The load test with this many actors.
     pub(crate) fn scenario(actors: usize) -> Scenario {

@@ -1,4 +1,4 @@
-//! How far one learner reaches: a simulation of a learner with 10 to 10,000 actors, from measured costs and with the
+//! How far one learner reaches: a simulation of a learner with 10 to 3,000 actors, from measured costs and with the
 //! learner's own slot table. docs/SCALE.md explains model and results.
 //!
 //! `cargo run --release -p learner --example scale` prints the tables as Markdown. With a path as argument it also writes
@@ -22,7 +22,7 @@ use crate::figures::Totals;
 use crate::scenario::{Duplicates, Scenario};
 
 /// Numbers of actors.
-const ACTORS: [usize; 7] = [10, 30, 100, 300, 1_000, 3_000, 10_000];
+const ACTORS: [usize; 6] = [10, 30, 100, 300, 1_000, 3_000];
 /// Threads of the learner.
 const THREADS: usize = 16;
 /// Iterations before the counted ones: the table does not know yet how long a slot takes.

@@ -1,4 +1,4 @@
-//! A cheap proof that an actor acted as it says: the learner runs the named policy over the chunk's own
+//! A spot check that an actor acted as it says: the learner runs the named policy over the chunk's own
 //! observations, from the stored recurrent states, and compares. Wrong weights or another order of observations show
 //! in the first step of the first chunk. Later steps and recurrent states are checked in a sample of the chunks.
 

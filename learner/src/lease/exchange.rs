@@ -268,7 +268,12 @@ impl Exchange {
             // Registered before the table is asked, so that no wake is missed in between.
             let mut freed = std::pin::pin!(self.work.notified());
             freed.as_mut().enable();
-            let offer = self.change(|shared| shared.table.lease(sender, actor, incarnation));
+            // The deadline is read under the same lock: time may pass it in between, and nobody else is woken for it.
+            let (offer, deadline) = self.change(|shared| {
+                let offer = shared.table.lease(sender, actor, incarnation);
+                let idle = matches!(offer, Ok(Offer::Nothing));
+                (offer, idle.then(|| shared.table.next_deadline()).flatten())
+            });
             let left = end.saturating_sub(self.begun.elapsed());
             let pause = match offer? {
                 Offer::Lease(lease) => return Ok(LeaseAnswer::Lease(lease)),
@@ -276,10 +281,7 @@ impl Exchange {
                 _ if left.is_zero() => return Ok(retry(RETRY)),
                 Offer::Quarantined(wait) if wait > left => return Ok(retry(wait)),
                 Offer::Quarantined(wait) => wait,
-                Offer::Nothing => {
-                    let deadline = self.lock().table.next_deadline();
-                    deadline.map_or(left, |at| left.min(self.until(at)))
-                }
+                Offer::Nothing => deadline.map_or(left, |at| left.min(self.until(at))),
             };
             // Either way the table is asked again: woken, or an open lease may have ended.
             let _ = tokio::time::timeout(pause, freed).await;

@@ -48,10 +48,10 @@ const KEEPALIVE: Duration = Duration::from_secs(20);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Most concurrent streams of one connection.
 const MOST_STREAMS: u32 = 16;
-/// Flow-control window of one stream, bytes.
-const STREAM_WINDOW: u32 = 1 << 20;
 /// Flow-control window of one connection, bytes.
 const CONNECTION_WINDOW: u32 = 4 << 20;
+/// Flow-control window of one stream, bytes. Result streams that wait to be checked leave room for other calls.
+const STREAM_WINDOW: u32 = CONNECTION_WINDOW / (connections::MOST_PUSHES as u32 + 2);
 /// Largest HTTP/2 frame, bytes. Most chunks fit into one, instead of many frames of the default 16 KiB.
 const MOST_FRAME_BYTES: u32 = 256 << 10;
 /// Most bytes of all headers of one request.

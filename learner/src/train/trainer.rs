@@ -272,8 +272,7 @@ impl RunningTrainer {
 
     /// Logs once that there are more actor threads than slots.
     fn advise(&mut self, actors: u64) {
-        let Trainer { iteration, config, .. } = &self.trainer;
-        let advice = idle::advice(actors, *iteration, &config.environments);
+        let advice = idle::advice(actors, &self.trainer.config.environments);
         if let Some(advice) = advice.filter(|_| !self.advised) {
             tracing::info!("{advice}");
             self.advised = true;

@@ -28,7 +28,7 @@ use crate::token::RequiredToken;
 
 /// Most concurrent result streams of one connection. Four threads of an actor share one, each works on at most two leases
 /// at a time.
-const MOST_PUSHES: usize = 8;
+pub(super) const MOST_PUSHES: usize = 8;
 /// Most connections of one address, so that one machine cannot use up all connections.
 const MOST_OF_ONE_ADDRESS: usize = 512;
 /// Time between two warnings that connections are closed for new ones.

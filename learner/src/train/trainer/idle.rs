@@ -3,11 +3,7 @@
 use crate::config::EnvironmentsConfig;
 
 /// Number of `actors` that cannot have a slot, and what to set in a new run; `None` if there are enough slots.
-pub(super) fn advice(
-    actors: u64,
-    iteration: u64,
-    environments: &EnvironmentsConfig,
-) -> Option<String> {
+pub(super) fn advice(actors: u64, environments: &EnvironmentsConfig) -> Option<String> {
     let slots = environments.slots() as u64;
     let idle = actors.checked_sub(slots).filter(|idle| *idle > 0)?;
     let more = match environments.per_slot {
@@ -20,7 +16,7 @@ pub(super) fn advice(
         }
     };
     Some(format!(
-        "{idle} of {actors} actor threads had no work in iteration {iteration}: there are {slots} slots; set {more} in \
+        "{idle} of {actors} actor threads have no slot: there are {slots} slots; set {more} in \
          a new run, or start fewer threads"
     ))
 }
@@ -38,16 +34,16 @@ mod tests {
     #[test]
     fn threads_without_a_slot_are_counted_with_the_setting_that_gives_them_one() {
         assert_eq!(
-            advice(24, 3, &environments(2)).unwrap(),
-            "14 of 24 actor threads had no work in iteration 3: there are 10 slots; set environments.per_slot=1 \
+            advice(24, &environments(2)).unwrap(),
+            "14 of 24 actor threads have no slot: there are 10 slots; set environments.per_slot=1 \
              (20 slots, same results) or a larger environments.count in a new run, or start fewer threads"
         );
-        let line = advice(24, 3, &environments(1)).unwrap();
+        let line = advice(24, &environments(1)).unwrap();
         assert!(line.contains("there are 20 slots; set a larger environments.count in"), "{line}");
     }
 
     #[test]
     fn there_is_no_advice_while_every_thread_can_have_a_slot() {
-        assert_eq!(advice(10, 3, &environments(2)), None);
+        assert_eq!(advice(10, &environments(2)), None);
     }
 }
