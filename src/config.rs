@@ -4,6 +4,7 @@
 pub(crate) mod environment_section;
 pub(crate) mod error;
 pub(crate) mod keys;
+mod layer;
 pub(crate) mod layers;
 pub(crate) mod own_task;
 pub(crate) mod presets;

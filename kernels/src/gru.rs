@@ -97,7 +97,7 @@ impl Gru {
         for (gate, weights) in self.input.iter().enumerate() {
             let start = Start::Bias(&self.input_bias[gate]);
             let into = trace.gates[gate].range_mut(0, rows);
-            simd.product(&weights.forward(x.range(0, rows), into, rows, start));
+            simd.outlined(&weights.forward(x.range(0, rows), into, rows, start));
         }
         for step in 0..sequences.steps() {
             let (from, to) = (step * count, (step + 1) * count);
@@ -114,7 +114,7 @@ impl Gru {
                     _ => (gate, Start::Result),
                 };
                 let into = trace.gates[place].range_mut(from, to);
-                simd.product(&weights.forward(before, into, count, start));
+                simd.outlined(&weights.forward(before, into, count, start));
             }
             let gates = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
             cells(simd, gates, before, states.range_mut(from, to));
@@ -142,7 +142,7 @@ impl Gru {
                 let place = if gate == 2 { 3 } else { gate };
                 let d = trace.gates[place].range(from, to);
                 let later = trace.state.range_mut(0, count);
-                simd.product(&weights.backward(d, later, count, Start::Result));
+                simd.outlined(&weights.backward(d, later, count, Start::Result));
             }
             let later = trace.state.range_mut(0, count);
             reset(simd, later, &mask[from..to], stride(self.hidden));
@@ -162,7 +162,7 @@ impl Gru {
         for (gate, weights) in self.input.iter().enumerate() {
             let start = if gate == 0 { Start::Zero } else { Start::Result };
             let d = trace.gates[gate].range(0, rows);
-            simd.product(&weights.backward(d, dx.range_mut(0, rows), rows, start));
+            simd.outlined(&weights.backward(d, dx.range_mut(0, rows), rows, start));
         }
     }
 
@@ -183,12 +183,12 @@ impl Gru {
         for gate in 0..GATES {
             let d = trace.gates[gate].range(0, rows);
             let into = &mut input[gate * hidden * inputs..][..hidden * inputs];
-            simd.product(&self.input[gate].gradient(d, x.range(0, rows), rows, into));
+            simd.outlined(&self.input[gate].gradient(d, x.range(0, rows), rows, into));
             add_rows(simd, d, &mut input_bias[gate * hidden..][..hidden]);
             let d = trace.gates[if gate == 2 { 3 } else { gate }].range(0, rows);
             let into = &mut recurrent[gate * hidden * hidden..][..hidden * hidden];
             let before = trace.before.range(0, rows);
-            simd.product(&self.recurrent[gate].gradient(d, before, rows, into));
+            simd.outlined(&self.recurrent[gate].gradient(d, before, rows, into));
             add_rows(simd, d, &mut recurrent_bias[gate * hidden..][..hidden]);
         }
     }

@@ -23,6 +23,7 @@ mod norm;
 mod packed;
 mod product;
 mod simd;
+mod width;
 mod workspace;
 
 use core::sync::atomic::{AtomicU8, Ordering};
@@ -31,7 +32,7 @@ pub use gru::Sequences;
 pub use math::{sigmoid, tanh};
 pub use network::{Activation, Layer, Network};
 pub use packed::{Input, Packed};
-pub use simd::Width;
+pub use width::Width;
 pub use workspace::Workspace;
 
 /// Added to the variance in a layer norm, before the square root.

@@ -116,10 +116,10 @@ impl Linear {
     pub(crate) fn forward<S: Simd>(&self, simd: S, x: &[Line], y: &mut [Line], rows: usize) {
         let product = self.weights.forward(x, y, rows, Start::Bias(&self.bias));
         match self.activation {
-            Activation::Identity => simd.product(&product),
-            Activation::Relu => simd.product(&product.rectified()),
+            Activation::Identity => simd.outlined(&product),
+            Activation::Relu => simd.outlined(&product.rectified()),
             Activation::Tanh => {
-                simd.product(&product);
+                simd.outlined(&product);
                 for line in y {
                     simd.store(tanh_of(simd, simd.load(line)), line);
                 }
@@ -144,11 +144,11 @@ impl Linear {
         if let Some(parameters) = parameters {
             let weights = self.weights.inputs * self.weights.outputs;
             let (weight, bias) = parameters.split_at_mut(weights);
-            simd.product(&self.weights.gradient(g, x, rows, weight));
+            simd.outlined(&self.weights.gradient(g, x, rows, weight));
             add_rows(simd, g, bias);
         }
         if let Some(dx) = dx {
-            simd.product(&self.weights.backward(g, dx, rows, Start::Zero));
+            simd.outlined(&self.weights.backward(g, dx, rows, Start::Zero));
         }
     }
 

@@ -6,7 +6,7 @@
 use core::marker::PhantomData;
 
 use crate::buffer::stride;
-use crate::simd::{LANES, Line, Simd};
+use crate::simd::{LANES, Line, Operation, Simd};
 
 /// The left operand, a strided matrix: element `(i, k)` is `data[i * outer + k * inner]`.
 #[derive(Clone, Copy)]
@@ -129,26 +129,30 @@ impl<'a> Product<'a> {
     }
 }
 
-/// Computes `product`. Inlined into functions compiled for one register width.
-#[inline(always)]
-pub(crate) fn run<S: Simd>(simd: S, product: &Product<'_>) {
-    let tiles = product.left.rows.div_ceil(S::TILE_ROWS);
-    let (height, taller) = (product.left.rows / tiles, product.left.rows % tiles);
-    let groups = product.columns.div_ceil(LANES);
-    let whole = if product.padded { groups } else { product.columns / LANES };
-    let side_by_side = groups_of_tile::<S>(height + usize::from(taller > 0));
-    let mut group = 0;
-    while group < groups {
-        let count = if group + side_by_side <= whole { side_by_side } else { 1 };
-        let mut row = 0;
-        for tile in 0..tiles {
-            let rows = height + usize::from(tile < taller);
-            // SAFETY: `row + rows` is at most the number of rows and `group + count` the number of groups; several
-            // groups are whole. `Product::new` and its callers checked the extents.
-            unsafe { tile_of(simd, product, (group, count), (row, rows)) };
-            row += rows;
+/// Computes the product.
+impl Operation for &Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let tiles = self.left.rows.div_ceil(S::TILE_ROWS);
+        let (height, taller) = (self.left.rows / tiles, self.left.rows % tiles);
+        let groups = self.columns.div_ceil(LANES);
+        let whole = if self.padded { groups } else { self.columns / LANES };
+        let side_by_side = groups_of_tile::<S>(height + usize::from(taller > 0));
+        let mut group = 0;
+        while group < groups {
+            let count = if group + side_by_side <= whole { side_by_side } else { 1 };
+            let mut row = 0;
+            for tile in 0..tiles {
+                let rows = height + usize::from(tile < taller);
+                // SAFETY: `row + rows` is at most the number of rows and `group + count` the number of groups; several
+                // groups are whole. `Product::new` and its callers checked the extents.
+                unsafe { tile_of(simd, self, (group, count), (row, rows)) };
+                row += rows;
+            }
+            group += count;
         }
-        group += count;
     }
 }
 

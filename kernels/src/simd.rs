@@ -4,12 +4,10 @@
 //! across lanes add in one fixed order: lanes `i + 8`, `+ 4`, `+ 2`, `+ 1`.
 
 #[cfg(target_arch = "aarch64")]
-mod neon;
-mod scalar;
+pub(crate) mod neon;
+pub(crate) mod scalar;
 #[cfg(target_arch = "x86_64")]
-mod x86;
-
-use crate::product::Product;
+pub(crate) mod x86;
 
 /// Lanes of a vector.
 pub(crate) const LANES: usize = 16;
@@ -54,89 +52,14 @@ pub(crate) trait Simd: Copy {
     fn where_positive(self, x: Self::Vector, y: Self::Vector) -> Self::Vector;
     /// Sum of the lanes in the fixed order.
     fn sum(self, x: Self::Vector) -> f32;
-    /// [`crate::product::run`], compiled for this register width.
-    fn product(self, product: &Product<'_>);
+    /// Runs `operation` as a function of its own, compiled for this register width.
+    fn outlined<O: Operation>(self, operation: O) -> O::Output;
 }
 
 /// A computation that is compiled for each register width.
 pub(crate) trait Operation {
     type Output;
 
-    /// Everything it calls is inlined, except [`Simd::product`].
+    /// Everything it calls is inlined, except what it gives to [`Simd::outlined`].
     fn run<S: Simd>(self, simd: S) -> Self::Output;
-}
-
-/// Register width of the kernels. All widths give the same bits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Width {
-    /// No vector instructions.
-    Scalar = 1,
-    /// 256 bits, x86-64 with AVX2 and FMA.
-    Avx2,
-    /// 512 bits, x86-64 with AVX-512F.
-    Avx512,
-    /// 128 bits, aarch64.
-    Neon,
-}
-
-impl Width {
-    /// All widths in ascending order.
-    pub const ALL: [Self; 4] = [Self::Scalar, Self::Neon, Self::Avx2, Self::Avx512];
-
-    /// The name in `S2MIA_SIMD`.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Scalar => "scalar",
-            Self::Avx2 => "avx2",
-            Self::Avx512 => "avx512",
-            Self::Neon => "neon",
-        }
-    }
-
-    /// The width with this name.
-    #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|width| width.name() == name)
-    }
-
-    /// Whether this processor supports the width.
-    #[must_use]
-    pub fn is_available(self) -> bool {
-        match self {
-            Self::Scalar => true,
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => x86::has_avx2(),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => x86::has_avx512(),
-            #[cfg(target_arch = "aarch64")]
-            Self::Neon => true,
-            _ => false,
-        }
-    }
-
-    /// The widest that this processor supports.
-    #[must_use]
-    pub fn widest() -> Self {
-        let available = Self::ALL.into_iter().rev().find(|width| width.is_available());
-        available.unwrap_or(Self::Scalar)
-    }
-
-    /// Runs `operation` at this width.
-    ///
-    /// # Panics
-    /// If the processor does not support this width.
-    pub(crate) fn run<O: Operation>(self, operation: O) -> O::Output {
-        assert!(self.is_available(), "{} is not available on this processor", self.name());
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => x86::run_avx2(operation),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => x86::run_avx512(operation),
-            #[cfg(target_arch = "aarch64")]
-            Self::Neon => neon::run(operation),
-            _ => scalar::run(operation),
-        }
-    }
 }

@@ -3,8 +3,8 @@
 
 use std::borrow::Cow;
 
+use crate::sizes::Sizes;
 use crate::tensor::{self, Floats};
-use crate::trajectory::Sizes;
 use crate::{FeatureRole, FeatureSpec, Reason, Refusal, wire};
 
 /// Leaves out the observations that [`restored`] gives back bit for bit.

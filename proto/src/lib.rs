@@ -20,6 +20,7 @@ mod read;
 mod refusal;
 mod run;
 mod share_rewards;
+mod sizes;
 mod status;
 mod tensor;
 mod trajectory;

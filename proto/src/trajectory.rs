@@ -3,6 +3,7 @@
 
 use bytes::Bytes;
 
+use crate::sizes::Sizes;
 use crate::{Digest, RolloutOrigin, RunDescription, digest, left_out, tensor, wire};
 
 /// Consecutive steps of one slot: `t` steps of `E` environments.
@@ -75,46 +76,6 @@ pub struct EvaluationResult {
     pub extrinsic_return: f64,
     /// Length of the episode in steps.
     pub steps: u32,
-}
-
-/// Sizes of one chunk of a run with a validated description.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Sizes<'a> {
-    pub(crate) run: &'a RunDescription,
-    pub(crate) steps: usize,
-    pub(crate) environments: usize,
-    pub(crate) state: usize,
-}
-
-impl<'a> Sizes<'a> {
-    pub(crate) fn of(run: &'a RunDescription) -> Self {
-        Self {
-            run,
-            steps: run.chunk_steps as usize,
-            environments: run.environments_per_slot as usize,
-            state: run.environment.state.len(),
-        }
-    }
-
-    pub(crate) fn agents(&self) -> usize {
-        self.run.environment.agents.len()
-    }
-
-    pub(crate) fn observation(&self, agent: usize) -> usize {
-        self.run.environment.agents[agent].observation.len()
-    }
-
-    pub(crate) fn action(&self, agent: usize) -> usize {
-        self.run.environment.agents[agent].action.size as usize
-    }
-
-    pub(crate) fn hidden(&self, agent: usize) -> usize {
-        self.run.hidden_sizes[agent] as usize
-    }
-
-    pub(crate) fn stored(&self) -> usize {
-        self.steps / self.run.hidden_every as usize
-    }
 }
 
 impl TrajectoryChunk {

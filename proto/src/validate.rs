@@ -6,8 +6,8 @@
 mod acting;
 
 use crate::read::{bad_value, equal, from_1_to, length, required};
+use crate::sizes::Sizes;
 use crate::tensor::{Flags, Floats, MAX_MAGNITUDE};
-use crate::trajectory::Sizes;
 use crate::work::state_size;
 use crate::{
     AgentChunk, Digest, EvaluationResult, FinalStep, Reason, Refusal, RolloutOrigin,

@@ -4,25 +4,27 @@ mod assemble;
 mod blueprint;
 mod convex;
 mod document;
-mod files;
+mod folder;
 mod frame;
 mod inertia;
 mod layout;
 mod mesh;
 mod model;
+mod model_files;
 mod neighbourhood;
 mod softness;
 
 use std::borrow::Cow;
 
 use crate::error::SimError;
+use crate::scene::{LinkShape, parts};
 use crate::state::StateBounds;
 
 pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
 pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan, ShapePlan};
 pub(crate) use convex::Convex;
-pub use files::ModelFiles;
 pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind, MotorMap};
+pub use model_files::ModelFiles;
 pub(crate) use neighbourhood::Neighbourhood;
 pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
 
@@ -71,7 +73,7 @@ impl Robot {
         let no_file = |path: &str| {
             Err(format!("{path}: the model of a task is one document without other files"))
         };
-        let mut folder = files::Folder::new(&row.name, &no_file).map_err(refused)?;
+        let mut folder = folder::Folder::new(&row.name, &no_file).map_err(refused)?;
         let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
         blueprint.integration = row.integration.unwrap_or(blueprint.integration);
         blueprint.soften(&row.contacts, row.margin, &row.limits);
@@ -94,7 +96,7 @@ impl Robot {
             let found = model.files.get(path).cloned();
             found.ok_or_else(|| format!("the model has no file `{path}`"))
         };
-        let mut folder = files::Folder::new(&model.document, &source).map_err(refused)?;
+        let mut folder = folder::Folder::new(&model.document, &source).map_err(refused)?;
         let text = folder.document().map_err(refused)?;
         let blueprint = model::read(&text, &mut folder).map_err(refused)?;
         let name = Cow::Owned(name.to_owned());
@@ -197,6 +199,28 @@ impl Robot {
             inertia.sort_by(f32::total_cmp);
             (link.name.as_str(), link.mass.mass(), inertia)
         })
+    }
+
+    /// Shapes of the robot, link by link.
+    pub fn shapes(&self) -> Vec<LinkShape> {
+        let of_link = |link: &LinkPlan| {
+            let name = link.name.clone();
+            let shape = move |plan: &ShapePlan| {
+                let (position, quaternion) = parts(&plan.pose);
+                LinkShape { link: name.clone(), shape: plan.shape.clone(), position, quaternion }
+            };
+            link.shapes.iter().map(shape).collect::<Vec<_>>()
+        };
+        self.blueprint().links.iter().flat_map(of_link).collect()
+    }
+
+    /// Positions of the hinges in the frames of their child links, metres, in the order of a pose's joints.
+    pub fn hinge_positions(&self) -> Vec<[f32; 3]> {
+        let anchor = |link: &LinkPlan| match &link.joint {
+            JointPlan::Hinge(hinge) => Some(hinge.anchor.to_array()),
+            _ => None,
+        };
+        self.blueprint().links.iter().filter_map(anchor).collect()
     }
 
     /// Seconds that one environment step simulates.

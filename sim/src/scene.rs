@@ -1,11 +1,10 @@
-//! Shapes and poses of a robot's links, for recordings and the live view.
+//! Shapes and poses of links, for recordings and the live view.
 
 use std::sync::Arc;
 
 use rapier3d::math::Pose as Transform;
 
 use crate::description::Description;
-use crate::robot::{JointPlan, LinkPlan, Robot, ShapePlan};
 
 /// Most capsules side by side in the drawing of a box.
 const MOST_BESIDE: f32 = 5.0;
@@ -207,30 +206,6 @@ impl Hull {
         self.points.iter().fold(start, |[low, high], point| {
             [[0, 1, 2].map(|i| low[i].min(point[i])), [0, 1, 2].map(|i| high[i].max(point[i]))]
         })
-    }
-}
-
-impl Robot {
-    /// Shapes of the robot, link by link.
-    pub fn shapes(&self) -> Vec<LinkShape> {
-        let of_link = |link: &LinkPlan| {
-            let name = link.name.clone();
-            let shape = move |plan: &ShapePlan| {
-                let (position, quaternion) = parts(&plan.pose);
-                LinkShape { link: name.clone(), shape: plan.shape.clone(), position, quaternion }
-            };
-            link.shapes.iter().map(shape).collect::<Vec<_>>()
-        };
-        self.blueprint().links.iter().flat_map(of_link).collect()
-    }
-
-    /// Positions of the hinges in the frames of their child links, metres, in the order of a pose's joints.
-    pub fn hinge_positions(&self) -> Vec<[f32; 3]> {
-        let anchor = |link: &LinkPlan| match &link.joint {
-            JointPlan::Hinge(hinge) => Some(hinge.anchor.to_array()),
-            _ => None,
-        };
-        self.blueprint().links.iter().filter_map(anchor).collect()
     }
 }
 

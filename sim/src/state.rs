@@ -5,13 +5,15 @@
 //! last actions f32 `[na]`.
 
 use crate::error::StateError;
-use crate::world::contact_forces::LARGEST;
 
 const MARK: &[u8; 4] = b"s2st";
 const HEADER_BYTES: usize = 28;
 
 /// Version of the layout above.
 pub(crate) const STATE_VERSION: u32 = 1;
+
+/// Contact torques (N m) and forces (N) are clipped to plus and minus this value.
+pub(crate) const LARGEST_CONTACT_FORCE: f32 = 1.0;
 
 /// Complete state from which an environment continues.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,7 +98,7 @@ impl State {
         };
         bounds.check_episode(state.step, state.limit)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
-        check_all("contact force", &state.contact_forces, LARGEST)?;
+        check_all("contact force", &state.contact_forces, LARGEST_CONTACT_FORCE)?;
         check_all("action", &state.actions, f32::MAX)?;
         Ok(state)
     }

@@ -8,7 +8,7 @@ use serde_json::json;
 use crate::cli::StatusArguments;
 use crate::cli::patience;
 use crate::commands::control::{operator, url};
-use crate::config::run_config::RunConfig;
+use crate::config::run_settings::config_of_run;
 use crate::figures::chart::thousands;
 use crate::process::{output, runtime};
 use crate::run::checkpointed;
@@ -52,7 +52,7 @@ impl AtRest {
             iteration: loaded.checkpoint.iteration,
             env_steps: loaded.checkpoint.env_steps,
         });
-        let (run_id, iterations) = (run_path::name(run), RunConfig::of_run(run)?.iterations());
+        let (run_id, iterations) = (run_path::name(run), config_of_run(run)?.iterations());
         Ok(Self { run_id, newest, iterations })
     }
 

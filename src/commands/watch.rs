@@ -16,7 +16,7 @@ use crate::cli::WatchArguments;
 use crate::commands::control::{address, operator, url};
 use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;
-use crate::config::run_config::RunConfig;
+use crate::config::run_settings::config_of_run;
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
 use crate::process::{output, runtime, signals};
@@ -68,7 +68,7 @@ fn live(arguments: &WatchArguments) -> anyhow::Result<()> {
     if url(&arguments.learner)?.is_none() {
         checkpointed::trained(&folder)?;
     }
-    let show = Show { config: RunConfig::of_run(&folder)?, folder };
+    let show = Show { config: config_of_run(&folder)?, folder };
     let place = Place {
         address: arguments.listen.unwrap_or(LIVE),
         flag: "--listen",

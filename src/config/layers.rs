@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::ConfigError;
 use super::keys;
+use super::layer::Layer;
 use super::own_task::OwnTask;
 use super::presets::{self, Preset};
 use super::resolved::{Entry, Resolved};
@@ -57,12 +58,6 @@ impl Request {
             .collect();
         Self { files, environment, settings, ..Self::default() }
     }
-}
-
-/// Values of one place.
-pub(super) struct Layer {
-    pub(super) place: String,
-    pub(super) values: BTreeMap<String, Scalar>,
 }
 
 /// What a file of `configs/presets` says, by what it says it for.

@@ -9,7 +9,7 @@ use std::path::Path;
 use sim::{ModelFiles, TaskDefinition};
 
 use super::error::ConfigError;
-use super::layers::Layer;
+use super::layer::Layer;
 use super::scalar::Scalar;
 
 /// Text of the task file; empty for a task of the program.

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
 
 use crate::config::environment_section::EnvironmentSection;
-use crate::config::{ConfigError, Request, Resolved, layers, own_task, run_settings};
+use crate::config::{ConfigError, Request, Resolved, layers, own_task};
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -72,11 +72,6 @@ impl RunConfig {
         let key = named.into_iter().chain(others).find(to_blame).map_or("run", String::as_str);
         let place = resolved.origin(key).to_owned();
         Err(ConfigError::Refused { place, key: key.to_owned(), detail })
-    }
-
-    /// The configuration of an existing run.
-    pub(crate) fn of_run(folder: &Path) -> Result<Self, ConfigError> {
-        run_settings::settings_of_run(folder).map(|(_, config)| config)
     }
 
     pub(super) fn of_file(file: &Path) -> Result<Self, ConfigError> {

@@ -20,6 +20,11 @@ pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), Con
     Ok((copy, config))
 }
 
+/// The configuration of the run in `folder`.
+pub(crate) fn config_of_run(folder: &Path) -> Result<RunConfig, ConfigError> {
+    settings_of_run(folder).map(|(_, config)| config)
+}
+
 /// Refuses settings with another hash than the run's manifest records.
 fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
     let found = policy::arrays::hex(&config.resolved.sha256());

@@ -8,7 +8,7 @@ use learner::run_folder::RunFolder;
 use serde_json::Value;
 
 use super::plan::PlannedRun;
-use crate::config::run_config::RunConfig;
+use crate::config::run_settings::config_of_run;
 use crate::run::{resume, run_path};
 
 /// Number of bytes that contains the last lines of a `metrics.jsonl`.
@@ -81,7 +81,7 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     if !RunFolder::holds_run(&run.folder) {
         return None;
     }
-    let same = RunConfig::of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));
+    let same = config_of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));
     same.err().map(|error| format!("{} holds another run: {error}", run.folder.display()))
 }
 

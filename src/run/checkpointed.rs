@@ -10,6 +10,7 @@ use policy::{PolicySnapshot, RunSeed};
 use proto::{Digest, PolicyVersion, WeightsName};
 
 use crate::config::run_config::RunConfig;
+use crate::config::run_settings::config_of_run;
 use crate::run::run_path::demand_run;
 
 /// A trained policy with the settings of its run.
@@ -57,7 +58,7 @@ pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
 /// The newest policy of a run.
 pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     let loaded = load(run)?;
-    let config = RunConfig::of_run(run)?;
+    let config = config_of_run(run)?;
     let policy = PolicySnapshot::from_bytes(&loaded.checkpoint.policy)
         .with_context(|| format!("cannot read the policy in {}", loaded.path.display()))?;
     let (iteration, env_steps) = (loaded.checkpoint.iteration, loaded.checkpoint.env_steps);

@@ -11,7 +11,7 @@ use learner::service::ServedPolicies;
 use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
-use crate::config::run_config::RunConfig;
+use crate::config::run_settings::config_of_run;
 use crate::run::checkpointed;
 use crate::run::offered::Stage;
 use crate::run::run_path;
@@ -35,7 +35,7 @@ impl ServedRun {
     /// The run has no valid checkpoint, or its environment cannot be reached.
     pub(crate) fn open(folder: &Path) -> anyhow::Result<Self> {
         let loaded = checkpointed::load(folder)?;
-        let config = RunConfig::of_run(folder)?;
+        let config = config_of_run(folder)?;
         let stage = Stage::of(&config)?;
         let environment = actor::environment_spec(stage.environment.description());
         let hidden = |_: &AgentSpec| config.policy.hidden_size() as u32;

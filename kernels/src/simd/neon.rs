@@ -3,19 +3,14 @@
 use core::arch::aarch64::*;
 
 use super::{Line, Operation, Simd};
-use crate::product::{self, Product};
 
 #[derive(Clone, Copy)]
-pub(super) struct Neon;
+pub(crate) struct Neon;
 
 /// Runs `operation` with NEON.
-pub(super) fn run<O: Operation>(operation: O) -> O::Output {
-    operation.run(Neon)
-}
-
 #[inline(never)]
-fn product_neon(product: &Product<'_>) {
-    product::run(Neon, product);
+pub(crate) fn run<O: Operation>(operation: O) -> O::Output {
+    operation.run(Neon)
 }
 
 type Four = [float32x4_t; 4];
@@ -109,7 +104,7 @@ impl Simd for Neon {
     }
 
     #[inline(always)]
-    fn product(self, product: &Product<'_>) {
-        product_neon(product);
+    fn outlined<O: Operation>(self, operation: O) -> O::Output {
+        run(operation)
     }
 }

@@ -1,17 +1,16 @@
 //! Sixteen lanes as an array: the reference for the other widths.
 
 use super::{LANES, Line, Operation, Simd};
-use crate::product::{self, Product};
 
 /// A fused multiply-add is one instruction if the processor has it, otherwise a slow call with the same result.
 #[derive(Clone, Copy)]
-pub(super) struct Scalar {
+pub(crate) struct Scalar {
     #[cfg(target_arch = "x86_64")]
     fma: bool,
 }
 
 /// Runs `operation` without vector instructions.
-pub(super) fn run<O: Operation>(operation: O) -> O::Output {
+pub(crate) fn run<O: Operation>(operation: O) -> O::Output {
     #[cfg(target_arch = "x86_64")]
     {
         let fma = std::arch::is_x86_feature_detected!("fma");
@@ -27,14 +26,9 @@ pub(super) fn run<O: Operation>(operation: O) -> O::Output {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "fma")]
+#[inline(never)]
 fn with_fma<O: Operation>(operation: O) -> O::Output {
     operation.run(Scalar { fma: true })
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "fma")]
-fn product_with_fma(simd: Scalar, product: &Product<'_>) {
-    product::run(simd, product);
 }
 
 #[inline(always)]
@@ -129,12 +123,12 @@ impl Simd for Scalar {
     }
 
     #[inline(always)]
-    fn product(self, product: &Product<'_>) {
+    fn outlined<O: Operation>(self, operation: O) -> O::Output {
         #[cfg(target_arch = "x86_64")]
         if self.fma {
             // SAFETY: the processor has FMA.
-            return unsafe { product_with_fma(self, product) };
+            return unsafe { with_fma(operation) };
         }
-        product::run(self, product);
+        operation.run(self)
     }
 }

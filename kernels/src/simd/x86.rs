@@ -3,56 +3,47 @@
 use core::arch::x86_64::*;
 
 use super::{LANES, Line, Operation, Simd};
-use crate::product::{self, Product};
 
 /// Exists only if [`has_avx2`] is true.
 #[derive(Clone, Copy)]
-pub(super) struct Avx2(());
+pub(crate) struct Avx2(());
 
 /// Exists only if [`has_avx512`] is true.
 #[derive(Clone, Copy)]
-pub(super) struct Avx512(());
+pub(crate) struct Avx512(());
 
-pub(super) fn has_avx2() -> bool {
+pub(crate) fn has_avx2() -> bool {
     std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma")
 }
 
-pub(super) fn has_avx512() -> bool {
+pub(crate) fn has_avx512() -> bool {
     has_avx2() && std::arch::is_x86_feature_detected!("avx512f")
 }
 
 /// Runs `operation` with AVX2. Panics unless [`has_avx2`] is true.
-pub(super) fn run_avx2<O: Operation>(operation: O) -> O::Output {
+pub(crate) fn run_avx2<O: Operation>(operation: O) -> O::Output {
     assert!(has_avx2(), "AVX2 and FMA are missing");
     // SAFETY: just checked.
     unsafe { with_avx2(operation) }
 }
 
 /// Runs `operation` with AVX-512. Panics unless [`has_avx512`] is true.
-pub(super) fn run_avx512<O: Operation>(operation: O) -> O::Output {
+pub(crate) fn run_avx512<O: Operation>(operation: O) -> O::Output {
     assert!(has_avx512(), "AVX-512F is missing");
     // SAFETY: just checked.
     unsafe { with_avx512(operation) }
 }
 
 #[target_feature(enable = "avx2,fma")]
+#[inline(never)]
 fn with_avx2<O: Operation>(operation: O) -> O::Output {
     operation.run(Avx2(()))
 }
 
 #[target_feature(enable = "avx2,fma,avx512f")]
+#[inline(never)]
 fn with_avx512<O: Operation>(operation: O) -> O::Output {
     operation.run(Avx512(()))
-}
-
-#[target_feature(enable = "avx2,fma")]
-fn product_avx2(simd: Avx2, product: &Product<'_>) {
-    product::run(simd, product);
-}
-
-#[target_feature(enable = "avx2,fma,avx512f")]
-fn product_avx512(simd: Avx512, product: &Product<'_>) {
-    product::run(simd, product);
 }
 
 /// Sum of eight lanes: `i + 4`, `+ 2`, `+ 1`.
@@ -163,9 +154,9 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn product(self, product: &Product<'_>) {
+    fn outlined<O: Operation>(self, operation: O) -> O::Output {
         // SAFETY: as in `splat`.
-        unsafe { product_avx2(self, product) }
+        unsafe { with_avx2(operation) }
     }
 }
 
@@ -262,8 +253,8 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn product(self, product: &Product<'_>) {
+    fn outlined<O: Operation>(self, operation: O) -> O::Output {
         // SAFETY: as in `splat`.
-        unsafe { product_avx512(self, product) }
+        unsafe { with_avx512(operation) }
     }
 }

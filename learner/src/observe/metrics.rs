@@ -10,6 +10,7 @@ mod restore;
 mod table;
 mod tags;
 mod view;
+mod views;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -18,7 +19,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde_json::{Map, Value, json};
 
 pub use self::curves::{Curve, Curves};
-use self::view::Views;
+use self::views::Views;
 use crate::config::MetricsConfig;
 use crate::durable::FileError;
 use crate::evaluation::Spread;

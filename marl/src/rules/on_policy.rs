@@ -4,6 +4,7 @@
 pub(crate) mod agent;
 pub(crate) mod ascent;
 mod counted;
+pub(crate) mod experience;
 mod heads;
 pub(crate) mod kl_budget;
 mod memory;
@@ -24,8 +25,9 @@ use crate::objective::actor_loss::Figures;
 use crate::objective::advantage::{Horizon, advantage};
 use crate::objective::surrogate::normalized_advantage;
 use crate::rules::algorithm::{Algorithm, Report, reject_unknown};
-use crate::rules::on_policy::agent::{Agent, Experience, Influence};
+use crate::rules::on_policy::agent::Agent;
 use crate::rules::on_policy::ascent::{AgentInputs, PolicyChange, Trained};
+use crate::rules::on_policy::experience::{Experience, Influence};
 
 /// A rule's update of the policies. The rest of an update is the same for all on-policy rules.
 pub(crate) trait PolicyUpdate: Send + Sync {
@@ -197,7 +199,7 @@ impl Team {
         if !returns.iter().flatten().all(|value| value.is_finite()) {
             return Ok(None);
         }
-        self.agents.iter_mut().for_each(Agent::use_stored_states);
+        self.agents.iter_mut().for_each(|agent| agent.memory.use_stored_states());
         let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
         let experience = trace_span!("behaviour").in_scope(gathered)?;
         let (agents, seed) = (&mut self.agents, self.seed);

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use roxmltree::{Document, Node};
 
-use super::files::Folder;
+use super::folder::Folder;
 
 /// Most elements inside each other.
 const DEEPEST_ELEMENT: usize = 200;

@@ -4,13 +4,12 @@ use rapier3d::math::Vector;
 
 use super::World;
 use crate::robot::ShapeTag;
+use crate::state::LARGEST_CONTACT_FORCE;
 
 /// Values per body: torque, then force.
 pub(crate) const PER_BODY: usize = 6;
 /// Index of the static body.
 pub(crate) const WORLD: usize = 0;
-/// Torques (N m) and forces (N) are clipped to plus and minus this value.
-pub(crate) const LARGEST: f32 = 1.0;
 
 impl World {
     /// Writes the contact torque about the robot's centre of mass and the contact force on each of the model's bodies
@@ -37,7 +36,9 @@ impl World {
                 }
             }
         }
-        out.iter_mut().for_each(|number| *number = number.clamp(-LARGEST, LARGEST));
+        out.iter_mut().for_each(|number| {
+            *number = number.clamp(-LARGEST_CONTACT_FORCE, LARGEST_CONTACT_FORCE)
+        });
     }
 
     /// Index of a collider's body in the model; the floor belongs to the world.

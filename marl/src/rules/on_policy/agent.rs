@@ -1,4 +1,4 @@
-//! One agent: its network, optimiser, posterior and rollout data.
+//! One agent: its network, optimiser and posterior.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,15 +14,14 @@ use crate::data::batch::{ActionKind, Batch, Problem};
 use crate::data::sequence::{Layout, Sequences};
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::influence::count::JointSample;
-use crate::influence::posterior::{Conditions, Posterior, PosteriorShape};
+use crate::influence::posterior::{Posterior, PosteriorShape};
 use crate::influence::second_head::SecondHead;
 use crate::influence::{Term, mutual_information};
 use crate::objective::actor_loss::Coefficients;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
-use crate::rules::algorithm::Report;
 use crate::rules::on_policy::counted;
+use crate::rules::on_policy::experience::{Experience, Influence, mean};
 use crate::rules::on_policy::memory::Memory;
 use crate::surprise::entropy_bound;
 
@@ -37,7 +36,6 @@ pub(crate) struct Agent {
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
     pub(super) kind: ActionKind,
-    pub(super) precision: Precision,
     pub(super) memory: Memory,
     pub(super) posterior: Option<Posterior>,
     pub(super) second_head: Option<SecondHead>,
@@ -47,65 +45,6 @@ pub(crate) struct Agent {
     /// Steps between the others' actions that a posterior receives and the agent's own action.
     lag: usize,
     sigma_floor: f32,
-}
-
-/// Rollout data of one agent in chunked order, with the behaviour weights' outputs.
-pub(crate) struct Experience {
-    pub(crate) sequences: Sequences,
-    /// Normalised advantages, `[L, C]`.
-    pub(crate) advantage: Vec<f64>,
-    /// Log-probabilities of the actions under the behaviour weights, `[L, C]`, nats.
-    pub(crate) log_prob: Vec<f64>,
-    /// The behaviour policy of every row.
-    pub(crate) behaviour: HeadRows,
-    /// The trunk's features under the behaviour weights, `[L * C, F]`; constant.
-    features: Tensor,
-    /// Every other agent's action, in agent order, `[L, C, others]`.
-    pub(super) others: Vec<f32>,
-    /// Ids of state and actions for counting, `[L, C]`; `None` unless they are counted.
-    pub(super) samples: Option<Vec<JointSample>>,
-}
-
-impl Experience {
-    /// Inputs of a posterior for every row.
-    pub(super) fn conditions(&self) -> Conditions<'_> {
-        let (features, others) = (&self.features, self.others.as_slice());
-        Conditions { features, others, action: &self.sequences.action, policy: &self.behaviour }
-    }
-}
-
-/// The posterior of an agent's rollout data and its metrics; empty without a posterior.
-#[derive(Clone, Default)]
-pub(crate) struct Influence {
-    pub(crate) conditional: Option<HeadRows>,
-    /// Mean log-likelihood on the training rows, nats.
-    pub(super) log_likelihood: f64,
-    /// Mean of `log q - log p` on held-out rows, or Eq. (7) by counting over all rows, nats.
-    pub(super) mi_estimate: Option<f64>,
-    /// Mean negative log-likelihoods of the posterior and of the policy on held-out rows, nats.
-    pub(super) held_out: Option<(f64, f64)>,
-    /// Mean uncapped `KL[q || p]` of all rows under the behaviour policy, nats.
-    pub(super) divergence: f64,
-    /// Number of skipped optimiser steps of the posterior.
-    pub(super) skipped: i64,
-}
-
-impl Influence {
-    pub(crate) fn report(&self, agent: usize) -> Report {
-        if self.conditional.is_none() {
-            return Report::new();
-        }
-        let mut named = vec![
-            ("posterior_log_likelihood", self.log_likelihood),
-            ("posterior_kl", self.divergence),
-            ("posterior_skipped_steps", self.skipped as f64),
-        ];
-        named.extend(self.mi_estimate.map(|found| ("mi_estimate", found)));
-        if let Some((posterior, policy)) = self.held_out {
-            named.extend([("posterior_nll", posterior), ("policy_nll", policy)]);
-        }
-        named.into_iter().map(|(name, value)| (format!("agent{agent}/{name}"), value)).collect()
-    }
 }
 
 impl Agent {
@@ -161,8 +100,7 @@ impl Agent {
             },
             update: update.clone(),
             kind: shape.kind,
-            precision,
-            memory: Memory::new(policy),
+            memory: Memory::new(policy, precision),
             posterior,
             second_head,
             holdout_every: influence.holdout_every,
@@ -231,7 +169,7 @@ impl Agent {
         let parts = shards(layout.chunks, layout.steps);
         let one = |range: Range<usize>| {
             let columns: Vec<usize> = range.collect();
-            let input = self.input(sequences, &columns)?;
+            let input = self.memory.input(&self.network, sequences, &columns)?;
             let (head, features) = self.network.distribution_and_features(&weights, &input)?;
             Ok((HeadRows::of(&head)?, features))
         };
@@ -320,11 +258,6 @@ pub(crate) fn gather(
 /// Prefix of the stored parameters of the second head of agent `index`.
 fn second_head(index: usize) -> String {
     format!("weights/second_head_{index}.")
-}
-
-/// Mean of `[R]` numbers, `R >= 1`, summed in order.
-pub(super) fn mean(numbers: &[f64]) -> f64 {
-    numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
 /// Encoded actions of all agents but `agent`, joined in agent order, `[L, C, others]`: those of the same step, or with

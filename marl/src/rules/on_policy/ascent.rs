@@ -6,7 +6,8 @@ use std::ops::Range;
 use policy::randomness::{Draw, RunSeed};
 use rayon::prelude::*;
 
-use super::agent::{Agent, Experience, Influence};
+use super::agent::Agent;
+use super::experience::{Experience, Influence};
 use super::heads::StepWeights;
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
@@ -76,7 +77,7 @@ pub(crate) fn maximise(
     let mut trained = Trained::default();
     for epoch in 0..epochs {
         let mut done = Trained::default();
-        agent.refresh_states(&inputs.experience.sequences, epoch)?;
+        agent.memory.refresh_states(&agent.network, &inputs.experience.sequences, epoch)?;
         let draw = draw.step(epoch as u32);
         for columns in minibatches(inputs.experience.sequences.layout.chunks, parts, seed, draw) {
             let (figures, gradients) = gradient(agent, inputs, factor, &columns)?;
@@ -107,7 +108,7 @@ pub(crate) fn maximise_together(
     for epoch in 0..epochs {
         let mut done = vec![Trained::default(); agents.len()];
         for (agent, inputs) in agents.iter_mut().zip(inputs) {
-            agent.refresh_states(&inputs.experience.sequences, epoch)?;
+            agent.memory.refresh_states(&agent.network, &inputs.experience.sequences, epoch)?;
         }
         let split = |(draw, inputs): (&Draw, &AgentInputs<'_>)| {
             minibatches(

@@ -1,6 +1,6 @@
 //! Influence by counting (Eq. 7): a table of `D_k` replaces a learnt posterior, for discrete actions.
 
-use super::agent::{Experience, Influence, mean};
+use super::experience::{Experience, Influence, mean};
 use crate::config::CountedState;
 use crate::data::batch::{ActionKind, Batch};
 use crate::data::sequence::Sequences;

@@ -4,7 +4,8 @@
 use policy::Distribution;
 use policy::ops::Weights;
 
-use super::agent::{Agent, Experience};
+use super::agent::Agent;
+use super::experience::Experience;
 use crate::error::MarlError;
 use crate::influence::second_head::SecondHead;
 
@@ -33,7 +34,7 @@ impl Agent {
         experience: &Experience,
         columns: &[usize],
     ) -> Result<(Distribution, Option<Distribution>), MarlError> {
-        let input = self.input(&experience.sequences, columns)?;
+        let input = self.memory.input(&self.network, &experience.sequences, columns)?;
         match weights {
             StepWeights::One(own) => Ok((self.network.distribution(own, &input)?, None)),
             StepWeights::Two { policy, second, weights } => {
@@ -57,8 +58,9 @@ impl Agent {
 mod tests {
     use policy::{Draw, Precision, Purpose, RunSeed};
 
-    use super::super::agent::{Influence, fit_posteriors, gather};
+    use super::super::agent::{fit_posteriors, gather};
     use super::super::ascent::{AgentInputs, gradient, maximise};
+    use super::super::experience::Influence;
     use super::*;
     use crate::config::QTraining;
     use crate::data::sequence::Layout;

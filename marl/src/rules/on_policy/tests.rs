@@ -4,8 +4,9 @@
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
 
-use super::agent::{Agent, Experience, Influence, gather};
+use super::agent::{Agent, gather};
 use super::ascent::{AgentInputs, gradient, policy_change};
+use super::experience::{Experience, Influence};
 use crate::data::batch::{AgentBatch, Batch, Problem};
 use crate::data::sequence::{Layout, Sequences};
 use crate::distribution::HeadRows;
@@ -143,8 +144,10 @@ fn outputs_by_shards_equal_those_of_one_pass() {
         let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
         let (rows, _, features) = agent.evaluate(&sequences).unwrap();
         let columns: Vec<usize> = (0..layout.chunks).collect();
-        let (input, weights) =
-            (agent.input(&sequences, &columns).unwrap(), agent.network.weights().unwrap());
+        let (input, weights) = (
+            agent.memory.input(&agent.network, &sequences, &columns).unwrap(),
+            agent.network.weights().unwrap(),
+        );
         let (head, whole) = agent.network.distribution_and_features(&weights, &input).unwrap();
         assert_eq!(rows, HeadRows::of(&head).unwrap());
         assert_eq!(features.to_vec2::<f32>().unwrap(), whole.to_vec2::<f32>().unwrap());
@@ -166,7 +169,8 @@ fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
     for policy in policies() {
         let mut agents = agents(&policy);
         let experience = &experience(&agents, &played(&agents, &probe::problem()))[0];
-        agents[0].refresh_states(&experience.sequences, 1).unwrap();
+        let agent = &mut agents[0];
+        agent.memory.refresh_states(&agent.network, &experience.sequences, 1).unwrap();
         let layout = experience.sequences.layout;
         for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
             let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
@@ -185,7 +189,7 @@ fn an_unchanged_policy_leaves_the_factor_at_one() {
         let experience = experience(&agents, &played(&agents, &probe::problem()));
         let mut factor = vec![1.0; experience[0].log_prob.len()];
         for (agent, experience) in agents.iter_mut().zip(&experience) {
-            agent.refresh_states(&experience.sequences, 1).unwrap();
+            agent.memory.refresh_states(&agent.network, &experience.sequences, 1).unwrap();
             let now = policy_change(agent, experience).unwrap();
             factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
         }
@@ -196,7 +200,13 @@ fn an_unchanged_policy_leaves_the_factor_at_one() {
 /// The largest difference between an agent's states at all chunks' starts and `expected`.
 fn max_difference(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32 {
     let columns: Vec<usize> = (0..sequences.layout.chunks).collect();
-    let found = agent.input(sequences, &columns).unwrap().hidden.flatten_all().unwrap();
+    let found = agent
+        .memory
+        .input(&agent.network, sequences, &columns)
+        .unwrap()
+        .hidden
+        .flatten_all()
+        .unwrap();
     let found = found.to_vec1::<f32>().unwrap();
     assert_eq!(found.len(), expected.len());
     found.iter().zip(expected).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
@@ -216,7 +226,7 @@ fn agent_with_states(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
 fn unchanged_weights_recompute_the_stored_states() {
     for policy in policies() {
         let (mut agent, sequences, had) = agent_with_states(&policy);
-        agent.refresh_states(&sequences, 1).unwrap();
+        agent.memory.refresh_states(&agent.network, &sequences, 1).unwrap();
         assert!(max_difference(&agent, &sequences, &had) <= 1e-5, "{policy:?}");
     }
 }
@@ -244,9 +254,9 @@ fn states_are_refreshed_from_the_first_stored_ones_except_in_the_first_epoch() {
         agent_with_states(&PolicyConfig { refresh_hidden, ..policy(CoreKind::Gru) });
     overwrite_states(&mut sequences, 1);
     for (epoch, found) in [(0, false), (1, true)] {
-        agent.refresh_states(&sequences, epoch).unwrap();
+        agent.memory.refresh_states(&agent.network, &sequences, epoch).unwrap();
         assert_eq!(max_difference(&agent, &sequences, &had) <= 1e-5, found, "epoch {epoch}");
     }
-    agent.use_stored_states();
+    agent.memory.use_stored_states();
     assert!(max_difference(&agent, &sequences, &had) > 1e-5);
 }

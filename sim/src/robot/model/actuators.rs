@@ -2,7 +2,8 @@
 
 use super::super::blueprint::{Hinge, JointPlan, MotorPlan, Servo};
 use super::super::document::{Element, check_names};
-use super::{Context, Links};
+use super::context::Context;
+use super::links::Links;
 
 const KNOWN: [&str; 15] = [
     "name",

@@ -1,11 +1,11 @@
 //! The tree of bodies as a list, and stated inertias.
 
-use super::super::document::Element;
+use super::super::document::{Element, ORIENTATIONS, check_names};
 use super::super::frame::{Frame, IDENTITY};
 use super::super::inertia::Solid;
-use super::geoms::Geom;
+use super::context::Context;
+use super::geoms::{Geom, Ground};
 use super::options::{MassSource, Options};
-use super::{Context, check_bodies};
 
 /// Elements in a body that have no effect on the motion.
 const SKIPPED: [&str; 3] = ["site", "camera", "light"];
@@ -76,10 +76,7 @@ fn fill(
             "inertial" if own > 0 => bodies[own].inertial = Some((child.clone(), frame)),
             "body" => add_body(bodies, own, child, (childclass, frame), context)?,
             "frame" => {
-                child.only(&[
-                    &["name", "childclass", "pos"],
-                    &super::super::document::ORIENTATIONS,
-                ])?;
+                child.only(&[&["name", "childclass", "pos"], &ORIENTATIONS])?;
                 let frame = frame.then(&context.options.angles.frame(child)?);
                 let childclass = child.text("childclass").or(childclass);
                 fill(bodies, own, child, (childclass, frame), context)?;
@@ -99,7 +96,7 @@ fn add_body(
     context: &Context,
 ) -> Result<(), String> {
     let known = ["name", "pos", "childclass", "mocap", "gravcomp", "user", "sleep"];
-    element.only(&[&known, &super::super::document::ORIENTATIONS])?;
+    element.only(&[&known, &ORIENTATIONS])?;
     if element.flag("mocap") == Some(true) {
         return Err(element.refuse("mocap bodies are not supported"));
     }
@@ -125,7 +122,7 @@ pub(super) fn stated_inertia(body: &Body, options: &Options) -> Result<Option<So
 
 fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<Solid, String> {
     let known = ["pos", "mass", "diaginertia", "fullinertia"];
-    element.only(&[&known, &super::super::document::ORIENTATIONS])?;
+    element.only(&[&known, &ORIENTATIONS])?;
     let mass = element.number("mass", 0.0)?;
     let mut solid = match (element.numbers("diaginertia")?, element.numbers("fullinertia")?) {
         (Some(principal), None) => Solid::principal(mass, principal),
@@ -144,4 +141,42 @@ fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<
     let frame = frame.then(&options.angles.frame(element)?);
     solid = solid.turned(frame.rotation);
     Ok(Solid { centre: frame.position, ..solid })
+}
+
+/// Removes the world's shapes from the list of bodies and finds the floor among them.
+pub(super) fn take_ground(
+    bodies: &mut [Body],
+    context: &Context,
+) -> Result<Option<Ground>, String> {
+    let mut ground = None;
+    let mut frames: Vec<Frame> = Vec::new();
+    for index in 0..bodies.len() {
+        let parent = if index == 0 { IDENTITY } else { frames[bodies[index].parent] };
+        frames.push(if index == 0 { IDENTITY } else { parent.then(&bodies[index].frame) });
+        let is_static = bodies[index].is_static;
+        let loose = |geom: &&Geom| geom.is_plane() && !is_static;
+        if let Some(plane) = bodies[index].geoms.iter().find(loose) {
+            return Err(plane.element.refuse("a plane must be fixed to the world"));
+        }
+        for plane in bodies[index].geoms.iter().filter(|geom| geom.is_plane() && geom.collides()) {
+            if ground.is_some() {
+                return Err(plane.element.refuse("the world has more than one plane"));
+            }
+            ground = Some(plane.ground(&frames[index], context));
+        }
+        bodies[index].geoms.retain(|geom| !geom.is_plane());
+    }
+    let moving = || bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
+    let touched = |geom: &&Geom| moving().any(|other| geom.meets(other));
+    if let Some(geom) = bodies[0].geoms.iter().find(touched) {
+        return Err(geom.element.refuse("links touch nothing in the world but one plane"));
+    }
+    bodies[0].geoms.clear();
+    Ok(ground.filter(|_| context.options.has_contacts))
+}
+
+/// Refuses two bodies, joints or actuators of the same name.
+fn check_bodies(bodies: &[Body]) -> Result<(), String> {
+    check_names(bodies.iter().map(|body| &body.element))?;
+    check_names(bodies.iter().flat_map(|body| &body.joints).map(|(joint, _)| joint))
 }

@@ -7,10 +7,10 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use super::super::document::Element;
-use super::super::files::Folder;
+use super::super::folder::Folder;
 use super::super::inertia::{MassSum, Solid};
-use super::Context;
 use super::bodies::{self, Body};
+use super::context::Context;
 use super::geoms::Geom;
 use super::joints;
 use super::meshes::asset_name;

@@ -5,12 +5,11 @@ use rapier3d::prelude::SharedShape;
 
 use super::super::blueprint::{ContactPlan, Floor};
 use super::super::document::{Element, ORIENTATIONS};
-use super::super::files::Folder;
+use super::super::folder::Folder;
 use super::super::frame::{Frame, IDENTITY, vector};
 use super::super::inertia::Solid;
 use super::super::softness::Softness;
-use super::Context;
-use super::bodies::Body;
+use super::context::Context;
 use super::meshes::Meshes;
 use crate::scene::Shape;
 
@@ -306,40 +305,9 @@ impl Collision {
     }
 }
 
-/// Removes the world's shapes from the list of bodies and finds the floor among them.
-pub(super) fn take_ground(
-    bodies: &mut [Body],
-    context: &Context,
-) -> Result<Option<Ground>, String> {
-    let mut ground = None;
-    let mut frames: Vec<Frame> = Vec::new();
-    for index in 0..bodies.len() {
-        let parent = if index == 0 { IDENTITY } else { frames[bodies[index].parent] };
-        frames.push(if index == 0 { IDENTITY } else { parent.then(&bodies[index].frame) });
-        let is_static = bodies[index].is_static;
-        let loose = |geom: &&Geom| geom.is_plane() && !is_static;
-        if let Some(plane) = bodies[index].geoms.iter().find(loose) {
-            return Err(plane.element.refuse("a plane must be fixed to the world"));
-        }
-        for plane in bodies[index].geoms.iter().filter(|geom| geom.is_plane() && geom.collides()) {
-            if ground.is_some() {
-                return Err(plane.element.refuse("the world has more than one plane"));
-            }
-            ground = Some(plane.ground(&frames[index], context));
-        }
-        bodies[index].geoms.retain(|geom| !geom.is_plane());
-    }
-    let moving = || bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
-    let touched = |geom: &&Geom| moving().any(|other| geom.meets(other));
-    if let Some(geom) = bodies[0].geoms.iter().find(touched) {
-        return Err(geom.element.refuse("links touch nothing in the world but one plane"));
-    }
-    bodies[0].geoms.clear();
-    Ok(ground.filter(|_| context.options.has_contacts))
-}
-
 impl Geom {
-    fn ground(&self, body: &Frame, context: &Context) -> Ground {
+    /// The floor that this plane is. `body` is the frame of its body in the world.
+    pub(super) fn ground(&self, body: &Frame, context: &Context) -> Ground {
         Ground {
             floor: Floor { pose: body.then(&self.frame).pose() },
             contype: self.contype,

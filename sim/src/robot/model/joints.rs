@@ -4,8 +4,8 @@ use super::super::blueprint::{Hinge, HingeAxis, JointPlan, Motion, Planar};
 use super::super::document::Element;
 use super::super::frame::{Frame, IDENTITY, rotated, vector};
 use super::super::softness::Softness;
-use super::Context;
 use super::bodies::Body;
+use super::context::Context;
 
 const KNOWN: [&str; 17] = [
     "name",

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::super::document::{Classes, Element};
-use super::super::files::Folder;
+use super::super::folder::Folder;
 use super::super::inertia::Solid;
 use super::super::mesh::{Mesh, Volume};
 use super::options::Options;

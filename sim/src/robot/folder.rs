@@ -1,8 +1,6 @@
-//! Files of a robot's model: an MJCF document and the files that it names, all inside one folder.
+//! The folder of a robot's model, which holds the MJCF document and all files that it names.
 
 use std::collections::BTreeMap;
-
-use crate::error::SimError;
 
 /// Largest file of a model, bytes.
 const LARGEST_FILE: usize = 64 << 20;
@@ -10,64 +8,15 @@ const LARGEST_FILE: usize = 64 << 20;
 /// Files that a model may name, each as often as it does.
 const MOST_READS: usize = 1000;
 
-/// A robot's model: an MJCF document, the files that it includes, and its meshes.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ModelFiles {
-    /// Path of the document among `files`.
-    pub document: String,
-    /// Contents of the document and of all files that it needs, by their paths relative to the model's folder, with `/`
-    /// between their parts.
-    pub files: BTreeMap<String, Vec<u8>>,
-}
-
-impl ModelFiles {
-    /// Collects the files that a document needs. `read` returns the content of a file, or the reason why it cannot be
-    /// read. Its paths are relative to the model's folder and never leave it.
-    ///
-    /// # Errors
-    /// If a file cannot be read or the model cannot be built.
-    pub fn collect(
-        document: &str,
-        read: impl Fn(&str) -> Result<Vec<u8>, String>,
-    ) -> Result<Self, SimError> {
-        let refused = |reason| SimError::Model { robot: document.to_owned(), reason };
-        let mut folder = Folder::new(document, &read).map_err(refused)?;
-        let text = folder.document().map_err(refused)?;
-        super::model::read(&text, &mut folder).map_err(refused)?;
-        Ok(Self { document: folder.path.clone(), files: folder.known })
-    }
-
-    /// Reads a model as one document. A document that needs no other file is returned unchanged. Otherwise the files that
-    /// it includes become part of it, colliding meshes become the corners of their convex hulls, and masses that come
-    /// from meshes become `inertial` elements; what has no effect on the motion is left out. `read` is that of
-    /// [`Self::collect`].
-    ///
-    /// # Errors
-    /// If a file cannot be read or the model cannot be built.
-    pub fn one_document(
-        document: &str,
-        read: impl Fn(&str) -> Result<Vec<u8>, String>,
-    ) -> Result<String, SimError> {
-        let refused = |reason| SimError::Model { robot: document.to_owned(), reason };
-        let mut folder = Folder::new(document, &read).map_err(refused)?;
-        let text = folder.document().map_err(refused)?;
-        super::model::read(&text, &mut folder).map_err(refused)?;
-        if folder.known.len() == 1 {
-            return Ok(text);
-        }
-        folder.reads = 0;
-        super::model::flat(&text, &mut folder).map_err(refused)
-    }
-}
-
 /// Source of a model's files. It remembers every file that was read.
 pub(super) struct Folder<'a> {
     /// Path of the document.
-    path: String,
+    pub(super) path: String,
     source: &'a dyn Fn(&str) -> Result<Vec<u8>, String>,
-    known: BTreeMap<String, Vec<u8>>,
+    /// Contents of the files read so far, by path.
+    pub(super) known: BTreeMap<String, Vec<u8>>,
     /// How often files were read; a document that includes itself in many ways would grow without bound.
-    reads: usize,
+    pub(super) reads: usize,
 }
 
 impl<'a> Folder<'a> {

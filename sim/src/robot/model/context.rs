@@ -1,0 +1,22 @@
+//! What the reading of an element depends on.
+
+use super::super::document::{Classes, Element};
+use super::meshes::Meshes;
+use super::options::Options;
+
+/// All that the reading of an element may depend on.
+pub(super) struct Context {
+    pub(super) classes: Classes,
+    pub(super) options: Options,
+    pub(super) meshes: Meshes,
+}
+
+impl Context {
+    /// Reads the settings, and what MuJoCo would do in addition to this simulator.
+    pub(super) fn read(root: &Element) -> Result<(Self, Vec<String>), String> {
+        let (options, left_out) = Options::read(root)?;
+        let classes = Classes::new(root)?;
+        let meshes = Meshes::read(root, &classes, &options)?;
+        Ok((Self { classes, options, meshes }, left_out))
+    }
+}

@@ -1,0 +1,206 @@
+//! The links of a robot: bodies with joints, and what is fixed to them.
+
+use rapier3d::math::Pose;
+use rapier3d::prelude::MassProperties;
+
+use super::super::blueprint::{JointPlan, LinkPlan, ShapePlan};
+use super::super::folder::Folder;
+use super::super::inertia::MassSum;
+use super::bodies::{self, Body};
+use super::context::Context;
+use super::geoms::{Geom, Ground};
+use super::joints;
+
+/// Distance of a free root's mass centre from its origin that counts as none, m.
+const LARGEST_OFFSET: f32 = 1e-5;
+
+/// Links, their masses, and the lines of their joints.
+pub(super) struct Links<'a> {
+    pub(super) plans: Vec<LinkPlan>,
+    masses: Vec<MassSum>,
+    /// The body of each link; none for the base.
+    bodies: Vec<Option<&'a Body>>,
+}
+
+/// Link of a body, `None` for the world, and the body's frame in it.
+type Home = (Option<usize>, Pose);
+
+/// The links of all bodies.
+pub(super) fn read<'a>(
+    bodies: &'a [Body],
+    context: &mut Context,
+    ground: Option<&Ground>,
+    folder: &mut Folder<'_>,
+) -> Result<Links<'a>, String> {
+    let mut links = Links { plans: Vec::new(), masses: Vec::new(), bodies: Vec::new() };
+    let base = links.add_base(bodies)?;
+    let mut homes: Vec<Home> = vec![(base, Pose::IDENTITY)];
+    for (index, body) in bodies.iter().enumerate().skip(1) {
+        let (parent, frame) = homes[body.parent];
+        let inside = frame * body.frame.pose();
+        let home = if body.joints.is_empty() {
+            (parent, inside)
+        } else {
+            links.add_body(body, parent, inside, context)?;
+            (Some(links.plans.len() - 1), Pose::IDENTITY)
+        };
+        if let Some(link) = home.0 {
+            links.add_parts((index, body), link, &home.1, (&mut *context, ground, &mut *folder))?;
+        }
+        homes.push(home);
+    }
+    links.check_roots(bodies)?;
+    Ok(links)
+}
+
+impl<'a> Links<'a> {
+    /// Adds the link of all bodies that are fixed to the world, if any of them has a shape.
+    fn add_base(&mut self, bodies: &[Body]) -> Result<Option<usize>, String> {
+        let base = bodies.iter().skip(1).find(|body| body.is_static && !body.geoms.is_empty());
+        let Some(base) = base else { return Ok(None) };
+        let moving = |body: &&Body| body.joints.iter().any(joints::is_free);
+        if let Some(root) = bodies.iter().find(moving) {
+            let reason = format!("{} moves freely, and links touch nothing but a plane", root.name);
+            return match base.geoms.iter().find(|geom| geom.collides()) {
+                Some(geom) => Err(geom.element.refuse(reason)),
+                None => Ok(None),
+            };
+        }
+        self.push(base.name.clone(), None, Pose::IDENTITY, JointPlan::Fixed);
+        self.bodies.push(None);
+        Ok(Some(0))
+    }
+
+    /// Adds a body's links: one for each joint. All but the last have neither mass nor shapes.
+    fn add_body(
+        &mut self,
+        body: &'a Body,
+        parent: Option<usize>,
+        rest: Pose,
+        context: &Context,
+    ) -> Result<(), String> {
+        let is_root = parent.is_none_or(|parent| self.plans[parent].is_base());
+        let joints = match is_root {
+            true => joints::read_root(body, context)?,
+            false => joints::read(body, context)?,
+        };
+        let count = joints.len();
+        let (mut parent, mut rest) = (parent, rest);
+        for (index, joint) in joints.into_iter().enumerate() {
+            let name = match &joint {
+                JointPlan::Hinge(hinge) if index + 1 < count => {
+                    format!("{}.{}", body.name, hinge.name)
+                }
+                _ => body.name.clone(),
+            };
+            self.push(name, parent, rest, joint);
+            self.bodies.push(Some(body));
+            (parent, rest) = (Some(self.plans.len() - 1), Pose::IDENTITY);
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, name: String, parent: Option<usize>, rest: Pose, joint: JointPlan) {
+        let mass = MassProperties::default();
+        self.plans.push(LinkPlan { name, parent, rest, joint, mass, shapes: Vec::new() });
+        self.masses.push(MassSum::default());
+    }
+
+    /// Adds the mass and the shapes of a body to its link.
+    fn add_parts(
+        &mut self,
+        (index, body): (usize, &Body),
+        link: usize,
+        frame: &Pose,
+        (context, ground, folder): (&mut Context, Option<&Ground>, &mut Folder<'_>),
+    ) -> Result<(), String> {
+        let inertial = bodies::stated_inertia(body, &context.options)?;
+        let mut own = MassSum::default();
+        if let Some(solid) = &inertial {
+            self.masses[link].add(&solid.placed(frame));
+            own.add(&solid.placed(frame));
+        }
+        let has_contacts = body.geoms.iter().any(Geom::collides);
+        for geom in &body.geoms {
+            let weighs = inertial.is_none() && geom.weighs();
+            let is_drawn = geom.collides() || !(has_contacts || geom.is_mesh());
+            if !weighs && !is_drawn {
+                continue;
+            }
+            let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
+            let pose = *frame * pose;
+            if weighs {
+                let solid = geom.solid(&shape, &pose, &context.meshes)?;
+                self.masses[link].add(&solid);
+                own.add(&solid);
+            }
+            if is_drawn {
+                let touches = ground.filter(|_| !self.plans[link].is_base());
+                let contact = touches.map(|ground| geom.contact(ground)).transpose()?.flatten();
+                self.plans[link].shapes.push(ShapePlan { shape, pose, contact, body: index });
+            }
+        }
+        let [least_mass, least_inertia] = context.options.least;
+        let moments = own.properties(1.0).principal_inertia().to_array();
+        if own.mass() < least_mass || moments.iter().any(|x| f64::from(*x) < least_inertia) {
+            return Err(body
+                .element
+                .refuse("its mass or inertia is below `boundmass` or `boundinertia`"));
+        }
+        Ok(())
+    }
+
+    /// A robot has one root that moves freely or in a plane, or joints between any links and the world.
+    fn check_roots(&self, bodies: &[Body]) -> Result<(), String> {
+        let roots = self.plans.iter().filter(|plan| plan.parent.is_none());
+        let roots = roots.filter(|plan| !plan.is_base()).count();
+        let moving =
+            |plan: &LinkPlan| matches!(plan.joint, JointPlan::Free(_) | JointPlan::Planar(_));
+        if self.plans.iter().all(LinkPlan::is_base) {
+            return Err("the model has no joints".to_owned());
+        }
+        if roots > 1
+            && let Some(index) = self.plans.iter().rposition(moving)
+        {
+            let body = self.bodies[index].unwrap_or(&bodies[0]);
+            let reason = format!("a model with a moving root must have one root, it has {roots}");
+            return Err(body.element.refuse(reason));
+        }
+        Ok(())
+    }
+
+    /// Sets the links' mass properties. `total` scales all masses and inertias to this sum.
+    pub(super) fn masses_to_links(&mut self, total: Option<f64>) -> Result<(), String> {
+        let sum: f64 = self.masses.iter().map(MassSum::mass).sum();
+        let factor = total.map_or(1.0, |total| total / sum);
+        let count = self.plans.len();
+        for (index, (link, mass)) in self.plans.iter_mut().zip(&self.masses).enumerate() {
+            link.mass = mass.properties(factor);
+            if let JointPlan::Free(name) = &link.joint
+                && (count == 1 || link.mass.local_com.length() > LARGEST_OFFSET)
+            {
+                link.joint = JointPlan::Floating(name.clone());
+            }
+            // The next link of the same body has its mass.
+            let shared = index + 1 < count
+                && self.bodies[index].is_some()
+                && std::ptr::eq(
+                    self.bodies[index].map_or(std::ptr::null(), std::ptr::from_ref),
+                    self.bodies[index + 1].map_or(std::ptr::null(), std::ptr::from_ref),
+                );
+            if let Some(body) = self.bodies[index]
+                && !shared
+                && link.mass.inv_mass == 0.0
+            {
+                return Err(body.element.refuse("a body that moves must have a mass"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl LinkPlan {
+    fn is_base(&self) -> bool {
+        matches!(self.joint, JointPlan::Fixed)
+    }
+}
