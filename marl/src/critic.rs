@@ -214,6 +214,9 @@ impl Critic {
     ///
     /// # Errors
     /// If a tensor operation fails.
+    ///
+    /// # Panics
+    /// If returns and values have different shapes.
     pub fn fit(
         &mut self,
         inputs: &ValueInputs<'_>,
@@ -221,7 +224,9 @@ impl Critic {
         returns: &[Vec<f64>],
         iteration: u64,
     ) -> Result<CriticFigures, MarlError> {
-        let count = returns[0].len();
+        let count = values.now[0].len();
+        let shapes: Vec<usize> = returns.iter().map(Vec::len).collect();
+        assert_shape("returns", shapes, vec![count; self.count]);
         for (normalizer, returns) in self.normalizers.iter_mut().zip(returns) {
             normalizer.update(returns);
         }

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use crate::config::{DensityKind, SurpriseConfig};
 use crate::error::MarlError;
+use crate::shape::assert_shape;
 use moments::Moments;
 
 /// Observations of one agent.
@@ -32,9 +33,14 @@ impl<'a> Observations<'a> {
     }
 
     /// Number of rows, `R`.
+    ///
+    /// # Panics
+    /// If the values are not whole rows.
     #[must_use]
     pub fn count(self) -> usize {
-        self.data.len() / self.width
+        let rows = self.data.len() / self.width;
+        assert_shape("observations", self.data.len(), rows * self.width);
+        rows
     }
 
     /// Values of one feature in all rows.
@@ -44,7 +50,9 @@ impl<'a> Observations<'a> {
 
     /// `value` of every row, computed in parallel.
     fn map(self, value: impl Fn(&[f32]) -> f64 + Sync + Send) -> Vec<f64> {
-        self.data.par_chunks_exact(self.width).map(value).collect()
+        let mut values = Vec::with_capacity(self.count());
+        self.data.par_chunks_exact(self.width).map(value).collect_into_vec(&mut values);
+        values
     }
 }
 

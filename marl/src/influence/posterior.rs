@@ -20,6 +20,7 @@ use crate::optimisation::layers::rows;
 use crate::optimisation::minibatch::minibatches;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
+use crate::shape::assert_shape;
 
 /// Sizes of one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,6 +63,21 @@ pub struct Conditions<'a> {
     pub action: &'a [f64],
     /// The behaviour policy of every row.
     pub policy: &'a HeadRows,
+}
+
+impl Conditions<'_> {
+    /// Checks that all arrays have the rows of the policy and the sizes of the posterior.
+    ///
+    /// # Panics
+    /// If one has another shape.
+    #[track_caller]
+    fn assert_shapes(&self, posterior: PosteriorShape) {
+        let (rows, PosteriorShape { others, features, action, .. }) =
+            (self.policy.count(), posterior);
+        assert_shape("features", self.features.dims(), &[rows, features]);
+        assert_shape("the others' actions", self.others.len(), rows * others);
+        assert_shape("actions", self.action.len(), rows * action);
+    }
 }
 
 /// The posterior of some rows with its correction.
@@ -158,6 +174,9 @@ impl Posterior {
     ///
     /// # Errors
     /// If a tensor operation fails.
+    ///
+    /// # Panics
+    /// If an array of `data` has another shape than the posterior's.
     pub fn fit(
         &mut self,
         data: &Conditions<'_>,
@@ -165,6 +184,7 @@ impl Posterior {
         held_out: &[usize],
         (seed, draw): (RunSeed, Draw),
     ) -> Result<f64, MarlError> {
+        data.assert_shapes(self.shape);
         let (mut reached, mut counted) = (self.log_likelihood(data, held_out)?, None);
         for epoch in 0..self.config.epochs {
             let before = self.parameters.to_arrays("")?;
@@ -234,7 +254,11 @@ impl Posterior {
     ///
     /// # Errors
     /// If a tensor operation fails.
+    ///
+    /// # Panics
+    /// If an array of `data` has another shape than the posterior's.
     pub fn conditional(&self, data: &Conditions<'_>, of: &[usize]) -> Result<HeadRows, MarlError> {
+        data.assert_shapes(self.shape);
         let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
         let one = |range: Range<usize>| Ok(self.corrected(&weights, data, &of[range])?.posterior);
         let parts = shards::of_each(&shards(of.len(), 1), one)?;

@@ -173,3 +173,12 @@ fn training_never_lowers_the_likelihood_of_held_out_rows() {
     let log_p = policy.log_prob(&action, &held_out).iter().sum::<f64>() / held_out.len() as f64;
     assert!(log_q >= log_p, "{log_q} {log_p}");
 }
+
+#[test]
+#[should_panic(expected = "the others' actions has the shape 19999, expected 20000")]
+fn other_actions_of_another_number_of_rows_are_refused_with_both_shapes() {
+    let ((action, others), features, policy) = (actions(0.0), features(), marginal());
+    let data =
+        Conditions { features: &features, others: &others[1..], action: &action, policy: &policy };
+    let _refused = posterior().conditional(&data, &[0]);
+}
