@@ -14,12 +14,13 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 
-use actor::{EvaluationEpisode, LiveServer};
 use foxglove::Decode as _;
 use foxglove::messages::{FrameTransforms, JointStates, SceneUpdate};
 use policy::{PolicySnapshot, RunSeed};
 use proto::trajectory_log::Step;
 use proto::{ActionChoice, Digest, PolicyVersion, WeightsName};
+use recording::LiveServer;
+use rollout::EvaluationEpisode;
 use serde_json::{Value, json};
 use sim::EnvironmentBatch;
 
@@ -144,9 +145,9 @@ fn an_evaluation_episode_of_the_newest_policy_is_shown_in_real_time() {
     let took = begun.elapsed();
     let (mut world, policy, episode) = evaluation(folder);
     let mut rewards = Vec::new();
-    let keep = |step: &actor::PlayedStep<'_>| rewards.push(step.outcome.reward);
+    let keep = |step: &rollout::PlayedStep<'_>| rewards.push(step.outcome.reward);
     let start = (episode.key(), ActionChoice::Mean);
-    actor::play_episode(&mut *world, &policy, start, keep).unwrap();
+    rollout::play_episode(&mut *world, &policy, start, keep).unwrap();
     for step in &seen {
         assert_eq!(step.reward, rewards[step.step as usize], "{step:?}");
     }

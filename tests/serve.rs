@@ -165,8 +165,8 @@ async fn episodes_with_the_service_equal_those_of_the_evaluator_bit_for_bit() {
         let (joint, total) = play(&mut acting, &mut *here, episode).await;
         let draw = Draw::of(Purpose::EvaluationReset).iteration(2).environment(episode);
         let mut expected = Vec::new();
-        let keep = |step: &actor::PlayedStep<'_>| expected.push(step.action.to_vec());
-        actor::play_episode(
+        let keep = |step: &rollout::PlayedStep<'_>| expected.push(step.action.to_vec());
+        rollout::play_episode(
             &mut *there,
             &snapshot,
             (Key::of(RunSeed(7), draw), ActionChoice::Mean),
@@ -188,7 +188,7 @@ async fn the_service_describes_its_agents_and_weights() {
     assert_eq!(described.weights.digest.0, policy::digest(&bytes));
     assert_eq!(described.weights.version.0, inspect(folder)["iteration"]);
     assert_eq!(described.run_id, "trained");
-    let environment = actor::environment_spec(world(folder).description());
+    let environment = rollout::environment_spec(world(folder).description());
     let agents = described.agents.iter().map(|agent| agent.agent.clone()).collect::<Vec<_>>();
     assert_eq!((described.task, agents), (environment.task, environment.agents));
     let kinds = described.agents.iter().map(|agent| (agent.hidden_size, agent.distribution));

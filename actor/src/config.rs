@@ -1,10 +1,10 @@
 //! Operational settings of an actor process, which never affect results.
 
+use recording::trajectory_log::LogConfig;
 use security::{ClientFiles, Token, addresses};
 use tonic::transport::Uri;
 
 use crate::error::ActorError;
-use crate::trajectory_log::LogConfig;
 
 /// Settings of an actor process.
 #[derive(Clone, Debug)]

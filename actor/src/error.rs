@@ -1,6 +1,7 @@
 //! Errors of actors and of external environments.
 
 use proto::{LeaseId, Refusal, in_words};
+use recording::trajectory_log::LogStartError;
 use security::SecurityError;
 use sim::SimError;
 use thiserror::Error;
@@ -75,9 +76,12 @@ pub enum ActorError {
     /// An external environment failed.
     #[error(transparent)]
     Environment(#[from] EnvironmentError),
-    /// The settings or the folder of the log cannot be used.
-    #[error("{0}")]
-    Log(String),
+    /// The log cannot be started.
+    #[error(transparent)]
+    Log(#[from] LogStartError),
+    /// The log-writer thread ended unexpectedly.
+    #[error("the last file of the log was not closed")]
+    LogNotClosed,
     /// The stepping thread ended unexpectedly.
     #[error("the stepping thread ended: {0}")]
     Stepping(String),

@@ -11,13 +11,13 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use proto::{EnvironmentSpec, View};
+use rollout::description;
 use sim::{
     Description, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise,
 };
 
 use crate::client::{EnvironmentClient, Play};
 use crate::error::ActorError;
-use crate::identity::description;
 use crate::outside::header::{HEADER_BYTES, Header};
 
 const KEY_BYTES: usize = 32;

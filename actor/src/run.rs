@@ -9,17 +9,17 @@ use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use proto::{Lease, LeaseAnswer, Registered, Registration, RunDescription};
+use recording::trajectory_log::{Log, LogHandle};
+use rollout::rollout_fingerprint;
 use tokio::sync::{Mutex, MutexGuard, watch};
 use tokio::task::JoinSet;
 
 use crate::client::{Client, WeightsCache, explained, is_transient};
 use crate::config::Config;
 use crate::error::{ActorError, describe};
-use crate::identity::rollout_fingerprint;
 use crate::leasing::{Ended, process_lease};
 use crate::source::Source;
 use crate::stepping::Stepper;
-use crate::trajectory_log::{Log, LogHandle};
 
 /// Threads that share a connection. Each has two leases with a call and a heartbeat at a time, so that they need no
 /// more than the 16 concurrent calls that the learner allows.
@@ -51,7 +51,7 @@ pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), Acto
     if let Some(log) = Arc::into_inner(process).and_then(|process| process.log) {
         tokio::task::spawn_blocking(move || log.close())
             .await
-            .map_err(|_| ActorError::Log("the last file of the log was not closed".to_owned()))?;
+            .map_err(|_| ActorError::LogNotClosed)?;
     }
     ended.unwrap_or_else(|panic| Err(ActorError::Stepping(panic.to_string())))
 }

@@ -1,11 +1,11 @@
 //! Source of an actor's environments: the simulator or an external program.
 
 use proto::{EnvironmentSpec, RunDescription};
+use rollout::environment_spec;
 use sim::{EnvironmentBatch, ObservationNorm, TaskConfig};
 
 use crate::config::Config;
 use crate::error::ActorError;
-use crate::identity::environment_spec;
 use crate::outside::EnvironmentService;
 
 /// Source of environments.

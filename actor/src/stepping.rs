@@ -11,15 +11,13 @@ use proto::{
     ActionChoice, EvaluationResult, EvaluationWork, Film, Lease, PushHeader, RolloutWork,
     RunDescription, Work, wire,
 };
+use recording::trajectory_log::LogHandle;
+use rollout::{Camera, EvaluationEpisode, FILMED, play_on, roll_out};
 use sim::{EnvironmentBatch, SimError};
 use tokio::sync::mpsc;
 
 use crate::error::ActorError;
-use crate::evaluation::{EvaluationEpisode, play_on};
-use crate::film::{Camera, FILMED};
-use crate::rollout::roll_out;
 use crate::source::Source;
-use crate::trajectory_log::LogHandle;
 
 /// Capacity of the queue of results. When it is full, the stepping thread waits: a slow network delays the rollout and
 /// loses nothing.
@@ -164,7 +162,7 @@ impl Worlds {
         let handle = self.handle.as_ref();
         let mut collector = handle.and_then(|handle| handle.evaluation(&job.lease, work, world));
         let mut camera = match work.episode {
-            FILMED => Camera::before(world)?,
+            FILMED => Camera::before(world),
             _ => None,
         };
         let mut steps = 0;

@@ -43,7 +43,7 @@ fn row(task: &str, core: &str, environments: usize, effort: Effort) -> anyhow::R
     Ok(Row { case: format!("{task} {core}, {environments} environments"), figures })
 }
 
-/// The agents of a few environments, as in `actor`.
+/// The agents of a few environments, as in `rollout`.
 struct Slot {
     policy: PolicySnapshot,
     environments: usize,

@@ -108,7 +108,8 @@ pub(crate) fn roll_out(
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    actor::roll_out(run, work, policy, world, |_, _| {}, keep).expect("the lease is the learner's");
+    rollout::roll_out(run, work, policy, world, |_, _| {}, keep)
+        .expect("the lease is the learner's");
     chunks
 }
 
@@ -190,6 +191,6 @@ fn perform(
             Err(_) => ControlFlow::Break(()),
         }
     };
-    actor::roll_out(run, work, &policy, world, |_, _| {}, send)
+    rollout::roll_out(run, work, &policy, world, |_, _| {}, send)
         .expect("the lease is the learner's");
 }

@@ -69,7 +69,7 @@ impl Settings {
     /// The task's sizes for a learning rule.
     pub(crate) fn problem(&self) -> anyhow::Result<Problem> {
         let world = self.world(1)?;
-        Ok(learner::assemble::problem(&actor::environment_spec(world.description())))
+        Ok(learner::assemble::problem(&rollout::environment_spec(world.description())))
     }
 
     /// A new run in `folder`, without evaluations and with only the last checkpoint.
@@ -83,7 +83,7 @@ impl Settings {
             training: self.training.clone(),
             observations: ObservationScale::AsShown,
             policy: self.policy.clone(),
-            environment: actor::environment_spec(world.description()),
+            environment: rollout::environment_spec(world.description()),
             task_settings: serde_json::to_string(&self.task)?,
             seed: RunSeed(1),
             iterations: iterations as u64,
@@ -93,7 +93,7 @@ impl Settings {
             config_toml: String::new(),
             config_sha256: Digest([0; 32]),
             build: "test".to_owned(),
-            rollout_fingerprint: actor::rollout_fingerprint(),
+            rollout_fingerprint: rollout::rollout_fingerprint(),
             learner_fingerprint: Digest([0; 32]),
             manifest: serde_json::json!({}),
             resume: false,

@@ -5,10 +5,10 @@ use std::fs;
 use std::io::Cursor;
 use std::sync::LazyLock;
 
-use actor::trajectory_log::{Index, recover, replay, survey};
 use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
 use mcap::{Attachment, Message, MessageStream, Summary, Writer};
+use recording::trajectory_log::{Index, recover, replay, survey};
 use tempfile::TempDir;
 
 static LOG: LazyLock<Vec<u8>> = LazyLock::new(fuzz::recording);

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use actor::trajectory_log::{Index, join};
 use libfuzzer_sys::fuzz_target;
+use recording::trajectory_log::{Index, join};
 use tempfile::TempDir;
 
 /// A folder with a trajectory log.

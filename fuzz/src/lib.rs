@@ -1,12 +1,13 @@
 //! What a fuzz target and the inputs that it begins with must agree on.
 
-use actor::{EvaluationEpisode, RecordedRun};
 use candle_core::DType;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{
     ActorNetwork, ActorPolicy, CoreKind, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden,
 };
 use proto::{Digest, PolicyVersion, WeightsName};
+use recording::RecordedRun;
+use rollout::EvaluationEpisode;
 use sim::{
     ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm,
     PartitionSemantics, RootView, TaskConfig, TaskDefinition,
@@ -69,7 +70,7 @@ pub fn recording() -> Vec<u8> {
     };
     let episode = |index| EvaluationEpisode { seed: RunSeed(1), iteration: 3, index };
     let file = tempfile::NamedTempFile::new().expect("a writable temporary folder");
-    actor::record(world.as_mut(), &run, &[episode(0), episode(1)], file.path(), |_, _| {})
+    recording::record(world.as_mut(), &run, &[episode(0), episode(1)], file.path(), |_, _| {})
         .expect("the hopper can be recorded");
     std::fs::read(file.path()).expect("the file just written")
 }

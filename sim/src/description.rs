@@ -1,4 +1,4 @@
-//! Description of a task: agents, features, limits. `actor` converts it to the protocol's messages.
+//! Description of a task: agents, features, limits. `rollout` converts it to the protocol's messages.
 
 /// Description of a task.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,6 +2,7 @@
 
 use actor::Transport;
 use anyhow::Context as _;
+use recording::trajectory_log::LogConfig;
 use tokio::sync::watch;
 
 use crate::cli::{ActorArguments, ActorLogArguments};
@@ -59,7 +60,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
 }
 
 /// Trajectory logging, if enabled: the arguments override the defaults of the settings.
-fn log(arguments: ActorLogArguments) -> Result<Option<actor::LogConfig>, ConfigError> {
+fn log(arguments: ActorLogArguments) -> Result<Option<LogConfig>, ConfigError> {
     let (Some(folder), Some(episodes)) = (arguments.log_dir, arguments.log_episodes) else {
         return Ok(None);
     };
@@ -67,7 +68,7 @@ fn log(arguments: ActorLogArguments) -> Result<Option<actor::LogConfig>, ConfigE
     let settings = [format!("log.episodes={episodes}")].into_iter().chain(size).collect();
     let resolved = layers::resolve(&Request { settings, ..Request::default() })?;
     let settings = RunConfig::build(resolved)?.log;
-    Ok(Some(actor::LogConfig { folder, settings }))
+    Ok(Some(LogConfig { folder, settings }))
 }
 
 fn default_name() -> String {

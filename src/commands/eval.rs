@@ -1,9 +1,9 @@
 //! `s2mia eval`: whole episodes of a trained policy, mean or drawn actions, extrinsic return only.
 
-use actor::{Episode, PlayedStep};
 use anyhow::Context as _;
 use learner::evaluation::Spread;
 use proto::ActionChoice;
+use rollout::{Episode, PlayedStep};
 use serde_json::json;
 use sim::EnvironmentBatch;
 
@@ -54,7 +54,7 @@ fn play(
             let place = || format!("episode {}/{count}, step {}", episode + 1, step.step);
             progress.reach(done, u64::from(count) * most, place);
         };
-        actor::play_episode(world, &trained.policy, start, on_step).context("the episode failed")
+        rollout::play_episode(world, &trained.policy, start, on_step).context("the episode failed")
     };
     (0..arguments.episodes).map(episode).collect()
 }

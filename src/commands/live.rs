@@ -8,9 +8,10 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use actor::{EvaluationEpisode, LiveError, LiveScene, LiveServer};
 use anyhow::Context as _;
 use policy::RunSeed;
+use recording::{LiveError, LiveScene, LiveServer};
+use rollout::EvaluationEpisode;
 
 use crate::commands::live::curves::Curves;
 use crate::config::run_config::RunConfig;

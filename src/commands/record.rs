@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use actor::{EvaluationEpisode, RecordError, RecordSummary, RecordedRun};
 use anyhow::Context as _;
+use recording::{RecordError, RecordSummary, RecordedRun};
+use rollout::EvaluationEpisode;
 
 use crate::cli::RecordArguments;
 use crate::figures::chart;
@@ -42,7 +43,7 @@ fn played(
     let world = stage.environment.as_mut();
     let most = u64::from(world.description().episode_steps);
     let (count, mut progress) = (episodes.len(), WorkProgress::new());
-    actor::record(world, run, episodes, path, |index, step| {
+    recording::record(world, run, episodes, path, |index, step| {
         let place = || format!("episode {}/{count}, step {step}", index + 1);
         progress.reach(index as u64 * most + u64::from(step), count as u64 * most, place);
     })

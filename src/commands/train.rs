@@ -5,10 +5,11 @@ mod closing;
 use std::path::Path;
 use std::time::Instant;
 
-use actor::{LiveServer, Transport};
+use actor::Transport;
 use anyhow::Context as _;
 use learner::{LearnerError, Listener, Summary};
 use proto::Episodes;
+use recording::LiveServer;
 use security::Token;
 use tokio::net::TcpListener;
 use tokio::sync::watch;

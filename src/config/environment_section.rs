@@ -1,7 +1,7 @@
 //! The section `environment_service`: the external program that offers the environment.
 
-use actor::LogSettings;
 use proto::Episodes;
+use recording::trajectory_log::LogSettings;
 use serde::Deserialize;
 
 /// The section `environment_service`.

@@ -47,7 +47,7 @@ pub(crate) struct RunConfig {
     /// Sections `environments`, `lease`, `audit`, `evaluation`, `checkpoint`, `metrics`, `learner`.
     pub(crate) learner: learner::Config,
     /// Section `log`.
-    pub(crate) log: actor::LogSettings,
+    pub(crate) log: recording::trajectory_log::LogSettings,
 }
 
 impl RunConfig {

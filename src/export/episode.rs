@@ -37,7 +37,7 @@ pub(super) fn play(
     for agent in &policy.agents {
         agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });
     }
-    let episode = actor::play_episode(world, policy, (start, ActionChoice::Mean), |step| {
+    let episode = rollout::play_episode(world, policy, (start, ActionChoice::Mean), |step| {
         for (index, track) in agents.iter_mut().enumerate() {
             track.observation.extend(&step.observation[index]);
             track.hidden.extend(&step.hidden[index]);

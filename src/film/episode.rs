@@ -40,7 +40,7 @@ impl PlayedEpisode {
         let mut moments = vec![Moment::of(&*world)];
         let mut end = Outcome::default();
         let start = (key, ActionChoice::Mean);
-        let episode = actor::play_episode(&mut *world, policy, start, |step| {
+        let episode = rollout::play_episode(&mut *world, policy, start, |step| {
             let before = moments.last().expect("the start is there");
             let now = Moment::after(step, before);
             moments.push(now);

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use actor::PlayedStep;
+use rollout::PlayedStep;
 use sim::{EnvironmentBatch, Pose, World};
 
 /// Time after the start in which joints may move inside their limits, which frees energy.

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use actor::EvaluationEpisode;
 use anyhow::Context as _;
 use learner::checkpoint::{CheckpointError, Loaded};
 use policy::{PolicySnapshot, RunSeed};
 use proto::{Digest, PolicyVersion, WeightsName};
+use rollout::EvaluationEpisode;
 
 use crate::config::run_config::RunConfig;
 use crate::config::run_settings::config_of_run;

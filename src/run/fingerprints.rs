@@ -24,7 +24,7 @@ pub(crate) struct Fingerprints {
 impl Fingerprints {
     /// Computes both; takes a moment.
     pub(crate) fn measure() -> Self {
-        let rollout = actor::rollout_fingerprint();
+        let rollout = rollout::rollout_fingerprint();
         let mut hasher = Sha256::new();
         hasher.update(rollout.0);
         hasher.update(marl::probe());

@@ -57,7 +57,7 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     let world = sim::environments(&config.task, 1).context("cannot build the task")?;
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;
-    let spec = actor::environment_spec(world.description());
+    let spec = rollout::environment_spec(world.description());
     Ok(Offered { spec, task_settings, description: String::new(), states: "encoded" })
 }
 

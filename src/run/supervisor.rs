@@ -8,9 +8,9 @@ use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-use actor::LogSettings;
 use anyhow::Context as _;
 use proto::Episodes;
+use recording::trajectory_log::LogSettings;
 use security::Token;
 use tokio::process::{Child, Command};
 use tokio::sync::watch;

@@ -77,7 +77,7 @@ fn environment() -> Box<dyn EnvironmentBatch> {
 }
 
 fn spec() -> EnvironmentSpec {
-    actor::environment_spec(environment().description())
+    rollout::environment_spec(environment().description())
 }
 
 #[tonic::async_trait]

@@ -8,14 +8,16 @@ use crate::assert_none;
 use crate::repository::{LIBRARIES, read};
 
 /// Workspace crates that a crate may use. The root may use all of them.
-const ARROWS: [(&str, &[&str]); 8] = [
+const ARROWS: [(&str, &[&str]); 10] = [
     ("proto", &[]),
     ("security", &[]),
     ("sim", &[]),
     ("kernels", &[]),
     ("policy", &["kernels"]),
     ("marl", &["policy"]),
-    ("actor", &["policy", "proto", "security", "sim"]),
+    ("rollout", &["policy", "proto", "sim"]),
+    ("recording", &["policy", "proto", "rollout", "sim"]),
+    ("actor", &["policy", "proto", "recording", "rollout", "security", "sim"]),
     ("learner", &["marl", "policy", "proto", "security"]),
 ];
 
@@ -40,9 +42,9 @@ const HEAVY: [(&str, &[&str]); 33] = [
     ("rayon", &["marl", "learner"]),
     ("roxmltree", &["sim"]),
     ("rapier3d", &["sim"]),
-    ("foxglove", &["actor"]),
-    ("mcap", &["actor"]),
-    ("prost", &["proto", "actor", ROOT]),
+    ("foxglove", &["recording"]),
+    ("mcap", &["recording"]),
+    ("prost", &["proto", "recording", ROOT]),
     ("rcgen", &["security"]),
     ("rustls", &["security"]),
     ("rustls-webpki", &["security"]),
@@ -51,7 +53,7 @@ const HEAVY: [(&str, &[&str]); 33] = [
     ("hyper", &["learner"]),
     ("hyper-util", &["learner"]),
     ("prometheus-client", &["learner"]),
-    ("tokio", &[ROOT, "actor", "learner"]),
+    ("tokio", &[ROOT, "actor", "learner", "recording"]),
     ("tokio-rustls", &["actor", "learner"]),
     ("tokio-stream", &[ROOT, "actor", "learner"]),
     ("tonic", &["proto", "actor", "learner"]),

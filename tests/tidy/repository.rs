@@ -5,14 +5,42 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The top-level folders that hold the project.
-pub(crate) const ROOMS: [&str; 18] = [
-    ".ci", ".github", "actor", "benches", "clients", "configs", "deploy", "docs", "fuzz",
-    "kernels", "learner", "marl", "policy", "proto", "security", "sim", "src", "tests",
+pub(crate) const ROOMS: [&str; 20] = [
+    ".ci",
+    ".github",
+    "actor",
+    "benches",
+    "clients",
+    "configs",
+    "deploy",
+    "docs",
+    "fuzz",
+    "kernels",
+    "learner",
+    "marl",
+    "policy",
+    "proto",
+    "recording",
+    "rollout",
+    "security",
+    "sim",
+    "src",
+    "tests",
 ];
 
 /// The workspace's library crates, each a folder of the same name.
-pub(crate) const LIBRARIES: [&str; 8] =
-    ["actor", "kernels", "learner", "marl", "policy", "proto", "security", "sim"];
+pub(crate) const LIBRARIES: [&str; 10] = [
+    "actor",
+    "kernels",
+    "learner",
+    "marl",
+    "policy",
+    "proto",
+    "recording",
+    "rollout",
+    "security",
+    "sim",
+];
 
 const NEVER_ENTERED: [&str; 6] =
     ["__pycache__", "artifacts", "corpus", "node_modules", "runs", "target"];

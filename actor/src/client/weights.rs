@@ -55,7 +55,10 @@ mod tests {
     use tonic::Status;
 
     use super::*;
-    use crate::trajectory_log::tests::fixture::policy;
+
+    fn policy() -> PolicySnapshot {
+        PolicySnapshot { agents: Vec::new() }
+    }
 
     fn name(version: u64) -> WeightsName {
         WeightsName { version: PolicyVersion(version), digest: Digest([7; 32]) }

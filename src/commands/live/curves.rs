@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use actor::{LiveServer, LiveTopic};
 use anyhow::Context as _;
+use recording::{LiveServer, LiveTopic};
 use serde_json::{Value, json};
 
 use crate::run::growing::Growing;

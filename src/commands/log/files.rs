@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use actor::LogError;
-use actor::trajectory_log::{Index, is_log_name};
 use anyhow::Context as _;
 use proto::is_reward_log_name;
+use recording::trajectory_log::{Index, LogError, is_log_name};
 
 use crate::cli::LogFiles;
 use crate::errors::Usage;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use actor::trajectory_log::{Survey, read_bytes, survey};
+use recording::trajectory_log::{Survey, read_bytes, survey};
 
 use crate::cli::LogFiles;
 use crate::commands::log::files::{in_file, paths};

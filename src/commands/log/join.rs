@@ -1,6 +1,6 @@
 //! `s2mia log join`: whole episodes from the shares of several actors.
 
-use actor::trajectory_log::join;
+use recording::trajectory_log::join;
 
 use crate::cli::JoinArguments;
 use crate::commands::log::files::{in_file, index, paid};

@@ -1,6 +1,6 @@
 //! `s2mia log recover`: copies the undamaged part of a log into a new file.
 
-use actor::trajectory_log::{read_bytes, recover};
+use recording::trajectory_log::{read_bytes, recover};
 
 use crate::cli::RecoverArguments;
 use crate::commands::log::files::in_file;

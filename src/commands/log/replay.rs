@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use actor::trajectory_log::{Replayed, read_bytes, replay};
+use recording::trajectory_log::{Replayed, read_bytes, replay};
 
 use crate::cli::LogFiles;
 use crate::commands::log::files::{in_file, paths, size, sizes};

@@ -1,6 +1,6 @@
 //! `s2mia log verify`: checks that logs are undamaged and complete.
 
-use actor::trajectory_log::Index;
+use recording::trajectory_log::Index;
 
 use crate::cli::LogFiles;
 use crate::commands::log::files::{index, paid};

@@ -5,9 +5,9 @@ use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::time::Duration;
 
-use actor::trajectory_log::{is_log_name, totals};
 use learner::Summary;
 use proto::is_reward_log_name;
+use recording::trajectory_log::{is_log_name, totals};
 
 use crate::figures::chart;
 use crate::run::run_path::{self, config_file};

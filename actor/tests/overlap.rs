@@ -1,0 +1,179 @@
+//! Tests that two leases overlap: an actor steps the next while the last messages of one are unacknowledged.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "../../rollout/tests/rollout/fixture.rs"]
+mod fixture;
+#[path = "../../rollout/tests/rollout/work.rs"]
+mod work;
+
+use std::pin::Pin;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use actor::{Config, Transport};
+use proto::wire::get_weights_response::Part;
+use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
+use proto::wire::push_trajectory_request::Content;
+use proto::{
+    Ack, AckState, ActorId, Digest, HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId,
+    PolicyVersion, PushHeader, Registered, RunState, WeightsName, Work, wire,
+};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tokio_stream::wrappers::TcpListenerStream;
+use tokio_stream::{Stream, StreamExt as _};
+use tonic::{Request, Response, Status, Streaming};
+
+use fixture::policy;
+use work::{CHUNK, STEPS, fresh_work, run};
+
+const LEASES: u64 = 3;
+
+/// A learner that delays the last acknowledgement of each slot until the first chunk of the next slot arrives.
+struct Withholding {
+    weights: Vec<u8>,
+    leased: AtomicU64,
+    /// The highest lease of which a chunk has arrived.
+    begun: watch::Sender<u64>,
+    /// Leases, in the order of their last acknowledgements.
+    finished: Mutex<Vec<u64>>,
+    over: watch::Sender<bool>,
+}
+
+impl Withholding {
+    fn new() -> Self {
+        Self {
+            weights: policy().to_bytes().unwrap(),
+            leased: AtomicU64::new(0),
+            begun: watch::Sender::new(0),
+            finished: Mutex::default(),
+            over: watch::Sender::new(false),
+        }
+    }
+
+    fn name(&self) -> WeightsName {
+        WeightsName { version: PolicyVersion(1), digest: Digest(policy::digest(&self.weights)) }
+    }
+}
+
+type Answers<M> = Pin<Box<dyn Stream<Item = Result<M, Status>> + Send>>;
+
+/// The service, shared with the test, which reads the order of leases.
+struct Shared(std::sync::Arc<Withholding>);
+
+#[tonic::async_trait]
+impl LearnerService for Shared {
+    async fn describe_run(
+        &self,
+        _: Request<wire::DescribeRunRequest>,
+    ) -> Result<Response<wire::DescribeRunResponse>, Status> {
+        Ok(Response::new(wire::DescribeRunResponse { run: Some(run().to_wire()) }))
+    }
+
+    async fn register(
+        &self,
+        _: Request<wire::RegisterRequest>,
+    ) -> Result<Response<wire::RegisterResponse>, Status> {
+        let registered = Registered { actor: ActorId(1), incarnation: Incarnation(1) };
+        Ok(Response::new(registered.to_wire()))
+    }
+
+    async fn lease_slots(
+        &self,
+        _: Request<wire::LeaseSlotsRequest>,
+    ) -> Result<Response<wire::LeaseSlotsResponse>, Status> {
+        let id = LeaseId(self.0.leased.fetch_add(1, Ordering::Relaxed) + 1);
+        if id.0 > LEASES {
+            // The run is over once every slot is acknowledged.
+            let _ = self.0.over.subscribe().wait_for(|&over| over).await;
+            return Ok(Response::new(LeaseAnswer::Done.to_wire()));
+        }
+        let work = Work::Rollout(fresh_work());
+        let weights = self.0.name();
+        let lease = Lease { id, incarnation: Incarnation(1), weights, attempt: 0, work };
+        Ok(Response::new(LeaseAnswer::Lease(lease).to_wire()))
+    }
+
+    type GetWeightsStream = Answers<wire::GetWeightsResponse>;
+
+    async fn get_weights(
+        &self,
+        _: Request<wire::GetWeightsRequest>,
+    ) -> Result<Response<Self::GetWeightsStream>, Status> {
+        let total_bytes = self.0.weights.len() as u64;
+        let header = wire::WeightsHeader { weights: Some(self.0.name().to_wire()), total_bytes };
+        let parts = [Part::Header(header), Part::Data(self.0.weights.clone().into())];
+        let answers = parts.map(|part| Ok(wire::GetWeightsResponse { part: Some(part) }));
+        Ok(Response::new(Box::pin(tokio_stream::iter(answers))))
+    }
+
+    type PushTrajectoryStream = Answers<wire::PushTrajectoryResponse>;
+
+    async fn push_trajectory(
+        &self,
+        request: Request<Streaming<wire::PushTrajectoryRequest>>,
+    ) -> Result<Response<Self::PushTrajectoryStream>, Status> {
+        let learner = std::sync::Arc::clone(&self.0);
+        let acknowledged = request.into_inner().then(move |message| {
+            let learner = std::sync::Arc::clone(&learner);
+            async move { acknowledge(&learner, message?).await }
+        });
+        Ok(Response::new(Box::pin(acknowledged)))
+    }
+
+    async fn heartbeat(
+        &self,
+        _: Request<wire::HeartbeatRequest>,
+    ) -> Result<Response<wire::HeartbeatResponse>, Status> {
+        let answer = HeartbeatAnswer { run_state: RunState::Running, lease_valid: true };
+        Ok(Response::new(answer.to_wire()))
+    }
+}
+
+async fn acknowledge(
+    learner: &Withholding,
+    message: wire::PushTrajectoryRequest,
+) -> Result<wire::PushTrajectoryResponse, Status> {
+    let (header, content) = PushHeader::from_wire(message)?;
+    let Content::Chunk(chunk) = content else { panic!("no evaluation was leased") };
+    let lease = header.lease;
+    learner.begun.send_modify(|begun| *begun = lease.0.max(*begun));
+    let lease_finished = (chunk.sequence + 1) * CHUNK == STEPS;
+    if lease_finished {
+        let next = (lease.0 + 1).min(LEASES);
+        let _ = learner.begun.subscribe().wait_for(|&begun| begun >= next).await;
+        let finished = &mut learner.finished.lock().unwrap();
+        finished.push(lease.0);
+        learner.over.send_replace(finished.len() as u64 == LEASES);
+    }
+    let (sequence, state) = (chunk.sequence, AckState::Accepted);
+    Ok(Ack { lease, sequence, state, lease_finished }.to_wire())
+}
+
+#[tokio::test]
+async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let learner = format!("http://{}", listener.local_addr().unwrap());
+    let withholding = std::sync::Arc::new(Withholding::new());
+    let service = LearnerServiceServer::new(Shared(std::sync::Arc::clone(&withholding)));
+    let server = tonic::transport::Server::builder().add_service(service);
+    tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
+    let config = Config {
+        learner,
+        transport: Transport::PlainTextOnLoopback,
+        token: None,
+        environment: None,
+        max_outage_secs: 1.0,
+        build: "test".to_owned(),
+        name: "actor".to_owned(),
+        threads: 1,
+        log: None,
+    };
+    let (_stop, never) = watch::channel(false);
+    let run = tokio::time::timeout(Duration::from_secs(60), actor::run(config, never));
+    run.await
+        .expect("the actor waits for an acknowledgement before it steps the next lease")
+        .unwrap();
+    assert_eq!(*withholding.finished.lock().unwrap(), [1, 2, 3]);
+}

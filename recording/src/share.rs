@@ -1,0 +1,34 @@
+//! A share: the logged steps of one episode in one lease.
+
+use proto::trajectory_log::{AgentStep, Share, ShareEnd, Step};
+use sim::Pose;
+
+/// A complete share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedShare {
+    /// Episode and start state of the share.
+    pub head: Share,
+    /// Steps in order.
+    pub steps: Vec<LoggedStep>,
+    /// Final state and observations.
+    pub end: ShareEnd,
+}
+
+/// A step of a share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedStep {
+    /// Pose of the robot before the step; empty for a game.
+    pub pose: Pose,
+    /// Observation and action of each agent, `[N]`.
+    pub agents: Vec<AgentStep>,
+    /// State before the step, and its result.
+    pub step: Step,
+}
+
+impl LoggedShare {
+    /// Episode step after the last step of the share.
+    #[must_use]
+    pub fn next_step(&self) -> u32 {
+        self.head.first_step.saturating_add(self.steps.len() as u32)
+    }
+}

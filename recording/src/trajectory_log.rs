@@ -1,0 +1,40 @@
+//! Trajectory logs: the steps of actors as MCAP files, for Foxglove, Python and replay in the simulator.
+//!
+//! A log consists of shares: the steps of one episode in one lease. The stepping thread only collects data
+//! (`collector.rs`) and sends whole leases to the log-writer thread (`writer.rs`), which splits them into shares
+//! (`cut.rs`) and writes these (`file.rs`). The writer may lose shares, which it counts, but never delays the stepping
+//! thread. The other files read logs, all of them through `records.rs`, which accepts untrusted bytes.
+
+mod collector;
+mod config;
+mod cut;
+mod error;
+mod file;
+mod index;
+mod join;
+mod names;
+mod records;
+mod recover;
+mod replay;
+mod rewards;
+mod shares;
+mod source;
+mod survey;
+#[cfg(test)]
+mod tests;
+mod writer;
+
+pub use collector::{EvaluationCollector, RolloutCollector};
+pub use config::{LogConfig, LogSettings};
+pub use error::{LogError, LogStartError};
+pub use index::{EpisodeId, Index};
+pub use join::{Joined, join};
+pub use recover::{Loss, Recovered, recover};
+pub use replay::{Difference, Replayed, replay};
+pub use shares::{ReadShares, read_shares};
+pub use source::{is_log_name, read_bytes};
+pub use survey::{Survey, Topic, survey, totals};
+pub use writer::{Log, LogHandle};
+
+pub(crate) use collector::evaluation_head;
+pub(crate) use file::{LogFile, Origin};

@@ -1,0 +1,66 @@
+//! Errors of trajectory logs.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::error::RecordError;
+
+/// Why a log cannot be read or written.
+#[derive(Debug, Error)]
+pub enum LogError {
+    /// The file cannot be read.
+    #[error("cannot read it: {0}")]
+    Read(std::io::Error),
+    /// The file is not an MCAP file.
+    #[error("not an MCAP file: it does not start with the MCAP magic bytes")]
+    NotMcap,
+    /// The end of the file is missing.
+    #[error(
+        "not finished: its end is missing, so it is still being written or was truncated; `s2mia log recover` saves \
+         the intact part"
+    )]
+    Unfinished,
+    /// The file is corrupted.
+    #[error("damaged: {0}; `s2mia log recover` saves the intact part")]
+    Damaged(String),
+    /// The file is an MCAP file, but not a trajectory log.
+    #[error("an MCAP file, but not a trajectory log: {0}")]
+    Foreign(String),
+    /// The log cannot be joined or replayed by this program.
+    #[error("{0}")]
+    Unfit(String),
+    /// The output cannot be written.
+    #[error(transparent)]
+    Write(#[from] RecordError),
+    /// The output file already exists.
+    #[error("already exists; choose another file")]
+    Taken,
+}
+
+impl From<mcap::McapError> for LogError {
+    fn from(error: mcap::McapError) -> Self {
+        Self::Damaged(error.to_string())
+    }
+}
+
+/// Why the log of an actor cannot be started.
+#[derive(Debug, Error)]
+pub enum LogStartError {
+    /// The file size is out of range.
+    #[error("log.max_file_mib must be in 1..={most}, is {size}")]
+    FileSize {
+        /// The size in the settings, MiB.
+        size: u64,
+        /// Upper bound, MiB.
+        most: u64,
+    },
+    /// The folder cannot be created.
+    #[error("cannot create {}: {source}", folder.display())]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+}

@@ -1,0 +1,243 @@
+//! Reads the complete shares of a log in order.
+
+use std::collections::BTreeMap;
+
+use foxglove::messages::{FrameTransforms, JointStates};
+use mcap::records::{MessageHeader, Record};
+use prost::Message;
+use proto::trajectory_log::{AgentStep, Share, ShareEnd, Step};
+use sim::{JointPose, LinkPose, Pose};
+
+use super::error::LogError;
+use super::names::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
+use super::records;
+use crate::share::{LoggedShare, LoggedStep};
+
+/// A share with the times of its first and last message, nanoseconds.
+type Timed = (LoggedShare, (u64, u64));
+
+/// Metadata and attachments of a log.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ReadShares {
+    /// Run, task and actor.
+    pub words: BTreeMap<String, String>,
+    /// Written and lost shares and steps; `None` if the end of the file is missing.
+    pub totals: Option<BTreeMap<String, String>>,
+    /// The task's settings as JSON.
+    pub task_settings: String,
+    /// The run's resolved settings as TOML.
+    pub settings_toml: String,
+    /// Number of steps of incomplete shares.
+    pub torn_steps: u64,
+}
+
+/// Reads a finished log, checks all checksums and schemas, and passes each complete share to `on_share`, with the times
+/// of its first and last message, nanoseconds.
+///
+/// # Errors
+/// If the file is damaged or not a trajectory log, or `on_share` fails.
+pub fn read_shares(
+    bytes: &[u8],
+    mut on_share: impl FnMut(LoggedShare, (u64, u64)) -> Result<(), LogError>,
+) -> Result<ReadShares, LogError> {
+    let mut assembler = Assembler::default();
+    let mut log = ReadShares::default();
+    records::read(bytes, |record| {
+        match record {
+            Record::Metadata(record) if record.name == METADATA_NAME => log.words = record.metadata,
+            Record::Metadata(record) if record.name == TOTALS_NAME => {
+                log.totals = Some(record.metadata);
+            }
+            Record::Attachment { header, data, .. } => match header.name.as_str() {
+                TASK_NAME => log.task_settings = text(&data)?,
+                SETTINGS_NAME => log.settings_toml = text(&data)?,
+                _ => {}
+            },
+            other => {
+                if let Some((share, nanos)) = assembler.take(other)? {
+                    on_share(share, nanos)?;
+                }
+            }
+        }
+        Ok(())
+    })?;
+    if log.words.is_empty() {
+        return Err(LogError::Foreign("it does not name its run and task".to_owned()));
+    }
+    if log.task_settings.is_empty() {
+        let why =
+            "its environment is another program's; only the simulator's episodes can be checked";
+        return Err(LogError::Unfit(why.to_owned()));
+    }
+    log.torn_steps = assembler.torn_steps + assembler.open_steps();
+    Ok(log)
+}
+
+fn text(data: &[u8]) -> Result<String, LogError> {
+    let wrong = |_| LogError::Damaged("an attachment is not UTF-8 text".to_owned());
+    String::from_utf8(data.to_vec()).map_err(wrong)
+}
+
+/// Content of a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    Share,
+    Agent(usize),
+    Step,
+    ShareEnd,
+    Transforms,
+    Joints,
+    Other,
+}
+
+impl Role {
+    /// Content of a topic, and the schema that it must have.
+    fn of(topic: &str) -> (Self, &'static str) {
+        match topic {
+            "/share" => (Self::Share, "s2mia.log.v1.Share"),
+            "/step" => (Self::Step, "s2mia.log.v1.Step"),
+            "/share_end" => (Self::ShareEnd, "s2mia.log.v1.ShareEnd"),
+            "/tf" => (Self::Transforms, "foxglove.FrameTransforms"),
+            "/joint_states" => (Self::Joints, "foxglove.JointStates"),
+            _ => match topic.strip_prefix("/agents/").map(str::parse) {
+                Some(Ok(agent)) => (Self::Agent(agent), "s2mia.log.v1.AgentStep"),
+                _ => (Self::Other, ""),
+            },
+        }
+    }
+}
+
+/// Assembles messages to shares. Incomplete shares are skipped and their steps counted.
+#[derive(Clone, Default)]
+pub(super) struct Assembler {
+    /// Name and encoding of each schema.
+    schemas: BTreeMap<u16, (String, String)>,
+    roles: BTreeMap<u16, Role>,
+    agents: usize,
+    open: Option<(LoggedShare, u64)>,
+    pose: Pose,
+    acted: Vec<AgentStep>,
+    torn_steps: u64,
+}
+
+impl Assembler {
+    /// Adds a record; returns a share if the record completes it.
+    pub(super) fn take(&mut self, record: Record<'_>) -> Result<Option<Timed>, LogError> {
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, (header.name, header.encoding));
+                Ok(None)
+            }
+            Record::Channel(channel) => self.declare(&channel).map(|()| None),
+            Record::Message { header, data } => self.message(&header, &data),
+            _ => Ok(None),
+        }
+    }
+
+    fn declare(&mut self, channel: &mcap::records::Channel) -> Result<(), LogError> {
+        let (role, expected) = Role::of(&channel.topic);
+        let (name, encoding) = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+        if role != Role::Other && (name.as_str(), encoding.as_str()) != (expected, "protobuf") {
+            let topic = &channel.topic;
+            return Err(LogError::Foreign(format!(
+                "{topic} has the schema {name:?} instead of {expected}"
+            )));
+        }
+        if self.roles.insert(channel.id, role).is_none() && matches!(role, Role::Agent(_)) {
+            self.agents += 1;
+        }
+        Ok(())
+    }
+
+    fn message(&mut self, header: &MessageHeader, data: &[u8]) -> Result<Option<Timed>, LogError> {
+        let unknown = || LogError::Damaged("a message has an unknown channel".to_owned());
+        match self.roles.get(&header.channel_id).copied().ok_or_else(unknown)? {
+            Role::Share => self.begin(Share::decode(data)?, header.log_time),
+            Role::Transforms => self.pose.links = links(&FrameTransforms::decode(data)?),
+            Role::Joints => self.pose.joints = joints(&JointStates::decode(data)?),
+            Role::Agent(index) if index == self.acted.len() => {
+                self.acted.push(AgentStep::decode(data)?);
+            }
+            Role::Agent(_) | Role::Other => {}
+            Role::Step => self.step(Step::decode(data)?),
+            Role::ShareEnd => {
+                let share = self.end(ShareEnd::decode(data)?);
+                return Ok(share.map(|(share, begun)| (share, (begun, header.log_time))));
+            }
+        }
+        Ok(None)
+    }
+
+    fn begin(&mut self, head: Share, nanos: u64) {
+        self.torn_steps += self.open_steps();
+        let end = ShareEnd::default();
+        self.open = Some((LoggedShare { head, steps: Vec::new(), end }, nanos));
+        self.acted.clear();
+    }
+
+    fn step(&mut self, step: Step) {
+        let (pose, agents) = (std::mem::take(&mut self.pose), std::mem::take(&mut self.acted));
+        let all = agents.len() == self.agents;
+        match &mut self.open {
+            Some((share, _)) if all && step.step == share.next_step() => {
+                share.steps.push(LoggedStep { pose, agents, step });
+            }
+            _ => {
+                self.torn_steps += 1 + self.open_steps();
+                self.open = None;
+            }
+        }
+    }
+
+    fn end(&mut self, end: ShareEnd) -> Option<(LoggedShare, u64)> {
+        let (share, begun) = self.open.take()?;
+        if end.steps as usize != share.steps.len() {
+            self.torn_steps += share.steps.len() as u64;
+            return None;
+        }
+        Some((LoggedShare { end, ..share }, begun))
+    }
+
+    fn open_steps(&self) -> u64 {
+        self.open.as_ref().map_or(0, |(share, _)| share.steps.len() as u64)
+    }
+}
+
+impl ReadShares {
+    /// Settings of the task.
+    ///
+    /// # Errors
+    /// If this program does not support the settings.
+    pub fn task(&self) -> Result<sim::TaskConfig, LogError> {
+        serde_json::from_str(&self.task_settings)
+            .map_err(|error| LogError::Unfit(format!("invalid task settings: {error}")))
+    }
+}
+
+impl From<prost::DecodeError> for LogError {
+    fn from(error: prost::DecodeError) -> Self {
+        Self::Damaged(format!("a message does not match its schema: {error}"))
+    }
+}
+
+fn links(message: &FrameTransforms) -> Vec<LinkPose> {
+    let link = |frame: &foxglove::messages::FrameTransform| {
+        let (at, turn) =
+            (frame.translation.unwrap_or_default(), frame.rotation.unwrap_or_default());
+        LinkPose {
+            name: frame.child_frame_id.clone(),
+            position: [at.x as f32, at.y as f32, at.z as f32],
+            quaternion: [turn.x as f32, turn.y as f32, turn.z as f32, turn.w as f32],
+        }
+    };
+    message.transforms.iter().map(link).collect()
+}
+
+fn joints(message: &JointStates) -> Vec<JointPose> {
+    let joint = |state: &foxglove::messages::JointState| JointPose {
+        name: state.name.clone(),
+        position: state.position.unwrap_or_default() as f32,
+        velocity: state.velocity.unwrap_or_default() as f32,
+    };
+    message.joints.iter().map(joint).collect()
+}

@@ -1,0 +1,146 @@
+//! Tests of a single complete log.
+
+use proto::trajectory_log::Kind;
+use proto::{Episodes, EvaluationWork};
+
+use super::fixture::{ENVIRONMENTS, task};
+use super::work::{fresh_work, run};
+use super::{WHOLE, evaluate, files, next_work, read, roll, slot_log, start};
+use crate::share::LoggedShare;
+use crate::trajectory_log::file::{LogFile, Origin};
+use crate::trajectory_log::source::{new_log, read_bytes};
+use crate::trajectory_log::{replay, survey, totals};
+
+#[test]
+fn a_slot_is_split_where_its_episodes_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, shares) = read(&slot_log(folder.path()).0);
+    let found: Vec<_> = shares
+        .iter()
+        .map(|share| (share.head.episode_id.as_str(), share.head.first_step, share.end.steps))
+        .collect();
+    // Environment 6 is truncated after 15 of the 40 steps.
+    let expected = [("rollout-6-0", 0, 15), ("rollout-7-0", 0, 40), ("rollout-6-1", 0, 25)];
+    assert_eq!(found, expected);
+    let head = &shares[2].head;
+    assert_eq!((head.iteration, head.slot, head.environment, head.episode), (4, 3, 6, 1));
+    assert_eq!((head.attempt, head.seed, head.weights_version), (1, 3, 4));
+    assert_eq!((head.kind(), head.weights_sha256.as_slice()), (Kind::Rollout, &[7; 32][..]));
+    assert_eq!(log.words["run_id"], "test");
+    assert_eq!(log.settings_toml, "task = \"halfcheetah-2x3\"");
+    assert_eq!(log.task().unwrap(), task());
+    assert!(shares[0].end.environment_state.is_empty(), "the episode is finished");
+}
+
+#[test]
+fn a_share_contains_the_data_sent_to_the_learner() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, chunks) = slot_log(folder.path());
+    let shares = read(&path).1;
+    let last = &shares[2];
+    for (index, step) in last.steps.iter().enumerate() {
+        let slot_step = 15 + index;
+        let (chunk, row) = (&chunks[slot_step / 20], (slot_step % 20) * ENVIRONMENTS);
+        assert_eq!(step.step.step as usize, index);
+        assert_eq!(step.step.reward, chunk.reward[row]);
+        assert_eq!(step.step.state, chunk.state[row * 17..(row + 1) * 17]);
+        for (agent, sent) in step.agents.iter().zip(&chunk.agents) {
+            assert_eq!(agent.observation, sent.observation[row * 19..(row + 1) * 19]);
+            assert_eq!(agent.action, sent.action[row * 3..(row + 1) * 3]);
+            assert_eq!(agent.log_prob, Some(sent.log_prob[row]));
+        }
+        assert_eq!((step.pose.links.len(), step.pose.joints.len()), (7, 6));
+    }
+    let end = chunks[1].end.as_ref().unwrap();
+    assert_eq!(last.end.environment_state, end.environments[0]);
+}
+
+#[test]
+fn a_log_has_a_schema_for_every_topic_and_totals() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = slot_log(folder.path()).0;
+    let survey = survey(&read_bytes(&path).unwrap()).unwrap();
+    let topics: Vec<_> = survey
+        .topics
+        .iter()
+        .map(|(name, topic)| (name.as_str(), topic.schema.as_str(), topic.messages))
+        .collect();
+    let expected = [
+        ("/agents/0", "s2mia.log.v1.AgentStep", 80),
+        ("/agents/1", "s2mia.log.v1.AgentStep", 80),
+        ("/joint_states", "foxglove.JointStates", 80),
+        ("/scene", "foxglove.SceneUpdate", 3),
+        ("/share", "s2mia.log.v1.Share", 3),
+        ("/share_end", "s2mia.log.v1.ShareEnd", 3),
+        ("/step", "s2mia.log.v1.Step", 80),
+        ("/tf", "foxglove.FrameTransforms", 80),
+    ];
+    assert_eq!(topics, expected);
+    // 80 steps of 0.05 s, and a second between successive shares.
+    assert_eq!(survey.secs, 6.0);
+    assert_eq!(totals(&path).unwrap(), survey.totals);
+    assert_eq!(
+        (survey.totals["steps"].as_str(), survey.totals["lost_steps"].as_str()),
+        ("80", "0")
+    );
+}
+
+#[test]
+fn an_evaluation_is_logged_completely_without_log_probabilities() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, handle) = start(folder.path(), "a", Episodes::Evaluation, 64);
+    roll(&handle, &fresh_work(), WHOLE);
+    evaluate(&handle, EvaluationWork { iteration: 9, episode: 2 });
+    log.close();
+    let shares = read(&files(folder.path())[0]).1;
+    assert_eq!(shares.len(), 1, "rollouts are not logged");
+    let share = &shares[0];
+    assert_eq!((share.head.episode_id.as_str(), share.end.steps), ("evaluation-9-2", 25));
+    assert!(
+        share.steps.iter().all(|step| step.agents.iter().all(|agent| agent.log_prob.is_none()))
+    );
+    assert!(share.steps[24].step.truncated && !share.steps[23].step.truncated);
+}
+
+#[test]
+fn the_simulator_replays_a_log_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, handle) = start(folder.path(), "a", Episodes::All, 64);
+    let chunks = roll(&handle, &fresh_work(), WHOLE);
+    roll(&handle, &next_work(&chunks), WHOLE);
+    evaluate(&handle, EvaluationWork { iteration: 4, episode: 0 });
+    log.close();
+    let replayed = replay(&read_bytes(&files(folder.path())[0]).unwrap(), |_, _| {}).unwrap();
+    assert_eq!((replayed.shares, replayed.steps, replayed.difference), (6, 185, None));
+    assert_eq!(replayed.other_program, None);
+}
+
+/// Difference that a replay of the slot's log finds after `change`.
+fn difference_after(change: impl Fn(&mut LoggedShare)) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let mut shares = read(&slot_log(folder.path()).0).1;
+    change(&mut shares[1]);
+    let origin = Origin::of_run(&run(), &task(), "b", Episodes::All);
+    let (path, target) = new_log(folder.path(), "b").unwrap();
+    let mut file = LogFile::begin((path.clone(), target), &origin).unwrap();
+    shares.iter().for_each(|share| file.write(share).unwrap());
+    file.finish((0, 0)).unwrap();
+    let replayed = replay(&read_bytes(&path).unwrap(), |_, _| {}).unwrap();
+    assert_eq!(replayed.shares, 1, "the share before is unchanged");
+    replayed.difference.unwrap().to_string()
+}
+
+#[test]
+fn a_replay_names_the_first_step_that_differs() {
+    let found = difference_after(|share| share.steps[20].step.reward += 1.0);
+    assert!(found.starts_with("rollout-7-0, step 20: the reward differs: "), "{found}");
+    let found = difference_after(|share| share.steps[20].agents[1].observation[3] = 5.0);
+    let start =
+        "rollout-7-0, step 20: agent 1's observation of bshin.position differs: logged 5.0, ";
+    assert!(found.starts_with(start), "{found}");
+    let found = difference_after(|share| share.steps[30].agents[0].action[1] -= 0.5);
+    assert!(found.starts_with("rollout-7-0, step 30: the reward differs: "), "{found}");
+    let found = difference_after(|share| share.end.environment_state[40] ^= 1);
+    let what = "the equality of encoded states differs: logged true, replayed false";
+    assert_eq!(found, format!("rollout-7-0, step 40: {what}"));
+}

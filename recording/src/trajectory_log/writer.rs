@@ -1,0 +1,312 @@
+//! The log-writer thread and the handle with which the stepping thread sends data to it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+
+use policy::RunSeed;
+use proto::{Episodes, EvaluationWork, Lease, RolloutWork, RunDescription};
+use rollout::EvaluationEpisode;
+use sim::{EnvironmentBatch, TaskConfig};
+
+use super::collector::{EvaluationCollector, Rollout, RolloutCollector};
+use super::config::LogConfig;
+use super::error::LogStartError;
+use super::file::{LogFile, Origin};
+use super::{cut, source};
+use crate::error::RecordError;
+use crate::share::LoggedShare;
+
+/// Capacity of the queue, leases of each stepping thread. When it is full, new leases are dropped and counted: a slow
+/// disk loses a part of the log but never delays the rollout.
+const QUEUE: usize = 32;
+
+/// The log of an actor.
+pub struct Log {
+    commands: SyncSender<Command>,
+    lost: Arc<Lost>,
+    episodes: Episodes,
+    actor: String,
+    thread: JoinHandle<()>,
+}
+
+/// Sends the log data of a session to the log-writer thread.
+#[derive(Clone)]
+pub struct LogHandle {
+    commands: SyncSender<Command>,
+    lost: Arc<Lost>,
+    episodes: Episodes,
+    run: Arc<RunDescription>,
+    origin: Arc<Origin>,
+}
+
+enum Command {
+    Rollout(Arc<Origin>, Box<Rollout>),
+    Evaluation(Arc<Origin>, Box<LoggedShare>),
+    /// Finishes the last file; later commands are ignored.
+    Close,
+}
+
+/// Counts of logged but unwritten shares and steps.
+#[derive(Debug, Default)]
+struct Lost {
+    /// Shares since the last [`Self::take`].
+    shares: AtomicU64,
+    /// Steps since the last [`Self::take`].
+    steps: AtomicU64,
+    /// Steps not yet reported to the learner.
+    unreported: AtomicU64,
+}
+
+impl Lost {
+    fn add(&self, shares: usize, steps: usize) {
+        self.shares.fetch_add(shares as u64, Ordering::Relaxed);
+        self.steps.fetch_add(steps as u64, Ordering::Relaxed);
+        self.unreported.fetch_add(steps as u64, Ordering::Relaxed);
+    }
+
+    /// Returns shares and steps and resets them.
+    fn take(&self) -> (u64, u64) {
+        (self.shares.swap(0, Ordering::Relaxed), self.steps.swap(0, Ordering::Relaxed))
+    }
+}
+
+impl Log {
+    /// Creates the folder and starts the log-writer thread for an actor with this number of stepping threads. `actor`
+    /// is part of the file names.
+    ///
+    /// # Errors
+    /// If the folder cannot be created.
+    pub fn start(config: &LogConfig, actor: &str, threads: usize) -> Result<Self, LogStartError> {
+        source::make_folder(&config.folder)?;
+        let lost = Arc::new(Lost::default());
+        let writer = LogWriter {
+            config: config.clone(),
+            actor: actor.to_owned(),
+            lost: Arc::clone(&lost),
+            file: None,
+            broken: false,
+            written: (0, 0),
+            lost_before: (0, 0),
+        };
+        let (commands, queue) = sync_channel(QUEUE * threads);
+        let thread = std::thread::Builder::new().name("log".to_owned());
+        let thread =
+            thread.spawn(move || writer.work(&queue)).expect("a process can start the log thread");
+        let (episodes, actor) = (config.settings.episodes, actor.to_owned());
+        Ok(Self { commands, lost, episodes, actor, thread })
+    }
+
+    /// Creates the handle of a session.
+    pub fn handle(&self, run: &Arc<RunDescription>, task: &TaskConfig) -> LogHandle {
+        let origin = Origin::of_run(run, task, &self.actor, self.episodes);
+        LogHandle {
+            run: Arc::clone(run),
+            commands: self.commands.clone(),
+            lost: Arc::clone(&self.lost),
+            episodes: self.episodes,
+            origin: Arc::new(origin),
+        }
+    }
+
+    /// Number of lost steps not yet reported to the learner.
+    pub fn unreported(&self) -> u64 {
+        self.lost.unreported.load(Ordering::Relaxed)
+    }
+
+    /// Marks `steps` lost steps as reported to the learner.
+    pub fn mark_reported(&self, steps: u64) {
+        self.lost.unreported.fetch_sub(steps, Ordering::Relaxed);
+    }
+
+    /// Closes the log and waits until all data is on disk.
+    pub fn close(self) {
+        // Both fail only if the thread has ended, which it has then logged.
+        let _asked = self.commands.send(Command::Close);
+        let _ended = self.thread.join();
+    }
+}
+
+impl LogHandle {
+    /// Creates the collector of a slot.
+    pub fn rollout<'a>(&self, lease: &Lease, work: &'a RolloutWork) -> RolloutCollector<'a> {
+        RolloutCollector::new(self.episodes, &self.run, lease, work)
+    }
+
+    /// Creates the collector of an evaluation episode at its start; `None` if it is not logged.
+    pub fn evaluation(
+        &self,
+        lease: &Lease,
+        work: EvaluationWork,
+        world: &dyn EnvironmentBatch,
+    ) -> Option<EvaluationCollector> {
+        let held = self.episodes.include_evaluation(work.episode);
+        let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(self.run.seed), work);
+        let episode = EvaluationEpisode { seed, iteration, index };
+        let weights = (lease.weights, lease.attempt);
+        held.then(|| EvaluationCollector::new(episode, weights, world).ok()).flatten()
+    }
+
+    /// Sends the data of a slot.
+    pub fn send_rollout(&self, collector: RolloutCollector<'_>) {
+        let Some(rollout) = collector.finish() else { return };
+        let steps = rollout.begun.iter().map(|share| share.poses.len()).sum();
+        let shares = rollout.begun.len();
+        self.send(Command::Rollout(Arc::clone(&self.origin), Box::new(rollout)), shares, steps);
+    }
+
+    /// Sends the data of an evaluation episode.
+    pub fn send_evaluation(&self, collector: EvaluationCollector) {
+        let share = collector.finish();
+        let steps = share.steps.len();
+        self.send(Command::Evaluation(Arc::clone(&self.origin), Box::new(share)), 1, steps);
+    }
+
+    fn send(&self, command: Command, shares: usize, steps: usize) {
+        if self.commands.try_send(command).is_err() {
+            self.lost.add(shares, steps);
+        }
+    }
+}
+
+/// State of the log-writer thread.
+struct LogWriter {
+    config: LogConfig,
+    actor: String,
+    lost: Arc<Lost>,
+    /// The open file and its origin.
+    file: Option<(Arc<Origin>, LogFile)>,
+    /// Whether writing has failed; nothing is written any more.
+    broken: bool,
+    /// Written shares and steps.
+    written: (u64, u64),
+    /// Lost shares and steps that are recorded in finished files.
+    lost_before: (u64, u64),
+}
+
+impl LogWriter {
+    fn work(mut self, commands: &Receiver<Command>) {
+        while let Ok(command) = commands.recv() {
+            match command {
+                Command::Rollout(origin, rollout) => {
+                    cut::shares(*rollout).iter().for_each(|share| self.write(&origin, share));
+                }
+                Command::Evaluation(origin, share) => self.write(&origin, &share),
+                Command::Close => break,
+            }
+        }
+        let finished = self.finish();
+        self.end_on_error(finished);
+        self.report();
+    }
+
+    /// Writes a share or counts it as lost.
+    fn write(&mut self, origin: &Arc<Origin>, share: &LoggedShare) {
+        let written = match self.broken {
+            true => false,
+            false => {
+                let attempt = self.attempt(origin, share);
+                self.end_on_error(attempt)
+            }
+        };
+        match written {
+            true => {
+                self.written.0 += 1;
+                self.written.1 += share.steps.len() as u64;
+            }
+            false => self.lost.add(1, share.steps.len()),
+        }
+    }
+
+    /// Ends the log after an error, but not the actor. Returns whether there was none.
+    fn end_on_error(&mut self, attempt: Result<(), RecordError>) -> bool {
+        let Err(error) = attempt else { return true };
+        let folder = self.config.folder.display();
+        tracing::warn!(
+            "cannot write the log in {folder}; logging stops, the rollout continues: {error}"
+        );
+        (self.broken, self.file) = (true, None);
+        false
+    }
+
+    fn attempt(&mut self, origin: &Arc<Origin>, share: &LoggedShare) -> Result<(), RecordError> {
+        if self.file.as_ref().is_some_and(|(of, _)| of != origin) {
+            self.finish()?;
+        }
+        let (_, file) = match &mut self.file {
+            Some(open) => open,
+            none => {
+                let target = source::new_log(&self.config.folder, &self.actor)?;
+                none.insert((Arc::clone(origin), LogFile::begin(target, origin)?))
+            }
+        };
+        file.write(share)?;
+        if file.bytes()? >= self.config.settings.max_file_mib << 20 {
+            self.finish()?;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), RecordError> {
+        let Some((_, file)) = self.file.take() else { return Ok(()) };
+        let lost = self.lost.take();
+        self.lost_before = (self.lost_before.0 + lost.0, self.lost_before.1 + lost.1);
+        file.finish(lost).map(drop)
+    }
+
+    /// Reports written and lost steps in the process log.
+    fn report(&self) {
+        let (folder, (shares, steps)) = (self.config.folder.display(), self.written);
+        tracing::info!("logged {steps} steps in {shares} shares of episodes to {folder}");
+        let late = self.lost.take();
+        let (shares, steps) = (self.lost_before.0 + late.0, self.lost_before.1 + late.1);
+        if shares > 0 {
+            tracing::warn!("{steps} steps in {shares} shares of episodes are missing from the log");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trajectory_log::tests::{evaluate, start};
+
+    #[test]
+    fn lost_steps_are_counted_once() {
+        let lost = Lost::default();
+        lost.add(2, 30);
+        lost.add(1, 5);
+        assert_eq!((lost.take(), lost.take()), ((3, 35), (0, 0)));
+        assert_eq!(
+            lost.unreported.load(Ordering::Relaxed),
+            35,
+            "they are not reported to the learner yet"
+        );
+    }
+
+    #[test]
+    fn a_full_queue_drops_new_data_without_blocking() {
+        let folder = tempfile::tempdir().unwrap();
+        let (log, handle) = start(folder.path(), "a", Episodes::All, 1);
+        log.close();
+        let ((commands, waiting), lost) = (sync_channel(1), Arc::new(Lost::default()));
+        let handle = LogHandle { commands, lost: Arc::clone(&lost), ..handle };
+        for _ in 0..3 {
+            evaluate(&handle, EvaluationWork { iteration: 0, episode: 0 });
+        }
+        assert_eq!(lost.take(), (2, 50), "one is queued, two episodes of 25 steps are lost");
+        assert_eq!(waiting.try_iter().count(), 1);
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_created_is_an_error_in_one_line() {
+        let settings =
+            crate::trajectory_log::LogSettings { episodes: Episodes::All, max_file_mib: 1 };
+        let folder = "/dev/null/logs".into();
+        let refusal =
+            Log::start(&LogConfig { folder, settings }, "a", 1).err().map(|e| e.to_string());
+        let line = refusal.unwrap_or_default();
+        assert!(line.contains("cannot create /dev/null/logs") && !line.contains('\n'), "{line}");
+    }
+}

@@ -1,0 +1,163 @@
+//! Tests of recordings: topics, schemas, messages, times, and the tools that read them.
+
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "../../rollout/tests/rollout/fixture.rs"]
+mod fixture;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use policy::{PolicySnapshot, RunSeed};
+use proto::{Digest, PolicyVersion, WeightsName};
+use recording::trajectory_log::{read_bytes, read_shares, replay};
+use recording::{RecordSummary, RecordedRun};
+use rollout::EvaluationEpisode;
+use sim::{ObservationConfig, ObservationNorm, TaskConfig};
+
+use fixture::{policy, policy_for, task};
+
+fn run(policy: &PolicySnapshot) -> RecordedRun<'_> {
+    RecordedRun {
+        policy,
+        weights: WeightsName { version: PolicyVersion(4), digest: Digest([7; 32]) },
+        metadata: BTreeMap::from([("run_id".to_owned(), "test".to_owned())]),
+        settings_toml: "task = \"halfcheetah-2x3\"".to_owned(),
+        task_settings: serde_json::to_string(&task()).unwrap(),
+    }
+}
+
+/// Records episodes 2 and 3 of the evaluation of iteration 4.
+fn record(path: &Path) -> RecordSummary {
+    let episode = |index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index };
+    let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
+    recording::record(&mut *world, &run(&policy), &[episode(2), episode(3)], path, |_, _| {})
+        .unwrap()
+}
+
+#[test]
+fn a_recording_holds_every_topic_of_a_log_with_its_protobuf_schema_and_a_message_per_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("walk.mcap");
+    let summary = record(&path);
+    assert_eq!(summary.episodes.len(), 2);
+    assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
+
+    let bytes = std::fs::read(&path).unwrap();
+    let mut counts: BTreeMap<String, (String, usize)> = BTreeMap::new();
+    let mut last = 0;
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        assert!(message.log_time >= last, "times do not decrease");
+        last = message.log_time;
+        let schema = message.channel.schema.as_ref().unwrap();
+        assert!(!schema.data.is_empty());
+        let encodings = (schema.encoding.as_str(), message.channel.message_encoding.as_str());
+        assert_eq!(encodings, ("protobuf", "protobuf"), "{}", message.channel.topic);
+        let entry = counts.entry(message.channel.topic.clone()).or_default();
+        *entry = (schema.name.clone(), entry.1 + 1);
+    }
+    let found: Vec<(&str, &str, usize)> = counts
+        .iter()
+        .map(|(topic, (schema, count))| (topic.as_str(), schema.as_str(), *count))
+        .collect();
+    assert_eq!(
+        found,
+        [
+            ("/agents/0", "s2mia.log.v1.AgentStep", 2000),
+            ("/agents/1", "s2mia.log.v1.AgentStep", 2000),
+            ("/joint_states", "foxglove.JointStates", 2000),
+            ("/scene", "foxglove.SceneUpdate", 2),
+            ("/share", "s2mia.log.v1.Share", 2),
+            ("/share_end", "s2mia.log.v1.ShareEnd", 2),
+            ("/step", "s2mia.log.v1.Step", 2000),
+            ("/tf", "foxglove.FrameTransforms", 2000),
+        ]
+    );
+    assert_eq!(summary.messages, 10_006);
+    // Two episodes of 1,000 steps of 0.05 s with a second between them.
+    assert_eq!(last, 101_000_000_000);
+}
+
+#[test]
+fn the_channels_of_a_recording_name_features_and_joints() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("walk.mcap");
+    record(&path);
+    let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
+    let names = |topic: &str, key: &str| -> Vec<String> {
+        let channel = summary.channels.values().find(|channel| channel.topic == topic).unwrap();
+        serde_json::from_str(&channel.metadata[key]).unwrap()
+    };
+    assert_eq!(names("/agents/1", "action"), ["fthigh", "fshin", "ffoot"]);
+    let (observation, state) = (names("/agents/0", "observation"), names("/step", "state"));
+    assert_eq!((state.len(), observation.len()), (17, 19));
+    assert_eq!(observation[..17], state[..]);
+    assert_eq!(observation[17..], ["id.0", "id.1"]);
+}
+
+#[test]
+fn a_recording_is_a_log_of_the_episodes_and_is_replayed_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("walk.mcap");
+    let summary = record(&path);
+    let bytes = read_bytes(&path).unwrap();
+    let mut shares = Vec::new();
+    let log = read_shares(&bytes, |share, _| {
+        shares.push(share);
+        Ok(())
+    });
+    assert_eq!(log.unwrap().words["run_id"], "test");
+    let ids: Vec<&str> = shares.iter().map(|share| share.head.episode_id.as_str()).collect();
+    assert_eq!(ids, ["evaluation-4-2", "evaluation-4-3"]);
+    for (share, episode) in shares.iter().zip(&summary.episodes) {
+        let rewards = share.steps.iter().map(|step| f64::from(step.step.reward));
+        assert_eq!(rewards.sum::<f64>(), episode.extrinsic_return);
+        assert_eq!((share.head.seed, share.head.weights_version), (1, 4));
+    }
+    let replayed = replay(&bytes, |_, _| {}).unwrap();
+    assert_eq!((replayed.shares, replayed.steps, replayed.difference), (2, 2000, None));
+}
+
+#[test]
+fn every_step_is_reported_with_the_position_of_its_episode() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut world, policy, mut told) =
+        (sim::environments(&task(), 1).unwrap(), policy(), Vec::new());
+    let episodes = [2, 3].map(|index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index });
+    let path = folder.path().join("walk.mcap");
+    let on_step = |index, step| told.push((index, step));
+    recording::record(&mut *world, &run(&policy), &episodes, &path, on_step).unwrap();
+    assert_eq!((told.len(), told[0], told[1999]), (2000, (0, 1), (1, 1000)));
+}
+
+#[test]
+fn a_missing_folder_is_an_error() {
+    let path = Path::new("/nowhere/at/all.mcap");
+    let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
+    assert!(recording::record(&mut *world, &run(&policy), &[], path, |_, _| {}).is_err());
+}
+
+#[test]
+fn a_recorded_game_has_states_and_choices_but_no_links() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("game.mcap");
+    let observation = ObservationConfig { norm: ObservationNorm::None, ..task().observation };
+    let task = TaskConfig { task: "cue-2x1".to_owned(), observation, ..task() };
+    let mut world = sim::environments(&task, 1).unwrap();
+    let policy = policy_for(world.description());
+    let task_settings = serde_json::to_string(&task).unwrap();
+    let run = RecordedRun { task_settings, ..run(&policy) };
+    let episodes = [0, 1].map(|index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index });
+    let summary = recording::record(&mut *world, &run, &episodes, &path, |_, _| {}).unwrap();
+    assert_eq!(summary.episodes[0].steps, 50);
+    let bytes = std::fs::read(&path).unwrap();
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        *counts.entry(message.unwrap().channel.topic.clone()).or_default() += 1;
+    }
+    let expected =
+        [("/agents/0", 100), ("/agents/1", 100), ("/share", 2), ("/share_end", 2), ("/step", 100)];
+    let expected = expected.map(|(topic, count)| (topic.to_owned(), count));
+    assert_eq!(counts, BTreeMap::from(expected));
+}

@@ -1,0 +1,136 @@
+//! Plays whole episodes with mean actions, most likely choices or sampled actions, for evaluation, `eval` and
+//! recordings.
+
+use std::fmt;
+use std::ops::ControlFlow;
+
+use policy::{Key, PolicySnapshot, RunSeed};
+use proto::ActionChoice;
+use sim::{EnvironmentBatch, Outcome, SimError};
+
+use crate::acting::Agents;
+
+/// One episode of the evaluation of a run's weights. Training, `eval`, `record`, `film`, `export` and the live view start
+/// an episode of the same index in the same state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EvaluationEpisode {
+    /// Seed of the run.
+    pub seed: RunSeed,
+    /// Iteration of the weights.
+    pub iteration: u64,
+    /// Index of the episode in the evaluation.
+    pub index: u32,
+}
+
+impl EvaluationEpisode {
+    /// The key that draws the start state.
+    #[must_use]
+    pub fn key(self) -> Key {
+        Key::of_evaluation(self.seed, self.iteration, self.index)
+    }
+
+    /// The id in logs: `evaluation-ITERATION-INDEX`.
+    #[must_use]
+    pub fn id(self) -> String {
+        format!("evaluation-{}-{}", self.iteration, self.index)
+    }
+}
+
+/// `episode 0 (evaluation-4-0, seed 7)`
+impl fmt::Display for EvaluationEpisode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "episode {} ({}, seed {})", self.index, self.id(), self.seed.0)
+    }
+}
+
+/// Result of an episode.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Episode {
+    /// Sum of extrinsic rewards.
+    pub extrinsic_return: f64,
+    /// Number of steps.
+    pub steps: u32,
+}
+
+/// A step of a played episode.
+pub struct PlayedStep<'a> {
+    /// The world after the step.
+    pub world: &'a dyn EnvironmentBatch,
+    /// Joint action in agent order, `[A]`.
+    pub action: &'a [f32],
+    /// Observation of each agent before the step, `[obs]`.
+    pub observation: &'a [Vec<f32>],
+    /// Recurrent state of each agent after the step, `[H]`.
+    pub hidden: &'a [Vec<f32>],
+    /// Action of each agent, `[act]`.
+    pub actions: &'a [Vec<f32>],
+    /// Result of the step.
+    pub outcome: Outcome,
+    /// Number of steps so far, including this one.
+    pub step: u32,
+}
+
+/// Plays an episode in environment 0 from a start drawn with `key`, with actions selected by `choice`, and calls
+/// `on_step` after each step. `world` must have one environment.
+///
+/// # Errors
+/// If an action is not finite, or an external environment fails.
+pub fn play_episode(
+    world: &mut dyn EnvironmentBatch,
+    policy: &PolicySnapshot,
+    (key, choice): (Key, ActionChoice),
+    mut on_step: impl FnMut(&PlayedStep<'_>),
+) -> Result<Episode, SimError> {
+    world.reset(0, 0, world.description().episode_steps, key.0)?;
+    play_on(world, (policy, choice), &mut on_step)
+}
+
+/// As [`play_episode`], from the current state of environment 0.
+///
+/// # Errors
+/// As [`play_episode`].
+pub fn play_on(
+    world: &mut dyn EnvironmentBatch,
+    acting: (&PolicySnapshot, ActionChoice),
+    on_step: &mut impl FnMut(&PlayedStep<'_>),
+) -> Result<Episode, SimError> {
+    play_while(world, acting, &mut |step| {
+        on_step(step);
+        ControlFlow::Continue(())
+    })
+}
+
+/// As [`play_on`], but `on_step` can stop the episode.
+///
+/// # Errors
+/// As [`play_episode`].
+pub fn play_while(
+    world: &mut dyn EnvironmentBatch,
+    (policy, choice): (&PolicySnapshot, ActionChoice),
+    on_step: &mut impl FnMut(&PlayedStep<'_>) -> ControlFlow<()>,
+) -> Result<Episode, SimError> {
+    let mut agents = Agents::new(world, policy);
+    let mut outcomes = vec![Outcome::default(); world.count()];
+    let mut episode = Episode::default();
+    loop {
+        agents.observe(world);
+        agents.forward(policy);
+        agents.choose(policy, choice, episode.steps);
+        world.step(agents.join(), &mut outcomes)?;
+        let outcome = outcomes[0];
+        episode.extrinsic_return += f64::from(outcome.reward);
+        episode.steps += 1;
+        let wanted = on_step(&PlayedStep {
+            world,
+            action: &agents.joint,
+            observation: &agents.observation,
+            hidden: &agents.hidden,
+            actions: &agents.action,
+            outcome,
+            step: episode.steps,
+        });
+        if outcome.terminated || outcome.truncated || wanted.is_break() {
+            return Ok(episode);
+        }
+    }
+}

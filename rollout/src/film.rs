@@ -1,0 +1,65 @@
+//! Film of an evaluated episode, as capsules in the world, for viewers of the run.
+
+use proto::{Film, MAX_CAPSULES, MAX_FRAMES};
+use sim::{Capsule, EnvironmentBatch, LinkShape, Robot};
+
+/// Index of the filmed episode of each evaluation.
+pub const FILMED: u32 = 0;
+
+/// Captures the start of an episode, one frame per step.
+pub struct Camera {
+    /// Capsules in the frames of their links, and the indices of these in a pose.
+    capsules: Vec<(usize, Capsule)>,
+    film: Film,
+    frames: usize,
+}
+
+impl Camera {
+    /// Creates a camera for `world` and captures the first frame; `None` without a simulated robot, or if the robot has
+    /// too many capsules for a film.
+    #[must_use]
+    pub fn before(world: &dyn EnvironmentBatch) -> Option<Self> {
+        let (task, pose) = (world.description(), world.pose(0));
+        if pose.links.is_empty() {
+            return None;
+        }
+        let link = |shape: &LinkShape| pose.links.iter().position(|link| link.name == shape.link);
+        let shapes = world.robot().map(Robot::shapes).unwrap_or_default().into_iter();
+        let shapes = shapes.filter_map(|shape| Some((link(&shape)?, shape.capsules())));
+        let capsules: Vec<(usize, Capsule)> =
+            shapes.flat_map(|(link, all)| all.into_iter().map(move |one| (link, one))).collect();
+        if !(1..=MAX_CAPSULES).contains(&capsules.len()) {
+            return None;
+        }
+        let drivers = sim::drivers(task, &pose);
+        let film = Film {
+            frame_secs: task.dt_secs,
+            radii: capsules.iter().map(|(_, capsule)| capsule.radius).collect(),
+            drivers: capsules.iter().map(|(link, _)| drivers[*link]).collect(),
+            ends: Vec::new(),
+        };
+        let mut camera = Self { capsules, film, frames: 0 };
+        camera.capture(world);
+        Some(camera)
+    }
+
+    /// Captures a frame, unless the film is full.
+    pub fn capture(&mut self, world: &dyn EnvironmentBatch) {
+        if self.frames == MAX_FRAMES {
+            return;
+        }
+        self.frames += 1;
+        let pose = world.pose(0);
+        let ends = self.capsules.iter().map(|(link, capsule)| {
+            let link = &pose.links[*link];
+            capsule.ends.map(|end| link.in_world(end))
+        });
+        self.film.ends.extend(ends.flatten().flatten());
+    }
+
+    /// Returns the film.
+    #[must_use]
+    pub fn film(self) -> Film {
+        self.film
+    }
+}

@@ -1,0 +1,17 @@
+//! Rollouts as pure functions: slots of training and episodes of evaluation, stepped with given weights.
+//!
+//! A lease defines the rollout of a slot, and the policy snapshot defines the actions; both in, chunks of trajectories
+//! out ([`roll_out`]). The learning rule is unknown here. Environments are passed in behind [`sim::EnvironmentBatch`].
+//! No file here uses sockets, threads, clocks or the disk.
+
+mod acting;
+mod chunk;
+mod evaluation;
+mod film;
+mod identity;
+mod slot;
+
+pub use evaluation::{Episode, EvaluationEpisode, PlayedStep, play_episode, play_on, play_while};
+pub use film::{Camera, FILMED};
+pub use identity::{description, environment_spec, rollout_fingerprint};
+pub use slot::roll_out;

@@ -1,0 +1,68 @@
+//! A small real task and policies for it, also for the tests of other crates.
+
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{
+    ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden,
+};
+use sim::{
+    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm,
+    PartitionSemantics, RootView, TaskConfig,
+};
+
+pub(crate) const ENVIRONMENTS: usize = 2;
+pub(crate) const HIDDEN_EVERY: u32 = 10;
+pub(crate) const HIDDEN: usize = 8;
+
+pub(crate) fn task() -> TaskConfig {
+    TaskConfig {
+        task: "halfcheetah-2x3".to_owned(),
+        definition: None,
+        observation: ObservationConfig {
+            mode: ObservationMode::FullId,
+            norm: ObservationNorm::FeatureZ,
+            nearest: 1,
+            globals: RootView::Hidden,
+            contact_forces: ContactForces::Absent,
+        },
+        partition: PartitionSemantics::ActuatorSlices,
+    }
+}
+
+pub(crate) fn world() -> Box<dyn EnvironmentBatch> {
+    sim::environments(&task(), ENVIRONMENTS).unwrap()
+}
+
+pub(crate) fn policy() -> PolicySnapshot {
+    policy_for(world().description())
+}
+
+pub(crate) fn policy_for(description: &sim::Description) -> PolicySnapshot {
+    let config = PolicyConfig {
+        core: CoreKind::Gru,
+        input_norm: InputNorm::LayerNorm,
+        encoder: 8,
+        hidden: HIDDEN,
+        width: 8,
+        layers: 1,
+        backpropagation_steps: HIDDEN_EVERY as usize,
+        burn_in: 0,
+        refresh_hidden: RefreshHidden::Never,
+        initial_sigma: 0.365_529_29,
+        sigma_scale: 0.5,
+        sigma_floor: 0.05,
+        head_gain: 1.0,
+    };
+    let agent = |(index, shape): (usize, &sim::AgentDescription)| {
+        let mut rng = generator(RunSeed(5), Draw::of(Purpose::Initialisation).agent(index as u32));
+        let (observation, action) = (shape.observation.len(), shape.action.size);
+        let head = match shape.action.choices {
+            None => Head::Gaussian,
+            Some(choices) => Head::Categorical { choices: choices as usize },
+        };
+        let dtype = candle_core::DType::F32;
+        let network =
+            ActorNetwork::with_head(&config, observation, action, head, dtype, &mut rng).unwrap();
+        network.policy().unwrap()
+    };
+    PolicySnapshot { agents: description.agents.iter().enumerate().map(agent).collect() }
+}

@@ -1,0 +1,151 @@
+//! Tests that the rollout of a slot is a pure function of its lease and weights.
+
+use std::ops::ControlFlow;
+
+use policy::Scratch;
+use proto::{ActionChoice, EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
+
+use crate::fixture::{ENVIRONMENTS, HIDDEN, HIDDEN_EVERY, policy, task, world};
+use crate::work::{CHUNK, STEPS, fresh_work, run};
+
+fn roll(work: &RolloutWork, world: &mut dyn sim::EnvironmentBatch) -> Vec<TrajectoryChunk> {
+    let mut chunks = Vec::new();
+    let emit = |chunk| {
+        chunks.push(chunk);
+        ControlFlow::Continue(())
+    };
+    rollout::roll_out(&run(), work, &policy(), world, |_, _| {}, emit).unwrap();
+    chunks
+}
+
+/// The work of the next iteration, which continues `chunks`.
+fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
+    let end = chunks.last().unwrap().end.clone().unwrap();
+    let start = |(position, state): (usize, Vec<u8>)| {
+        let of = position * HIDDEN..(position + 1) * HIDDEN;
+        let recurrent = end.recurrent.iter().map(|rows| rows[of.clone()].to_vec()).collect();
+        EnvironmentStart {
+            environment: 6 + position as u32,
+            start: Start::Continue { state, recurrent },
+        }
+    };
+    let environments = end.environments.iter().cloned().enumerate().map(start).collect();
+    RolloutWork { iteration: 5, slot: 3, environments }
+}
+
+#[test]
+fn a_slot_is_repeatable_in_used_and_new_environments() {
+    let mut used = world();
+    let first = roll(&fresh_work(), &mut *used);
+    assert_eq!(roll(&fresh_work(), &mut *used), first);
+    assert_eq!(roll(&fresh_work(), &mut *world()), first);
+    let next = roll(&next_work(&first), &mut *used);
+    assert_eq!(roll(&next_work(&first), &mut *world()), next);
+    assert_ne!(next[0].agents[0].action, first[0].agents[0].action);
+}
+
+#[test]
+fn chunks_have_the_shapes_of_the_run_and_consecutive_steps() {
+    let chunks = roll(&fresh_work(), &mut *world());
+    assert_eq!(chunks.len() as u32, STEPS / CHUNK);
+    let rows = CHUNK as usize * ENVIRONMENTS;
+    for (index, chunk) in chunks.iter().enumerate() {
+        assert_eq!((chunk.sequence, chunk.first_step), (index as u32, index as u32 * CHUNK));
+        assert_eq!((chunk.steps, chunk.reward.len()), (CHUNK, rows));
+        assert_eq!(chunk.state.len(), rows * 17);
+        for agent in &chunk.agents {
+            assert_eq!(agent.observation.len(), rows * 19);
+            assert_eq!((agent.action.len(), agent.log_prob.len()), (rows * 3, rows));
+            assert_eq!(agent.hidden.len(), (CHUNK / HIDDEN_EVERY) as usize * ENVIRONMENTS * HIDDEN);
+        }
+        assert_eq!(chunk.end.is_some(), index + 1 == chunks.len());
+    }
+}
+
+#[test]
+fn chunks_survive_the_protocol() {
+    for chunk in roll(&fresh_work(), &mut *world()) {
+        let (message, digest) = chunk.to_wire(&run(), &fresh_work().origin());
+        assert_eq!(
+            TrajectoryChunk::from_wire(&message, &run(), &fresh_work().origin(), digest).unwrap(),
+            chunk
+        );
+        assert_eq!(digest, chunk.digest(&fresh_work().origin()));
+    }
+}
+
+#[test]
+fn a_truncated_episode_has_its_final_state_and_resets_the_recurrent_state() {
+    let chunks = roll(&fresh_work(), &mut *world());
+    let ends: Vec<(u32, u32)> =
+        chunks.iter().flat_map(|c| &c.finals).map(|last| (last.step, last.environment)).collect();
+    assert_eq!(ends, [(14, 0), (39, 0), (39, 1)]);
+    let row = 14 * ENVIRONMENTS;
+    assert!(chunks[0].truncated[row] && !chunks[0].terminated[row]);
+    assert_eq!(chunks[0].truncated.iter().filter(|&&t| t).count(), 1);
+    let final_state = &chunks[0].finals[0].state;
+    assert_ne!(final_state[..], chunks[0].state[(row + ENVIRONMENTS) * 17..][..17]);
+    // Stored before step 10 (running) and step 20 (five steps into the new episode).
+    let before_reset = &chunks[0].agents[0].hidden[ENVIRONMENTS * HIDDEN..][..HIDDEN];
+    assert!(before_reset.iter().any(|&h| h != 0.0));
+    assert!(chunks[0].agents[0].hidden[..ENVIRONMENTS * HIDDEN].iter().all(|&h| h == 0.0));
+}
+
+#[test]
+fn stored_hidden_states_reproduce_the_sent_log_probabilities() {
+    let (chunks, policy) = (roll(&fresh_work(), &mut *world()), policy());
+    let mut scratch = Scratch::default();
+    for (index, own) in policy.agents.iter().enumerate() {
+        let agent = &chunks[1].agents[index];
+        let mut hidden = agent.hidden[..ENVIRONMENTS * HIDDEN].to_vec();
+        for step in 0..HIDDEN_EVERY as usize {
+            let rows = step * ENVIRONMENTS..(step + 1) * ENVIRONMENTS;
+            let mut mean = vec![0.0; ENVIRONMENTS * 3];
+            let observation = &agent.observation[rows.start * 19..rows.end * 19];
+            own.forward(ENVIRONMENTS, observation, &mut hidden, &mut mean, &mut scratch);
+            for (position, row) in rows.enumerate() {
+                let (mean, action) = (&mean[position * 3..][..3], &agent.action[row * 3..][..3]);
+                let found = policy::gaussian::log_prob(mean, own.sigma(), action);
+                assert_eq!(found, agent.log_prob[row], "agent {index}, row {row}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_invalid_state_is_rejected_without_a_step() {
+    let mut work = next_work(&roll(&fresh_work(), &mut *world()));
+    work.environments[0].start =
+        Start::Continue { state: vec![7; 10], recurrent: vec![vec![0.0; HIDDEN]; 2] };
+    let outcome = rollout::roll_out(
+        &run(),
+        &work,
+        &policy(),
+        &mut *world(),
+        |_, _| {},
+        |_| panic!("stepped"),
+    );
+    assert!(outcome.is_err());
+}
+
+#[test]
+fn evaluation_episodes_are_repeatable_with_mean_and_sampled_actions() {
+    use policy::randomness::{Draw, Key, Purpose, RunSeed};
+    let play_by = |seed: u64, choice: ActionChoice| {
+        let mut world = sim::environments(&task(), 1).unwrap();
+        let key = Key::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
+        let mut shown = 0;
+        let (world, start) = (&mut *world, (key, choice));
+        let episode = rollout::play_episode(world, &policy(), start, |_| shown += 1).unwrap();
+        assert_eq!(shown, episode.steps);
+        episode
+    };
+    let play = |seed| play_by(seed, ActionChoice::Mean);
+    let drawn = |seed| play_by(1, ActionChoice::Sampled { seed });
+    assert_eq!(drawn(5), drawn(5));
+    assert_eq!(drawn(5).steps, 1000);
+    assert!(drawn(5) != drawn(6) && drawn(5) != play(1));
+    assert_eq!(play(1), play(1));
+    assert_eq!(play(1).steps, 1000);
+    assert_ne!(play(1), play(2));
+}
