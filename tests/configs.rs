@@ -48,13 +48,13 @@ fn every_file_also_loads_as_a_separate_layer() {
 }
 
 #[test]
-fn maddpg_leases_ten_slots_of_one_environment_and_fifty_steps() {
+fn maddpg_has_ten_environments_and_fifty_steps_in_slots_for_the_threads_at_hand() {
     let text = resolved(&["algorithm=maddpg"]);
     let value = |key: &str| {
         let line = text.lines().find(|line| line.starts_with(&format!("{key} = "))).unwrap();
         line.split(['=', '#']).nth(1).unwrap().trim().to_owned()
     };
-    assert_eq!([value("count"), value("per_slot"), value("steps")], ["10", "1", "50"]);
+    assert_eq!([value("count"), value("per_slot"), value("steps")], ["10", "0", "50"]);
     assert_eq!([value("rule"), value("core")], ["\"maddpg\"", "\"mlp\""]);
 }
 

@@ -2,13 +2,14 @@
 
 use proto::{EnvironmentSpec, RunDescription};
 use rollout::environment_spec;
-use sim::{EnvironmentBatch, ObservationNorm, TaskConfig};
+use sim::{EnvironmentBatch, ObservationNorm, SimError, TaskConfig};
 
 use crate::config::Config;
 use crate::error::ActorError;
 use crate::outside::EnvironmentService;
 
 /// Source of environments.
+#[derive(Clone)]
 pub(crate) enum Source {
     /// The simulator, with the run's settings.
     Simulator(TaskConfig),
@@ -59,6 +60,15 @@ impl Source {
             Self::Simulator(task) => simulated(task, count)?,
             Self::Service(service) => Box::new(service.environments(count)),
         })
+    }
+
+    /// Opens `count` environments after others were opened, so that only their number can be a reason to fail. Call it inside a
+    /// tokio runtime.
+    pub(crate) fn reopen(&self, count: usize) -> Result<Box<dyn EnvironmentBatch>, SimError> {
+        match self {
+            Self::Simulator(task) => sim::environments(task, count),
+            Self::Service(service) => Ok(Box::new(service.environments(count))),
+        }
     }
 }
 

@@ -57,6 +57,8 @@ pub(crate) struct Stepper {
 
 struct Worlds {
     run: Arc<RunDescription>,
+    source: Source,
+    /// As many environments as the last slot had.
     slot: Box<dyn EnvironmentBatch>,
     /// Environment for evaluations, separate from those of slots.
     evaluation: Box<dyn EnvironmentBatch>,
@@ -72,12 +74,18 @@ impl Stepper {
         handle: Option<LogHandle>,
     ) -> Result<Self, ActorError> {
         let slot = source.open(run.environments_per_slot as usize)?;
-        let worlds = Worlds { run, slot, evaluation: source.open(1)?, handle };
+        let (evaluation, source) = (source.open(1)?, source.clone());
+        let worlds = Worlds { run, source, slot, evaluation, handle };
+        // Environments of another program open their streams in the runtime.
+        let runtime = tokio::runtime::Handle::current();
         let (jobs, queue) = mpsc::channel(1);
         let (results, outputs) = mpsc::channel(QUEUE);
         let thread = std::thread::Builder::new().name("stepping".to_owned());
         thread
-            .spawn(move || step_until_dropped(worlds, queue, &results))
+            .spawn(move || {
+                let _entered = runtime.enter();
+                step_until_dropped(worlds, queue, &results);
+            })
             .expect("a process can start the stepping thread");
         Ok(Self { jobs, outputs })
     }
@@ -126,6 +134,9 @@ impl Worlds {
         work: &RolloutWork,
         results: &mpsc::Sender<JobOutput>,
     ) -> Result<(), SimError> {
+        if self.slot.count() != work.environments.len() {
+            self.slot = self.source.reopen(work.environments.len())?;
+        }
         let Self { run, slot, handle, .. } = self;
         let collector =
             handle.as_ref().map(|handle| RefCell::new(handle.rollout(&job.lease, work)));

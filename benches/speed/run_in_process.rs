@@ -34,7 +34,7 @@ pub(crate) fn by_calls(
     iterations: usize,
 ) -> anyhow::Result<Vec<Iteration>> {
     let (_trainer, run) = launch::prepare(settings.launch(folder, iterations)?)?;
-    let layout = Layout::of(&run, settings.learner.environments.count / per_slot(settings));
+    let layout = Layout::of(&run, settings.learner.environments.count);
     let phase = settings.learner.environments.phase;
     let mut environments =
         Environments::fresh(layout.clone(), run.environment.episode_steps, phase);
@@ -45,7 +45,7 @@ pub(crate) fn by_calls(
     for iteration in 0..iterations as u64 {
         let (begin, used) = (Instant::now(), process_secs());
         let policy = updates.snapshot()?;
-        let slots = environments.work(iteration);
+        let slots = environments.work(iteration, per_slot(settings));
         let (rollouts, rolled) = once(|| roll_out_all(&run, &slots, &policy, &mut worlds));
         let batch = assemble(&layout, &rollouts);
         let updated = updates.run(&batch)?.whole.wall;

@@ -42,9 +42,10 @@ impl Settings {
         Self::of(&[&[task, "preset=harl"], changes.concat().as_slice()].concat())
     }
 
-    /// The settings as `s2mia config` resolves them.
+    /// The settings as `s2mia config` resolves them, with slots of two environments unless `arguments` set another number.
     pub(crate) fn of(arguments: &[&str]) -> anyhow::Result<Self> {
-        let output = program(&[&["config"], arguments].concat()).output()?;
+        let mut config = program(&[&["config"], arguments].concat());
+        let output = config.env("S2MIA__ENVIRONMENTS__PER_SLOT", "2").output()?;
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
         ensure!(output.status.success(), "s2mia config {arguments:?}: {told}");
         let resolved: Table = String::from_utf8(output.stdout)?.parse()?;

@@ -45,11 +45,14 @@ fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<Row> {
 fn slot_secs(settings: &Settings, problem: &Problem, effort: Effort) -> anyhow::Result<f64> {
     let folder = tempfile::tempdir()?;
     let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
-    let layout = learner::assemble::Layout::of(&run, 1);
+    let layout = learner::assemble::Layout::of(&run, settings.learner.environments.per_slot);
     let phase = settings.learner.environments.phase;
     let limit = run.environment.episode_steps;
     let fresh = learner::environments::Environments::fresh(layout, limit, phase);
-    let (work, policy) = (fresh.work(0).remove(0), Updates::new(settings, problem, 1)?.snapshot()?);
+    let (work, policy) = (
+        fresh.work(0, settings.learner.environments.per_slot).remove(0),
+        Updates::new(settings, problem, 1)?.snapshot()?,
+    );
     let mut world = settings.world(settings.learner.environments.per_slot)?;
     let took = typical(effort.repeats, || drop(roll_out(&run, &work, &policy, &mut *world)));
     Ok(took.thread)

@@ -106,11 +106,11 @@ fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
     let folder = tempfile::tempdir()?;
     let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
     let snapshot = Updates::new(settings, &settings.problem()?, 1)?.snapshot()?;
-    let layout = learner::assemble::Layout::of(&run, 1);
+    let layout = learner::assemble::Layout::of(&run, settings.learner.environments.per_slot);
     let phase = settings.learner.environments.phase;
     let work =
         learner::environments::Environments::fresh(layout, run.environment.episode_steps, phase)
-            .work(0)
+            .work(0, settings.learner.environments.per_slot)
             .remove(0);
     let mut world = settings.world(settings.learner.environments.per_slot)?;
     let chunks = roll_out(&run, &work, &snapshot, &mut *world);

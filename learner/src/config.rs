@@ -4,6 +4,11 @@
 use policy::PolicyConfig;
 use serde::{Deserialize, Serialize};
 
+/// Slots for each actor thread, if there are environments for them.
+const SLOTS_PER_THREAD: usize = 2;
+/// Most environments of a slot that is cut to the actor threads: more share a message, but one failure loses them all.
+const MOST_PER_SLOT: usize = 10;
+
 /// Everything the learner is told besides the algorithm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -32,7 +37,7 @@ pub struct EnvironmentsConfig {
     pub count: usize,
     /// Steps of each environment in one iteration.
     pub steps: usize,
-    /// Environments in one slot, the unit of work that an actor leases.
+    /// Environments in one slot, the unit of work that an actor leases; 0: cut to the connected actor threads.
     pub per_slot: usize,
     /// Steps in one message from an actor.
     pub message_steps: usize,
@@ -214,10 +219,28 @@ impl Config {
 }
 
 impl EnvironmentsConfig {
-    /// Slots of the run.
+    /// Most slots of an iteration.
     #[must_use]
-    pub fn slots(&self) -> usize {
-        self.count / self.per_slot
+    pub fn most_slots(&self) -> usize {
+        self.count / self.per_slot.max(1)
+    }
+
+    /// Environments of a slot for `threads` actor threads, if a slot may have `most`.
+    #[must_use]
+    pub fn slot_size(&self, threads: usize, most: usize) -> usize {
+        slot_size(self.count, threads, self.per_slot).min(most)
+    }
+
+    /// Sizes that a slot may have, the largest first.
+    #[must_use]
+    pub fn slot_sizes(&self) -> Vec<usize> {
+        match self.per_slot {
+            0 => {
+                let sizes = (1..=MOST_PER_SLOT.min(self.count)).rev();
+                sizes.filter(|size| self.count.is_multiple_of(*size)).collect()
+            }
+            fixed => vec![fixed],
+        }
     }
 
     /// Environment steps of one iteration.
@@ -229,11 +252,28 @@ impl EnvironmentsConfig {
     fn validate(&self) -> Result<(), ConfigError> {
         within("environments.count", self.count as u64, 1, 1_000_000)?;
         within("environments.steps", self.steps as u64, 1, 1_000_000)?;
-        within("environments.per_slot", self.per_slot as u64, 1, self.count as u64)?;
+        within("environments.per_slot", self.per_slot as u64, 0, self.count as u64)?;
         within("environments.message_steps", self.message_steps as u64, 1, self.steps as u64)?;
-        divides("environments.per_slot", self.per_slot, "environments.count", self.count)?;
+        if self.per_slot > 0 {
+            divides("environments.per_slot", self.per_slot, "environments.count", self.count)?;
+        }
         divides("environments.message_steps", self.message_steps, "environments.steps", self.steps)
     }
+}
+
+/// Environments of one slot: `per_slot`, or if that is 0, the largest divisor of `environments` of at most ten that leaves two
+/// slots for each of `threads` actor threads, so that a thread steps one while it sends another. Every slot has the same number.
+/// Without a thread the number to come is unknown, and a slot has one environment, so that no thread waits.
+#[must_use]
+pub fn slot_size(environments: usize, threads: usize, per_slot: usize) -> usize {
+    if per_slot > 0 {
+        return per_slot;
+    }
+    let most = match threads {
+        0 => 1,
+        threads => (environments / threads.saturating_mul(SLOTS_PER_THREAD)).min(MOST_PER_SLOT),
+    };
+    (1..=most).rev().find(|size| environments.is_multiple_of(*size)).unwrap_or(1)
 }
 
 fn within(key: &'static str, value: u64, low: u64, high: u64) -> Result<(), ConfigError> {
@@ -277,7 +317,39 @@ mod tests {
     #[test]
     fn the_default_sizes_are_valid() {
         assert_eq!(config().validate(), Ok(()));
-        assert_eq!((config().slots(), config().steps_per_iteration()), (10, 4000));
+        assert_eq!((config().most_slots(), config().steps_per_iteration()), (10, 4000));
+        assert_eq!(EnvironmentsConfig { per_slot: 0, ..config() }.validate(), Ok(()));
+    }
+
+    #[test]
+    fn a_slot_leaves_two_for_each_thread_as_long_as_environments_suffice() {
+        let sizes = |environments, threads: [usize; 6]| {
+            threads.map(|threads| slot_size(environments, threads, 0))
+        };
+        // 20 environments: 1 thread has 2 slots of 10, 2 have 4 of 5, 3 have 10 of 2 (3 does not divide 20), 5 have 10 of 2.
+        assert_eq!(sizes(20, [1, 2, 3, 5, 6, 1000]), [10, 5, 2, 2, 1, 1]);
+        // 400 environments: at most ten in a slot.
+        assert_eq!(sizes(400, [1, 20, 21, 40, 100, 200]), [10, 10, 8, 5, 2, 1]);
+        // 23 environments have no smaller divisor than 1.
+        assert_eq!(sizes(23, [1, 2, 3, 4, 11, 23]), [1; 6]);
+    }
+
+    #[test]
+    fn a_slot_has_one_environment_while_no_thread_is_connected() {
+        assert_eq!((slot_size(20, 0, 0), slot_size(1, 0, 0), slot_size(1, 8, 0)), (1, 1, 1));
+    }
+
+    #[test]
+    fn a_set_size_holds_for_any_number_of_threads() {
+        assert_eq!([0, 1, 50].map(|threads| slot_size(20, threads, 4)), [4; 3]);
+        assert_eq!(config().slot_sizes(), [2]);
+    }
+
+    #[test]
+    fn a_slot_is_no_larger_than_its_messages_allow() {
+        let config = EnvironmentsConfig { per_slot: 0, ..config() };
+        assert_eq!(config.slot_sizes(), [10, 5, 4, 2, 1]);
+        assert_eq!([10, 4, 1].map(|most| config.slot_size(1, most)), [10, 4, 1]);
     }
 
     #[test]

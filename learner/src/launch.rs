@@ -78,8 +78,15 @@ impl Launch {
         self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
     }
 
-    /// What actors are told about this start of the run.
+    /// What actors are told about this start of the run. Slots are as large as its messages allow.
     fn description(&self, incarnation: Incarnation) -> RunDescription {
+        let sizes = self.config.environments.slot_sizes();
+        let fits = |size: &usize| self.with_slots_of(*size, incarnation).validate().is_ok();
+        let most = sizes.iter().find(|size| fits(size)).or(sizes.last());
+        self.with_slots_of(most.copied().unwrap_or(1), incarnation)
+    }
+
+    fn with_slots_of(&self, size: usize, incarnation: Incarnation) -> RunDescription {
         let environments = &self.config.environments;
         let hidden = self.policy.hidden_size() as u32;
         RunDescription {
@@ -89,7 +96,7 @@ impl Launch {
             seed: self.seed.0,
             task_settings: self.task_settings.clone(),
             environment: self.environment.clone(),
-            environments_per_slot: environments.per_slot as u32,
+            environments_per_slot: size as u32,
             slot_steps: environments.steps as u32,
             chunk_steps: environments.message_steps as u32,
             hidden_sizes: vec![hidden; self.environment.agents.len()],
@@ -194,7 +201,7 @@ fn build(
         pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
     let observations = ObservationMoments::new(launch.observations, &problem);
     let environments = &launch.config.environments;
-    let layout = Layout::of(description, environments.slots());
+    let layout = Layout::of(description, environments.count);
     let (metrics, measured) = Metrics::open(folder.path(), &launch.config.metrics, iteration)?;
     Ok(Trainer {
         surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,

@@ -24,7 +24,7 @@ pub struct RunDescription {
     pub task_settings: String,
     /// The environment that every actor must have.
     pub environment: EnvironmentSpec,
-    /// `E`.
+    /// Largest `E`: environments of a slot. Each lease has its own number.
     pub environments_per_slot: u32,
     /// Steps of each environment in one slot.
     pub slot_steps: u32,

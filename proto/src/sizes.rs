@@ -1,8 +1,8 @@
-//! Sizes of the arrays of a chunk, from the description of its run.
+//! Sizes of the arrays of a chunk, from its slot and the description of its run.
 
-use crate::RunDescription;
+use crate::{RolloutOrigin, RunDescription};
 
-/// Sizes of one chunk of a run with a validated description.
+/// Sizes of one chunk of a slot, for a run with a validated description.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sizes<'a> {
     pub(crate) run: &'a RunDescription,
@@ -12,11 +12,11 @@ pub(crate) struct Sizes<'a> {
 }
 
 impl<'a> Sizes<'a> {
-    pub(crate) fn of(run: &'a RunDescription) -> Self {
+    pub(crate) fn of(run: &'a RunDescription, origin: &RolloutOrigin) -> Self {
         Self {
             run,
             steps: run.chunk_steps as usize,
-            environments: run.environments_per_slot as usize,
+            environments: origin.environments.len(),
             state: run.environment.state.len(),
         }
     }

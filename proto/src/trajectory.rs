@@ -89,14 +89,14 @@ impl TrajectoryChunk {
     /// `origin`.
     ///
     /// # Panics
-    /// If the arrays do not have the run's sizes.
+    /// If the arrays do not have the sizes of the run and the slot.
     #[must_use]
     pub fn to_wire(
         &self,
         run: &RunDescription,
         origin: &RolloutOrigin,
     ) -> (wire::TrajectoryChunk, Digest) {
-        let sizes = Sizes::of(run);
+        let sizes = Sizes::of(run, origin);
         let mut message = self.message(&Shapes::of(&sizes, self));
         let digest = digest::of_chunk(&message, origin);
         if run.restores_observations {

@@ -26,7 +26,7 @@ impl TrajectoryChunk {
         origin: &RolloutOrigin,
         claimed: Digest,
     ) -> Result<Self, Refusal> {
-        let sizes = Sizes::of(run);
+        let sizes = Sizes::of(run, origin);
         let last = check_counters(wire, run)?;
         let whole = left_out::restored(wire, &sizes)?;
         let shaped = Shaped::check(&whole, &sizes, last)?;

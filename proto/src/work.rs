@@ -182,7 +182,8 @@ impl RolloutWork {
 
     fn from_wire(wire: wire::RolloutWork, run: &RunDescription) -> Result<Self, Refusal> {
         let field = "lease.rollout.environments";
-        length(wire.environments.len(), run.environments_per_slot as usize, field)?;
+        let most = run.environments_per_slot as usize;
+        from_1_to(most, wire.environments.len(), "entries", field)?;
         let starts = wire.environments.into_iter().enumerate();
         let start = |(i, wire)| EnvironmentStart::from_wire(wire, run, &format!("{field}[{i}]"));
         let environments = starts.map(start).collect::<Result<_, _>>()?;

@@ -6,11 +6,16 @@ use strsim::levenshtein;
 /// Key of the run folder.
 const FOLDER: &str = "run.dir";
 
+/// Key of the environments of a slot, and of those of the run, of which they are a divisor. Earlier versions hashed it as a
+/// semantic key.
+pub(crate) const PER_SLOT: (&str, &str) = ("environments.per_slot", "environments.count");
+
 /// Keys and sections that affect where and when a run computes, never its result.
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     FOLDER,
     "environment_service.url",
+    PER_SLOT.0,
     "lease.",
     "audit.",
     "evaluation.",
@@ -170,6 +175,7 @@ mod tests {
             "run.actors",
             "run.dir",
             "environment_service.url",
+            "environments.per_slot",
             "lease.ttl_secs",
             "learner.threads",
             "log.episodes",

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use policy::arrays::hex;
 use sha2::{Digest as _, Sha256};
 
 use super::keys;
@@ -38,7 +39,7 @@ impl Resolved {
         match self.entries.get(key).map(|entry| &entry.value) {
             Some(Scalar::Text(text)) if text.contains('\n') => {
                 let digest: [u8; 32] = Sha256::digest(text).into();
-                format!("a text with the SHA-256 {}", policy::arrays::hex(&digest))
+                format!("a text with the SHA-256 {}", hex(&digest))
             }
             Some(value) => value.to_string(),
             None => String::new(),
@@ -75,15 +76,35 @@ impl Resolved {
         self.sha256_without(keys::ADDED)
     }
 
+    /// The hash under which a run with these settings is recorded: `recorded` if an earlier version gave it to them, otherwise
+    /// [`Self::sha256`].
+    pub(crate) fn sha256_as(&self, recorded: &str) -> [u8; 32] {
+        self.sha256s().find(|sha256| hex(sha256) == recorded).unwrap_or_else(|| self.sha256())
+    }
+
+    /// [`Self::sha256`], then the hashes that earlier versions gave to such settings. They hashed the environments of a slot,
+    /// which may have changed since, so every possible number is tried.
+    pub(crate) fn sha256s(&self) -> impl Iterator<Item = [u8; 32]> {
+        let (key, whole) = keys::PER_SLOT;
+        let count = match self.entries.get(whole).map(|entry| &entry.value) {
+            Some(Scalar::Integer(count)) => *count,
+            _ => 0,
+        };
+        let earlier = (1..=count).filter(move |size| count % size == 0).map(move |size| {
+            let mut lines = self.lines_without(keys::ADDED);
+            lines.insert(key, size.to_string());
+            hash(&lines)
+        });
+        std::iter::once(self.sha256()).chain(earlier)
+    }
+
     fn sha256_without(&self, added: &[(&str, &str)]) -> [u8; 32] {
-        let mut hasher = Sha256::new();
-        for (key, value) in self.semantic() {
-            let value = value.to_string();
-            if !added.contains(&(key, value.as_str())) {
-                hasher.update(format!("{key} = {value}\n"));
-            }
-        }
-        hasher.finalize().into()
+        hash(&self.lines_without(added))
+    }
+
+    fn lines_without(&self, added: &[(&str, &str)]) -> BTreeMap<&str, String> {
+        let all = self.semantic().map(|(key, value)| (key, value.to_string()));
+        all.filter(|(key, value)| !added.contains(&(key, value.as_str()))).collect()
     }
 
     /// The settings as TOML that can be read again.
@@ -115,6 +136,12 @@ impl Resolved {
     }
 }
 
+fn hash(lines: &BTreeMap<&str, String>) -> [u8; 32] {
+    let mut hasher = Sha256::new();
+    lines.iter().for_each(|(key, value)| hasher.update(format!("{key} = {value}\n")));
+    hasher.finalize().into()
+}
+
 fn push_line(text: &mut String, name: &str, entry: &Entry, comment: &str) {
     push_text(text, &format!("{name} = {}{comment}\n", entry.value));
 }
@@ -126,6 +153,23 @@ fn push_text(text: &mut String, more: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_run_of_an_earlier_version_keeps_the_hash_that_covered_the_environments_of_a_slot() {
+        let integer = |value| Entry { value: Scalar::Integer(value), origin: String::new() };
+        let with = |count| {
+            let entries = [("environments.count", count), ("environments.per_slot", 0)];
+            let entries = entries.map(|(key, value)| (key.to_owned(), integer(value)));
+            Resolved { entries: BTreeMap::from(entries) }
+        };
+        let recorded = hex(&hash(&BTreeMap::from([
+            ("environments.count", "20".to_owned()),
+            ("environments.per_slot", "2".to_owned()),
+        ])));
+        assert_eq!(hex(&with(20).sha256_as(&recorded)), recorded);
+        assert_eq!(with(40).sha256_as(&recorded), with(40).sha256());
+        assert_eq!(with(20).sha256_as("another"), with(20).sha256());
+    }
 
     #[test]
     fn a_key_of_a_later_version_leaves_the_hash_as_long_as_it_keeps_the_earlier_meaning() {

@@ -27,8 +27,10 @@ pub(crate) fn config_of_run(folder: &Path) -> Result<RunConfig, ConfigError> {
 
 /// Refuses settings with another hash than the run's manifest records.
 fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
-    let found = policy::arrays::hex(&config.resolved.sha256());
-    match RunFolder::recorded_config_sha256(folder) {
+    let recorded = RunFolder::recorded_config_sha256(folder);
+    let found = config.resolved.sha256_as(recorded.as_deref().unwrap_or_default());
+    let found = policy::arrays::hex(&found);
+    match recorded {
         Some(expected) if expected != found => {
             let place = file.display().to_string();
             let detail = format!(
@@ -37,5 +39,27 @@ fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig,
             Err(ConfigError::Unreadable { place, detail })
         }
         _ => Ok(config),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Request, layers};
+
+    #[test]
+    fn a_folder_of_an_earlier_version_whose_hash_covered_the_environments_of_a_slot_is_read() {
+        let resolved = layers::resolve(&Request::default()).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(CONFIG), resolved.to_toml()).unwrap();
+        let read = |recorded: &str| {
+            let manifest = serde_json::json!({"config_sha256": recorded}).to_string();
+            std::fs::write(folder.path().join(MANIFEST), manifest).unwrap();
+            settings_of_run(folder.path())
+        };
+        let earlier = policy::arrays::hex(&resolved.sha256s().nth(2).unwrap());
+        assert!(read(&earlier).is_ok());
+        let refusal = read(&"ab".repeat(32)).unwrap_err().to_string();
+        assert!(refusal.contains("these are not the run's settings"), "{refusal}");
     }
 }

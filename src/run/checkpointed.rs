@@ -25,6 +25,8 @@ pub(crate) struct Trained {
     pub(crate) policy: PolicySnapshot,
     /// Name of their weights.
     pub(crate) weights: WeightsName,
+    /// Hash of the run's semantic settings.
+    pub(crate) config_sha256: String,
 }
 
 impl Trained {
@@ -64,7 +66,8 @@ pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     let (iteration, env_steps) = (loaded.checkpoint.iteration, loaded.checkpoint.env_steps);
     let digest = Digest::of(&loaded.checkpoint.policy);
     let weights = WeightsName { version: PolicyVersion(iteration), digest };
-    Ok(Trained { config, iteration, env_steps, policy, weights })
+    let config_sha256 = loaded.manifest.config_sha256;
+    Ok(Trained { config, iteration, env_steps, policy, weights, config_sha256 })
 }
 
 /// Metadata that identifies the run and the policy of a file.
@@ -76,6 +79,6 @@ pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String
         ("seed".to_owned(), trained.config.run.seed.to_string()),
         ("iteration".to_owned(), trained.iteration.to_string()),
         ("env_steps".to_owned(), trained.env_steps.to_string()),
-        ("config_sha256".to_owned(), policy::arrays::hex(&resolved.sha256())),
+        ("config_sha256".to_owned(), trained.config_sha256.clone()),
     ])
 }

@@ -51,13 +51,22 @@ pub(crate) fn prepare(
     config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment_service.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let fingerprints = Fingerprints::measure();
-    if let Some(folder) = &resumed.resume {
-        fingerprints.demand_those_of(folder, Digest(config.resolved.sha256()))?;
-    }
     let mut launch = launch(&config, offered, &folder, &fingerprints);
+    if let Some(folder) = &resumed.resume {
+        launch.config_sha256 = Digest(config.resolved.sha256_as(&recorded_hash(folder)));
+        fingerprints.demand_those_of(folder, launch.config_sha256)?;
+    }
     launch.resume = resumed.resume.is_some();
     launch.fault = resumed.die_at;
     Ok(Prepared { config, folder, launch })
+}
+
+/// The hash of the settings that the run's manifest records, or its newest checkpoint without one; empty without either.
+fn recorded_hash(folder: &Path) -> String {
+    RunFolder::recorded_config_sha256(folder).unwrap_or_else(|| {
+        let newest = learner::checkpoint::load_newest(folder);
+        newest.map_or_else(|_| String::new(), |loaded| loaded.manifest.config_sha256)
+    })
 }
 
 /// As [`prepare`], but resumes the run in the configured folder if there is one, so that a learner can be restarted

@@ -35,7 +35,7 @@ pub fn check(
     origin: Option<&RolloutOrigin>,
     extent: Extent,
 ) -> Result<(), Refusal> {
-    let environments = run.environments_per_slot as usize;
+    let environments = chunk.reward.len() / chunk.steps as usize;
     let (checked, end) = match extent {
         Extent::FirstStep => (environments, None),
         Extent::Chunk => (chunk.reward.len(), chunk.end.as_ref()),

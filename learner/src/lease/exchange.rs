@@ -217,6 +217,12 @@ impl Exchange {
         }
     }
 
+    /// Actor threads that are connected.
+    #[must_use]
+    pub fn threads(&self) -> usize {
+        self.lock().table.actors()
+    }
+
     /// The run is over: every later request for a lease is answered so.
     pub fn finish(&self) {
         self.change(|shared| shared.table.finish());

@@ -278,7 +278,12 @@ impl SlotTable {
 
     /// A slot that is held for longer than this may get a backup lease.
     fn backup_age(&self) -> Duration {
-        self.typical.backup_age().unwrap_or(self.rules.ttl)
+        self.typical.backup_age(self.slot_environments()).unwrap_or(self.rules.ttl)
+    }
+
+    /// Environments of a slot of the open iteration.
+    fn slot_environments(&self) -> usize {
+        self.iteration.as_ref().map_or(0, OpenIteration::slot_environments)
     }
 
     /// An actor is alive. Whether its lease is still open.

@@ -36,7 +36,7 @@ pub struct RunSnapshot {
     pub held_slots: u64,
     /// Results of all audits.
     pub audits: AuditCounts,
-    /// Median time from lease to result of the latest slots, seconds.
+    /// Median time from lease to result of the latest slots, for each environment of a slot, seconds.
     pub slot_secs: Option<f64>,
     /// Registrations without a fingerprint: with any, the run is not exactly repeatable.
     pub foreign_actors: u64,

@@ -83,6 +83,7 @@ fn slot(rollout: &SlotRollout) -> Value {
     let digests: Vec<String> = rollout.digests.iter().map(ToString::to_string).collect();
     json!({
         "slot": rollout.slot,
+        "environments": rollout.environments(),
         "actor": rollout.actor.0,
         "lease": rollout.lease.0,
         "digests": digests,

@@ -1,6 +1,8 @@
 //! Assembles the iteration's batch `D_k` from the rollouts of its slots. The batch depends neither on the actors that
 //! computed the slots nor on their order of arrival.
 
+use std::ops::Range;
+
 use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use proto::{EnvironmentSpec, FeatureRole, FinalStep, RunDescription, TrajectoryChunk};
 
@@ -9,10 +11,8 @@ use crate::exchange::SlotRollout;
 /// Sizes of an iteration's batch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// Number of slots.
-    pub slots: usize,
-    /// Environments per slot.
-    pub per_slot: usize,
+    /// `B`, number of environments.
+    pub environments: usize,
     /// `T`, steps of each environment.
     pub steps: usize,
     /// Steps between two stored recurrent states.
@@ -35,13 +35,12 @@ pub struct AgentLayout {
 }
 
 impl Layout {
-    /// The sizes in `run`, for `slots` slots.
+    /// The sizes in `run`, for a batch of `environments`.
     #[must_use]
-    pub fn of(run: &RunDescription, slots: usize) -> Self {
+    pub fn of(run: &RunDescription, environments: usize) -> Self {
         let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
         Self {
-            slots,
-            per_slot: run.environments_per_slot as usize,
+            environments,
             steps: run.slot_steps as usize,
             hidden_every: run.hidden_every as usize,
             state: run.environment.state.len(),
@@ -53,12 +52,6 @@ impl Layout {
                 })
                 .collect(),
         }
-    }
-
-    /// `B`, number of environments.
-    #[must_use]
-    pub fn environments(&self) -> usize {
-        self.slots * self.per_slot
     }
 }
 
@@ -89,7 +82,8 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
     }
 }
 
-/// Assembles `D_k` from all slots, ordered by slot: environment `slot * per_slot + position`, time-major.
+/// Assembles `D_k` from all slots, time-major. Slots may have any number of environments: those of a slot follow those of
+/// the slot before it, so the batch does not depend on how environments are cut into slots.
 ///
 /// # Panics
 /// If `rollouts` are not exactly the iteration's slots with all their steps. Actors cannot cause this, because their
@@ -97,23 +91,26 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
 #[must_use]
 pub fn assemble(layout: &Layout, rollouts: &[SlotRollout]) -> Batch {
     let slots = rollouts.iter().map(|rollout| rollout.slot as usize);
-    assert!(slots.eq(0..layout.slots), "rollouts are not all slots in order");
+    assert!(slots.eq(0..rollouts.len()), "rollouts are not all slots in order");
     let mut batch = empty(layout);
-    for SlotRollout { slot, chunks, .. } in rollouts {
-        let mut steps = 0;
+    let mut first_environment = 0;
+    for rollout @ SlotRollout { slot, chunks, .. } in rollouts {
+        let (mut steps, environments) = (0, rollout.environments());
         for chunk in chunks {
             assert_eq!(chunk.first_step as usize, steps, "slot {slot}: first step of a chunk");
-            place(layout, *slot as usize, chunk, &mut batch);
+            place(layout, first_environment..first_environment + environments, chunk, &mut batch);
             steps += chunk.steps as usize;
         }
         assert_eq!(steps, layout.steps, "slot {slot}: steps");
+        first_environment += environments;
     }
+    assert_eq!(first_environment, layout.environments, "environments of all slots");
     batch.finals.sort_by_key(|last| (last.step, last.environment));
     batch
 }
 
 fn empty(layout: &Layout) -> Batch {
-    let environments = layout.environments();
+    let environments = layout.environments;
     let rows = layout.steps * environments;
     let agent = |shape: &AgentLayout| AgentBatch {
         observation: vec![0.0; rows * shape.observation],
@@ -133,14 +130,14 @@ fn empty(layout: &Layout) -> Batch {
     }
 }
 
-/// Copies one chunk into the batch.
-fn place(layout: &Layout, slot: usize, chunk: &TrajectoryChunk, batch: &mut Batch) {
+/// Copies one chunk of a slot with these `environments` into the batch.
+fn place(layout: &Layout, environments: Range<usize>, chunk: &TrajectoryChunk, batch: &mut Batch) {
     let window = Window {
         first: chunk.first_step as usize,
         steps: chunk.steps as usize,
-        first_environment: slot * layout.per_slot,
-        per_slot: layout.per_slot,
-        environments: layout.environments(),
+        first_environment: environments.start,
+        per_slot: environments.len(),
+        environments: layout.environments,
     };
     window.copy(&chunk.state, &mut batch.state, layout.state);
     window.copy(&chunk.reward, &mut batch.reward, 1);

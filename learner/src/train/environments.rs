@@ -58,7 +58,7 @@ impl Environments {
     /// truncated after `episode_steps * (e + 1) / E` steps, at least one.
     #[must_use]
     pub fn fresh(layout: Layout, episode_steps: u32, phase: Phase) -> Self {
-        let count = layout.environments();
+        let count = layout.environments;
         let limits: Vec<Limit> =
             (0..count).map(|e| limit(e, count, episode_steps, phase)).collect();
         let start = |limit: &Limit| Start::Fresh { episode: 0, limit: limit.steps };
@@ -75,9 +75,9 @@ impl Environments {
         }
     }
 
-    /// The slots of an iteration, each with the start states of its environments.
+    /// The slots of an iteration, each with the start states of `per_slot` environments; the last slot has the rest.
     #[must_use]
-    pub fn work(&self, iteration: u64) -> Vec<RolloutWork> {
+    pub fn work(&self, iteration: u64, per_slot: usize) -> Vec<RolloutWork> {
         let slot = |(slot, starts): (usize, &[Start])| RolloutWork {
             iteration,
             slot: slot as u32,
@@ -85,12 +85,12 @@ impl Environments {
                 .iter()
                 .enumerate()
                 .map(|(position, start)| EnvironmentStart {
-                    environment: (slot * self.layout.per_slot + position) as u32,
+                    environment: (slot * per_slot + position) as u32,
                     start: start.clone(),
                 })
                 .collect(),
         };
-        self.starts.chunks(self.layout.per_slot).enumerate().map(slot).collect()
+        self.starts.chunks(per_slot).enumerate().map(slot).collect()
     }
 
     /// The parts of episodes in an iteration, by environment and episode. Must be called before [`Self::advance`].

@@ -223,11 +223,19 @@ impl RunningTrainer {
     fn lease(&mut self) {
         let iteration = self.trainer.iteration;
         if iteration < self.trainer.last_iteration {
-            let slots = self.trainer.environments.work(iteration);
+            let per_slot = self.slot_size();
+            let slots = self.trainer.environments.work(iteration, per_slot);
             let (exchange, weights) = (&self.outside.exchange, PolicyVersion(iteration));
             self.behaviour = Some(exchange.open_iteration(iteration, weights, slots));
             self.tell(&Event::Collecting { iteration, env_steps: self.trainer.env_steps() });
         }
+    }
+
+    /// Environments of each slot of the next iteration, for the actor threads that are connected now.
+    fn slot_size(&self) -> usize {
+        let exchange = &self.outside.exchange;
+        let (threads, most) = (exchange.threads(), exchange.run().environments_per_slot as usize);
+        self.trainer.config.environments.slot_size(threads, most)
     }
 
     /// Writes metrics and provenance of the iteration just finished.
@@ -270,7 +278,7 @@ impl RunningTrainer {
         Ok(())
     }
 
-    /// Logs once that there are more actor threads than slots.
+    /// Logs once that there are more actor threads than an iteration can have slots.
     fn advise(&mut self, actors: u64) {
         let advice = idle::advice(actors, &self.trainer.config.environments);
         if let Some(advice) = advice.filter(|_| !self.advised) {
@@ -290,7 +298,7 @@ impl RunningTrainer {
             config: *config_sha256,
             shares,
             rewards: &surprise.intrinsic_rewards(),
-            environments: layout.environments(),
+            environments: layout.environments,
         });
         self.outside.exchange.count_lost_log_steps(log.newly_lost());
     }

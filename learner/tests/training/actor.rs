@@ -1,5 +1,6 @@
 //! Actor threads that step the toy environment for an exchange until the run is done.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -19,15 +20,15 @@ pub(crate) struct Actors {
 }
 
 impl Actors {
-    /// Starts `count` actors.
-    pub(crate) fn start(count: u64, exchange: &Arc<Exchange>) -> Self {
+    /// Starts an actor on each of these connections.
+    pub(crate) fn start(connections: Range<u64>, exchange: &Arc<Exchange>) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let start = |index| {
             let (exchange, stop) = (Arc::clone(exchange), Arc::clone(&stop));
             let thread = std::thread::Builder::new().name(format!("actor-{index}"));
             thread.spawn(move || work(&exchange, ConnectionId(index), &stop)).unwrap()
         };
-        Self { threads: (0..count).map(start).collect(), stop }
+        Self { threads: connections.map(start).collect(), stop }
     }
 
     /// Stops all actors.

@@ -4,6 +4,7 @@
 
 mod actor;
 mod canary;
+mod cut;
 mod film;
 mod settings;
 mod toy;
@@ -41,7 +42,7 @@ fn train_until(
     let stop = Box::new(move || stops.load(Ordering::Relaxed) > 0);
     let running =
         trainer.begin(Outside { exchange: Arc::clone(&exchange), observer, stop }).unwrap();
-    let actors = Actors::start(actors, &exchange);
+    let actors = Actors::start(0..actors, &exchange);
     let summary = running.train();
     exchange.finish();
     actors.end();

@@ -59,10 +59,8 @@ fn an_environment_from_outside_has_its_own_defaults_below_those_of_tasks_presets
     let outside = Entry { value: Scalar::Integer(10), origin: "configs/outside.toml".into() };
     assert_eq!(per_slot(&[url]), outside);
     assert_eq!(per_slot(&[url, "preset=harl"]), outside);
-    assert_eq!(per_slot(&[]).value, Scalar::Integer(2));
-    for other in ["preset=paper", "algorithm=maddpg", "environments.per_slot=1"] {
-        assert_eq!(per_slot(&[url, other]).value, Scalar::Integer(1));
-    }
+    assert_eq!(per_slot(&[]).value, Scalar::Integer(0));
+    assert_eq!(per_slot(&[url, "environments.per_slot=1"]).value, Scalar::Integer(1));
     let scaled = resolve(&request(&[url, "preset=harl"])).unwrap();
     assert_eq!(scaled.text("observation.norm"), "feature_z");
 }
@@ -242,12 +240,17 @@ fn a_setting_of_an_earlier_version_is_passed_over_in_a_runs_folder_and_nowhere_e
 fn the_hash_covers_what_is_computed_and_nothing_else() {
     let hash = |settings: &[&str]| resolve(&request(settings)).unwrap().sha256();
     let default = hash(&[]);
-    for same in
-        ["run.actors=5", "run.dir=x", "run.iterations=9", "run.env_steps=5", "learner.threads=2"]
-    {
+    for same in [
+        "run.actors=5",
+        "run.dir=x",
+        "run.iterations=9",
+        "run.env_steps=5",
+        "learner.threads=2",
+        "environments.per_slot=4",
+    ] {
         assert_eq!(hash(&[same]), default, "{same}");
     }
-    for other in ["run.seed=2", "update.gamma=0.98", "algorithm=happo", "environments.per_slot=4"] {
+    for other in ["run.seed=2", "update.gamma=0.98", "algorithm=happo", "environments.count=4"] {
         assert_ne!(hash(&[other]), default, "{other}");
     }
 }

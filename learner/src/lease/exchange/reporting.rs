@@ -9,6 +9,7 @@ use tokio::sync::watch;
 
 use crate::event::Event;
 use crate::exchange::{Exchange, Shared};
+use crate::slots::Counts;
 use crate::snapshot::{FilmedEpisode, RunSnapshot};
 use crate::trainer::Summary;
 
@@ -72,7 +73,7 @@ impl Exchange {
     /// Publishes the run's last line; `summary` is missing if the trainer failed.
     pub fn show_end(&self, summary: Option<&Summary>) {
         let status = self.status();
-        let counted = status.iteration * status.slots * self.slot_steps();
+        let counted = status.iteration * self.iteration_steps(&self.lock().table.counts());
         let (iteration, env_steps) =
             summary.map_or((status.iteration, counted), |ended| (ended.iteration, ended.env_steps));
         let first = RunLine::without_figures(status.run_id, iteration, env_steps);
@@ -125,8 +126,7 @@ impl Exchange {
     /// Writes the figures of the slot table, the weights and the counters.
     fn measure(&self, shared: &Shared, snapshot: &mut RunSnapshot) {
         let (counts, pace) = (shared.table.counts(), &shared.pace);
-        let chunk_steps =
-            u64::from(self.run.chunk_steps) * u64::from(self.run.environments_per_slot);
+        let chunk_steps = u64::from(self.run.chunk_steps) * counts.environments_per_slot as u64;
         snapshot.steps_collected = counts.chunks * chunk_steps;
         snapshot.chunks_accepted = shared.chunks_accepted;
         snapshot.weights_bytes = shared.weights.newest_bytes();
@@ -136,11 +136,12 @@ impl Exchange {
         snapshot.slot_secs = counts.slot_time.map(|time| time.as_secs_f64());
         snapshot.refusals.clone_from(&shared.refusals);
         let (slots, complete_slots) = (counts.slots as u64, counts.complete_slots as u64);
-        let slot_steps = self.slot_steps();
-        let per_sec = |took: Duration| (slots * slot_steps) as f64 / took.as_secs_f64();
+        let iteration_steps = self.iteration_steps(&counts);
+        let per_sec = |took: Duration| iteration_steps as f64 / took.as_secs_f64();
+        let slot_steps = u64::from(self.run.slot_steps) * counts.environments_per_slot as u64;
         let status = &mut snapshot.status;
         status.iteration = shared.weights.newest().map_or(0, |version| version.0);
-        status.env_steps = (pace.iteration * slots + complete_slots) * slot_steps;
+        status.env_steps = pace.iteration * iteration_steps + complete_slots * slot_steps;
         (status.slots, status.complete_slots) = (slots, complete_slots);
         status.actors = counts.actors as u64;
         status.env_steps_per_sec = pace.took.map(per_sec);
@@ -153,9 +154,9 @@ impl Exchange {
         status.audits_agreed = counts.audits.agreed;
     }
 
-    /// Environment steps of one slot.
-    fn slot_steps(&self) -> u64 {
-        u64::from(self.run.slot_steps) * u64::from(self.run.environments_per_slot)
+    /// Environment steps of one iteration, however its environments are cut into slots.
+    fn iteration_steps(&self, counts: &Counts) -> u64 {
+        u64::from(self.run.slot_steps) * counts.environments as u64
     }
 }
 

@@ -23,10 +23,18 @@ impl SlotTable {
             audits: self.audits.counts,
             leases: self.open.len(),
             held_slots: self.iteration.iter().flat_map(OpenIteration::held).count(),
-            slot_time: self.typical.median(),
+            slot_time: self.typical.median(1),
             slots: self.iteration.as_ref().map_or(0, OpenIteration::slots),
+            environments: self.iteration.as_ref().map_or(0, OpenIteration::environments),
+            environments_per_slot: self.slot_environments(),
             complete_slots: self.iteration.as_ref().map_or(0, OpenIteration::complete_slots),
         }
+    }
+
+    /// Registered actors.
+    #[must_use]
+    pub fn actors(&self) -> usize {
+        self.actors.count()
     }
 
     /// The open leases, the oldest first.

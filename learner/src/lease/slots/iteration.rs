@@ -68,6 +68,8 @@ pub(super) struct OpenIteration {
     pub(super) iteration: u64,
     pub(super) weights: WeightsName,
     slots: Vec<Slot>,
+    /// Environments of all slots, and of the largest.
+    environments: (usize, usize),
 }
 
 #[derive(Debug)]
@@ -118,8 +120,10 @@ pub(super) struct ClaimedSlot {
 
 impl OpenIteration {
     pub(super) fn new(iteration: u64, weights: WeightsName, works: Vec<RolloutWork>) -> Self {
+        let sizes = works.iter().map(|work: &RolloutWork| work.environments.len());
+        let environments = (sizes.clone().sum(), sizes.max().unwrap_or(0));
         let slot = |work| Slot { work, issued: 0, state: SlotState::Free, earlier: Vec::new() };
-        Self { iteration, weights, slots: works.into_iter().map(slot).collect() }
+        Self { iteration, weights, slots: works.into_iter().map(slot).collect(), environments }
     }
 
     /// The lowest free slot.
@@ -237,6 +241,16 @@ impl OpenIteration {
 
     pub(super) fn slots(&self) -> usize {
         self.slots.len()
+    }
+
+    /// Environments of all slots.
+    pub(super) fn environments(&self) -> usize {
+        self.environments.0
+    }
+
+    /// Environments of the largest slot.
+    pub(super) fn slot_environments(&self) -> usize {
+        self.environments.1
     }
 
     /// Slots whose result is complete, those that the trainer took included.

@@ -21,6 +21,14 @@ pub struct SlotRollout {
     pub digests: Vec<Digest>,
 }
 
+impl SlotRollout {
+    /// `E`, the slot's environments; 0 without a chunk.
+    #[must_use]
+    pub fn environments(&self) -> usize {
+        self.chunks.first().map_or(0, |chunk| chunk.reward.len() / chunk.steps as usize)
+    }
+}
+
 /// A complete evaluation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvaluationOutcome {
@@ -96,9 +104,13 @@ pub struct Counts {
     pub leases: usize,
     /// Slots of the open iteration.
     pub slots: usize,
+    /// Environments of all these slots.
+    pub environments: usize,
+    /// Environments of each of these slots; of the largest, if they differ.
+    pub environments_per_slot: usize,
     /// Those of them that are leased.
     pub held_slots: usize,
-    /// Median time from lease to result of the latest slots; `None` before the first.
+    /// Median time from lease to result of the latest slots, for each of a slot's environments; `None` before the first.
     pub slot_time: Option<Duration>,
     /// Those of them whose result is complete.
     pub complete_slots: usize,

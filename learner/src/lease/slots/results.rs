@@ -129,7 +129,7 @@ impl SlotTable {
         let (owner, secs) = (lease.owner, self.now.saturating_sub(lease.begun));
         match open.complete(index, id, lease) {
             Completion::Accepted => {
-                self.typical.add(secs);
+                self.typical.add(secs, open.work(index).environments.len());
                 let audited = owner.trust == Trust::Exact && self.actors.can_audit();
                 let digests = self.finished.digests(id).filter(|_| audited);
                 if digests.is_some_and(|digests| {

@@ -104,7 +104,8 @@ impl MetricSet {
         let still = status.leases.iter().map(|lease| lease.still_secs).fold(0.0, f64::max);
         self.gauge("lease_still_seconds", "Longest time of an open lease without progress", still);
         if let Some(secs) = run.slot_secs {
-            self.gauge("slot_seconds", "Median time of the latest slots", secs);
+            let help = "Median time of the latest slots, for each environment of a slot";
+            self.gauge("slot_seconds", help, secs);
         }
     }
 

@@ -7,7 +7,7 @@ use super::*;
 
 fn layout() -> Layout {
     let agents = vec![AgentLayout { observation: 1, action: 2, hidden: 1 }];
-    Layout { slots: 2, per_slot: 2, steps: 4, hidden_every: 2, state: 1, agents }
+    Layout { environments: 4, steps: 4, hidden_every: 2, state: 1, agents }
 }
 
 /// A number that encodes its position: `100 * step + environment`.

@@ -8,7 +8,7 @@ use crate::assemble::AgentLayout;
 /// One slot of two environments, 3 steps, one agent with 2 recurrent units.
 fn layout() -> Layout {
     let agents = vec![AgentLayout { observation: 1, action: 1, hidden: 2 }];
-    Layout { slots: 1, per_slot: 2, steps: 3, hidden_every: 3, state: 1, agents }
+    Layout { environments: 2, steps: 3, hidden_every: 3, state: 1, agents }
 }
 
 fn batch(reward: [f32; 6], done_rows: &[usize]) -> Batch {
@@ -40,8 +40,8 @@ fn rollout() -> SlotRollout {
 }
 
 fn limits(count: usize, episode_steps: u32, phase: Phase) -> Vec<u32> {
-    let layout = Layout { slots: count / 2, ..layout() };
-    let work = Environments::fresh(layout, episode_steps, phase).work(0);
+    let layout = Layout { environments: count, ..layout() };
+    let work = Environments::fresh(layout, episode_steps, phase).work(0, 2);
     let starts = work.into_iter().flat_map(|slot| slot.environments);
     let limit = |start: EnvironmentStart| match start.start {
         Start::Fresh { episode: 0, limit } => limit,
@@ -59,8 +59,8 @@ fn staggered_first_episodes_end_at_even_intervals() {
 
 #[test]
 fn environments_are_numbered_over_all_slots() {
-    let layout = Layout { slots: 3, ..layout() };
-    let work = Environments::fresh(layout, 10, Phase::Lockstep).work(7);
+    let layout = Layout { environments: 6, ..layout() };
+    let work = Environments::fresh(layout, 10, Phase::Lockstep).work(7, 2);
     let numbers: Vec<(u64, u32, Vec<u32>)> = work
         .iter()
         .map(|w| (w.iteration, w.slot, w.environments.iter().map(|e| e.environment).collect()))
@@ -128,7 +128,7 @@ fn the_next_iteration_continues_from_the_end_states_of_the_slots() {
     let mut environments = Environments::fresh(layout(), 9, Phase::Lockstep);
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     let starts: Vec<Start> =
-        environments.work(1).remove(0).environments.into_iter().map(|e| e.start).collect();
+        environments.work(1, 2).remove(0).environments.into_iter().map(|e| e.start).collect();
     let first = Start::Continue { state: vec![1, 2, 3], recurrent: vec![vec![0.1, 0.2]] };
     let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
     assert_eq!(starts, [first, second]);

@@ -2,22 +2,23 @@
 
 use crate::config::EnvironmentsConfig;
 
-/// Number of `actors` that cannot have a slot, and what to set in a new run; `None` if there are enough slots.
+/// Number of `actors` that cannot have a slot, and what limits the slots; `None` if there can be enough.
 pub(super) fn advice(actors: u64, environments: &EnvironmentsConfig) -> Option<String> {
-    let slots = environments.slots() as u64;
+    let slots = environments.most_slots() as u64;
     let idle = actors.checked_sub(slots).filter(|idle| *idle > 0)?;
-    let more = match environments.per_slot {
-        1 => "a larger environments.count".to_owned(),
-        _ => {
-            let most = environments.count;
-            format!(
-                "environments.per_slot=1 ({most} slots, same results) or a larger environments.count"
-            )
-        }
+    let count = environments.count;
+    let (limit, remedy) = match environments.per_slot {
+        0 | 1 => (
+            format!("the run has {count} environments, and a slot has at least one"),
+            "set a larger environments.count in a new run, which changes its results",
+        ),
+        fixed => (
+            format!("environments.per_slot={fixed} makes {slots} slots of {count} environments"),
+            "resume with environments.per_slot=0, which cuts slots to the threads with the same results",
+        ),
     };
     Some(format!(
-        "{idle} of {actors} actor threads have no slot: there are {slots} slots; set {more} in \
-         a new run, or start fewer threads"
+        "{idle} of {actors} actor threads have no slot: {limit}; {remedy}, or start fewer threads"
     ))
 }
 
@@ -32,18 +33,24 @@ mod tests {
     }
 
     #[test]
-    fn threads_without_a_slot_are_counted_with_the_setting_that_gives_them_one() {
+    fn threads_without_a_slot_are_counted_with_what_limits_the_slots() {
         assert_eq!(
             advice(24, &environments(2)).unwrap(),
-            "14 of 24 actor threads have no slot: there are 10 slots; set environments.per_slot=1 \
-             (20 slots, same results) or a larger environments.count in a new run, or start fewer threads"
+            "14 of 24 actor threads have no slot: environments.per_slot=2 makes 10 slots of 20 environments; resume \
+             with environments.per_slot=0, which cuts slots to the threads with the same results, or start fewer threads"
         );
-        let line = advice(24, &environments(1)).unwrap();
-        assert!(line.contains("there are 20 slots; set a larger environments.count in"), "{line}");
+        for per_slot in [0, 1] {
+            assert_eq!(
+                advice(24, &environments(per_slot)).unwrap(),
+                "4 of 24 actor threads have no slot: the run has 20 environments, and a slot has at least one; set a \
+                 larger environments.count in a new run, which changes its results, or start fewer threads"
+            );
+        }
     }
 
     #[test]
     fn there_is_no_advice_while_every_thread_can_have_a_slot() {
         assert_eq!(advice(10, &environments(2)), None);
+        assert_eq!(advice(20, &environments(0)), None);
     }
 }
