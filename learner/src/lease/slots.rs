@@ -10,7 +10,6 @@
 //! once more, and if two complete ones differ, the run must stop. A slot that takes much longer than others gets a
 //! backup lease, and a share of the slots is audited ([`SecretSample`]).
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
@@ -24,6 +23,7 @@ mod evaluations;
 mod figures;
 mod iteration;
 mod leases;
+mod open;
 mod outcome;
 mod pause;
 mod results;
@@ -37,6 +37,7 @@ use evaluations::Evaluations;
 use iteration::{ClaimedSlot, OpenIteration};
 pub use iteration::{ComputedChunk, Disagreement};
 use leases::{Claim, Finished, OpenLease};
+use open::OpenLeases;
 pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Incident, Offer, SlotRollout};
 pub use results::{ChunkPreview, EvaluationPreview};
 use typical::TypicalTime;
@@ -69,7 +70,7 @@ pub struct SlotTable {
     paused: bool,
     actors: Actors,
     last_lease: u64,
-    open: BTreeMap<LeaseId, OpenLease>,
+    open: OpenLeases,
     finished: Finished,
     iteration: Option<OpenIteration>,
     evaluations: Evaluations,
@@ -101,7 +102,7 @@ impl SlotTable {
             paused: false,
             actors: Actors::new(rules.ttl),
             last_lease: 0,
-            open: BTreeMap::new(),
+            open: OpenLeases::default(),
             finished: Finished::default(),
             iteration: None,
             evaluations: Evaluations::default(),
@@ -117,12 +118,9 @@ impl SlotTable {
     /// It is `now`, counted from any fixed moment; leases past their deadline end. Earlier times are ignored.
     pub fn tick(&mut self, now: Duration) {
         self.now = self.now.max(now);
-        let over =
-            |(id, lease): (&LeaseId, &OpenLease)| (lease.deadline <= self.now).then_some(*id);
-        let expired = self.open.iter().filter_map(over).collect::<Vec<_>>();
-        for id in expired {
-            let lost = self.open[&id].status(id, self.now);
-            self.incidents.push(Incident::Expired(lost));
+        for id in self.open.expired(self.now) {
+            let lost = self.open.get(id).map(|lease| lease.status(id, self.now));
+            self.incidents.extend(lost.map(Incident::Expired));
             self.abandon(id);
         }
     }
@@ -130,11 +128,10 @@ impl SlotTable {
     /// When the next lease ends without a message, or the next slot may get a backup lease.
     #[must_use]
     pub fn next_deadline(&self) -> Option<Duration> {
-        let ends = self.open.values().map(|lease| lease.deadline);
-        let held = self.iteration.iter().flat_map(OpenIteration::held_since);
         let age = self.backup_age();
-        let backups = held.map(|since| since + age).filter(|at| *at > self.now);
-        ends.chain(backups).min()
+        let young = |open: &OpenIteration| open.first_held_after(self.now.checked_sub(age));
+        let backup = self.iteration.as_ref().and_then(young).map(|since| since + age);
+        self.open.first_deadline().into_iter().chain(backup).min()
     }
 
     /// What is to be done since the last call, in order.
@@ -154,7 +151,7 @@ impl SlotTable {
         weights: WeightsName,
         slots: Vec<RolloutWork>,
     ) {
-        self.open.retain(|_, lease| !matches!(lease.claim, Claim::Slot(_)));
+        self.open.end(|lease| matches!(lease.claim, Claim::Slot(_)));
         self.iteration = Some(OpenIteration::new(iteration, weights, slots));
         self.effects.push(Effect::WorkFreed);
     }
@@ -174,7 +171,7 @@ impl SlotTable {
     /// The run is over: every later request for work is answered so.
     pub fn finish(&mut self) {
         self.over = true;
-        self.open.retain(|_, lease| !matches!(lease.claim, Claim::Audit { .. }));
+        self.open.end(|lease| matches!(lease.claim, Claim::Audit { .. }));
         self.audits.skip_all();
         self.effects.push(Effect::WorkFreed);
     }
@@ -207,8 +204,8 @@ impl SlotTable {
 
     fn end_leases_of(&mut self, gone: &[ActorId]) {
         for actor in gone.iter().copied() {
-            let leases = self.open.iter().filter(|(_, lease)| lease.owner.actor == actor);
-            let leases = leases.map(|(id, lease)| lease.status(*id, self.now)).collect::<Vec<_>>();
+            let leases = self.open.of(actor).map(|(id, lease)| lease.status(id, self.now));
+            let leases = leases.collect::<Vec<_>>();
             leases.iter().for_each(|lost| self.abandon(lost.lease));
             self.incidents.push(Incident::Gone { actor, leases });
         }
@@ -228,7 +225,7 @@ impl SlotTable {
     ) -> Result<Offer, Refusal> {
         self.same_incarnation(incarnation)?;
         let owner = self.actors.owner(sender, actor)?;
-        let held = self.open.values().filter(|lease| lease.owner.actor == actor).count();
+        let held = self.open.of(actor).count();
         match self.actors.admit(owner, held, self.now)? {
             _ if self.over => return Ok(Offer::Done),
             _ if self.paused => return Ok(Offer::Nothing),
@@ -251,7 +248,7 @@ impl SlotTable {
             self.reissued += u64::from(slot.attempt > 0);
             return Some(Claimed::slot(slot, open.weights));
         }
-        if let Some((work, weights, attempt)) = self.evaluations.claim(id) {
+        if let Some((work, weights, attempt)) = self.evaluations.claim() {
             self.reissued += u64::from(attempt > 0);
             let (claim, work) = (Claim::Episode(work), Work::Evaluation(work));
             return Some(Claimed { claim, weights, work, attempt });
@@ -269,7 +266,7 @@ impl SlotTable {
         let since = self.now.checked_sub(self.backup_age())?;
         let open = self.iteration.as_mut()?;
         let of_another = |held: LeaseId| {
-            self.open.get(&held).is_some_and(|lease| lease.owner.connection != owner.connection)
+            self.open.get(held).is_some_and(|lease| lease.owner.connection != owner.connection)
         };
         let slot = open.claim_backup(id, since, self.now, of_another)?;
         self.backups += 1;
@@ -294,8 +291,8 @@ impl SlotTable {
     pub fn heartbeat(&mut self, sender: ConnectionId, beat: &Heartbeat) -> Result<bool, Refusal> {
         self.same_incarnation(beat.incarnation)?;
         self.actors.owner(sender, beat.actor)?;
-        let own = |lease: &&mut OpenLease| lease.owner.actor == beat.actor;
-        let Some(lease) = self.open.get_mut(&beat.lease).filter(own) else {
+        let own = |lease: &&OpenLease| lease.owner.actor == beat.actor;
+        let Some(lease) = self.open.get(beat.lease).filter(own) else {
             return Ok(false);
         };
         let most = match lease.claim {
@@ -306,7 +303,8 @@ impl SlotTable {
             let detail = format!("{}, the work has {most} steps", beat.slot_step);
             return Err(Refusal::new(Reason::BadValue, "slot_step", detail));
         }
-        lease.beat(beat.slot_step, self.now, self.rules.ttl);
+        let (now, ttl) = (self.now, self.rules.ttl);
+        self.open.change(beat.lease, |lease| lease.beat(beat.slot_step, now, ttl));
         Ok(true)
     }
 
@@ -314,7 +312,7 @@ impl SlotTable {
     /// refusal counts against the lease's actor, or else against all actors of the connection.
     pub fn refuse(&mut self, sender: ConnectionId, lease: Option<LeaseId>) {
         let own = lease.and_then(|id| {
-            let open = self.open.get(&id).filter(|open| open.owner.connection == sender)?;
+            let open = self.open.get(id).filter(|open| open.owner.connection == sender)?;
             Some((id, open.owner.actor))
         });
         let actors = own.map_or_else(|| self.actors.of(sender), |(_, actor)| vec![actor]);
@@ -329,7 +327,7 @@ impl SlotTable {
     }
 
     fn abandon(&mut self, id: LeaseId) {
-        let Some(lease) = self.open.remove(&id) else {
+        let Some(lease) = self.open.remove(id) else {
             return;
         };
         match lease.claim {

@@ -1,7 +1,7 @@
 //! Registered actors: their connection, whether their results can be compared, and how many of their latest messages
 //! were refused.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use proto::{ActorId, Reason, Refusal};
@@ -61,38 +61,69 @@ pub(super) struct Actors {
     /// Registrations of foreign actors so far.
     pub(super) foreign: u64,
     registered: BTreeMap<ActorId, Actor>,
+    /// The actors of each connection that has any.
+    connected: BTreeMap<ConnectionId, BTreeSet<ActorId>>,
+    /// How many exact actors each connection has, if any.
+    exact: BTreeMap<ConnectionId, usize>,
 }
 
 impl Actors {
     /// The first quarantine of an actor lasts `pause`.
     pub(super) fn new(pause: Duration) -> Self {
-        Self { pause, last: 0, foreign: 0, registered: BTreeMap::new() }
+        Self {
+            pause,
+            last: 0,
+            foreign: 0,
+            registered: BTreeMap::new(),
+            connected: BTreeMap::new(),
+            exact: BTreeMap::new(),
+        }
     }
 
     pub(super) fn register(&mut self, connection: ConnectionId, trust: Trust) -> ActorId {
         self.last += 1;
         self.foreign += u64::from(trust == Trust::Foreign);
         let actor = Actor { connection, trust, strikes: 0, quarantined_until: Duration::ZERO };
-        self.registered.insert(ActorId(self.last), actor);
-        ActorId(self.last)
+        let id = ActorId(self.last);
+        self.registered.insert(id, actor);
+        self.connected.entry(connection).or_default().insert(id);
+        if trust == Trust::Exact {
+            *self.exact.entry(connection).or_default() += 1;
+        }
+        id
     }
 
     /// The actor that must go before one more fits on the connection.
     pub(super) fn make_room(&mut self, connection: ConnectionId) -> Vec<ActorId> {
-        let on_it = |actor: &&Actor| actor.connection == connection;
-        if self.registered.values().filter(on_it).count() < MOST_PER_CONNECTION {
-            return Vec::new();
-        }
-        let first = self.registered.iter().find(|(_, actor)| on_it(actor)).map(|(id, _)| *id);
-        self.registered.retain(|id, _| Some(*id) != first);
-        first.into_iter().collect()
+        let on_it = self.connected.get(&connection);
+        let full = on_it.filter(|actors| actors.len() >= MOST_PER_CONNECTION);
+        let first = full.and_then(BTreeSet::first).copied();
+        first.into_iter().inspect(|id| self.remove(*id)).collect()
     }
 
     /// The actors that are gone with the connection.
     pub(super) fn disconnect(&mut self, connection: ConnectionId) -> Vec<ActorId> {
         let gone = self.of(connection);
-        self.registered.retain(|_, actor| actor.connection != connection);
+        gone.iter().for_each(|id| self.remove(*id));
         gone
+    }
+
+    fn remove(&mut self, id: ActorId) {
+        let Some(Actor { connection, trust, .. }) = self.registered.remove(&id) else { return };
+        if let Some(actors) = self.connected.get_mut(&connection) {
+            actors.remove(&id);
+            if actors.is_empty() {
+                self.connected.remove(&connection);
+            }
+        }
+        if trust == Trust::Exact
+            && let Some(count) = self.exact.get_mut(&connection)
+        {
+            *count -= 1;
+            if *count == 0 {
+                self.exact.remove(&connection);
+            }
+        }
     }
 
     /// The actor, if it registered on this connection.
@@ -103,15 +134,12 @@ impl Actors {
 
     /// Whether any actor registered on this connection.
     pub(super) fn has(&self, connection: ConnectionId) -> bool {
-        self.registered.values().any(|actor| actor.connection == connection)
+        self.connected.contains_key(&connection)
     }
 
     /// Whether exact actors registered on two or more connections.
     pub(super) fn can_audit(&self) -> bool {
-        let exact = self.registered.values().filter(|actor| actor.trust == Trust::Exact);
-        let mut connections = exact.map(|actor| actor.connection);
-        let first = connections.next();
-        first.is_some_and(|first| connections.any(|other| other != first))
+        self.exact.len() >= 2
     }
 
     pub(super) fn admit(
@@ -140,8 +168,7 @@ impl Actors {
 
     /// The actors of a connection.
     pub(super) fn of(&self, connection: ConnectionId) -> Vec<ActorId> {
-        let own = self.registered.iter().filter(|(_, actor)| actor.connection == connection);
-        own.map(|(id, _)| *id).collect()
+        self.connected.get(&connection).into_iter().flatten().copied().collect()
     }
 
     pub(super) fn finished(&mut self, id: ActorId) {

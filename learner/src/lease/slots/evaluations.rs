@@ -1,8 +1,8 @@
 //! Open evaluations and their episodes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use proto::{EvaluationResult, EvaluationWork, LeaseId, WeightsName};
+use proto::{EvaluationResult, EvaluationWork, WeightsName};
 
 use super::EvaluationOutcome;
 
@@ -14,19 +14,23 @@ pub(super) struct Evaluations(BTreeMap<u64, Evaluation>);
 struct Evaluation {
     weights: WeightsName,
     episodes: Vec<Episode>,
+    /// Episodes that nobody plays and that have no result.
+    free: BTreeSet<u32>,
+    /// Episodes without a result.
+    missing: usize,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Episode {
     issued: u32,
-    holder: Option<LeaseId>,
     result: Option<EvaluationResult>,
 }
 
 impl Evaluations {
     pub(super) fn open(&mut self, iteration: u64, weights: WeightsName, episodes: u32) {
-        let episodes = vec![Episode::default(); episodes as usize];
-        self.0.insert(iteration, Evaluation { weights, episodes });
+        let (free, missing) = ((0..episodes).collect(), episodes as usize);
+        let episodes = vec![Episode::default(); missing];
+        self.0.insert(iteration, Evaluation { weights, episodes, free, missing });
     }
 
     pub(super) fn weights(&self) -> impl Iterator<Item = WeightsName> {
@@ -34,14 +38,12 @@ impl Evaluations {
     }
 
     /// The first free episode of the earliest evaluation, and how often it was leased before.
-    pub(super) fn claim(&mut self, id: LeaseId) -> Option<(EvaluationWork, WeightsName, u32)> {
+    pub(super) fn claim(&mut self) -> Option<(EvaluationWork, WeightsName, u32)> {
         for (iteration, evaluation) in &mut self.0 {
-            let free = |episode: &Episode| episode.holder.is_none() && episode.result.is_none();
-            if let Some(at) = evaluation.episodes.iter().position(free) {
-                let episode = &mut evaluation.episodes[at];
-                episode.holder = Some(id);
+            if let Some(at) = evaluation.free.pop_first() {
+                let episode = &mut evaluation.episodes[at as usize];
                 episode.issued += 1;
-                let work = EvaluationWork { iteration: *iteration, episode: at as u32 };
+                let work = EvaluationWork { iteration: *iteration, episode: at };
                 return Some((work, evaluation.weights, episode.issued - 1));
             }
         }
@@ -49,8 +51,10 @@ impl Evaluations {
     }
 
     pub(super) fn release(&mut self, work: EvaluationWork) {
-        if let Some(episode) = self.episode(work) {
-            episode.holder = None;
+        if let Some(evaluation) = self.0.get_mut(&work.iteration)
+            && evaluation.result(work).is_none()
+        {
+            evaluation.free.insert(work.episode);
         }
     }
 
@@ -60,17 +64,24 @@ impl Evaluations {
         work: EvaluationWork,
         result: EvaluationResult,
     ) -> Option<EvaluationOutcome> {
-        let episode = self.episode(work)?;
-        episode.holder = None;
-        episode.result = Some(result);
-        let evaluation = self.0.get(&work.iteration)?;
-        let episodes =
-            evaluation.episodes.iter().map(|episode| episode.result).collect::<Option<_>>()?;
-        self.0.remove(&work.iteration);
+        let evaluation = self.0.get_mut(&work.iteration)?;
+        let episode = evaluation.episodes.get_mut(work.episode as usize)?;
+        if episode.result.replace(result).is_none() {
+            evaluation.missing -= 1;
+        }
+        evaluation.free.remove(&work.episode);
+        if evaluation.missing > 0 {
+            return None;
+        }
+        let episodes = self.0.remove(&work.iteration)?.episodes;
+        let episodes = episodes.iter().map(|episode| episode.result).collect::<Option<_>>()?;
         Some(EvaluationOutcome { iteration: work.iteration, episodes })
     }
+}
 
-    fn episode(&mut self, work: EvaluationWork) -> Option<&mut Episode> {
-        self.0.get_mut(&work.iteration)?.episodes.get_mut(work.episode as usize)
+impl Evaluation {
+    /// The result of an episode, if there is one.
+    fn result(&self, work: EvaluationWork) -> Option<EvaluationResult> {
+        self.episodes.get(work.episode as usize)?.result
     }
 }

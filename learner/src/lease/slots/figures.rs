@@ -11,7 +11,7 @@ impl SlotTable {
     pub fn counts(&self) -> Counts {
         let held = self.iteration.iter().flat_map(OpenIteration::held);
         let chunks =
-            |held: &HeldLease| self.open.get(&held.id).map_or(0, |lease| lease.chunks.len() as u64);
+            |held: &HeldLease| self.open.get(held.id).map_or(0, |lease| lease.chunks.len() as u64);
         let partial = held.map(|leases| leases.iter().map(chunks).max().unwrap_or(0)).sum::<u64>();
         let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
         Counts {
@@ -40,26 +40,27 @@ impl SlotTable {
     /// The open leases, the oldest first.
     #[must_use]
     pub fn leases(&self) -> Vec<LeaseStatus> {
-        self.open.iter().map(|(id, lease)| lease.status(*id, self.now)).collect()
+        self.open.iter().map(|(id, lease)| lease.status(id, self.now)).collect()
     }
 
     /// The open lease with this id, if it belongs to an actor of this connection.
     #[must_use]
     pub fn lease_of(&self, connection: ConnectionId, id: LeaseId) -> Option<LeaseStatus> {
-        let own = self.open.get(&id).filter(|lease| lease.owner.connection == connection);
+        let own = self.open.get(id).filter(|lease| lease.owner.connection == connection);
         own.map(|lease| lease.status(id, self.now))
     }
 
     /// Whether an actor of this connection holds a lease.
     #[must_use]
     pub fn holds_lease(&self, connection: ConnectionId) -> bool {
-        self.open.values().any(|lease| lease.owner.connection == connection)
+        let mut actors = self.actors.of(connection).into_iter();
+        actors.any(|actor| self.open.of(actor).next().is_some())
     }
 
     /// What the table holds in memory.
     #[must_use]
     pub fn footprint(&self) -> Footprint {
-        let partial = self.open.values().map(|lease| lease.chunks.len() as u64).sum::<u64>();
+        let partial = self.open.iter().map(|(_, lease)| lease.chunks.len() as u64).sum::<u64>();
         let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
         Footprint {
             actors: self.actors.count(),

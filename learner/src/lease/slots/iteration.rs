@@ -1,6 +1,8 @@
 //! The slots of the open iteration: which leases they have, which are complete, and whether results agree.
 
+use std::collections::BTreeSet;
 use std::fmt;
+use std::ops::Bound;
 use std::time::Duration;
 
 use proto::{ActorId, Digest, LeaseId, RolloutWork, WeightsName};
@@ -62,7 +64,7 @@ pub(super) enum Completion {
     Failed(Disagreement),
 }
 
-/// The open iteration.
+/// The open iteration. Slots change only in [`Self::change`], which keeps the indexes.
 #[derive(Debug)]
 pub(super) struct OpenIteration {
     pub(super) iteration: u64,
@@ -70,6 +72,12 @@ pub(super) struct OpenIteration {
     slots: Vec<Slot>,
     /// Environments of all slots, and of the largest.
     environments: (usize, usize),
+    /// Indices of the slots that nobody computes.
+    free: BTreeSet<usize>,
+    /// Slots that one lease computes, by its begin.
+    single: BTreeSet<(Duration, usize)>,
+    /// Slots whose result is complete, those that the trainer took included.
+    complete: usize,
 }
 
 #[derive(Debug)]
@@ -123,14 +131,16 @@ impl OpenIteration {
         let sizes = works.iter().map(|work: &RolloutWork| work.environments.len());
         let environments = (sizes.clone().sum(), sizes.max().unwrap_or(0));
         let slot = |work| Slot { work, issued: 0, state: SlotState::Free, earlier: Vec::new() };
-        Self { iteration, weights, slots: works.into_iter().map(slot).collect(), environments }
+        let slots = works.into_iter().map(slot).collect::<Vec<_>>();
+        let (free, single) = ((0..slots.len()).collect(), BTreeSet::new());
+        Self { iteration, weights, slots, environments, free, single, complete: 0 }
     }
 
     /// The lowest free slot.
     pub(super) fn claim(&mut self, id: LeaseId, now: Duration) -> Option<ClaimedSlot> {
-        let free = |slot: &Slot| matches!(slot.state, SlotState::Free);
-        let index = self.slots.iter().position(free)?;
-        self.slots[index].state = SlotState::Held(vec![HeldLease { id, since: now }]);
+        let index = *self.free.first()?;
+        let held = SlotState::Held(vec![HeldLease { id, since: now }]);
+        self.change(index, |slot| slot.state = held);
         Some(self.issue(index))
     }
 
@@ -143,17 +153,41 @@ impl OpenIteration {
         now: Duration,
         may_back_up: impl Fn(LeaseId) -> bool,
     ) -> Option<ClaimedSlot> {
-        let held = self.slots.iter().enumerate().filter_map(|(index, slot)| match &slot.state {
-            SlotState::Held(leases) if leases.len() < MOST_LEASES => {
-                may_back_up(leases[0].id).then_some((leases[0].since, index))
+        let mut old = self.single.range(..=(since, usize::MAX)).map(|(_, index)| *index);
+        let other = |index: &usize| self.slots[*index].first_lease().is_some_and(&may_back_up);
+        let index = old.find(other)?;
+        self.change(index, |slot| {
+            if let SlotState::Held(leases) = &mut slot.state {
+                leases.push(HeldLease { id, since: now });
             }
-            _ => None,
         });
-        let (_, index) = held.filter(|(begun, _)| *begun <= since).min()?;
-        if let SlotState::Held(leases) = &mut self.slots[index].state {
-            leases.push(HeldLease { id, since: now });
-        }
         Some(self.issue(index))
+    }
+
+    /// Changes a slot, and the indexes with it.
+    fn change<T>(&mut self, index: usize, change: impl FnOnce(&mut Slot) -> T) -> T {
+        match &self.slots[index].state {
+            SlotState::Free => {
+                self.free.remove(&index);
+            }
+            SlotState::Held(leases) if leases.len() < MOST_LEASES => {
+                self.single.remove(&(leases[0].since, index));
+            }
+            SlotState::Held(_) => {}
+            SlotState::Complete(_) | SlotState::Taken => self.complete -= 1,
+        }
+        let result = change(&mut self.slots[index]);
+        match &self.slots[index].state {
+            SlotState::Free => {
+                self.free.insert(index);
+            }
+            SlotState::Held(leases) if leases.len() < MOST_LEASES => {
+                self.single.insert((leases[0].since, index));
+            }
+            SlotState::Held(_) => {}
+            SlotState::Complete(_) | SlotState::Taken => self.complete += 1,
+        }
+        result
     }
 
     fn issue(&mut self, index: usize) -> ClaimedSlot {
@@ -170,9 +204,10 @@ impl OpenIteration {
         })
     }
 
-    /// Begin of the slots that are held by one lease.
-    pub(super) fn held_since(&self) -> impl Iterator<Item = Duration> {
-        self.held().filter(|leases| leases.len() < MOST_LEASES).map(|leases| leases[0].since)
+    /// Earliest begin after `moment`, or of all, of the slots that are held by one lease.
+    pub(super) fn first_held_after(&self, moment: Option<Duration>) -> Option<Duration> {
+        let after = moment.map_or(Bound::Unbounded, |at| Bound::Excluded((at, usize::MAX)));
+        self.single.range((after, Bound::Unbounded)).next().map(|(since, _)| *since)
     }
 
     /// The slot at this index.
@@ -192,8 +227,7 @@ impl OpenIteration {
 
     /// The lease ended before its result was complete.
     pub(super) fn release(&mut self, index: usize, id: LeaseId, lease: OpenLease) {
-        let slot = &mut self.slots[index];
-        slot.drop_lease(id);
+        let slot = self.without_lease(index, id);
         if lease.owner.trust == Trust::Exact {
             let (actor, digests) = (lease.owner.actor, lease.digests);
             slot.remember(EarlierResult { actor, lease: id, digests, complete: false });
@@ -203,8 +237,7 @@ impl OpenIteration {
     /// The lease's result is complete. Other leases of the slot have been released.
     pub(super) fn complete(&mut self, index: usize, id: LeaseId, lease: OpenLease) -> Completion {
         let iteration = self.iteration;
-        let slot = &mut self.slots[index];
-        slot.drop_lease(id);
+        let slot = self.without_lease(index, id);
         let OpenLease { owner, digests, chunks, .. } = lease;
         let actor = owner.actor;
         let result = EarlierResult { actor, lease: id, digests, complete: true };
@@ -219,15 +252,20 @@ impl OpenIteration {
         }
         let (slot_index, digests) = (slot.work.slot, result.digests);
         let rollout = SlotRollout { slot: slot_index, actor, lease: id, chunks, digests };
-        slot.state = SlotState::Complete(rollout);
         slot.earlier.clear();
+        self.change(index, |slot| slot.state = SlotState::Complete(rollout));
         Completion::Accepted
+    }
+
+    /// The slot after the end of one of its leases.
+    fn without_lease(&mut self, index: usize, id: LeaseId) -> &mut Slot {
+        self.change(index, |slot| slot.drop_lease(id));
+        &mut self.slots[index]
     }
 
     /// All rollouts by slot, once, when none is missing.
     pub(super) fn take_if_complete(&mut self) -> Option<Vec<SlotRollout>> {
-        let complete = |slot: &Slot| matches!(slot.state, SlotState::Complete(_));
-        if !self.slots.iter().all(complete) {
+        if self.complete < self.slots.len() {
             return None;
         }
         let taken = self.slots.iter_mut().map(|slot| {
@@ -255,8 +293,7 @@ impl OpenIteration {
 
     /// Slots whose result is complete, those that the trainer took included.
     pub(super) fn complete_slots(&self) -> usize {
-        let done = |slot: &&Slot| matches!(slot.state, SlotState::Complete(_) | SlotState::Taken);
-        self.slots.iter().filter(done).count()
+        self.complete
     }
 
     pub(super) fn earlier_results(&self) -> usize {
@@ -273,6 +310,14 @@ impl OpenIteration {
 }
 
 impl Slot {
+    /// The oldest of its leases.
+    fn first_lease(&self) -> Option<LeaseId> {
+        match &self.state {
+            SlotState::Held(leases) => leases.first().map(|lease| lease.id),
+            _ => None,
+        }
+    }
+
     fn drop_lease(&mut self, id: LeaseId) {
         if let SlotState::Held(leases) = &mut self.state {
             leases.retain(|lease| lease.id != id);

@@ -90,9 +90,13 @@ impl SlotTable {
             return Ok(ack);
         }
         let mut lease_finished = false;
-        if let Some(lease) = self.open.get_mut(&header.lease) {
-            lease.accept(header.digest, chunk, self.now, self.rules.ttl);
-            lease_finished = lease.digests.len() as u64 == u64::from(self.rules.chunks_per_slot);
+        let (now, ttl, digest) = (self.now, self.rules.ttl, header.digest);
+        let accept = |lease: &mut OpenLease| {
+            lease.accept(digest, chunk, now, ttl);
+            lease.digests.len() as u64
+        };
+        if let Some(taken) = self.open.change(header.lease, accept) {
+            lease_finished = taken == u64::from(self.rules.chunks_per_slot);
         }
         if lease_finished {
             self.complete_rollout(header.lease);
@@ -102,7 +106,7 @@ impl SlotTable {
     }
 
     fn complete_rollout(&mut self, id: LeaseId) {
-        let Some(lease) = self.open.remove(&id) else { return };
+        let Some(lease) = self.open.remove(id) else { return };
         self.finished.remember(id, lease.digests.clone());
         self.actors.finished(lease.owner.actor);
         match lease.claim {
@@ -118,7 +122,7 @@ impl SlotTable {
     fn complete_slot(&mut self, id: LeaseId, index: usize, lease: OpenLease) {
         let Some(open) = &mut self.iteration else { return };
         for other in open.other_leases(index, id) {
-            if let Some(slower) = self.open.remove(&other) {
+            if let Some(slower) = self.open.remove(other) {
                 // Its later chunks are acknowledged if they are equal, and refused if they are not.
                 if slower.owner.trust == Trust::Exact && lease.owner.trust == Trust::Exact {
                     self.finished.remember(other, lease.digests.clone());
@@ -188,7 +192,7 @@ impl SlotTable {
             let detail = format!("{}, the lease is for {}", result.episode, work.episode);
             return Err(Refusal::new(Reason::BadValue, "evaluation.episode", detail));
         }
-        if let Some(lease) = self.open.remove(&header.lease) {
+        if let Some(lease) = self.open.remove(header.lease) {
             self.actors.finished(lease.owner.actor);
         }
         self.finished.remember(header.lease, vec![header.digest]);
@@ -209,7 +213,7 @@ impl SlotTable {
         }
         let id = header.lease;
         let refuse = |reason, detail| Refusal::new(reason, "lease_id", detail);
-        let lease = self.open.get(&id).ok_or_else(|| {
+        let lease = self.open.get(id).ok_or_else(|| {
             refuse(Reason::UnknownLease, format!("lease {id} has ended or never was"))
         })?;
         if lease.owner.connection != sender {
