@@ -8,7 +8,7 @@ use std::sync::{Arc, PoisonError};
 use std::task::Poll;
 use std::time::{Duration, Instant};
 
-use proto::{Lease, LeaseAnswer, Registered, Registration, RunDescription};
+use proto::{Lease, LeaseAnswer, ProcessId, Registered, Registration, RunDescription};
 use recording::trajectory_log::{Log, LogHandle};
 use rollout::rollout_fingerprint;
 use tokio::sync::{Mutex, MutexGuard, watch};
@@ -37,7 +37,8 @@ pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), Acto
         config.log.as_ref().map(|log| Log::start(log, &config.name, config.threads)).transpose()?;
     let answered = std::sync::Mutex::new(Instant::now());
     let all = config.threads;
-    let process = Arc::new(Process { config, log, weights: WeightsCache::default(), answered });
+    let weights = WeightsCache::default();
+    let process = Arc::new(Process { id: random_id(), config, log, weights, answered });
     let mut connections = JoinSet::new();
     for first in (0..all).step_by(THREADS_PER_CONNECTION) {
         let threads = first..all.min(first + THREADS_PER_CONNECTION);
@@ -58,6 +59,8 @@ pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), Acto
 
 /// State that all connections of an actor process share.
 struct Process {
+    /// Tells the learner which connections are of this process.
+    id: ProcessId,
     config: Config,
     log: Option<Log>,
     weights: WeightsCache,
@@ -118,7 +121,7 @@ impl Connection {
         let handle = log.and_then(|log| Some(log.handle(&run, source.task()?)));
         let mut threads = Vec::new();
         for index in self.threads.clone() {
-            let own = client.register(&registration(config, &source, index)?).await?;
+            let own = client.register(&registration(&self.process, &source, index)?).await?;
             tracing::info!(
                 actor = own.actor.0,
                 run = run.run_id,
@@ -238,10 +241,11 @@ impl LeaseWorker<'_> {
 
 /// Registration of the thread with this index for the run.
 fn registration(
-    config: &Config,
+    process: &Process,
     source: &Source,
     thread: usize,
 ) -> Result<Registration, ActorError> {
+    let config = &process.config;
     Ok(Registration {
         client: match config.threads {
             1 => config.name.clone(),
@@ -251,7 +255,14 @@ fn registration(
         protocol_version: proto::PROTOCOL_VERSION,
         environment: source.spec()?,
         rollout_fingerprint: Some(rollout_fingerprint()),
+        process: Some(process.id),
     })
+}
+
+/// Any random source is allowed, because no result depends on the id.
+fn random_id() -> ProcessId {
+    let number = || RandomState::new().build_hasher().finish();
+    ProcessId((u128::from(number()) << 64 | u128::from(number())).to_le_bytes())
 }
 
 /// Polls all futures and returns the output of the first that completes.

@@ -65,7 +65,7 @@ fn table(slots: u32) -> SlotTable {
 }
 
 fn register(table: &mut SlotTable, connection: u64) -> (ConnectionId, ActorId) {
-    (ConnectionId(connection), table.register(ConnectionId(connection), Trust::Exact))
+    (ConnectionId(connection), table.register(ConnectionId(connection), Trust::Exact, None))
 }
 
 /// Processor time of one call, microseconds.

@@ -169,6 +169,7 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
         protocol_version: PROTOCOL_VERSION,
         environment: run.environment.clone(),
         rollout_fingerprint: Some(run.rollout_fingerprint),
+        process: None,
     }
 }
 

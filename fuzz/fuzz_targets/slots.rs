@@ -20,7 +20,7 @@ use learner::slots::{ChunkPreview, ConnectionId, Effect, Offer, SlotTable, Trust
 use libfuzzer_sys::fuzz_target;
 use proto::{
     AckState, ActorId, Digest, EvaluationResult, Heartbeat, Incarnation, LeaseId, PolicyVersion,
-    PushHeader, WeightsName, Work,
+    ProcessId, PushHeader, WeightsName, Work,
 };
 use table::{CHUNKS, Held, INCARNATION, TTL, chunk, honest, weights, works};
 
@@ -72,7 +72,7 @@ fn event(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<Event> {
 /// A call of the table, as whoever reaches the service can cause it. Numbers choose among what there is.
 #[derive(Arbitrary, Debug)]
 enum Call {
-    Register { connection: u8, foreign: bool },
+    Register { connection: u8, foreign: bool, process: Option<u8> },
     Disconnect(u8),
     Lease { connection: u8, actor: u8, other_start: bool },
     Chunk { lease: u8, sequence: u8, lie: Lie },
@@ -128,9 +128,10 @@ fn hostile_actors(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> 
 impl Siege {
     fn suffer(&mut self, call: Call) {
         match call {
-            Call::Register { connection, foreign } => {
+            Call::Register { connection, foreign, process } => {
                 let trust = if foreign { Trust::Foreign } else { Trust::Exact };
-                self.table.register(ConnectionId(u64::from(connection % 4)), trust);
+                let process = process.map(|process| ProcessId([process % 3; 16]));
+                self.table.register(ConnectionId(u64::from(connection % 4)), trust, process);
             }
             Call::Disconnect(connection) => {
                 self.table.disconnect(ConnectionId(u64::from(connection % 4)));

@@ -85,7 +85,7 @@ impl LeaseConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AuditConfig {
-    /// Share of the slots, 0 to 1. No slot is audited while fewer than two actors are connected.
+    /// Share of the slots, 0 to 1. No slot is audited while the actors of fewer than two processes are connected.
     pub share: f64,
 }
 

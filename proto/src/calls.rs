@@ -2,10 +2,10 @@
 
 use bytes::Bytes;
 
-use crate::read::{digest, required, short_line, unknown};
+use crate::read::{digest, process, required, short_line, unknown};
 use crate::{
-    ActorId, Digest, EnvironmentSpec, Incarnation, Lease, LeaseId, Reason, Refusal, RunDescription,
-    WeightsName, wire,
+    ActorId, Digest, EnvironmentSpec, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal,
+    RunDescription, WeightsName, wire,
 };
 
 /// An actor's registration request.
@@ -21,6 +21,8 @@ pub struct Registration {
     pub environment: EnvironmentSpec,
     /// `None` for third-party clients; the run is then not exactly repeatable.
     pub rollout_fingerprint: Option<Digest>,
+    /// The process of the actor; `None` if it does not say.
+    pub process: Option<ProcessId>,
 }
 
 impl Registration {
@@ -34,13 +36,15 @@ impl Registration {
             protocol_version: self.protocol_version,
             environment: Some(self.environment.to_wire()),
             rollout_fingerprint: fingerprint,
+            process: self.process.map(|process| Bytes::copy_from_slice(&process.0)),
         }
     }
 
     /// Reads the message.
     ///
     /// # Errors
-    /// If the name or the build is invalid, a part is missing, or the fingerprint is not a SHA-256.
+    /// If the name or the build is invalid, a part is missing, the fingerprint is not a SHA-256, or the id of the process
+    /// does not have 16 bytes.
     pub fn from_wire(wire: wire::RegisterRequest) -> Result<Self, Refusal> {
         short_line(&wire.client, "client")?;
         short_line(&wire.build, "build")?;
@@ -53,6 +57,7 @@ impl Registration {
             protocol_version: wire.protocol_version,
             environment: EnvironmentSpec::from_wire(environment, "environment")?,
             rollout_fingerprint: fingerprint.transpose()?,
+            process: wire.process.map(|bytes| process(&bytes, "process")).transpose()?,
         })
     }
 

@@ -16,6 +16,10 @@ macro_rules! id {
     };
 }
 
+/// Random id of an actor's process, the same over all its connections. No result depends on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ProcessId(pub [u8; 16]);
+
 id! {
     /// Id of a lease, unique within an incarnation of the learner.
     LeaseId

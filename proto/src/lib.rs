@@ -43,7 +43,7 @@ pub use environment::{
 };
 pub use episodes::{Episodes, rollout_episode_id};
 pub use film::{Film, MAX_CAPSULES, MAX_FRAMES};
-pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion};
+pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion, ProcessId};
 pub use line::{EvaluationSummary, RunEnd, RunLine};
 pub use play::{PlayRequest, Steps, View, saved_state};
 pub use refusal::{Reason, Refusal, in_words};

@@ -1,6 +1,6 @@
 //! Checks of single fields of received messages; errors name the field.
 
-use crate::{Digest, Reason, Refusal};
+use crate::{Digest, ProcessId, Reason, Refusal};
 
 /// A required submessage.
 pub(crate) fn required<T>(value: Option<T>, field: &str) -> Result<T, Refusal> {
@@ -25,6 +25,13 @@ pub(crate) fn digest(bytes: &[u8], field: &str) -> Result<Digest, Refusal> {
     let found = bytes.len();
     let wrong = |_| bad_value(field, format!("{found} bytes, a SHA-256 has 32"));
     bytes.try_into().map(Digest).map_err(wrong)
+}
+
+/// Exactly 16 bytes.
+pub(crate) fn process(bytes: &[u8], field: &str) -> Result<ProcessId, Refusal> {
+    let found = bytes.len();
+    let wrong = |_| bad_value(field, format!("{found} bytes, an id of a process has 16"));
+    bytes.try_into().map(ProcessId).map_err(wrong)
 }
 
 /// Checks the length of a list.

@@ -52,6 +52,7 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
         protocol_version: run.protocol_version,
         environment: run.environment.clone(),
         rollout_fingerprint: Some(run.rollout_fingerprint),
+        process: None,
     }
 }
 

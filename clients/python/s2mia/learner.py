@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import os
 import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -18,6 +19,8 @@ CALL_SECS = 10.0
 LEASE_WAIT_MILLIS = 5_000
 # Maximum number of unacknowledged results.
 MAX_UNACKNOWLEDGED = 4
+# Tells the learner which connections are of one process, whose results do not confirm each other.
+PROCESS = os.urandom(16)
 
 
 def chunk_digest(chunk: Any, rollout: Any) -> bytes:
@@ -82,7 +85,10 @@ class Learner:
         request = wire.DescribeRunRequest()
         self.run = self._call("DescribeRun", request, wait_for_ready=True).run
         registration = wire.RegisterRequest(
-            client=client, protocol_version=self.run.protocol_version, environment=self.run.environment
+            client=client,
+            protocol_version=self.run.protocol_version,
+            environment=self.run.environment,
+            process=PROCESS,
         )
         own = self._call("Register", registration)
         self.actor_id, self.incarnation = own.actor_id, own.incarnation

@@ -14,7 +14,7 @@ use proto::wire::play_response::Answer;
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     Digest, EnvironmentStart, EvaluationResult, Incarnation, Lease, LeaseAnswer, LeaseId,
-    PROTOCOL_VERSION, PolicyVersion, PushHeader, Registration, RolloutWork, ShareRewards, Start,
+    PROTOCOL_VERSION, PolicyVersion, ProcessId, PushHeader, Registration, RolloutWork, ShareRewards, Start,
     Steps, View, WeightsName, Work, wire,
 };
 use sim::ContactForces;
@@ -69,6 +69,7 @@ fn messages() -> Vec<Seed> {
         protocol_version: PROTOCOL_VERSION,
         environment: sample::environment(),
         rollout_fingerprint: Some(run.rollout_fingerprint),
+        process: Some(ProcessId([7; 16])),
     };
     let mut seeds = vec![
         (Some(0), chunk(0)),

@@ -245,7 +245,7 @@ impl Exchange {
             None => Trust::Foreign,
         };
         let actor = self.change(|shared| {
-            let actor = shared.table.register(connection, trust);
+            let actor = shared.table.register(connection, trust, registration.process);
             shared.names.insert(actor, registration.client.clone());
             actor
         });

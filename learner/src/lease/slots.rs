@@ -13,8 +13,8 @@
 use std::time::Duration;
 
 use proto::{
-    ActorId, Heartbeat, Incarnation, Lease, LeaseId, Reason, Refusal, RolloutWork, RunState,
-    WeightsName, Work,
+    ActorId, Heartbeat, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal, RolloutWork,
+    RunState, WeightsName, Work,
 };
 
 mod actors;
@@ -183,11 +183,16 @@ impl SlotTable {
     }
 
     /// Admits an actor that registered on `connection`. One connection carries 16 at most: past that, the
-    /// one that registered first is gone.
-    pub fn register(&mut self, connection: ConnectionId, trust: Trust) -> ActorId {
+    /// one that registered first is gone. Actors of one `process` do not audit each other.
+    pub fn register(
+        &mut self,
+        connection: ConnectionId,
+        trust: Trust,
+        process: Option<ProcessId>,
+    ) -> ActorId {
         let gone = self.actors.make_room(connection);
         self.end_leases_of(&gone);
-        self.actors.register(connection, trust)
+        self.actors.register(connection, trust, process)
     }
 
     /// Whether an actor registered on this connection.

@@ -6,8 +6,8 @@ use learner::slots::{AuditCounts, ConnectionId, Effect, Offer};
 use proto::{AckState, Digest, Heartbeat, Reason};
 
 use crate::table::{
-    Held, INCARNATION, TTL, actor, audited_table, complete, lease, push, push_as, slot, table,
-    weights, works,
+    Held, INCARNATION, TTL, actor, actor_of, audited_table, complete, lease, push, push_as, slot,
+    table, weights, works,
 };
 
 const OTHER: Digest = Digest([66; 32]);
@@ -180,4 +180,25 @@ fn a_slot_that_goes_on_with_its_backup_gets_no_other_backup_at_once() {
     assert_eq!(idle.ask(&mut table), Ok(Offer::Nothing));
     table.effects();
     assert!(matches!(complete(&mut table, &backup)[..], [Effect::Iteration(_)]));
+}
+
+#[test]
+fn a_process_does_not_audit_itself_over_another_connection() {
+    let mut table = audited_table(1);
+    let (a, same) = (actor_of(&mut table, 1, 1), actor_of(&mut table, 1, 2));
+    let other = actor_of(&mut table, 2, 3);
+    let first = lease(&mut table, a);
+    complete(&mut table, &first);
+    assert_eq!(same.ask(&mut table), Ok(Offer::Nothing));
+    assert_eq!(slot(&lease(&mut table, other)), 0);
+}
+
+#[test]
+fn no_slot_is_audited_while_only_one_process_is_connected() {
+    let mut table = audited_table(1);
+    let a = actor_of(&mut table, 1, 1);
+    actor_of(&mut table, 1, 2);
+    let first = lease(&mut table, a);
+    complete(&mut table, &first);
+    assert_eq!(table.footprint().open_audits, 0);
 }

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use learner::slots::{ConnectionId, Effect, Offer, SlotRollout, SlotTable, Trust};
 use proto::{
-    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, PushHeader, Reason, Refusal, Work,
+    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, ProcessId, PushHeader, Reason,
+    Refusal, Work,
 };
 
 use crate::events::{ACTORS, Event, Key, MOST_IN_FLIGHT, Message, Packet, key};
@@ -43,6 +44,14 @@ pub(crate) struct Cluster {
     evaluated: BTreeSet<u64>,
     finished: BTreeSet<Key>,
     issued: BTreeMap<(u64, u32), Vec<Lease>>,
+    /// The actors of this start of the learner, and those whose result of a slot is the accepted one.
+    registered: BTreeMap<ActorId, usize>,
+    accepted: BTreeMap<(u64, u32), usize>,
+}
+
+/// The first two actors are connections of one process. The third names its process, and the last one does not.
+fn process_of(actor: usize) -> Option<ProcessId> {
+    [Some(ProcessId([1; 16])), Some(ProcessId([1; 16])), Some(ProcessId([2; 16])), None][actor]
 }
 
 impl Cluster {
@@ -60,6 +69,8 @@ impl Cluster {
             evaluated: BTreeSet::new(),
             finished: BTreeSet::new(),
             issued: BTreeMap::new(),
+            registered: BTreeMap::new(),
+            accepted: BTreeMap::new(),
         };
         cluster.open();
         (0..ACTORS).for_each(|index| cluster.join(index));
@@ -151,7 +162,8 @@ impl Cluster {
         }
         self.connections += 1;
         let connection = ConnectionId(self.connections);
-        let actor = self.table.register(connection, Trust::Exact);
+        let actor = self.table.register(connection, Trust::Exact, process_of(index));
+        self.registered.insert(actor, index);
         let actor = Some((actor, self.incarnation));
         self.actors[index] =
             ActorState { connection: Some(connection), actor, ..ActorState::default() };
@@ -231,7 +243,7 @@ impl Cluster {
                     "an offer to an actor of an earlier incarnation"
                 );
                 if let Offer::Lease(lease) = &offer {
-                    self.check_lease(lease);
+                    self.check_lease(actor, lease);
                 }
                 Message::Offered(offer)
             }
@@ -290,6 +302,8 @@ impl Cluster {
     fn restart(&mut self) {
         // The new table assigns the same lease ids again.
         self.issued.clear();
+        self.registered.clear();
+        self.accepted.clear();
         self.incarnation = Incarnation(self.incarnation.0 + 1);
         self.table = SlotTable::new(half_audited(self.incarnation));
         self.table.tick(self.now);
@@ -308,6 +322,10 @@ impl Cluster {
             match effect {
                 Effect::WorkFreed => {}
                 Effect::Iteration(rollouts) => {
+                    for rollout in &rollouts {
+                        let index = self.registered[&rollout.actor];
+                        self.accepted.insert((self.iteration, rollout.slot), index);
+                    }
                     let slots = rollouts.iter().map(|rollout| rollout.slot);
                     assert!(slots.eq(0..SLOTS), "a slot is missing");
                     assert!(self.ready.replace(rollouts).is_none(), "complete twice");
@@ -322,9 +340,13 @@ impl Cluster {
 
     // The invariants.
 
-    /// A slot has at most two open leases at a time.
-    fn check_lease(&mut self, lease: &Lease) {
+    /// A slot has at most two open leases at a time. A slot of a complete iteration is only audited, by another process.
+    fn check_lease(&mut self, actor: ActorId, lease: &Lease) {
         let Work::Rollout(work) = &lease.work else { return };
+        if let Some(first) = self.accepted.get(&(work.iteration, work.slot)) {
+            let (first, second) = (process_of(*first), process_of(self.registered[&actor]));
+            assert!(first.is_none() || first != second, "a process audits its own slot");
+        }
         let open = self.table.leases();
         let earlier = self.issued.entry((work.iteration, work.slot)).or_default();
         let is_open = |earlier: &&Lease| open.iter().any(|status| status.lease == earlier.id);

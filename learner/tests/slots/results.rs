@@ -111,7 +111,7 @@ fn results_of_a_foreign_actor_are_never_compared() {
     let mut table = table(1);
     disconnect_after(&mut table, 1, OTHER);
     let connection = ConnectionId(2);
-    let foreign = Actor { connection, id: table.register(connection, Trust::Foreign) };
+    let foreign = Actor { connection, id: table.register(connection, Trust::Foreign, None) };
     let lease = lease(&mut table, foreign);
     assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, foreign.id)]);
     assert_eq!(table.counts().foreign, 1);

@@ -6,8 +6,8 @@ use std::time::Duration;
 use learner::sample::SecretSample;
 use learner::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
 use proto::{
-    Ack, ActorId, Digest, EnvironmentStart, Incarnation, Lease, PolicyVersion, PushHeader, Refusal,
-    RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
+    Ack, ActorId, Digest, EnvironmentStart, Incarnation, Lease, PolicyVersion, ProcessId,
+    PushHeader, Refusal, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
 };
 
 pub(crate) const INCARNATION: Incarnation = Incarnation(11);
@@ -101,7 +101,13 @@ impl DerefMut for Held {
 /// Registers an exact actor on this connection.
 pub(crate) fn actor(table: &mut SlotTable, connection: u64) -> Actor {
     let connection = ConnectionId(connection);
-    Actor { connection, id: table.register(connection, Trust::Exact) }
+    Actor { connection, id: table.register(connection, Trust::Exact, None) }
+}
+
+/// Registers an exact actor of this process on this connection.
+pub(crate) fn actor_of(table: &mut SlotTable, process: u8, connection: u64) -> Actor {
+    let (connection, process) = (ConnectionId(connection), Some(ProcessId([process; 16])));
+    Actor { connection, id: table.register(connection, Trust::Exact, process) }
 }
 
 pub(crate) fn lease(table: &mut SlotTable, actor: Actor) -> Held {

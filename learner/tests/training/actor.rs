@@ -66,6 +66,7 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
         protocol_version: PROTOCOL_VERSION,
         environment: toy::environment(),
         rollout_fingerprint: Some(run.rollout_fingerprint),
+        process: None,
     }
 }
 

@@ -1,8 +1,8 @@
 //! Which actors may register.
 
 use proto::{
-    Digest, EnvironmentSpec, FeatureRole, PROTOCOL_VERSION, Reason, Refusal, Registration,
-    RunDescription,
+    Digest, EnvironmentSpec, FeatureRole, PROTOCOL_VERSION, ProcessId, Reason, Refusal,
+    Registration, RunDescription, wire,
 };
 
 use crate::sample;
@@ -14,6 +14,7 @@ fn registration() -> Registration {
         protocol_version: PROTOCOL_VERSION,
         environment: sample::environment(),
         rollout_fingerprint: Some(sample::run().rollout_fingerprint),
+        process: Some(ProcessId([7; 16])),
     }
 }
 
@@ -43,6 +44,26 @@ fn a_name_that_could_fill_the_memory_or_forge_a_line_of_a_log_is_refused() {
     assert_eq!(refused(&"n".repeat(128)), None);
     for hostile in ["n".repeat(129).as_str(), "a\n2026-01-01 INFO all is well", "\u{1b}[2J"] {
         assert_eq!(refused(hostile).as_deref(), Some("client"));
+    }
+}
+
+#[test]
+fn an_actor_of_a_named_process_or_of_none_is_read_and_admitted() {
+    for process in [None, Some(ProcessId([0; 16])), Some(ProcessId([9; 16]))] {
+        let named = Registration { process, ..registration() };
+        assert_eq!(Registration::from_wire(named.to_wire()), Ok(named.clone()));
+        assert_eq!(named.check(&sample::run()), Ok(()));
+    }
+}
+
+#[test]
+fn an_id_of_a_process_with_another_length_is_refused_by_name() {
+    for length in [0, 15, 17] {
+        let process = Some(vec![7; length].into());
+        let wire = wire::RegisterRequest { process, ..registration().to_wire() };
+        let refusal = Registration::from_wire(wire).unwrap_err();
+        assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::BadValue, "process"));
+        assert_eq!(refusal.detail, format!("{length} bytes, an id of a process has 16"));
     }
 }
 

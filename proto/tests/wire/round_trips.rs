@@ -5,8 +5,8 @@ use proto::wire::push_trajectory_request::Content;
 use proto::{
     Ack, AckState, ActorId, Digest, EnvironmentSpec, EnvironmentStart, EvaluationResult,
     EvaluationWork, Heartbeat, HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId,
-    PolicyVersion, PushHeader, Registered, Registration, RolloutWork, RunDescription, RunState,
-    Start, TrajectoryChunk, WeightsName, Work, wire,
+    PolicyVersion, ProcessId, PushHeader, Registered, Registration, RolloutWork, RunDescription,
+    RunState, Start, TrajectoryChunk, WeightsName, Work, wire,
 };
 
 use crate::sample;
@@ -54,6 +54,7 @@ fn a_registration_survives_the_round_trip_with_and_without_a_fingerprint() {
             protocol_version: 1,
             environment: sample::environment(),
             rollout_fingerprint,
+            process: rollout_fingerprint.map(|_| ProcessId([4; 16])),
         };
         let found = Registration::from_wire(sent(&registration.to_wire()));
         assert_eq!(found, Ok(registration));

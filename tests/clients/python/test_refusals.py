@@ -135,6 +135,7 @@ def no_message(attacker: Attacker) -> None:
 
 CALLS = {
     "another protocol": ("OTHER_PROTOCOL", lambda a: register(a, protocol_version=99)),
+    "an id of a process that is none": ("BAD_VALUE", lambda a: register(a, process=b"short")),
     "another build": (
         "OTHER_BUILD",
         lambda a: register(a, rollout_fingerprint=a.learner.run.rollout_fingerprint, build="0.0.1"),

@@ -30,7 +30,7 @@ impl Cluster {
     pub(super) fn start(&mut self, index: usize) {
         self.connections += 1;
         let connection = ConnectionId(self.connections);
-        let id = self.table.register(connection, Trust::Exact);
+        let id = self.table.register(connection, Trust::Exact, None);
         let starts = self.actors.get(index).map_or(0, |actor| actor.starts) + 1;
         let (open, weights) = (Vec::new(), None);
         let actor = Actor { id, connection, asks: false, stepping: None, open, weights, starts };

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use proto::{ActorId, Reason, Refusal};
+use proto::{ActorId, ProcessId, Reason, Refusal};
 
 /// Leases one actor may hold at a time.
 const MOST_LEASES: usize = 4;
@@ -24,7 +24,24 @@ pub struct ConnectionId(pub u64);
 pub(super) struct Owner {
     pub(super) actor: ActorId,
     pub(super) connection: ConnectionId,
+    pub(super) process: Process,
     pub(super) trust: Trust,
+}
+
+impl Owner {
+    /// Whether the other actor may be on the same machine: its results do not confirm this one's.
+    pub(super) fn shares_process(&self, other: &Self) -> bool {
+        self.connection == other.connection || self.process == other.process
+    }
+}
+
+/// The process of an actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Process {
+    /// As it says.
+    Named(ProcessId),
+    /// It does not say: the process of this connection alone.
+    Connection(ConnectionId),
 }
 
 /// Whether an actor promises the same bits as the others.
@@ -48,6 +65,7 @@ pub(super) enum Admission {
 #[derive(Debug)]
 struct Actor {
     connection: ConnectionId,
+    process: Process,
     trust: Trust,
     strikes: u32,
     quarantined_until: Duration,
@@ -63,8 +81,8 @@ pub(super) struct Actors {
     registered: BTreeMap<ActorId, Actor>,
     /// The actors of each connection that has any.
     connected: BTreeMap<ConnectionId, BTreeSet<ActorId>>,
-    /// How many exact actors each connection has, if any.
-    exact: BTreeMap<ConnectionId, usize>,
+    /// How many exact actors each process has, if any.
+    exact: BTreeMap<Process, usize>,
 }
 
 impl Actors {
@@ -80,15 +98,22 @@ impl Actors {
         }
     }
 
-    pub(super) fn register(&mut self, connection: ConnectionId, trust: Trust) -> ActorId {
+    pub(super) fn register(
+        &mut self,
+        connection: ConnectionId,
+        trust: Trust,
+        process: Option<ProcessId>,
+    ) -> ActorId {
+        let process = process.map_or(Process::Connection(connection), Process::Named);
         self.last += 1;
         self.foreign += u64::from(trust == Trust::Foreign);
-        let actor = Actor { connection, trust, strikes: 0, quarantined_until: Duration::ZERO };
+        let quarantined_until = Duration::ZERO;
+        let actor = Actor { connection, process, trust, strikes: 0, quarantined_until };
         let id = ActorId(self.last);
         self.registered.insert(id, actor);
         self.connected.entry(connection).or_default().insert(id);
         if trust == Trust::Exact {
-            *self.exact.entry(connection).or_default() += 1;
+            *self.exact.entry(process).or_default() += 1;
         }
         id
     }
@@ -109,7 +134,8 @@ impl Actors {
     }
 
     fn remove(&mut self, id: ActorId) {
-        let Some(Actor { connection, trust, .. }) = self.registered.remove(&id) else { return };
+        let Some(actor) = self.registered.remove(&id) else { return };
+        let Actor { connection, process, trust, .. } = actor;
         if let Some(actors) = self.connected.get_mut(&connection) {
             actors.remove(&id);
             if actors.is_empty() {
@@ -117,11 +143,11 @@ impl Actors {
             }
         }
         if trust == Trust::Exact
-            && let Some(count) = self.exact.get_mut(&connection)
+            && let Some(count) = self.exact.get_mut(&process)
         {
             *count -= 1;
             if *count == 0 {
-                self.exact.remove(&connection);
+                self.exact.remove(&process);
             }
         }
     }
@@ -129,7 +155,8 @@ impl Actors {
     /// The actor, if it registered on this connection.
     pub(super) fn owner(&self, sender: ConnectionId, id: ActorId) -> Result<Owner, Refusal> {
         let actor = self.find(sender, id)?;
-        Ok(Owner { actor: id, connection: sender, trust: actor.trust })
+        let Actor { process, trust, .. } = *actor;
+        Ok(Owner { actor: id, connection: sender, process, trust })
     }
 
     /// Whether any actor registered on this connection.
@@ -137,7 +164,7 @@ impl Actors {
         self.connected.contains_key(&connection)
     }
 
-    /// Whether exact actors registered on two or more connections.
+    /// Whether exact actors of two or more processes registered.
     pub(super) fn can_audit(&self) -> bool {
         self.exact.len() >= 2
     }

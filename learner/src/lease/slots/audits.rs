@@ -78,10 +78,9 @@ impl Audits {
         true
     }
 
-    /// The oldest audit of a slot that came over another connection.
+    /// The oldest audit of a slot that another process computed.
     pub(super) fn claim(&mut self, id: LeaseId, by: Owner) -> Option<(RolloutWork, WeightsName)> {
-        let free =
-            |audit: &&mut Audit| audit.holder.is_none() && audit.owner.connection != by.connection;
+        let free = |audit: &&mut Audit| audit.holder.is_none() && !audit.owner.shares_process(&by);
         let audit = self.open.iter_mut().find(free)?;
         audit.holder = Some(id);
         Some((audit.work.clone(), audit.weights))
