@@ -41,8 +41,11 @@ fn row(actors: u64, effort: Effort) -> anyhow::Result<Row> {
     });
     let (connection, actor, Lease { id, .. }) = held[held.len() / 2];
     let beat = Heartbeat { actor, incarnation: INCARNATION, lease: id, slot_step: 0 };
+    let mut now = Duration::ZERO;
     let heartbeat = micros(effort, || {
-        table.tick(Duration::ZERO);
+        // Each one extends the lease.
+        now += Duration::from_nanos(1);
+        table.tick(now);
         let _ = table.heartbeat(connection, &beat);
     });
     let figures = vec![("request for work, µs", request), ("heartbeat, µs", heartbeat)];

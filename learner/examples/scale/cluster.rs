@@ -64,8 +64,6 @@ struct Chunk {
 pub(crate) struct Cluster {
     scenario: Scenario,
     now: Duration,
-    /// The time that the table knows.
-    ticked: Duration,
     agenda: BTreeMap<(Duration, u64), Event>,
     planned: u64,
     deadline: Option<Duration>,
@@ -102,7 +100,6 @@ impl Cluster {
         let (Cores::Own(cores) | Cores::Shared(cores)) = scenario.cores;
         let mut cluster = Self {
             now: Duration::ZERO,
-            ticked: Duration::ZERO,
             agenda: BTreeMap::new(),
             planned: 0,
             deadline: None,
@@ -169,7 +166,7 @@ impl Cluster {
             Event::Beat(actor, lease) => self.beat(actor, lease),
             Event::Deadline => {
                 self.deadline = None;
-                self.tick_exactly();
+                self.tick();
                 self.settle();
                 self.wake();
             }
@@ -180,7 +177,7 @@ impl Cluster {
             }
             Event::Fail(actor) => self.fail(actor),
             Event::Disconnect(connection) => {
-                self.tick_exactly();
+                self.tick();
                 self.table.disconnect(connection);
                 self.settle();
             }

@@ -53,14 +53,14 @@ pub(crate) const TASKS: [Task; 3] = [
     },
 ];
 
-/// Environment steps of a slot: 2 environments x 200 steps.
-pub(crate) const SLOT_STEPS: f64 = 400.0;
+/// Environment steps of a slot: 1 environment x 200 steps.
+pub(crate) const SLOT_STEPS: f64 = 200.0;
 /// Chunks of a slot: 50 steps each.
 const CHUNKS: u32 = 4;
 /// The learner's processor seconds for a byte of a chunk with all observations: section `load`.
 const CHECK_SECS_PER_BYTE: f64 = 14e-9;
-/// Seconds of a request for work and of another call of the slot table, for each actor that has a lease; section `leases`.
-const CALL_SECS: (f64, f64) = (2e-8, 1e-8);
+/// Seconds of a request for work and of another call of the slot table with 10,000 leases; section `leases`.
+const CALL_SECS: (f64, f64) = (0.13e-6, 0.16e-6);
 /// Bytes per second of the learner's network, each way: 10 Gbit/s.
 const NETWORK_BYTES_PER_SEC: f64 = 1.25e9;
 /// One way between two machines of a data centre, seconds.
@@ -78,9 +78,9 @@ pub(crate) const NO_FAILURES: Failures =
 /// All machines are equal.
 pub(crate) const EQUAL_MACHINES: SlowMachines = SlowMachines { share: 0.0, factor: 1 };
 
-/// A learner with this many threads, and this many actors with a slot each, at least the default of 10 slots.
+/// A learner with this many threads, and this many actors with two slots each, at least 20 slots.
 pub(crate) fn scenario(task: &Task, threads: usize, actors: usize) -> Scenario {
-    let slots = actors.max(10);
+    let slots = 2 * actors.max(10);
     let steps = SLOT_STEPS / f64::from(CHUNKS);
     let speed_up = 1.0 / (SERIAL_SHARE + (1.0 - SERIAL_SHARE) / threads as f64);
     let secs = Duration::from_secs_f64;
@@ -94,7 +94,7 @@ pub(crate) fn scenario(task: &Task, threads: usize, actors: usize) -> Scenario {
         update: secs(task.update_secs * SLOT_STEPS * slots as f64 / speed_up),
         cores: Cores::Own(threads),
         check: secs(steps * task.restored_bytes * CHECK_SECS_PER_BYTE),
-        calls: calls(actors),
+        calls: calls(),
         network: Network {
             latency: secs(LATENCY_SECS),
             chunk: secs(steps * task.bytes / NETWORK_BYTES_PER_SEC),
@@ -107,8 +107,8 @@ pub(crate) fn scenario(task: &Task, threads: usize, actors: usize) -> Scenario {
     }
 }
 
-fn calls(actors: usize) -> Calls {
-    let secs = |each: f64| Duration::from_secs_f64(each * actors as f64);
+fn calls() -> Calls {
+    let secs = Duration::from_secs_f64;
     Calls { request: secs(CALL_SECS.0), other: secs(CALL_SECS.1) }
 }
 
@@ -164,7 +164,7 @@ pub(crate) mod load {
             update: secs(UPDATE_SECS),
             cores: Cores::Shared(2),
             check: secs(LEARNER_SECS / f64::from(CHUNKS)),
-            calls: calls(actors),
+            calls: calls(),
             network: Network {
                 latency: secs(LATENCY_SECS),
                 chunk: Duration::ZERO,

@@ -1,4 +1,4 @@
-//! How far one learner reaches: a simulation of a learner with 10 to 3,000 actors, from measured costs and with the
+//! How far one learner reaches: a simulation of a learner with 10 to 10,000 actors, from measured costs and with the
 //! learner's own slot table. docs/SCALE.md explains model and results.
 //!
 //! `cargo run --release -p learner --example scale` prints the tables as Markdown. With a path as argument it also writes
@@ -22,13 +22,14 @@ use crate::figures::Totals;
 use crate::scenario::{Duplicates, Scenario};
 
 /// Numbers of actors.
-const ACTORS: [usize; 6] = [10, 30, 100, 300, 1_000, 3_000];
+const ACTORS: [usize; 7] = [10, 30, 100, 300, 1_000, 3_000, 10_000];
 /// Threads of the learner.
 const THREADS: usize = 16;
 /// Iterations before the counted ones: the table does not know yet how long a slot takes.
 const WARM_UP: u64 = 2;
-/// The least and the greatest number of counted iterations. The cost of one grows with the square of its slots.
-const ITERATIONS: (u64, u64) = (2, 5_000);
+/// Counted slots, in whole iterations, of which there are at least and at most so many.
+const SLOTS: u64 = 200_000;
+const ITERATIONS: (u64, u64) = (10, 5_000);
 
 /// Name of a variant, and what it changes.
 type Variant = (&'static str, fn(&mut Scenario));
@@ -77,8 +78,7 @@ fn main() -> std::io::Result<()> {
 fn simulate(task: &Task, actors: usize, change: fn(&mut Scenario)) -> Totals {
     let mut scenario = scenario(task, THREADS, actors);
     change(&mut scenario);
-    let slots = u64::from(scenario.slots);
-    let iterations = (4_000_000 / (slots * slots)).clamp(ITERATIONS.0, ITERATIONS.1);
+    let iterations = (SLOTS / u64::from(scenario.slots)).clamp(ITERATIONS.0, ITERATIONS.1);
     let mut cluster = Cluster::new(scenario);
     cluster.run(WARM_UP);
     cluster.run(iterations)

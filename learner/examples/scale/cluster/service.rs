@@ -12,8 +12,6 @@ use super::actors::Actor;
 use super::{Chunk, Cluster, Event, INCARNATION, Stage};
 use crate::scenario::Duplicates;
 
-/// What the table's clock may be late in the simulation.
-const CLOCK: Duration = Duration::from_millis(5);
 /// A waiting request is repeated this long after the table's next deadline, as in the exchange.
 const AFTER_DEADLINE: Duration = Duration::from_millis(1);
 /// Actors that get nothing before the others need not ask: the only work that one actor gets and another does not is a
@@ -21,20 +19,13 @@ const AFTER_DEADLINE: Duration = Duration::from_millis(1);
 const REFUSALS: usize = 2;
 
 impl Cluster {
-    /// Tells the table the time. Its clock may be late by [`CLOCK`], because with thousands of leases a tick is slow.
+    /// Tells the table the time.
     pub(super) fn tick(&mut self) {
-        if self.now >= self.ticked + CLOCK {
-            self.tick_exactly();
-        }
-    }
-
-    pub(super) fn tick_exactly(&mut self) {
-        self.ticked = self.now;
         self.table.tick(self.now);
     }
 
     pub(super) fn open(&mut self) {
-        self.tick_exactly();
+        self.tick();
         let iteration = self.iteration;
         let work = |slot| RolloutWork { iteration, slot, environments: Vec::new() };
         let weights = WeightsName { version: PolicyVersion(iteration), digest: Digest([0; 32]) };
