@@ -49,7 +49,7 @@ def test_python_and_the_projects_own_actors_take_over_each_others_games(serve):
 
 
 def test_the_learner_tells_a_python_program_where_the_run_stands(serve):
-    learner = serve("status", SMALL)
+    learner = serve("status", [*SMALL, "environments.per_slot=10"])
     client = Learner(learner.address)
     stub = wire.ControlServiceStub(client.channel)
     lease = client.lease()

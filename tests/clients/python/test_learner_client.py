@@ -11,7 +11,7 @@ TLS = s2mia.Tls("ca.pem", "admin.pem", "admin.key")
 
 
 def test_a_learner_is_queried_paused_saved_and_stopped(serve):
-    learner = serve("orders", SMALL)
+    learner = serve("orders", [*SMALL, "environments.per_slot=10"])
     with s2mia.Client(learner.url) as client:
         status = client.status()
         assert (status.run_id, status.iteration, status.slots, status.actors) == ("orders", 0, 2, 0)
