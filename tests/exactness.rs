@@ -53,7 +53,7 @@ const RULES: [Rule; 2] = [OnPolicy, Replay];
 /// The learning rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Rule {
-    /// HAPPO-S2MIA.
+    /// HAPPO-S2MIA with a recurrent critic, whose memory is part of the state.
     OnPolicy,
     /// MADDPG, whose state includes the replay.
     Replay,
@@ -65,7 +65,7 @@ impl Rule {
     /// Settings with a small replay and small networks; two of the six iterations only warm up.
     fn settings(self) -> &'static [&'static str] {
         match self {
-            OnPolicy => &[],
+            OnPolicy => &["critic.core=gru"],
             Replay => &[
                 "algorithm=maddpg",
                 "policy.width=8",

@@ -31,6 +31,11 @@ impl Workspace {
         self.append_result(self.activations.len().saturating_sub(2), into);
     }
 
+    /// Appends to `into` the states of the GRU with index `layer` after every row, `[rows, H]`.
+    pub fn append_states(&self, layer: usize, into: &mut Vec<f32>) {
+        self.append_result(layer + 1, into);
+    }
+
     /// Appends to `into` the states of the GRU with index `layer` after the last step of `sequences` sequences, `[B, H]`.
     pub fn append_last_states(&self, layer: usize, sequences: usize, into: &mut Vec<f32>) {
         self.activations[layer + 1].append_to(self.rows - sequences, self.rows, into);

@@ -103,6 +103,8 @@ pub struct CriticConfig {
     pub mode: CriticMode,
     /// The critic's input.
     pub input: CriticInput,
+    /// Kind of network.
+    pub core: CriticCore,
     /// Normalisation before the first layer; MADDPG's action values have none.
     pub input_norm: InputNorm,
     /// Hidden layers.
@@ -135,6 +137,16 @@ pub enum CriticInput {
     State,
     /// The agent's observation; each agent has its own critic, as in independent PPO.
     Observation,
+}
+
+/// Kind of critic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CriticCore {
+    /// Layers of Linear, ReLU, LayerNorm; values depend on the current input only.
+    Mlp,
+    /// The same layers, then a GRU and a LayerNorm: values also depend on the earlier inputs of the episode.
+    Gru,
 }
 
 /// Scaling of the critic's input.
@@ -207,28 +219,10 @@ impl Config {
             let range = "per_agent with critic.input = observation: every agent has its own critic";
             return Err(out_of_range("critic.mode", self.critic.mode.name(), range));
         }
-        if self.update.rule != Rule::Maddpg {
-            return Ok(());
+        match self.update.rule {
+            Rule::Maddpg => self.check_for_maddpg(),
+            Rule::Happo | Rule::Mappo => Ok(()),
         }
-        if self.critic.input == CriticInput::Observation {
-            let range = "state with update.rule = maddpg: its action values are central";
-            return Err(out_of_range("critic.input", "observation", range));
-        }
-        let stale = "0 with update.rule = maddpg: the density is refitted in every iteration, \
-                     so rewards in the replay would be stale";
-        within("surprise.alpha", self.surprise.alpha, 0.0..=0.0, stale)?;
-        if self.critic.mode != CriticMode::PerAgent {
-            let range =
-                "per_agent with update.rule = maddpg: its action values use only the team's reward";
-            return Err(out_of_range("critic.mode", self.critic.mode.name(), range));
-        }
-        if self.critic.state_norm == StateNorm::Running {
-            let range = "none or feature_z with update.rule = maddpg: the scale of states in the replay would be stale";
-            return Err(out_of_range("critic.state_norm", self.critic.state_norm.name(), range));
-        }
-        let pointless = "0 with update.rule = maddpg: a deterministic policy has no density to \
-                         regularise";
-        within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
     }
 
     /// The returns that are valued. Without surprise all agents' rewards are equal, and there is one value.

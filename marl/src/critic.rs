@@ -1,6 +1,8 @@
 //! The critic: values of global states or observations.
 
+mod loss;
 mod mode;
+mod recurrent;
 mod state_scale;
 mod team;
 pub mod value_normalizer;
@@ -14,16 +16,19 @@ use policy::ops::{LayerStack, Weights};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{InputNorm, Precision};
-use rayon::prelude::*;
 
-use crate::config::CriticConfig;
+use crate::config::{CriticConfig, CriticCore};
+use crate::critic::loss::mean_explained;
+pub use crate::critic::loss::{explained_variance, huber, value_loss};
+pub use crate::critic::recurrent::Unrolled;
+use crate::critic::recurrent::{Memory, SequenceStart};
 pub(crate) use crate::critic::state_scale::StateScale;
 pub(crate) use crate::critic::team::Critics;
 use crate::critic::value_normalizer::ValueNormalizer;
 use crate::data::batch::Batch;
+use crate::data::sequence::Layout;
 use crate::error::MarlError;
 use crate::objective::advantage::next_values;
-use crate::objective::surrogate::mean_and_deviation;
 use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::optimisation::layers::{Normalisation, rectified_layers, rows};
 use crate::optimisation::minibatch::minibatches;
@@ -31,8 +36,8 @@ use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
 use crate::shape::assert_shape;
 
-/// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then `V` values, each normalised by its own returns.
-/// [`CriticMode`](crate::config::CriticMode) selects the valued rewards.
+/// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then a GRU with its LayerNorm if configured, then `V` values,
+/// each normalised by its own returns. [`CriticMode`](crate::config::CriticMode) selects the valued rewards.
 pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
@@ -49,6 +54,8 @@ pub struct Critic {
     layers: LayerStack,
     adam: Adam,
     normalizers: Vec<ValueNormalizer>,
+    /// `None` with `core = mlp`.
+    memory: Option<Memory>,
 }
 
 /// A critic's input for a batch.
@@ -69,6 +76,10 @@ pub struct Values {
     pub now: Vec<Vec<f64>>,
     /// Value of every row's true next state, `[V][T, B]`; 0 after a termination.
     pub next: Vec<Vec<f64>>,
+    /// Sequences on which the critic is fitted: chunks of truncated back-propagation, or single rows without memory.
+    pub layout: Layout,
+    /// `None` without memory.
+    pub unrolled: Option<Unrolled>,
 }
 
 /// Metrics of a fit.
@@ -84,53 +95,26 @@ pub struct CriticFigures {
     pub skipped: i64,
 }
 
-/// Huber's loss of an error and its derivative: `e^2 / 2` within `delta`, linear beyond.
-#[must_use]
-pub fn huber(error: f64, delta: f64) -> (f64, f64) {
-    if error.abs() <= delta {
-        (0.5 * error * error, error)
-    } else {
-        (delta * (error.abs() - 0.5 * delta), delta * error.signum())
-    }
-}
-
-/// The clipped value loss of one element, `max(huber(v - R), huber(v_clip - R))` with
-/// `v_clip = v_old + clamp(v - v_old, +-clip)`, and its derivative with respect to `v`; in normalised units. With
-/// `clip` = 0 the loss is `huber(v - R)`.
-#[must_use]
-pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (f64, f64) {
-    let change = value - old;
-    let free = huber(value - target, delta);
-    if clip == 0.0 {
-        return free;
-    }
-    let clipped = huber(old + change.clamp(-clip, clip) - target, delta);
-    match clipped.0 > free.0 {
-        true => (clipped.0, if change.abs() <= clip { clipped.1 } else { 0.0 }),
-        false => free,
-    }
-}
-
 /// Constants of a fit, for all rows.
 #[derive(Clone, Copy)]
 struct FitData<'a> {
     /// Inputs, `[T * B, S]`.
     rows: &'a [f32],
-    /// Normalised values before the fit, `[T * B, V]`.
-    old: &'a [f64],
+    /// Before the fit.
+    values: &'a Values,
     /// Normalised returns, `[T * B, V]`.
     target: &'a [f64],
 }
 
 impl Critic {
     /// A critic with `count` values of `inputs` features. `suffix` and `index` identify the critic among an algorithm's
-    /// critics; `adam_epsilon` is the actors'.
+    /// critics; `adam_epsilon` and `chunk_steps`, the steps of truncated back-propagation, are the actors'.
     ///
     /// # Errors
     /// If a tensor operation fails.
     pub fn new(
         config: &CriticConfig,
-        adam_epsilon: f64,
+        (adam_epsilon, chunk_steps): (f64, usize),
         (suffix, index): (&str, u32),
         (inputs, count): (usize, usize),
         (seed, precision): (RunSeed, Precision),
@@ -143,6 +127,10 @@ impl Critic {
         }
         let shape = (inputs, config.width, config.layers);
         specs.extend(rectified_layers(shape, Normalisation::LayerNorm, count));
+        let memory = match config.core {
+            CriticCore::Mlp => None,
+            CriticCore::Gru => Some(Memory::declare(&mut specs, config.width, chunk_steps)),
+        };
         let mut parameters = Parameters::new();
         let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), &mut rng)?;
         let adam = AdamConfig {
@@ -163,6 +151,7 @@ impl Critic {
             parameters,
             layers,
             normalizers: vec![ValueNormalizer::new(config.normalizer_beta); count],
+            memory,
         })
     }
 
@@ -171,18 +160,24 @@ impl Critic {
         self.adam.scale_learning_rate(share);
     }
 
-    /// Normalised values `[R, V]` of states `[R, S]`.
-    fn forward(&self, weights: &Weights, mut states: Vec<f32>) -> Result<Tensor, MarlError> {
+    /// Normalised values `[R, V]` of states `[R, S]`; with a memory these are the sequences that begin in `start`.
+    fn forward(
+        &self,
+        weights: &Weights,
+        mut states: Vec<f32>,
+        start: Option<&SequenceStart>,
+    ) -> Result<Tensor, MarlError> {
         self.scale.apply(&mut states, self.inputs);
-        Ok(weights.apply(&rows(states, self.inputs, self.precision)?, None)?)
+        let input = rows(states, self.inputs, self.precision)?;
+        Ok(weights.apply(&input, start.map(SequenceStart::input))?)
     }
 
-    /// As [`Critic::forward`], in f64.
+    /// As [`Critic::forward`] without memory, in f64.
     fn forward_all(&self, states: &[f32]) -> Result<Vec<f64>, MarlError> {
         let weights = self.layers.constant_weights()?;
         let one = |range: Range<usize>| {
             let part = &states[range.start * self.inputs..range.end * self.inputs];
-            numbers(&self.forward(&weights, part.to_vec())?)
+            numbers(&self.forward(&weights, part.to_vec(), None)?)
         };
         Ok(shards::of_each(&shards(states.len() / self.inputs, 1), one)?.concat())
     }
@@ -190,17 +185,32 @@ impl Critic {
     /// Values before every step of `batch` and of the true next states.
     ///
     /// # Errors
-    /// If a tensor operation fails.
+    /// If the memory is that of another number of environments, or a tensor operation fails.
+    ///
+    /// # Panics
+    /// If the inputs do not have the shapes of `batch`.
     pub fn values(&self, batch: &Batch, inputs: &ValueInputs<'_>) -> Result<Values, MarlError> {
-        let (normalized, finals) =
-            (self.forward_all(inputs.rows)?, self.forward_all(&inputs.finals)?);
+        assert_shape("states", inputs.rows.len(), batch.rows() * self.inputs);
+        assert_shape("final states", inputs.finals.len(), batch.finals.len() * self.inputs);
+        let (layout, normalized, finals, unrolled) = match &self.memory {
+            None => (
+                Layout::of(batch, 1),
+                self.forward_all(inputs.rows)?,
+                self.forward_all(&inputs.finals)?,
+                None,
+            ),
+            Some(memory) => {
+                let (normalized, finals, unrolled) = self.unroll(memory, batch, inputs)?;
+                (memory.layout(batch), normalized, finals, Some(unrolled))
+            }
+        };
         let (mut now, mut next) = (Vec::new(), Vec::new());
         for head in 0..self.count {
             let own = self.of_head(&normalized, head);
             next.push(next_values(batch, &own, &self.of_head(&finals, head)));
             now.push(own);
         }
-        Ok(Values { normalized, now, next })
+        Ok(Values { normalized, now, next, layout, unrolled })
     }
 
     /// Column `head` of `[R, V]` normalised values, in units of the return.
@@ -210,13 +220,20 @@ impl Critic {
         column.map(|normal| self.precision.round(value(normal))).collect()
     }
 
+    /// Keeps the recurrent states in which the rollout of `values` ended for the next rollout.
+    pub fn carry(&mut self, values: &Values) {
+        if let (Some(memory), Some(unrolled)) = (&mut self.memory, &values.unrolled) {
+            memory.carry(unrolled);
+        }
+    }
+
     /// Trains on the returns `[V][T, B]`; `values` are those before the fit.
     ///
     /// # Errors
     /// If a tensor operation fails.
     ///
     /// # Panics
-    /// If returns and values have different shapes.
+    /// If the shapes of `inputs`, `values` and `returns` differ.
     pub fn fit(
         &mut self,
         inputs: &ValueInputs<'_>,
@@ -224,20 +241,24 @@ impl Critic {
         returns: &[Vec<f64>],
         iteration: u64,
     ) -> Result<CriticFigures, MarlError> {
-        let count = values.now[0].len();
-        let shapes: Vec<usize> = returns.iter().map(Vec::len).collect();
-        assert_shape("returns", shapes, vec![count; self.count]);
+        let count = values.layout.rows();
+        assert_shape("states", inputs.rows.len(), count * self.inputs);
+        assert_shape("values", values.normalized.len(), count * self.count);
+        assert_shape("returns", returns.iter().map(Vec::len).collect(), vec![count; self.count]);
         for (normalizer, returns) in self.normalizers.iter_mut().zip(returns) {
             normalizer.update(returns);
         }
         let target = self.targets(returns);
+        let data = FitData { rows: inputs.rows, values, target: &target };
         let mut figures = CriticFigures::default();
-        let weight = 1.0 / (self.config.epochs * self.config.minibatches) as f64;
         for epoch in 0..self.config.epochs {
             let draw = Draw::of(Purpose::CriticMinibatch).iteration(iteration);
             let draw = draw.step(epoch as u32).agent(self.index);
-            for part in minibatches(count, self.config.minibatches, self.seed, draw) {
-                let (loss, norm) = self.step(inputs.rows, &values.normalized, &target, &part)?;
+            let (chunks, parts) = (values.layout.chunks, self.config.minibatches);
+            let parts = minibatches(chunks, parts, self.seed, draw);
+            let weight = 1.0 / (self.config.epochs * parts.len()) as f64;
+            for part in parts {
+                let (loss, norm) = self.step(data, &part)?;
                 figures.loss += weight * loss;
                 figures.gradient_norm += weight * norm;
             }
@@ -258,38 +279,36 @@ impl Critic {
         (0..returns[0].len()).flat_map(row).collect()
     }
 
-    fn step(
-        &mut self,
-        rows: &[f32],
-        old: &[f64],
-        target: &[f64],
-        part: &[usize],
-    ) -> Result<(f64, f64), MarlError> {
-        let weights = self.layers.weights()?;
-        let (total, data) = (part.len(), FitData { rows, old, target });
+    /// An optimiser step on the sequences `part`.
+    fn step(&mut self, data: FitData<'_>, part: &[usize]) -> Result<(f64, f64), MarlError> {
+        let (weights, total) = (self.layers.weights()?, part.len());
         let one = |range: Range<usize>| self.gradient(&weights, data, &part[range], total);
-        let (loss, gradients) = shards::sum(&shards(total, 1), &one)?;
+        let (loss, gradients) = shards::sum(&shards(total, data.values.layout.steps), &one)?;
         Ok((loss, self.adam.step(&self.parameters, &gradients)?))
     }
 
-    /// Loss of some rows of `total`, and its gradient.
+    /// Loss of some sequences of `total`, and its gradient.
     fn gradient(
         &self,
         weights: &Weights,
-        FitData { rows, old, target }: FitData<'_>,
+        FitData { rows, values, target }: FitData<'_>,
         part: &[usize],
         total: usize,
     ) -> Result<(f64, Gradients), MarlError> {
-        let width = self.inputs;
-        let states = part.iter().flat_map(|&row| &rows[row * width..(row + 1) * width]);
-        let output = self.forward(weights, states.copied().collect())?;
+        let (width, layout) = (self.inputs, values.layout);
+        let order = layout.sources(part);
+        let states = order.iter().flat_map(|&row| &rows[row * width..(row + 1) * width]);
+        let start = values.unrolled.as_ref();
+        let start = start.map(|states| states.start(layout, part, self.precision)).transpose()?;
+        let output = self.forward(weights, states.copied().collect(), start.as_ref())?;
         let found = numbers(&output)?;
-        let share = 1.0 / (total * self.count) as f64;
+        let share = 1.0 / (total * layout.steps * self.count) as f64;
         let CriticConfig { clip, huber_delta, .. } = self.config;
-        let places = part.iter().flat_map(|&row| row * self.count..(row + 1) * self.count);
+        let places = order.iter().flat_map(|&row| row * self.count..(row + 1) * self.count);
         let (mut loss, mut gradient) = (0.0, Vec::with_capacity(found.len()));
         for (&value, place) in found.iter().zip(places) {
-            let (own, slope) = value_loss(value, old[place], target[place], clip, huber_delta);
+            let old = values.normalized[place];
+            let (own, slope) = value_loss(value, old, target[place], clip, huber_delta);
             loss += share * own;
             gradient.push(share * slope);
         }
@@ -297,8 +316,8 @@ impl Critic {
         Ok((loss, Gradients::of(&self.parameters, &root)?))
     }
 
-    /// `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`; the first `*` is the
-    /// suffix.
+    /// `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`, `memory/critic*.hidden`;
+    /// the first `*` is the suffix.
     ///
     /// # Errors
     /// If a tensor operation fails.
@@ -310,6 +329,7 @@ impl Critic {
             let array = Array::F64 { shape: vec![3], data: normalizer.state().to_vec() };
             arrays.insert(format!("normalizer/value_{agent}"), array);
         }
+        arrays.extend(self.memory.as_ref().map(|memory| (self.memory_name(), memory.array())));
         Ok(arrays)
     }
 
@@ -330,60 +350,11 @@ impl Critic {
                 _ => return Err(MarlError::Restore(format!("{name} is not 3 f64 numbers"))),
             }
         }
-        Ok(())
-    }
-}
-
-/// `1 - Var(R - V) / Var(R)` of values and returns `[T, B]`; 0 for constant returns.
-///
-/// # Panics
-/// If the shapes differ.
-#[must_use]
-pub fn explained_variance(precision: Precision, values: &[f64], returns: &[f64]) -> f64 {
-    assert_shape("values", values.len(), returns.len());
-    let rest = precision.rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
-    let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
-    if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
-}
-
-/// Mean of [`explained_variance`] over `[V][T, B]`.
-fn mean_explained(precision: Precision, values: &[Vec<f64>], returns: &[Vec<f64>]) -> f64 {
-    let one =
-        |(values, returns): (&Vec<f64>, &Vec<f64>)| explained_variance(precision, values, returns);
-    let shares: Vec<f64> = values.par_iter().zip(returns).map(one).collect();
-    shares.iter().sum::<f64>() / shares.len() as f64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn hubers_loss_matches_worked_cases_on_both_sides_of_delta() {
-        assert_eq!(huber(3.0, 10.0), (4.5, 3.0));
-        assert_eq!(huber(-12.0, 10.0), (70.0, -10.0)); // 10 (12 - 5)
-        assert_eq!(huber(10.0, 10.0), (50.0, 10.0));
+        let name = self.memory_name();
+        self.memory.as_mut().map_or(Ok(()), |memory| memory.restore(&name, arrays.get(&name)))
     }
 
-    #[test]
-    fn the_clipped_value_loss_is_the_larger_of_the_two_losses() {
-        // Unchanged value: plain squared error.
-        assert_eq!(value_loss(1.0, 1.0, 3.0, 0.2, 10.0), (2.0, -2.0));
-        // Beyond the clip towards the target: clamped at .2, whose loss is larger; derivative 0.
-        let (loss, slope) = value_loss(2.0, 1.0, 3.0, 0.2, 10.0);
-        assert!((loss - 0.5 * 1.8 * 1.8).abs() < 1e-12 && slope == 0.0);
-        // Beyond the clip away from the target: the unclipped loss is larger and has a derivative.
-        assert_eq!(value_loss(0.0, 1.0, 3.0, 0.2, 10.0), (4.5, -3.0));
-        // Without clipping the old value has no effect.
-        assert_eq!(value_loss(2.0, 1.0, 3.0, 0.0, 10.0), (0.5, -1.0));
-    }
-
-    #[test]
-    fn values_equal_to_the_returns_have_an_explained_variance_of_one() {
-        let (double, returns) = (Precision::Double, [1.0, 2.0, 3.0]);
-        assert_eq!(explained_variance(double, &returns, &returns), 1.0);
-        assert_eq!(explained_variance(double, &[2.0; 3], &returns), 0.0);
-        let (both, known) = (vec![returns.to_vec(); 2], vec![returns.to_vec(), vec![2.0; 3]]);
-        assert_eq!(mean_explained(double, &known, &both), 0.5);
+    fn memory_name(&self) -> String {
+        format!("memory/critic{}.hidden", self.suffix)
     }
 }

@@ -4,9 +4,9 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, arrays};
 
 use crate::config::{
-    Config, Constant, CountedState, CriticConfig, CriticInput, CriticMode, DensityKind, Divergence,
-    Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored, Sharing, Space,
-    StateNorm, SurpriseConfig, UpdateConfig, VaeConfig,
+    Config, Constant, CountedState, CriticConfig, CriticCore, CriticInput, CriticMode, DensityKind,
+    Divergence, Estimator, Fit, InfluenceConfig, MaddpgConfig, QTraining, Reduce, Rule, Scored,
+    Sharing, Space, StateNorm, SurpriseConfig, UpdateConfig, VaeConfig,
 };
 use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use crate::error::MarlError;
@@ -137,6 +137,7 @@ fn critic() -> CriticConfig {
     CriticConfig {
         mode: CriticMode::PerAgent,
         input: CriticInput::State,
+        core: CriticCore::Mlp,
         input_norm: InputNorm::LayerNorm,
         layers: 2,
         width: 64,

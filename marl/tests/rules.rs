@@ -4,7 +4,7 @@
 #[path = "fixture/settings.rs"]
 mod settings;
 
-use marl::config::{CriticMode, Rule, Sharing};
+use marl::config::{CriticCore, CriticInput, CriticMode, Rule, Sharing};
 use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem};
 use policy::{
     CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch, generator,
@@ -204,6 +204,33 @@ fn every_rule_gives_the_same_bits_on_one_two_and_three_threads() {
 }
 
 #[test]
+fn recurrent_critics_give_the_same_bits_on_one_two_and_three_threads_with_any_rule() {
+    for (rule, input) in [
+        (RULES[0], CriticInput::State),
+        (RULES[1], CriticInput::Observation),
+        (RULES[2], CriticInput::Observation),
+        (RULES[3], CriticInput::State),
+    ] {
+        let mut config = config(rule.0, rule.1);
+        (config.critic.core, config.critic.input) = (CriticCore::Gru, input);
+        config.validate().unwrap();
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut algorithm =
+                    marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
+                (0..5).for_each(|iteration| update(algorithm.as_mut(), iteration));
+                algorithm.arrays().unwrap()
+            })
+        };
+        let one = on(1);
+        assert!(one.keys().any(|name| name.starts_with("memory/critic")));
+        assert_eq!(one, on(2), "{rule:?} {input:?}");
+        assert_eq!(one, on(3), "{rule:?} {input:?}");
+    }
+}
+
+#[test]
 fn weights_are_the_arrays_under_their_prefix() {
     for rule in RULES {
         let algorithm = algorithm(rule);
@@ -259,6 +286,8 @@ fn maddpg_rejects_settings_that_a_replay_does_not_support() {
     };
     let message = refused(&|config| config.surprise.alpha = 0.01);
     assert!(message.contains("surprise.alpha = 0.01") && message.contains("stale"), "{message}");
+    let message = refused(&|config| config.critic.core = CriticCore::Gru);
+    assert!(message.contains("critic.core = gru") && message.contains("single steps"), "{message}");
     let message = refused(&|config| config.influence.lambda = 0.01);
     assert!(message.contains("influence.lambda") && message.contains("density"), "{message}");
     for (mode, name) in [

@@ -4,7 +4,7 @@
 #[path = "fixture/settings.rs"]
 mod settings;
 
-use marl::config::{CriticInput, CriticMode, Rule, Sharing};
+use marl::config::{CriticCore, CriticInput, CriticMode, Rule, Sharing};
 use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem};
 use policy::{
     CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
@@ -129,20 +129,24 @@ fn two_agents_learn_a_sum_that_neither_controls_alone() {
 
 #[test]
 fn in_every_critic_mode_agents_learn_and_continue_bit_for_bit_from_stored_state() {
+    let (mlp, gru) = (CriticCore::Mlp, CriticCore::Gru);
     let cases = [
-        (CriticMode::PerAgent, CriticInput::State, 0.0, 1),
-        (CriticMode::PerAgent, CriticInput::State, 0.01, 2),
-        (CriticMode::SharedExtrinsicPlusIntrinsic, CriticInput::State, 0.01, 3),
-        (CriticMode::TeamMean, CriticInput::State, 0.01, 1),
-        (CriticMode::PerAgent, CriticInput::Observation, 0.0, 2),
+        (CriticMode::PerAgent, CriticInput::State, mlp, 0.0, 1),
+        (CriticMode::PerAgent, CriticInput::State, mlp, 0.01, 2),
+        (CriticMode::SharedExtrinsicPlusIntrinsic, CriticInput::State, mlp, 0.01, 3),
+        (CriticMode::TeamMean, CriticInput::State, mlp, 0.01, 1),
+        (CriticMode::PerAgent, CriticInput::Observation, mlp, 0.0, 2),
+        (CriticMode::SharedExtrinsicPlusIntrinsic, CriticInput::State, gru, 0.01, 3),
+        (CriticMode::PerAgent, CriticInput::Observation, gru, 0.0, 2),
     ];
-    for (mode, input, alpha, values) in cases {
+    for (mode, input, core, alpha, values) in cases {
         let mut config = config(0.0);
         (config.critic.mode, config.critic.input, config.surprise.alpha) = (mode, input, alpha);
+        config.critic.core = core;
         let build = || marl::build(&config, &policy(), &problem(), RunSeed(1)).unwrap();
         let mut kept = build();
         let rewards: Vec<f32> = (0..60).map(|k| update(kept.as_mut(), k)).collect();
-        assert!(rewards[55..].iter().sum::<f32>() / 5.0 > 0.74, "{mode:?}: {rewards:?}");
+        assert!(rewards[55..].iter().sum::<f32>() / 5.0 > 0.74, "{mode:?} {core:?}: {rewards:?}");
         let stored = kept.arrays().unwrap();
         let of_values = stored.keys().filter(|name| name.starts_with("normalizer/value_"));
         assert_eq!(of_values.count(), values, "{mode:?}");

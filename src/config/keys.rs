@@ -57,7 +57,7 @@ pub(crate) fn other_meaning(now: &str) -> &'static str {
 /// Semantic keys that a later version added, each with the value that means what earlier versions did, as TOML writes it.
 /// With that value the key takes no part in the hash of the settings, so runs of earlier versions can be resumed.
 pub(crate) const ADDED: &[(&str, &str)] =
-    &[("task_file.text", "\"\""), ("task_file.model", "\"\"")];
+    &[("task_file.text", "\"\""), ("task_file.model", "\"\""), ("critic.core", "\"mlp\"")];
 
 /// The semantic key that the program fills in when a run starts.
 pub(crate) const FILLED_IN: &str = "environment_service.description";

@@ -329,6 +329,7 @@ mod tests {
             ("influence.lambda=0.01", "influence.lambda"),
             ("policy.core=gru", "policy.core"),
             ("observation.norm=running", "observation.norm"),
+            ("critic.core=gru", "critic.core"),
             ("critic.state_norm=running", "critic.state_norm"),
         ] {
             let message = built(&["algorithm=maddpg", setting]).unwrap_err().to_string();
@@ -348,6 +349,7 @@ mod tests {
             ("policy.hidden=0", "policy.hidden"),
             ("observation.mode=eyes", "observation.mode"),
             ("observation.norm=mean", "observation.norm"),
+            ("critic.core=lstm", "critic.core"),
             ("critic.state_norm=mean", "critic.state_norm"),
             ("run.seed=-1", "run.seed"),
             ("run.actors=100000", "run.actors"),

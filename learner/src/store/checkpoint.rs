@@ -35,11 +35,12 @@ const LATEST: &str = "LATEST";
 /// The run's settings, so that a checkpoint by itself is enough to go on.
 pub const SETTINGS: &str = "config.toml";
 /// The groups of arrays, one file each.
-const GROUPS: [&str; 9] = [
+const GROUPS: [&str; 10] = [
     "counters",
     "density",
     "environments",
     "evaluation",
+    "memory",
     "normalizer",
     "observation",
     "optimizer",
@@ -54,8 +55,8 @@ pub struct Checkpoint {
     pub iteration: u64,
     /// Environment steps of all finished iterations.
     pub env_steps: u64,
-    /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `normalizer`,
-    /// `observation`, `replay`, `environments`, `counters`, `evaluation`.
+    /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `memory`, `normalizer`, `observation`,
+    /// `replay`, `environments`, `counters`, `evaluation`.
     pub arrays: NamedArrays,
     /// The policies as actors get them: a `policy::PolicySnapshot`.
     pub policy: Vec<u8>,

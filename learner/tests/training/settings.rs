@@ -78,8 +78,8 @@ fn policy() -> PolicyConfig {
     }
 }
 
-/// Parsed from JSON, so that the test does not depend on all types of the settings. The density is the one with the
-/// largest state.
+/// Parsed from JSON, so that the test does not depend on all types of the settings. Density and critic are those with
+/// the largest state.
 fn training() -> marl::Config {
     serde_json::from_value(json!({
         "update": {
@@ -89,7 +89,7 @@ fn training() -> marl::Config {
             "max_gradient_norm": 10.0,
         },
         "critic": {
-            "mode": "per_agent", "input": "state", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
+            "mode": "per_agent", "input": "state", "core": "gru", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
             "minibatches": 1, "clip": 0.2, "huber_delta": 10.0, "normalizer_beta": 0.999,
             "state_norm": "none", "max_gradient_norm": 10.0,
         },

@@ -16,23 +16,25 @@ pub(crate) struct Critics {
 }
 
 impl Critics {
-    /// Critics for `problem` in the precision of `start`, with weights initialised by its seed.
+    /// Critics for `problem` in the precision of `start`, with weights initialised by its seed. `chunk_steps` are the
+    /// steps of truncated back-propagation.
     pub(crate) fn new(
         config: &Config,
+        chunk_steps: usize,
         problem: &Problem,
         start: (RunSeed, Precision),
     ) -> Result<Self, MarlError> {
-        let (own, epsilon) = (&config.critic, config.update.adam_epsilon);
+        let (own, actors) = (&config.critic, (config.update.adam_epsilon, chunk_steps));
         let critics = match own.input {
             CriticInput::State => {
                 let sizes = (problem.state, config.critic_mode().values(problem.agents.len()));
-                vec![Critic::new(own, epsilon, ("", 0), sizes, start)?]
+                vec![Critic::new(own, actors, ("", 0), sizes, start)?]
             }
             CriticInput::Observation => {
                 let one = |(index, agent): (usize, &AgentShape)| {
                     let suffix = format!("_{index}");
                     let number = (suffix.as_str(), index as u32);
-                    Critic::new(own, epsilon, number, (agent.observation, 1), start)
+                    Critic::new(own, actors, number, (agent.observation, 1), start)
                 };
                 problem.agents.iter().enumerate().map(one).collect::<Result<_, _>>()?
             }
@@ -51,6 +53,11 @@ impl Critics {
             critic.values(batch, &self.input.inputs(batch, index))
         };
         self.critics.par_iter().enumerate().map(one).collect()
+    }
+
+    /// Keeps the recurrent states in which the rollout of `values` ended for the next rollout.
+    pub(crate) fn carry(&mut self, values: &[Values]) {
+        self.critics.iter_mut().zip(values).for_each(|(critic, values)| critic.carry(values));
     }
 
     /// Trains on the returns `[V][T, B]`; `values` are those before the fit.

@@ -55,6 +55,13 @@ impl Layout {
         (k * self.steps + step) * self.environments + environment
     }
 
+    /// Time-major rows of the chunks `columns`, `[L, columns]`.
+    #[must_use]
+    pub fn sources(&self, columns: &[usize]) -> Vec<usize> {
+        let step = |step: usize| columns.iter().map(move |&column| self.source(step, column));
+        (0..self.steps).flat_map(step).collect()
+    }
+
     /// Converts `[T, B, width]` data to chunked order, `[L, C, width]`.
     #[must_use]
     pub fn chunked<V: Copy>(&self, data: &[V], width: usize) -> Vec<V> {
@@ -190,7 +197,8 @@ impl Sequences {
     }
 }
 
-fn mask(batch: &Batch, layout: Layout) -> Vec<f32> {
+/// As [`Sequences::mask`].
+pub(crate) fn mask(batch: &Batch, layout: Layout) -> Vec<f32> {
     let mut mask = vec![1.0; layout.rows()];
     for step in 1..layout.steps {
         for chunk in 0..layout.chunks {

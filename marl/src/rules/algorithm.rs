@@ -9,7 +9,7 @@ use crate::error::MarlError;
 pub type Report = Vec<(String, f64)>;
 
 /// Prefixes of the names of an algorithm's arrays.
-pub const PREFIXES: [&str; 4] = ["weights/", "optimizer/", "normalizer/", "replay/"];
+pub const PREFIXES: [&str; 5] = ["weights/", "optimizer/", "normalizer/", "memory/", "replay/"];
 
 /// A learning rule, which updates policies from rollout data.
 pub trait Algorithm: Send {

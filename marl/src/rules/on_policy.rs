@@ -168,9 +168,9 @@ impl Team {
                 (agent.network, agent.trainable) = (Arc::clone(&network), Arc::clone(&trainable));
             }
         }
-        let critic = Critics::new(config, problem, start)?;
-        let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
         let chunk_steps = policy.backpropagation_steps;
+        let critic = Critics::new(config, chunk_steps, problem, start)?;
+        let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
         Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
     }
 
@@ -194,6 +194,7 @@ impl Team {
         batch.check(&self.problem, self.chunk_steps, &hidden)?;
         let layout = Layout::of(batch, self.chunk_steps);
         let values = trace_span!("values").in_scope(|| self.critic.values(batch))?;
+        self.critic.carry(&values);
         let valued = || self.advantages(batch, rewards, &values);
         let (advantages, returns) = trace_span!("advantages").in_scope(valued);
         if !returns.iter().flatten().all(|value| value.is_finite()) {

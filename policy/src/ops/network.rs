@@ -147,6 +147,37 @@ impl Weights {
         ))
     }
 
+    /// The recurrent state after every row, `[R, H]`, and the output, `[R, out]`; both constant.
+    ///
+    /// # Errors
+    /// If the network has no GRU; if shapes or element types do not match.
+    pub fn states_and_output(
+        &self,
+        x: &Tensor,
+        recurrent: RecurrentInput<'_>,
+    ) -> Result<(Tensor, Tensor)> {
+        let Some((gru, hidden)) = self.network.gru() else {
+            candle_core::bail!("a network without a GRU has no states")
+        };
+        let (x, rows) = (&x.contiguous()?, x.dim(0)?);
+        let Some(packed) = &self.packed else {
+            let layers = plain::network(&self.network, x, &self.flat.detach(), Some(recurrent))?;
+            return Ok((layers[gru + 1].detach(), layers[layers.len() - 1].detach()));
+        };
+        let op = Fused::new(packed, x, Some(recurrent))?;
+        let (mut states, mut output) = (Vec::new(), Vec::new());
+        with_workspace(|workspace| {
+            op.forward(&values::<f32>(x)?, workspace);
+            workspace.append_states(gru, &mut states);
+            workspace.append_output(&mut output);
+            Ok(())
+        })?;
+        Ok((
+            Tensor::from_vec(states, (rows, hidden), x.device())?,
+            Tensor::from_vec(output, (rows, self.network.outputs()), x.device())?,
+        ))
+    }
+
     /// The recurrent state after the last step, `[B, H]`, constant; `None` without a GRU.
     ///
     /// # Errors
