@@ -9,7 +9,7 @@ use proto::{Ack, Heartbeat, Lease, Registered};
 use tokio::sync::MutexGuard;
 use tonic::{Code, Status};
 
-use crate::client::{Client, MAX_UNACKNOWLEDGED, PushStream};
+use crate::client::{Client, MAX_UNACKNOWLEDGED};
 use crate::error::{ActorError, describe};
 use crate::stepping::{Job, JobOutput, JobProgress, Stepper};
 
@@ -25,7 +25,8 @@ pub(crate) enum Ended {
 type HeldStepper<'a> = Option<MutexGuard<'a, Stepper>>;
 
 /// Processes `lease` with the stepping thread, streams its results and sends heartbeats until all messages are
-/// acknowledged. The stepping thread is released as soon as it has produced all results.
+/// acknowledged. Steps begin before the stream to the learner is open. The stepping thread is released as soon as it has
+/// produced all results.
 pub(crate) async fn process_lease(
     client: &mut Client,
     own: &Registered,
@@ -37,11 +38,11 @@ pub(crate) async fn process_lease(
     let progress = Arc::new(JobProgress::default());
     let beat =
         Heartbeat { actor: own.actor, incarnation: own.incarnation, lease: lease.id, slot_step: 0 };
-    let mut push = client.open_push().await?;
     let job = Job { lease, policy, progress: Arc::clone(&progress) };
     stepper.jobs.send(job).await.map_err(|_| gone())?;
     let mut stepper = Some(stepper);
-    let ended = stream(client, &mut stepper, &mut push, beat, (&progress, pace)).await;
+    let ended = stream(client, &mut stepper, beat, (&progress, pace)).await;
+    // Also if no stream could be opened: the next lease must not get this one's results.
     progress.cancelled.store(true, Ordering::Relaxed);
     while stepper.is_some() {
         if let JobOutput::End | JobOutput::Failed(_) = next(&mut stepper).await? {
@@ -64,10 +65,10 @@ fn is_over(status: &Status) -> bool {
 async fn stream(
     client: &mut Client,
     stepper: &mut HeldStepper<'_>,
-    push: &mut PushStream,
     mut beat: Heartbeat,
     (progress, pace): (&JobProgress, Duration),
 ) -> Result<Ended, ActorError> {
+    let mut push = client.open_push().await?;
     let mut pulse = tokio::time::interval(pace);
     pulse.tick().await;
     let mut unacknowledged = 0_usize;

@@ -1,4 +1,5 @@
-//! Tests that two leases overlap: an actor steps the next while the last messages of one are unacknowledged.
+//! Tests of an actor with several leases: it steps the next while the last messages of one are unacknowledged, and drops one
+//! whose stream is refused.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "../../rollout/tests/rollout/fixture.rs"]
@@ -33,6 +34,9 @@ const LEASES: u64 = 3;
 /// A learner that delays the last acknowledgement of each slot until the first chunk of the next slot arrives.
 struct Withholding {
     weights: Vec<u8>,
+    /// The number of the first streams that it refuses.
+    refused: u64,
+    opened: AtomicU64,
     leased: AtomicU64,
     /// The highest lease of which a chunk has arrived.
     begun: watch::Sender<u64>,
@@ -42,9 +46,11 @@ struct Withholding {
 }
 
 impl Withholding {
-    fn new() -> Self {
+    fn new(refused: u64) -> Self {
         Self {
             weights: policy().to_bytes().unwrap(),
+            refused,
+            opened: AtomicU64::new(0),
             leased: AtomicU64::new(0),
             begun: watch::Sender::new(0),
             finished: Mutex::default(),
@@ -114,6 +120,9 @@ impl LearnerService for Shared {
         &self,
         request: Request<Streaming<wire::PushTrajectoryRequest>>,
     ) -> Result<Response<Self::PushTrajectoryStream>, Status> {
+        if self.0.opened.fetch_add(1, Ordering::Relaxed) < self.0.refused {
+            return Err(Status::aborted("the lease was revoked"));
+        }
         let learner = std::sync::Arc::clone(&self.0);
         let acknowledged = request.into_inner().then(move |message| {
             let learner = std::sync::Arc::clone(&learner);
@@ -145,17 +154,17 @@ async fn acknowledge(
         let _ = learner.begun.subscribe().wait_for(|&begun| begun >= next).await;
         let finished = &mut learner.finished.lock().unwrap();
         finished.push(lease.0);
-        learner.over.send_replace(finished.len() as u64 == LEASES);
+        learner.over.send_replace(finished.len() as u64 == LEASES - learner.refused);
     }
     let (sequence, state) = (chunk.sequence, AckState::Accepted);
     Ok(Ack { lease, sequence, state, lease_finished }.to_wire())
 }
 
-#[tokio::test]
-async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
+/// The leases that an actor finishes, in order, with a learner that refuses the first streams.
+async fn finished_leases(refused: u64) -> Vec<u64> {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let learner = format!("http://{}", listener.local_addr().unwrap());
-    let withholding = std::sync::Arc::new(Withholding::new());
+    let withholding = std::sync::Arc::new(Withholding::new(refused));
     let service = LearnerServiceServer::new(Shared(std::sync::Arc::clone(&withholding)));
     let server = tonic::transport::Server::builder().add_service(service);
     tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
@@ -175,5 +184,16 @@ async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
     run.await
         .expect("the actor waits for an acknowledgement before it steps the next lease")
         .unwrap();
-    assert_eq!(*withholding.finished.lock().unwrap(), [1, 2, 3]);
+    let finished = withholding.finished.lock().unwrap();
+    finished.clone()
+}
+
+#[tokio::test]
+async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
+    assert_eq!(finished_leases(0).await, [1, 2, 3]);
+}
+
+#[tokio::test]
+async fn results_of_a_lease_whose_stream_is_refused_do_not_reach_the_next_lease() {
+    assert_eq!(finished_leases(1).await, [2, 3]);
 }
