@@ -5,8 +5,8 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use policy::PolicySnapshot;
-use proto::{Ack, Heartbeat, Lease, Registered};
-use tokio::sync::MutexGuard;
+use proto::{Ack, Heartbeat, Lease, LeaseId, Registered};
+use tokio::sync::{Mutex, MutexGuard};
 use tonic::{Code, Status};
 
 use crate::client::{Client, MAX_UNACKNOWLEDGED};
@@ -21,33 +21,73 @@ pub(crate) enum Ended {
     Dropped(String),
 }
 
-/// The stepping thread, until its last output for the lease.
-type HeldStepper<'a> = Option<MutexGuard<'a, Stepper>>;
+/// The steps of a lease: before, during and after its time on the stepping thread.
+pub(crate) struct LeaseSteps<'a> {
+    stepper: &'a Mutex<Stepper>,
+    /// Until the stepping thread has it.
+    job: Option<Job>,
+    /// The stepping thread, until its last output for the lease.
+    held: Option<MutexGuard<'a, Stepper>>,
+    /// The turn of the worker, until most steps are done.
+    turn: Option<MutexGuard<'a, ()>>,
+    progress: Arc<JobProgress>,
+}
 
-/// Processes `lease` with the stepping thread, streams its results and sends heartbeats until all messages are
-/// acknowledged. Steps begin before the stream to the learner is open. The stepping thread is released as soon as it has
-/// produced all results.
+impl<'a> LeaseSteps<'a> {
+    /// Steps of `lease`, which `stepper` does after those of the previous lease.
+    pub(crate) fn new(
+        stepper: &'a Mutex<Stepper>,
+        turn: MutexGuard<'a, ()>,
+        lease: Lease,
+        policy: Arc<PolicySnapshot>,
+    ) -> Self {
+        let progress = Arc::new(JobProgress::default());
+        let job = Job { lease, policy, progress: Arc::clone(&progress) };
+        Self { stepper, job: Some(job), held: None, turn: Some(turn), progress }
+    }
+
+    /// Starts on the stepping thread now if it is free, otherwise [`LeaseSteps::next`] does.
+    fn start_if_free(&mut self) -> Result<(), ActorError> {
+        self.stepper.try_lock().map_or(Ok(()), |held| self.start(held))
+    }
+
+    fn start(&mut self, held: MutexGuard<'a, Stepper>) -> Result<(), ActorError> {
+        if let Some(job) = self.job.take() {
+            held.jobs.try_send(job).map_err(|_| gone())?;
+        }
+        self.held = Some(held);
+        Ok(())
+    }
+
+    /// Next output of the stepping thread; never completes after the last one. Nothing is lost if this is cancelled.
+    async fn next(&mut self) -> Result<JobOutput, ActorError> {
+        if self.job.is_some() {
+            let held = self.stepper.lock().await;
+            self.start(held)?;
+        }
+        let Some(held) = &mut self.held else { return std::future::pending().await };
+        let output = held.outputs.recv().await.ok_or_else(gone)?;
+        if let JobOutput::End | JobOutput::Failed(_) = output {
+            (self.held, self.turn) = (None, None);
+        }
+        Ok(output)
+    }
+}
+
+/// Processes a lease: streams the results of its steps and sends heartbeats until all messages are acknowledged.
 pub(crate) async fn process_lease(
     client: &mut Client,
     own: &Registered,
-    stepper: MutexGuard<'_, Stepper>,
-    lease: Lease,
-    policy: Arc<PolicySnapshot>,
+    mut steps: LeaseSteps<'_>,
+    lease: LeaseId,
     pace: Duration,
 ) -> Result<Ended, ActorError> {
-    let progress = Arc::new(JobProgress::default());
-    let beat =
-        Heartbeat { actor: own.actor, incarnation: own.incarnation, lease: lease.id, slot_step: 0 };
-    let job = Job { lease, policy, progress: Arc::clone(&progress) };
-    stepper.jobs.send(job).await.map_err(|_| gone())?;
-    let mut stepper = Some(stepper);
-    let ended = stream(client, &mut stepper, beat, (&progress, pace)).await;
+    let beat = Heartbeat { actor: own.actor, incarnation: own.incarnation, lease, slot_step: 0 };
+    let ended = stream(client, &mut steps, beat, pace).await;
     // Also if no stream could be opened: the next lease must not get this one's results.
-    progress.cancelled.store(true, Ordering::Relaxed);
-    while stepper.is_some() {
-        if let JobOutput::End | JobOutput::Failed(_) = next(&mut stepper).await? {
-            stepper = None;
-        }
+    steps.progress.cancelled.store(true, Ordering::Relaxed);
+    while steps.held.is_some() {
+        steps.next().await?;
     }
     match ended {
         Err(ActorError::Refused(status)) if is_over(&status) => {
@@ -64,31 +104,31 @@ fn is_over(status: &Status) -> bool {
 
 async fn stream(
     client: &mut Client,
-    stepper: &mut HeldStepper<'_>,
+    steps: &mut LeaseSteps<'_>,
     mut beat: Heartbeat,
-    (progress, pace): (&JobProgress, Duration),
+    pace: Duration,
 ) -> Result<Ended, ActorError> {
+    let progress = Arc::clone(&steps.progress);
+    // Before the round trip that opens the stream.
+    steps.start_if_free()?;
     let mut push = client.open_push().await?;
     let mut pulse = tokio::time::interval(pace);
     pulse.tick().await;
     let mut unacknowledged = 0_usize;
     loop {
-        let room = stepper.is_some() && unacknowledged < MAX_UNACKNOWLEDGED;
         tokio::select! {
-            produced = next(stepper), if room => {
+            produced = steps.next(), if unacknowledged < MAX_UNACKNOWLEDGED => {
                 match produced? {
                     JobOutput::Message(message) => {
                         unacknowledged += 1;
                         // If the stream is closed, its status has the reason.
                         let _ = push.results.send(*message).await;
                     }
-                    JobOutput::End => *stepper = None,
-                    JobOutput::Failed(error) => {
-                        *stepper = None;
-                        return Err(ActorError::of_lease(error, beat.lease));
-                    }
+                    JobOutput::End => {}
+                    JobOutput::Failed(error) => return Err(ActorError::of_lease(error, beat.lease)),
                 }
             }
+            () = progress.nearly_done.notified() => steps.turn = None,
             ack = push.acknowledgements.message() => {
                 let ack = ack?.ok_or_else(|| Status::unavailable("the learner closed the stream"))?;
                 unacknowledged = unacknowledged.saturating_sub(1);
@@ -103,14 +143,6 @@ async fn stream(
                 }
             }
         }
-    }
-}
-
-/// Next output of the stepping thread; never completes once the thread is released.
-async fn next(stepper: &mut HeldStepper<'_>) -> Result<JobOutput, ActorError> {
-    match stepper {
-        Some(stepper) => stepper.outputs.recv().await.ok_or_else(gone),
-        None => std::future::pending().await,
     }
 }
 

@@ -17,7 +17,7 @@ use tokio::task::JoinSet;
 use crate::client::{Client, WeightsCache, explained, is_transient};
 use crate::config::Config;
 use crate::error::{ActorError, describe};
-use crate::leasing::{Ended, process_lease};
+use crate::leasing::{Ended, LeaseSteps, process_lease};
 use crate::source::Source;
 use crate::stepping::Stepper;
 
@@ -132,8 +132,8 @@ impl Connection {
         }
         let worker =
             |thread| LeaseWorker { connection: self, client: client.clone(), run: &run, thread };
-        // Two leases of a thread overlap: the next one is stepped while the last messages of the previous one are sent
-        // and acknowledged.
+        // Two leases of a thread overlap: the next one is requested before the last steps of the previous one, and stepped while
+        // its last messages are sent and acknowledged.
         let workers = threads.iter().flat_map(|thread| [worker(thread), worker(thread)]);
         first(workers.map(LeaseWorker::work_until_done)).await
     }
@@ -165,6 +165,8 @@ impl Connection {
 struct Thread {
     index: usize,
     own: Registered,
+    /// Held by the worker that requests a lease, until most of its steps are done.
+    turn: Mutex<()>,
     stepper: Mutex<Stepper>,
 }
 
@@ -175,12 +177,11 @@ impl Thread {
         (run, source, log): (&Arc<RunDescription>, &Source, Option<LogHandle>),
     ) -> Result<Self, ActorError> {
         let stepper = Mutex::new(Stepper::start(Arc::clone(run), source, log)?);
-        Ok(Self { index, own, stepper })
+        Ok(Self { index, own, turn: Mutex::new(()), stepper })
     }
 }
 
-/// Processes leases, in turns with the other worker of its thread: it holds the stepper from the request of a lease
-/// until its last step, and releases it while the last messages are acknowledged.
+/// Processes leases, in turns with the other worker of its thread.
 struct LeaseWorker<'a> {
     connection: &'a Connection,
     client: Client,
@@ -193,7 +194,7 @@ impl LeaseWorker<'_> {
     async fn work_until_done(mut self) -> Result<(), ActorError> {
         let mut worked = false;
         loop {
-            let stepper = self.thread.stepper.lock().await;
+            let turn = self.thread.turn.lock().await;
             if std::mem::take(&mut worked) {
                 self.connection.answered();
             }
@@ -204,7 +205,7 @@ impl LeaseWorker<'_> {
                     tokio::time::sleep(Duration::from_millis(wait_millis.into())).await;
                 }
                 LeaseAnswer::Lease(lease) => {
-                    self.work(lease, stepper).await?;
+                    self.work(lease, turn).await?;
                     worked = true;
                 }
             }
@@ -223,15 +224,12 @@ impl LeaseWorker<'_> {
     }
 
     /// Processes a lease.
-    async fn work(
-        &mut self,
-        lease: Lease,
-        stepper: MutexGuard<'_, Stepper>,
-    ) -> Result<(), ActorError> {
+    async fn work(&mut self, lease: Lease, turn: MutexGuard<'_, ()>) -> Result<(), ActorError> {
         let (id, client, own) = (lease.id, &mut self.client, &self.thread.own);
         let pace = Duration::from_secs_f64(self.run.heartbeat_secs);
         let policy = client.weights(&self.connection.process.weights, lease.weights).await?;
-        match process_lease(client, own, stepper, lease, policy, pace).await? {
+        let steps = LeaseSteps::new(&self.thread.stepper, turn, lease, policy);
+        match process_lease(client, own, steps, id, pace).await? {
             Ended::Finished => {}
             Ended::Dropped(why) => tracing::warn!("lease {id} dropped: {why}; requesting another"),
         }

@@ -14,7 +14,7 @@ use proto::{
 use recording::trajectory_log::LogHandle;
 use rollout::{Camera, EvaluationEpisode, FILMED, play_on, roll_out};
 use sim::{EnvironmentBatch, SimError};
-use tokio::sync::mpsc;
+use tokio::sync::{Notify, mpsc};
 
 use crate::error::ActorError;
 use crate::source::Source;
@@ -22,6 +22,10 @@ use crate::source::Source;
 /// Capacity of the queue of results. When it is full, the stepping thread waits: a slow network delays the rollout and
 /// loses nothing.
 const QUEUE: usize = 4;
+
+/// Share of a slot's steps after which the next lease is requested. Later, a round trip to the learner would be lost; earlier, a
+/// slow machine would take slots that others finish first.
+const NEARLY: f64 = 0.75;
 
 /// A lease to process, with its shared progress.
 pub(crate) struct Job {
@@ -35,6 +39,8 @@ pub(crate) struct Job {
 pub(crate) struct JobProgress {
     /// Number of steps done.
     pub(crate) step: AtomicU32,
+    /// Notified when [`NEARLY`] of a slot's steps are done.
+    pub(crate) nearly_done: Notify,
     /// Whether the job is cancelled.
     pub(crate) cancelled: AtomicBool,
 }
@@ -138,10 +144,14 @@ impl Worlds {
             self.slot = self.source.reopen(work.environments.len())?;
         }
         let Self { run, slot, handle, .. } = self;
+        let nearly = (f64::from(run.slot_steps) * NEARLY) as u32;
         let collector =
             handle.as_ref().map(|handle| RefCell::new(handle.rollout(&job.lease, work)));
         let see = |step, world: &dyn EnvironmentBatch| {
             job.progress.step.store(step, Ordering::Relaxed);
+            if step == nearly {
+                job.progress.nearly_done.notify_one();
+            }
             if let Some(collector) = &collector {
                 collector.borrow_mut().collect(step, world);
             }

@@ -1,5 +1,5 @@
-//! Tests of an actor with several leases: it steps the next while the last messages of one are unacknowledged, and drops one
-//! whose stream is refused.
+//! Tests of an actor with several leases: it requests the next before the last steps of one, steps it while the last messages of
+//! one are unacknowledged, and drops one whose stream is refused.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "../../rollout/tests/rollout/fixture.rs"]
@@ -18,7 +18,7 @@ use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     Ack, AckState, ActorId, Digest, HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId,
-    PolicyVersion, PushHeader, Registered, RunState, WeightsName, Work, wire,
+    PolicyVersion, PushHeader, Registered, RunDescription, RunState, WeightsName, Work, wire,
 };
 use tokio::net::TcpListener;
 use tokio::sync::watch;
@@ -31,13 +31,26 @@ use work::{CHUNK, STEPS, fresh_work, run};
 
 const LEASES: u64 = 3;
 
-/// A learner that delays the last acknowledgement of each slot until the first chunk of the next slot arrives.
+/// When the fake learner acknowledges.
+#[derive(Clone, Copy, PartialEq)]
+enum Acknowledges {
+    /// The last chunk of a slot when the first chunk of the next slot arrives, all others at once.
+    AfterNextSlot,
+    /// Every chunk when the next lease is requested.
+    AfterNextRequest,
+}
+
+/// A learner that delays acknowledgements.
 struct Withholding {
     weights: Vec<u8>,
+    acknowledges: Acknowledges,
+    /// Steps of a chunk.
+    chunk: u32,
     /// The number of the first streams that it refuses.
     refused: u64,
     opened: AtomicU64,
-    leased: AtomicU64,
+    /// Requests for a lease.
+    requested: watch::Sender<u64>,
     /// The highest lease of which a chunk has arrived.
     begun: watch::Sender<u64>,
     /// Leases, in the order of their last acknowledgements.
@@ -46,12 +59,14 @@ struct Withholding {
 }
 
 impl Withholding {
-    fn new(refused: u64) -> Self {
+    fn new(acknowledges: Acknowledges, chunk: u32, refused: u64) -> Self {
         Self {
             weights: policy().to_bytes().unwrap(),
+            acknowledges,
+            chunk,
             refused,
             opened: AtomicU64::new(0),
-            leased: AtomicU64::new(0),
+            requested: watch::Sender::new(0),
             begun: watch::Sender::new(0),
             finished: Mutex::default(),
             over: watch::Sender::new(false),
@@ -74,7 +89,9 @@ impl LearnerService for Shared {
         &self,
         _: Request<wire::DescribeRunRequest>,
     ) -> Result<Response<wire::DescribeRunResponse>, Status> {
-        Ok(Response::new(wire::DescribeRunResponse { run: Some(run().to_wire()) }))
+        let chunk = self.0.chunk;
+        let run = RunDescription { chunk_steps: chunk, hidden_every: chunk, ..run() };
+        Ok(Response::new(wire::DescribeRunResponse { run: Some(run.to_wire()) }))
     }
 
     async fn register(
@@ -89,7 +106,8 @@ impl LearnerService for Shared {
         &self,
         _: Request<wire::LeaseSlotsRequest>,
     ) -> Result<Response<wire::LeaseSlotsResponse>, Status> {
-        let id = LeaseId(self.0.leased.fetch_add(1, Ordering::Relaxed) + 1);
+        self.0.requested.send_modify(|requested| *requested += 1);
+        let id = LeaseId(*self.0.requested.borrow());
         if id.0 > LEASES {
             // The run is over once every slot is acknowledged.
             let _ = self.0.over.subscribe().wait_for(|&over| over).await;
@@ -148,10 +166,15 @@ async fn acknowledge(
     let Content::Chunk(chunk) = content else { panic!("no evaluation was leased") };
     let lease = header.lease;
     learner.begun.send_modify(|begun| *begun = lease.0.max(*begun));
-    let lease_finished = (chunk.sequence + 1) * CHUNK == STEPS;
+    let lease_finished = (chunk.sequence + 1) * learner.chunk == STEPS;
+    if learner.acknowledges == Acknowledges::AfterNextRequest {
+        let _ = learner.requested.subscribe().wait_for(|&requested| requested > lease.0).await;
+    }
     if lease_finished {
-        let next = (lease.0 + 1).min(LEASES);
-        let _ = learner.begun.subscribe().wait_for(|&begun| begun >= next).await;
+        if learner.acknowledges == Acknowledges::AfterNextSlot {
+            let next = (lease.0 + 1).min(LEASES);
+            let _ = learner.begun.subscribe().wait_for(|&begun| begun >= next).await;
+        }
         let finished = &mut learner.finished.lock().unwrap();
         finished.push(lease.0);
         learner.over.send_replace(finished.len() as u64 == LEASES - learner.refused);
@@ -160,11 +183,11 @@ async fn acknowledge(
     Ok(Ack { lease, sequence, state, lease_finished }.to_wire())
 }
 
-/// The leases that an actor finishes, in order, with a learner that refuses the first streams.
-async fn finished_leases(refused: u64) -> Vec<u64> {
+/// The leases that an actor with this learner finishes, in order.
+async fn finished_leases(learner: Withholding) -> Vec<u64> {
+    let withholding = std::sync::Arc::new(learner);
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let learner = format!("http://{}", listener.local_addr().unwrap());
-    let withholding = std::sync::Arc::new(Withholding::new(refused));
     let service = LearnerServiceServer::new(Shared(std::sync::Arc::clone(&withholding)));
     let server = tonic::transport::Server::builder().add_service(service);
     tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
@@ -181,19 +204,26 @@ async fn finished_leases(refused: u64) -> Vec<u64> {
     };
     let (_stop, never) = watch::channel(false);
     let run = tokio::time::timeout(Duration::from_secs(60), actor::run(config, never));
-    run.await
-        .expect("the actor waits for an acknowledgement before it steps the next lease")
-        .unwrap();
+    run.await.expect("the actor waits for an acknowledgement that the learner withholds").unwrap();
     let finished = withholding.finished.lock().unwrap();
     finished.clone()
 }
 
 #[tokio::test]
 async fn an_actor_steps_the_next_slot_before_the_last_one_is_acknowledged() {
-    assert_eq!(finished_leases(0).await, [1, 2, 3]);
+    let learner = Withholding::new(Acknowledges::AfterNextSlot, CHUNK, 0);
+    assert_eq!(finished_leases(learner).await, [1, 2, 3]);
+}
+
+#[tokio::test]
+async fn an_actor_requests_the_next_lease_before_the_last_steps_of_a_slot() {
+    // Eight chunks fill the stream and the queue before it, so the actor cannot learn that the slot ended.
+    let learner = Withholding::new(Acknowledges::AfterNextRequest, STEPS / 8, 0);
+    assert_eq!(finished_leases(learner).await, [1, 2, 3]);
 }
 
 #[tokio::test]
 async fn results_of_a_lease_whose_stream_is_refused_do_not_reach_the_next_lease() {
-    assert_eq!(finished_leases(1).await, [2, 3]);
+    let learner = Withholding::new(Acknowledges::AfterNextSlot, CHUNK, 1);
+    assert_eq!(finished_leases(learner).await, [2, 3]);
 }
