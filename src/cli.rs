@@ -127,7 +127,6 @@ Examples:
 const CONFIG_LAYERS: &str = "\
 Later layers override earlier ones:
   configs/base.toml             every default
-  configs/outside.toml          with environment_service.url
   configs/tasks/TASK.toml       the first argument, or task=TASK; with environment_service.url only if given
   configs/own-task.toml         with a task file as TASK, then the file's [settings]
   configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK

@@ -188,9 +188,8 @@ fn task_layers(
     Ok((own.name.clone(), vec![general, laid_out(&own.place, &own.settings()?, schema)?]))
 }
 
-/// The files of the task, the preset and the algorithm that the other layers choose, above the defaults for an
-/// environment from outside. What a preset says for one algorithm on one task stands above the algorithm's file,
-/// everything else of it below.
+/// The files of the task, the preset and the algorithm that the other layers choose. What a preset says for one algorithm
+/// on one task stands above the algorithm's file, everything else of it below.
 fn named_layers(
     base: &Layer,
     asked: &[Layer],
@@ -202,11 +201,7 @@ fn named_layers(
     let preset = chosen("preset", presets::PRESETS, base, asked)?;
     let parts = PresetParts::of(preset, &task, algorithm.name)?;
     let part = |table: &toml::Table| laid_out(preset.path, table, schema);
-    let mut layers = Vec::new();
-    if names_outside(asked) {
-        layers.push(preset_layer(presets::OUTSIDE, schema)?);
-    }
-    layers.extend(of_task);
+    let mut layers = of_task;
     layers.extend([
         part(&parts.general)?,
         part(&parts.of_task)?,

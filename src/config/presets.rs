@@ -28,13 +28,6 @@ pub(crate) const BASE: Preset = Preset {
     text: include_str!("../../configs/base.toml"),
 };
 
-/// Settings for an external environment.
-pub(crate) const OUTSIDE: Preset = Preset {
-    name: "outside",
-    path: "configs/outside.toml",
-    text: include_str!("../../configs/outside.toml"),
-};
-
 /// Settings for a task that is not part of the program.
 pub(crate) const OWN_TASK: Preset = Preset {
     name: "own-task",

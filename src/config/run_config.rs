@@ -273,6 +273,18 @@ mod tests {
     }
 
     #[test]
+    fn an_external_environment_suits_every_algorithm_and_preset() {
+        let (url, harl) = ("environment_service.url=http://localhost:7", "preset=harl");
+        for algorithm in presets::ALGORITHMS {
+            for preset in presets::PRESETS {
+                let algorithm = format!("algorithm={}", algorithm.name);
+                built(&[url, &algorithm, &format!("preset={}", preset.name)]).unwrap();
+            }
+        }
+        assert_eq!(built(&[url, harl]).unwrap().resolved.text("observation.norm"), "feature_z");
+    }
+
+    #[test]
     fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
         for (algorithm, alpha, lambda, entropy) in [
             ("happo", 0.0, 0.0, 0.01),

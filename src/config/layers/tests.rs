@@ -50,22 +50,6 @@ fn the_algorithm_file_sets_the_three_weights_of_a_variant() {
 }
 
 #[test]
-fn an_environment_from_outside_has_its_own_defaults_below_those_of_tasks_presets_and_algorithms() {
-    let per_slot = |settings: &[&str]| {
-        let resolved = resolve(&request(settings)).unwrap();
-        resolved.entries["environments.per_slot"].clone()
-    };
-    let url = "environment_service.url=http://localhost:7";
-    let outside = Entry { value: Scalar::Integer(10), origin: "configs/outside.toml".into() };
-    assert_eq!(per_slot(&[url]), outside);
-    assert_eq!(per_slot(&[url, "preset=harl"]), outside);
-    assert_eq!(per_slot(&[]).value, Scalar::Integer(0));
-    assert_eq!(per_slot(&[url, "environments.per_slot=1"]).value, Scalar::Integer(1));
-    let scaled = resolve(&request(&[url, "preset=harl"])).unwrap();
-    assert_eq!(scaled.text("observation.norm"), "feature_z");
-}
-
-#[test]
 fn an_environment_from_outside_takes_the_settings_of_a_task_only_if_it_is_named() {
     let epochs = |settings: &[&str]| {
         let resolved = resolve(&request(settings)).unwrap();
