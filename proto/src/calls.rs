@@ -21,7 +21,7 @@ pub struct Registration {
     pub environment: EnvironmentSpec,
     /// `None` for third-party clients; the run is then not exactly repeatable.
     pub rollout_fingerprint: Option<Digest>,
-    /// The process of the actor; `None` if it does not say.
+    /// The process of the actor; `None` if the actor sent no id.
     pub process: Option<ProcessId>,
 }
 

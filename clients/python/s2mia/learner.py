@@ -19,7 +19,7 @@ CALL_SECS = 10.0
 LEASE_WAIT_MILLIS = 5_000
 # Maximum number of unacknowledged results.
 MAX_UNACKNOWLEDGED = 4
-# Tells the learner which connections are of one process, whose results do not confirm each other.
+# Tells the learner which connections are of one process, which gets no backup leases of its own slow slots.
 PROCESS = os.urandom(16)
 
 

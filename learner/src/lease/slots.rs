@@ -183,7 +183,7 @@ impl SlotTable {
     }
 
     /// Admits an actor that registered on `connection`. One connection carries 16 at most: past that, the
-    /// one that registered first is gone. Actors of one `process` do not audit each other.
+    /// one that registered first is gone. Actors of one `process` do not audit or back up each other.
     pub fn register(
         &mut self,
         connection: ConnectionId,
@@ -217,7 +217,7 @@ impl SlotTable {
     }
 
     /// Gives `actor` the lowest free slot, else the first free evaluation episode, else an audit, else a backup of the
-    /// slowest slot.
+    /// slowest slot of another process.
     ///
     /// # Errors
     /// Refuses actors that did not register on the sender's connection, other incarnations, and more leases than one
@@ -271,7 +271,7 @@ impl SlotTable {
         let since = self.now.checked_sub(self.backup_age())?;
         let open = self.iteration.as_mut()?;
         let of_another = |held: LeaseId| {
-            self.open.get(held).is_some_and(|lease| lease.owner.connection != owner.connection)
+            self.open.get(held).is_some_and(|lease| !lease.owner.shares_process(&owner))
         };
         let slot = open.claim_backup(id, since, self.now, of_another)?;
         self.backups += 1;

@@ -84,6 +84,22 @@ fn a_slot_continues_when_one_of_its_two_leases_ends() {
     assert!(matches!(complete(&mut table, &first)[..], [Effect::Iteration(_)]));
 }
 
+#[test]
+fn a_process_does_not_back_up_its_own_slot_over_another_connection() {
+    let mut table = table(1);
+    let (slow, same) = (actor_of(&mut table, 1, 1), actor_of(&mut table, 1, 2));
+    let first = lease(&mut table, slow);
+    let beat =
+        Heartbeat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
+    for time in [15, 30] {
+        table.tick(second(time));
+        assert_eq!(table.heartbeat(slow.connection, &beat), Ok(true));
+    }
+    assert_eq!(same.ask(&mut table), Ok(Offer::Nothing));
+    let other = actor_of(&mut table, 2, 3);
+    assert_eq!(slot(&lease(&mut table, other)), 0);
+}
+
 fn audits(agreed: u64, disagreed: u64, skipped: u64) -> AuditCounts {
     AuditCounts { agreed, disagreed, skipped }
 }

@@ -29,7 +29,7 @@ pub(super) struct Owner {
 }
 
 impl Owner {
-    /// Whether the other actor may be on the same machine: its results do not confirm this one's.
+    /// Whether both actors belong to one process; its results do not confirm each other.
     pub(super) fn shares_process(&self, other: &Self) -> bool {
         self.connection == other.connection || self.process == other.process
     }
@@ -38,9 +38,9 @@ impl Owner {
 /// The process of an actor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Process {
-    /// As it says.
+    /// The id that the actor sent.
     Named(ProcessId),
-    /// It does not say: the process of this connection alone.
+    /// No id was sent; the connection counts as a process.
     Connection(ConnectionId),
 }
 
