@@ -110,7 +110,7 @@ fn text(status: &Status) -> String {
     let paused = if status.paused { " is paused" } else { "" };
     let idle = match actors.saturating_sub(*slots) {
         0 => String::new(),
-        idle => format!(" ({idle} more than slots)"),
+        idle => format!(" ({idle} more than slots in this iteration)"),
     };
     let mut text = format!(
         "{run_id}{paused}: iteration {iteration}, {} env steps{pace}\n\

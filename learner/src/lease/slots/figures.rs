@@ -23,7 +23,7 @@ impl SlotTable {
             audits: self.audits.counts,
             leases: self.open.len(),
             held_slots: self.iteration.iter().flat_map(OpenIteration::held).count(),
-            slot_time: self.typical.median(1),
+            slot_time: self.typical.for_each_environment(),
             slots: self.iteration.as_ref().map_or(0, OpenIteration::slots),
             environments: self.iteration.as_ref().map_or(0, OpenIteration::environments),
             environments_per_slot: self.slot_environments(),

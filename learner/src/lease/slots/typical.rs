@@ -1,5 +1,5 @@
-//! How long slots usually take, for the decision that one takes too long. Slots of different iterations may differ in size, so
-//! times are kept for each environment of a slot.
+//! How long slots usually take, for the decision that one takes too long. Messages and round trips make the time for each
+//! environment depend on the size of a slot, so only slots of the latest size count.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -11,35 +11,44 @@ const BACKUP_AFTER: u32 = 3;
 /// ... but never before this time: a busy machine alone is no reason to compute a short slot twice.
 const SHORTEST: Duration = Duration::from_secs(1);
 
-/// Times of the latest complete slots, for each of their environments.
+/// Times of the latest complete slots.
 #[derive(Debug, Default)]
-pub(super) struct TypicalTime(VecDeque<Duration>);
+pub(super) struct TypicalTime {
+    /// Environments of each of these slots.
+    environments: usize,
+    times: VecDeque<Duration>,
+}
 
 impl TypicalTime {
     /// A slot of so many environments was complete this long after its lease.
     pub(super) fn add(&mut self, time: Duration, environments: usize) {
-        if self.0.len() == LATEST {
-            self.0.pop_front();
+        if environments != self.environments {
+            *self = Self { environments, times: VecDeque::new() };
         }
-        self.0.push_back(time / count(environments));
+        if self.times.len() == LATEST {
+            self.times.pop_front();
+        }
+        self.times.push_back(time);
     }
 
-    /// The age at which a slot of so many environments may get a backup lease; `None` before the first complete slot.
+    /// The age at which a slot of so many environments may get a backup lease; `None` before the first complete slot of this
+    /// size.
     pub(super) fn backup_age(&self, environments: usize) -> Option<Duration> {
-        self.median(environments).map(|median| (median * BACKUP_AFTER).max(SHORTEST))
+        let median = self.median().filter(|_| environments == self.environments);
+        median.map(|median| (median * BACKUP_AFTER).max(SHORTEST))
     }
 
-    /// The median of the latest times, for a slot of so many environments; `None` before the first complete slot.
-    pub(super) fn median(&self, environments: usize) -> Option<Duration> {
-        let mut times = self.0.iter().copied().collect::<Vec<_>>();
+    /// The median of the latest times, divided by the environments of a slot; `None` before the first complete slot.
+    pub(super) fn for_each_environment(&self) -> Option<Duration> {
+        let environments = u32::try_from(self.environments).unwrap_or(u32::MAX).max(1);
+        self.median().map(|median| median / environments)
+    }
+
+    fn median(&self) -> Option<Duration> {
+        let mut times = self.times.iter().copied().collect::<Vec<_>>();
         times.sort_unstable();
-        times.get(times.len() / 2).map(|time| *time * count(environments))
+        times.get(times.len() / 2).copied()
     }
-}
-
-/// At least 1, so that a slot without environments has a time.
-fn count(environments: usize) -> u32 {
-    u32::try_from(environments).unwrap_or(u32::MAX).max(1)
 }
 
 #[cfg(test)]
@@ -47,11 +56,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slot_with_more_environments_may_take_longer() {
+    fn times_of_slots_of_another_size_do_not_count() {
+        let second = Duration::from_secs;
         let mut typical = TypicalTime::default();
-        typical.add(Duration::from_secs(4), 2);
-        assert_eq!(typical.median(2), Some(Duration::from_secs(4)));
-        assert_eq!(typical.median(10), Some(Duration::from_secs(20)));
-        assert_eq!(typical.backup_age(1), Some(Duration::from_secs(6)));
+        typical.add(second(20), 10);
+        typical.add(second(20), 10);
+        assert_eq!(typical.for_each_environment(), Some(second(2)));
+        assert_eq!(typical.backup_age(10), Some(second(60)));
+        assert_eq!(typical.backup_age(1), None);
+        // A message costs more than its step.
+        typical.add(second(7), 1);
+        assert_eq!(typical.for_each_environment(), Some(second(7)));
+        assert_eq!((typical.backup_age(1), typical.backup_age(10)), (Some(second(21)), None));
     }
 }
