@@ -1,21 +1,31 @@
 //! Advice for a run with more actor threads than slots: each slot has one thread at a time, so the others have no work.
 
-use crate::config::EnvironmentsConfig;
+use crate::config::{EnvironmentsConfig, slot_size};
 
 /// Number of `actors` that cannot have a slot, and what limits the slots; `None` if there can be enough.
 pub(super) fn advice(actors: u64, environments: &EnvironmentsConfig) -> Option<String> {
     let slots = environments.most_slots() as u64;
     let idle = actors.checked_sub(slots).filter(|idle| *idle > 0)?;
     let count = environments.count;
+    let more = "set a larger environments.count in a new run, which changes its results";
     let (limit, remedy) = match environments.per_slot {
         0 | 1 => (
             format!("the run has {count} environments, and a slot has at least one"),
-            "set a larger environments.count in a new run, which changes its results",
+            more.to_owned(),
         ),
-        fixed => (
-            format!("environments.per_slot={fixed} makes {slots} slots of {count} environments"),
-            "resume with environments.per_slot=0, which cuts slots to the threads with the same results",
-        ),
+        fixed => {
+            let threads = usize::try_from(actors).unwrap_or(usize::MAX);
+            let cut = count / slot_size(count, threads, 0);
+            let rest = if cut < threads { format!("; for more, {more}") } else { String::new() };
+            (
+                format!(
+                    "environments.per_slot={fixed} makes {slots} slots of {count} environments"
+                ),
+                format!(
+                    "resume with environments.per_slot=0, which makes {cut} with the same results{rest}"
+                ),
+            )
+        }
     };
     Some(format!(
         "{idle} of {actors} actor threads have no slot: {limit}; {remedy}, or start fewer threads"
@@ -35,9 +45,15 @@ mod tests {
     #[test]
     fn threads_without_a_slot_are_counted_with_what_limits_the_slots() {
         assert_eq!(
+            advice(16, &environments(2)).unwrap(),
+            "6 of 16 actor threads have no slot: environments.per_slot=2 makes 10 slots of 20 environments; resume \
+             with environments.per_slot=0, which makes 20 with the same results, or start fewer threads"
+        );
+        assert_eq!(
             advice(24, &environments(2)).unwrap(),
             "14 of 24 actor threads have no slot: environments.per_slot=2 makes 10 slots of 20 environments; resume \
-             with environments.per_slot=0, which cuts slots to the threads with the same results, or start fewer threads"
+             with environments.per_slot=0, which makes 20 with the same results; for more, set a larger \
+             environments.count in a new run, which changes its results, or start fewer threads"
         );
         for per_slot in [0, 1] {
             assert_eq!(
