@@ -14,7 +14,7 @@ pub(super) struct Evaluations(BTreeMap<u64, Evaluation>);
 struct Evaluation {
     weights: WeightsName,
     episodes: Vec<Episode>,
-    /// Episodes that nobody plays and that have no result.
+    /// Episodes without a lease or a result.
     free: BTreeSet<u32>,
     /// Episodes without a result.
     missing: usize,
@@ -52,7 +52,8 @@ impl Evaluations {
 
     pub(super) fn release(&mut self, work: EvaluationWork) {
         if let Some(evaluation) = self.0.get_mut(&work.iteration)
-            && evaluation.result(work).is_none()
+            && let Some(Episode { result: None, .. }) =
+                evaluation.episodes.get(work.episode as usize)
         {
             evaluation.free.insert(work.episode);
         }
@@ -79,9 +80,24 @@ impl Evaluations {
     }
 }
 
-impl Evaluation {
-    /// The result of an episode, if there is one.
-    fn result(&self, work: EvaluationWork) -> Option<EvaluationResult> {
-        self.episodes.get(work.episode as usize)?.result
+#[cfg(test)]
+mod tests {
+    use proto::{Digest, PolicyVersion};
+
+    use super::*;
+
+    #[test]
+    fn only_an_episode_that_exists_and_has_no_result_becomes_free_again() {
+        let mut evaluations = Evaluations::default();
+        evaluations.open(3, WeightsName { version: PolicyVersion(3), digest: Digest([0; 32]) }, 2);
+        let work = |episode| EvaluationWork { iteration: 3, episode };
+        for episode in 0..2 {
+            assert_eq!(evaluations.claim().map(|(work, ..)| work), Some(work(episode)));
+        }
+        let result = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps: 5 };
+        assert_eq!(evaluations.complete(work(0), result), None);
+        (0..3).for_each(|episode| evaluations.release(work(episode)));
+        assert_eq!(evaluations.claim().map(|(work, ..)| work), Some(work(1)));
+        assert_eq!(evaluations.claim().map(|(work, ..)| work), None);
     }
 }
