@@ -26,6 +26,9 @@ struct Slot<'a> {
 ///
 /// # Errors
 /// If an environment state of the lease is invalid, an action is not finite, or an external environment fails.
+///
+/// # Panics
+/// If `world` and `work` have different numbers of environments.
 pub fn roll_out(
     run: &RunDescription,
     work: &RolloutWork,
@@ -34,6 +37,8 @@ pub fn roll_out(
     mut see: impl FnMut(u32, &dyn EnvironmentBatch),
     mut emit: impl FnMut(TrajectoryChunk) -> ControlFlow<()>,
 ) -> Result<(), SimError> {
+    let (opened, leased) = (world.count(), work.environments.len());
+    assert_eq!(opened, leased, "{opened} environments are open, the slot has {leased}");
     let mut slot = Slot::begin(run, work, policy, world)?;
     for step in 0..run.slot_steps {
         see(step, slot.world);
