@@ -93,6 +93,32 @@ fn fused_networks_are_within_a_few_millionths_of_their_twins_in_double_precision
 }
 
 #[test]
+fn the_states_after_every_row_are_those_of_the_twin_and_come_with_the_output_of_a_pass() {
+    let (specs, inputs) = networks().remove(2);
+    let pass = |dtype| {
+        let (_parameters, stack) = stack(&specs, dtype);
+        let converted = |tensor: Tensor| tensor.to_dtype(dtype).unwrap();
+        let (x, start) =
+            (converted(normal(2, &[ROWS, inputs])), converted(normal(3, &[SEQUENCES, 18])));
+        let mask = converted(mask());
+        let recurrent = RecurrentInput { start: &start, mask: &mask };
+        let weights = stack.weights().unwrap();
+        let (states, output) = weights.states_and_output(&x, recurrent).unwrap();
+        assert_eq!((states.dims(), output.dims()), (&[ROWS, 18][..], &[ROWS, 2][..]));
+        let numbers =
+            |tensor: Tensor| tensor.to_dtype(DType::F64).unwrap().to_vec2::<f64>().unwrap();
+        let alone = weights.apply(&x, Some(recurrent)).unwrap();
+        assert_eq!(numbers(output), numbers(alone));
+        let last = weights.last_states(&x, recurrent).unwrap().unwrap();
+        assert_eq!(numbers(states.clone())[ROWS - SEQUENCES..], numbers(last));
+        states.to_dtype(DType::F64).unwrap()
+    };
+    let (fused, twin) = (pass(DType::F32), pass(DType::F64));
+    let off = largest(&(fused - &twin).unwrap()) / largest(&twin);
+    assert!(off < 5e-6, "off by {off}");
+}
+
+#[test]
 fn gradients_of_the_twins_meet_finite_differences() {
     for (specs, inputs) in networks() {
         let (parameters, stack) = stack(&specs, DType::F64);
