@@ -48,24 +48,27 @@ const DISTURBANCES: [Disturbance; 8] = [
 ];
 const ACTORS: [u32; 3] = [1, 2, 4];
 const THREADS: [u32; 2] = [1, 2];
-const RULES: [Rule; 2] = [OnPolicy, Replay];
+const RULES: [Rule; 3] = [OnPolicy, Recurrent, Replay];
 
 /// The learning rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Rule {
-    /// HAPPO-S2MIA with a recurrent critic, whose memory is part of the state.
+    /// HAPPO-S2MIA.
     OnPolicy,
+    /// HAPPO-S2MIA with a recurrent critic, whose memory is part of the state.
+    Recurrent,
     /// MADDPG, whose state includes the replay.
     Replay,
 }
 
-use Rule::{OnPolicy, Replay};
+use Rule::{OnPolicy, Recurrent, Replay};
 
 impl Rule {
     /// Settings with a small replay and small networks; two of the six iterations only warm up.
     fn settings(self) -> &'static [&'static str] {
         match self {
-            OnPolicy => &["critic.core=gru"],
+            OnPolicy => &[],
+            Recurrent => &["critic.core=gru"],
             Replay => &[
                 "algorithm=maddpg",
                 "policy.width=8",
@@ -89,7 +92,7 @@ const CELLS: [Cell; 24] = {
     let mut index = 0;
     while index < 24 {
         let (disturbance, actors) = (index / 3, index % 3);
-        let rule = RULES[(disturbance + actors) % 2];
+        let rule = RULES[(disturbance + actors) % 3];
         let threads = THREADS[(disturbance + actors + actors.div_ceil(2)) % 2];
         cells[index] = (rule, DISTURBANCES[disturbance], ACTORS[actors], threads);
         index += 1;
