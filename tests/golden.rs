@@ -10,8 +10,8 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
-/// Task, algorithm and core of each run.
-const CASES: [[&str; 3]; 9] = [
+/// Task, algorithm and core of each run, and another setting of it.
+const CASES: [[&str; 3]; 10] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -21,10 +21,11 @@ const CASES: [[&str; 3]; 9] = [
     ["halfcheetah-2x3", "happo", "mlp"],
     ["halfcheetah-2x3", "mappo", "gru"],
     ["halfcheetah-2x3", "maddpg", "mlp"],
+    ["halfcheetah-2x3", "happo-s2mia", "gru critic.core=gru"],
 ];
 
-/// Cases that are repeated with each SIMD width: both cores, and the replay.
-const REPEATED: [[&str; 3]; 3] = [CASES[0], CASES[5], CASES[8]];
+/// Cases that are repeated with each SIMD width: both cores, the replay, and a recurrent critic.
+const REPEATED: [[&str; 3]; 4] = [CASES[0], CASES[5], CASES[8], CASES[9]];
 
 /// Three iterations of 4 environments x 40 steps, of which MADDPG learns in two. Widths are no multiples of 16 lanes,
 /// so that kernels also process remainders.
@@ -71,10 +72,12 @@ fn s2mia(width: Option<&str>) -> Command {
 /// Trains a case with one actor; returns the hashes of its last checkpoint.
 fn train([task, algorithm, core]: [&str; 3], width: Option<&str>) -> Hashes {
     let folder = tempfile::tempdir().unwrap();
+    let (core, critic) = core.split_once(' ').unwrap_or((core, "critic.core=mlp"));
     let chosen = [
         format!("task={task}"),
         format!("algorithm={algorithm}"),
         format!("policy.core={core}"),
+        critic.to_owned(),
         format!("run.dir={}", folder.path().display()),
     ];
     let mut learner = s2mia(width)
