@@ -48,7 +48,7 @@ fn every_file_also_loads_as_a_separate_layer() {
 }
 
 #[test]
-fn maddpg_has_ten_environments_and_fifty_steps_in_slots_for_the_threads_at_hand() {
+fn maddpg_has_ten_environments_and_fifty_steps_in_slots_for_the_connected_threads() {
     let text = resolved(&["algorithm=maddpg"]);
     let value = |key: &str| {
         let line = text.lines().find(|line| line.starts_with(&format!("{key} = "))).unwrap();

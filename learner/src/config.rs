@@ -263,7 +263,7 @@ impl EnvironmentsConfig {
 
 /// Environments of one slot: `per_slot`, or if that is 0, the largest divisor of `environments` of at most ten that leaves two
 /// slots for each of `threads` actor threads, so that a thread steps one while it sends another. Every slot has the same number.
-/// Without a thread the number to come is unknown, and a slot has one environment, so that no thread waits.
+/// While no thread is connected, a slot has one environment, because the number of threads is unknown.
 #[must_use]
 pub fn slot_size(environments: usize, threads: usize, per_slot: usize) -> usize {
     if per_slot > 0 {

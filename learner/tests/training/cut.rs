@@ -1,4 +1,4 @@
-//! How environments are cut into slots depends on the actor threads at hand, and no result depends on it.
+//! How environments are cut into slots depends on the connected actor threads, and no result depends on it.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -67,7 +67,7 @@ fn threads_that_join_later_get_slots_from_the_next_iteration_on_and_change_no_re
     let summary = running.train().unwrap();
     exchange.finish();
     std::mem::take(&mut *actors.lock().unwrap()).into_iter().for_each(Actors::end);
-    // Nobody is connected when the first iteration opens; then one thread is, then eight.
+    // No actor is connected when the first iteration opens; then one thread is, then eight.
     assert_eq!(cuts(joined.path()), [(30, 1), (3, 10), (3, 10), (30, 1), (30, 1)]);
     assert_eq!(summary.state_sha256, expected.state_sha256);
 }

@@ -72,7 +72,7 @@ pub(super) struct OpenIteration {
     slots: Vec<Slot>,
     /// Environments of all slots, and of the largest.
     environments: (usize, usize),
-    /// Indices of the slots that nobody computes.
+    /// Indices of the slots without a lease.
     free: BTreeSet<usize>,
     /// Slots that one lease computes, by its begin.
     single: BTreeSet<(Duration, usize)>,
@@ -92,7 +92,7 @@ struct Slot {
 /// What happens to a slot, in this order. A lost lease makes it free again.
 #[derive(Debug)]
 enum SlotState {
-    /// Nobody computes it.
+    /// It has no lease.
     Free,
     /// These leases compute it, the oldest first; two if the first one is slow.
     Held(Vec<HeldLease>),

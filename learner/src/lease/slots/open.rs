@@ -11,9 +11,9 @@ use super::leases::OpenLease;
 #[derive(Debug, Default)]
 pub(super) struct OpenLeases {
     leases: BTreeMap<LeaseId, OpenLease>,
-    /// Every lease, the one that ends first at the front.
+    /// All leases, ordered by deadline.
     deadlines: BTreeSet<(Duration, LeaseId)>,
-    /// Every lease, by its actor.
+    /// All leases, by actor.
     owned: BTreeSet<(ActorId, LeaseId)>,
 }
 
@@ -35,7 +35,7 @@ impl OpenLeases {
         self.leases.get(&id)
     }
 
-    /// Changes a lease, which keeps its owner. What `change` returns, or `None` without such a lease.
+    /// Changes a lease, which keeps its owner. Returns the result of `change`; `None` if there is no such lease.
     pub(super) fn change<T>(
         &mut self,
         id: LeaseId,

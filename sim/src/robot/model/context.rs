@@ -1,10 +1,10 @@
-//! What the reading of an element depends on.
+//! Default classes, options and meshes of a model, on which the reading of its elements depends.
 
 use super::super::document::{Classes, Element};
 use super::meshes::Meshes;
 use super::options::Options;
 
-/// All that the reading of an element may depend on.
+/// Default classes, options and meshes of a model.
 pub(super) struct Context {
     pub(super) classes: Classes,
     pub(super) options: Options,
