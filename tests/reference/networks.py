@@ -73,6 +73,56 @@ class Critic(nn.Module):
     def forward(self, state):
         return self.value(through(self.layers, self.norm(state)))
 
+    def before(self, batch, _done):
+        """Values of all states and of all final states."""
+        return self(batch["state"]), self(batch["final_state"])
+
+
+class RecurrentCritic(Critic):
+    """The same with a GRU and a LayerNorm before the values. States that start a sequence are in single precision."""
+
+    def __init__(self, states, agents, sizes, chunk):
+        super().__init__(states, agents, sizes)
+        self.gru = nn.GRUCell(sizes["width"], sizes["width"])
+        self.gru_norm = nn.LayerNorm(sizes["width"])
+        self.chunk = chunk
+
+    def step(self, seen, state):
+        """The next state and its values."""
+        state = self.gru(through(self.layers, self.norm(seen)), state)
+        return state, self.value(self.gru_norm(state))
+
+    def before(self, batch, done):
+        """One pass over all steps from `carried`, which is then what the next pass starts from."""
+        self.done, self.starts, state, values, finals = done, [], self.carried, [], []
+        for step, seen in enumerate(batch["state"]):
+            if step % self.chunk == 0:
+                self.starts.append(single(state))
+            state, value = self.step(seen, state)
+            values.append(value)
+            finals.append(self.step(batch["final_state"][step], single(state))[1])
+            state = self.forget(state, step)
+        self.carried = single(state)
+        return torch.stack(values), torch.stack(finals)
+
+    def forward(self, state):
+        """Chunk by chunk from the states that the weights before the update reached."""
+        values = []
+        for step, seen in enumerate(state):
+            if step % self.chunk == 0:
+                hidden = self.starts[step // self.chunk]
+            hidden, value = self.step(seen, hidden)
+            values.append(value)
+            hidden = self.forget(hidden, step)
+        return torch.stack(values)
+
+    def forget(self, state, step):
+        return torch.where(self.done[step].unsqueeze(1), torch.zeros_like(state), state)
+
+
+def single(state):
+    return state.float().double()
+
 
 class Posterior(nn.Module):
     """`q(a^i | a^-i, features)`: the policy, its mean shifted and its deviation times `2 sigmoid(sigma_correction)`."""

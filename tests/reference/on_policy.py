@@ -5,6 +5,7 @@ import copy
 import torch
 
 from equations import Optimiser, ValueNormaliser, actor_loss, advantages, next_values, normalised, value_loss
+from networks import RecurrentCritic
 
 
 class Update:
@@ -30,8 +31,7 @@ class Update:
     def value(self):
         """Advantages and returns under the critic as it is."""
         with torch.no_grad():
-            self.old = self.critic(self.batch["state"])
-            final = self.critic(self.batch["final_state"])
+            self.old, final = self.critic.before(self.batch, self.done)
         self.advantages, self.returns, shares = [], [], []
         for agent, normaliser in enumerate(self.normalisers):
             now = normaliser.denormalise(self.old[..., agent])
@@ -131,6 +131,8 @@ class Update:
         self.expected |= optimiser.arrays("critic")
         for agent, normaliser in enumerate(self.normalisers):
             self.expected[f"normalizer/value_{agent}"] = normaliser.state
+        if isinstance(self.critic, RecurrentCritic):
+            self.expected["memory/critic.hidden"] = self.critic.carried
 
     def report(self, name, figure):
         """Adds up: a figure of several steps comes in shares."""

@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 from torch.distributions import Categorical
 
 from equations import ValueNormaliser, actor_loss, advantages, next_values, normalised, value_loss
-from networks import ActionValue, Critic, FeedForwardActor, Posterior, RecurrentActor, gaussian, start
+from networks import ActionValue, Critic, FeedForwardActor, Posterior, RecurrentActor, RecurrentCritic, gaussian, start
 from off_policy import maddpg
 from on_policy import happo, mappo
 
@@ -111,11 +111,21 @@ def act(draw, batch, actor, agent):
         return (p.mean + p.stddev * draw.normal(*p.mean.shape)).float().double()
 
 
+def with_memory(case, seed):
+    """The case with a recurrent critic in the middle of all episodes."""
+    draw = Drawing(seed)
+    critic = draw.network(RecurrentCritic(STATES, len(case["normalizers"]), SIZES, CHUNK))
+    critic.carried = draw.normal(ENVIRONMENTS, SIZES["width"], scale=0.5)
+    return case | {"critic": critic}
+
+
 def on_policy_start(case):
     owners = [f"agent_{i}" for i in range(2)] if len(case["actors"]) > 1 else ["shared"]
     named = list(zip(owners, case["actors"])) + [("critic", case["critic"])]
     named += [(f"posterior_{agent}", network) for agent, network in enumerate(case["posteriors"])]
     arrays = weights(named)
+    if isinstance(case["critic"], RecurrentCritic):
+        arrays["memory/critic.hidden"] = case["critic"].carried
     return arrays | {f"normalizer/value_{agent}": state for agent, state in enumerate(case["normalizers"])}
 
 
@@ -241,6 +251,8 @@ def main():
     ]:
         case = on_policy_case(*arguments)
         write(name, update_arrays(case, on_policy_start(case), rule(case)))
+    case = with_memory(on_policy_case(5, RecurrentActor, [4, 3], [2, 1], 2), 6)
+    write("happo_gru_critic", update_arrays(case, on_policy_start(case), happo(case)))
     case = maddpg_case(4)
     write("maddpg", update_arrays(case, maddpg_start(case), maddpg(case)))
 
