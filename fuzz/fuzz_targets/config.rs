@@ -12,6 +12,8 @@ mod config {
     pub(crate) mod error;
     #[path = "../../src/config/keys.rs"]
     pub(crate) mod keys;
+    #[path = "../../src/config/layer.rs"]
+    pub(crate) mod layer;
     #[path = "../../src/config/layers.rs"]
     pub(crate) mod layers;
     #[path = "../../src/config/own_task.rs"]
