@@ -235,9 +235,23 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
         ("study-terms.toml", "270 runs, 270,000,000 steps"),
         ("study-mappo.toml", "117 runs, 98,100,000 steps"),
         ("tuning.toml", "225 runs, 67,500,000 steps"),
+        ("tuning-terms.toml", "90 runs, 27,000,000 steps"),
+        ("signal.toml", "90 runs, 18,000,000 steps"),
     ] {
         let (status, told) = s2mia(&["experiment", folder.join(name).to_str().unwrap(), "--list"]);
         assert_eq!(status, Some(0), "{told}");
         assert!(told.lines().last().unwrap().starts_with(last), "{told}");
+    }
+}
+
+/// A run in a record is found by the hash of its settings, which a renamed setting or a changed default would change.
+#[test]
+fn the_runs_of_the_finished_experiments_are_all_recorded() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
+    for name in ["study.toml", "signal.toml"] {
+        let (status, told) = s2mia(&["experiment", folder.join(name).to_str().unwrap(), "--list"]);
+        assert_eq!(status, Some(0), "{told}");
+        let recorded = told.lines().filter(|line| line.ends_with(" recorded")).count();
+        assert_eq!(recorded, 90, "{name}: {told}");
     }
 }
