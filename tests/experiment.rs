@@ -248,7 +248,7 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
 #[test]
 fn the_runs_of_the_finished_experiments_are_all_recorded() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
-    for name in ["study.toml", "signal.toml"] {
+    for name in ["study.toml", "signal.toml", "tuning-terms.toml"] {
         let (status, told) = s2mia(&["experiment", folder.join(name).to_str().unwrap(), "--list"]);
         assert_eq!(status, Some(0), "{told}");
         let recorded = told.lines().filter(|line| line.ends_with(" recorded")).count();
