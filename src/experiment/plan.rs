@@ -91,7 +91,7 @@ fn planned(
     ]);
     let place = format!("{}, variant {} on {task}", file.path.display(), variant.name);
     let mut config = resolved(&settings, &place)?;
-    if let Some(every) = adapted(&config) {
+    if let Some(every) = adapted(&config, &place) {
         settings.push(format!("{EVERY_STEPS}={every}"));
         config = resolved(&settings, &place)?;
     }
@@ -111,9 +111,11 @@ fn resolved(settings: &[String], place: &str) -> anyhow::Result<RunConfig> {
     Ok(RunConfig::build(layers::resolve(&request)?)?)
 }
 
-/// A shorter interval between evaluations for a run that is too short for the default one.
-fn adapted(config: &RunConfig) -> Option<u64> {
-    let is_default = config.resolved.origin(EVERY_STEPS).starts_with("configs/");
+/// A shorter interval between evaluations for a run that is too short for the default one. `place` is the origin of what the
+/// experiment's file sets; it may itself begin as the origins of defaults do.
+fn adapted(config: &RunConfig, place: &str) -> Option<u64> {
+    let origin = config.resolved.origin(EVERY_STEPS);
+    let is_default = origin != place && origin.starts_with("configs/");
     let tenth = (config.env_steps() / EVALUATIONS).max(1);
     let every = config.learner.evaluation.every_steps;
     (is_default && tenth < every).then_some(tenth)
@@ -202,6 +204,13 @@ mod tests {
         let long = SAMPLE.replacen("8_000", "8_000_000", 1).replacen("settings.eval", "# ", 1);
         let long = plan(&toml::from_str(&long).unwrap()).unwrap();
         assert_eq!(long[0].config.learner.evaluation.every_steps, 100_000);
+    }
+
+    #[test]
+    fn an_interval_of_a_file_below_configs_is_kept() {
+        let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
+        let runs = plan(&ExperimentFile { path: "configs/a.toml".into(), ..file }).unwrap();
+        assert_eq!(runs[0].config.learner.evaluation.every_steps, 4_000);
     }
 
     #[test]
