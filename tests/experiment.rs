@@ -234,7 +234,9 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
         ("study.toml", "90 runs, 90,000,000 steps"),
         ("study-terms.toml", "270 runs, 270,000,000 steps"),
         ("study-mappo.toml", "117 runs, 98,100,000 steps"),
-        ("tuning.toml", "225 runs, 67,500,000 steps"),
+        ("happo.toml", "20 runs, 20,000,000 steps"),
+        ("tuning.toml", "36 runs, 7,560,000 steps"),
+        ("tuning-million.toml", "16 runs, 16,000,000 steps"),
         ("tuning-terms.toml", "90 runs, 27,000,000 steps"),
         ("signal.toml", "90 runs, 18,000,000 steps"),
     ] {
@@ -248,10 +250,16 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
 #[test]
 fn the_runs_of_the_finished_experiments_are_all_recorded() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
-    for name in ["study.toml", "signal.toml", "tuning-terms.toml"] {
+    for (name, runs) in [
+        ("study.toml", 90),
+        ("signal.toml", 90),
+        ("tuning.toml", 36),
+        ("tuning-million.toml", 16),
+        ("tuning-terms.toml", 90),
+    ] {
         let (status, told) = s2mia(&["experiment", folder.join(name).to_str().unwrap(), "--list"]);
         assert_eq!(status, Some(0), "{told}");
         let recorded = told.lines().filter(|line| line.ends_with(" recorded")).count();
-        assert_eq!(recorded, 90, "{name}: {told}");
+        assert_eq!(recorded, runs, "{name}: {told}");
     }
 }

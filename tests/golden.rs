@@ -29,7 +29,7 @@ const REPEATED: [[&str; 3]; 4] = [CASES[0], CASES[5], CASES[8], CASES[9]];
 
 /// Three iterations of 4 environments x 40 steps, of which MADDPG learns in two. Widths are no multiples of 16 lanes,
 /// so that kernels also process remainders.
-const SETTINGS: [&str; 20] = [
+const SETTINGS: [&str; 22] = [
     "run.seed=7",
     "run.iterations=3",
     "environments.count=4",
@@ -40,11 +40,13 @@ const SETTINGS: [&str; 20] = [
     "policy.hidden=37",
     "policy.width=37",
     "policy.layers=2",
+    "policy.sigma_floor=0.05",
     "critic.width=37",
     "critic.layers=2",
     "influence.encoder=21",
     "influence.hidden=21",
     "update.learning_rate=5e-3",
+    "update.desired_kl=0.01",
     "maddpg.replay=400",
     "maddpg.batch=33",
     "maddpg.n_step=3",
