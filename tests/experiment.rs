@@ -253,6 +253,7 @@ fn the_runs_of_the_finished_experiments_are_all_recorded() {
     for (name, runs) in [
         ("study.toml", 90),
         ("signal.toml", 90),
+        ("happo.toml", 20),
         ("tuning.toml", 36),
         ("tuning-million.toml", 16),
         ("tuning-terms.toml", 90),
