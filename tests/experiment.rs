@@ -232,9 +232,9 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
     for (name, last) in [
         ("paper.toml", "720 runs, 7,200,000,000 steps"),
         ("study.toml", "90 runs, 90,000,000 steps"),
-        ("study-terms.toml", "270 runs, 270,000,000 steps"),
+        ("study-terms.toml", "60 runs, 60,000,000 steps"),
         ("study-mappo.toml", "117 runs, 98,100,000 steps"),
-        ("happo.toml", "20 runs, 20,000,000 steps"),
+        ("study-defaults.toml", "40 runs, 40,000,000 steps"),
         ("tuning.toml", "36 runs, 7,560,000 steps"),
         ("tuning-million.toml", "16 runs, 16,000,000 steps"),
         ("tuning-terms.toml", "90 runs, 27,000,000 steps"),
@@ -253,7 +253,7 @@ fn the_runs_of_the_finished_experiments_are_all_recorded() {
     for (name, runs) in [
         ("study.toml", 90),
         ("signal.toml", 90),
-        ("happo.toml", 20),
+        ("study-defaults.toml", 20),
         ("tuning.toml", 36),
         ("tuning-million.toml", 16),
         ("tuning-terms.toml", 90),
