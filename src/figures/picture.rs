@@ -1,5 +1,6 @@
 //! Draws panels of learning curves as SVG and PNG.
 
+use std::slice;
 use std::sync::Arc;
 
 use kuva::backend::png::PngBackend;
@@ -33,9 +34,17 @@ const TICKS: usize = 4;
 const RANGE_OPACITY: f64 = 0.26;
 const CONFIDENCE_OPACITY: f64 = 0.13;
 
-/// What the bands of a picture are.
-const CAPTION: &str =
-    "interquartile mean over seeds; pale: its 95 % confidence interval, dark: interquartile range";
+/// Bands around the curves.
+#[derive(Clone, Copy, PartialEq)]
+enum Bands {
+    /// Confidence interval and interquartile range.
+    Both,
+    /// Confidence interval only: ranges of many curves would cover each other.
+    Confidence,
+}
+
+/// Most curves of a panel with both bands.
+const MOST_WITH_RANGES: usize = 3;
 
 /// A picture in both forms.
 pub(crate) struct Picture {
@@ -47,9 +56,13 @@ pub(crate) struct Picture {
 
 /// Panels row by row, `columns` of them in each, with one legend.
 pub(crate) fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> {
+    let bands = match panels.iter().all(|panel| panel.series.len() <= MOST_WITH_RANGES) {
+        true => Bands::Both,
+        false => Bands::Confidence,
+    };
     let mut scene = match panels {
-        [only] => lone(only),
-        _ => grid(panels, columns),
+        [only] => lone(only, bands),
+        _ => grid(panels, columns, bands),
     };
     legend::add(&mut scene, &distinct(panels));
     cut_dashes(&mut scene);
@@ -66,17 +79,17 @@ fn distinct(panels: &[Panel]) -> Vec<&Series> {
     series
 }
 
-fn lone(panel: &Panel) -> Scene {
-    let plots = plots(panel);
+fn lone(panel: &Panel, bands: Bands) -> Scene {
+    let plots = plots(panel, bands);
     let mut layout = layout(panel, &plots).with_width(WIDTH).with_height(HEIGHT);
-    if has_bands(panel) {
-        layout = layout.with_subtitle(CAPTION);
+    if let Some(caption) = caption(slice::from_ref(panel), bands) {
+        layout = layout.with_subtitle(caption);
     }
     render_multiple(plots, layout)
 }
 
-fn grid(panels: &[Panel], columns: usize) -> Scene {
-    let all: Vec<Vec<Plot>> = panels.iter().map(plots).collect();
+fn grid(panels: &[Panel], columns: usize, bands: Bands) -> Scene {
+    let all: Vec<Vec<Plot>> = panels.iter().map(|panel| plots(panel, bands)).collect();
     let small = |(panel, plots): (&Panel, &Vec<Plot>)| {
         layout(panel, plots).with_ticks(TICKS).with_title_size(15)
     };
@@ -86,36 +99,50 @@ fn grid(panels: &[Panel], columns: usize) -> Scene {
         .with_plots(all)
         .with_layouts(layouts)
         .with_cell_size(if columns == 1 { WIDTH } else { CELL_WIDTH }, CELL_HEIGHT);
-    if panels.iter().any(has_bands) {
-        figure = figure.with_title(CAPTION).with_title_size(14);
+    if let Some(caption) = caption(panels, bands) {
+        figure = figure.with_title(caption).with_title_size(14);
     }
     figure.render()
 }
 
+/// What the bands of a picture are, if it has any.
+fn caption(panels: &[Panel], bands: Bands) -> Option<&'static str> {
+    let text = match bands {
+        Bands::Confidence => "interquartile mean over seeds and its 95 % confidence interval",
+        Bands::Both => {
+            "interquartile mean over seeds; pale: its 95 % confidence interval, dark: interquartile range"
+        }
+    };
+    panels.iter().flat_map(|panel| &panel.series).any(has_bands).then_some(text)
+}
+
+fn has_bands(series: &Series) -> bool {
+    series.runs > 1
+}
+
 /// The simulator's name stands before the task, since returns are its own.
 fn layout(panel: &Panel, plots: &[Plot]) -> Layout {
-    let axes = match plots {
-        [] => Layout::new((0.0, 1.0), (0.0, 1.0)),
-        plots => Layout::auto_from_plots(plots),
+    let bounds = plots.iter().filter_map(Plot::bounds);
+    let lowest = bounds.map(|(_, (low, _))| low).fold(f64::INFINITY, f64::min);
+    let axes = match lowest.is_finite() {
+        true => Layout::auto_from_plots(plots).with_y_axis_min(lowest),
+        false => Layout::new((0.0, 1.0), (0.0, 1.0)),
     };
     axes.with_title(format!("rapier/{}", panel.task))
         .with_x_label("environment steps")
         .with_y_label(panel.quantity.label())
+        .with_y_tick_format(panel.quantity.tick_format())
         .with_x_tick_format(TickFormat::Custom(Arc::new(short_count)))
         .with_grid_line_width(0.5)
 }
 
-fn has_bands(panel: &Panel) -> bool {
-    panel.series.iter().any(|series| series.runs > 1)
-}
-
 /// All bands, then all lines, then their marks, so that no line is covered.
-fn plots(panel: &Panel) -> Vec<Plot> {
-    let many = panel.series.iter().filter(|series| series.runs > 1);
-    let bands = many.flat_map(|series| {
-        let confidence = band(series, CONFIDENCE_OPACITY, |point| point.confidence);
-        [confidence, band(series, RANGE_OPACITY, |point| point.quartiles)]
-    });
+fn plots(panel: &Panel, bands: Bands) -> Vec<Plot> {
+    let many = || panel.series.iter().filter(|series| has_bands(series));
+    let confidence = many().map(|series| band(series, CONFIDENCE_OPACITY, |p| p.confidence));
+    let with_range = many().filter(|_| bands == Bands::Both);
+    let ranges = with_range.map(|series| band(series, RANGE_OPACITY, |p| p.quartiles));
+    let bands = confidence.chain(ranges);
     let lines = panel.series.iter().map(line);
     bands.chain(lines).chain(panel.series.iter().map(marks)).collect()
 }
@@ -192,6 +219,17 @@ mod tests {
         for words in ["rapier/one", "rapier/two", "evaluation return", "surprise, nats"] {
             assert!(svg.contains(words), "{words}");
         }
+    }
+
+    #[test]
+    fn interquartile_ranges_are_drawn_among_few_curves_only() {
+        let of = |curves: usize| {
+            let series = (0..curves).map(|rank| rising(&format!("{rank}"), rank, 3)).collect();
+            draw(&[Panel { task: "a task".into(), quantity: Quantity::Return, series }], 1).unwrap()
+        };
+        let (few, many) = (of(MOST_WITH_RANGES).svg, of(MOST_WITH_RANGES + 1).svg);
+        assert!(few.contains("interquartile range") && !many.contains("interquartile range"));
+        assert!(many.contains("95 % confidence interval"));
     }
 
     #[test]

@@ -6,11 +6,11 @@ use kuva::render::render::{Primitive, Scene};
 
 use crate::figures::palette::{OKABE_ITO, Rgb, hex};
 
-/// Colours that a thin line on white can have: the palette's but its pale last one, and grey.
+/// Colours of thin lines on white: the palette's without its pale yellow and its second blue, and with brown and grey.
 const COLOURS: [Rgb; 8] = {
-    let mut colours = OKABE_ITO;
-    colours[7] = [0x88, 0x88, 0x88];
-    colours
+    let [blue, vermilion, green, pink, orange, _, black, _] = OKABE_ITO;
+    let (brown, grey) = ([0x6F, 0x41, 0x00], [0x88, 0x88, 0x88]);
+    [blue, vermilion, green, brown, orange, pink, black, grey]
 };
 
 /// Marks on curves, which tell them apart where colours do not.

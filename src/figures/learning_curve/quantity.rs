@@ -1,5 +1,6 @@
 //! The quantities that can be drawn over environment steps, read from the lines of `metrics.jsonl`.
 
+use kuva::render::layout::TickFormat;
 use serde_json::Value;
 
 /// Largest number of points of a curve; neighbouring iterations are averaged above it.
@@ -26,6 +27,14 @@ impl Quantity {
             Self::Return => "evaluation return",
             Self::Surprise => "surprise, nats",
             Self::Information => "information, nats",
+        }
+    }
+
+    /// Numbers on the y-axis. Information is small; with exponents the axis would have no room for them.
+    pub(crate) fn tick_format(self) -> TickFormat {
+        match self {
+            Self::Return | Self::Surprise => TickFormat::Auto,
+            Self::Information => TickFormat::Fixed(4),
         }
     }
 
