@@ -252,6 +252,7 @@ fn the_runs_of_the_finished_experiments_are_all_recorded() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
     for (name, runs) in [
         ("study.toml", 90),
+        ("study-terms.toml", 60),
         ("signal.toml", 90),
         ("study-defaults.toml", 20),
         ("tuning.toml", 36),
