@@ -254,7 +254,7 @@ fn the_runs_of_the_finished_experiments_are_all_recorded() {
         ("study.toml", 90),
         ("study-terms.toml", 60),
         ("signal.toml", 90),
-        ("study-defaults.toml", 20),
+        ("study-defaults.toml", 40),
         ("tuning.toml", 36),
         ("tuning-million.toml", 16),
         ("tuning-terms.toml", 90),
