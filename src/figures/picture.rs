@@ -1,6 +1,5 @@
 //! Draws panels of learning curves as SVG and PNG.
 
-use std::slice;
 use std::sync::Arc;
 
 use kuva::backend::png::PngBackend;
@@ -34,13 +33,38 @@ const TICKS: usize = 4;
 const RANGE_OPACITY: f64 = 0.26;
 const CONFIDENCE_OPACITY: f64 = 0.13;
 
-/// Bands around the curves.
+/// Bands around the curves of a picture.
 #[derive(Clone, Copy, PartialEq)]
 enum Bands {
-    /// Confidence interval and interquartile range.
-    Both,
+    /// No curve has several runs.
+    Neither,
     /// Confidence interval only: ranges of many curves would cover each other.
     Confidence,
+    /// Confidence interval and interquartile range.
+    Both,
+}
+
+impl Bands {
+    fn of(panels: &[Panel]) -> Self {
+        let is_crowded = |panel: &Panel| panel.series.len() > MOST_WITH_RANGES;
+        match panels.iter().flat_map(|panel| &panel.series).any(has_bands) {
+            false => Self::Neither,
+            true if panels.iter().any(is_crowded) => Self::Confidence,
+            true => Self::Both,
+        }
+    }
+
+    fn caption(self) -> Option<&'static str> {
+        match self {
+            Self::Neither => None,
+            Self::Confidence => {
+                Some("interquartile mean over seeds and its 95 % confidence interval")
+            }
+            Self::Both => Some(
+                "interquartile mean over seeds; pale: its 95 % confidence interval, dark: interquartile range",
+            ),
+        }
+    }
 }
 
 /// Most curves of a panel with both bands.
@@ -56,10 +80,7 @@ pub(crate) struct Picture {
 
 /// Panels row by row, `columns` of them in each, with one legend.
 pub(crate) fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> {
-    let bands = match panels.iter().all(|panel| panel.series.len() <= MOST_WITH_RANGES) {
-        true => Bands::Both,
-        false => Bands::Confidence,
-    };
+    let bands = Bands::of(panels);
     let mut scene = match panels {
         [only] => lone(only, bands),
         _ => grid(panels, columns, bands),
@@ -82,7 +103,7 @@ fn distinct(panels: &[Panel]) -> Vec<&Series> {
 fn lone(panel: &Panel, bands: Bands) -> Scene {
     let plots = plots(panel, bands);
     let mut layout = layout(panel, &plots).with_width(WIDTH).with_height(HEIGHT);
-    if let Some(caption) = caption(slice::from_ref(panel), bands) {
+    if let Some(caption) = bands.caption() {
         layout = layout.with_subtitle(caption);
     }
     render_multiple(plots, layout)
@@ -99,21 +120,10 @@ fn grid(panels: &[Panel], columns: usize, bands: Bands) -> Scene {
         .with_plots(all)
         .with_layouts(layouts)
         .with_cell_size(if columns == 1 { WIDTH } else { CELL_WIDTH }, CELL_HEIGHT);
-    if let Some(caption) = caption(panels, bands) {
+    if let Some(caption) = bands.caption() {
         figure = figure.with_title(caption).with_title_size(14);
     }
     figure.render()
-}
-
-/// What the bands of a picture are, if it has any.
-fn caption(panels: &[Panel], bands: Bands) -> Option<&'static str> {
-    let text = match bands {
-        Bands::Confidence => "interquartile mean over seeds and its 95 % confidence interval",
-        Bands::Both => {
-            "interquartile mean over seeds; pale: its 95 % confidence interval, dark: interquartile range"
-        }
-    };
-    panels.iter().flat_map(|panel| &panel.series).any(has_bands).then_some(text)
 }
 
 fn has_bands(series: &Series) -> bool {
@@ -122,11 +132,10 @@ fn has_bands(series: &Series) -> bool {
 
 /// The simulator's name stands before the task, since returns are its own.
 fn layout(panel: &Panel, plots: &[Plot]) -> Layout {
-    let bounds = plots.iter().filter_map(Plot::bounds);
-    let lowest = bounds.map(|(_, (low, _))| low).fold(f64::INFINITY, f64::min);
-    let axes = match lowest.is_finite() {
-        true => Layout::auto_from_plots(plots).with_y_axis_min(lowest),
-        false => Layout::new((0.0, 1.0), (0.0, 1.0)),
+    let axes = Layout::auto_from_plots(plots);
+    let axes = match axes.data_y_range {
+        Some((lowest, _)) if lowest.is_finite() => axes.with_y_axis_min(lowest),
+        _ => Layout::new((0.0, 1.0), (0.0, 1.0)),
     };
     axes.with_title(format!("rapier/{}", panel.task))
         .with_x_label("environment steps")
@@ -230,6 +239,15 @@ mod tests {
         let (few, many) = (of(MOST_WITH_RANGES).svg, of(MOST_WITH_RANGES + 1).svg);
         assert!(few.contains("interquartile range") && !many.contains("interquartile range"));
         assert!(many.contains("95 % confidence interval"));
+    }
+
+    #[test]
+    fn a_panel_without_curves_does_not_stop_the_picture() {
+        let empty =
+            || Panel { task: "empty".into(), quantity: Quantity::Information, series: vec![] };
+        let svg = draw(&[panel("full", Quantity::Return), empty()], 2).unwrap().svg;
+        assert!(svg.contains("rapier/full"));
+        assert!(draw(&[empty()], 1).is_ok());
     }
 
     #[test]
