@@ -231,10 +231,10 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
     for (name, last) in [
         ("paper.toml", "720 runs, 7,200,000,000 steps"),
-        ("study.toml", "90 runs, 90,000,000 steps"),
+        ("study-second-round.toml", "90 runs, 90,000,000 steps"),
         ("study-terms.toml", "60 runs, 60,000,000 steps"),
         ("study-mappo.toml", "144 runs, 125,100,000 steps"),
-        ("study-defaults.toml", "90 runs, 90,000,000 steps"),
+        ("study.toml", "90 runs, 90,000,000 steps"),
         ("tuning.toml", "36 runs, 7,560,000 steps"),
         ("tuning-million.toml", "16 runs, 16,000,000 steps"),
         ("tuning-terms.toml", "90 runs, 27,000,000 steps"),
@@ -251,10 +251,10 @@ fn the_experiments_of_the_repository_list_what_they_would_run() {
 fn the_runs_of_the_finished_experiments_are_all_recorded() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/experiments");
     for (name, runs) in [
-        ("study.toml", 90),
+        ("study-second-round.toml", 90),
         ("study-terms.toml", 60),
         ("signal.toml", 90),
-        ("study-defaults.toml", 40),
+        ("study.toml", 90),
         ("tuning.toml", 36),
         ("tuning-million.toml", 16),
         ("tuning-terms.toml", 90),

@@ -3,10 +3,36 @@
 
 use policy::{Draw, Purpose};
 
-use super::results::{Estimate, Measured, finals, found, grouped, tasks};
+use super::results::{Estimate, Measured, areas, finals, found, grouped, tasks};
 use crate::figures::statistics::{
     holm_adjusted, interquartile_mean, permutation_p_value, probability_of_improvement,
 };
+
+/// What a run is compared by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Measure {
+    /// Its final return.
+    FinalReturn,
+    /// Its mean return over training.
+    MeanReturn,
+}
+
+impl Measure {
+    /// Its name in tables.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::FinalReturn => "final return",
+            Self::MeanReturn => "mean return over training",
+        }
+    }
+
+    fn of(self, curves: &[&[(f64, f64)]]) -> Vec<f64> {
+        match self {
+            Self::FinalReturn => finals(curves),
+            Self::MeanReturn => areas(curves),
+        }
+    }
+}
 
 /// A variant against the baseline, over the tasks that both have finished runs of.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,10 +43,10 @@ pub(crate) struct Comparison {
     pub(crate) tasks: usize,
     /// Its finished runs on them.
     pub(crate) runs: usize,
-    /// Interquartile mean over all runs of the final return in units of the baseline's interquartile mean on the task;
-    /// NaN if that is not above 0 on every task.
+    /// Interquartile mean over all runs of the measure in units of the baseline's interquartile mean on the task; NaN if
+    /// that is not above 0 on every task.
     pub(crate) score: Estimate,
-    /// Probability that a run of the variant ends higher than one of the baseline, mean over tasks.
+    /// Probability that a run of the variant is above one of the baseline, mean over tasks.
     pub(crate) improvement: Estimate,
     /// P-value of a two-sided permutation test of that probability.
     pub(crate) p_value: f64,
@@ -28,7 +54,7 @@ pub(crate) struct Comparison {
     pub(crate) adjusted_p_value: f64,
 }
 
-/// Final returns of a variant's and of the baseline's runs on each task.
+/// The measure of a variant's and of the baseline's runs on each task.
 type Pairs = Vec<(Vec<f64>, Vec<f64>)>;
 
 /// A comparison for each of `variants` that shares a task with the baseline, without the baseline itself.
@@ -36,10 +62,11 @@ pub(crate) fn comparisons(
     runs: &[Measured],
     variants: &[String],
     baseline: &str,
+    measure: Measure,
 ) -> Vec<Comparison> {
     let groups = grouped(runs);
     let pairs = |variant: &String| -> Pairs {
-        let of = |task, name| found(&groups, task, name).map(finals);
+        let of = |task, name| found(&groups, task, name).map(|curves| measure.of(curves));
         let shared = tasks(&groups).into_iter();
         shared.filter_map(|task| Some((of(task, variant)?, of(task, baseline)?))).collect()
     };
@@ -109,7 +136,7 @@ mod tests {
         }
         runs.push(run("halfcheetah-2x3", "new", 5.0));
         let variants = ["new".to_owned(), "happo".to_owned(), "absent".to_owned()];
-        let found = comparisons(&runs, &variants, "happo");
+        let found = comparisons(&runs, &variants, "happo", Measure::FinalReturn);
         let [new] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((new.tasks, new.runs), (2, 5));
         // All of four on one task, none of one on the other.
@@ -122,8 +149,23 @@ mod tests {
     #[test]
     fn a_baseline_that_earns_nothing_is_no_unit_for_a_score() {
         let runs = [run("ant-4x2", "happo", -1.0), run("ant-4x2", "new", 5.0)];
-        let found = comparisons(&runs, &["new".to_owned()], "happo");
+        let found = comparisons(&runs, &["new".to_owned()], "happo", Measure::FinalReturn);
         assert!(found[0].score.value.is_nan() && found[0].improvement.value == 1.0, "{found:?}");
+    }
+
+    #[test]
+    fn a_variant_that_learns_earlier_has_the_higher_mean_return_and_an_equal_final_return() {
+        let curve = |variant: &str, middle: f64| Measured {
+            returns: vec![(0.0, 0.0), (50.0, middle), (100.0, 40.0)],
+            ..run("ant-4x2", variant, 0.0)
+        };
+        let runs = [curve("happo", 10.0), curve("early", 30.0)];
+        let of = |measure| comparisons(&runs, &["early".to_owned()], "happo", measure).remove(0);
+        let (last, mean) = (of(Measure::FinalReturn), of(Measure::MeanReturn));
+        assert_eq!((last.score.value, last.improvement.value), (1.0, 0.5));
+        // (0 + 30) / 4 + (30 + 40) / 4 = 25 against (0 + 10) / 4 + (10 + 40) / 4 = 15.
+        assert!((mean.score.value - 25.0 / 15.0).abs() < 1e-12, "{mean:?}");
+        assert_eq!(mean.improvement.value, 1.0);
     }
 
     #[test]
@@ -137,7 +179,12 @@ mod tests {
                 runs.push(run(task, "better", plain + 10.0));
             }
         }
-        let found = comparisons(&runs, &["same".to_owned(), "better".to_owned()], "happo");
+        let found = comparisons(
+            &runs,
+            &["same".to_owned(), "better".to_owned()],
+            "happo",
+            Measure::FinalReturn,
+        );
         let [same, better] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((same.improvement.value, better.improvement.value), (0.5, 1.0));
         assert!(same.p_value > 0.9 && better.p_value < 0.005, "{found:?}");

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::comparison::{Comparison, comparisons};
+use super::comparison::{Comparison, Measure, comparisons};
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
 use super::record::{Record, at_evaluations};
@@ -23,9 +23,11 @@ pub(crate) fn write(
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
     let rows = rows(&measured, &variants, &file.baseline, file.threshold);
-    let together = comparisons(&measured, &variants, &file.baseline);
-    let counts = (measured.len(), runs.len());
-    let table = markdown(&rows, file, counts) + &over_all_tasks(&together, &file.baseline);
+    let mut table = markdown(&rows, file, (measured.len(), runs.len()));
+    for measure in [Measure::FinalReturn, Measure::MeanReturn] {
+        let compared = comparisons(&measured, &variants, &file.baseline, measure);
+        table += &over_all_tasks(&compared, &file.baseline, measure.name());
+    }
     let mut written = vec![
         put(&file.folder, "results.md", &table)?,
         put(&file.folder, "results.csv", &csv(&rows))?,
@@ -112,8 +114,8 @@ fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, us
     text
 }
 
-/// Every variant against the baseline, over all tasks that both have; empty if there is none.
-fn over_all_tasks(comparisons: &[Comparison], baseline: &str) -> String {
+/// Every variant against the baseline by one measure, over all tasks that both have; empty if there is none.
+fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> String {
     if comparisons.is_empty() {
         return String::new();
     }
@@ -130,7 +132,7 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str) -> String {
         )
     };
     format!(
-        "\nOver all tasks, against {baseline}: scores are final returns in units of {baseline}'s on the task; \
+        "\nOver all tasks, by {measure}: scores are in units of {baseline}'s {measure} on the task; \
          intervals by bootstrap within each task; p by permutation within each task, adjusted by Holm.\n\n\
          | variant | tasks | runs | score | P(better than {baseline}) | p | p, adjusted |\n\
          | --- | --- | --- | --- | --- | --- | --- |\n{}",

@@ -114,7 +114,7 @@ fn row(
     baseline: Option<&[f64]>,
 ) -> Row {
     let finals = finals(curves);
-    let areas: Vec<f64> = curves.iter().map(|curve| area_under_curve(curve)).collect();
+    let areas = areas(curves);
     let reached: Vec<Option<f64>> =
         curves.iter().map(|curve| first_reaching(after_start(curve), threshold?)).collect();
     Row {
@@ -144,6 +144,11 @@ fn after_start(curve: &[(f64, f64)]) -> &[(f64, f64)] {
 /// The final return of each run.
 pub(super) fn finals(curves: &[&[(f64, f64)]]) -> Vec<f64> {
     curves.iter().map(|curve| final_return(curve)).collect()
+}
+
+/// The mean return over training of each run.
+pub(super) fn areas(curves: &[&[(f64, f64)]]) -> Vec<f64> {
+    curves.iter().map(|curve| area_under_curve(curve)).collect()
 }
 
 /// The mean of the evaluations after nine tenths of the run; the last one is always among them. NaN without any.

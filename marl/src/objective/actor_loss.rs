@@ -53,9 +53,21 @@ pub struct Figures {
     pub capped_fraction: f64,
     /// Mean entropy of the policy, nats.
     pub entropy: f64,
+    /// Sum of the magnitudes of the gradient with respect to the outputs of `p`, without the influence term; 0 without a
+    /// posterior.
+    pub gradient_without_influence: f64,
+    /// As above, of the influence term alone.
+    pub gradient_of_influence: f64,
 }
 
 impl Figures {
+    /// The influence term's share of the gradient with respect to the outputs of `p`, both in magnitude.
+    #[must_use]
+    pub fn influence_share(&self) -> f64 {
+        let all = self.gradient_without_influence + self.gradient_of_influence;
+        if all > 0.0 { self.gradient_of_influence / all } else { 0.0 }
+    }
+
     /// Adds `weight` times `other`.
     pub fn add(&mut self, weight: f64, other: &Self) {
         self.loss += weight * other.loss;
@@ -66,6 +78,8 @@ impl Figures {
         self.influence += weight * other.influence;
         self.capped_fraction += weight * other.capped_fraction;
         self.entropy += weight * other.entropy;
+        self.gradient_without_influence += weight * other.gradient_without_influence;
+        self.gradient_of_influence += weight * other.gradient_of_influence;
     }
 }
 
@@ -96,7 +110,11 @@ pub fn actor_loss(
         distribution.add_row_entropy_gradient(weight, outputs, d_outputs);
     }
     if let Some(q) = &rows.posterior {
+        let before = gradient.outputs.clone();
         add_influence(p, q, share, coefficients, &mut figures, &mut gradient);
+        let added = gradient.outputs.iter().zip(&before).map(|(after, before)| after - before);
+        figures.gradient_of_influence = added.map(f64::abs).sum();
+        figures.gradient_without_influence = before.iter().copied().map(f64::abs).sum();
     }
     let share = p.count() as f64 * share;
     figures.entropy += share * gaussian::entropy(&p.sigma);
@@ -290,9 +308,26 @@ mod tests {
     }
 
     #[test]
+    fn the_influences_share_of_the_gradient_matches_a_worked_case() {
+        // The surrogate's gradient of -0.8 * (0.5 - 0.1) / 0.2^2 = -8; that of 0.4 KL[q || p] is 0.4 * (0.2 - 0.1) / 0.2^2 = 1.
+        let (p, q) =
+            (HeadRows::gaussian(vec![0.1], vec![0.2]), HeadRows::gaussian(vec![0.2], vec![0.2]));
+        let rows = Rows {
+            log_prob_old: p.log_prob(&[0.5], &[0]),
+            action: vec![0.5],
+            advantage: vec![0.8],
+            factor: vec![1.0],
+            posterior: Some(q),
+        };
+        let share = actor_loss(&p, &rows, 1, &ALL).0.influence_share();
+        assert!((share - 1.0 / 9.0).abs() < 1e-12, "{share}");
+    }
+
+    #[test]
     fn without_a_posterior_the_influence_is_zero() {
         let (p, rows) = gaussians();
         let rows = Rows { posterior: None, ..rows };
-        assert_eq!(actor_loss(&p, &rows, 3, &ALL).0.influence, 0.0);
+        let figures = actor_loss(&p, &rows, 3, &ALL).0;
+        assert_eq!((figures.influence, figures.influence_share()), (0.0, 0.0));
     }
 }

@@ -310,6 +310,7 @@ pub(crate) fn agent_report(
         ("skipped_steps", trained.skipped as f64),
         ("influence_kl", figures.influence),
         ("influence_capped", figures.capped_fraction),
+        ("influence_share", figures.influence_share()),
     ];
     let equal = experience.advantage.iter().all(|&advantage| advantage == 0.0);
     let named = named.into_iter().chain([("advantages_equal", f64::from(u8::from(equal)))]);
