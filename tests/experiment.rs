@@ -258,6 +258,7 @@ fn the_runs_of_the_finished_experiments_are_all_recorded() {
         ("study-terms.toml", 60),
         ("signal.toml", 90),
         ("study.toml", 90),
+        ("study-mappo.toml", 117),
         ("tuning.toml", 36),
         ("tuning-million.toml", 16),
         ("tuning-terms.toml", 90),
