@@ -260,6 +260,7 @@ fn the_runs_of_the_finished_experiments_are_all_recorded() {
         ("study.toml", 90),
         ("study-mappo.toml", 117),
         ("study-k-nearest.toml", 30),
+        ("study-preset-paper.toml", 18),
         ("tuning.toml", 36),
         ("tuning-million.toml", 16),
         ("tuning-terms.toml", 90),
