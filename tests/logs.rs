@@ -11,8 +11,8 @@ use std::sync::OnceLock;
 
 use runs::{Runs, inspect, s2mia, succeeded, train};
 
-/// Four iterations of two slots by two actors; evaluations before, between and after.
-const FOUR: [&str; 2] = ["run.iterations=4", "run.actors=2"];
+/// Four iterations of two slots by two actors; evaluations before, between and after. An audit would log its slot again.
+const FOUR: [&str; 3] = ["run.iterations=4", "run.actors=2", "audit.share=0"];
 
 /// A run that logged all episodes, and its output.
 fn logged() -> &'static (Runs, PathBuf, String) {

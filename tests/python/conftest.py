@@ -24,6 +24,8 @@ TINY = [
     f"evaluation.every_steps={2 * STEPS_PER_ITERATION}",
     "evaluation.episodes=1",
     "checkpoint.every=2",
+    # An audit would log its slot again, as a second attempt.
+    "audit.share=0",
 ]
 
 
