@@ -125,7 +125,7 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> 
             comparison.variant,
             comparison.tasks,
             comparison.runs,
-            shown(comparison.score, 2),
+            shown(comparison.score, 3),
             shown(comparison.improvement, 2),
             comparison.p_value,
             comparison.adjusted_p_value,
