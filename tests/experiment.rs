@@ -235,7 +235,7 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
         ("study-second-round.toml", "90 runs, 90,000,000 steps", 90),
         ("study-terms.toml", "60 runs, 60,000,000 steps", 60),
         ("study-mappo.toml", "207 runs, 207,000,000 steps", 207),
-        ("study-maddpg.toml", "9 runs, 2,700,000 steps", 2),
+        ("study-maddpg.toml", "9 runs, 2,700,000 steps", 6),
         ("study-k-nearest.toml", "30 runs, 18,000,000 steps", 30),
         ("study-preset-paper.toml", "18 runs, 18,000,000 steps", 18),
         ("study.toml", "180 runs, 180,000,000 steps", 180),
