@@ -1,6 +1,6 @@
 //! The file that describes an experiment: its own keys only. `config` checks the settings of the runs.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -58,6 +58,9 @@ pub(crate) struct ExperimentFile {
     /// Share of the best variant's final return that counts as learnt.
     #[serde(default = "four_fifths")]
     pub(crate) threshold: f64,
+    /// URL of the external program that offers the environment of a task; other tasks use the simulator.
+    #[serde(default)]
+    pub(crate) environments: BTreeMap<String, String>,
     /// Settings of all runs.
     pub(crate) settings: Option<Table>,
     /// The variants that are compared.
@@ -123,6 +126,7 @@ impl ExperimentFile {
         distinct("tasks", &self.tasks)?;
         distinct("names of variants", &self.variants.iter().map(|v| &v.name).collect::<Vec<_>>())?;
         self.variants.iter().try_for_each(Variant::validate)?;
+        self.environments.keys().try_for_each(|task| self.demand_task(task))?;
         undecided("settings", self.settings.as_ref())?;
         if !self.variants.iter().any(|variant| variant.name == self.baseline) {
             return Err(format!("baseline = \"{}\" must be the name of a variant", self.baseline));
@@ -135,6 +139,15 @@ impl ExperimentFile {
             (actors, threads) => {
                 Err(format!("actors and threads must lie in 1..=1024, are {actors} and {threads}"))
             }
+        }
+    }
+
+    /// Refuses an environment of a task that no run has.
+    fn demand_task(&self, task: &String) -> Result<(), String> {
+        let own = self.variants.iter().filter_map(|variant| variant.tasks.as_ref()).flatten();
+        match self.tasks.iter().chain(own).any(|known| known == task) {
+            true => Ok(()),
+            false => Err(format!("environments: \"{task}\" is not among the tasks")),
         }
     }
 
@@ -307,6 +320,11 @@ pub(crate) mod tests {
             ("evaluation.every_steps", "run.seed", "`run.seed` is decided by the experiment"),
             ("actors = 1", "actors = 0", "actors and threads must lie in 1..=1024, are 0 and 2"),
             ("threads = 2", "treads = 2", "line 7: unknown field `treads`"),
+            (
+                "threshold",
+                "environments.ant-8x1 = \"http://localhost:7\"\nthreshold",
+                "environments: \"ant-8x1\" is not among the tasks",
+            ),
         ] {
             let message = parse(&SAMPLE.replacen(from, to, 1)).unwrap_err();
             assert!(message.contains(words) && !message.contains('\n'), "{message}");

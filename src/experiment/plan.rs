@@ -81,6 +81,8 @@ fn planned(
     let of = |table: &Option<toml::Table>| table.as_ref().map(assignments).unwrap_or_default();
     let env_steps = variant.env_steps.unwrap_or(file.env_steps);
     let mut settings = vec![format!("task={task}"), format!("algorithm={}", variant.algorithm)];
+    let url = file.environments.get(task).map(|url| format!("environment_service.url={url}"));
+    settings.extend(url);
     settings.extend(of(&file.settings));
     settings.extend(of(&variant.settings));
     settings.extend([
@@ -160,6 +162,17 @@ mod tests {
         assert_eq!(names, expected);
         assert_eq!(runs[2].config.resolved.text("observation.mode"), "k_nearest");
         assert_eq!((runs[0].config.run.seed, runs[0].config.env_steps()), (0, 8_000));
+    }
+
+    #[test]
+    fn a_task_with_an_environment_of_its_own_runs_on_that_and_the_others_in_the_simulator() {
+        let line = "environments.ant-4x2 = \"http://localhost:7\"";
+        let runs = planned_with(line);
+        let url = |run: &PlannedRun| run.config.environment.url.clone();
+        assert_eq!(
+            runs.iter().map(url).collect::<Vec<_>>(),
+            ["", "http://localhost:7", "", "", "http://localhost:7"]
+        );
     }
 
     #[test]
