@@ -21,7 +21,7 @@ use crate::run::fingerprints::BUILD;
 
 pub(crate) use control::{
     CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
-    WatchArguments, patience,
+    WatchArguments, patience, seconds,
 };
 pub(crate) use experiment::{ClusterArguments, Engine, ExperimentArguments};
 pub(crate) use export::ExportArguments;

@@ -31,11 +31,17 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => return cli::report(&error),
     };
-    process::logging::start(&arguments);
-    match choose_registers().and_then(|()| commands::run(arguments.command)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => failure(&error),
-    }
+    run(arguments).map_or_else(|error| failure(&error), |()| ExitCode::SUCCESS)
+}
+
+/// Runs the command, whose output must have been written when it ends.
+fn run(arguments: cli::Arguments) -> anyhow::Result<()> {
+    process::prepare()?;
+    process::logging::start(&arguments)?;
+    process::output::start(&arguments.command);
+    choose_registers()?;
+    commands::run(arguments.command)?;
+    process::output::finish()
 }
 
 /// Selects the register width that `S2MIA_SIMD` names; the default is the processor's widest.
@@ -54,7 +60,7 @@ fn choose_registers() -> anyhow::Result<()> {
 /// Prints one line on stderr. The status is 2 for invalid arguments or settings, 3 for incomplete logs, else 1.
 fn failure(error: &anyhow::Error) -> ExitCode {
     let wrong_usage = error.is::<ConfigError>() || error.is::<Usage>();
-    eprintln!("error: {}", actor::causes(error.as_ref()));
+    process::output::error(format!("error: {}", actor::causes(error.as_ref())));
     let incomplete = error.is::<Incomplete>();
     ExitCode::from(if wrong_usage {
         2

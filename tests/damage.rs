@@ -87,6 +87,28 @@ fn a_damaged_manifest_is_reported_and_written_again() {
 }
 
 #[test]
+fn a_resume_of_a_whole_run_warns_of_nothing_and_names_what_another_has_lost() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    train(&folder, &["run.iterations=3"]);
+    assert_eq!(resume(&folder), "");
+    let provenance = folder.join("provenance.jsonl");
+    let lines = std::fs::read_to_string(&provenance).unwrap();
+    let without_second = lines.lines().enumerate().filter(|(index, _)| *index != 1);
+    let left: Vec<&str> = without_second.map(|(_, line)| line).collect();
+    std::fs::write(&provenance, format!("{}\n", left.join("\n"))).unwrap();
+    let told = resume(&folder);
+    assert!(told.contains("provenance.jsonl has no lines of iterations 2"), "{told}");
+    std::fs::write(&provenance, format!("{lines}half a line\n")).unwrap();
+    let told = resume(&folder);
+    assert!(told.contains("provenance.jsonl has 1 damaged lines"), "{told}");
+    std::fs::remove_dir_all(folder.join("checkpoints/iter_00000004")).unwrap();
+    let told = resume(&folder);
+    assert!(told.contains("the checkpoint of iteration 4 is lost"), "{told}");
+    assert_eq!(resume(&folder), "");
+}
+
+#[test]
 fn settings_without_a_manifest_are_no_run_and_a_new_run_takes_the_folder() {
     let runs = Runs::new();
     let folder = runs.folder("run");

@@ -74,11 +74,15 @@ fn all_collected(url: &str) -> bool {
     status["slots"] == 2 && status["complete_slots"] == 2
 }
 
-/// Whether the process handles SIGTERM itself.
-fn handles_terminate(process: &Child) -> bool {
+/// Numbers of signals.
+const HANG_UP: u32 = 1;
+const TERMINATE: u32 = 15;
+
+/// Whether the process handles a signal itself.
+fn handles(process: &Child, signal: u32) -> bool {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
     let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
-    u64::from_str_radix(caught.trim(), 16).unwrap() & (1 << 14) != 0
+    u64::from_str_radix(caught.trim(), 16).unwrap() & (1 << (signal - 1)) != 0
 }
 
 /// Sends SIGTERM to a learner as soon as it handles it. Returns the first line that it printed.
@@ -86,7 +90,7 @@ fn stopped_early(folder: &Path) -> String {
     let dir = format!("run.dir={}", folder.display());
     let mut learner = started(&[&["learner", "--listen=127.0.0.1:0"], TINY, &[&dir]].concat());
     let patience = Instant::now() + GRACE;
-    while !handles_terminate(&learner) {
+    while !handles(&learner, TERMINATE) {
         assert!(Instant::now() < patience, "the learner does not handle signals");
     }
     signal(&learner, "-TERM");
@@ -134,6 +138,58 @@ fn the_first_signal_during_an_update_leads_to_a_checkpoint_of_it_and_status_0() 
     // The actor also has to be stopped, since its learner has exited.
     signal(&cluster.actor, "-TERM");
     assert_eq!(cluster.actor.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn a_hang_up_stops_a_learner_with_a_checkpoint_and_further_ones_change_nothing() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let mut cluster = Cluster::in_an_update(&folder, "400");
+    signal(&cluster.learner, "-HUP");
+    cluster.is_stopping();
+    // A session that ends sends both.
+    signal(&cluster.learner, "-HUP");
+    signal(&cluster.learner, "-TERM");
+    assert_eq!(cluster.learner.wait().unwrap().code(), Some(0));
+    assert_eq!(inspect(&folder)["iteration"], 1);
+    signal(&cluster.actor, "-HUP");
+    assert_eq!(cluster.actor.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn a_hang_up_that_was_ignored_when_a_learner_started_stays_ignored() {
+    let runs = Runs::new();
+    let dir = format!("run.dir={}", runs.folder("run").display());
+    let mut command = Command::new("nohup");
+    let learner =
+        [&[env!("CARGO_BIN_EXE_s2mia"), "learner", "--listen=127.0.0.1:0"], TINY, &[&dir]];
+    command
+        .args(learner.concat())
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null());
+    let mut learner = command.spawn().unwrap();
+    let patience = Instant::now() + GRACE;
+    while !handles(&learner, TERMINATE) {
+        assert!(Instant::now() < patience, "the learner does not handle signals");
+    }
+    let handles_hang_up = handles(&learner, HANG_UP);
+    signal(&learner, "-TERM");
+    assert!(learner.wait().unwrap().success());
+    assert!(!handles_hang_up);
+}
+
+#[test]
+fn a_limit_of_file_sizes_fails_checkpoints_and_the_run_and_kills_nothing() {
+    let runs = Runs::new();
+    let dir = format!("run.dir={}", runs.folder("run").display());
+    let limited = ["-c", "ulimit -f 40; exec \"$0\" train \"$@\"", env!("CARGO_BIN_EXE_s2mia")];
+    let settings = [TINY, &["run.iterations=3", "run.actors=1", "--page=off", &dir]];
+    let output = Command::new("sh").args(limited).args(settings.concat()).output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains("checkpoint failed"), "{told}");
+    assert!(told.lines().last().unwrap().contains("File too large"), "{told}");
 }
 
 #[test]

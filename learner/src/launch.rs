@@ -180,6 +180,13 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
     for (path, reason) in &loaded.skipped {
         tracing::error!("{} is passed over: {reason}", path.display());
     }
+    let (from, whole) = (loaded.checkpoint.iteration, loaded.skipped.is_empty());
+    if let Some(latest) = checkpoint::named_latest(folder.path()).filter(|at| *at > from && whole) {
+        let path = loaded.path.display();
+        tracing::error!(
+            "the checkpoint of iteration {latest} is lost; the run continues from {path}"
+        );
+    }
     let expected = launch.config_sha256.to_string();
     if loaded.manifest.config_sha256 != expected {
         let (path, found) = (loaded.path, loaded.manifest.config_sha256);

@@ -68,12 +68,12 @@ pub(crate) fn positive(value: u64, field: &str) -> Result<(), Refusal> {
     if value > 0 { Ok(()) } else { Err(bad_value(field, "must be at least 1")) }
 }
 
-/// Checks that a duration is finite and positive.
+/// Checks that clocks and timers can hold a duration: 1 ns to 1e9 s.
 pub(crate) fn seconds(value: f64, field: &str) -> Result<(), Refusal> {
-    if value.is_finite() && value > 0.0 {
+    if (1e-9..=1e9).contains(&value) {
         return Ok(());
     }
-    Err(bad_value(field, format!("{value} s, expected a finite time above 0")))
+    Err(bad_value(field, format!("{value:?} s, expected 1e-9 to 1e9")))
 }
 
 /// An unknown value of an enumeration.

@@ -110,8 +110,33 @@ pub(crate) struct LiveArguments {
     pub(crate) insecure_allow_remote_watch: bool,
 }
 
-/// The timeout that `--timeout-secs` gives; refuses a negative or infinite one.
+/// Longest time that an option accepts, seconds: 31 years. Deadlines of calls cannot be much longer.
+const LONGEST_SECS: f64 = 1e9;
+
+/// The timeout that `--timeout-secs` gives.
 pub(crate) fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
-    Duration::try_from_secs_f64(timeout_secs)
-        .map_err(|_| Usage::new(format!("--timeout-secs must be at least 0, is {timeout_secs}")))
+    seconds("--timeout-secs", timeout_secs)
+}
+
+/// The time that `option` gives; refuses a negative, infinite or too long one.
+pub(crate) fn seconds(option: &str, secs: f64) -> Result<Duration, Usage> {
+    match (0.0..=LONGEST_SECS).contains(&secs) {
+        true => Ok(Duration::from_secs_f64(secs)),
+        false => Err(Usage::new(format!("{option} must be 0 to {LONGEST_SECS} s, is {secs:?}"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_that_no_deadline_can_have_are_refused_in_one_line() {
+        for secs in [-1.0, -1e300, f64::NAN, f64::INFINITY, 1e300, 1.1e9] {
+            let line = seconds("--timeout-secs", secs).unwrap_err().to_string();
+            assert_eq!(line, format!("--timeout-secs must be 0 to 1000000000 s, is {secs:?}"));
+        }
+        assert_eq!(seconds("--timeout-secs", 0.0).unwrap(), Duration::ZERO);
+        assert_eq!(seconds("--timeout-secs", 1e9).unwrap(), Duration::from_secs(1_000_000_000));
+    }
 }

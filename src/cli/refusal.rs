@@ -6,15 +6,26 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use super::settings::VALUE_NAME;
 use crate::config::{keys, layers};
+use crate::process::output;
 
 /// Prints help and version as clap does, and any other report as one line.
 pub(crate) fn report(error: &clap::Error) -> ExitCode {
     let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
-    if asked || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        let printed = error.print();
-        return if asked && printed.is_ok() { ExitCode::SUCCESS } else { ExitCode::from(2) };
+    if asked {
+        return match output::written(error.print()) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(why) => {
+                output::error(format!("error: {why:#}"));
+                ExitCode::FAILURE
+            }
+        };
     }
-    eprintln!("{}", one_line(error));
+    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        // It goes to stderr; nothing can report that nobody reads it.
+        let _unread = error.print();
+    } else {
+        output::error(one_line(error));
+    }
     ExitCode::from(2)
 }
 

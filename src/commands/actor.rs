@@ -5,7 +5,7 @@ use anyhow::Context as _;
 use recording::trajectory_log::LogConfig;
 use tokio::sync::watch;
 
-use crate::cli::{ActorArguments, ActorLogArguments};
+use crate::cli::{ActorArguments, ActorLogArguments, seconds};
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, layers};
 use crate::errors::Usage;
@@ -30,11 +30,7 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
 
 /// The actor's settings, checked; the program ends with status 2 if they are wrong.
 fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
-    let patience = arguments.max_outage_secs;
-    if !(patience.is_finite() && patience >= 0.0) {
-        let why = format!("--max-outage-secs must be at least 0, is {patience}");
-        return Err(Usage::new(why).into());
-    }
+    let patience = seconds("--max-outage-secs", arguments.max_outage_secs)?;
     let transport = match (arguments.tls.files(), arguments.insecure_allow_remote) {
         (Some(files), _) => Transport::Tls(files),
         (None, true) => Transport::PlainText,
@@ -49,7 +45,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
         transport,
         token: token::of_environment()?,
         environment: arguments.environment,
-        max_outage_secs: patience,
+        max_outage_secs: patience.as_secs_f64(),
         name: arguments.name.unwrap_or_else(default_name),
         threads: arguments.threads.into(),
         build: BUILD.to_owned(),

@@ -12,7 +12,7 @@ use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use crate::cli::WatchArguments;
+use crate::cli::{WatchArguments, seconds};
 use crate::commands::control::{address, operator, url};
 use crate::commands::live::{Place, Show};
 use crate::commands::status::AtRest;
@@ -49,8 +49,7 @@ fn lines(arguments: &WatchArguments) -> anyhow::Result<()> {
     ];
     refuse(&of_live, "belongs to the live view of a run folder, not to lines: leave it out")?;
     let secs = arguments.max_outage_secs.unwrap_or(OUTAGE_SECS);
-    let outage = Duration::try_from_secs_f64(secs)
-        .map_err(|_| Usage::new(format!("--max-outage-secs must be at least 0, is {secs}")))?;
+    let outage = seconds("--max-outage-secs", secs)?;
     runtime()?.block_on(Watch::new(arguments).until_the_end(outage))
 }
 

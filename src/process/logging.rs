@@ -9,6 +9,7 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Layer};
 
 use crate::cli::{Arguments, Command, LogFormat};
+use crate::errors::Usage;
 
 /// The bars of this process; log lines are written above them.
 static BARS: OnceLock<MultiProgress> = OnceLock::new();
@@ -19,22 +20,29 @@ pub(crate) fn bars() -> &'static MultiProgress {
 }
 
 /// Starts logging with the filter of `--log`, else of RUST_LOG, else the default of the command.
-pub(crate) fn start(arguments: &Arguments) {
+///
+/// # Errors
+/// If the filter of `--log` is invalid.
+pub(crate) fn start(arguments: &Arguments) -> Result<(), Usage> {
     let default = match arguments.command {
         Command::Learner(_) | Command::Actor(_) => "info",
         // Invalid connections to the live view's port are not reported.
         _ => "warn,foxglove=off",
     };
     let filter = match &arguments.log {
-        Some(filter) => EnvFilter::new(filter),
+        Some(filter) => EnvFilter::try_new(filter)
+            .map_err(|error| Usage::new(format!("--log {filter}: {error}")))?,
         None => EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default)),
     };
+    // A line that nobody reads must not be reported on the same stderr, which would panic.
     let lines = tracing_subscriber::fmt::layer().with_writer(|| AboveBars);
+    let lines = lines.log_internal_errors(false);
     let lines = match arguments.log_format {
         LogFormat::Text => lines.with_ansi(false).with_target(false).boxed(),
         LogFormat::Json => lines.json().flatten_event(true).boxed(),
     };
     tracing_subscriber::registry().with(lines.with_filter(filter)).init();
+    Ok(())
 }
 
 /// Writes to stderr with the bars suspended.

@@ -1,23 +1,101 @@
-//! Lines on standard output, and files that a command writes. A reader that has closed the pipe, such as `head`, must
-//! neither stop a run nor cause a panic, so lines that cannot be written are dropped.
+//! Lines on standard output and stderr, and files that a command writes. What cannot be written is an error, except for a
+//! reader that has gone, such as `head`: it ends a command that only prints, and nothing else.
 
 use std::fmt::Display;
-use std::io::Write as _;
+use std::fs::File;
+use std::io::{ErrorKind, IsTerminal as _, Write as _};
 use std::path::Path;
+use std::process::exit;
+use std::sync::OnceLock;
 
 use anyhow::Context as _;
 
+use crate::cli::{Command, LogCommand};
 use crate::errors::Usage;
 
-/// Writes the text and a line break.
-pub(crate) fn line(text: impl Display) {
-    // The reader has closed the pipe.
-    let _unread = writeln!(std::io::stdout().lock(), "{text}");
+/// What a failed write to standard output means.
+static STDOUT: OnceLock<Stdout> = OnceLock::new();
+/// Why standard output could not be written, if that is an error.
+static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
+
+struct Stdout {
+    /// Without output, the command has nothing to do.
+    only_prints: bool,
+    /// Every write to a terminal that was closed fails.
+    is_terminal: bool,
 }
 
-/// Writes a file into an existing folder.
+/// Notes what the command does. Until then, and in tests, it counts as one that does more than print.
+pub(crate) fn start(command: &Command) {
+    let only_prints = matches!(
+        command,
+        Command::Status(_)
+            | Command::Watch(_)
+            | Command::Eval(_)
+            | Command::Inspect(_)
+            | Command::Config(_)
+            | Command::Log(LogCommand::Info(_) | LogCommand::Verify(_))
+    );
+    let is_terminal = std::io::stdout().is_terminal();
+    STDOUT.get_or_init(|| Stdout { only_prints, is_terminal });
+}
+
+/// Writes the text and a line break. If that fails, a command that only prints ends: with status 0 if the reader has
+/// gone, else with an error. Another command goes on, and [`finish`] returns the error.
+pub(crate) fn line(text: impl Display) {
+    let mut stdout = std::io::stdout().lock();
+    let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
+    drop(stdout);
+    let Err(why) = written else { return };
+    let (only_prints, is_terminal) =
+        STDOUT.get().map_or((false, false), |stdout| (stdout.only_prints, stdout.is_terminal));
+    let gone = is_terminal || why.kind() == ErrorKind::BrokenPipe;
+    match (only_prints, gone) {
+        (true, true) => exit(0),
+        (true, false) => {
+            error(format!("error: {STDOUT_FAILED}: {why}"));
+            exit(1)
+        }
+        (false, true) => {}
+        (false, false) => drop(FAILURE.set(why)),
+    }
+}
+
+const STDOUT_FAILED: &str = "cannot write to standard output";
+
+/// Fails if a line could not be written.
+pub(crate) fn finish() -> anyhow::Result<()> {
+    match FAILURE.get() {
+        Some(why) => Err(anyhow::anyhow!("{STDOUT_FAILED}: {why}")),
+        None => Ok(()),
+    }
+}
+
+/// The result of other output to standard output: a reader that has gone is no error.
+pub(crate) fn written(result: std::io::Result<()>) -> anyhow::Result<()> {
+    match result.and_then(|()| std::io::stdout().flush()) {
+        Err(why) if why.kind() != ErrorKind::BrokenPipe => Err(why).context(STDOUT_FAILED),
+        _ => Ok(()),
+    }
+}
+
+/// Writes a line to stderr. Nothing can report that nobody reads it.
+pub(crate) fn error(text: impl Display) {
+    let _unread = writeln!(std::io::stderr().lock(), "{text}");
+}
+
+/// Writes a file into an existing folder, and waits until the disk has it: some file systems report a full disk only
+/// then.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    let written = File::create(path).and_then(|mut file| {
+        file.write_all(bytes)?;
+        match file.sync_all() {
+            // A pipe or a device, such as /dev/stdout, cannot be flushed.
+            Err(error) if error.kind() == ErrorKind::InvalidInput => Ok(()),
+            synced => synced,
+        }
+    });
+    written.with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Creates a folder and its parents if necessary.

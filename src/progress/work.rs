@@ -2,7 +2,7 @@
 //! is rewritten, elsewhere a line every ten seconds. Stdout keeps the command's results alone.
 
 use std::fmt::Display;
-use std::io::{IsTerminal as _, Write as _};
+use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -41,10 +41,7 @@ impl WorkProgress {
     pub(crate) fn reach(&mut self, done: u64, total: u64, place: impl FnOnce() -> String) {
         let Some(text) = self.pace.due(Instant::now(), (done, total), place) else { return };
         match &self.bar {
-            None => {
-                // The reader has closed the pipe.
-                let _unread = writeln!(std::io::stderr().lock(), "{text}");
-            }
+            None => output::error(text),
             Some(bar) => {
                 bar.set_length(total);
                 bar.set_position(done);

@@ -43,7 +43,6 @@ def test_a_table_holds_every_figure_of_its_kind(written, name, kind):
 @pytest.fixture(scope="module")
 def events(written):
     """What TensorBoard's own reader makes of the run."""
-    assert len(list((written / "tensorboard").iterdir())) == 1
     accumulator = EventAccumulator(str(written / "tensorboard"))
     accumulator.Reload()
     return accumulator
@@ -54,6 +53,23 @@ def test_tensorboard_reads_each_iteration_once_over_environment_steps(events):
     assert [event.step for event in losses] == [STEPS_PER_ITERATION * k for k in range(1, ITERATIONS + 1)]
     times = [event.wall_time for event in losses]
     assert times == sorted(times)
+
+
+def test_a_tensorboard_that_is_open_shows_what_comes_after_a_resume_and_each_step_once(tmp_path):
+    folder = tmp_path / "open"
+    s2mia("train", *TINY, f"run.dir={folder}")
+    before = set((folder / "tensorboard").iterdir())
+    accumulator = EventAccumulator(str(folder / "tensorboard"))
+    accumulator.Reload()
+    newest = sorted((folder / "checkpoints").glob("iter_*"))[-1]
+    (newest / "manifest.json").unlink()
+    s2mia("train", "--resume", folder, "run.iterations=6")
+    accumulator.Reload()
+    assert before < set((folder / "tensorboard").iterdir())
+    for tag in ("losses/value_loss", "charts/evaluation_return"):
+        steps = [event.step for event in accumulator.Scalars(tag)]
+        assert steps == sorted(set(steps))
+        assert steps[-1] == 6 * STEPS_PER_ITERATION
 
 
 @pytest.mark.parametrize(

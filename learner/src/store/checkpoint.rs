@@ -21,6 +21,7 @@ use crate::durable::{self, FileError};
 use kept::{iterations, prune};
 use step::about_to;
 
+pub(crate) use kept::named_latest;
 pub use manifest::{FileEntry, Manifest, SCHEMA};
 pub use step::{Before, Step};
 

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Write as _};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 /// A file that could not be written or read.
@@ -76,6 +77,25 @@ pub fn make_folder(folder: &Path) -> Result<(), FileError> {
 pub(crate) fn sync_name(path: &Path) -> Result<(), FileError> {
     let named = path.parent().filter(|parent| !parent.as_os_str().is_empty());
     sync_folder(named.unwrap_or(Path::new(".")))
+}
+
+/// Whether `path` leads to the open file or folder. Only a path that leads nowhere or elsewhere does not: one that
+/// cannot be looked at fails when it is written.
+pub(crate) fn leads_to(path: &Path, open: &File) -> bool {
+    match (std::fs::metadata(path), open.metadata()) {
+        (Ok(found), Ok(own)) => (found.dev(), found.ino()) == (own.dev(), own.ino()),
+        (Err(error), _) => !is_absent(&error),
+        _ => true,
+    }
+}
+
+/// Whether `path` leads anywhere, as far as that can be known.
+pub(crate) fn exists(path: &Path) -> bool {
+    std::fs::metadata(path).map_or_else(|error| !is_absent(&error), |_| true)
+}
+
+fn is_absent(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
 /// Removes a folder with everything in it, if it is there.

@@ -34,14 +34,25 @@ impl JsonLines {
             bytes => bytes.map_err(FileError::of("read", path))?,
         };
         let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        // A crash may leave half of the last line.
+        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         let mut kept = Vec::new();
         let mut content = Vec::new();
+        let mut damaged = 0;
         for line in lines {
-            if let Some(value) = line_up_to(iteration, line) {
-                content.extend_from_slice(line);
-                content.push(b'\n');
-                kept.push(value);
+            match of_iteration(line) {
+                Some((found, value)) if found <= iteration => {
+                    content.extend_from_slice(line);
+                    content.push(b'\n');
+                    kept.push(value);
+                }
+                Some(_) => {}
+                None => damaged += 1,
             }
+        }
+        damaged -= usize::from(of_iteration(&text[whole..]).is_none() && whole < text.len());
+        if damaged > 0 {
+            tracing::warn!("{} has {damaged} damaged lines, which are dropped", path.display());
         }
         if content != text {
             durable::replace(path, &content)?;
@@ -86,6 +97,13 @@ impl JsonLines {
     }
 
     fn write_waiting(&mut self) -> Result<(), FileError> {
+        if !durable::leads_to(&self.path, &self.file) {
+            let path = self.path.display();
+            tracing::error!(
+                "{path} was removed or replaced; the run goes on in the file that has this name now"
+            );
+            self.file = opened(&self.path)?;
+        }
         while !self.waiting.is_empty() {
             let written = match self.file.write(&self.waiting) {
                 Ok(0) => Err(ErrorKind::WriteZero.into()),
@@ -148,10 +166,10 @@ pub fn gaps(lines: &[Value], kind: &str, last: u64) -> Vec<String> {
     ranges.into_iter().map(shown).collect()
 }
 
-fn line_up_to(iteration: u64, line: &[u8]) -> Option<Value> {
+/// A line and its iteration; `None` if the line is damaged.
+fn of_iteration(line: &[u8]) -> Option<(u64, Value)> {
     let value: Value = serde_json::from_slice(line).ok()?;
-    let found = value.get("iteration")?.as_u64()?;
-    (found <= iteration).then_some(value)
+    Some((value.get("iteration")?.as_u64()?, value))
 }
 
 #[cfg(test)]
@@ -190,13 +208,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.jsonl");
         let (mut lines, _) = JsonLines::cut(&path, 0).unwrap();
-        let full = OpenOptions::new().write(true).open("/dev/full").unwrap();
-        let disk = std::mem::replace(&mut lines.file, full);
+        let aside = folder.path().join("aside");
+        std::fs::rename(&path, &aside).unwrap();
+        std::os::unix::fs::symlink("/dev/full", &path).unwrap();
         lines.append(&json!({"iteration": 1})).unwrap();
         lines.append(&json!({"iteration": 2})).unwrap();
         let refused = lines.sync().unwrap_err().to_string();
         assert!(refused.contains("cannot append to"), "{refused}");
-        lines.file = disk;
+        std::fs::rename(&aside, &path).unwrap();
         lines.append(&json!({"iteration": 3})).unwrap();
         lines.sync().unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
@@ -208,6 +227,17 @@ mod tests {
         let lines = [1, 2, 7, 9].map(|iteration| json!({"iteration": iteration}));
         assert_eq!(gaps(&lines, "iteration", 10), ["3 to 6", "8", "10"]);
         assert!(gaps(&lines, "iteration", 2).is_empty());
+    }
+
+    #[test]
+    fn a_file_that_is_removed_meanwhile_gets_all_later_lines_under_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        let (mut lines, _) = JsonLines::cut(&path, 0).unwrap();
+        lines.append(&json!({"iteration": 1})).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        lines.append(&json!({"iteration": 2})).unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "{\"iteration\":2}\n");
     }
 
     #[test]

@@ -44,7 +44,7 @@ impl Provenance {
     /// Names the file if it cannot be read or written.
     pub fn open(run_folder: &Path, iteration: u64) -> Result<Self, FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(PROVENANCE_FILE), iteration)?;
-        let lost = gaps(&kept, "", iteration);
+        let lost = gaps(&kept, "iteration", iteration);
         if !lost.is_empty() {
             let path = lines.path().display();
             tracing::warn!("{path} has no lines of iterations {}", lost.join(", "));

@@ -1,5 +1,6 @@
 //! The folder of a run: which process may write to it, and what it says about the run.
 
+mod identity;
 mod manifest;
 mod token;
 
@@ -34,7 +35,7 @@ pub struct RunFolder {
     path: PathBuf,
     /// The operating system frees both locks with the process, however that ends. The folder's own lock holds even if
     /// the lock file is deleted; not every file system has it.
-    _locks: (File, Option<File>),
+    locks: (File, Option<File>),
 }
 
 /// Why a folder cannot be used for a run.
@@ -61,6 +62,15 @@ pub enum RunFolderError {
     #[error("{path} holds no run to resume: it has no {MANIFEST}")]
     NoRun {
         /// The folder.
+        path: PathBuf,
+    },
+    /// It is not where it was when it was claimed.
+    #[error(
+        "{path} was renamed, deleted or replaced while this run wrote to it; a resume of the folder, \
+         where it is now, continues from its newest checkpoint"
+    )]
+    Lost {
+        /// Where it was.
         path: PathBuf,
     },
     /// The run was started with other semantic settings.
@@ -265,7 +275,7 @@ impl RunFolder {
         lock.set_len(0)
             .and_then(|()| writeln!(lock, "{}", std::process::id()))
             .map_err(FileError::of("write", &place))?;
-        Ok(Self { path: path.to_path_buf(), _locks: (lock, folder) })
+        Ok(Self { path: path.to_path_buf(), locks: (lock, folder) })
     }
 
     fn check_manifest(&self, expected: &str) -> Result<(), RunFolderError> {
@@ -385,16 +395,5 @@ mod tests {
         let lines = std::fs::read_to_string(folder.path().join(STARTS)).unwrap();
         let commits = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
         assert!(commits.map(|start| start["commit"].clone()).eq(["first", "next"]));
-    }
-
-    #[test]
-    fn a_run_that_ever_had_a_foreign_actor_says_so_for_good() {
-        let folder = tempfile::tempdir().unwrap();
-        let run = RunFolder::claim_new(folder.path()).unwrap();
-        run.begin("", &manifest()).unwrap();
-        assert_eq!(run.manifest().unwrap()["foreign_actors"], false);
-        run.note_foreign_actors().unwrap();
-        run.begin("", &manifest()).unwrap();
-        assert_eq!(run.manifest().unwrap()["foreign_actors"], true);
     }
 }

@@ -176,7 +176,7 @@ impl RunningTrainer {
             self.record(&collected, &update)?;
             self.log_rewards(&collected, &shares);
             self.evaluate_if_due()?;
-            self.save_if_due();
+            self.save_if_due()?;
             self.save_if_requested();
         }
         self.end()
@@ -199,6 +199,7 @@ impl RunningTrainer {
         let complete = self.trainer.iteration >= self.trainer.last_iteration;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.trainer.metrics.sync()?;
+        self.trainer.folder.demand_in_place()?;
         if let Some(error) = self.outside.exchange.failure() {
             return Err(error.into());
         }
@@ -243,6 +244,7 @@ impl RunningTrainer {
         let now = self.outside.exchange.run_snapshot();
         let begun = std::mem::replace(&mut self.ended, Instant::now());
         let trainer = &mut self.trainer;
+        trainer.folder.demand_in_place()?;
         if now.foreign_actors > 0 {
             // Retried after every iteration until it succeeds.
             if let Err(error) = trainer.folder.note_foreign_actors() {

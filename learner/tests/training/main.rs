@@ -29,6 +29,16 @@ fn train_until(
     actors: u64,
     enough: impl Fn(&Event) -> bool + Send + 'static,
 ) -> (Summary, Vec<Event>) {
+    let (summary, events) = try_to_train(launch, actors, enough);
+    (summary.unwrap(), events)
+}
+
+/// The same for a run that may fail.
+fn try_to_train(
+    launch: Launch,
+    actors: u64,
+    enough: impl Fn(&Event) -> bool + Send + 'static,
+) -> (Result<Summary, LearnerError>, Vec<Event>) {
     let (lease, audit) = (launch.config.lease, launch.config.audit);
     let (trainer, run) = launch::prepare(launch).unwrap();
     let exchange = Exchange::new(run, lease, audit);
@@ -47,7 +57,7 @@ fn train_until(
     exchange.finish();
     actors.end();
     let events = std::mem::take(&mut *events.lock().unwrap());
-    (summary.unwrap(), events)
+    (summary, events)
 }
 
 fn train(launch: Launch, actors: u64) -> Summary {
@@ -190,6 +200,31 @@ fn a_disk_error_at_any_step_of_a_checkpoint_does_not_affect_training() {
         assert_eq!(failed, [0.0, 0.0, 1.0, 0.0], "{step:?}");
         // The retry after the next iteration succeeded.
         assert!(folder.path().join("checkpoints/iter_00000003").is_dir(), "{step:?}");
+    }
+}
+
+#[test]
+fn a_run_whose_folder_is_moved_ends_with_an_error_and_writes_nothing_in_its_place() {
+    for is_replaced in [false, true] {
+        let parent = tempfile::tempdir().unwrap();
+        let (folder, moved) = (parent.path().join("run"), parent.path().join("moved"));
+        let (from, to) = (folder.clone(), moved.clone());
+        let move_after_second = move |event: &Event| {
+            if matches!(event, Event::Iteration(report) if report.iteration == 2) {
+                std::fs::rename(&from, &to).unwrap();
+                // Another folder in its place is not the run's, either.
+                is_replaced.then(|| std::fs::create_dir(&from).unwrap());
+            }
+            false
+        };
+        let (ended, _) = try_to_train(launch_in(&folder, 5), 2, move_after_second);
+        let lost = LearnerError::RunFolder(RunFolderError::Lost { path: folder.clone() });
+        assert_eq!(ended.unwrap_err().to_string(), lost.to_string());
+        // Only an empty folder can be removed.
+        assert_eq!(std::fs::remove_dir(&folder).is_ok(), is_replaced);
+        assert!(!folder.exists());
+        std::fs::rename(&moved, &folder).unwrap();
+        assert_eq!(train(resumed(launch_in(&folder, 5)), 2).iteration, 5);
     }
 }
 

@@ -64,6 +64,8 @@ fn a_run_whose_messages_could_not_be_sent_is_refused_by_name() {
     assert_eq!(refused(|run| run.environment.agents[0].action.size = u32::MAX), "run.chunk_steps");
     assert_eq!(refused(|run| run.hidden_sizes.clear()), "run.hidden_sizes");
     assert_eq!(refused(|run| run.heartbeat_secs = f64::NAN), "run.heartbeat_secs");
+    assert_eq!(refused(|run| run.heartbeat_secs = 1e300), "run.heartbeat_secs");
+    assert_eq!(refused(|run| run.heartbeat_secs = 1e-300), "run.heartbeat_secs");
     assert_eq!(refused(|run| run.environment.dt_secs = 0.0), "run.environment.dt_secs");
 }
 

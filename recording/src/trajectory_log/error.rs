@@ -63,4 +63,7 @@ pub enum LogStartError {
         /// The cause.
         source: std::io::Error,
     },
+    /// The thread that writes the log cannot be started.
+    #[error("cannot start the log thread: {0}")]
+    Thread(std::io::Error),
 }

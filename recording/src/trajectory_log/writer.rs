@@ -77,7 +77,7 @@ impl Log {
     /// is part of the file names.
     ///
     /// # Errors
-    /// If the folder cannot be created.
+    /// If the folder cannot be created or the thread cannot be started.
     pub fn start(config: &LogConfig, actor: &str, threads: usize) -> Result<Self, LogStartError> {
         source::make_folder(&config.folder)?;
         let lost = Arc::new(Lost::default());
@@ -92,8 +92,7 @@ impl Log {
         };
         let (commands, queue) = sync_channel(QUEUE * threads);
         let thread = std::thread::Builder::new().name("log".to_owned());
-        let thread =
-            thread.spawn(move || writer.work(&queue)).expect("a process can start the log thread");
+        let thread = thread.spawn(move || writer.work(&queue)).map_err(LogStartError::Thread)?;
         let (episodes, actor) = (config.settings.episodes, actor.to_owned());
         Ok(Self { commands, lost, episodes, actor, thread })
     }

@@ -2,7 +2,7 @@
 //! as scalars over environment steps. The few fields needed are encoded by hand.
 
 use std::fs::{File, OpenOptions};
-use std::io::{ErrorKind, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -43,7 +43,9 @@ fn spent_secs(line: &Map<String, Value>) -> f64 {
 }
 
 impl EventFile {
-    /// Replaces the event files in `folder` by a new one with all lines. The last line gets the time `now`.
+    /// Writes a new event file with all lines; the last line gets the time `now`. Older files remain, because an open
+    /// TensorBoard does not notice that a file which it reads is gone: the start of a session at step 0, with which the
+    /// new file begins, replaces what they show.
     ///
     /// # Errors
     /// A file or the folder cannot be written.
@@ -52,12 +54,13 @@ impl EventFile {
         let lines = || lines.iter().filter_map(Value::as_object);
         let mut clock = Clock { secs: now_secs - lines().map(spent_secs).sum::<f64>() };
         let mut bytes = record(&version_event(clock.secs));
+        bytes.extend(record(&start_event(clock.secs)));
         for line in lines() {
             bytes.extend(record(&scalar_event(clock.at(line), line)));
         }
         durable::make_folder(folder)?;
-        remove_event_files(folder)?;
-        let path = folder.join(format!("{NAME}{:010}.s2mia", now_secs as u64));
+        let number = (now_secs as u64).max(newest(folder)?.map_or(0, |newest| newest + 1));
+        let path = folder.join(format!("{NAME}{number:010}.s2mia"));
         durable::write(&path, &bytes)?;
         let file = OpenOptions::new().append(true).open(&path);
         let file = file.map_err(FileError::of("open", &path))?;
@@ -76,24 +79,29 @@ impl View for EventFile {
     }
 }
 
-fn remove_event_files(folder: &Path) -> Result<(), FileError> {
+/// The largest number of an event file in the folder: its time. TensorBoard reads files in the order of their names.
+fn newest(folder: &Path) -> Result<Option<u64>, FileError> {
+    let mut newest = None;
     for entry in std::fs::read_dir(folder).map_err(FileError::of("read", folder))? {
-        let path = entry.map_err(FileError::of("read", folder))?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        match name.starts_with(NAME).then(|| std::fs::remove_file(&path)) {
-            Some(Err(error)) if error.kind() != ErrorKind::NotFound => {
-                return Err(FileError::of("remove", &path)(error));
-            }
-            _ => {}
-        }
+        let name = entry.map_err(FileError::of("read", folder))?.file_name();
+        let name = name.to_string_lossy();
+        let number = name.strip_prefix(NAME).and_then(|rest| rest.split('.').next()?.parse().ok());
+        newest = newest.max(number);
     }
-    Ok(())
+    Ok(newest)
 }
 
 /// The first event of every file: `Event { wall_time, file_version }`.
 fn version_event(wall_secs: f64) -> Vec<u8> {
     let mut event = wall_time(wall_secs);
     put_bytes(&mut event, 3, b"brain.Event:2");
+    event
+}
+
+/// `Event { wall_time, session_log: { status: START } }`: readers drop every point from its step on, which is 0.
+fn start_event(wall_secs: f64) -> Vec<u8> {
+    let mut event = wall_time(wall_secs);
+    put_bytes(&mut event, 7, &[key(1, VARINT), 1]);
     event
 }
 
@@ -210,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_file_replaces_the_old_one_and_ends_at_the_current_time() {
+    fn every_start_writes_a_later_file_that_begins_a_session_and_ends_at_the_current_time() {
         let folder = tempfile::tempdir().unwrap();
         let line = |iteration: u64| {
             json!({"kind": "iteration", "iteration": iteration, "env_steps": 40 * iteration,
@@ -222,10 +230,18 @@ mod tests {
         assert_eq!(first.clock.secs, 1003.0);
         let second = EventFile::make(folder.path(), &[line(1), line(2)], at(2000)).unwrap();
         assert_eq!(second.clock.secs, 2000.0);
-        let names: Vec<String> = std::fs::read_dir(folder.path())
+        // In the same second, and by a clock that was set back.
+        EventFile::make(folder.path(), &[line(1)], at(2000)).unwrap();
+        EventFile::make(folder.path(), &[line(1)], at(3)).unwrap();
+        let mut names: Vec<String> = std::fs::read_dir(folder.path())
             .unwrap()
             .map(|entry| entry.unwrap().file_name().into_string().unwrap())
             .collect();
-        assert_eq!(names, ["events.out.tfevents.0000002000.s2mia"]);
+        names.sort();
+        let expected = [1000, 2000, 2001, 2002];
+        assert_eq!(names, expected.map(|secs| format!("events.out.tfevents.{secs:010}.s2mia")));
+        let bytes = std::fs::read(folder.path().join(&names[3])).unwrap();
+        let start = [record(&version_event(0.0)), record(&start_event(0.0))].concat();
+        assert_eq!(bytes[..start.len()], start);
     }
 }

@@ -1,5 +1,5 @@
-//! Other formats of `metrics.jsonl`. They are rewritten from its lines when a run starts or resumes, so they also
-//! contain each iteration exactly once.
+//! Other formats of `metrics.jsonl`. They are written anew from its lines when a run starts or resumes, so they also
+//! show each iteration exactly once.
 
 use std::path::Path;
 use std::time::SystemTime;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{CheckpointError, DRAFT, name};
+use super::{CheckpointError, DRAFT, LATEST, name};
 use crate::config::CheckpointConfig;
 use crate::durable::{self, FileError};
 
@@ -21,6 +21,13 @@ pub(super) fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
     }
     found.sort_unstable();
     Ok(found)
+}
+
+/// The iteration that `LATEST` names; `None` if it names none.
+pub(crate) fn named_latest(run_folder: &Path) -> Option<u64> {
+    let text = std::fs::read_to_string(super::folder(run_folder).join(LATEST)).ok()?;
+    let iteration = text.trim().strip_prefix("iter_")?.parse().ok()?;
+    (name(iteration) == text.trim()).then_some(iteration)
 }
 
 /// Removes all but the newest `keep_last` up to `newest` and the multiples of `keep_every`, and drafts that

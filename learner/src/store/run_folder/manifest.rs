@@ -48,6 +48,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::run_folder::RunFolder;
 
     #[test]
     fn a_flipped_bit_in_any_byte_but_a_blank_is_damage() {
@@ -64,5 +65,17 @@ mod tests {
             let error = read(&path).unwrap_err();
             assert!(matches!(error, RunFolderError::Damaged { .. }), "byte {at}: {error}");
         }
+    }
+
+    #[test]
+    fn a_run_that_ever_had_a_foreign_actor_says_so_for_good() {
+        let folder = tempfile::tempdir().unwrap();
+        let start = json!({"config_sha256": "aa"});
+        let run = RunFolder::claim_new(folder.path()).unwrap();
+        run.begin("", &start).unwrap();
+        assert_eq!(run.manifest().unwrap()["foreign_actors"], false);
+        run.note_foreign_actors().unwrap();
+        run.begin("", &start).unwrap();
+        assert_eq!(run.manifest().unwrap()["foreign_actors"], true);
     }
 }

@@ -54,6 +54,7 @@ impl RunningTrainer {
     }
 
     fn wait(&mut self) -> Result<(), LearnerError> {
+        self.trainer.folder.demand_in_place()?;
         if self.save_if_requested() {
             self.enter(Stage::Collect);
         }

@@ -1,5 +1,6 @@
 //! Checkpoints of the trainer: their content and when they are written.
 
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,11 +17,14 @@ use crate::trainer::{RunningTrainer, Trainer};
 impl RunningTrainer {
     /// Writes a checkpoint every `checkpoint.every` iterations. A failed one is logged as an error and retried after
     /// the next iteration. Meanwhile training continues and the service reports [`Storage::Degraded`].
-    pub(super) fn save_if_due(&mut self) {
+    ///
+    /// # Errors
+    /// The run folder is lost.
+    pub(super) fn save_if_due(&mut self) -> Result<(), LearnerError> {
         let trainer = &self.trainer;
         let due = trainer.iteration.is_multiple_of(trainer.config.checkpoint.every);
         if !due && trainer.failed_saves == 0 {
-            return;
+            return Ok(());
         }
         let storage = match self.save_now() {
             Ok(_) => {
@@ -28,6 +32,7 @@ impl RunningTrainer {
                 Storage::Sound
             }
             Err(error) => {
+                self.trainer.folder.demand_in_place()?;
                 self.trainer.failed_saves += 1;
                 let failures = self.trainer.failed_saves;
                 let then = "training continues; retrying after the next iteration";
@@ -37,6 +42,7 @@ impl RunningTrainer {
             }
         };
         self.outside.exchange.report_storage(storage);
+        Ok(())
     }
 
     /// Writes a checkpoint if an operator requested one, and answers the request. Returns whether there was a request.
@@ -48,9 +54,9 @@ impl RunningTrainer {
     /// Writes a checkpoint of the last finished iteration, unless it already exists.
     pub(super) fn save_now(&mut self) -> Result<Saved, LearnerError> {
         let iteration = self.trainer.iteration;
-        if let Some(saved) =
-            self.trainer.saved.as_ref().filter(|saved| saved.iteration == iteration)
-        {
+        self.trainer.folder.demand_in_place()?;
+        let stands = |saved: &&Saved| saved.iteration == iteration && saved.path.is_dir();
+        if let Some(saved) = self.trainer.saved.as_ref().filter(stands) {
             return Ok(saved.clone());
         }
         self.enter(Stage::Save);
@@ -85,6 +91,7 @@ impl Trainer {
             if step == Step::Rename {
                 self.fault_at(Point::MidCheckpoint);
             }
+            self.folder.demand_in_place().map_err(io::Error::other)?;
             fault::on_disk(self.fault, step, self.iteration)
         };
         Ok(checkpoint::save(folder, &checkpoint, settings, keep, &mut before)?)

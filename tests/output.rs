@@ -1,0 +1,90 @@
+//! Output that cannot be written: a full disk is an error, a reader that has gone ends a command that only prints.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+#[path = "system/runs.rs"]
+mod runs;
+
+use std::fs::File;
+use std::io::{PipeWriter, pipe};
+use std::process::{Command, Stdio};
+
+use runs::{Runs, TINY, train};
+
+fn s2mia(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(arguments);
+    command
+}
+
+/// A pipe whose reader has gone.
+fn unread() -> PipeWriter {
+    pipe().unwrap().1
+}
+
+#[test]
+fn a_full_disk_is_an_error_of_one_line_for_every_command_that_prints() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    train(&folder, &["run.iterations=1"]);
+    let run = folder.to_str().unwrap();
+    let out = runs.folder("onnx");
+    for arguments in [
+        &["eval", run, "--episodes", "1", "--json"][..],
+        &["inspect", run],
+        &["status", run, "--json"],
+        &["watch", run, "--lines"],
+        &["export", run, "--onnx", out.to_str().unwrap()],
+        &["config", "cue-2x1"],
+        &["tasks", "--json"],
+        &["train", "--resume", run, "run.iterations=2"],
+        &["--help"],
+        &["--version"],
+    ] {
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let output = s2mia(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        let line = String::from_utf8(output.stderr).unwrap();
+        let expected =
+            "error: cannot write to standard output: No space left on device (os error 28)\n";
+        assert_eq!((output.status.code(), &*line), (Some(1), expected), "{arguments:?}");
+    }
+    assert_eq!(runs::inspect(&folder)["iteration"], 2);
+}
+
+#[test]
+fn a_reader_that_has_gone_changes_no_status() {
+    for (arguments, status) in [
+        (&["--help"][..], 0),
+        (&["--version"], 0),
+        (&["eval", "--help"], 0),
+        (&["config"], 0),
+        (&["tasks"], 0),
+        (&["inspect", "no/such/run"], 2),
+        (&["dance"], 2),
+        (&[], 2),
+    ] {
+        let ended = s2mia(arguments).stdout(unread()).stderr(unread()).status().unwrap();
+        assert_eq!(ended.code(), Some(status), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_watch_that_nobody_reads_ends_and_the_run_goes_on() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let dir = format!("run.dir={}", folder.display());
+    let endless =
+        [TINY, &["run.iterations=1000000", &dir, "--stop-with-stdin", "--page=off"]].concat();
+    let mut training = s2mia(&[&["train"], &endless[..]].concat());
+    // Its own output is not read, either.
+    let mut training = training.stdin(Stdio::piped()).stdout(unread()).spawn().unwrap();
+    while !folder.join("checkpoints/LATEST").is_file() {
+        assert_eq!(training.try_wait().unwrap(), None);
+        std::thread::yield_now();
+    }
+    let watch = ["watch", folder.to_str().unwrap(), "--lines"];
+    let watched = s2mia(&watch).stdout(unread()).stderr(Stdio::null()).status().unwrap();
+    assert_eq!(watched.code(), Some(0));
+    assert_eq!(training.try_wait().unwrap(), None);
+    drop(training.stdin.take());
+    assert_eq!(training.wait().unwrap().code(), Some(0));
+}
