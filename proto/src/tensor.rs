@@ -8,6 +8,15 @@ use crate::{Reason, Refusal, wire};
 /// quantities are far smaller.
 pub(crate) const MAX_MAGNITUDE: f32 = 1e9;
 
+/// Refusal of `value`, which is not finite or exceeds `limit`; `what` begins the detail.
+pub(crate) fn unusable(field: &str, what: &str, value: f64, limit: f64) -> Refusal {
+    if value.is_finite() {
+        let detail = format!("{what} {value:e}, its magnitude must be at most {limit:e}");
+        return Refusal::new(Reason::BadValue, field, detail);
+    }
+    Refusal::new(Reason::NotFinite, field, format!("{what} {value}"))
+}
+
 /// Floats as a tensor of `shape`.
 pub(crate) fn floats(shape: &[usize], values: &[f32]) -> wire::Tensor {
     debug_assert_eq!(shape.iter().product::<usize>(), values.len(), "shape {shape:?}");
@@ -61,10 +70,12 @@ impl<'a> Floats<'a> {
         let sane = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
         match values.iter().position(|value| !sane.contains(value)) {
             None => Ok(values),
-            Some(at) => {
-                let detail = format!("element {at} is {}", values[at]);
-                Err(Refusal::new(Reason::NotFinite, self.field.clone(), detail))
-            }
+            Some(at) => Err(unusable(
+                &self.field,
+                &format!("element {at} is"),
+                values[at].into(),
+                MAX_MAGNITUDE.into(),
+            )),
         }
     }
 }
