@@ -7,6 +7,10 @@ import numpy as np
 from s2mia import wire
 
 
+class InvalidEnvironment(ValueError):
+    """An environment that cannot be served, or the wrong arguments for one; one line that says what to do."""
+
+
 class Environment(abc.ABC):
     """One environment. It must be a deterministic function of the seed, or the restored state, and the actions."""
 
