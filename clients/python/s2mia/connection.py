@@ -22,9 +22,10 @@ _OPTIONS = [
     ("grpc.enable_http_proxy", 0),
     # A learner that requires TLS closes a plain connection before the call, which gRPC would repeat until the deadline.
     ("grpc.enable_retries", 0),
-    # A call to a machine that no longer answers ends after 30 s, however long its deadline is.
+    # A call to a machine that no longer answers ends within 30 s, however long its deadline is.
     ("grpc.keepalive_time_ms", 20_000),
     ("grpc.keepalive_timeout_ms", 10_000),
+    ("grpc.http2.ping_timeout_ms", 10_000),
     ("grpc.http2.max_pings_without_data", 0),
 ]
 
