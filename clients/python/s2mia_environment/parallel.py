@@ -233,9 +233,10 @@ def _agents(env) -> list:
 
 def _has_state(env) -> bool:
     """Whether the environment has a `state()` of its own. Errors inside it are raised."""
-    if not _declares(env.unwrapped, "state") and not _declares(env, "state"):
+    having = [one for one in (env.unwrapped, env) if _declares(one, "state")]
+    if not having:
         return False
-    if not callable(env.state):
+    if not all(callable(one.state) for one in having):
         raise InvalidEnvironment("the environment's attribute state must be PettingZoo's method state(), or have another name")
     try:
         env.state()
