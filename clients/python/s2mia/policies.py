@@ -112,8 +112,9 @@ def _numbers(agent: int, observation: ArrayLike) -> Floats:
     try:
         numbers = np.asarray(observation)
         if numbers.dtype.kind not in "biuf":
-            # Raises for most other types; the rest, such as complex numbers, would lose a part.
-            np.asarray(observation, np.float32)
+            if numbers.dtype.kind != "c":
+                # Raises for texts that are no numbers, and says which.
+                np.asarray(observation, np.float32)
             raise TypeError(f"it has the type {numbers.dtype}")
         with np.errstate(over="ignore"):
             return numbers.astype(np.float32)
