@@ -70,7 +70,7 @@ impl Listening {
         let address = self.address;
         let listener = TcpListener::bind(address)
             .await
-            .with_context(|| format!("cannot listen on {address}"))?;
+            .with_context(|| format!("cannot listen on {address}; --listen selects another"))?;
         let bound = listener.local_addr()?;
         Ok(match self.tls {
             Some(tls) => (Listener::authenticated(listener, tls), format!("https://{bound}")),

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from s2mia import wire
 
 from s2mia_environment.environment import Environment, EnvironmentBatch, InvalidEnvironment, OneByOne
-from s2mia_environment.parallel import Parallel
+from s2mia_environment.parallel import Parallel, declares
 
 
 def batch_of(function: str, settings: dict) -> EnvironmentBatch:
@@ -68,6 +68,6 @@ def _called(function: Callable, place: str, settings: dict):
 
 def _described(made):
     """The same environment, if it has a description."""
-    if not isinstance(getattr(made, "spec", None), wire.EnvironmentSpec):
+    if not declares(made, "spec") or not isinstance(made.spec, wire.EnvironmentSpec):
         raise InvalidEnvironment(f"{type(made).__name__} must set spec, a wire.EnvironmentSpec, when it is made")
     return made

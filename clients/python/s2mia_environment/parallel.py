@@ -129,7 +129,7 @@ class Parallel(Environment):
         """Steps after which the client truncates an episode."""
         base = self.env.unwrapped
         for name in _LENGTHS:
-            if _declares(base, name) and (steps := getattr(base, name)):
+            if declares(base, name) and (steps := getattr(base, name)):
                 return int(steps)
         note("length", f"an episode is truncated after {EPISODE_STEPS} steps; the environment has no {', '.join(_LENGTHS)}")
         return EPISODE_STEPS
@@ -207,7 +207,7 @@ def _names(agents: list) -> str:
     return ", ".join(map(str, agents))
 
 
-def _declares(env, name: str) -> bool:
+def declares(env, name: str) -> bool:
     """Whether `env` has this attribute. An error inside a property is not taken for its absence, as by `hasattr`."""
     return inspect.getattr_static(env, name, None) is not None or hasattr(env, name)
 
@@ -215,11 +215,11 @@ def _declares(env, name: str) -> bool:
 def _agents(env) -> list:
     """The agents of a `ParallelEnv`."""
     kind = type(env).__name__
-    if _declares(type(env), "agent_iter"):
+    if declares(type(env), "agent_iter"):
         advice = "give a function that returns its parallel_env, or pettingzoo.utils.aec_to_parallel(env)"
         raise InvalidEnvironment(f"{kind} is an AEC environment, whose agents act in turns; {advice}")
     wanted = ("possible_agents", "observation_space", "action_space", "reset", "step", "metadata", "unwrapped")
-    if missing := [name for name in wanted if isinstance(env, type) or not _declares(env, name)]:
+    if missing := [name for name in wanted if isinstance(env, type) or not declares(env, name)]:
         raise InvalidEnvironment(f"{kind} is no PettingZoo ParallelEnv: it has no {', '.join(missing)}")
     try:
         inspect.signature(env.reset).bind(seed=0)
@@ -233,7 +233,7 @@ def _agents(env) -> list:
 
 def _has_state(env) -> bool:
     """Whether the environment has a `state()` of its own. Errors inside it are raised."""
-    having = [one for one in (env.unwrapped, env) if _declares(one, "state")]
+    having = [one for one in (env.unwrapped, env) if declares(one, "state")]
     if not having:
         return False
     if not all(callable(one.state) for one in having):
@@ -247,7 +247,7 @@ def _has_state(env) -> bool:
         return False
     except AttributeError:
         # Wrappers have a `state` that calls the one of an environment without any.
-        if _declares(env.unwrapped, "state"):
+        if declares(env.unwrapped, "state"):
             raise
         return False
     return True
