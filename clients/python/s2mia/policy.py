@@ -28,7 +28,8 @@ INPUT_NORMS = ("layer_norm", "none")
 MAX_SIZE = 1 << 20
 _SIZES = ("observation", "action")
 _SIZES_OF_CORE = {"gru": ("encoder", "hidden"), "mlp": ("width", "layers")}
-_KNOWN = {"core", "input_norm", *_SIZES, *_SIZES_OF_CORE["gru"], *_SIZES_OF_CORE["mlp"], "chunk_steps", "sigma_scale", "head"}
+_KNOWN = {*_SIZES, *_SIZES_OF_CORE["gru"], *_SIZES_OF_CORE["mlp"]}
+_KNOWN |= {"core", "input_norm", "chunk_steps", "sigma_scale", "head"}
 
 
 def read_safetensors(data: bytes, source: str = "snapshot") -> tuple[dict[str, Floats], dict[str, str]]:

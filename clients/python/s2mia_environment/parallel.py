@@ -131,7 +131,8 @@ class Parallel(Environment):
         for name in _LENGTHS:
             if declares(base, name) and (steps := getattr(base, name)):
                 return int(steps)
-        note("length", f"an episode is truncated after {EPISODE_STEPS} steps; the environment has no {', '.join(_LENGTHS)}")
+        names = " or ".join(_LENGTHS)
+        note("length", f"an episode is truncated after {EPISODE_STEPS} steps; the environment has no {names}")
         return EPISODE_STEPS
 
     def reset(self, seed: bytes) -> None:
@@ -177,7 +178,8 @@ class Parallel(Environment):
     def _of_agents(self, what: str, found: Mapping) -> list:
         """The entries of all agents in a dictionary that the environment returned."""
         if not isinstance(found, Mapping):
-            raise InvalidEnvironment(f"{self._place()}: {what} must be a dictionary of all agents, not {type(found).__name__}")
+            kind = type(found).__name__
+            raise InvalidEnvironment(f"{self._place()}: {what} must be a dictionary of all agents, not {kind}")
         missing = [agent for agent in self.agents if agent not in found]
         if missing or len(found) > len(self.agents):
             more = [agent for agent in found if agent not in self.agents]
@@ -199,7 +201,8 @@ class Parallel(Environment):
         for agent, flag in zip(self.agents, flags, strict=True):
             # A text or an array would count as true.
             if np.shape(flag) != () or flag not in (0, 1):
-                raise InvalidEnvironment(f"{self._place()}: {what} of agent {agent} is {flag!r}, expected True or False")
+                place = self._place()
+                raise InvalidEnvironment(f"{place}: {what} of agent {agent} is {flag!r}, expected True or False")
         return any(flags)
 
 
@@ -237,7 +240,7 @@ def _has_state(env) -> bool:
     if not having:
         return False
     if not all(callable(one.state) for one in having):
-        raise InvalidEnvironment("the environment's attribute state must be PettingZoo's method state(), or have another name")
+        raise InvalidEnvironment("the attribute state must be PettingZoo's method state(), or have another name")
     try:
         env.state()
     except NotImplementedError as error:

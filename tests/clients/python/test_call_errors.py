@@ -114,10 +114,12 @@ def test_certificates_that_do_not_match_are_named(serve, tmp_path):
     for name in ("own", "other"):
         s2mia_run("certs", tmp_path / name)
     own, other = tmp_path / "own", tmp_path / "other"
-    server = ["--tls-certificate", own / "server.pem", "--tls-key", own / "server.key", "--tls-client-ca", own / "ca.pem"]
+    server = ["--tls-certificate", own / "server.pem", "--tls-key", own / "server.key"]
+    server += ["--tls-client-ca", own / "ca.pem"]
     secured, plain = serve("secured", [*SMALL, *server]), serve("plain", SMALL)
     tls = s2mia.Tls(own / "ca.pem", own / "admin.pem", own / "admin.key")
-    for call in (s2mia.Client(f"https://{plain.address}", tls=tls).status, lambda: s2mia.Learner(f"https://{plain.address}", tls=tls)):
+    url = f"https://{plain.address}"
+    for call in (s2mia.Client(url, tls=tls).status, lambda: s2mia.Learner(url, tls=tls)):
         assert failure(call).endswith("; the server has no TLS: use http://")
     address = secured.url.removeprefix("https://")
     for call in (s2mia.Client(address).status, lambda: s2mia.Learner(address)):

@@ -224,7 +224,10 @@ def test_a_request_that_makes_no_sense_is_refused_in_one_line():
     with grpc.insecure_channel(address, options=[("grpc.enable_http_proxy", 0)]) as channel:
         play = wire.EnvironmentServiceStub(channel).Play
         for requests, why in [
-            ([wire.PlayRequest(save=wire.SaveEnvironment(environment=3))], "environment 3 was neither reset nor restored"),
+            (
+                [wire.PlayRequest(save=wire.SaveEnvironment(environment=3))],
+                "environment 3 was neither reset nor restored",
+            ),
             ([wire.PlayRequest(reset=wire.ResetEnvironment(seed=b"x"))], "reset.seed has 1 bytes, a seed has 32"),
             ([reset, wire.PlayRequest(step=wire.StepEnvironments(environments=[0], actions=[rows, rows]))],
              "step.actions have the shapes [(1, 2), (1, 2)], expected [(1, 1), (1, 1)]"),
