@@ -240,7 +240,8 @@ def _has_state(env) -> bool:
     if not having:
         return False
     if not all(callable(one.state) for one in having):
-        raise InvalidEnvironment("the attribute state must be PettingZoo's method state(), or have another name")
+        note("state", "the attribute state is not PettingZoo's method state(); all observations are the global state")
+        return False
     try:
         env.state()
     except NotImplementedError as error:

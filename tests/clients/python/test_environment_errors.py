@@ -59,9 +59,9 @@ def test_the_limits_of_64_bits_are_not_exceeded(kind):
 def test_an_error_inside_state_is_raised_and_a_missing_state_is_all_observations():
     assert len(Parallel(Described()).spec.state) == 7
     assert len(Parallel(BaseParallelWrapper(Described())).spec.state) == 7
-    for env in (Game(), BaseParallelWrapper(Game())):
+    for env in (Game(), BaseParallelWrapper(Game()), Attribute(), BaseParallelWrapper(Attribute())):
         assert len(Parallel(env).spec.state) == 6
-    for kind, error in ((Misspelt, AttributeError), (Unfinished, NotImplementedError), (Attribute, InvalidEnvironment)):
+    for kind, error in ((Misspelt, AttributeError), (Unfinished, NotImplementedError)):
         with pytest.raises(error):
             Parallel(kind())
         with pytest.raises(error):
