@@ -1,5 +1,7 @@
 //! Tensors in messages: checks of type, shape and length, and, only after that, decoding.
 
+use std::fmt::{Display, LowerExp};
+
 use bytes::Bytes;
 
 use crate::{Reason, Refusal, wire};
@@ -9,8 +11,11 @@ use crate::{Reason, Refusal, wire};
 pub(crate) const MAX_MAGNITUDE: f32 = 1e9;
 
 /// Refusal of `value`, which is not finite or exceeds `limit`; `what` begins the detail.
-pub(crate) fn unusable(field: &str, what: &str, value: f64, limit: f64) -> Refusal {
-    if value.is_finite() {
+pub(crate) fn unusable<F>(field: &str, what: &str, value: F, limit: F) -> Refusal
+where
+    F: Copy + Display + LowerExp + Into<f64>,
+{
+    if value.into().is_finite() {
         let detail = format!("{what} {value:e}, its magnitude must be at most {limit:e}");
         return Refusal::new(Reason::BadValue, field, detail);
     }
@@ -70,12 +75,10 @@ impl<'a> Floats<'a> {
         let sane = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
         match values.iter().position(|value| !sane.contains(value)) {
             None => Ok(values),
-            Some(at) => Err(unusable(
-                &self.field,
-                &format!("element {at} is"),
-                values[at].into(),
-                MAX_MAGNITUDE.into(),
-            )),
+            Some(at) => {
+                let what = format!("element {at} is");
+                Err(unusable(&self.field, &what, values[at], MAX_MAGNITUDE))
+            }
         }
     }
 }
