@@ -189,7 +189,12 @@ pub(crate) struct LearnerArguments {
     #[command(flatten)]
     pub(crate) resume: ResumeArguments,
     /// Address on which the learner listens for actors.
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:50051",
+        value_parser = crate::listening::address
+    )]
     pub(crate) listen: SocketAddr,
     /// TLS.
     #[command(flatten)]

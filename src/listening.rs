@@ -13,6 +13,19 @@ use tokio::net::TcpListener;
 use crate::cli::ServerTlsArguments;
 use crate::errors::Usage;
 
+/// Parses the address of an option, for clap.
+pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| {
+        security::addresses::check_port(text).err().map_or_else(
+            || {
+                "expected an IP address with a port, such as 127.0.0.1:50051 or [::1]:50051"
+                    .to_owned()
+            },
+            |port| port.to_string(),
+        )
+    })
+}
+
 /// Refuses `address`, given by `flag`, if other machines can reach it; `permission` says how to allow that.
 pub(crate) fn demand_loopback(
     flag: &str,
@@ -57,7 +70,7 @@ impl Listening {
         let address = self.address;
         let listener = TcpListener::bind(address)
             .await
-            .with_context(|| format!("cannot listen on {address}"))?;
+            .with_context(|| format!("cannot listen on {address}; --listen selects another"))?;
         let bound = listener.local_addr()?;
         Ok(match self.tls {
             Some(tls) => (Listener::authenticated(listener, tls), format!("https://{bound}")),
@@ -69,6 +82,18 @@ impl Listening {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_address_that_cannot_be_used_is_refused_with_its_port_or_the_form() {
+        assert_eq!(address("[::1]:0"), Ok("[::1]:0".parse().unwrap()));
+        assert_eq!(
+            address("127.0.0.1:99999").unwrap_err(),
+            "the port 99999 is not a number from 0 to 65535"
+        );
+        for text in ["localhost:50051", "127.0.0.1", "50051"] {
+            assert!(address(text).unwrap_err().starts_with("expected an IP address"), "{text}");
+        }
+    }
 
     #[test]
     fn plain_text_is_accepted_from_loopback_only() {

@@ -181,14 +181,14 @@ fn an_invalid_description_is_rejected_by_field_before_the_run_starts() {
 #[test]
 fn an_invalid_answer_ends_the_actors_with_its_field() {
     type Lie = fn(&mut Answer);
-    let lies: [(Lie, &str); 5] = [
+    let lies: [(Lie, &str); 6] = [
         (
             |answer| {
                 if let Answer::View(view) = answer {
                     view.observations.pop();
                 }
             },
-            "view.observations: 1 entries, expected 2",
+            "view.observations: 1 entries, expected 2 (after a reset)",
         ),
         (
             |answer| {
@@ -196,7 +196,15 @@ fn an_invalid_answer_ends_the_actors_with_its_field() {
                     steps.reward.as_mut().unwrap().data = f32::NAN.to_le_bytes().repeat(2).into();
                 }
             },
-            "NOT_FINITE: steps.reward: element 0 is NaN",
+            "NOT_FINITE: steps.reward: element 0 is NaN (step",
+        ),
+        (
+            |answer| {
+                if let Answer::Steps(steps) = answer {
+                    steps.reward.as_mut().unwrap().data = 4e10_f32.to_le_bytes().repeat(2).into();
+                }
+            },
+            "BAD_VALUE: steps.reward: element 0 is 4e10, its magnitude must be at most 1e9",
         ),
         (
             |answer| {

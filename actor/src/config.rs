@@ -47,6 +47,7 @@ impl Config {
     /// If the URL is invalid, plain text to another machine is not allowed, or a certificate cannot be used.
     pub fn validate(&self) -> Result<(), ActorError> {
         let wrong = |why: &str| ActorError::Url { url: self.learner.clone(), why: why.to_owned() };
+        addresses::check_port(&self.learner).map_err(|port| wrong(&port.to_string()))?;
         let url: Uri = self.learner.parse().map_err(|_| wrong("write http://HOST:50051"))?;
         let (scheme, host) = (url.scheme_str(), url.host().unwrap_or_default());
         match (&self.transport, scheme) {
@@ -76,6 +77,9 @@ pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorEr
     let wrong =
         |why: &str| Err(ActorError::EnvironmentUrl { url: url.to_owned(), why: why.to_owned() });
     let Ok(parsed) = url.parse::<Uri>() else { return wrong("write http://HOST:PORT") };
+    if let Err(port) = addresses::check_port(url) {
+        return wrong(&port.to_string());
+    }
     let local = addresses::is_loopback(parsed.host().unwrap_or_default());
     match parsed.scheme_str() {
         Some("http") if local || *transport == Transport::PlainText => Ok(()),
@@ -129,6 +133,7 @@ mod tests {
             ("http://gpu-box:7", "another machine"),
             ("https://localhost:7", "write http://HOST:PORT"),
             ("localhost:7", "write http://HOST:PORT"),
+            ("http://localhost:70000", "the port 70000 is not a number from 0 to 65535"),
         ] {
             let line = check(url, &Transport::PlainTextOnLoopback).unwrap_err();
             assert!(line.contains(why), "{line}");
@@ -139,6 +144,8 @@ mod tests {
     fn the_scheme_must_match_the_certificates() {
         let line = refusal("https://learner:1", Transport::PlainText);
         assert!(line.contains("needs --tls-ca"), "{line}");
+        let line = refusal("http://localhost:70000", Transport::PlainTextOnLoopback);
+        assert!(line.contains("the port 70000 is not"), "{line}");
         for url in ["localhost:50051", "localhost", "ftp://localhost", ""] {
             let line = refusal(url, Transport::PlainTextOnLoopback);
             assert!(

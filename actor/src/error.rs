@@ -5,7 +5,7 @@ use recording::trajectory_log::LogStartError;
 use security::SecurityError;
 use sim::SimError;
 use thiserror::Error;
-use tonic::Status;
+use tonic::{Code, Status};
 
 /// Why an actor stopped before the end of its run.
 #[derive(Debug, Error)]
@@ -91,7 +91,7 @@ pub enum ActorError {
 #[derive(Debug, Error)]
 pub enum EnvironmentError {
     /// The program cannot be reached or closed the stream.
-    #[error("the environment at {url} does not answer: {}", describe(.status))]
+    #[error("the environment at {url} {}", outcome(.status))]
     Away {
         /// URL of the environment.
         url: String,
@@ -106,6 +106,19 @@ pub enum EnvironmentError {
         /// The field and the reason.
         refusal: Box<Refusal>,
     },
+}
+
+impl EnvironmentError {
+    /// The error with the place in the episodes at which the answer was invalid.
+    pub(crate) fn at(self, place: &str) -> Self {
+        match self {
+            Self::Wrong { url, refusal } => {
+                let detail = format!("{} ({place})", refusal.detail);
+                Self::Wrong { url, refusal: Box::new(Refusal { detail, ..*refusal }) }
+            }
+            away => away,
+        }
+    }
 }
 
 impl From<EnvironmentError> for SimError {
@@ -133,6 +146,14 @@ pub(crate) fn describe(status: &Status) -> String {
     match Refusal::from_status(status) {
         Some(refusal) => refusal.to_string(),
         None => in_words(status),
+    }
+}
+
+/// What the program did instead of answering. With INVALID_ARGUMENT it reports an error of the environment.
+fn outcome(status: &Status) -> String {
+    match status.code() {
+        Code::InvalidArgument => format!("failed: {}", status.message()),
+        _ => format!("does not answer: {}", describe(status)),
     }
 }
 

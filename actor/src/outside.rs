@@ -193,7 +193,8 @@ impl EnvironmentBatch for OutsideEnvironments {
         limit: u32,
         key: [u8; KEY_BYTES],
     ) -> Result<(), SimError> {
-        let view = self.play.get_mut().reset(environment as u32, key)?;
+        let view = self.play.get_mut().reset(environment as u32, key);
+        let view = view.map_err(|error| error.at("after a reset"))?;
         let limit = limit.clamp(1, self.description.episode_steps);
         let now = &mut self.episodes[environment];
         (now.index, now.step, now.limit, now.key) = (episode, 0, limit, key);
@@ -268,7 +269,8 @@ impl OutsideEnvironments {
     ) -> Result<(), SimError> {
         let numbers = environments.iter().map(|environment| *environment as u32).collect();
         let actions_by_agent = self.by_agent(actions);
-        let steps = self.play.get_mut().step(numbers, actions_by_agent)?;
+        let answer = self.play.get_mut().step(numbers, actions_by_agent);
+        let steps = answer.map_err(|error| error.at(&self.place(environments)))?;
         let width = self.sizes.iter().sum::<usize>();
         for (row, &environment) in environments.iter().enumerate() {
             let now = &mut self.episodes[environment];
@@ -283,6 +285,17 @@ impl OutsideEnvironments {
                 Outcome { reward: steps.reward[row], terminated, truncated, fault: false };
         }
         Ok(())
+    }
+
+    /// The step of their episodes that these environments take, for errors.
+    fn place(&self, environments: &[usize]) -> String {
+        let steps = environments.iter().map(|environment| self.episodes[*environment].step);
+        let (first, last) =
+            steps.fold((u32::MAX, 0), |(first, last), step| (first.min(step), last.max(step)));
+        match first == last {
+            true => format!("step {first} of the episode"),
+            false => format!("steps {first} to {last} of {} episodes", environments.len()),
+        }
     }
 
     /// Splits `[n, A]` into `[n, act]` for each agent.

@@ -102,7 +102,8 @@ impl PlayRequest {
             }
             Request::Save(save) => Self::Save { environment: save.environment },
             Request::Step(step) => {
-                let sizes = spec.agents.iter().map(|agent| agent.action.size as usize);
+                let sizes = spec.agents.iter();
+                let sizes = sizes.map(|agent| (agent.name.as_str(), agent.action.size as usize));
                 let count = step.environments.len();
                 let actions = columns(&step.actions, count, sizes, "step.actions")?;
                 Self::Step { environments: step.environments.clone(), actions }
@@ -142,7 +143,7 @@ impl View {
         count: usize,
         field: &str,
     ) -> Result<Self, Refusal> {
-        let sizes = spec.agents.iter().map(|agent| agent.observation.len());
+        let sizes = spec.agents.iter().map(|agent| (agent.name.as_str(), agent.observation.len()));
         let observations =
             columns(&wire.observations, count, sizes, &format!("{field}.observations"))?;
         let shape = [count, spec.state.len()];
@@ -227,16 +228,24 @@ fn other_answer(found: Option<&Answer>, expected: &str) -> Refusal {
     bad_value("answer", format!("{found}, expected {expected}"))
 }
 
-/// For each agent `[count, size]`.
-fn columns(
+/// For each agent `[count, size]`; `sizes` has the agents' names, which errors contain.
+fn columns<'a>(
     tensors: &[wire::Tensor],
     count: usize,
-    sizes: impl ExactSizeIterator<Item = usize>,
+    sizes: impl ExactSizeIterator<Item = (&'a str, usize)>,
     field: &str,
 ) -> Result<Vec<Vec<f32>>, Refusal> {
     length(tensors.len(), sizes.len(), field)?;
-    let checked = tensors.iter().zip(sizes).enumerate().map(|(i, (tensor, size))| {
-        Floats::check(Some(tensor), &[count, size], format!("{field}[{i}]"))?.decode()
+    let checked = tensors.iter().zip(sizes).enumerate().map(|(i, (tensor, (agent, size)))| {
+        let floats = Floats::check(Some(tensor), &[count, size], format!("{field}[{i}]"));
+        let named = |refusal: Refusal| {
+            Refusal::new(
+                refusal.reason,
+                refusal.field,
+                format!("{}, agent {agent}", refusal.detail),
+            )
+        };
+        floats.and_then(|floats| floats.decode()).map_err(named)
     });
     checked.collect()
 }

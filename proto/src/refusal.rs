@@ -24,7 +24,7 @@ pub enum Reason {
     BadType,
     /// A tensor's shape is not the expected one, overflows, or does not match its bytes.
     BadShape,
-    /// A float is NaN, infinite or too large.
+    /// A float is NaN or infinite.
     NotFinite,
     /// Flags, final steps or counters contradict each other.
     Inconsistent,

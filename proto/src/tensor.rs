@@ -1,5 +1,7 @@
 //! Tensors in messages: checks of type, shape and length, and, only after that, decoding.
 
+use std::fmt::{Display, LowerExp};
+
 use bytes::Bytes;
 
 use crate::{Reason, Refusal, wire};
@@ -7,6 +9,18 @@ use crate::{Reason, Refusal, wire};
 /// Largest accepted magnitude of a float. Squares and sums of such values stay finite in `f32`; physical
 /// quantities are far smaller.
 pub(crate) const MAX_MAGNITUDE: f32 = 1e9;
+
+/// Refusal of `value`, which is not finite or exceeds `limit`; `what` begins the detail.
+pub(crate) fn unusable<F>(field: &str, what: &str, value: F, limit: F) -> Refusal
+where
+    F: Copy + Display + LowerExp + Into<f64>,
+{
+    if value.into().is_finite() {
+        let detail = format!("{what} {value:e}, its magnitude must be at most {limit:e}");
+        return Refusal::new(Reason::BadValue, field, detail);
+    }
+    Refusal::new(Reason::NotFinite, field, format!("{what} {value}"))
+}
 
 /// Floats as a tensor of `shape`.
 pub(crate) fn floats(shape: &[usize], values: &[f32]) -> wire::Tensor {
@@ -62,8 +76,8 @@ impl<'a> Floats<'a> {
         match values.iter().position(|value| !sane.contains(value)) {
             None => Ok(values),
             Some(at) => {
-                let detail = format!("element {at} is {}", values[at]);
-                Err(Refusal::new(Reason::NotFinite, self.field.clone(), detail))
+                let what = format!("element {at} is");
+                Err(unusable(&self.field, &what, values[at], MAX_MAGNITUDE))
             }
         }
     }

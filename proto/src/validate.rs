@@ -7,7 +7,7 @@ mod acting;
 
 use crate::read::{bad_value, equal, from_1_to, length, required};
 use crate::sizes::Sizes;
-use crate::tensor::{Flags, Floats, MAX_MAGNITUDE};
+use crate::tensor::{Flags, Floats, MAX_MAGNITUDE, unusable};
 use crate::work::state_size;
 use crate::{
     AgentChunk, Digest, EvaluationResult, FinalStep, Reason, Refusal, RolloutOrigin,
@@ -44,7 +44,7 @@ impl EvaluationResult {
     /// `claimed`.
     ///
     /// # Errors
-    /// If the digest is wrong, the return is not finite, or the number of steps is impossible.
+    /// If the digest is wrong, the return is not finite or too large, or the number of steps is impossible.
     pub fn from_wire(
         wire: &wire::EvaluationResult,
         run: &RunDescription,
@@ -56,7 +56,7 @@ impl EvaluationResult {
         let most = f64::from(MAX_MAGNITUDE) * f64::from(run.environment.episode_steps);
         if !(-most..=most).contains(&total) {
             let field = "evaluation.extrinsic_return";
-            return Err(Refusal::new(Reason::NotFinite, field, format!("is {total}")));
+            return Err(unusable(field, "is", total, most));
         }
         let most = run.environment.episode_steps;
         from_1_to(most as usize, wire.steps as usize, "steps", "evaluation.steps")?;

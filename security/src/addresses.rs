@@ -11,9 +11,45 @@ pub fn is_loopback(host: &str) -> bool {
     address.map_or(bare.eq_ignore_ascii_case("localhost"), |address| address.is_loopback())
 }
 
+/// The port of a URL is not a number from 0 to 65535.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the port {0} is not a number from 0 to 65535")]
+pub struct InvalidPort(pub String);
+
+/// Checks the port of `HOST:PORT` or of a URL, if it has one. URL parsers accept larger numbers, and clients then use
+/// the default port.
+///
+/// # Errors
+/// If the port is not a number from 0 to 65535.
+pub fn check_port(url: &str) -> Result<(), InvalidPort> {
+    let rest = url.split_once("://").map_or(url, |(_, rest)| rest);
+    let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
+    // An address in brackets contains colons.
+    let after_host = authority.rsplit(['@', ']']).next().unwrap_or_default();
+    match after_host.rsplit_once(':') {
+        Some((_, port)) if port.parse::<u16>().is_err() => Err(InvalidPort(port.to_owned())),
+        _ => Ok(()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_port_is_below_65536() {
+        for url in ["http://[::1]:50051/", "127.0.0.1:0", "https://learner", "http://[::1]", ""] {
+            assert_eq!(check_port(url), Ok(()), "{url}");
+        }
+        for (url, port) in [
+            ("http://127.0.0.1:65536", "65536"),
+            ("http://a@[::1]:99999/x", "99999"),
+            ("learner:x", "x"),
+            ("learner:", ""),
+        ] {
+            assert_eq!(check_port(url), Err(InvalidPort(port.to_owned())), "{url}");
+        }
+    }
 
     #[test]
     fn only_this_machine_is_loopback() {

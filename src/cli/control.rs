@@ -85,7 +85,7 @@ pub(crate) struct WatchArguments {
     #[arg(long, value_name = "SECONDS")]
     pub(crate) max_outage_secs: Option<f64>,
     /// Address of the live view [default: 127.0.0.1:8765].
-    #[arg(long, value_name = "ADDRESS")]
+    #[arg(long, value_name = "ADDRESS", value_parser = crate::listening::address)]
     pub(crate) listen: Option<SocketAddr>,
     /// Allow a non-loopback --listen address without encryption and authentication.
     #[arg(long)]
@@ -102,6 +102,7 @@ pub(crate) struct LiveArguments {
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "127.0.0.1:8765",
+        value_parser = crate::listening::address,
         conflicts_with = "verify_determinism"
     )]
     pub(crate) watch: Option<SocketAddr>,

@@ -27,7 +27,12 @@ pub(crate) struct RunsPageArguments {
     #[arg(value_name = "RUN")]
     pub(crate) runs: Vec<PathBuf>,
     /// Address of the page; port 0 selects a free port.
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:0",
+        value_parser = crate::listening::address
+    )]
     pub(crate) listen: SocketAddr,
     /// Additional host names and addresses accepted in requests, besides loopback.
     #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
@@ -53,9 +58,9 @@ impl FromStr for PageAddress {
         if text == "off" {
             return Ok(Self::Off);
         }
-        let address = text.parse().map(Self::At);
-        address.map_err(|_| {
-            "allowed are off and an address with a port, such as 127.0.0.1:8080".to_owned()
+        let address = crate::listening::address(text).map(Self::At);
+        address.map_err(|why| {
+            format!("{why}; allowed are off and an address with a port, such as 127.0.0.1:8080")
         })
     }
 }

@@ -13,7 +13,12 @@ pub(crate) struct ServeArguments {
     /// Run folder.
     pub(crate) run: PathBuf,
     /// Address on which the server listens for clients of the policies.
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50052")]
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:50052",
+        value_parser = crate::listening::address
+    )]
     pub(crate) listen: SocketAddr,
     /// Load newer checkpoints of the run as they are written. An episode keeps the checkpoint that it started with.
     #[arg(long)]

@@ -86,7 +86,8 @@ pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
 
 /// The URL or `HOST:PORT` that the argument is; `None` for a folder.
 pub(super) fn address(of: &str) -> Option<&str> {
-    let is_port = |(host, port): (&str, &str)| !host.is_empty() && port.parse::<u16>().is_ok();
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_port = |(host, port): (&str, &str)| !host.is_empty() && is_number(port);
     let is_address = of.contains("://") || of.rsplit_once(':').is_some_and(is_port);
     (is_address && !Path::new(of).is_dir()).then_some(of)
 }

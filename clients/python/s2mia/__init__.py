@@ -10,6 +10,7 @@
     actor.py        computes leased work in any environment: `act_for`, and `python -m s2mia.actor`
     cue.py          an environment: the game `cue-2x1`
     team.py         client of served policies: `Team`
+    arguments.py    arguments of programs
     environment.py  server of environments: the package `s2mia_environment`
     wire.py         the messages
 

@@ -6,6 +6,7 @@ is an actor for runs of `cue-2x1`.
 """
 
 import argparse
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol
@@ -14,7 +15,8 @@ import grpc
 import numpy as np
 
 from s2mia import wire
-from s2mia.connection import Tls, one_line
+from s2mia.arguments import Parser
+from s2mia.connection import CallError, Tls
 from s2mia.cue import KIND, Cue
 from s2mia.learner import Learner
 from s2mia.policy import Floats, Policy
@@ -172,15 +174,15 @@ def act_for(learner: Learner, make: Callable[[], Environment], rng: np.random.Ge
             results = [evaluate(learner.run, lease.evaluation, policy, make(), rng)]
         try:
             done += learner.push(lease, results)
-        except grpc.RpcError as error:
+        except CallError as error:
             # The lease ended, for example because it was reissued; continue with another.
-            if error.code() != grpc.StatusCode.ABORTED:
+            if error.code != grpc.StatusCode.ABORTED:
                 raise
     return done
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m s2mia.actor", description="An actor for runs of cue-2x1.")
+    parser = Parser(prog="python -m s2mia.actor", description="An actor for runs of cue-2x1.")
     parser.add_argument("learner", metavar="HOST:PORT", help="or a URL")
     for name in ("ca", "certificate", "key"):
         parser.add_argument(f"--tls-{name}", metavar="FILE")
@@ -193,20 +195,27 @@ def _arguments() -> argparse.Namespace:
     return arguments
 
 
+def _work(arguments: argparse.Namespace) -> int:
+    learner = Learner(arguments.learner, tls=arguments.tls)
+    offered = learner.run.environment
+    if offered.state_kind != KIND:
+        raise ValueError(f"{offered.task} is not supported; this actor supports only cue-2x1")
+    print(f"run {learner.run.run_id}, actor {learner.actor_id}", flush=True)
+    return act_for(learner, Cue, np.random.default_rng())
+
+
 def main() -> int:
-    """The program `python -m s2mia.actor`. Returns its exit status."""
+    """The program `python -m s2mia.actor`. Returns its exit status, 0 also if Ctrl-C or SIGTERM stopped it."""
     arguments = _arguments()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with one_line(arguments.learner):
-            learner = Learner(arguments.learner, tls=arguments.tls)
-            offered = learner.run.environment
-            if offered.state_kind != KIND:
-                raise ValueError(f"{offered.task} is not supported; this actor supports only cue-2x1")
-            print(f"run {learner.run.run_id}, actor {learner.actor_id}", flush=True)
-            done = act_for(learner, Cue, np.random.default_rng())
+        done = _work(arguments)
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 0
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
-        return 2
+        return 1 if isinstance(error, ConnectionError) else 2
     print(f"the run is over; {done} leases completed")
     return 0
 

@@ -34,7 +34,7 @@ def policy_file(path: pathlib.Path) -> pathlib.Path:
 
 def read_policy(path: pathlib.Path) -> bytes:
     """The bytes of a policy file, compared with the manifest beside it. An exported file has none."""
-    data = _read(path)
+    data = read(path)
     if not (path.parent / MANIFEST).is_file():
         if _ITERATION.fullmatch(path.parent.name):
             raise RunError(f"{path.parent} is damaged: it has no {MANIFEST}")
@@ -50,11 +50,11 @@ def read_policy(path: pathlib.Path) -> bytes:
 
 def _manifest(path: pathlib.Path) -> dict[str, Any]:
     """A checkpoint's manifest, which contains its own hash."""
-    text = _read(path)
+    text = read(path)
     try:
         manifest: dict[str, Any] = json.loads(text)
-        schema, own = manifest["schema"], manifest["manifest_sha256"]
-    except (ValueError, TypeError, KeyError) as error:
+        schema, own, _ = manifest["schema"], manifest["manifest_sha256"], manifest["files"].items()
+    except (AttributeError, ValueError, TypeError, KeyError) as error:
         raise RunError(f"{path} is damaged: {error!r}") from None
     if schema != SCHEMA:
         raise RunError(f"{path} has schema {schema}, this package reads {SCHEMA}")
@@ -64,7 +64,8 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:
     return manifest
 
 
-def _read(path: pathlib.Path) -> bytes:
+def read(path: pathlib.Path) -> bytes:
+    """The bytes of a file of a run. Raises `RunError` if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:

@@ -6,7 +6,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from s2mia import wire
-from s2mia.connection import Tls, authorization, one_line, open_channel
+from s2mia.connection import Connection, Tls
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,18 +98,17 @@ class Client:
     ) -> None:
         """Prepares a connection to `url`: `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`.
 
-        Raises `ValueError` for an invalid address. Every call raises `ConnectionError` if the learner does not
+        Raises `ValueError` for an invalid address, certificate or token. Every call raises `ConnectionError` if the learner does not
         answer within `timeout_secs`, or refuses the call. Pause, resume, checkpoint and stop of `s2mia train` need the
         `token` of its run folder; by default, that of S2MIA_TOKEN is sent.
         """
         self.url, self.timeout_secs = url, timeout_secs
-        self._channel = open_channel(url, tls, insecure_allow_remote=insecure_allow_remote)
-        self._metadata = authorization(token)
-        self._service = wire.ControlServiceStub(self._channel)
+        self._connection = Connection(
+            url, wire.ControlServiceStub, tls, insecure_allow_remote=insecure_allow_remote, token=token
+        )
 
     def _call(self, name: str, request: Any) -> Any:
-        with one_line(self.url):
-            return getattr(self._service, name)(request, timeout=self.timeout_secs, metadata=self._metadata)
+        return self._connection.call(name, request, self.timeout_secs)
 
     def status(self) -> Status:
         """Returns the status of the run."""
@@ -123,9 +122,11 @@ class Client:
         The learner has the last 256 iterations since its start. Raises `ConnectionError` if the stream breaks; to
         continue, call again with the last iteration that was received.
         """
-        stream = self._service.WatchRun(wire.WatchRunRequest(after_iteration=after_iteration))
+        request = wire.WatchRunRequest(after_iteration=after_iteration)
+        with self._connection.errors():
+            stream = self._connection.service.WatchRun(request)
         try:
-            with one_line(self.url):
+            with self._connection.errors():
                 for message in stream:
                     yield self._progress(message)
         finally:
@@ -157,7 +158,7 @@ class Client:
 
     def close(self) -> None:
         """Closes the connection."""
-        self._channel.close()
+        self._connection.close()
 
     def __enter__(self) -> Self:
         return self

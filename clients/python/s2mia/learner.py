@@ -8,14 +8,15 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-import grpc
-
 from s2mia import wire
-from s2mia.connection import Tls, authorization, open_channel
+from s2mia.connection import CALL_SECS, Connection, Tls
 
 # Limit of every message, in both directions.
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
-CALL_SECS = 10.0
+# Limit of a snapshot.
+MAX_WEIGHTS_BYTES = 1 << 30
+# Version of the protocol that this package has, as in proto/src/lib.rs.
+PROTOCOL_VERSION = 4
 LEASE_WAIT_MILLIS = 5_000
 # Maximum number of unacknowledged results.
 MAX_UNACKNOWLEDGED = 4
@@ -61,6 +62,19 @@ def evaluation_digest(result: Any, iteration: int) -> bytes:
     return hashlib.sha256(b"s2mia.v1.EvaluationResult" + figures).digest()
 
 
+def _problem(run: Any) -> str | None:
+    """Why no actor can work for this run; `None` if one can."""
+    if run.protocol_version != PROTOCOL_VERSION:
+        versions = f"the learner has protocol version {run.protocol_version}, this package has {PROTOCOL_VERSION}"
+        return f"{versions}; use the package of the learner's version"
+    if not (run.chunk_steps and run.slot_steps and run.hidden_every) or run.slot_steps % run.chunk_steps:
+        steps = f"slot_steps {run.slot_steps}, chunk_steps {run.chunk_steps}, hidden_every {run.hidden_every}"
+        return f"the description of the run is invalid: {steps}"
+    if not 0 < run.heartbeat_secs <= threading.TIMEOUT_MAX:
+        return f"the description of the run is invalid: heartbeat_secs {run.heartbeat_secs}"
+    return None
+
+
 class Learner:
     """One connection and one registration. `token` is the run's token; by default, that of S2MIA_TOKEN, if it is set."""
 
@@ -73,33 +87,48 @@ class Learner:
         insecure_allow_remote: bool = False,
         token: str | None = None,
     ) -> None:
-        """Registers as an actor. `address` is `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`."""
-        self.metadata = authorization(token)
+        """Registers as an actor. `address` is `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`.
+
+        Raises `ValueError` for an invalid address, certificate or token. Raises `ConnectionError`, as every call, if
+        the learner does not answer or refuses the call.
+        """
         options = [
             ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
             # A registration ends with its connection, so channels must not share connections.
             ("grpc.use_local_subchannel_pool", 1),
         ]
-        self.channel = open_channel(address, tls, insecure_allow_remote=insecure_allow_remote, options=options)
-        self.service = wire.LearnerServiceStub(self.channel)
-        request = wire.DescribeRunRequest()
-        self.run = self._call("DescribeRun", request, wait_for_ready=True).run
+        self._connection = Connection(
+            address,
+            wire.LearnerServiceStub,
+            tls,
+            insecure_allow_remote=insecure_allow_remote,
+            token=token,
+            options=options,
+        )
+        self.channel, self.service = self._connection.channel, self._connection.service
+        self.metadata = self._connection.metadata
+        try:
+            self._register(client)
+        except ConnectionError:
+            self._connection.close()
+            raise
+
+    def _register(self, client: str) -> None:
+        self.run = self._connection.first_call("DescribeRun", wire.DescribeRunRequest()).run
+        if problem := _problem(self.run):
+            raise ConnectionError(f"{self._connection.address}: {problem}")
         registration = wire.RegisterRequest(
             client=client,
-            protocol_version=self.run.protocol_version,
+            protocol_version=PROTOCOL_VERSION,
             environment=self.run.environment,
             process=PROCESS,
         )
-        own = self._call("Register", registration)
+        own = self._connection.call("Register", registration)
         self.actor_id, self.incarnation = own.actor_id, own.incarnation
-
-    def _call(self, name: str, request: Any, timeout: float = CALL_SECS, **options: Any) -> Any:
-        """Makes a call with the run's token."""
-        return getattr(self.service, name)(request, timeout=timeout, metadata=self.metadata, **options)
 
     def close(self) -> None:
         """Ends the registration and its leases."""
-        self.channel.close()
+        self._connection.close()
 
     def lease(self) -> Any:
         """Returns the next lease, or None if the run is over."""
@@ -107,19 +136,25 @@ class Learner:
             actor_id=self.actor_id, incarnation=self.incarnation, wait_millis=LEASE_WAIT_MILLIS
         )
         while True:
-            response = self._call("LeaseSlots", request, CALL_SECS + LEASE_WAIT_MILLIS / 1000)
+            response = self._connection.call("LeaseSlots", request, CALL_SECS + LEASE_WAIT_MILLIS / 1000)
             match response.WhichOneof("answer"):
                 case "lease":
                     return response.lease
                 case "done":
                     return None
+                case None:
+                    raise ConnectionError(f"{self._connection.address}: the learner's answer to LeaseSlots is unknown")
 
     def weights(self, name: Any) -> bytes:
         """Returns the snapshot `name`."""
         snapshot = bytearray()
-        for part in self._call("GetWeights", wire.GetWeightsRequest(weights=name, repeats=True), 60.0):
-            earlier = part.repeat
-            snapshot += part.data + snapshot[earlier.offset : earlier.offset + earlier.length]
+        request = wire.GetWeightsRequest(weights=name, repeats=True)
+        with self._connection.errors():
+            for part in self._connection.call("GetWeights", request, 60.0):
+                earlier = part.repeat
+                snapshot += part.data + snapshot[earlier.offset : earlier.offset + earlier.length]
+                if len(snapshot) > MAX_WEIGHTS_BYTES:
+                    raise ValueError(f"weights {name.version} have more than {MAX_WEIGHTS_BYTES} bytes")
         if hashlib.sha256(snapshot).digest() != name.digest:
             raise ValueError(f"weights {name.version} do not match their digest")
         return bytes(snapshot)
@@ -129,7 +164,7 @@ class Learner:
         request = wire.HeartbeatRequest(
             actor_id=self.actor_id, incarnation=self.incarnation, lease_id=lease.lease_id, slot_step=step
         )
-        return bool(self._call("Heartbeat", request).lease_valid)
+        return bool(self._connection.call("Heartbeat", request).lease_valid)
 
     def message(self, lease: Any, content: Any) -> Any:
         """The message with a chunk or evaluation result of a lease."""
@@ -145,26 +180,44 @@ class Learner:
         return message
 
     def push(self, lease: Any, contents: Iterable[Any]) -> bool:
-        """Sends a lease's results as they are computed. Returns True if the learner has the complete result."""
+        """Sends a lease's results as they are computed. Returns True if the learner has the complete result.
+
+        An error of `contents` is raised as it is, after the call was cancelled.
+        """
         free = threading.Semaphore(MAX_UNACKNOWLEDGED)
         begun = threading.Event()
         pushed = [0]
+        failed: list[Exception] = []
 
         def messages() -> Iterator[Any]:
-            for content in contents:
-                while not free.acquire(timeout=0.5):
-                    if begun.is_set() and not call.is_active():
-                        return
-                pushed[0] += 1
-                yield self.message(lease, content)
+            try:
+                for content in contents:
+                    while not free.acquire(timeout=0.5):
+                        if begun.is_set() and not call.is_active():
+                            return
+                    pushed[0] += 1
+                    yield self.message(lease, content)
+            except Exception as error:
+                # gRPC would replace it by the status UNKNOWN.
+                failed.append(error)
+                begun.wait()
+                call.cancel()
 
-        call = self.service.PushTrajectory(messages(), metadata=self.metadata)
+        with self._connection.errors():
+            call = self.service.PushTrajectory(messages(), metadata=self.metadata)
         begun.set()
         with self._heartbeats(lease, lambda: pushed[0] * self.run.chunk_steps):
             finished = False
-            for acknowledgement in call:
-                free.release()
-                finished |= acknowledgement.lease_finished
+            try:
+                with self._connection.errors():
+                    for acknowledgement in call:
+                        free.release()
+                        finished |= acknowledgement.lease_finished
+            except ConnectionError:
+                if not failed:
+                    raise
+            if failed:
+                raise failed[0]
             return finished
 
     @contextlib.contextmanager
@@ -174,7 +227,8 @@ class Learner:
 
         def beat() -> None:
             while not over.wait(self.run.heartbeat_secs):
-                with contextlib.suppress(grpc.RpcError):
+                # The stream of results has the reason.
+                with contextlib.suppress(ConnectionError):
                     self.heartbeat(lease, min(step(), self.run.slot_steps))
 
         thread = threading.Thread(target=beat, daemon=True)

@@ -28,15 +28,21 @@ class Policies:
         """Starts episodes: sets recurrent states to zero.
 
         `environments` is a mask `[E]` or the indices of the environments whose episodes start. Without it, all
-        episodes start, and the number of environments may change.
+        episodes start, and the number of environments may change. Raises `ValueError` for other environments.
         """
         if environments is None:
             self._hidden = None
             return
         which = np.asarray(environments)
-        if which.size:
-            for hidden in self._hidden or []:
-                hidden[which] = 0
+        if not which.size or self._hidden is None:
+            return
+        count = len(self._hidden[0])
+        mask = which.dtype == bool and which.shape == (count,)
+        indices = which.dtype.kind in "iu" and which.ndim <= 1 and which.min() >= 0 and which.max() < count
+        if not mask and not indices:
+            raise ValueError(f"reset needs a mask of {count} environments or indices below {count}, not {environments}")
+        for hidden in self._hidden:
+            hidden[which] = 0
 
     @overload
     def act(self, observations: NDArray[Any], rng: np.random.Generator | None = None) -> NDArray[Any]: ...
@@ -104,7 +110,14 @@ class Policies:
 
 def _numbers(agent: int, observation: ArrayLike) -> Floats:
     try:
-        return np.asarray(observation, np.float32)
+        numbers = np.asarray(observation)
+        if numbers.dtype.kind not in "biuf":
+            if numbers.dtype.kind != "c":
+                # Raises for texts that are no numbers, and says which.
+                np.asarray(observation, np.float32)
+            raise TypeError(f"it has the type {numbers.dtype}")
+        with np.errstate(over="ignore"):
+            return numbers.astype(np.float32)
     except (TypeError, ValueError) as error:
         raise ValueError(f"agent_{agent}: the observation is no array of numbers: {error}") from None
 

@@ -23,6 +23,13 @@ LIMIT = 10.0
 GAUSSIAN = "gaussian"
 DISTRIBUTIONS = (GAUSSIAN, "categorical", "deterministic", "uniform")
 CORES = ("gru", "mlp")
+INPUT_NORMS = ("layer_norm", "none")
+# Largest size of a layer, as in policy/src/acting.rs.
+MAX_SIZE = 1 << 20
+_SIZES = ("observation", "action")
+_SIZES_OF_CORE = {"gru": ("encoder", "hidden"), "mlp": ("width", "layers")}
+_KNOWN = {*_SIZES, *_SIZES_OF_CORE["gru"], *_SIZES_OF_CORE["mlp"]}
+_KNOWN |= {"core", "input_norm", "chunk_steps", "sigma_scale", "head"}
 
 
 def read_safetensors(data: bytes, source: str = "snapshot") -> tuple[dict[str, Floats], dict[str, str]]:
@@ -71,13 +78,38 @@ class Agent:
         self.hidden_size: int = spec["hidden"] if spec["core"] == "gru" else 0
         if self.distribution not in DISTRIBUTIONS or spec["core"] not in CORES:
             raise ValueError(f"core {spec['core']} with distribution {kind} is unknown to this package")
-        for name, shape in self._shapes().items():
+        self._demand_valid(parameters)
+        shapes = self._shapes()
+        if unused := sorted(arrays.keys() - shapes.keys()):
+            raise ValueError(f"{unused[0]} is no array of the network")
+        for name, shape in shapes.items():
             if name not in arrays:
                 raise ValueError(f"{name} is missing")
             if arrays[name].shape != shape:
                 raise ValueError(f"{name} has shape {arrays[name].shape}, expected {shape}")
             if not np.isfinite(arrays[name]).all():
                 raise ValueError(f"{name} contains a number that is not finite")
+
+    def _demand_valid(self, parameters: dict[str, Any]) -> None:
+        """Refuses what the program refuses (policy/src/acting.rs, policy/src/head.rs)."""
+        spec = self.spec
+        if unknown := sorted(spec.keys() - _KNOWN):
+            raise ValueError(f"the entry {unknown[0]} is unknown to this package")
+        if spec.get("input_norm", "layer_norm") not in INPUT_NORMS:
+            raise ValueError(f"input_norm {spec['input_norm']} is unknown to this package")
+        for name in (*_SIZES, *_SIZES_OF_CORE[spec["core"]]):
+            if type(spec[name]) is not int or not 1 <= spec[name] <= MAX_SIZE:
+                raise ValueError(f"{name} is {spec[name]}, expected 1 to {MAX_SIZE}")
+        scale = spec["sigma_scale"]
+        valid = 0 < scale < math.inf
+        if self.distribution == "categorical":
+            valid &= self.action_size == 1 and type(self.choices) is int and self.choices > 0
+        elif self.distribution != GAUSSIAN:
+            valid &= self._range is not None and -math.inf < self._range[0] < self._range[1] < math.inf
+            valid &= self.distribution == "uniform" or 0 < self._noise_sigma < math.inf
+        if not valid:
+            head = f"{self.distribution} {parameters} with sigma_scale {scale}"
+            raise ValueError(f"the distribution {head} is invalid for {self.action_size} action values")
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of every array that the network needs."""
@@ -196,8 +228,10 @@ class Policy:
             specs = None
         if not isinstance(specs, list) or not specs:
             raise RunError(f"{source} is no policy: it has no valid metadata {SPEC_KEY}")
-        for index, spec in enumerate(specs):
-            prefix = f"agent_{index}."
+        prefixes = tuple(f"agent_{index}." for index in range(len(specs)))
+        if others := [name for name in arrays if not name.startswith(prefixes)]:
+            raise RunError(f"{source}: {others[0]} belongs to no agent")
+        for index, (spec, prefix) in enumerate(zip(specs, prefixes, strict=True)):
             own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
             try:
                 self.agents.append(Agent(spec, own))

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from s2mia.checkpoint import read
 from s2mia.error import RunError
 
 try:
@@ -67,11 +68,16 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
 
 def _run_folders(root: pathlib.Path) -> Iterator[pathlib.Path]:
     """Run folders in the order of their paths. Nothing in a run folder is another run."""
-    for place, folders, files in os.walk(root):
+    for place, folders, files in os.walk(root, onerror=_refuse):
         if {"config.toml", "manifest.json"} <= set(files):
             folders.clear()
             yield pathlib.Path(place)
         folders.sort()
+
+
+def _refuse(error: OSError) -> None:
+    """Runs in a folder that cannot be read would be missing without a word."""
+    raise RunError(f"{error.filename} cannot be read: {error.strerror}") from None
 
 
 def _settings(path: pathlib.Path) -> dict[str, Any]:
@@ -85,27 +91,37 @@ def _settings(path: pathlib.Path) -> dict[str, Any]:
             yield prefix, value
 
     try:
-        return dict(flat("", tomllib.loads(path.read_text("utf-8"))))
+        return dict(flat("", tomllib.loads(read(path).decode("utf-8"))))
+    except RunError:
+        raise
     except ValueError as error:
         raise RunError(f"{path} is damaged: {error}") from None
 
 
 def _manifest(path: pathlib.Path) -> dict[str, Any]:
+    return _object(read(path), str(path))
+
+
+def _object(text: bytes, place: str) -> dict[str, Any]:
+    """The JSON object in `text`."""
     try:
-        return dict(json.loads(path.read_bytes()))
-    except (TypeError, ValueError) as error:
-        raise RunError(f"{path} is damaged: {error}") from None
+        found = json.loads(text)
+    except ValueError as error:
+        raise RunError(f"{place} is damaged: {error}") from None
+    if not isinstance(found, dict):
+        raise RunError(f"{place} is damaged: it is no JSON object")
+    return found
 
 
-def _lines(run: pathlib.Path) -> Iterator[dict[str, Any]]:
+def _lines(run: pathlib.Path) -> list[dict[str, Any]]:
     """The lines of `metrics.jsonl`. A run that is writing may have an unfinished last line, which is omitted."""
     path = run / "metrics.jsonl"
-    data = path.read_bytes() if path.is_file() else b""
-    for number, line in enumerate(data.split(b"\n")[:-1], 1):
-        try:
-            yield dict(json.loads(line))
-        except (TypeError, ValueError) as error:
-            raise RunError(f"{path}:{number} is damaged: {error}") from None
+    data = read(path) if path.exists() else b""
+    lines = [_object(line, f"{path}:{number}") for number, line in enumerate(data.split(b"\n")[:-1], 1)]
+    for number, line in enumerate(lines, 1):
+        if not isinstance(line.get("kind"), str):
+            raise RunError(f"{path}:{number} is damaged: it has no kind")
+    return lines
 
 
 def _of_kind(lines: list[dict[str, Any]], kind: str) -> pd.DataFrame:

@@ -55,10 +55,25 @@ def tensor(array: NDArray[Any]) -> Any:
     """Encodes an array as a tensor of 32-bit floats or booleans."""
     this = sys.modules[__name__]
     kind, layout = (this.DATA_TYPE_BOOL, "u1") if array.dtype == bool else (this.DATA_TYPE_F32, "<f4")
-    data = np.ascontiguousarray(array, dtype=layout).tobytes()
+    own = array if array.dtype == np.float32 or array.dtype == bool else floats(array)
+    data = np.ascontiguousarray(own, dtype=layout).tobytes()
     return this.Tensor(data_type=kind, shape=array.shape, data=data)
 
 
+def floats(array: NDArray[Any]) -> NDArray[np.float32]:
+    """The numbers as 32-bit floats. Raises `ValueError` if one is too large, or if they are no real numbers."""
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{array.dtype} is no type of real numbers")
+    with np.errstate(over="ignore"):
+        own = array.astype(np.float32)
+    lost = np.isfinite(array) & ~np.isfinite(own)
+    if lost.any():
+        raise ValueError(f"{array[lost].flat[0]} is too large for a 32-bit float")
+    return own
+
+
 def array(tensor: Any) -> NDArray[np.float32]:
-    """Decodes a tensor of floats."""
+    """Decodes a tensor of floats. Raises `ValueError` if its type or its size is another."""
+    if tensor.data_type != sys.modules[__name__].DATA_TYPE_F32:
+        raise ValueError(f"a tensor has the data type {tensor.data_type}, expected 32-bit floats")
     return np.frombuffer(tensor.data, "<f4").reshape(tensor.shape)

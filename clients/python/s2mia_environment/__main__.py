@@ -9,9 +9,14 @@ import argparse
 import functools
 import json
 import os
+import signal
+import sys
+import threading
 
-from s2mia_environment.parallel import batch_of
-from s2mia_environment.server import STREAMS, serve
+from s2mia.arguments import Parser
+
+from s2mia_environment.making import batch_of
+from s2mia_environment.server import STREAMS, place_of, serve
 from s2mia_environment.streams import EnvironmentFailed
 from s2mia_environment.workers import WorkerLost
 
@@ -29,29 +34,62 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="s2mia_environment", description=__doc__.splitlines()[0])
+def _arguments() -> argparse.Namespace:
+    parser = Parser(prog="s2mia_environment", description=__doc__.splitlines()[0])
     parser.add_argument("--listen", default="127.0.0.1:50061", metavar="HOST:PORT")
     parser.add_argument("--streams", type=int, default=STREAMS, metavar="N", help="stream limit; an actor has two")
     parser.add_argument("--workers", type=int, default=cores(), metavar="N", help="processes; default: one per core")
     parser.add_argument("function", metavar="PACKAGE.module:FUNCTION")
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE")
     arguments = parser.parse_args()
-    if not arguments.function.partition(":")[2] or not all("=" in setting for setting in arguments.settings):
+    pairs = [setting.partition("=") for setting in arguments.settings]
+    if not arguments.function.partition(":")[2] or not all(key and equals for key, equals, _ in pairs):
         parser.error("expected PACKAGE.module:FUNCTION NAME=VALUE ...")
+    arguments.settings = {key: value(text) for key, _, text in pairs}
+    if len(arguments.settings) < len(pairs):
+        parser.error("a NAME=VALUE is given twice")
     for option in ("streams", "workers"):
         if getattr(arguments, option) < 1:
             parser.error(f"--{option} must be at least 1, is {getattr(arguments, option)}")
-    settings = {key: value(text) for key, _, text in (setting.partition("=") for setting in arguments.settings)}
-    make = functools.partial(batch_of, arguments.function, settings)
+    try:
+        place_of(arguments.listen)
+    except ValueError as error:
+        parser.error(f"--listen {error}")
+    return arguments
+
+
+def _fail(line: str) -> int:
+    print(f"s2mia_environment: {line}", file=sys.stderr)
+    return 1
+
+
+def main() -> int:
+    """The program. Returns its exit status, 0 also if Ctrl-C or SIGTERM stopped it."""
+    arguments = _arguments()
+    make = functools.partial(batch_of, arguments.function, arguments.settings)
     try:
         server, port = serve(make, arguments.listen, arguments.streams, arguments.workers)
-    except (ImportError, AttributeError, TypeError, ValueError, EnvironmentFailed, WorkerLost) as error:
-        parser.exit(1, f"s2mia_environment: cannot make {arguments.function}: {error}\n")
+    except (EnvironmentFailed, WorkerLost) as error:
+        return _fail(f"cannot make {arguments.function}: {error}")
+    except OSError as error:
+        return _fail(str(error))
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    stopped = threading.Event()
+
+    def stop(number: int, _frame) -> None:
+        # The second signal ends the process at once.
+        signal.signal(number, signal.SIG_DFL)
+        stopped.set()
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
     host = arguments.listen.rpartition(":")[0]
     print(f"offers {arguments.function} at http://{host}:{port}", flush=True)
-    server.wait_for_termination()
+    stopped.wait()
+    server.stop(None).wait()
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

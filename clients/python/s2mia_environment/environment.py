@@ -7,6 +7,10 @@ import numpy as np
 from s2mia import wire
 
 
+class InvalidEnvironment(ValueError):
+    """An environment that cannot be served, or the wrong arguments for one; one line that says what to do."""
+
+
 class Environment(abc.ABC):
     """One environment. It must be a deterministic function of the seed, or the restored state, and the actions."""
 
@@ -80,6 +84,10 @@ class OneByOne(EnvironmentBatch):
             self.environments[number].step([rows[row] for rows in actions]) for row, number in enumerate(numbers)
         ]
         rewards, terminated, truncated = zip(*outcomes, strict=True)
+        for flag in (*terminated, *truncated):
+            # A text or an array would count as true.
+            if np.shape(flag) != () or flag not in (0, 1):
+                raise InvalidEnvironment(f"step() returned {flag!r} for terminated or truncated, expected True or False")
         return np.array(rewards), np.array(terminated, bool), np.array(truncated, bool)
 
     def observe(self, numbers: Sequence[int]) -> tuple[np.ndarray, list[np.ndarray]]:

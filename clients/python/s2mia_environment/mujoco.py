@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.wrappers import TimeLimit
 from gymnasium_robotics import mamujoco_v1
 
-from s2mia_environment.environment import Environment, EnvironmentBatch
+from s2mia_environment.environment import Environment, EnvironmentBatch, InvalidEnvironment
 from s2mia_environment.layout import Layout, View
 from s2mia_environment.parallel import Parallel
 from s2mia_environment.partitions import ROBOTS, factorization
@@ -70,6 +70,7 @@ class MultiAgentMujoco(Parallel):
             array.flat = numbers[at : at + array.size]
             at += array.size
         (self.clock._elapsed_steps,) = _STEPS.unpack_from(state)
+        self.steps = self.clock._elapsed_steps
         self.env.unwrapped.agents = self.env.unwrapped.possible_agents
         self._store(self.env.unwrapped._get_obs())
 
@@ -94,9 +95,9 @@ def multi_agent(
     """
     views = [view.value for view in View]
     if observation not in views:
-        raise ValueError(f"observation must be {' or '.join(views)}, is {observation}")
+        raise InvalidEnvironment(f"observation must be {' or '.join(views)}, is {observation}")
     if more.get("agent_obsk", 1) is None:
-        raise ValueError("agent_obsk must be a number; observation=full_id shows the whole state to every agent")
+        raise InvalidEnvironment("agent_obsk must be a number; observation=full_id shows the whole state to every agent")
     parts = factorization(scenario, agent_conf)
     env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **more)
     task = f"mujoco/{scenario}-{agent_conf}"
@@ -104,5 +105,5 @@ def multi_agent(
         steps = _time_limit(env.single_agent_env)._max_episode_steps
         return Robots(env, task, Layout(env, View(observation)), steps)
     if observation != View.K_NEAREST:
-        raise ValueError(f"observation={observation} is only for {', '.join(ROBOTS)}, not for {scenario}")
+        raise InvalidEnvironment(f"observation={observation} is only for {', '.join(ROBOTS)}, not for {scenario}")
     return MultiAgentMujoco(env, task)

@@ -1,18 +1,23 @@
 """A PettingZoo `ParallelEnv` as an environment for s2mia."""
 
-import functools
 import hashlib
-import importlib
+import inspect
+import traceback
+from collections.abc import Mapping
 
 import numpy as np
 from gymnasium import spaces
 from s2mia import wire
 
-from s2mia_environment.environment import Environment, EnvironmentBatch, OneByOne
+from s2mia_environment.environment import Environment, InvalidEnvironment
+from s2mia_environment.notes import note
+from s2mia_environment.observations import LIMIT, flat, numbers, wrong
 
 # Defaults for environments that do not define their episode length or step time.
 EPISODE_STEPS = 1000
 STEP_SECS = 0.05
+# Attributes that define the episode length; the first that an environment has counts.
+_LENGTHS = ("max_cycles", "max_steps", "max_episode_steps")
 
 
 def number_of(seed: bytes) -> int:
@@ -26,7 +31,7 @@ class Box:
     def __init__(self, space: spaces.Box) -> None:
         low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
         if not np.all(np.isfinite([low, high])):
-            raise ValueError(f"actions must have finite bounds, not {space}")
+            raise InvalidEnvironment(f"actions must have finite bounds, not {space}")
         self.space, self.low, self.high = space, low, high
         one_range = np.unique(low).size == np.unique(high).size == 1
         self.own = (low[0], high[0]) if one_range else (-1.0, 1.0)
@@ -37,22 +42,34 @@ class Box:
         low, high = self.own
         clamped = np.clip(numbers.astype(np.float64), low, high)
         scaled = clamped if (low, high) == (self.low[0], self.high[0]) else self._scaled((clamped - low) / (high - low))
-        return scaled.reshape(self.space.shape).astype(self.space.dtype)
+        return self._of_type(scaled)
 
     def _scaled(self, share: np.ndarray) -> np.ndarray:
         return self.low + share * (self.high - self.low)
+
+    def _of_type(self, scaled: np.ndarray) -> np.ndarray:
+        """The nearest action that the space contains."""
+        shape, kind, low, high = self.space.shape, self.space.dtype, self.space.low, self.space.high
+        if np.issubdtype(kind, np.floating):
+            return np.clip(scaled.reshape(shape).astype(kind), low, high)
+        # Python's integers, because floats do not have all limits of 64-bit types.
+        limits = zip(np.rint(scaled).tolist(), low.ravel().tolist(), high.ravel().tolist(), strict=True)
+        return np.array([min(max(int(x), least), most) for x, least, most in limits], kind).reshape(shape)
 
 
 class Choice:
     """A discrete action."""
 
     def __init__(self, space: spaces.Discrete) -> None:
-        self.start = int(space.start)
-        self.spec = wire.ActionSpec(size=1, low=0.0, high=float(space.n - 1), choices=int(space.n))
+        self.start, self.count = int(space.start), int(space.n)
+        self.spec = wire.ActionSpec(size=1, low=0.0, high=float(space.n - 1), choices=self.count)
 
     def action(self, numbers: np.ndarray) -> int:
         """The choice in the environment's numbering."""
-        return self.start + int(numbers[0])
+        index = float(numbers[0])
+        if not (index.is_integer() and 0 <= index < self.count):
+            raise InvalidEnvironment(f"an action is {index}, expected a choice from 0 to {self.count - 1}")
+        return self.start + int(index)
 
 
 ACTIONS = {spaces.Box: Box, spaces.Discrete: Choice}
@@ -61,7 +78,7 @@ ACTIONS = {spaces.Box: Box, spaces.Discrete: Choice}
 def action_of(space: spaces.Space):
     """The action type of a space."""
     if type(space) not in ACTIONS:
-        raise ValueError(f"actions must be one Box or one Discrete per agent, not {space}")
+        raise InvalidEnvironment(f"actions must be one Box or one Discrete per agent, not {space}")
     return ACTIONS[type(space)](space)
 
 
@@ -74,17 +91,24 @@ def features(name: str, count: int) -> list:
 class Parallel(Environment):
     """All agents step at once and share one reward, the mean of theirs; the first agent's end ends the episode.
 
-    The global state is the environment's `state()`, or the concatenated observations if it has none. States are
-    not saved: an episode is restored by replaying it.
+    An agent that is terminated and truncated is terminated. The global state is the environment's `state()`, or the
+    concatenated observations if it has none. States are not saved: an episode is restored by replaying it.
     """
 
     def __init__(self, env) -> None:
         self.env = env
-        self.agents = list(env.possible_agents)
+        self.agents = _agents(env)
         self.spaces = [env.observation_space(agent) for agent in self.agents]
         self.actions = [action_of(env.action_space(agent)) for agent in self.agents]
         self.seen: list[np.ndarray] = []
+        self.steps = 0
         self.reset(bytes(32))
+        first = self.seen
+        self.reset(bytes(32))
+        if not all(np.array_equal(*pair) for pair in zip(first, self.seen, strict=True)):
+            text = "reset() ignores its seed: two episodes with one seed begin with different observations"
+            note("seed", f"{text}. A run can be trained, but neither repeated nor resumed exactly")
+        self.has_state = _has_state(env)
         state, observations = self.observe()
         self.spec = wire.EnvironmentSpec(
             task=str(env.metadata.get("name", type(env.unwrapped).__name__)),
@@ -99,51 +123,140 @@ class Parallel(Environment):
 
     def step_secs(self) -> float:
         """Seconds per step, for display."""
-        return 1.0 / self.env.metadata["render_fps"] if "render_fps" in self.env.metadata else STEP_SECS
+        return 1.0 / (self.env.metadata.get("render_fps") or 1.0 / STEP_SECS)
 
     def episode_steps(self) -> int:
         """Steps after which the client truncates an episode."""
-        known = (getattr(self.env.unwrapped, name, None) for name in ("max_cycles", "max_steps", "max_episode_steps"))
-        return next((int(steps) for steps in known if steps), EPISODE_STEPS)
+        base = self.env.unwrapped
+        for name in _LENGTHS:
+            if declares(base, name) and (steps := getattr(base, name)):
+                return int(steps)
+        names = " or ".join(_LENGTHS)
+        note("length", f"an episode is truncated after {EPISODE_STEPS} steps; the environment has no {names}")
+        return EPISODE_STEPS
 
     def reset(self, seed: bytes) -> None:
-        observations, _ = self.env.reset(seed=number_of(seed))
-        self._store(observations)
+        self.steps = 0
+        answer = self.env.reset(seed=number_of(seed))
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise InvalidEnvironment("reset() must return two dictionaries: observations and infos")
+        self._store(answer[0])
 
     def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
         taken = {
             agent: kind.action(numbers) for agent, kind, numbers in zip(self.agents, self.actions, actions, strict=True)
         }
-        observations, rewards, terminations, truncations, _ = self.env.step(taken)
+        answer = self.env.step(taken)
+        self.steps += 1
+        if not isinstance(answer, tuple) or len(answer) != 5:
+            names = "observations, rewards, terminations, truncations and infos"
+            raise InvalidEnvironment(f"step() must return five dictionaries: {names}")
+        observations, rewards, terminations, truncations, _ = answer
         self._store(observations)
-        terminated = any(terminations.values())
-        reward = float(np.mean([rewards[agent] for agent in self.agents]))
-        return reward, terminated, not terminated and any(truncations.values())
+        rewards = self._of_agents("rewards", rewards)
+        for agent, reward in zip(self.agents, rewards, strict=True):
+            self._demand_reward(agent, reward)
+        terminated = self._any("terminations", terminations)
+        truncated = self._any("truncations", truncations)
+        return float(np.mean(rewards)), terminated, truncated and not terminated
 
     def observe(self) -> tuple[np.ndarray, list[np.ndarray]]:
         return self.state(), self.seen
 
     def state(self) -> np.ndarray:
         """The global state."""
-        try:
-            return np.asarray(self.env.state(), np.float32).ravel()
-        except (AttributeError, NotImplementedError):
-            return np.concatenate(self.seen)
+        return numbers(f"{self._place()}: state()", self.env.state()) if self.has_state else np.concatenate(self.seen)
 
-    def _store(self, observations: dict) -> None:
-        self.seen = [
-            np.asarray(spaces.flatten(space, observations[agent]), np.float32)
-            for agent, space in zip(self.agents, self.spaces, strict=True)
-        ]
+    def _store(self, observations: Mapping) -> None:
+        rows = zip(self.agents, self.spaces, self._of_agents("observations", observations), strict=True)
+        place = self._place()
+        self.seen = [flat(f"{place}: the observation of agent {agent}", space, row) for agent, space, row in rows]
+
+    def _place(self) -> str:
+        return f"step {self.steps} of an episode" if self.steps else "reset()"
+
+    def _of_agents(self, what: str, found: Mapping) -> list:
+        """The entries of all agents in a dictionary that the environment returned."""
+        if not isinstance(found, Mapping):
+            kind = type(found).__name__
+            raise InvalidEnvironment(f"{self._place()}: {what} must be a dictionary of all agents, not {kind}")
+        missing = [agent for agent in self.agents if agent not in found]
+        if missing or len(found) > len(self.agents):
+            more = [agent for agent in found if agent not in self.agents]
+            problem = f"has no agent {_names(missing)}" if missing else f"has the unknown agent {_names(more)}"
+            rule = "all agents of possible_agents, and no others, take part from the first step to the last"
+            raise InvalidEnvironment(f"{self._place()}: {what} {problem}; {rule}")
+        return [found[agent] for agent in self.agents]
+
+    def _demand_reward(self, agent, reward) -> None:
+        value = np.asarray(reward)
+        what = f"{self._place()}: the reward of agent {agent} is"
+        if value.dtype.kind not in "biuf" or value.shape != ():
+            raise InvalidEnvironment(f"{what} {reward!r}, expected a number")
+        if not abs(float(value)) <= LIMIT:
+            raise InvalidEnvironment(f"{what} {wrong(float(value))}")
+
+    def _any(self, what: str, found: Mapping) -> bool:
+        flags = self._of_agents(what, found)
+        for agent, flag in zip(self.agents, flags, strict=True):
+            # A text or an array would count as true.
+            if np.shape(flag) != () or flag not in (0, 1):
+                place = self._place()
+                raise InvalidEnvironment(f"{place}: {what} of agent {agent} is {flag!r}, expected True or False")
+        return any(flags)
 
 
-def batch_of(function: str, settings: dict) -> EnvironmentBatch:
-    """The environments of one stream, made by `PACKAGE.module:FUNCTION` with these arguments."""
-    module, _, name = function.partition(":")
-    make = functools.partial(getattr(importlib.import_module(module), name), **settings)
-    made = make()
-    if isinstance(made, EnvironmentBatch):
-        return made
-    if isinstance(made, Environment):
-        return OneByOne(made, make)
-    return OneByOne(Parallel(made), lambda: Parallel(make()))
+def _names(agents: list) -> str:
+    return ", ".join(map(str, agents))
+
+
+def declares(env, name: str) -> bool:
+    """Whether `env` has this attribute. An error inside a property is not taken for its absence, as by `hasattr`."""
+    return inspect.getattr_static(env, name, None) is not None or hasattr(env, name)
+
+
+def _agents(env) -> list:
+    """The agents of a `ParallelEnv`."""
+    kind = type(env).__name__
+    if declares(type(env), "agent_iter"):
+        advice = "give a function that returns its parallel_env, or pettingzoo.utils.aec_to_parallel(env)"
+        raise InvalidEnvironment(f"{kind} is an AEC environment, whose agents act in turns; {advice}")
+    wanted = ("possible_agents", "observation_space", "action_space", "reset", "step", "metadata", "unwrapped")
+    if missing := [name for name in wanted if isinstance(env, type) or not declares(env, name)]:
+        raise InvalidEnvironment(f"{kind} is no PettingZoo ParallelEnv: it has no {', '.join(missing)}")
+    try:
+        inspect.signature(env.reset).bind(seed=0)
+    except TypeError:
+        raise InvalidEnvironment(f"reset() of {kind} must take the argument seed, as PettingZoo's does") from None
+    agents = list(env.possible_agents)
+    if not agents or len({str(agent) for agent in agents}) < len(agents):
+        raise InvalidEnvironment(f"possible_agents of {kind} must be one or more different names, is {agents}")
+    return agents
+
+
+def _has_state(env) -> bool:
+    """Whether the environment has a `state()` of its own. Errors inside it are raised."""
+    having = [one for one in (env.unwrapped, env) if declares(one, "state")]
+    if not having:
+        return False
+    if not all(callable(one.state) for one in having):
+        note("state", "the attribute state is not PettingZoo's method state(); all observations are the global state")
+        return False
+    try:
+        env.state()
+    except NotImplementedError as error:
+        # `state` raises it directly where it has no implementation, as PettingZoo's does.
+        if _raised_in(error) != "state":
+            raise
+        return False
+    except AttributeError:
+        # Wrappers have a `state` that calls the one of an environment without any.
+        if declares(env.unwrapped, "state"):
+            raise
+        return False
+    return True
+
+
+def _raised_in(error: Exception) -> str:
+    """Name of the function that raised `error`."""
+    return traceback.extract_tb(error.__traceback__)[-1].name

@@ -4,6 +4,8 @@ import re
 
 from gymnasium_robotics import mamujoco_v1
 
+from s2mia_environment.environment import InvalidEnvironment
+
 # Robots of the published tasks. Other robots have only the partitions of gymnasium-robotics.
 ROBOTS = ("HalfCheetah", "Walker2d", "Ant")
 
@@ -23,7 +25,7 @@ def factorization(scenario: str, agent_conf: str) -> dict | None:
     (joints,), edges, of_root = mamujoco_v1.get_parts_and_edges(scenario, None)
     agents, each = map(int, sizes.groups())
     if agents * each != len(joints):
-        raise ValueError(f"{scenario} has {len(joints)} joints; agent_conf={agent_conf} has {agents} x {each}")
+        raise InvalidEnvironment(f"{scenario} has {len(joints)} joints; agent_conf={agent_conf} has {agents} x {each}")
     joints = sorted(joints, key=lambda joint: joint.act_ids)
     parts = [tuple(joints[first : first + each]) for first in range(0, len(joints), each)]
     return {"partition": parts, "edges": edges, "globals": of_root}

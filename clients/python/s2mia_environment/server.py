@@ -1,5 +1,7 @@
 """The service `EnvironmentService`, with separate environments per stream, which worker processes step."""
 
+import re
+import socket
 from collections.abc import Callable, Iterator
 from concurrent import futures
 
@@ -55,12 +57,40 @@ def serve(
 ) -> tuple[grpc.Server, int]:
     """Starts the service. Returns the server and its port. Streams beyond `streams` are rejected.
 
-    With several workers, `make` is sent to processes: it must be a function of a module.
+    With several workers, `make` is sent to processes: it must be a function of a module. Raises `ValueError` if
+    `listen` is not `HOST:PORT`, `OSError` if it cannot be used, and `EnvironmentFailed` if `make` fails.
     """
+    demand_free(listen)
     service = Service(Streams(make) if workers == 1 else WorkerStreams(make, workers))
     options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)]
     server = grpc.server(futures.ThreadPoolExecutor(streams), options=options, maximum_concurrent_rpcs=streams)
     server.add_generic_rpc_handlers((service.handlers(),))
-    port = server.add_insecure_port(listen)
+    try:
+        port = server.add_insecure_port(listen)
+    except RuntimeError as error:
+        raise OSError(f"cannot listen on {listen}: {error}") from None
     server.start()
     return server, port
+
+
+def place_of(listen: str) -> tuple[str, int]:
+    """Host and port of `HOST:PORT`. gRPC would take another port for a number above 65535, and 443 for none."""
+    found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:/\[\]]+)):(\d+)", listen, re.ASCII)
+    if found is None:
+        raise ValueError(f"{listen} is not of the form HOST:PORT, such as 127.0.0.1:50061")
+    if int(found[3]) > 65535:
+        raise ValueError(f"{listen}: the port {found[3]} is not a number from 0 to 65535")
+    return found[1] or found[2], int(found[3])
+
+
+def demand_free(listen: str) -> None:
+    """Raises `OSError` if `listen` cannot be used, before environments are made; gRPC would not name the reason."""
+    host, port = place_of(listen)
+    try:
+        kind, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        with socket.socket(kind, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(place)
+    except OSError as error:
+        advice = "choose another HOST:PORT"
+        raise OSError(f"cannot listen on {listen}: {error.strerror or error}; {advice}") from None

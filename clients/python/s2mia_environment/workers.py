@@ -3,19 +3,22 @@
 import contextlib
 import enum
 import itertools
+import json
 import multiprocessing
+import pickle
 import signal
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from s2mia_environment.environment import EnvironmentBatch
+from s2mia_environment.notes import Notes, show
 from s2mia_environment.streams import EnvironmentFailed, Streams
 
 # Kind of a message to a worker and the number of its stream. A request follows.
 _HEADER = struct.Struct("<BQ")
-# First byte of a worker's message. An answer or the text of an error follows.
-_ANSWER, _ERROR = b"\0", b"\1"
+# First byte of a worker's message. An answer, the text of an error, or a note follows. Notes precede the answer.
+_ANSWER, _ERROR, _NOTE = b"\0", b"\1", b"\2"
 
 
 class _Kind(enum.IntEnum):
@@ -36,23 +39,34 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(make, theirs), name="environments", daemon=True)
-        self.process.start()
+        try:
+            with _without_interrupts():
+                self.process.start()
+        except (AttributeError, TypeError, pickle.PicklingError) as error:
+            raise ValueError(f"with several workers, make must be a function of a module: {error}") from None
         theirs.close()
         self.lock = threading.Lock()
         self.streams = 0
+        self.failure: EnvironmentFailed | None = None
 
     def receive(self) -> bytes:
-        """Waits for the worker's next message."""
-        try:
-            message = self.pipe.recv_bytes()
-        except (EOFError, OSError):
-            raise self._lost() from None
-        if message[:1] == _ERROR:
-            raise EnvironmentFailed(message[1:].decode())
-        return message[1:]
+        """Waits for the worker's next message, and shows the notes before it."""
+        while True:
+            try:
+                message = self.pipe.recv_bytes()
+            except (EOFError, OSError):
+                raise self._lost() from None
+            if message[:1] == _NOTE:
+                show(*json.loads(message[1:]))
+                continue
+            if message[:1] == _ERROR:
+                raise EnvironmentFailed(message[1:].decode())
+            return message[1:]
 
     def ask(self, kind: _Kind, stream: int, request: bytes = b"") -> bytes:
         """The answer to one message."""
+        if self.failure is not None:
+            raise EnvironmentFailed(str(self.failure))
         with self.lock:
             try:
                 self.pipe.send_bytes(_HEADER.pack(kind, stream) + request)
@@ -118,26 +132,46 @@ class WorkerStreams:
             if lost in self.workers:
                 other = Worker(self.make)
                 self.workers[self.workers.index(lost)] = other
-                # If it cannot start, the streams that it gets say so.
-                with contextlib.suppress(WorkerLost, EnvironmentFailed):
+                try:
                     other.receive()
+                except EnvironmentFailed as error:
+                    # The streams that it gets say so.
+                    other.failure = error
+                except WorkerLost:
+                    # The next request to it replaces it.
+                    pass
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Blocks Ctrl-C, also in a process that is started meanwhile."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _work(make: Callable[[], EnvironmentBatch], pipe) -> None:
     """Handles messages until the server closes the pipe."""
     # Ctrl-C reaches the whole process group. The workers end with the server.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Notes.receive = lambda *note: pipe.send_bytes(_NOTE + json.dumps(note).encode())
     try:
-        streams = Streams(make)
-    except Exception as error:
-        pipe.send_bytes(_ERROR + f"{type(error).__name__}: {error}".encode())
-        return
-    pipe.send_bytes(_ANSWER + streams.description)
-    try:
+        try:
+            streams = Streams(make)
+        except EnvironmentFailed as error:
+            pipe.send_bytes(_encoded(error))
+            return
+        pipe.send_bytes(_ANSWER + streams.description)
         while True:
             pipe.send_bytes(_handled(streams, pipe.recv_bytes()))
     except (EOFError, OSError):
         return
+
+
+def _encoded(error: EnvironmentFailed) -> bytes:
+    return _ERROR + str(error).encode(errors="replace")
 
 
 def _handled(streams: Streams, message: bytes) -> bytes:
@@ -151,5 +185,5 @@ def _handled(streams: Streams, message: bytes) -> bytes:
             case _Kind.CLOSE:
                 streams.close(number)
     except EnvironmentFailed as error:
-        return _ERROR + str(error).encode()
+        return _encoded(error)
     return _ANSWER

@@ -73,6 +73,8 @@ pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint,
         url: url.to_owned(),
         detail: innermost(&error),
     };
+    security::addresses::check_port(url)
+        .map_err(|port| HealthError::Address { url: url.to_owned(), detail: port.to_string() })?;
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
     let Some(files) = tls else { return Ok(endpoint) };
     let own = files.read()?;

@@ -158,8 +158,8 @@ fn numbers_that_no_update_survives_are_refused_by_name() {
             Reason::NotFinite,
             "chunk.agents[1].log_prob",
         ),
-        lie(0, |c| set(&mut c.agents[0].hidden, 1e38), Reason::NotFinite, "chunk.agents[0].hidden"),
-        lie(0, |c| set(&mut c.reward, -1e38), Reason::NotFinite, "chunk.reward"),
+        lie(0, |c| set(&mut c.agents[0].hidden, 1e38), Reason::BadValue, "chunk.agents[0].hidden"),
+        lie(0, |c| set(&mut c.reward, -1e38), Reason::BadValue, "chunk.reward"),
         lie(0, |c| set(&mut finals(c).state, f32::NAN), Reason::NotFinite, "chunk.finals.state"),
         lie(
             1,
@@ -223,6 +223,8 @@ fn evaluations_that_no_episode_gives_are_refused_by_name() {
     };
     let nan = EvaluationResult { extrinsic_return: f64::NAN, ..honest };
     assert_eq!(verdict(nan), (Reason::NotFinite, "evaluation.extrinsic_return".to_owned()));
+    let forged = EvaluationResult { extrinsic_return: 4e12, ..honest };
+    assert_eq!(verdict(forged), (Reason::BadValue, "evaluation.extrinsic_return".to_owned()));
     for steps in [0, 1001] {
         let odd = EvaluationResult { steps, ..honest };
         assert_eq!(verdict(odd), (Reason::BadValue, "evaluation.steps".to_owned()));

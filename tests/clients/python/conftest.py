@@ -15,6 +15,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[3]
 CLIENTS = ROOT / "clients" / "python"
 sys.path.insert(0, str(CLIENTS))
 
+from s2mia.connection import CallError  # noqa: E402
+
 SMALL = ["cue-2x1", "run.seed=3", "evaluation.episodes=2", "checkpoint.every=10"]
 FEW = [*SMALL, "run.iterations=2", "evaluation.every_steps=0"]
 FEW += ["environments.per_slot=4", "environments.message_steps=10"]
@@ -96,9 +98,10 @@ def policies(trained):
 
 def refusal(call) -> tuple[str, str]:
     """Reason and field with which a call is refused."""
-    with pytest.raises(grpc.RpcError) as raised:
+    with pytest.raises((grpc.RpcError, CallError)) as raised:
         call()
-    status = rpc_status.from_call(raised.value)
+    error = raised.value.status if isinstance(raised.value, CallError) else raised.value
+    status = rpc_status.from_call(error)
     assert status is not None, raised.value
     info, request = error_details_pb2.ErrorInfo(), error_details_pb2.BadRequest()
     for detail in status.details:

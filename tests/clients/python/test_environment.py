@@ -61,8 +61,8 @@ def test_an_environment_without_states_gives_one_actor_and_two_the_same_weights(
 @pytest.mark.parametrize(
     ("lie", "field"),
     [
-        ("shown=NaN", "NOT_FINITE: view.observations[0]: element 0 is NaN"),
-        ("count=2", "BAD_SHAPE: view.observations[0]: [1, 2], expected [1, 1]"),
+        ("shown=NaN", "NOT_FINITE: view.observations[0]: element 0 is NaN, agent a (after a reset)"),
+        ("count=2", "BAD_SHAPE: view.observations[0]: [1, 2], expected [1, 1], agent a (after a reset)"),
         ("state=3", "BAD_SHAPE: view.state: [1, 3], expected [1, 1]"),
     ],
 )

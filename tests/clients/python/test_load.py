@@ -127,6 +127,8 @@ def test_a_trained_team_is_paid_for_its_choices(trained):
             "agent_0: the observation is no array of numbers: could not convert string to float: 'one'",
         ),
         ([np.zeros(9), np.full(9, np.nan)], "agent_1: the observation contains a number that is not finite"),
+        ([np.zeros(9), np.full(9, 1e300)], "agent_1: the observation contains a number that is not finite"),
+        ([np.zeros(9), np.zeros(9, complex)], "agent_1: the observation is no array of numbers: it has the type complex128"),
     ],
 )
 def test_a_wrong_observation_is_refused_with_agent_and_shape(trained, observations, message):
@@ -141,6 +143,14 @@ def test_another_number_of_environments_needs_a_reset(trained):
         team.act(np.zeros((2, 2, 9)))
     team.reset()
     assert team.act(np.zeros((2, 2, 9))).shape == (2, 2, 1)
+
+
+@pytest.mark.parametrize("environments", [[True], [0, 3], [-1], [0.5], "first"])
+def test_environments_that_do_not_exist_are_not_reset(trained, environments):
+    team = s2mia.load(trained)
+    team.act(np.zeros((3, 2, 9)))
+    with pytest.raises(ValueError, match="^reset needs a mask of 3 environments or indices below 3, not "):
+        team.reset(environments)
 
 
 def refused(path) -> str:
@@ -202,6 +212,18 @@ def changed(header, change):
         (
             lambda header, spec: spec.update(head="beta"),
             "PATH: agent_1: core gru with distribution beta is unknown to this package",
+        ),
+        (lambda header, spec: spec.update(dropout=0.1), "PATH: agent_1: the entry dropout is unknown to this package"),
+        (lambda header, spec: spec.update(encoder=0), "PATH: agent_1: encoder is 0, expected 1 to 1048576"),
+        (lambda header, spec: spec.update(sigma_scale=-1.0), "PATH: agent_1: the distribution categorical "),
+        (lambda header, spec: spec.update(input_norm="batch"), "PATH: agent_1: input_norm batch is unknown"),
+        (
+            lambda header, spec: header.update({"agent_1.extra": header["agent_1.head.bias"]}),
+            "PATH: agent_1: extra is no array of the network",
+        ),
+        (
+            lambda header, spec: header.update({"agent_2.head.bias": header["agent_1.head.bias"]}),
+            "PATH: agent_2.head.bias belongs to no agent",
         ),
         (
             lambda header, spec: header["agent_1.head.bias"].update(dtype="F64"),

@@ -72,6 +72,8 @@ def test_what_is_no_run_or_damaged_is_refused_with_the_file(folder, tmp_path):
     for file, text, message in [
         ("metrics.jsonl", "{}\n[1\n", "metrics.jsonl:2 is damaged: "),
         ("metrics.jsonl", "7\n", "metrics.jsonl:1 is damaged: "),
+        ("metrics.jsonl", "[]\n", "metrics.jsonl:1 is damaged: it is no JSON object"),
+        ("metrics.jsonl", "{}\n", "metrics.jsonl:1 is damaged: it has no kind"),
         ("config.toml", "task = ", "config.toml is damaged: "),
         ("manifest.json", "", "manifest.json is damaged: "),
     ]:
