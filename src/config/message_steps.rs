@@ -10,8 +10,12 @@ pub(crate) const SLOT: &str = "environments.steps";
 /// Steps of a sequence, which divide a message.
 pub(crate) const WINDOW: &str = "policy.backpropagation_steps";
 
+/// More steps of an iteration are refused.
+const MOST: u64 = 1_000_000;
+
 /// Replaces steps of a message that do not divide the steps of an iteration, or that sequences do not divide, by steps that
-/// fit, unless the user gave them: the most that are no more than before, else the fewest.
+/// fit, unless the user gave them: the most that are no more than before, else the fewest. If sequences do not divide the steps
+/// of an iteration, which is refused later, a message has all of them.
 pub(super) fn followed(mut resolved: Resolved) -> Resolved {
     let (Some(slot), Some(window), Some(now)) =
         (resolved.whole(SLOT), resolved.whole(WINDOW), resolved.whole(MESSAGE))
@@ -19,13 +23,15 @@ pub(super) fn followed(mut resolved: Resolved) -> Resolved {
         return resolved;
     };
     let fits = |steps: u64| slot.is_multiple_of(steps) && steps.is_multiple_of(window);
-    if resolved.is_given(MESSAGE) || slot == 0 || window == 0 || (now > 0 && fits(now)) {
+    let is_refused = window == 0 || !(1..=MOST).contains(&slot);
+    if resolved.is_given(MESSAGE) || is_refused || (now > 0 && fits(now)) {
         return resolved;
     }
-    let fewer = (1..=now / window).rev().map(|windows| windows * window).find(|steps| fits(*steps));
-    if let Some(steps) = fewer.or_else(|| fits(window).then_some(window)) {
-        set(&mut resolved, steps);
-    }
+    let fewer = (1..=now.min(slot) / window)
+        .rev()
+        .map(|windows| windows * window)
+        .find(|steps| fits(*steps));
+    set(&mut resolved, fewer.unwrap_or(if fits(window) { window } else { slot }));
     resolved
 }
 
