@@ -13,24 +13,29 @@ const TINY: &[&str] = &[
     "environments.steps=20",
     "environments.per_slot=2",
     "environments.message_steps=10",
-    "policy.encoder=8",
-    "policy.hidden=8",
-    "policy.width=8",
-    "policy.layers=1",
     "critic.width=16",
-    "influence.encoder=8",
-    "influence.hidden=8",
-    "update.epochs=2",
-    "critic.epochs=2",
-    "influence.epochs=2",
-    "maddpg.replay=200",
-    "maddpg.batch=16",
-    "maddpg.n_step=3",
-    "maddpg.warm_up=80",
     "evaluation.every_steps=160",
     "evaluation.episodes=1",
     "checkpoint.every=2",
 ];
+
+const GRU: &[&str] = &["policy.encoder=8", "policy.hidden=8"];
+const MLP: &[&str] = &["policy.width=8", "policy.layers=1"];
+const ON_POLICY: &[&str] = &["update.epochs=2", "critic.epochs=2"];
+const INFLUENCE: &[&str] = &["influence.encoder=8", "influence.hidden=8", "influence.epochs=2"];
+const REPLAY: &[&str] =
+    &["maddpg.replay=200", "maddpg.batch=16", "maddpg.n_step=3", "maddpg.warm_up=80"];
+
+/// Settings of a small run with the algorithm and the core of `settings`.
+fn small(settings: &[&str]) -> Vec<&'static str> {
+    let has = |setting: &str| settings.contains(&setting);
+    if has("algorithm=maddpg") {
+        return [TINY, MLP, REPLAY].concat();
+    }
+    let core = if has("policy.core=mlp") { MLP } else { GRU };
+    let influence = has("algorithm=happo-s2mia") || has("influence.lambda=0.01");
+    [TINY, core, ON_POLICY, if influence { INFLUENCE } else { &[] }].concat()
+}
 
 fn succeeded(arguments: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap();
@@ -49,7 +54,7 @@ fn trains_exactly(settings: &[&str]) -> serde_json::Value {
     let train = |name: &str, more: &[&str]| {
         let folder = runs.path().join(name);
         let dir = format!("run.dir={}", folder.display());
-        succeeded(&[&["train"], TINY, settings, &[dir.as_str()], more].concat());
+        succeeded(&[&["train"], &small(settings)[..], settings, &[dir.as_str()], more].concat());
         folder
     };
     let whole = inspect(&train("whole", &["run.iterations=5", "run.actors=2"]));

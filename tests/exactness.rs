@@ -16,7 +16,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use runs::{Runs, TINY, inspect, succeeded, train};
+use runs::{Runs, inspect, succeeded, tiny, train};
 use waiting::{eventually, has_begun};
 
 /// A disturbance of a run of six iterations.
@@ -115,7 +115,7 @@ const SIX: &str = "run.iterations=6";
 
 fn start(folder: &Path, more: &[&str]) -> Child {
     let dir = format!("run.dir={}", folder.display());
-    let arguments = [&["train"], TINY, &[dir.as_str()], more].concat();
+    let arguments = [&["train"], &tiny(more)[..], &[dir.as_str()], more].concat();
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
     command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }

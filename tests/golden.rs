@@ -29,30 +29,36 @@ const REPEATED: [[&str; 3]; 4] = [CASES[0], CASES[5], CASES[8], CASES[9]];
 
 /// Three iterations of 4 environments x 40 steps, of which MADDPG learns in two. Widths are no multiples of 16 lanes,
 /// so that kernels also process remainders.
-const SETTINGS: [&str; 22] = [
+const SETTINGS: &[&str] = &[
     "run.seed=7",
     "run.iterations=3",
     "environments.count=4",
     "environments.steps=40",
     "environments.per_slot=2",
     "environments.message_steps=20",
-    "policy.encoder=21",
-    "policy.hidden=37",
-    "policy.width=37",
-    "policy.layers=2",
-    "policy.sigma_floor=0.05",
     "critic.width=37",
     "critic.layers=2",
-    "influence.encoder=21",
-    "influence.hidden=21",
     "update.learning_rate=5e-3",
-    "update.desired_kl=0.01",
-    "maddpg.replay=400",
-    "maddpg.batch=33",
-    "maddpg.n_step=3",
-    "maddpg.warm_up=160",
     "evaluation.every_steps=0",
 ];
+
+const GRU: &[&str] = &["policy.encoder=21", "policy.hidden=37"];
+const MLP: &[&str] = &["policy.width=37", "policy.layers=2"];
+const ON_POLICY: &[&str] = &["policy.sigma_floor=0.05", "update.desired_kl=0.01"];
+const INFLUENCE: &[&str] = &["influence.encoder=21", "influence.hidden=21"];
+const REPLAY: &[&str] =
+    &["maddpg.replay=400", "maddpg.batch=33", "maddpg.n_step=3", "maddpg.warm_up=160"];
+
+/// Settings of a core and of an algorithm.
+fn own_settings(core: &str, algorithm: &str) -> Vec<&'static str> {
+    let sizes = if core == "gru" { GRU } else { MLP };
+    let rule = match algorithm {
+        "maddpg" => REPLAY.to_vec(),
+        "happo-s2mia" => [ON_POLICY, INFLUENCE].concat(),
+        _ => ON_POLICY.to_vec(),
+    };
+    [sizes, rule.as_slice()].concat()
+}
 
 const RENEWAL: &str = "S2MIA_RENEW_GOLDEN=1 cargo test --test golden golden_file";
 
@@ -84,7 +90,8 @@ fn train([task, algorithm, core]: [&str; 3], width: Option<&str>) -> Hashes {
     ];
     let mut learner = s2mia(width)
         .args(["learner", "--listen=127.0.0.1:0"])
-        .args(chosen.iter().map(String::as_str).chain(SETTINGS))
+        .args(chosen.iter().map(String::as_str).chain(SETTINGS.iter().copied()))
+        .args(own_settings(core, algorithm))
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()

@@ -6,6 +6,12 @@
 /// As `src/config.rs` has them; the command line is no library.
 #[path = "."]
 mod config {
+    #[path = "../../src/config/blame.rs"]
+    pub(crate) mod blame;
+    #[path = "../../src/config/conditions.rs"]
+    pub(crate) mod conditions;
+    #[path = "../../src/config/effect.rs"]
+    pub(crate) mod effect;
     #[path = "../../src/config/environment_section.rs"]
     pub(crate) mod environment_section;
     #[path = "../../src/config/error.rs"]
@@ -16,6 +22,8 @@ mod config {
     pub(crate) mod layer;
     #[path = "../../src/config/layers.rs"]
     pub(crate) mod layers;
+    #[path = "../../src/config/message_steps.rs"]
+    pub(crate) mod message_steps;
     #[path = "../../src/config/own_task.rs"]
     pub(crate) mod own_task;
     #[path = "../../src/config/presets.rs"]

@@ -197,17 +197,21 @@ impl Config {
         within("learner.connections", self.learner.connections as u64, 1, 65_536)
     }
 
-    /// Refuses messages that split a window of backpropagation of `policy`, and a burn-in that leaves no step to
-    /// train on.
+    /// Refuses slots and messages that split a window of backpropagation of `policy`, and a burn-in that leaves no step
+    /// to train on.
     ///
     /// # Errors
     /// Names the first key that does not fit and its range.
     pub fn suits(&self, policy: &PolicyConfig) -> Result<(), ConfigError> {
         let (window, environments) = (policy.backpropagation_steps, &self.environments);
-        if !environments.message_steps.is_multiple_of(window) {
-            let range = format!("a multiple of policy.backpropagation_steps = {window}");
-            let found = environments.message_steps.to_string();
-            return Err(ConfigError { key: "environments.message_steps", found, range });
+        for (key, steps) in [
+            ("environments.steps", environments.steps),
+            ("environments.message_steps", environments.message_steps),
+        ] {
+            if !steps.is_multiple_of(window) {
+                let range = format!("a multiple of policy.backpropagation_steps = {window}");
+                return Err(ConfigError { key, found: steps.to_string(), range });
+            }
         }
         if policy.burn_in >= environments.steps {
             let range = format!("less than environments.steps = {}", environments.steps);
@@ -253,7 +257,11 @@ impl EnvironmentsConfig {
         within("environments.count", self.count as u64, 1, 1_000_000)?;
         within("environments.steps", self.steps as u64, 1, 1_000_000)?;
         within("environments.per_slot", self.per_slot as u64, 0, self.count as u64)?;
-        within("environments.message_steps", self.message_steps as u64, 1, self.steps as u64)?;
+        if !(1..=self.steps).contains(&self.message_steps) {
+            let range = format!("1 to environments.steps = {}", self.steps);
+            let (key, found) = ("environments.message_steps", self.message_steps.to_string());
+            return Err(ConfigError { key, found, range });
+        }
         if self.per_slot > 0 {
             divides("environments.per_slot", self.per_slot, "environments.count", self.count)?;
         }
@@ -374,7 +382,7 @@ mod tests {
             ),
             (
                 EnvironmentsConfig { message_steps: 300, ..config() },
-                "environments.message_steps = 300 is out of range: 1 to 200",
+                "environments.message_steps = 300 is out of range: 1 to environments.steps = 200",
             ),
             (
                 EnvironmentsConfig { message_steps: 30, ..config() },

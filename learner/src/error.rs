@@ -18,7 +18,7 @@ pub enum LearnerError {
     #[error("policy settings: {0}")]
     PolicyConfig(#[source] policy::config::ConfigError),
     /// The sizes contradict each other, or would not fit a message.
-    #[error("these settings cannot be told to actors: {0}")]
+    #[error("the run cannot be described to actors; the field of the message is {0}")]
     Description(#[source] proto::Refusal),
     /// The run folder cannot be used.
     #[error(transparent)]

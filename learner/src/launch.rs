@@ -67,7 +67,11 @@ pub struct Launch {
 }
 
 impl Launch {
-    fn validate(&self) -> Result<(), LearnerError> {
+    /// Checks the settings and the environment; touches no file.
+    ///
+    /// # Errors
+    /// Names a setting out of range, or one that does not suit the environment.
+    pub fn validate(&self) -> Result<(), LearnerError> {
         self.config.validate()?;
         self.policy.validate().map_err(LearnerError::PolicyConfig)?;
         self.training.validate()?;
@@ -76,6 +80,12 @@ impl Launch {
         self.training.suits_agents(&problem(&self.environment))?;
         self.config.suits(&self.policy)?;
         self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
+    }
+
+    /// What actors would be told if a slot had one environment.
+    #[must_use]
+    pub fn smallest_description(&self) -> RunDescription {
+        self.with_slots_of(1, Incarnation(0))
     }
 
     /// What actors are told about this start of the run. Slots are as large as its messages allow.

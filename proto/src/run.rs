@@ -77,6 +77,17 @@ impl RunDescription {
         fits(self.max_boundary_bytes(), "run.environments_per_slot")
     }
 
+    /// Most bytes of a chunk or a lease in a message.
+    pub const MESSAGE_LIMIT_BYTES: u64 = MAX_MESSAGE_BYTES as u64 - MESSAGE_OVERHEAD_BYTES;
+
+    /// Bytes of the largest chunk or lease, which must not exceed [`Self::MESSAGE_LIMIT_BYTES`]; `None` if the number
+    /// overflows.
+    #[must_use]
+    pub fn largest_message_bytes(&self) -> Option<u64> {
+        // The largest chunk has the states of the slot's end, which are as large as those of a lease.
+        self.max_chunk_bytes()
+    }
+
     /// Bytes of the largest chunk: every step ends an episode.
     fn max_chunk_bytes(&self) -> Option<u64> {
         let [mut observed, mut acted] = [self.environment.state.len() as u64, 2];
@@ -170,7 +181,7 @@ fn divides(part: u32, whole: u32, field: &str) -> Result<(), Refusal> {
 }
 
 fn fits(bytes: Option<u64>, field: &str) -> Result<(), Refusal> {
-    let max = MAX_MESSAGE_BYTES as u64 - MESSAGE_OVERHEAD_BYTES;
+    let max = RunDescription::MESSAGE_LIMIT_BYTES;
     match bytes {
         Some(bytes) if bytes <= max => Ok(()),
         Some(bytes) => {

@@ -55,6 +55,18 @@ pub(crate) enum ConfigError {
         /// Reason, with the allowed values.
         detail: String,
     },
+    /// A setting that changes nothing in the run.
+    #[error(
+        "{place}: `{key}` has no effect in this run: it needs {needs}; leave it out or change that"
+    )]
+    NoEffect {
+        /// Layer that sets the key.
+        place: String,
+        /// Dotted path.
+        key: String,
+        /// What would give it an effect, and what there is instead.
+        needs: String,
+    },
     /// An unknown name of a task, an algorithm or a preset.
     #[error("{place}: unknown {kind} `{name}`{}; known: {known}", suggestion(.nearest.as_deref()))]
     UnknownName {

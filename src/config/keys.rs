@@ -3,6 +3,8 @@
 use sim::spelling::nearest_by;
 use strsim::levenshtein;
 
+use super::scalar::Scalar;
+
 /// Key of the run folder.
 const FOLDER: &str = "run.dir";
 
@@ -58,6 +60,15 @@ pub(crate) fn other_meaning(now: &str) -> &'static str {
 /// With that value the key takes no part in the hash of the settings, so runs of earlier versions can be resumed.
 pub(crate) const ADDED: &[(&str, &str)] =
     &[("task_file.text", "\"\""), ("task_file.model", "\"\""), ("critic.core", "\"mlp\"")];
+
+/// The settings that have no effect because `key` has this `value`, which is the purpose of the value.
+pub(super) fn switched_off(key: &str, value: &Scalar) -> &'static [&'static str] {
+    match (key, *value == Scalar::Integer(0)) {
+        ("run.iterations", false) => &["run.env_steps"],
+        ("evaluation.every_steps", true) => &["evaluation.episodes", "evaluation.sampled"],
+        _ => &[],
+    }
+}
 
 /// The semantic key that the program fills in when a run starts.
 pub(crate) const FILLED_IN: &str = "environment_service.description";

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use super::error::ConfigError;
 use super::keys;
-use super::layer::Layer;
+use super::layer::{Layer, Source};
 use super::own_task::OwnTask;
 use super::presets::{self, Preset};
-use super::resolved::{Entry, Resolved};
+use super::resolved::Resolved;
 use super::scalar::Scalar;
 
 /// Prefix of the environment variables that are settings: `S2MIA__UPDATE__GAMMA` is `update.gamma`.
@@ -102,14 +102,19 @@ pub(crate) fn resolve(request: &Request) -> Result<Resolved, ConfigError> {
         Some(file) => layers.push(run_layer(file, &schema)?),
         None => layers.extend(named_layers(&layers[0], &asked, own.as_ref(), &schema)?),
     }
-    layers.extend(asked);
+    // What the run has already is not given again.
+    let of_the_run = |layer| Layer { source: Source::Repeated, ..layer };
+    match request.resumed {
+        Some(_) => layers.extend(asked.into_iter().map(of_the_run)),
+        None => layers.extend(asked),
+    }
     layers.extend(own.map(|own| own.identity()));
-    Ok(laid_over(layers))
+    Ok(Resolved::laid_over(layers))
 }
 
 /// `configs/base.toml` alone.
 pub(crate) fn defaults() -> Resolved {
-    laid_over(vec![base_layer()])
+    Resolved::laid_over(vec![base_layer()])
 }
 
 /// `configs/base.toml`; a test shows that it is well formed.
@@ -119,14 +124,14 @@ fn base_layer() -> Layer {
     for (key, value) in leaves(&table) {
         values.insert(key, Scalar::from_toml(value).expect("configs/base.toml holds scalars"));
     }
-    Layer { place: presets::BASE.path.to_owned(), values }
+    Layer { place: presets::BASE.path.to_owned(), source: Source::Program, values }
 }
 
 /// The layers that the user wrote: files, environment, command line.
 fn asked_layers(request: &Request, schema: &Schema) -> Result<Vec<Layer>, ConfigError> {
     let mut layers = Vec::new();
     for file in &request.files {
-        layers.push(file_layer(file, schema)?);
+        layers.push(given_file(file, schema)?);
     }
     for (name, value) in &request.environment {
         let Some(key) = name.strip_prefix(ENVIRONMENT_PREFIX) else {
@@ -185,7 +190,8 @@ fn task_layers(
         return Ok((task.name.to_owned(), vec![preset_layer(task, schema)?]));
     };
     let general = preset_layer(presets::OWN_TASK, schema)?;
-    Ok((own.name.clone(), vec![general, laid_out(&own.place, &own.settings()?, schema)?]))
+    let settings = laid_out(&own.place, &own.settings()?, schema)?;
+    Ok((own.name.clone(), vec![general, Layer { source: Source::User, ..settings }]))
 }
 
 /// The files of the task, the preset and the algorithm that the other layers choose. What a preset says for one algorithm
@@ -243,7 +249,23 @@ fn preset_layer(preset: Preset, schema: &Schema) -> Result<Layer, ConfigError> {
     table_layer(preset.path, preset.text, schema)
 }
 
-fn file_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
+/// The settings of a file that the user gives. A file of the program keeps its meaning, and one with every semantic key, as
+/// `s2mia config` prints them and as runs keep them, repeats what the program would choose.
+fn given_file(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
+    let (place, text) = read(path)?;
+    let layer = table_layer(&place, &text, schema)?;
+    let is_later = |key: &str| keys::ADDED.iter().any(|(added, _)| *added == key);
+    let mut semantic = schema.keys().filter(|key| keys::is_semantic(key) && !is_later(key));
+    let source = match semantic.all(|key| layer.values.contains_key(key)) {
+        _ if presets::is_text_of_one(&text) => Source::Program,
+        true => Source::Repeated,
+        false => Source::User,
+    };
+    Ok(Layer { source, ..layer })
+}
+
+/// The name of a file for messages, and its text.
+fn read(path: &Path) -> Result<(String, String), ConfigError> {
     let place = path.display().to_string();
     let unreadable = |detail: String| ConfigError::Unreadable { place: place.clone(), detail };
     let size = std::fs::metadata(path).map_err(|e| unreadable(e.to_string()))?.len();
@@ -251,7 +273,7 @@ fn file_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
         return Err(unreadable(format!("{size} bytes, the limit is {FILE_LIMIT_BYTES}")));
     }
     let text = std::fs::read_to_string(path).map_err(|e| unreadable(e.to_string()))?;
-    table_layer(&place, &text, schema)
+    Ok((place, text))
 }
 
 /// Settings that runs of earlier versions hold and that nothing reads any more, each with a value of its kind.
@@ -265,7 +287,8 @@ const RETIRED: [(&str, Scalar); 3] = [
 fn run_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
     let mut known = schema.clone();
     known.extend(RETIRED.map(|(key, kind)| (key.to_owned(), kind)));
-    let mut layer = file_layer(path, &known)?;
+    let (place, text) = read(path)?;
+    let mut layer = table_layer(&place, &text, &known)?;
     layer.values.retain(|key, _| schema.contains_key(key));
     for (key, value) in keys::ADDED {
         if let (Some(kind), false) = (schema.get(*key), layer.values.contains_key(*key)) {
@@ -291,7 +314,7 @@ fn laid_out(place: &str, table: &toml::Table, schema: &Schema) -> Result<Layer, 
         let fitted = fitted.ok_or_else(|| wrong_kind(place, &key, default, &value.to_string()))?;
         values.insert(key, fitted);
     }
-    Ok(Layer { place: place.to_owned(), values })
+    Ok(Layer { place: place.to_owned(), source: Source::Program, values })
 }
 
 fn setting_layer(
@@ -303,7 +326,8 @@ fn setting_layer(
     let default = known(place, key, schema)?;
     let value = Scalar::parse(text, default)
         .ok_or_else(|| wrong_kind(place, key, default, &format!("`{text}`")))?;
-    Ok(Layer { place: place.to_owned(), values: BTreeMap::from([(key.to_owned(), value)]) })
+    let values = BTreeMap::from([(key.to_owned(), value)]);
+    Ok(Layer { place: place.to_owned(), source: Source::User, values })
 }
 
 fn is_section(key: &str, schema: &Schema) -> bool {
@@ -362,16 +386,6 @@ fn leaves(table: &toml::Table) -> Vec<(String, &toml::Value)> {
         }
     }
     found
-}
-
-fn laid_over(layers: Vec<Layer>) -> Resolved {
-    let mut entries = BTreeMap::new();
-    for layer in layers {
-        for (key, value) in layer.values {
-            entries.insert(key, Entry { value, origin: layer.place.clone() });
-        }
-    }
-    Resolved { entries }
 }
 
 #[cfg(test)]

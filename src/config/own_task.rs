@@ -9,7 +9,7 @@ use std::path::Path;
 use sim::{ModelFiles, TaskDefinition};
 
 use super::error::ConfigError;
-use super::layer::Layer;
+use super::layer::{Layer, Source};
 use super::scalar::Scalar;
 
 /// Text of the task file; empty for a task of the program.
@@ -58,7 +58,8 @@ impl OwnTask {
         let TaskDefinition { file, model } = &self.definition;
         let texts = [("task", &self.name), (FILE, file), (MODEL, model)];
         let values = texts.map(|(key, text)| (key.to_owned(), Scalar::Text(text.clone())));
-        Layer { place: self.place.clone(), values: BTreeMap::from(values) }
+        let values = BTreeMap::from(values);
+        Layer { place: self.place.clone(), source: Source::Program, values }
     }
 
     /// Reads the file that `task` names: `FILE.toml`, or `FILE.toml:PARTITION` if the file has several partitions. `None`

@@ -65,6 +65,12 @@ pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
 }
 
+/// Whether this is the text of a file of the program, which somebody gave by its path.
+pub(crate) fn is_text_of_one(text: &str) -> bool {
+    let named = [TASKS, ALGORITHMS, PRESETS].into_iter().flatten();
+    named.chain([&BASE, &OWN_TASK]).any(|preset| preset.text == text)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

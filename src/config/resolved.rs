@@ -7,6 +7,7 @@ use policy::arrays::hex;
 use sha2::{Digest as _, Sha256};
 
 use super::keys;
+use super::layer::{Layer, Source};
 use super::scalar::Scalar;
 
 /// A value and the layer that set it last.
@@ -23,9 +24,60 @@ pub(crate) struct Entry {
 pub(crate) struct Resolved {
     /// Sorted by path.
     pub(crate) entries: BTreeMap<String, Entry>,
+    /// The keys that the user gave, each with the value that it would have otherwise.
+    pub(crate) given: BTreeMap<String, Scalar>,
 }
 
 impl Resolved {
+    /// The settings of `layers`, of which later ones win; the first one has every key.
+    pub(super) fn laid_over(layers: Vec<Layer>) -> Self {
+        let mut resolved = Self { entries: BTreeMap::new(), given: BTreeMap::new() };
+        for layer in layers {
+            resolved.note(&layer);
+            let entry = |value| Entry { value, origin: layer.place.clone() };
+            resolved
+                .entries
+                .extend(layer.values.into_iter().map(|(key, value)| (key, entry(value))));
+        }
+        resolved
+    }
+
+    /// Notes what the user gives with `layer`, which is about to replace the values below. A value that switches another
+    /// setting off also takes back what the user gave for that one.
+    fn note(&mut self, layer: &Layer) {
+        if layer.source == Source::Program {
+            return;
+        }
+        for (key, value) in &layer.values {
+            let below = self.entries.get(key).map_or(value, |entry| &entry.value).clone();
+            match layer.source {
+                Source::Repeated if below == *value => {
+                    self.given.remove(key);
+                }
+                _ => {
+                    self.given.entry(key.clone()).or_insert(below);
+                }
+            }
+        }
+        let off = layer.values.iter().flat_map(|(key, value)| keys::switched_off(key, value));
+        for key in off {
+            self.given.remove(*key);
+        }
+    }
+
+    /// Whether the user gave `key`.
+    pub(crate) fn is_given(&self, key: &str) -> bool {
+        self.given.contains_key(key)
+    }
+
+    /// The whole number under `key`, if it is one of at least 0.
+    pub(crate) fn whole(&self, key: &str) -> Option<u64> {
+        match self.entries.get(key).map(|entry| &entry.value) {
+            Some(Scalar::Integer(number)) => u64::try_from(*number).ok(),
+            _ => None,
+        }
+    }
+
     /// Text under `key`; empty if the value is not text.
     pub(crate) fn text(&self, key: &str) -> &str {
         match self.entries.get(key) {
@@ -43,6 +95,14 @@ impl Resolved {
             }
             Some(value) => value.to_string(),
             None => String::new(),
+        }
+    }
+
+    /// The value under `key` for messages: as [`Self::shown`], but a text without quotes.
+    pub(crate) fn plain(&self, key: &str) -> String {
+        match self.text(key) {
+            text if text.is_empty() || text.contains('\n') => self.shown(key),
+            text => text.to_owned(),
         }
     }
 
@@ -66,8 +126,12 @@ impl Resolved {
 
     /// Sets a value that the program determines, such as the name of the run folder.
     pub(crate) fn set_text(&mut self, key: &str, value: &str, origin: &str) {
-        let entry = Entry { value: Scalar::Text(value.to_owned()), origin: origin.to_owned() };
-        self.entries.insert(key.to_owned(), entry);
+        self.set(key, Scalar::Text(value.to_owned()), origin);
+    }
+
+    /// Sets a value that the program determines.
+    pub(crate) fn set(&mut self, key: &str, value: Scalar, origin: &str) {
+        self.entries.insert(key.to_owned(), Entry { value, origin: origin.to_owned() });
     }
 
     /// SHA-256 over `key = value` lines of the semantic keys. Length and run folder are excluded.
@@ -109,28 +173,28 @@ impl Resolved {
 
     /// The settings as TOML that can be read again.
     pub(crate) fn to_toml(&self) -> String {
-        self.lines(|_| String::new())
+        self.lines(|_, _| String::new())
     }
 
-    /// The settings as TOML, each line with the origin of its value as a comment.
-    pub(crate) fn to_toml_with_origins(&self) -> String {
-        self.lines(|entry| format!("  # {}", entry.origin))
+    /// The settings as TOML, each line with the origin of its value and a `remark` on the key as a comment.
+    pub(crate) fn to_toml_with_origins(&self, remark: impl Fn(&str) -> String) -> String {
+        self.lines(|key, entry| format!("  # {}{}", entry.origin, remark(key)))
     }
 
     /// Keys without a section come first: in TOML they could not follow one.
-    fn lines(&self, comment: impl Fn(&Entry) -> String) -> String {
+    fn lines(&self, comment: impl Fn(&str, &Entry) -> String) -> String {
         let (mut top, mut sections) = (String::new(), String::new());
         let mut current = "";
         for (key, entry) in &self.entries {
             let Some((section, name)) = key.rsplit_once('.') else {
-                push_line(&mut top, key, entry, &comment(entry));
+                push_line(&mut top, key, entry, &comment(key, entry));
                 continue;
             };
             if section != current {
                 push_text(&mut sections, &format!("\n[{section}]\n"));
                 current = section;
             }
-            push_line(&mut sections, name, entry, &comment(entry));
+            push_line(&mut sections, name, entry, &comment(key, entry));
         }
         top + &sections
     }
@@ -160,7 +224,7 @@ mod tests {
         let with = |count| {
             let entries = [("environments.count", count), ("environments.per_slot", 0)];
             let entries = entries.map(|(key, value)| (key.to_owned(), integer(value)));
-            Resolved { entries: BTreeMap::from(entries) }
+            Resolved { entries: BTreeMap::from(entries), given: BTreeMap::new() }
         };
         let recorded = hex(&hash(&BTreeMap::from([
             ("environments.count", "20".to_owned()),
@@ -177,7 +241,7 @@ mod tests {
             let integer = |value| Entry { value: Scalar::Integer(value), origin: String::new() };
             let mut entries = BTreeMap::from([("update.epochs".to_owned(), integer(5))]);
             entries.extend(value.map(|value| ("update.new".to_owned(), integer(value))));
-            Resolved { entries }.sha256_without(&[("update.new", "0")])
+            Resolved { entries, given: BTreeMap::new() }.sha256_without(&[("update.new", "0")])
         };
         assert_eq!(with(Some(0)), with(None));
         assert_ne!(with(Some(1)), with(None));

@@ -8,7 +8,9 @@ use serde::de::DeserializeOwned;
 use sim::ObservationNorm;
 
 use crate::config::environment_section::EnvironmentSection;
-use crate::config::{ConfigError, Request, Resolved, layers, own_task};
+use crate::config::{
+    ConfigError, Request, Resolved, blame, effect, layers, message_steps, own_task,
+};
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -51,27 +53,15 @@ pub(crate) struct RunConfig {
 }
 
 impl RunConfig {
-    /// Checks all settings and converts them to the crates' types. An error is attributed to the setting whose default
-    /// would change the error, so that it names the place where the user wrote that setting.
+    /// Checks all settings and converts them to the crates' types. An error names the place where the user wrote the setting
+    /// that causes it.
     pub(crate) fn build(resolved: Resolved) -> Result<Self, ConfigError> {
-        let detail = match Self::assemble(&resolved) {
-            Ok(config) => return Ok(config),
-            Err(detail) => detail,
-        };
-        let defaults = layers::defaults();
-        let to_blame = |key: &&String| {
-            let mut changed = resolved.clone();
-            changed.entries.insert((*key).clone(), defaults.entries[*key].clone());
-            Self::assemble(&changed).err().as_ref() != Some(&detail)
-        };
-        let set =
-            resolved.entries.iter().filter(|(key, e)| e.value != defaults.entries[*key].value);
-        let (named, others): (Vec<&String>, Vec<&String>) = set
-            .map(|(key, _)| key)
-            .partition(|key| key.contains('.') && detail.contains(key.as_str()));
-        let key = named.into_iter().chain(others).find(to_blame).map_or("run", String::as_str);
-        let place = resolved.origin(key).to_owned();
-        Err(ConfigError::Refused { place, key: key.to_owned(), detail })
+        let resolved = message_steps::followed(resolved);
+        let config = Self::assemble(&resolved).map_err(|detail| {
+            blame::refused(&resolved, &detail, |changed| Self::assemble(changed).map(drop))
+        })?;
+        effect::demand(&config, None)?;
+        Ok(config)
     }
 
     pub(super) fn of_file(file: &Path) -> Result<Self, ConfigError> {
@@ -321,8 +311,8 @@ mod tests {
     #[test]
     fn maddpg_is_refused_for_choices_by_its_own_key() {
         let message = built(&["cue-2x1", "algorithm=maddpg"]).unwrap_err().to_string();
-        let expected = "configs/algorithms/maddpg.toml: update.rule = maddpg is out of range: happo \
-                        or mappo for a task with discrete actions";
+        let expected = "command line: algorithm = maddpg does not fit: update.rule = maddpg is out of \
+                        range: happo or mappo for a task with discrete actions";
         assert_eq!(message, expected);
     }
 

@@ -13,12 +13,12 @@ use serde_json::json;
 use crate::cli::{ResumeArguments, SettingsArguments};
 use crate::config::run_config::RunConfig;
 use crate::config::run_settings::settings_of_run;
-use crate::config::{ConfigError, Request, keys, layers};
+use crate::config::{ConfigError, Request, blame, effect, keys, layers};
 use crate::errors::Usage;
 use crate::run::fingerprints::{BUILD, Fingerprints};
 use crate::run::offered::Offered;
 use crate::run::run_path::demand_run;
-use crate::run::{resume, run_path};
+use crate::run::{message_sizes, resume, run_path};
 
 /// A run that is ready to start.
 pub(crate) struct Prepared {
@@ -39,6 +39,7 @@ pub(crate) fn prepare(
 ) -> anyhow::Result<Prepared> {
     let mut config = configure(settings, resumed.resume.as_deref())?;
     let offered = Offered::of(&config, transport)?;
+    effect::demand(&config, Some(&offered.spec))?;
     let folder = match &resumed.resume {
         Some(folder) => {
             offered.demand_that_of(&config)?;
@@ -57,8 +58,23 @@ pub(crate) fn prepare(
         fingerprints.demand_those_of(folder, launch.config_sha256)?;
     }
     launch.resume = resumed.resume.is_some();
+    if !launch.resume {
+        message_sizes::fit(&mut config, &mut launch)?;
+    }
     launch.fault = resumed.die_at;
+    suits_environment(&config, &launch)?;
     Ok(Prepared { config, folder, launch })
+}
+
+/// Refuses settings that do not suit the environment, by name.
+fn suits_environment(config: &RunConfig, launch: &Launch) -> anyhow::Result<()> {
+    launch.validate().map_err(|error| {
+        let detail = error.to_string();
+        match blame::of_subject(&config.resolved, &detail) {
+            Some(refused) => refused.into(),
+            None => Usage::new(detail).into(),
+        }
+    })
 }
 
 /// The hash of the settings that the run's manifest records, or its newest checkpoint without one; empty without either.
@@ -78,16 +94,18 @@ pub(crate) fn prepare_or_resume(
 ) -> anyhow::Result<Prepared> {
     let resume = match &resumed.resume {
         Some(folder) => Some(folder.clone()),
-        None => run_in_place(&configure(settings, None)?),
+        None => run_in_place(settings)?,
     };
     prepare(settings, &ResumeArguments { resume, ..resumed.clone() }, transport)
 }
 
-/// The configured folder, if it contains a run.
-fn run_in_place(config: &RunConfig) -> Option<PathBuf> {
-    let folder = Path::new(&config.run.dir);
-    let there = !config.run.dir.is_empty() && RunFolder::holds_run(folder);
-    there.then(|| folder.to_path_buf())
+/// The configured folder, if it contains a run, whose own settings then hold.
+fn run_in_place(settings: &SettingsArguments) -> Result<Option<PathBuf>, ConfigError> {
+    let request = Request::from_process(settings.files.clone(), settings.written());
+    let resolved = layers::resolve(&request)?;
+    let folder = Path::new(resolved.text("run.dir"));
+    let there = !folder.as_os_str().is_empty() && RunFolder::holds_run(folder);
+    Ok(there.then(|| folder.to_path_buf()))
 }
 
 /// The settings of a new run, or those of `resumed` with permitted changes.

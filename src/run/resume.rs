@@ -7,9 +7,12 @@ const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";
 const MAY_RISE: &str = "it may only be raised";
 
-/// Refuses the first setting of `new` that would change the result of the run, by name.
+/// Refuses a setting of `new` that would change the result of the run, by name: the first that the user gave, then the first
+/// that follows one.
 pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError> {
-    for (key, value) in old.resolved.semantic() {
+    let mut settings: Vec<_> = old.resolved.semantic().collect();
+    settings.sort_by_key(|(key, _)| !new.resolved.is_given(key));
+    for (key, value) in settings {
         if keys::FILLED_IN == key && new.environment.description.is_empty() {
             // The environment's description is not known yet; `Offered` compares it later.
             continue;
