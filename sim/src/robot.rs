@@ -4,6 +4,7 @@ mod assemble;
 mod blueprint;
 mod convex;
 mod document;
+mod exploration;
 mod folder;
 mod frame;
 mod inertia;

@@ -55,6 +55,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     output::line(tasks::as_table(world.description()).trim_end());
     output::line(links(robot));
     output::line(joints(robot));
+    for hint in robot.hard_to_explore() {
+        output::line(format!("warning: {hint}"));
+    }
     let mut trial = Trial::default();
     for episode in 0..arguments.episodes {
         trial.play(&mut *world, episode)?;
@@ -80,18 +83,23 @@ fn links(robot: &Robot) -> String {
     text + &format!("total {:<16} {total:>9.4} kg", "")
 }
 
-/// Limits and largest torque of each hinge.
+/// Limits, control range and largest torque of each hinge.
 fn joints(robot: &Robot) -> String {
+    let control =
+        |joint: &str| robot.actuators().zip(robot.control_ranges()).find(|m| m.0 == joint);
     let line = |(name, range): (&str, Option<[f32; 2]>)| {
         let range = match range {
             Some([low, high]) => format!("{low} to {high} rad"),
             None => "no limits".to_owned(),
         };
-        let torque = match robot.torque(name, f32::MAX) {
-            Some(torque) => format!("motor up to {torque} N m"),
-            None => "no motor".to_owned(),
+        let motor = match (control(name), robot.torque(name, f32::MAX)) {
+            (Some((_, [low, high])), Some(torque)) => {
+                format!("motor up to {torque} N m, control {low} to {high}")
+            }
+            (Some((_, [low, high])), None) => format!("servo, control {low} to {high}"),
+            (None, _) => "no motor".to_owned(),
         };
-        format!("joint {name:<16} {range}, {torque}")
+        format!("joint {name:<16} {range}, {motor}")
     };
     robot.hinges().map(line).collect::<Vec<_>>().join("\n")
 }
