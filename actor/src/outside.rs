@@ -125,13 +125,18 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
             (offered.task.as_str(), actions.checked_add(KEY_BYTES as u64)?)
         }
     };
-    let mut agents = offered.agents.clone();
-    for agent in agents.iter_mut().filter(|agent| agent.action.choices.is_none()) {
-        (agent.action.low, agent.action.high) = (-1.0, 1.0);
+    let (mut agents, mut ranges) = (offered.agents.clone(), String::new());
+    for (index, agent) in agents.iter_mut().enumerate() {
+        let ActionSpec { low, high, choices, .. } = agent.action;
+        if choices.is_none() && (low, high) != (-1.0, 1.0) {
+            // The same actions lead to other states in another range.
+            ranges += &format!("/{index}:{low}..{high}");
+            (agent.action.low, agent.action.high) = (-1.0, 1.0);
+        }
     }
     Some(EnvironmentSpec {
         agents,
-        state_kind: format!("outside/{}/{kind}", states.name()),
+        state_kind: format!("outside/{}/{kind}{ranges}", states.name()),
         max_state_bytes: u32::try_from(more.checked_add(HEADER_BYTES as u64)?).ok()?,
         ..offered.clone()
     })

@@ -180,6 +180,11 @@ impl Robot {
         })
     }
 
+    /// Units of the coordinates and torques of hinges and slides, in the order of [`Self::hinges`].
+    pub fn hinge_units(&self) -> impl Iterator<Item = [&'static str; 2]> {
+        self.layout.hinges.iter().map(layout::HingeMap::units)
+    }
+
     /// Joints of the motors, in the order of the model's actuators.
     pub fn actuators(&self) -> impl Iterator<Item = &str> {
         self.blueprint.motors.iter().map(|motor| motor.joint.as_str())

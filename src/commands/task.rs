@@ -85,23 +85,27 @@ fn links(robot: &Robot) -> String {
 
 /// Limits, control range and largest torque of each hinge.
 fn joints(robot: &Robot) -> String {
-    let control =
-        |joint: &str| robot.actuators().zip(robot.control_ranges()).find(|m| m.0 == joint);
-    let line = |(name, range): (&str, Option<[f32; 2]>)| {
+    let control = |joint: &str| {
+        let mut motors = robot.actuators().zip(robot.control_ranges());
+        motors.find(|(driven, _)| *driven == joint).map(|(_, range)| range)
+    };
+    let line = |((name, range), [unit, newtons]): ((&str, Option<[f32; 2]>), [&str; 2])| {
         let range = match range {
-            Some([low, high]) => format!("{low} to {high} rad"),
+            Some([low, high]) => format!("{low} to {high} {unit}"),
             None => "no limits".to_owned(),
         };
-        let motor = match (control(name), robot.torque(name, f32::MAX)) {
-            (Some((_, [low, high])), Some(torque)) => {
-                format!("motor up to {torque} N m, control {low} to {high}")
+        let ends = [f32::MIN, f32::MAX].map(|control| robot.torque(name, control));
+        let motor = match (control(name), ends) {
+            (Some([low, high]), [Some(one), Some(other)]) => {
+                let largest = one.abs().max(other.abs());
+                format!("motor up to {largest} {newtons}, control {low} to {high}")
             }
-            (Some((_, [low, high])), None) => format!("servo, control {low} to {high}"),
+            (Some([low, high]), _) => format!("servo, control {low} to {high}"),
             (None, _) => "no motor".to_owned(),
         };
         format!("joint {name:<16} {range}, {motor}")
     };
-    robot.hinges().map(line).collect::<Vec<_>>().join("\n")
+    robot.hinges().zip(robot.hinge_units()).map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// What happens under random actions.

@@ -45,11 +45,6 @@ impl Drive<'_> {
         self.motor.servo.map_or((1.0, [0.0; 3]), |servo| (servo.gain, servo.bias))
     }
 
-    /// Units of the joint's coordinate and of its torque.
-    fn units(&self) -> [&'static str; 2] {
-        if self.hinge.axis < 3 { ["m", "N"] } else { ["rad", "N m"] }
-    }
-
     fn fault(&self) -> Option<String> {
         let (gain, [_, stiffness, slope]) = self.law();
         if self.motor.gear == 0.0 {
@@ -73,7 +68,7 @@ impl Drive<'_> {
 
     /// For a motor without feedback, whose torques these are at the ends of its control range.
     fn fault_of_torque(&self, [low, high]: [f32; 2]) -> Option<String> {
-        let [unit, newtons] = self.units();
+        let [unit, newtons] = self.hinge.units();
         let force = self.motor.servo.and_then(|servo| servo.range);
         let force = force.map(|range| range.map(|end| end * self.motor.gear));
         let limits = [force, self.hinge.torque_range].into_iter().flatten();
@@ -114,7 +109,7 @@ impl Drive<'_> {
 
     /// For a servo of the speed with these targets at the ends of its control range.
     fn fault_of_speed(&self, [low, high]: [f32; 2]) -> Option<String> {
-        let [unit, _] = self.units();
+        let [unit, _] = self.hinge.units();
         let largest = low.abs().max(high.abs());
         if high - low < SMALLEST_TARGET.max(SMALLEST_CHANGE * largest) {
             return Some(format!(
@@ -128,7 +123,7 @@ impl Drive<'_> {
 
     /// For a servo of the position with these targets at the ends of its control range.
     fn fault_of_target(&self, [low, high]: [f32; 2]) -> Option<String> {
-        let [unit, _] = self.units();
+        let [unit, _] = self.hinge.units();
         let Some([start, end]) = self.hinge.range else {
             return (high - low < SMALLEST_TARGET).then(|| {
                 format!(
