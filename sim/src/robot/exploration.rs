@@ -176,7 +176,7 @@ mod tests {
     fn a_motor_that_random_actions_cannot_explore_is_named_with_what_to_change() {
         for (motor, part) in [
             ("motor joint=\"hip\" gear=\"0\"", "has gear 0"),
-            ("position joint=\"hip\" kp=\"0\"", "has gain 0"),
+            ("position joint=\"hip\" kp=\"0\" ctrlrange=\"-1 1\"", "has gain 0"),
             (
                 "motor joint=\"hip\" gear=\"80\" ctrlrange=\"0.999 1\"",
                 "almost the same: widen `ctrlrange`",
