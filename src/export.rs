@@ -9,7 +9,7 @@ use std::path::Path;
 
 use policy::ActorPolicy;
 use serde_json::json;
-use sim::{AgentDescription, Description, EnvironmentBatch};
+use sim::{AgentDescription, Description, EnvironmentBatch, Robot};
 
 use crate::process::output;
 use crate::progress::WorkProgress;
@@ -28,7 +28,7 @@ pub(crate) fn export(
     for (index, (agent, described)) in snapshot.agents.iter().zip(&task.agents).enumerate() {
         let name = format!("agent_{index}.onnx");
         let about: BTreeMap<_, _> =
-            common.clone().into_iter().chain(about_agent(described)).collect();
+            common.clone().into_iter().chain(about_agent(described, world.robot())).collect();
         output::file(&folder.join(&name), &graph::model(agent, &about).to_bytes())?;
         files.push((name, sizes(agent)));
     }
@@ -54,8 +54,9 @@ fn common(trained: &Trained, task: &Description) -> BTreeMap<String, String> {
     about
 }
 
-/// Metadata of one agent's model: the meaning of each input and output, and the limits of the action.
-fn about_agent(agent: &AgentDescription) -> BTreeMap<String, String> {
+/// Metadata of one agent's model: the meaning of each input and output, and the limits of the action and, for a simulated
+/// robot, of the controls to which it is mapped.
+fn about_agent(agent: &AgentDescription, robot: Option<&Robot>) -> BTreeMap<String, String> {
     let features: Vec<&String> = agent.observation.iter().map(|feature| &feature.name).collect();
     let limits = match agent.action.choices {
         Some(choices) => vec![("action_choices", choices.to_string())],
@@ -64,12 +65,21 @@ fn about_agent(agent: &AgentDescription) -> BTreeMap<String, String> {
             ("action_high", agent.action.high.to_string()),
         ],
     };
+    let controls = robot.map(|robot| {
+        let ranges = |joint: &String| {
+            let mut motors = robot.actuators().zip(robot.control_ranges());
+            motors.find(|(driven, _)| driven == joint).map(|(_, range)| range)
+        };
+        let ranges: Vec<_> = agent.joints.iter().filter_map(ranges).collect();
+        ("control_ranges", serde_json::to_string(&ranges).expect("ranges of a model are finite"))
+    });
     let words = [
+        ("action_unit", agent.action.unit().to_owned()),
         ("agent", agent.name.clone()),
         ("observation_features", json!(features).to_string()),
         ("action_joints", json!(agent.joints).to_string()),
     ];
-    let words = words.into_iter().chain(limits);
+    let words = words.into_iter().chain(limits).chain(controls);
     words.map(|(name, value)| (name.to_owned(), value)).collect()
 }
 

@@ -153,6 +153,14 @@ fn the_tasks_are_listed_with_their_agents() {
     let six = tasks.as_array().unwrap().iter().find(|t| t["task"] == "halfcheetah-6x1").unwrap();
     assert_eq!(six["agents"].as_array().unwrap().len(), 6);
     assert_eq!(six["agents"][0]["action"]["size"], 1);
+    let joints = |name: &str| {
+        let task = tasks.as_array().unwrap().iter().find(|t| t["task"] == name).unwrap();
+        let agents = task["agents"].as_array().unwrap().iter();
+        agents.map(|agent| agent["joints"].to_string().replace('"', "")).collect::<Vec<_>>()
+    };
+    let opposite = ["[hip_1,ankle_1,hip_3,ankle_3]", "[hip_2,ankle_2,hip_4,ankle_4]"];
+    assert_eq!(joints("ant-2x4d"), opposite);
+    assert_eq!(joints("ant-2x4")[0], "[hip_4,ankle_4,hip_1,ankle_1]");
     let table = String::from_utf8(s2mia(&["tasks"]).stdout).unwrap();
     assert!(table.contains("halfcheetah-2x3: 2 agents"), "{table}");
     assert!(table.contains("one choice among 3"), "{table}");

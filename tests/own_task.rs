@@ -109,6 +109,68 @@ fn a_run_of_an_own_task_continues_and_is_evaluated_without_its_files() {
 }
 
 #[test]
+fn a_motor_in_another_unit_gives_the_same_weights() {
+    let runs = Runs::new();
+    let task = example(&runs);
+    let uncosted = std::fs::read_to_string(&task).unwrap().replace("weight = 1e-3", "weight = 0.0");
+    std::fs::write(&task, uncosted).unwrap();
+    let model = task.with_file_name("hopper.xml");
+    let strong = std::fs::read_to_string(&model).unwrap();
+    let wide = strong.replace("gear=\"80\"", "gear=\"1\" ctrlrange=\"-80 80\"");
+    let named = format!("task={}", text(&task));
+    let weights = [("strong", strong), ("wide", wide)].map(|(name, motors)| {
+        std::fs::write(&model, motors).unwrap();
+        let folder = runs.folder(name);
+        train(&folder, &[&named, "run.iterations=2", "run.actors=1"]);
+        inspect(&folder)["weights_sha256"].clone()
+    });
+    assert_eq!(weights[0], weights[1]);
+}
+
+#[test]
+fn a_run_whose_actions_were_controls_is_refused_and_one_with_the_same_bits_is_not() {
+    let runs = Runs::new();
+    let task = example(&runs);
+    let model = task.with_file_name("hopper.xml");
+    let strong = std::fs::read_to_string(&model).unwrap();
+    let wide = strong.replace("gear=\"80\"", "gear=\"1\" ctrlrange=\"-80 80\"");
+    let named = format!("task={}", text(&task));
+    let runs = [("strong", strong), ("wide", wide)].map(|(name, motors)| {
+        std::fs::write(&model, motors).unwrap();
+        let folder = runs.folder(name);
+        train(&folder, &[&named, "run.iterations=1", "run.actors=1"]);
+        let manifest = folder.join("manifest.json");
+        let mut recorded: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(&manifest).unwrap()).unwrap();
+        assert_eq!(recorded.as_object_mut().unwrap().remove("action_unit").unwrap(), "half_range");
+        // Early versions wrote neither hashes of manifests nor starts.
+        recorded.as_object_mut().unwrap().remove("manifest_sha256").unwrap();
+        std::fs::remove_file(folder.join("starts.jsonl")).unwrap();
+        std::fs::write(&manifest, recorded.to_string()).unwrap();
+        folder
+    });
+    succeeded(&["eval", text(&runs[0]), "--episodes", "1"]);
+    for command in [&["eval", text(&runs[1])][..], &["train", "--resume", text(&runs[1])]] {
+        assert!(refusal(command).contains("the run is of an earlier version, whose actions were"));
+    }
+}
+
+#[test]
+fn a_check_warns_of_a_motor_that_cannot_be_explored() {
+    let runs = Runs::new();
+    let task = example(&runs);
+    let check = || succeeded(&["task", "check", text(&task), "--episodes", "1"]);
+    assert!(!check().contains("warning"));
+    let model = task.with_file_name("hopper.xml");
+    let changed = std::fs::read_to_string(&model).unwrap().replacen("gear=\"80\"", "gear=\"0\"", 1);
+    std::fs::write(&model, changed).unwrap();
+    let told = check();
+    let warnings: Vec<&str> = told.lines().filter(|line| line.starts_with("warning: ")).collect();
+    let why = "the motor of `hip` has gear 0, so its control moves nothing: set `gear`";
+    assert_eq!(warnings, [format!("warning: {why}")], "{told}");
+}
+
+#[test]
 fn a_run_of_a_model_of_several_files_continues_without_them() {
     let runs = Runs::new();
     let task = example_of_files(&runs);

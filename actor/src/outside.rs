@@ -1,5 +1,6 @@
 //! Environments of another program, behind the interface of simulated ones. This module counts episodes and steps,
-//! truncates episodes at their limits, and restores an episode in the next slot.
+//! truncates episodes at their limits, restores an episode in the next slot, and maps actions, which runs have in units
+//! of half a range, to the range that the program states.
 //!
 //! An encoded state starts with the episode's index (u64), step (u32) and limit (u32), little-endian. The saved state
 //! of the program follows. If the program does not save states, the episode's key (32 bytes) and its actions so far
@@ -10,10 +11,11 @@ mod header;
 use std::cell::RefCell;
 use std::ops::Range;
 
-use proto::{EnvironmentSpec, View};
+use proto::{ActionSpec, EnvironmentSpec, View};
 use rollout::description;
 use sim::{
-    Description, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise,
+    ActionScale, Description, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError,
+    standardise,
 };
 
 use crate::client::{EnvironmentClient, Play};
@@ -104,7 +106,7 @@ impl EnvironmentService {
         };
         OutsideEnvironments {
             description: description(&self.spec),
-            sizes: self.offered.agents.iter().map(|agent| agent.action.size as usize).collect(),
+            actions: self.offered.agents.iter().map(|agent| OwnAction::of(&agent.action)).collect(),
             states: self.states,
             scale: if self.spec.feature_z { standardise } else { |_| {} },
             play: RefCell::new(self.client.play(&self.offered)),
@@ -123,19 +125,45 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
             (offered.task.as_str(), actions.checked_add(KEY_BYTES as u64)?)
         }
     };
+    let (mut agents, mut ranges) = (offered.agents.clone(), String::new());
+    for (index, agent) in agents.iter_mut().enumerate() {
+        let ActionSpec { low, high, choices, .. } = agent.action;
+        if choices.is_none() && (low, high) != (-1.0, 1.0) {
+            // The same actions lead to other states in another range.
+            ranges += &format!("/{index}:{low}..{high}");
+            (agent.action.low, agent.action.high) = (-1.0, 1.0);
+        }
+    }
     Some(EnvironmentSpec {
-        state_kind: format!("outside/{}/{kind}", states.name()),
+        agents,
+        state_kind: format!("outside/{}/{kind}{ranges}", states.name()),
         max_state_bytes: u32::try_from(more.checked_add(HEADER_BYTES as u64)?).ok()?,
         ..offered.clone()
     })
+}
+
+/// An agent's action in the program's unit.
+#[derive(Clone, Copy, Debug)]
+struct OwnAction {
+    size: usize,
+    /// `None` for a choice.
+    scale: Option<ActionScale>,
+}
+
+impl OwnAction {
+    fn of(offered: &ActionSpec) -> Self {
+        let range = [offered.low, offered.high];
+        let scale = offered.choices.is_none().then(|| ActionScale::to(range));
+        Self { size: offered.size as usize, scale }
+    }
 }
 
 /// Environments of a slot, stepped by another program.
 #[derive(Debug)]
 pub struct OutsideEnvironments {
     description: Description,
-    /// Size of each agent's action.
-    sizes: Vec<usize>,
+    /// Action of each agent.
+    actions: Vec<OwnAction>,
     states: States,
     /// Scales an observation.
     scale: fn(&mut [f32]),
@@ -151,7 +179,7 @@ struct Episode {
     step: u32,
     limit: u32,
     key: [u8; KEY_BYTES],
-    /// Actions so far, `[step, A]`; kept only if episodes are replayed.
+    /// Actions so far, `[step, A]`, in units of half a range; kept only if episodes are replayed.
     actions: Vec<f32>,
     /// Observation of each agent, `[obs]`.
     observations: Vec<Vec<f32>>,
@@ -271,7 +299,7 @@ impl OutsideEnvironments {
         let actions_by_agent = self.by_agent(actions);
         let answer = self.play.get_mut().step(numbers, actions_by_agent);
         let steps = answer.map_err(|error| error.at(&self.place(environments)))?;
-        let width = self.sizes.iter().sum::<usize>();
+        let width = self.width();
         for (row, &environment) in environments.iter().enumerate() {
             let now = &mut self.episodes[environment];
             now.read_row(&steps.view, row, self.scale);
@@ -298,16 +326,22 @@ impl OutsideEnvironments {
         }
     }
 
-    /// Splits `[n, A]` into `[n, act]` for each agent.
+    /// Numbers of the joint action, `A`.
+    fn width(&self) -> usize {
+        self.actions.iter().map(|action| action.size).sum()
+    }
+
+    /// Splits `[n, A]` into `[n, act]` for each agent, in the program's units.
     fn by_agent(&self, actions: &[f32]) -> Vec<Vec<f32>> {
-        let width = self.sizes.iter().sum::<usize>();
+        let width = self.width();
         let mut from = 0;
-        let agent = |size: &usize| {
-            let columns = from..from + size;
-            from += size;
-            actions.chunks_exact(width).flat_map(|row| &row[columns.clone()]).copied().collect()
+        let agent = |action: &OwnAction| {
+            let columns = from..from + action.size;
+            from += action.size;
+            let own = |number: &f32| action.scale.map_or(*number, |scale| scale.apply(*number));
+            actions.chunks_exact(width).flat_map(|row| &row[columns.clone()]).map(own).collect()
         };
-        self.sizes.iter().map(agent).collect()
+        self.actions.iter().map(agent).collect()
     }
 
     /// Restores states that the program saved; the header of each is already read.
@@ -340,7 +374,7 @@ impl OutsideEnvironments {
 
     /// Restores an episode by repeating its actions. It is an error if the episode ends early.
     fn replay(&mut self, environment: usize, header: &Header, past: &[u8]) -> Result<(), SimError> {
-        let width = self.sizes.iter().sum::<usize>();
+        let width = self.width();
         let (found, expected) = (past.len(), KEY_BYTES + 4 * width * header.step as usize);
         let key = past.first_chunk::<KEY_BYTES>().filter(|_| found == expected);
         let Some(key) = key else {

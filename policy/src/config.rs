@@ -56,11 +56,11 @@ pub struct PolicyConfig {
     pub burn_in: usize,
     /// When stored recurrent states are recomputed.
     pub refresh_hidden: RefreshHidden,
-    /// Initial sigma, in units of the action.
+    /// Initial sigma, in units of half an action's range.
     pub initial_sigma: f64,
-    /// Upper bound of sigma, in units of the action.
+    /// Upper bound of sigma, in units of half an action's range.
     pub sigma_scale: f32,
-    /// Lower bound of sigma, in units of the action.
+    /// Lower bound of sigma, in units of half an action's range.
     pub sigma_floor: f32,
     /// Gain of the orthogonal initialisation of the action head.
     pub head_gain: f32,

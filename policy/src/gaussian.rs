@@ -8,7 +8,7 @@ const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 /// A trainable diagonal Gaussian over `R` rows of `A` action dimensions.
 #[derive(Clone, Debug)]
 pub struct Gaussian {
-    /// Means, `[R, A]`, in units of the action.
+    /// Means, `[R, A]`, in units of half an action's range.
     pub mean: Tensor,
     /// Standard deviations, the same in every row, `[A]`.
     pub sigma: Tensor,

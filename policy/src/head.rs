@@ -22,7 +22,7 @@ pub enum Head {
     /// The network's output after tanh, scaled to the range. Exploration adds Gaussian noise and
     /// clamps to the range. The density is that of the noise before the clamp.
     Deterministic {
-        /// Standard deviation of the noise, in units of the action.
+        /// Standard deviation of the noise, in the unit of `low` and `high`.
         noise_sigma: f32,
         /// Lowest action.
         low: f32,

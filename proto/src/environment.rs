@@ -51,7 +51,8 @@ pub struct AgentSpec {
     pub action: ActionSpec,
 }
 
-/// An agent's action, `[size]`: continuous, clamped by the world to `low..=high`, or one choice.
+/// An agent's action, `[size]`: continuous, clamped by the world to `low..=high`, or one choice. In runs a continuous
+/// action is in units of half a range, -1 to 1; the range of a program that provides an environment is in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActionSpec {
     /// Number of dimensions.

@@ -38,6 +38,7 @@ impl ShareChannels {
             let about = [
                 ("observation", names(&agent.observation)),
                 ("action", json!(agent.joints).to_string()),
+                ("action_unit", json!(agent.action.unit()).to_string()),
             ];
             agents.push(channel(sink, &format!("/agents/{index}"), "AgentStep", &about)?);
         }

@@ -38,9 +38,8 @@ pub struct AgentDescription {
     pub action: ActionRange,
 }
 
-/// Size and range of an agent's action. If all motors of the agent have one control range, the range is that one and
-/// actions are controls. Otherwise it is -1 to 1, mapped linearly to the control range of each motor. Controls are
-/// clamped to their ranges; the reward's control cost uses the action before clamping.
+/// Size and range of an agent's action. A continuous action is in units of half a range: -1 and 1 are the limits of
+/// each number's own range, and 0 is its middle. [`ActionScale`] maps it to the own unit, such as that of a motor's control.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActionRange {
     /// Number of components.
@@ -52,6 +51,40 @@ pub struct ActionRange {
     /// Number of choices of a discrete action, which is one number: the index of a choice. `None` for a continuous
     /// action.
     pub choices: Option<u32>,
+}
+
+impl ActionRange {
+    /// The range of a continuous action with `size` numbers.
+    pub const fn continuous(size: usize) -> Self {
+        Self { size, low: -1.0, high: 1.0, choices: None }
+    }
+
+    /// The unit of the action's numbers, as files state it.
+    pub fn unit(&self) -> &'static str {
+        match self.choices {
+            None => "half_range",
+            Some(_) => "choice",
+        }
+    }
+}
+
+/// Linear map of one number of an action from units of half a range to its own unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ActionScale {
+    middle: f32,
+    half: f32,
+}
+
+impl ActionScale {
+    /// The map to the range from `low` to `high`.
+    pub fn to([low, high]: [f32; 2]) -> Self {
+        Self { middle: low / 2.0 + high / 2.0, half: high / 2.0 - low / 2.0 }
+    }
+
+    /// `middle + half width x action`, in the own unit; not clamped. For the range -1 to 1 this is exactly the action.
+    pub fn apply(self, action: f32) -> f32 {
+        self.middle + self.half * action
+    }
 }
 
 /// Feature of a state or an observation.

@@ -34,6 +34,8 @@ pub(crate) struct RobotEnvironments {
     environments: Vec<Environment>,
     /// Controls in motor order, `[A]`.
     controls: Vec<f32>,
+    /// The same controls in the order of the joint action, `[A]`; not clamped.
+    asked: Vec<f32>,
     /// Motion after the current step, before it is validated; then the motion before it.
     next: Numbers,
 }
@@ -54,7 +56,7 @@ struct Numbers {
     coordinates: Vec<f32>,
     velocities: Vec<f32>,
     contact_forces: Vec<f32>,
-    /// Actions of the step that led here, `[A]`; empty unless the reward reads them.
+    /// Controls of the step that led here, in the order of the joint action, `[A]`; empty unless the reward reads them.
     actions: Vec<f32>,
 }
 
@@ -76,13 +78,14 @@ impl RobotEnvironments {
         }
         let actuators: Vec<&str> = task.robot.actuators().collect();
         let agents = partition(&task.agents, &actuators, config.partition);
+        let motors = actuators.len();
         let view = effective(&config.observation, &task.rules);
         let mut bounds = task.robot.state_bounds(task.episode_steps);
         if view.contact_forces == ContactForces::Real {
             bounds.contact_forces = PER_BODY * task.robot.bodies().len();
         }
         if task.rules.reads_last_action() {
-            bounds.actions = actuators.len();
+            bounds.actions = motors;
         }
         let (description, observation) = describe::describe(&task, &agents, &view, &bounds);
         let robot = Arc::new(task.robot);
@@ -105,7 +108,8 @@ impl RobotEnvironments {
             bounds,
             motors: Driven::all(&robot, &agents),
             environments: (0..count).map(fresh).collect(),
-            controls: vec![0.0; agents.iter().map(Vec::len).sum()],
+            controls: vec![0.0; motors],
+            asked: vec![0.0; motors],
             next: rest.clone(),
             robot,
             description,
@@ -245,8 +249,9 @@ impl RobotEnvironments {
     }
 
     fn step_one(&mut self, index: usize, action: &[f32]) -> Outcome {
-        for (driven, &number) in self.motors.iter().zip(action) {
-            self.controls[driven.motor] = driven.control(number);
+        for ((driven, asked), &number) in self.motors.iter().zip(&mut self.asked).zip(action) {
+            *asked = driven.scale.apply(number);
+            self.controls[driven.motor] = *asked;
         }
         let environment = &mut self.environments[index];
         environment.step = environment.step.saturating_add(1);
@@ -262,10 +267,10 @@ impl RobotEnvironments {
             environment.world.contact_forces(&mut self.next.contact_forces);
         }
         let remembered = self.next.actions.len();
-        self.next.actions.copy_from_slice(&action[..remembered]);
+        self.next.actions.copy_from_slice(&self.asked[..remembered]);
         std::mem::swap(&mut environment.now, &mut self.next);
         self.update_state(index);
-        self.outcome(index, action)
+        self.outcome(index)
     }
 
     /// Computes the global state of `now`: the part that the rules define, then the contact forces.
@@ -279,14 +284,20 @@ impl RobotEnvironments {
     }
 
     /// Result of a valid step. `now` is the motion after the step, `next` the motion before it.
-    fn outcome(&self, index: usize, action: &[f32]) -> Outcome {
+    fn outcome(&self, index: usize) -> Outcome {
         let environment = &self.environments[index];
         let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
-        let last_action = self.next.actions.as_slice();
+        let (control, last_control) = (self.asked.as_slice(), self.next.actions.as_slice());
         let dt_secs = self.description.dt_secs as f32;
         let terminated = self.rules.terminated(&after);
         Outcome {
-            reward: self.rules.reward(&Transition { before, after, action, last_action, dt_secs }),
+            reward: self.rules.reward(&Transition {
+                before,
+                after,
+                control,
+                last_control,
+                dt_secs,
+            }),
             terminated,
             truncated: !terminated && environment.step >= environment.limit,
             fault: false,

@@ -27,7 +27,9 @@ pub use config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
     RootView, TaskConfig, TaskDefinition,
 };
-pub use description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
+pub use description::{
+    ActionRange, ActionScale, AgentDescription, Description, Feature, FeatureRole,
+};
 pub use environment_batch::{EnvironmentBatch, Outcome};
 pub use error::{ActionError, SimError, StateError};
 pub use observation::standardise;

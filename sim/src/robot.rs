@@ -4,6 +4,7 @@ mod assemble;
 mod blueprint;
 mod convex;
 mod document;
+mod exploration;
 mod folder;
 mod frame;
 mod inertia;
@@ -177,6 +178,11 @@ impl Robot {
             | JointPlan::Free(_)
             | JointPlan::Floating(_) => None,
         })
+    }
+
+    /// Units of the coordinates and torques of hinges and slides, in the order of [`Self::hinges`].
+    pub fn hinge_units(&self) -> impl Iterator<Item = [&'static str; 2]> {
+        self.layout.hinges.iter().map(layout::HingeMap::units)
     }
 
     /// Joints of the motors, in the order of the model's actuators.

@@ -31,7 +31,7 @@ pub struct State {
     pub velocities: Vec<f32>,
     /// Contact forces on each of the model's bodies in the last step, clipped, `[nc]`; empty unless observed.
     pub contact_forces: Vec<f32>,
-    /// Actions of the last step, not clamped, `[na]`; 0 at the start, empty unless the task's reward reads them.
+    /// Controls of the last step, not clamped, in the order of the joint action, `[na]`; 0 at the start, empty unless the task's reward reads them.
     pub actions: Vec<f32>,
 }
 

@@ -55,6 +55,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     output::line(tasks::as_table(world.description()).trim_end());
     output::line(links(robot));
     output::line(joints(robot));
+    for hint in robot.hard_to_explore() {
+        output::line(format!("warning: {hint}"));
+    }
     let mut trial = Trial::default();
     for episode in 0..arguments.episodes {
         trial.play(&mut *world, episode)?;
@@ -80,20 +83,29 @@ fn links(robot: &Robot) -> String {
     text + &format!("total {:<16} {total:>9.4} kg", "")
 }
 
-/// Limits and largest torque of each hinge.
+/// Limits, control range and largest torque of each hinge.
 fn joints(robot: &Robot) -> String {
-    let line = |(name, range): (&str, Option<[f32; 2]>)| {
+    let control = |joint: &str| {
+        let mut motors = robot.actuators().zip(robot.control_ranges());
+        motors.find(|(driven, _)| *driven == joint).map(|(_, range)| range)
+    };
+    let line = |((name, range), [unit, newtons]): ((&str, Option<[f32; 2]>), [&str; 2])| {
         let range = match range {
-            Some([low, high]) => format!("{low} to {high} rad"),
+            Some([low, high]) => format!("{low} to {high} {unit}"),
             None => "no limits".to_owned(),
         };
-        let torque = match robot.torque(name, f32::MAX) {
-            Some(torque) => format!("motor up to {torque} N m"),
-            None => "no motor".to_owned(),
+        let ends = [f32::MIN, f32::MAX].map(|control| robot.torque(name, control));
+        let motor = match (control(name), ends) {
+            (Some([low, high]), [Some(one), Some(other)]) => {
+                let largest = one.abs().max(other.abs());
+                format!("motor up to {largest} {newtons}, control {low} to {high}")
+            }
+            (Some([low, high]), _) => format!("servo, control {low} to {high}"),
+            (None, _) => "no motor".to_owned(),
         };
-        format!("joint {name:<16} {range}, {torque}")
+        format!("joint {name:<16} {range}, {motor}")
     };
-    robot.hinges().map(line).collect::<Vec<_>>().join("\n")
+    robot.hinges().zip(robot.hinge_units()).map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// What happens under random actions.

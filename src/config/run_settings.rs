@@ -3,13 +3,52 @@
 use std::path::{Path, PathBuf};
 
 use learner::run_folder::{CONFIG, MANIFEST, RunFolder};
+use sim::{AgentDescription, Robot};
 
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
 
+/// Unit of continuous actions, in the manifest of a run; earlier versions did not record it.
+pub(crate) const ACTION_UNIT: (&str, &str) = ("action_unit", "half_range");
+
 /// The file with the settings of the run in `folder`, and what it says: `config.toml`, or the newest checkpoint's copy if
-/// `config.toml` is damaged or has other semantic settings than the run.
+/// `config.toml` is damaged or has other semantic settings than the run. Refuses a run whose actions have another unit.
 pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {
+    let (file, config) = readable(folder)?;
+    demand_unit(&file, folder, &config)?;
+    Ok((file, config))
+}
+
+/// Refuses a run of an earlier version in which an agent acted in the unit of its motors' controls: if all of them had
+/// the same range, actions were not scaled.
+fn demand_unit(file: &Path, folder: &Path, config: &RunConfig) -> Result<(), ConfigError> {
+    let (key, unit) = ACTION_UNIT;
+    if config.task.definition.is_none()
+        || RunFolder::recorded(folder).is_none_or(|manifest| manifest[key] == unit)
+    {
+        return Ok(());
+    }
+    let place = file.display().to_string();
+    let world = sim::environments(&config.task, 1).map_err(|error| ConfigError::Unreadable {
+        place: place.clone(),
+        detail: error.to_string(),
+    })?;
+    let own = |robot: &Robot, agent: &AgentDescription| {
+        let motors = robot.actuators().zip(robot.control_ranges());
+        let mut ranges = motors.filter(|(joint, _)| agent.joints.iter().any(|own| own == joint));
+        let first = ranges.next().map_or([-1.0, 1.0], |(_, range)| range);
+        first != [-1.0, 1.0] && ranges.all(|(_, range)| range == first)
+    };
+    let agents = &world.description().agents;
+    if world.robot().is_none_or(|robot| !agents.iter().any(|agent| own(robot, agent))) {
+        return Ok(());
+    }
+    let detail = "the run is of an earlier version, whose actions were the controls of the motors; now -1 and 1 are the \
+                  limits of a motor's control range: train it again";
+    Err(ConfigError::Unreadable { place, detail: detail.to_owned() })
+}
+
+fn readable(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {
     let file = folder.join(CONFIG);
     let own = RunConfig::of_file(&file).and_then(|config| unchanged(&file, folder, config));
     let Err(why) = own else { return own.map(|config| (file, config)) };

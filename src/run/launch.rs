@@ -12,7 +12,7 @@ use serde_json::json;
 
 use crate::cli::{ResumeArguments, SettingsArguments};
 use crate::config::run_config::RunConfig;
-use crate::config::run_settings::settings_of_run;
+use crate::config::run_settings::{ACTION_UNIT, settings_of_run};
 use crate::config::{ConfigError, Request, blame, effect, keys, layers};
 use crate::errors::Usage;
 use crate::run::fingerprints::{BUILD, Fingerprints};
@@ -210,5 +210,6 @@ fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
         "algorithm": config.resolved.text("algorithm"),
         "preset": config.resolved.text("preset"),
         "seed": config.run.seed,
+        (ACTION_UNIT.0): ACTION_UNIT.1,
     })
 }

@@ -118,6 +118,8 @@ def test_the_model_names_its_inputs_and_outputs(exported, tasks):
         assert float(about["dt_secs"]) == task["dt_secs"]
         limits = [float(about[name]) for name in ("action_low", "action_high")]
         assert limits == [agent["action"]["low"], agent["action"]["high"]]
+        assert about["action_unit"] == "half_range"
+        assert json.loads(about["control_ranges"]) == [[-1, 1]] * len(agent["joints"])
 
 
 def test_the_documented_examples_run(exported, monkeypatch, capsys):

@@ -70,6 +70,7 @@ def test_channels_name_the_numbers_of_their_messages(recording, tasks):
     names = {topic: {key: json.loads(text) for key, text in channel.metadata.items()} for topic, channel in channels.items()}
     for index, agent in enumerate(tasks["halfcheetah-6x1"]["agents"]):
         assert names[f"/agents/{index}"]["action"] == agent["joints"]
+        assert names[f"/agents/{index}"]["action_unit"] == "half_range"
     first = {topic: message for topic, message in reversed(read_all(recording))}
     for index in range(6):
         step = first[f"/agents/{index}"]

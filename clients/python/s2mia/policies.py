@@ -57,7 +57,8 @@ class Policies:
 
         `observations` is an array `[N, obs]` or `[E, N, obs]`, or a list with an array `[obs]` or `[E, obs]` for
         each agent. The result has the same form, with `act` in place of `obs`. Actions are means, or the most
-        likely choices; with `rng`, they are sampled. They are not clamped. A choice is an index.
+        likely choices; with `rng`, they are sampled. They are in units of half a range (-1 and 1 are the limits) and
+        not clamped. A choice is an index.
         Raises `ValueError` if a shape is wrong or a number is not finite.
         """
         stacked = isinstance(observations, np.ndarray)

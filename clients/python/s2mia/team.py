@@ -47,7 +47,10 @@ class Team:
             self._answers = self.service.Act(iter(self._requests.get, None))
 
     def act(self, observations: Mapping[int, ArrayLike], reset: bool = False) -> dict[int, Floats]:
-        """Returns an action `[act]` for each observation `[obs]`, by agent index. `reset` starts an episode."""
+        """Returns an action `[act]` for each observation `[obs]`, by agent index. `reset` starts an episode.
+
+        Continuous actions are in units of half a range (-1 and 1 are the limits) and not clamped.
+        """
         rows = [
             wire.AgentObservation(agent=agent, observation=wire.tensor(np.asarray(row)))
             for agent, row in observations.items()

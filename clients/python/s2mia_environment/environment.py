@@ -23,7 +23,8 @@ class Environment(abc.ABC):
 
     @abc.abstractmethod
     def step(self, actions: list[np.ndarray]) -> tuple[float, bool, bool]:
-        """Takes one unclamped action `[act]` per agent. Returns the team's reward, terminated, truncated."""
+        """Takes one unclamped action `[act]` per agent, in the unit of `low` and `high` in `spec`, to which -1 and 1 of the
+        policy are mapped. Returns the team's reward, terminated, truncated."""
 
     @abc.abstractmethod
     def observe(self) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -53,7 +54,7 @@ class EnvironmentBatch(abc.ABC):
 
     @abc.abstractmethod
     def step(self, numbers: Sequence[int], actions: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Takes unclamped actions `[n, act]` per agent. Returns rewards, terminated and truncated, each `[n]`."""
+        """Takes unclamped actions `[n, act]` per agent, as `Environment.step`. Returns rewards, terminated and truncated, each `[n]`."""
 
     @abc.abstractmethod
     def observe(self, numbers: Sequence[int]) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -26,26 +26,20 @@ def number_of(seed: bytes) -> int:
 
 
 class Box:
-    """A continuous action. Its range is -1 to 1 unless all dimensions have the same range."""
+    """A continuous action. Policies act in -1 to 1: the limits of each dimension's own range."""
 
     def __init__(self, space: spaces.Box) -> None:
         low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
-        if not np.all(np.isfinite([low, high])):
-            raise InvalidEnvironment(f"actions must have finite bounds, not {space}")
+        # The largest number of a type is a way to write that there is no bound.
+        if not np.all(np.abs([low, high]) < np.finfo(np.float32).max):
+            raise InvalidEnvironment(f"actions must have finite bounds, not {space}; state the range that has an effect")
         self.space, self.low, self.high = space, low, high
-        one_range = np.unique(low).size == np.unique(high).size == 1
-        self.own = (low[0], high[0]) if one_range else (-1.0, 1.0)
-        self.spec = wire.ActionSpec(size=low.size, low=self.own[0], high=self.own[1])
+        self.middle, self.half = low / 2 + high / 2, high / 2 - low / 2
+        self.spec = wire.ActionSpec(size=low.size, low=-1.0, high=1.0)
 
     def action(self, numbers: np.ndarray) -> np.ndarray:
-        """The action of the environment: clamped and scaled to its range."""
-        low, high = self.own
-        clamped = np.clip(numbers.astype(np.float64), low, high)
-        scaled = clamped if (low, high) == (self.low[0], self.high[0]) else self._scaled((clamped - low) / (high - low))
-        return self._of_type(scaled)
-
-    def _scaled(self, share: np.ndarray) -> np.ndarray:
-        return self.low + share * (self.high - self.low)
+        """The action of the environment: scaled to the range of each dimension and clamped."""
+        return self._of_type(np.clip(self.middle + self.half * numbers.astype(np.float64), self.low, self.high))
 
     def _of_type(self, scaled: np.ndarray) -> np.ndarray:
         """The nearest action that the space contains."""

@@ -35,6 +35,8 @@ class Robots(EnvironmentBatch):
         order = [joint.act_ids for joints in env.agent_action_partitions for joint in joints]
         self.column = np.argsort(order)
         self.low, self.high = self.single.action_space.low, self.single.action_space.high
+        if len({*zip(self.low, self.high, strict=True)}) > 1:
+            raise ValueError("the motors of a robot must have one control range; give the others theirs by their gear")
         self.robots: dict[int, Robot] = {}
         self.reset(0, bytes(32))
         box = {"low": self.low[0], "high": self.high[0]}

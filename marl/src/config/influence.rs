@@ -29,7 +29,7 @@ pub struct InfluenceConfig {
     pub learning_rate: f64,
     /// Minibatches per epoch, each an optimiser step.
     pub minibatches: usize,
-    /// Smallest standard deviation of a posterior, in units of the action.
+    /// Smallest standard deviation of a posterior, in units of half an action's range.
     pub posterior_sigma_floor: f64,
     /// Environments `e` with `e mod n = n - 1` are held out from training; the estimate is measured on them.
     pub holdout_every: usize,

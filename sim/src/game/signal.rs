@@ -36,7 +36,7 @@ fn feature(name: &str) -> Feature {
 impl Game for Signal {
     const NAME: &'static str = "signal-2x1";
     const STATE_KIND: &'static str = "game/signal";
-    const ACTION: ActionRange = ActionRange { size: 1, low: -1.0, high: 1.0, choices: None };
+    const ACTION: ActionRange = ActionRange::continuous(1);
 
     fn observed(agent: usize) -> Vec<Feature> {
         match agent {

@@ -92,6 +92,13 @@ pub(crate) struct HingeMap {
     pub(crate) inverse_inertia: f32,
 }
 
+impl HingeMap {
+    /// Units of its coordinate and of its torque; a slide has a force.
+    pub(crate) fn units(&self) -> [&'static str; 2] {
+        if self.axis < 3 { ["m", "N"] } else { ["rad", "N m"] }
+    }
+}
+
 /// A motor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MotorMap {

@@ -14,10 +14,10 @@ pub(crate) struct Transition<'a> {
     pub(crate) before: Motion<'a>,
     /// Motion after the step.
     pub(crate) after: Motion<'a>,
-    /// Actions of all agents in agent order, not clamped, `[A]`.
-    pub(crate) action: &'a [f32],
-    /// Actions of the step before, 0 at the start, `[A]`; empty unless a term reads them.
-    pub(crate) last_action: &'a [f32],
+    /// Controls of all agents' motors in agent order, in the motors' own units, not clamped, `[A]`.
+    pub(crate) control: &'a [f32],
+    /// Controls of the step before, 0 at the start, `[A]`; empty unless a term reads them.
+    pub(crate) last_control: &'a [f32],
     /// Duration of the step, s.
     pub(crate) dt_secs: f32,
 }
@@ -55,10 +55,9 @@ pub(super) fn alive() -> f32 {
     1.0
 }
 
-/// `sum a^2` over the actions of all agents before clamping, in squared units of action. Actions are controls, or their
-/// place in -1 to 1 for an agent whose motors have different control ranges.
+/// `sum c^2` over the controls of all agents' motors before clamping, in squared units of control, as in MuJoCo's tasks.
 pub(super) fn control(step: &Transition<'_>) -> f32 {
-    sum_of_squares(step.action)
+    sum_of_squares(step.control)
 }
 
 /// `sum c^2` over the contact forces and torques on all bodies after the step, each clipped to 1, N^2 and (N m)^2. 0
@@ -89,10 +88,10 @@ pub(super) fn in_range(step: &Transition<'_>, coordinate: usize, [low, high]: [f
     if (low..=high).contains(&step.after.position(coordinate)) { 1.0 } else { 0.0 }
 }
 
-/// `sum (a - a_last)^2` over the actions of all agents before clamping, in squared units of action as in [`control`].
-/// `a_last` is 0 in the first step of an episode.
+/// `sum (c - c_last)^2` over the controls of all agents' motors before clamping, in squared units of control.
+/// `c_last` is 0 in the first step of an episode.
 pub(super) fn action_rate(step: &Transition<'_>) -> f32 {
-    let changes = step.action.iter().zip(step.last_action);
+    let changes = step.control.iter().zip(step.last_control);
     changes.map(|(now, last)| (now - last) * (now - last)).sum()
 }
 

@@ -154,25 +154,57 @@ fn driven(world: &mut dyn EnvironmentBatch, action: [f32; 2]) -> (f32, [f32; 2])
 }
 
 #[test]
-fn an_agent_with_several_control_ranges_acts_in_minus_one_to_one() {
-    let mut world = ranged(["-0.5 0.5", "2 10"], "[[\"hip\", \"knee\"]]");
-    let action = &world.description().agents[0].action;
-    assert_eq!((action.size, action.low, action.high), (2, -1.0, 1.0));
-    // Controls 0 + 0.5 x 0.5 and 6 + 4 x -0.25. The reward is that of the actions.
-    assert_eq!(driven(&mut *world, [0.5, -0.25]), (0.3125, [20.0, 400.0]));
-    // Controls -1 and 18, clamped to -0.5 and 10.
-    assert_eq!(driven(&mut *world, [-2.0, 3.0]), (13.0, [-40.0, 800.0]));
+fn an_action_of_minus_one_or_one_is_an_end_of_the_control_range_of_its_motor() {
+    let several = "[[\"hip\", \"knee\"]]";
+    for (ranges, agents, action, controls) in [
+        (["-0.5 0.5", "2 10"], several, [0.5, -0.25], [0.25, 5.0]),
+        (["-0.5 0.5", "2 10"], several, [-1.0, 1.0], [-0.5, 10.0]),
+        (["0 10", "0 10"], several, [0.0, -1.0], [5.0, 0.0]),
+        (["-80 80", "-80 80"], several, [0.25, 1.0], [20.0, 80.0]),
+        (["-4 12", "0 10"], "[[\"hip\"], [\"knee\"]]", [0.5, 0.5], [8.0, 7.5]),
+    ] {
+        let mut world = ranged(ranges, agents);
+        for agent in &world.description().agents {
+            assert_eq!((agent.action.low, agent.action.high), (-1.0, 1.0));
+        }
+        let [hip, knee] = controls;
+        // The gears are 80, and the reward is the sum of the squared controls.
+        let expected = (hip * hip + knee * knee, [80.0 * hip, 80.0 * knee]);
+        assert_eq!(driven(&mut *world, action), expected, "{ranges:?}");
+    }
+    // Controls -1 and 18, clamped to -0.5 and 10 for the torque, not for the reward.
+    let mut world = ranged(["-0.5 0.5", "2 10"], several);
+    assert_eq!(driven(&mut *world, [-2.0, 3.0]), (325.0, [-40.0, 800.0]));
 }
 
 #[test]
-fn an_agent_with_one_control_range_acts_in_it() {
-    for (ranges, agents) in
-        [(["0 10", "0 10"], "[[\"hip\", \"knee\"]]"), (["-4 5", "0 10"], "[[\"hip\"], [\"knee\"]]")]
-    {
-        let mut world = ranged(ranges, agents);
-        let action = &world.description().agents.last().unwrap().action;
-        assert_eq!((action.low, action.high), (0.0, 10.0));
-        assert_eq!(driven(&mut *world, [3.0, 4.0]), (25.0, [240.0, 320.0]));
+fn a_motor_of_gear_80_and_one_of_gear_1_with_80_times_the_control_range_are_the_same() {
+    let uncosted = changed("weight = 1e-3", "weight = 0.0");
+    let [strong, wide] = ["gear=\"80\"", "gear=\"1\" ctrlrange=\"-80 80\""].map(|motor| {
+        let mut config = config(&uncosted, ObservationMode::FullId);
+        let model = &mut config.definition.as_mut().unwrap().model;
+        *model = model.replace("gear=\"80\"", motor);
+        let mut world = environments(&config, 1).unwrap();
+        world.reset(0, 0, 1000, [1; 32]).unwrap();
+        let mut trace = Vec::new();
+        for action in [[0.3, -0.7], [1.5, 0.1], [-0.4, 0.9]] {
+            let mut outcome = [Outcome::default()];
+            world.step(&action, &mut outcome).unwrap();
+            let mut state = vec![0.0; world.description().state.len()];
+            world.state(0, &mut state);
+            trace.push((outcome[0].reward, state));
+        }
+        trace
+    });
+    assert_eq!(strong, wide);
+}
+
+#[test]
+fn the_controls_of_the_programs_robots_are_their_actions() {
+    for &task in task_names().iter().filter(|name| !game::NAMES.contains(*name)) {
+        let robot = Robot::of_task(task).unwrap();
+        assert!(robot.control_ranges().all(|range| range == [-1.0, 1.0]), "{task}");
+        assert_eq!(robot.hard_to_explore(), [""; 0], "{task}");
     }
 }
 

@@ -6,7 +6,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from s2mia_environment import Environment
-from s2mia_environment.parallel import features
+from s2mia_environment.parallel import Parallel, features
 from s2mia import wire
 
 STEPS = 50
@@ -66,6 +66,47 @@ class Push(ParallelEnv):
     def step(self, actions):
         ended = {"one": False, "two": bool(actions["two"][0] > 1.0)}
         return actions, {"one": 1.0, "two": 3.0}, ended, {"one": True, "two": False}, {}
+
+
+class Aim(ParallelEnv):
+    """Pays for actions near the middle of the upper half of their range."""
+
+    metadata = {"name": "aim"}
+    possible_agents = ["one", "two"]
+    max_cycles = 20
+
+    def __init__(self, high: float) -> None:
+        self.high = high
+
+    def observation_space(self, agent):
+        return spaces.Box(-1, 1, (1,), np.float32)
+
+    def action_space(self, agent):
+        return spaces.Box(-self.high, self.high, (2,), np.float32)
+
+    def reset(self, seed=None, options=None):
+        self.agents, self.moves = list(self.possible_agents), 0
+        return dict.fromkeys(self.agents, np.ones(1, np.float32)), {}
+
+    def step(self, actions):
+        self.moves += 1
+        paid = -float(np.mean([(taken / self.high - 0.5) ** 2 for taken in actions.values()]))
+        seen = dict.fromkeys(self.agents, np.ones(1, np.float32))
+        never, late = dict.fromkeys(self.agents, False), dict.fromkeys(self.agents, self.moves == self.max_cycles)
+        return seen, dict.fromkeys(self.agents, paid), never, late, {}
+
+
+class OwnAim(Parallel):
+    """The same, offered with the range in its own unit."""
+
+    def __init__(self, high: float) -> None:
+        super().__init__(Aim(high))
+        for agent in self.spec.agents:
+            agent.action.low, agent.action.high = -high, high
+
+    def step(self, actions):
+        limit = self.env.high
+        return super().step([numbers.clip(-limit, limit) / limit for numbers in actions])
 
 
 class Liar(Environment):

@@ -185,16 +185,30 @@ def test_the_same_seed_gives_the_same_episode_and_another_seed_another():
     assert signs(bytes(32)) == signs(bytes(32)) != signs(bytes(31) + b"\x01")
 
 
-def test_pushes_are_clamped_and_brought_into_ranges_of_their_own():
-    game = Parallel(Push())
-    action = game.spec.agents[0].action
-    assert (action.size, action.low, action.high) == (2, -2.0, 2.0)
-    game.step([np.array([0.5, 9.0], np.float32)] * 2)
-    assert game.observe()[1][0].tolist() == [0.5, 2.0]
-    uneven = Parallel(Push(low=(0.0, -1.0), high=(4.0, 1.0)))
-    assert (uneven.spec.agents[0].action.low, uneven.spec.agents[0].action.high) == (-1.0, 1.0)
-    uneven.step([np.array([0.0, 9.0], np.float32)] * 2)
-    assert uneven.observe()[1][0].tolist() == [2.0, 1.0]
+def test_pushes_are_brought_into_the_range_of_each_dimension_and_clamped():
+    for low, high, push, expected in (
+        ((-2.0, -2.0), (2.0, 2.0), (0.5, 9.0), [1.0, 2.0]),
+        ((0.0, 0.0), (4.0, 4.0), (0.0, -1.0), [2.0, 0.0]),
+        ((0.0, -1.0), (4.0, 1.0), (0.0, 9.0), [2.0, 1.0]),
+        ((-100.0, 0.1), (100.0, 0.7), (0.25, 1.0), [25.0, float(np.float32(0.7))]),
+    ):
+        game = Parallel(Push(low=low, high=high))
+        action = game.spec.agents[0].action
+        assert (action.size, action.low, action.high) == (2, -1.0, 1.0)
+        game.step([np.array(push, np.float32)] * 2)
+        assert game.observe()[1][0].tolist() == expected
+
+
+def test_the_unit_of_an_action_does_not_affect_the_weights(offer, tmp_path):
+    """The reward of all is the same function of the place of an action in its range."""
+    short = ("algorithm=happo", "run.iterations=3", "environments.steps=20", "environments.message_steps=20", "run.actors=1")
+    hashes = []
+    for kind, high in (("Aim", 1), ("Aim", 128), ("OwnAim", 1), ("OwnAim", 128)):
+        folder = tmp_path / f"{kind}{high}"
+        done = train(folder, offer(f"games:{kind}", f"high={high}"), *short)
+        assert done.returncode == 0, done.stderr
+        hashes.append(told(folder)[0])
+    assert hashes[1:] == hashes[:1] * 3
 
 
 def test_the_team_is_paid_the_mean_and_ends_with_its_first_agent():
@@ -208,10 +222,14 @@ def test_actions_that_no_policy_can_be_taught_are_refused_when_the_program_start
         def action_space(self, agent):
             return spaces.Box(-np.inf, np.inf, (1,))
 
+    class Disguised(Push):
+        def action_space(self, agent):
+            return spaces.Box(np.finfo(np.float32).min, np.finfo(np.float32).max, (1,), np.float32)
+
     class Many(Push):
         def action_space(self, agent):
             return spaces.MultiDiscrete([2, 2])
 
-    for kind, why in ((Endless, "finite bounds"), (Many, "one Box or one Discrete")):
+    for kind, why in ((Endless, "finite bounds"), (Disguised, "finite bounds"), (Many, "one Box or one Discrete")):
         with pytest.raises(ValueError, match=why):
             Parallel(kind())

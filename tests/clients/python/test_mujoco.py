@@ -103,12 +103,19 @@ def test_the_agents_of_published_tasks_control_consecutive_joints_from_the_thigh
     ]
 
 
-def test_other_partitions_are_those_of_gymnasium_robotics_and_wrong_ones_are_refused():
-    diagonal = multi_agent("Ant", "2x4d").spec
-    assert [list(agent.joints) for agent in diagonal.agents] == [
-        ["hip1", "ankle1", "hip4", "ankle4"],
-        ["hip2", "ankle2", "hip3", "ankle3"],
+def test_an_agent_of_ant_2x4d_has_opposite_legs():
+    diagonal = multi_agent("Ant", "2x4d")
+    assert [list(agent.joints) for agent in diagonal.spec.agents] == [
+        ["hip1", "ankle1", "hip3", "ankle3"],
+        ["hip2", "ankle2", "hip4", "ankle4"],
     ]
+    data = diagonal.robots[0].data
+    hips = {leg: (data.joint(f"hip_{leg}").xanchor - data.body("torso").xpos)[:2] for leg in (1, 2, 3, 4)}
+    for one, other in ((1, 3), (2, 4)):
+        assert np.allclose(hips[one], -hips[other], atol=0.1), "on opposite sides of the torso"
+
+
+def test_other_partitions_are_those_of_gymnasium_robotics_and_wrong_ones_are_refused():
     hopper = multi_agent("Hopper", "3x1").spec
     assert [list(agent.joints) for agent in hopper.agents] == [["thigh_joint"], ["leg_joint"], ["foot_joint"]]
     with pytest.raises(ValueError, match="HalfCheetah has 6 joints; agent_conf=3x3 has 3 x 3"):

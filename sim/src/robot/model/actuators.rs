@@ -84,7 +84,11 @@ fn control_range(element: &Element, hinge: &Hinge, context: &Context) -> Result<
         {
             Ok([low, high])
         }
-        _ => Err(element.refuse("its control must be limited: set `ctrlrange`")),
+        Some([low, high]) if low >= high => {
+            Err(element.refuse(format!("`ctrlrange` must ascend, is {low} to {high}")))
+        }
+        Some(_) => Err(element.refuse("its control must be limited: set `ctrllimited=\"true\"`")),
+        None => Err(element.refuse("its control must be limited: set `ctrlrange`")),
     }
 }
 
