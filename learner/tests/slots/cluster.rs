@@ -334,6 +334,7 @@ impl Cluster {
                     assert!(self.evaluated.insert(outcome.iteration), "evaluated twice");
                 }
                 Effect::Failed(found) => panic!("results of correct actors differ: {found}"),
+                other => panic!("no lease is returned, but the table wants {other:?}"),
             }
         }
     }
