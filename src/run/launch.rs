@@ -188,8 +188,8 @@ fn divergence_remedy(config: &RunConfig) -> &'static str {
         (_, false) => "",
         (Some(_), true) => {
             "lower `timestep` in the <option> of the model (and raise frame_skip in the task file, so that a step stays as \
-             long), or set integration = \"runge_kutta\" in its [physics]; check the gear of the motors, and the stiffness, \
-             damping and armature of the joints; `s2mia task check` shows the masses and torques"
+             long), or set integration = \"runge_kutta\" in its [physics]; check the gear, kp and kv of the actuators and the \
+             stiffness, damping and armature of the joints; `s2mia task check` shows the masses and torques"
         }
         (None, true) => {
             "this robot has no setting for its physics; a run whose episodes all end early does not learn the task: try \
