@@ -150,9 +150,9 @@ fn an_environment_that_begins_again_has_the_next_episode_and_survives_a_checkpoi
     let mut environments = Environments::fresh(layout(), 9, Phase::Staggered);
     environments.begin_again(0);
     assert_eq!(environments, Environments::fresh(layout(), 9, Phase::Staggered));
-    environments.advance(&batch([0.5; 6], &[0]), &[rollout()]);
+    environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     environments.begin_again(0);
-    let fresh = Start::Fresh { episode: 2, limit: 9 };
+    let fresh = Start::Fresh { episode: 1, limit: 9 };
     let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
     let starts = environments.starts_of(&[0, 1]).into_iter().map(|e| e.start);
     assert_eq!(starts.collect::<Vec<_>>(), [fresh, second]);
