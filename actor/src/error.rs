@@ -74,7 +74,7 @@ pub enum ActorError {
     #[error("the run's task: {0}")]
     Task(String),
     /// A start state of a lease cannot be restored.
-    #[error("{0}")]
+    #[error("a start state of the lease cannot be restored: {0}")]
     StartState(StateError),
     /// The environment's URL is invalid, or the environment cannot be used.
     #[error("cannot use {url} as an environment: {why}")]
