@@ -12,6 +12,9 @@ impl Usage {
     }
 }
 
+/// Status of an actor whose external environment was unreachable for too long; another actor would not reach it either.
+pub(crate) const ENVIRONMENT_OUTAGE: u8 = 4;
+
 /// The output is valid, but some input was missing; the program ends with status 3.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]

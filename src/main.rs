@@ -17,10 +17,11 @@ mod run;
 
 use std::process::ExitCode;
 
+use actor::ActorError;
 use clap::Parser as _;
 
 use crate::config::ConfigError;
-use crate::errors::{Incomplete, Usage};
+use crate::errors::{ENVIRONMENT_OUTAGE, Incomplete, Usage};
 
 // The learner is slower with the system's allocator.
 #[global_allocator]
@@ -57,15 +58,19 @@ fn choose_registers() -> anyhow::Result<()> {
     Err(Usage::new(format!("S2MIA_SIMD is {name}; this processor has {names}")).into())
 }
 
-/// Prints one line on stderr. The status is 2 for invalid arguments or settings, 3 for incomplete logs, else 1.
+/// Prints one line on stderr. The status is 2 for invalid arguments or settings, 3 for incomplete logs, 4 for an
+/// environment that is unreachable for too long, else 1.
 fn failure(error: &anyhow::Error) -> ExitCode {
     let wrong_usage = error.is::<ConfigError>() || error.is::<Usage>();
     process::output::error(format!("error: {}", actor::causes(error.as_ref())));
     let incomplete = error.is::<Incomplete>();
+    let outage = matches!(error.downcast_ref(), Some(ActorError::EnvironmentOutage { .. }));
     ExitCode::from(if wrong_usage {
         2
     } else if incomplete {
         3
+    } else if outage {
+        ENVIRONMENT_OUTAGE
     } else {
         1
     })

@@ -142,6 +142,43 @@ fn killed_actors_and_failures_of_the_program_do_not_affect_the_weights() {
     assert_eq!(weights(&broken), weights(&own));
 }
 
+#[test]
+fn a_run_goes_on_if_its_program_rejects_the_states_that_it_saved() {
+    let (runs, service) =
+        (Runs::new(), CueService::start(Faults { rejects: |_| true, ..Faults::NONE }));
+    let hashes = ["run.actors=1", "run.actors=2"].map(|actors| {
+        let folder = runs.folder(actors);
+        let output = s2mia(&settings(&dir(&folder), &[actors, "--environment", &service.url]));
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{told}");
+        let causes = [
+            "returned its lease, at slot 0",
+            "ValueError: no state of this game",
+            "the start states are from actor",
+            "no actor can continue its episodes",
+        ];
+        for cause in causes {
+            assert!(told.contains(cause), "no {cause:?} in {told}");
+        }
+        weights(&folder)
+    });
+    assert_eq!(hashes[0], hashes[1], "new episodes have the same keys for any actors");
+}
+
+#[test]
+fn an_environment_that_always_dies_ends_the_run_with_its_cause_and_a_checkpoint() {
+    let (runs, service) =
+        (Runs::new(), CueService::start(Faults { abort_every: 1, ..Faults::NONE }));
+    let folder = runs.folder("always");
+    let output = s2mia(&settings(&dir(&folder), &["--environment", &service.url]));
+    let told = String::from_utf8(output.stderr).unwrap();
+    let line = told.lines().last().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(line.contains(" times and no actor could finish it"), "{line}");
+    assert!(line.contains("Unavailable: temporarily unavailable"), "{line}");
+    assert_eq!(inspect(&folder)["iteration"], 0);
+}
+
 /// The one-line error of training with `faults`.
 fn refusal(faults: Faults) -> String {
     let (runs, service) = (Runs::new(), CueService::start(faults));

@@ -9,7 +9,7 @@ use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
     Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, Registered,
-    Registration, RunDescription, WeightsName, wire,
+    Registration, ReturnedLease, RunDescription, WeightsName, wire,
 };
 use security::{ClientFiles, Token};
 use tokio::sync::mpsc;
@@ -103,6 +103,15 @@ impl Client {
     ) -> Result<HeartbeatAnswer, ActorError> {
         let answer = self.service.heartbeat(within(CALL_DEADLINE, beat.to_wire())).await?;
         Ok(HeartbeatAnswer::from_wire(&answer.into_inner())?)
+    }
+
+    /// Returns a lease that cannot be processed.
+    pub(crate) async fn return_lease(
+        &mut self,
+        returned: &ReturnedLease,
+    ) -> Result<(), ActorError> {
+        self.service.return_lease(within(CALL_DEADLINE, returned.to_wire())).await?;
+        Ok(())
     }
 
     pub(crate) async fn open_push(&mut self) -> Result<PushStream, ActorError> {

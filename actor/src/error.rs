@@ -3,7 +3,7 @@
 use proto::{LeaseId, Refusal, in_words};
 use recording::trajectory_log::LogStartError;
 use security::SecurityError;
-use sim::SimError;
+use sim::{SimError, StateError};
 use thiserror::Error;
 use tonic::{Code, Status};
 
@@ -48,6 +48,14 @@ pub enum ActorError {
         /// Error of the last attempt.
         last: String,
     },
+    /// The external environment was unreachable for too long.
+    #[error("no usable environment for {secs:.0} s: {last}")]
+    EnvironmentOutage {
+        /// Duration of the outage, seconds.
+        secs: f64,
+        /// Error of the last attempt.
+        last: String,
+    },
     /// The learner rejected a call of this actor.
     #[error("the learner rejected this actor: {}", describe(.0))]
     Refused(Status),
@@ -65,6 +73,9 @@ pub enum ActorError {
     /// The environments cannot be built or stepped with the run's settings.
     #[error("the run's task: {0}")]
     Task(String),
+    /// A start state of a lease cannot be restored.
+    #[error("a start state of the lease cannot be restored: {0}")]
+    StartState(StateError),
     /// The environment's URL is invalid, or the environment cannot be used.
     #[error("cannot use {url} as an environment: {why}")]
     EnvironmentUrl {
@@ -131,6 +142,7 @@ impl ActorError {
     /// Error of an actor whose environments failed with `error` during `lease`.
     pub(crate) fn of_lease(error: SimError, lease: LeaseId) -> Self {
         let external = match error {
+            SimError::State(error) => return Self::StartState(error),
             SimError::External(external) => external.downcast::<EnvironmentError>(),
             own => Err(own.into()),
         };
@@ -138,6 +150,21 @@ impl ActorError {
             Ok(error) => Self::Environment(*error),
             Err(error) => Self::Task(format!("lease {lease}: {error}")),
         }
+    }
+}
+
+impl EnvironmentError {
+    /// Whether the program answered that the request is invalid; a retry gives the same answer.
+    pub(crate) fn is_rejection(&self) -> bool {
+        let Self::Away { status, .. } = self else { return true };
+        matches!(
+            status.code(),
+            Code::InvalidArgument
+                | Code::FailedPrecondition
+                | Code::OutOfRange
+                | Code::NotFound
+                | Code::DataLoss
+        )
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use policy::PolicySnapshot;
-use proto::{Ack, Heartbeat, Lease, LeaseId, Registered};
+use proto::{Ack, Heartbeat, Lease, LeaseFailure, LeaseId, Registered, ReturnedLease};
 use tokio::sync::{Mutex, MutexGuard};
 use tonic::{Code, Status};
 
@@ -93,7 +93,34 @@ pub(crate) async fn process_lease(
         Err(ActorError::Refused(status)) if is_over(&status) => {
             Ok(Ended::Dropped(describe(&status)))
         }
-        other => other,
+        Err(error) => give_back(client, &beat, error).await,
+        Ok(ended) => Ok(ended),
+    }
+}
+
+/// Returns a lease that `error` ended, if its work is the cause.
+async fn give_back(
+    client: &mut Client,
+    beat: &Heartbeat,
+    error: ActorError,
+) -> Result<Ended, ActorError> {
+    let failure = match &error {
+        ActorError::StartState(_) => LeaseFailure::StartState,
+        ActorError::Environment(_) | ActorError::Task(_) => LeaseFailure::Environment,
+        _ => return Err(error),
+    };
+    let Heartbeat { actor, incarnation, lease, .. } = *beat;
+    let detail = error.to_string();
+    let told =
+        client.return_lease(&ReturnedLease { actor, incarnation, lease, failure, detail }).await;
+    match (failure, told) {
+        // Another lease may have other start states.
+        (LeaseFailure::StartState, told) => told.map(|()| Ended::Dropped(error.to_string())),
+        (LeaseFailure::Environment, Ok(())) => Err(error),
+        (LeaseFailure::Environment, Err(untold)) => {
+            tracing::warn!("lease {lease} could not be returned: {untold}");
+            Err(error)
+        }
     }
 }
 

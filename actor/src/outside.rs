@@ -19,10 +19,9 @@ use sim::{
 };
 
 use crate::client::{EnvironmentClient, Play};
-use crate::error::ActorError;
-use crate::outside::header::{HEADER_BYTES, Header};
-
-const KEY_BYTES: usize = 32;
+use crate::error::{ActorError, EnvironmentError};
+pub use crate::outside::header::StateHeader;
+use crate::outside::header::{HEADER_BYTES, KEY_BYTES, history};
 
 /// How an episode is restored in another slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,6 +87,26 @@ impl EnvironmentService {
     #[must_use]
     pub fn states(&self) -> States {
         self.states
+    }
+
+    /// A function that decodes the states of these environments as far as the program is not needed: the header, and the
+    /// history of an episode that is replayed.
+    #[must_use]
+    pub fn state_decoder(&self) -> impl Fn(&[u8]) -> Result<StateHeader, SimError> + use<> {
+        let (states, longest) = (self.states, self.spec.episode_steps);
+        let most = self.spec.max_state_bytes as usize;
+        let width = self.offered.agents.iter().map(|agent| agent.action.size as usize).sum();
+        move |state| {
+            if state.len() > most {
+                let why = format!("it has {} bytes; a state has at most {most}", state.len());
+                return Err(StateError::External(why).into());
+            }
+            let (header, rest) = StateHeader::read(state, longest)?;
+            if states == States::Replayed {
+                history(&header, rest, width)?;
+            }
+            Ok(header)
+        }
     }
 
     /// Returns `count` environments before their first reset. Call it inside a tokio runtime; step the environments on
@@ -236,24 +255,7 @@ impl EnvironmentBatch for OutsideEnvironments {
     }
 
     fn restore_all(&mut self, states: &[(usize, &[u8])]) -> Result<(), SimError> {
-        let read = |&(environment, state): &(usize, _)| {
-            let (header, rest) = Header::read(state, self.description.episode_steps)?;
-            Ok((environment, header, rest))
-        };
-        let states = states.iter().map(read).collect::<Result<Vec<_>, SimError>>()?;
-        match self.states {
-            States::Saved => self.restore_saved(&states)?,
-            States::Replayed => {
-                for (environment, header, past) in &states {
-                    self.replay(*environment, header, past)?;
-                }
-            }
-        }
-        for (environment, header, _) in states {
-            let now = &mut self.episodes[environment];
-            (now.index, now.step, now.limit) = (header.episode, header.step, header.limit);
-        }
-        Ok(())
+        self.restore_states(states).map_err(of_state)
     }
 
     fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
@@ -288,6 +290,28 @@ impl EnvironmentBatch for OutsideEnvironments {
 }
 
 impl OutsideEnvironments {
+    /// Restores encoded states.
+    fn restore_states(&mut self, states: &[(usize, &[u8])]) -> Result<(), SimError> {
+        let read = |&(environment, state): &(usize, _)| {
+            let (header, rest) = StateHeader::read(state, self.description.episode_steps)?;
+            Ok((environment, header, rest))
+        };
+        let states = states.iter().map(read).collect::<Result<Vec<_>, SimError>>()?;
+        match self.states {
+            States::Saved => self.restore_saved(&states)?,
+            States::Replayed => {
+                for (environment, header, past) in &states {
+                    self.replay(*environment, header, past)?;
+                }
+            }
+        }
+        for (environment, header, _) in states {
+            let now = &mut self.episodes[environment];
+            (now.index, now.step, now.limit) = (header.episode, header.step, header.limit);
+        }
+        Ok(())
+    }
+
     /// Steps the given environments; `actions` is `[n, A]`, `outcome` `[n]`.
     fn step_some(
         &mut self,
@@ -345,7 +369,7 @@ impl OutsideEnvironments {
     }
 
     /// Restores states that the program saved; the header of each is already read.
-    fn restore_saved(&mut self, states: &[(usize, Header, &[u8])]) -> Result<(), SimError> {
+    fn restore_saved(&mut self, states: &[(usize, StateHeader, &[u8])]) -> Result<(), SimError> {
         let saved = |&(environment, _, state): &(usize, _, _)| (environment as u32, state);
         let saved = states.iter().map(saved).collect::<Vec<_>>();
         let views = self.play.get_mut().restore(&saved)?;
@@ -366,25 +390,22 @@ impl OutsideEnvironments {
             States::Replayed => episodes.iter().map(Episode::history).collect(),
         };
         let encoded = |(now, rest): (&Episode, Vec<u8>)| {
-            let header = Header { episode: now.index, step: now.step, limit: now.limit };
+            let header = StateHeader { episode: now.index, step: now.step, limit: now.limit };
             [header.write(), rest].concat()
         };
         Ok(episodes.iter().zip(rest).map(encoded).collect())
     }
 
     /// Restores an episode by repeating its actions. It is an error if the episode ends early.
-    fn replay(&mut self, environment: usize, header: &Header, past: &[u8]) -> Result<(), SimError> {
+    fn replay(
+        &mut self,
+        environment: usize,
+        header: &StateHeader,
+        past: &[u8],
+    ) -> Result<(), SimError> {
         let width = self.width();
-        let (found, expected) = (past.len(), KEY_BYTES + 4 * width * header.step as usize);
-        let key = past.first_chunk::<KEY_BYTES>().filter(|_| found == expected);
-        let Some(key) = key else {
-            let why =
-                format!("its history has {found} bytes; {} steps have {expected}", header.step);
-            return Err(StateError::External(why).into());
-        };
-        let (rest, _) = past[KEY_BYTES..].as_chunks::<4>();
-        let actions = rest.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
-        self.reset(environment, header.episode, header.limit, *key)?;
+        let (key, actions) = history(header, past, width)?;
+        self.reset(environment, header.episode, header.limit, key)?;
         for (step, action) in actions.chunks_exact(width).enumerate() {
             let mut outcome = [Outcome::default()];
             self.step_some(&[environment], action, &mut outcome)?;
@@ -398,5 +419,18 @@ impl OutsideEnvironments {
             }
         }
         Ok(())
+    }
+}
+
+/// An error of the program while it restores a state: if it rejects the request, the state is invalid.
+fn of_state(error: SimError) -> SimError {
+    let external = match error {
+        SimError::External(external) => external.downcast::<EnvironmentError>(),
+        own => return own,
+    };
+    match external {
+        Ok(error) if error.is_rejection() => StateError::External(error.to_string()).into(),
+        Ok(error) => (*error).into(),
+        Err(other) => SimError::External(other),
     }
 }

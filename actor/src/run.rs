@@ -151,7 +151,10 @@ impl Connection {
         let secs = answered.elapsed().as_secs_f64();
         if secs > config.max_outage_secs {
             let (url, last) = (config.learner.clone(), line(error));
-            return Err(ActorError::Outage { url, secs, last });
+            return Err(match error {
+                ActorError::Environment(_) => ActorError::EnvironmentOutage { secs, last },
+                _ => ActorError::Outage { url, secs, last },
+            });
         }
         let tries = self.tries.fetch_add(1, Ordering::Relaxed);
         let bound = RETRY_DELAY.0.saturating_mul(1 << tries.min(10)).min(RETRY_DELAY.1);

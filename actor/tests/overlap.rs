@@ -149,6 +149,13 @@ impl LearnerService for Shared {
         Ok(Response::new(Box::pin(acknowledged)))
     }
 
+    async fn return_lease(
+        &self,
+        _: Request<wire::ReturnLeaseRequest>,
+    ) -> Result<Response<wire::ReturnLeaseResponse>, Status> {
+        Err(Status::unimplemented("no lease of this test fails"))
+    }
+
     async fn heartbeat(
         &self,
         _: Request<wire::HeartbeatRequest>,

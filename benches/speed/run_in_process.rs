@@ -122,7 +122,8 @@ pub(crate) fn through_the_exchange(
     let launch = settings.launch(folder, iterations)?;
     let (trainer, description) = launch::prepare(launch)?;
     let (lease, audit) = (settings.learner.lease, settings.learner.audit);
-    let (exchange, log) = (Exchange::new(description, lease, audit), Log::default());
+    let exchange = Exchange::new(description, lease, audit, settings.decoder()?);
+    let log = Log::default();
     let outside = Outside {
         exchange: Arc::clone(&exchange),
         observer: log.observer(),

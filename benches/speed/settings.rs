@@ -5,6 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, ensure};
 use learner::Launch;
+use learner::end_states::{Position, StateReader};
 use marl::{ObservationScale, Problem};
 use policy::RunSeed;
 use proto::Digest;
@@ -73,6 +74,15 @@ impl Settings {
         Ok(learner::assemble::problem(&rollout::environment_spec(world.description())))
     }
 
+    /// The decoder of the task's states.
+    pub(crate) fn decoder(&self) -> anyhow::Result<StateReader> {
+        let decoder = sim::StateDecoder::new(&self.task)?;
+        Ok(StateReader::new(move |state| match decoder.decode(state) {
+            Ok(sim::State { episode, step, limit, .. }) => Ok(Position { episode, step, limit }),
+            Err(error) => Err(error.to_string()),
+        }))
+    }
+
     /// A new run in `folder`, without evaluations and with only the last checkpoint.
     pub(crate) fn launch(&self, folder: &Path, iterations: usize) -> anyhow::Result<Launch> {
         let mut config = self.learner.clone();
@@ -86,6 +96,8 @@ impl Settings {
             policy: self.policy.clone(),
             environment: rollout::environment_spec(world.description()),
             task_settings: serde_json::to_string(&self.task)?,
+            states: self.decoder()?,
+            divergence_remedy: String::new(),
             seed: RunSeed(1),
             iterations: iterations as u64,
             logged: proto::Episodes::None,

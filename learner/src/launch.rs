@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use crate::assemble::{Layout, problem};
 use crate::checkpoint::{self, CheckpointError, Loaded};
 use crate::config::Config;
+use crate::end_states::StateReader;
 use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::Evaluations;
@@ -38,6 +39,10 @@ pub struct Launch {
     pub environment: EnvironmentSpec,
     /// JSON from which an actor builds the environment.
     pub task_settings: String,
+    /// Decodes the environment's states.
+    pub states: StateReader,
+    /// What helps if simulated environments diverge; empty for external ones.
+    pub divergence_remedy: String,
     /// Every random draw comes from it.
     pub seed: RunSeed,
     /// Iterations of the whole run.
@@ -163,6 +168,7 @@ pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError
     let mut trainer = build(launch, folder, &description, iteration)?;
     if let Some(loaded) = resumed {
         trainer.restore(&loaded.checkpoint)?;
+        trainer.begin_invalid_again(&loaded.path);
         trainer.saved = Some(loaded.saved());
     }
     Ok((trainer, description))
@@ -233,6 +239,8 @@ fn build(
             launch.iterations,
             measured,
         ),
+        states: launch.states,
+        divergence_remedy: launch.divergence_remedy,
         config_sha256: launch.config_sha256,
         settings_toml: launch.config_toml,
         last_iteration: launch.iterations,

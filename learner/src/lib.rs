@@ -23,7 +23,7 @@ pub use event::{Event, IterationReport, Stage};
 pub use exchange::Exchange;
 pub use fault::Fault;
 pub use launch::Launch;
-pub use lease::{canary, exchange, published, sample, slots};
+pub use lease::{canary, end_states, exchange, published, sample, slots};
 pub use listener::Listener;
 pub use observe::{event, metrics, page, snapshot};
 pub use page::{Hosts, OverlaidRun, Overlay, Page, serve_overlay};

@@ -37,7 +37,7 @@ pub async fn run(
     stop: watch::Receiver<bool>,
 ) -> Result<Summary, LearnerError> {
     let (lease, audit) = (launch.config.lease, launch.config.audit);
-    let connections = launch.config.learner.connections;
+    let (connections, states) = (launch.config.learner.connections, launch.states.clone());
     let facts = Facts::of(&launch);
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) =
@@ -48,7 +48,7 @@ pub async fn run(
     let token = door.token.as_ref().map(|required| &required.token);
     trainer.folder.note_token(token)?;
     trainer.folder.note_address(address)?;
-    let exchange = Exchange::new(description, lease, audit);
+    let exchange = Exchange::new(description, lease, audit, states);
     let certificates = door.tls();
     let _shown = page.map(|page| show(page, facts, certificates, &trainer, &exchange));
     let (asked, broken) = (Arc::clone(&exchange), Arc::new(AtomicBool::new(false)));

@@ -17,5 +17,7 @@ mod network;
 mod random_cases;
 #[path = "slots/results.rs"]
 mod results;
+#[path = "slots/returned.rs"]
+mod returned;
 #[path = "slots/table.rs"]
 mod table;

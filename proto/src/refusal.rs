@@ -174,7 +174,7 @@ impl From<Refusal> for Status {
 }
 
 /// Limits text that a peer may have sent to one short line.
-fn truncated(text: String) -> String {
+pub(crate) fn truncated(text: String) -> String {
     let mut text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     if text.len() > MAX_TEXT_BYTES {
         let end = (0..=MAX_TEXT_BYTES).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);

@@ -20,6 +20,7 @@ mod scene;
 mod simulation;
 pub mod spelling;
 mod state;
+mod state_decoder;
 mod task;
 mod world;
 
@@ -38,5 +39,6 @@ pub use robot::{ModelFiles, Robot};
 pub use scene::{Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, drivers, rotated};
 pub use simulation::environments;
 pub use state::{State, StateBounds};
+pub use state_decoder::StateDecoder;
 pub use task::task_names;
 pub use world::World;

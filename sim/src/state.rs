@@ -15,6 +15,9 @@ pub(crate) const STATE_VERSION: u32 = 1;
 /// Contact torques (N m) and forces (N) are clipped to plus and minus this value.
 pub(crate) const LARGEST_CONTACT_FORCE: f32 = 1.0;
 
+/// Largest action of the last step, as in trajectories: beyond it, a reward of the next step would not be finite.
+const LARGEST_ACTION: f32 = 1e9;
+
 /// Complete state from which an environment continues.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
@@ -99,7 +102,7 @@ impl State {
         bounds.check_episode(state.step, state.limit)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
         check_all("contact force", &state.contact_forces, LARGEST_CONTACT_FORCE)?;
-        check_all("action", &state.actions, f32::MAX)?;
+        check_all("action", &state.actions, LARGEST_ACTION)?;
         Ok(state)
     }
 }

@@ -183,6 +183,8 @@ fn launch(
         manifest: manifest(config, &offered),
         environment: offered.spec,
         task_settings: offered.task_settings,
+        states: offered.decoder,
+        divergence_remedy: divergence_remedy(config).to_owned(),
         seed: RunSeed(config.run.seed),
         iterations: config.iterations(),
         logged: config.log.episodes,
@@ -195,6 +197,22 @@ fn launch(
         learner_fingerprint: fingerprints.learner,
         resume: false,
         fault: None,
+    }
+}
+
+/// What helps if the simulated robot diverges; empty for the environment of another program.
+fn divergence_remedy(config: &RunConfig) -> &'static str {
+    match (&config.task.definition, config.environment.url.is_empty()) {
+        (_, false) => "",
+        (Some(_), true) => {
+            "lower `timestep` in the <option> of the model (and raise frame_skip in the task file, so that a step stays as \
+             long), or set integration = \"runge_kutta\" in its [physics]; check the gear, kp and kv of the actuators and the \
+             stiffness, damping and armature of the joints; `s2mia task check` shows the masses and torques"
+        }
+        (None, true) => {
+            "this robot has no setting for its physics; a run whose episodes all end early does not learn the task: try \
+             another seed or a smaller update.learning_rate, and report the settings of the run"
+        }
     }
 }
 

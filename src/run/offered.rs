@@ -1,9 +1,10 @@
 //! The environment of a run: the simulator's, or one that an external program offers.
 
-use actor::{EnvironmentService, Transport};
+use actor::{EnvironmentService, StateHeader, Transport};
 use anyhow::Context as _;
+use learner::end_states::{Position, StateReader};
 use proto::EnvironmentSpec;
-use sim::EnvironmentBatch;
+use sim::{EnvironmentBatch, State};
 use tokio::runtime::Runtime;
 
 use crate::config::ConfigError;
@@ -22,6 +23,8 @@ pub(crate) struct Offered {
     pub(crate) task_settings: String,
     /// The setting `environment_service.description`; empty for the simulator, which its settings describe.
     pub(crate) description: String,
+    /// Decodes the environment's states.
+    pub(crate) decoder: StateReader,
     /// How an episode continues in another slot: `encoded` for the simulator, else as the external program supports.
     pub(crate) states: &'static str,
 }
@@ -60,7 +63,12 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;
     let spec = rollout::environment_spec(world.description());
-    Ok(Offered { spec, task_settings, description: String::new(), states: "encoded" })
+    let decoder = sim::StateDecoder::new(&config.task).context("cannot build the task")?;
+    let decoder = StateReader::new(move |state| match decoder.decode(state) {
+        Ok(State { episode, step, limit, .. }) => Ok(Position { episode, step, limit }),
+        Err(error) => Err(error.to_string()),
+    });
+    Ok(Offered { spec, task_settings, description: String::new(), decoder, states: "encoded" })
 }
 
 async fn outside(url: &str, config: &RunConfig, transport: &Transport) -> anyhow::Result<Offered> {
@@ -79,7 +87,12 @@ fn demand_allowed(url: &str, transport: &Transport) -> Result<(), Usage> {
 fn offered_by(service: &EnvironmentService) -> Offered {
     let (spec, states) = (service.spec().clone(), service.states().name());
     let description = spec.digest().to_string();
-    Offered { spec, task_settings: String::new(), description, states }
+    let decode = service.state_decoder();
+    let decoder = StateReader::new(move |state| match decode(state) {
+        Ok(StateHeader { episode, step, limit }) => Ok(Position { episode, step, limit }),
+        Err(error) => Err(error.to_string()),
+    });
+    Offered { spec, task_settings: String::new(), description, decoder, states }
 }
 
 /// One environment of a run in this process.

@@ -16,6 +16,7 @@ use tokio::process::{Child, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use crate::errors::ENVIRONMENT_OUTAGE;
 use crate::run::process_log::ProcessLog;
 
 /// How long an actor may take to leave after its standard input has closed.
@@ -100,7 +101,12 @@ impl Supervisor {
             let death = match self.processes.start(index) {
                 Ok(child) => match until_exit(child, &mut ended, self.processes.patience()).await {
                     Some(status) if !status.success() => {
-                        self.processes.failure_message(index, &own_log.cause(status))
+                        let death = self.processes.failure_message(index, &own_log.cause(status));
+                        if status.code() == Some(ENVIRONMENT_OUTAGE.into()) {
+                            self.give_up(death);
+                            return;
+                        }
+                        death
                     }
                     _ => return,
                 },
@@ -123,8 +129,11 @@ impl Supervisor {
             tracing::warn!("{death}; starting another in its place");
             return;
         }
-        self.failure
-            .get_or_init(|| format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
+        self.give_up(format!("{} actor deaths within a minute; {death}", DeathCount::LIMIT));
+    }
+
+    fn give_up(&self, failure: String) {
+        self.failure.get_or_init(|| failure);
         self.stop.send_replace(true);
     }
 }
@@ -251,6 +260,17 @@ mod tests {
             reason.contains("5 actor deaths") && reason.contains("no rapier today"),
             "{reason}"
         );
+        assert!(*stopped.borrow());
+    }
+
+    #[tokio::test]
+    async fn an_actor_that_gives_up_on_its_environment_ends_the_run_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let processes = processes_of(&folder, "echo no environment today >&2; exit 4");
+        let (stop, stopped) = watch::channel(false);
+        let (_end, ended) = watch::channel(false);
+        let reason = supervise(processes, ended, stop).await.unwrap();
+        assert!(reason.contains("died (exit status: 4: no environment today)"), "{reason}");
         assert!(*stopped.borrow());
     }
 

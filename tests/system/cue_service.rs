@@ -23,12 +23,15 @@ pub(crate) struct Faults {
     pub(crate) description: fn(&mut wire::EnvironmentSpec),
     /// Changes a response.
     pub(crate) answer: fn(&mut play_response::Answer),
+    /// Whether it rejects a saved state.
+    pub(crate) rejects: fn(&[u8]) -> bool,
     /// Aborts the stream at every response with a multiple of this number, over all streams; 0 for never.
     pub(crate) abort_every: u32,
 }
 
 impl Faults {
-    pub(crate) const NONE: Self = Self { description: |_| {}, answer: |_| {}, abort_every: 0 };
+    pub(crate) const NONE: Self =
+        Self { description: |_| {}, answer: |_| {}, rejects: |_| false, abort_every: 0 };
     /// No faults, but the service cannot save states.
     pub(crate) const STATELESS: Self =
         Self { description: |spec| spec.max_state_bytes = 0, ..Self::NONE };
@@ -128,6 +131,11 @@ impl Game {
         let count = self.answers.fetch_add(1, Ordering::Relaxed) + 1;
         if self.faults.abort_every > 0 && count.is_multiple_of(self.faults.abort_every) {
             return Err(Status::unavailable("temporarily unavailable"));
+        }
+        if let PlayRequest::Restore { state, .. } = &request
+            && (self.faults.rejects)(state)
+        {
+            return Err(Status::invalid_argument("ValueError: no state of this game"));
         }
         let mut answer = play(games, request);
         if let Some(answer) = &mut answer.answer {

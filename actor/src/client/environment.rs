@@ -131,7 +131,10 @@ impl Play {
         let answered = runtime.block_on(async {
             let deadline = ANSWER_DEADLINE.saturating_mul(count);
             let answered = tokio::time::timeout(deadline, exchange(self)).await;
-            answered.unwrap_or_else(|_| Err(Status::deadline_exceeded("no answer within 60 s")))
+            answered.unwrap_or_else(|_| {
+                let secs = deadline.as_secs();
+                Err(Status::deadline_exceeded(format!("no answer within {secs} s")))
+            })
         });
         answered.map_err(|status| {
             self.open = None;

@@ -41,6 +41,10 @@ class Environment(Protocol):
         """Continues from a saved state. Returns the index of its episode."""
 
 
+class StartStateError(ValueError):
+    """A start state of a lease cannot be restored."""
+
+
 class Slot:
     """`E` environments of one lease, and their agents' recurrent states."""
 
@@ -56,9 +60,15 @@ class Slot:
             if start.WhichOneof("start") == "fresh":
                 self._reset(row, start.fresh.episode, start.fresh.limit)
             else:
-                self.episodes[row] = self.environments[row].restore(start.continued.state)
+                self._restore(row, start)
                 for hidden, kept in zip(self.hidden, start.continued.recurrent, strict=True):
                     hidden[row] = wire.array(kept)
+
+    def _restore(self, row: int, start: Any) -> None:
+        try:
+            self.episodes[row] = self.environments[row].restore(start.continued.state)
+        except Exception as error:
+            raise StartStateError(f"environment {start.environment}: {type(error).__name__}: {error}") from error
 
     def _reset(self, row: int, episode: int, limit: int) -> None:
         self.episodes[row] = episode
@@ -168,12 +178,15 @@ def act_for(learner: Learner, make: Callable[[], Environment], rng: np.random.Ge
         if lease.weights.digest != held:
             held, policy = lease.weights.digest, Policy(learner.weights(lease.weights))
         results: Iterable[Any]
-        if lease.WhichOneof("work") == "rollout":
-            results = Slot(learner.run, lease.rollout, policy, make, rng).chunks()
-        else:
-            results = [evaluate(learner.run, lease.evaluation, policy, make(), rng)]
         try:
+            if lease.WhichOneof("work") == "rollout":
+                results = Slot(learner.run, lease.rollout, policy, make, rng).chunks()
+            else:
+                results = [evaluate(learner.run, lease.evaluation, policy, make(), rng)]
             done += learner.push(lease, results)
+        except StartStateError as error:
+            # The state is from another actor; another lease may have other states.
+            learner.return_lease(lease, wire.LEASE_FAILURE_START_STATE, str(error))
         except CallError as error:
             # The lease ended, for example because it was reissued; continue with another.
             if error.code != grpc.StatusCode.ABORTED:

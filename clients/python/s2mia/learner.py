@@ -166,6 +166,17 @@ class Learner:
         )
         return bool(self._connection.call("Heartbeat", request).lease_valid)
 
+    def return_lease(self, lease: Any, failure: int, detail: str) -> None:
+        """Returns a lease that cannot be processed; `failure` is a `LeaseFailure`."""
+        request = wire.ReturnLeaseRequest(
+            actor_id=self.actor_id,
+            incarnation=self.incarnation,
+            lease_id=lease.lease_id,
+            failure=failure,
+            detail=detail,
+        )
+        self._call("ReturnLease", request)
+
     def message(self, lease: Any, content: Any) -> Any:
         """The message with a chunk or evaluation result of a lease."""
         message = wire.PushTrajectoryRequest(

@@ -7,27 +7,30 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use proto::{
-    ActorId, Heartbeat, HeartbeatAnswer, Incarnation, LeaseAnswer, LeaseId, PolicyVersion, Refusal,
-    Registered, Registration, RolloutWork, RunDescription, WeightsName,
+    ActorId, Heartbeat, HeartbeatAnswer, Incarnation, LeaseAnswer, LeaseId, PolicyVersion, Reason,
+    Refusal, Registered, Registration, RolloutOrigin, RolloutWork, RunDescription, WeightsName,
 };
 use tokio::sync::{Notify, watch};
 
 use crate::canary;
 use crate::config::{AuditConfig, LeaseConfig};
+use crate::end_states::StateReader;
 use crate::published::Published;
 use crate::sample::SecretSample;
-use crate::slots::{ConnectionId, Disagreement, Effect, Offer, SlotRules, SlotTable, Trust};
+use crate::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
 pub use crate::slots::{EvaluationOutcome, SlotRollout};
 pub use crate::snapshot::FilmedEpisode;
 use crate::snapshot::RunSnapshot;
 
 mod control;
+mod error;
 mod incidents;
 mod reporting;
 mod results;
 mod weights;
 
 pub use control::{Orders, SaveError};
+pub use error::ExchangeError;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
 use reporting::Pace;
@@ -36,22 +39,6 @@ use weights::Weights;
 
 /// What an actor that finds nothing to do is told to wait before it asks again.
 const RETRY: Duration = Duration::from_millis(100);
-
-/// Why the exchange cannot go on.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ExchangeError {
-    /// What should be published is no policy for this run.
-    #[error("cannot publish weights {version}: {detail}")]
-    Weights {
-        /// Their version.
-        version: PolicyVersion,
-        /// What is wrong with them.
-        detail: String,
-    },
-    /// Two valid results differ.
-    #[error("{0}")]
-    Disagreement(Box<Disagreement>),
-}
 
 /// Why the trainer woke up.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,6 +52,8 @@ pub enum Wake {
     },
     /// An evaluation is complete.
     Evaluation(EvaluationOutcome),
+    /// The start states of this slot cannot be used ([`Exchange::replace`]).
+    BeginAgain(RolloutOrigin),
     /// The run cannot go on.
     Failed(ExchangeError),
     /// Nothing happened for as long as it was willing to wait.
@@ -85,6 +74,7 @@ pub struct Exchange {
     work: Notify,
     storage: watch::Sender<Storage>,
     orders: Orders,
+    states: StateReader,
     /// Chunks that are checked whole although no check has failed, by lease and sequence.
     checked: SecretSample,
     /// Shared with readers, who then hold no lock; it is copied if a reader still has it when it changes.
@@ -107,7 +97,12 @@ struct Shared {
 impl Exchange {
     /// An exchange without work. The settings have been validated.
     #[must_use]
-    pub fn new(run: RunDescription, lease: LeaseConfig, audit: AuditConfig) -> Arc<Self> {
+    pub fn new(
+        run: RunDescription,
+        lease: LeaseConfig,
+        audit: AuditConfig,
+        states: StateReader,
+    ) -> Arc<Self> {
         let table = SlotTable::new(SlotRules {
             incarnation: run.incarnation,
             ttl: Duration::from_secs_f64(lease.ttl_secs),
@@ -129,6 +124,7 @@ impl Exchange {
         Arc::new(Self {
             snapshot: watch::Sender::new(Arc::new(snapshot)),
             orders: Orders::default(),
+            states,
             checked: SecretSample::new(canary::SHARE),
             run,
             begun: Instant::now(),
@@ -196,6 +192,11 @@ impl Exchange {
             let name = shared.weights.expect(weights);
             shared.table.open_evaluation(iteration, name, episodes);
         });
+    }
+
+    /// Replaces the start states of a slot of the open iteration.
+    pub fn replace(&self, work: RolloutWork) {
+        self.change(|shared| shared.table.replace(work));
     }
 
     /// Blocks until something is complete or fails, but not longer than `patience`.
@@ -321,6 +322,9 @@ impl Exchange {
         self.tell_refusal(caller, lease, refusal);
         self.change(|shared| {
             *shared.refusals.entry(refusal.reason.name().to_owned()).or_default() += 1;
+            if let (Some(id), Reason::NotFinite) = (lease, refusal.reason) {
+                shared.table.diverged(caller.connection, id, &refusal.detail);
+            }
             if is_about_the_lease(refusal) {
                 shared.table.refuse(caller.connection, lease);
             }
@@ -347,6 +351,12 @@ impl Exchange {
                 Effect::Evaluation(outcome) => shared.wakes.push_back(Wake::Evaluation(outcome)),
                 Effect::Failed(disagreement) => {
                     let error = ExchangeError::Disagreement(disagreement);
+                    shared.wakes.push_back(Wake::Failed(error));
+                }
+                Effect::BeginAgain(slot) => shared.wakes.push_back(Wake::BeginAgain(slot)),
+                Effect::GivenUp { actor, work, times, detail } => {
+                    let (work, actor) = (incidents::work(work), shared.names.call(actor));
+                    let error = ExchangeError::Work { work, times, actor, detail };
                     shared.wakes.push_back(Wake::Failed(error));
                 }
             }

@@ -13,13 +13,14 @@
 use std::time::Duration;
 
 use proto::{
-    ActorId, Heartbeat, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal, RolloutWork,
-    RunState, WeightsName, Work,
+    ActorId, EvaluationWork, Heartbeat, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal,
+    RolloutWork, RunState, WeightsName, Work,
 };
 
 mod actors;
 mod audits;
 mod evaluations;
+mod failures;
 mod figures;
 mod iteration;
 mod leases;
@@ -27,6 +28,7 @@ mod open;
 mod outcome;
 mod pause;
 mod results;
+mod returned;
 mod typical;
 
 use actors::{Actors, Admission, Owner};
@@ -34,6 +36,7 @@ pub use actors::{ConnectionId, Trust};
 pub use audits::AuditCounts;
 use audits::Audits;
 use evaluations::Evaluations;
+use failures::{Failures, Key};
 use iteration::{ClaimedSlot, OpenIteration};
 pub use iteration::{ComputedChunk, Disagreement};
 use leases::{Claim, Finished, OpenLease};
@@ -75,6 +78,7 @@ pub struct SlotTable {
     iteration: Option<OpenIteration>,
     evaluations: Evaluations,
     audits: Audits,
+    failures: Failures,
     typical: TypicalTime,
     reissued: u64,
     backups: u64,
@@ -107,6 +111,7 @@ impl SlotTable {
             iteration: None,
             evaluations: Evaluations::default(),
             audits: Audits::new(rules.audit),
+            failures: Failures::default(),
             typical: TypicalTime::default(),
             reissued: 0,
             backups: 0,
@@ -152,6 +157,7 @@ impl SlotTable {
         slots: Vec<RolloutWork>,
     ) {
         self.open.end(|lease| matches!(lease.claim, Claim::Slot(_)));
+        self.failures.forget_slots();
         self.iteration = Some(OpenIteration::new(iteration, weights, slots));
         self.effects.push(Effect::WorkFreed);
     }
@@ -247,13 +253,15 @@ impl SlotTable {
     }
 
     fn claim(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        if let Some(open) = &mut self.iteration
-            && let Some(slot) = open.claim(id, self.now)
-        {
-            self.reissued += u64::from(slot.attempt > 0);
-            return Some(Claimed::slot(slot, open.weights));
+        if let Some(claimed) = self.claim_slot(id, owner) {
+            return Some(claimed);
         }
-        if let Some((work, weights, attempt)) = self.evaluations.claim() {
+        let now = (self.now, self.rules.ttl);
+        let may_try = |work: EvaluationWork| {
+            let key = Key::Episode(work.iteration, work.episode);
+            self.failures.may_try(key, owner.process, self.actors.processes(), now)
+        };
+        if let Some((work, weights, attempt)) = self.evaluations.claim(may_try) {
             self.reissued += u64::from(attempt > 0);
             let (claim, work) = (Claim::Episode(work), Work::Evaluation(work));
             return Some(Claimed { claim, weights, work, attempt });
@@ -265,6 +273,18 @@ impl SlotTable {
             return Some(Claimed { claim, weights, work: Work::Rollout(work), attempt: 1 });
         }
         self.claim_backup(id, owner)
+    }
+
+    fn claim_slot(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
+        let now = (self.now, self.rules.ttl);
+        let may_try = |index| {
+            let key = Key::Slot(index);
+            self.failures.may_try(key, owner.process, self.actors.processes(), now)
+        };
+        let open = self.iteration.as_mut()?;
+        let slot = open.claim(id, self.now, may_try)?;
+        self.reissued += u64::from(slot.attempt > 0);
+        Some(Claimed::slot(slot, open.weights))
     }
 
     fn claim_backup(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {

@@ -8,7 +8,7 @@ use proto::wire::control_service_server::{self, ControlServiceServer};
 use proto::wire::learner_service_server::{self, LearnerService, LearnerServiceServer};
 use proto::{
     ActorId, Heartbeat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
-    MAX_UNACKNOWLEDGED, Reason, Refusal, Registration, WeightsName, wire,
+    MAX_UNACKNOWLEDGED, Reason, Refusal, Registration, ReturnedLease, WeightsName, wire,
 };
 use security::Role;
 use tokio::sync::{Semaphore, mpsc};
@@ -222,6 +222,17 @@ impl LearnerService for Learner {
         let answer = self.exchange.heartbeat(caller.connection, &beat);
         let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
         Ok(Response::new(answer.to_wire()))
+    }
+
+    async fn return_lease(
+        &self,
+        request: Request<wire::ReturnLeaseRequest>,
+    ) -> Result<Response<wire::ReturnLeaseResponse>, Status> {
+        let caller = connections::caller(&request, "return_lease");
+        ReturnedLease::from_wire(request.get_ref())
+            .and_then(|returned| self.exchange.give_back(caller.connection, &returned))
+            .map_err(|refusal| self.counted(&caller, refusal))?;
+        Ok(Response::new(wire::ReturnLeaseResponse {}))
     }
 }
 

@@ -10,10 +10,14 @@ use proto::{EnvironmentStart, RolloutWork, Start};
 use crate::assemble::Layout;
 use crate::checkpoint::{CheckpointError, fields};
 use crate::config::Phase;
+use crate::end_states::{Position, StateReader};
 use crate::exchange::SlotRollout;
 
 /// Finished episodes in the reported mean return.
 const RECENT: usize = 20;
+
+/// Array of the environments that begin a new episode in place of one that could not be continued.
+const BEGUN_AGAIN: &str = "environments/begun_again";
 
 /// State of all environments, in the order of their global index.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,6 +95,46 @@ impl Environments {
                 .collect(),
         };
         self.starts.chunks(per_slot).enumerate().map(slot).collect()
+    }
+
+    /// The start states of these environments.
+    #[must_use]
+    pub fn starts_of(&self, environments: &[u32]) -> Vec<EnvironmentStart> {
+        let start = |environment: &u32| {
+            let start = self.starts[*environment as usize].clone();
+            EnvironmentStart { environment: *environment, start }
+        };
+        environments.iter().map(start).collect()
+    }
+
+    /// Begins a new episode in an environment that continues one. The steps of the old one so far stay in the results, but
+    /// its return is not reported.
+    pub fn begin_again(&mut self, environment: u32) {
+        let environment = environment as usize;
+        if !matches!(self.starts[environment], Start::Continue { .. }) {
+            return;
+        }
+        self.episode_return[environment] = 0.0;
+        self.episode_length[environment] = 0;
+        self.finished[environment] += 1;
+        let (episode, limit) = (self.finished[environment], self.episode_steps);
+        self.starts[environment] = Start::Fresh { episode, limit };
+    }
+
+    /// The environments whose start state cannot be decoded or is at another position than the environment, and why.
+    #[must_use]
+    pub fn invalid(&self, states: &StateReader) -> Vec<(u32, String)> {
+        let check = |(environment, start): (usize, &Start)| {
+            let Start::Continue { state, .. } = start else { return None };
+            let position = Position {
+                episode: self.finished[environment],
+                step: u32::try_from(self.episode_length[environment]).unwrap_or(u32::MAX),
+                limit: u32::try_from(self.limit(environment)).unwrap_or(u32::MAX),
+            };
+            let why = states.check(state, position).err()?;
+            Some((environment as u32, why))
+        };
+        self.starts.iter().enumerate().filter_map(check).collect()
     }
 
     /// The parts of episodes in an iteration, by environment and episode. Must be called before [`Self::advance`].
@@ -199,6 +243,7 @@ impl Environments {
             }
         }
         self.add_recurrent(&mut arrays);
+        self.add_begun_again(&mut arrays);
         let count = self.starts.len();
         let f64s = |data: Vec<f64>| Array::F64 { shape: vec![data.len()], data };
         let i64s = |data: &[u64]| Array::I64 {
@@ -221,15 +266,33 @@ impl Environments {
         for (index, agent) in self.layout.agents.iter().enumerate() {
             let mut data = Vec::new();
             for start in &self.starts {
-                if let Start::Continue { recurrent, .. } = start {
-                    data.extend_from_slice(&recurrent[index]);
+                match start {
+                    Start::Continue { recurrent, .. } => data.extend_from_slice(&recurrent[index]),
+                    Start::Fresh { .. } => data.resize(data.len() + agent.hidden, 0.0),
                 }
             }
-            if !data.is_empty() {
+            if !data.is_empty() && !self.is_new() {
                 let shape = vec![self.starts.len(), agent.hidden];
                 arrays.insert(recurrent_name(index), Array::F32 { shape, data });
             }
         }
+    }
+
+    /// Adds `environments/begun_again`, `[B]`, with 1 for each environment that has no state because it begins a new episode.
+    /// Without such an environment, and before the first iteration, there is none.
+    fn add_begun_again(&self, arrays: &mut NamedArrays) {
+        let fresh = |start: &Start| i64::from(matches!(start, Start::Fresh { .. }));
+        let data = self.starts.iter().map(fresh).collect::<Vec<_>>();
+        if data.contains(&1) && !self.is_new() {
+            let array = Array::I64 { shape: vec![data.len()], data };
+            arrays.insert(BEGUN_AGAIN.to_owned(), array);
+        }
+    }
+
+    /// Whether no environment has taken a step. Only first episodes have the index 0.
+    fn is_new(&self) -> bool {
+        let is_first = |start: &Start| matches!(start, Start::Fresh { episode: 0, .. });
+        self.starts.iter().all(is_first)
     }
 
     /// Restores the state that [`Self::arrays`] returned after `iteration` iterations.
@@ -266,7 +329,14 @@ impl Environments {
             let agents = recurrent.iter().zip(&self.layout.agents);
             agents.map(|(all, agent)| all[e * agent.hidden..][..agent.hidden].to_vec()).collect()
         };
+        let begun_again = match arrays.contains_key(BEGUN_AGAIN) {
+            true => fields::counts(arrays, BEGUN_AGAIN, count)?,
+            false => vec![0; count],
+        };
         let read = |e: usize| {
+            if begun_again[e] == 1 {
+                return Ok(Start::Fresh { episode: self.finished[e], limit: self.episode_steps });
+            }
             let state = fields::bytes(arrays, &state_name(e))?.to_vec();
             Ok(Start::Continue { state, recurrent: row(e) })
         };

@@ -1,7 +1,9 @@
 //! The training loop, which shows the data flow of the whole system. It runs on a separate thread. Time is
 //! measured here and affects only reports.
 
+mod begin_again;
 mod collect;
+mod divergence;
 mod idle;
 mod save;
 
@@ -17,6 +19,7 @@ use rayon::ThreadPool;
 use crate::assemble::{Layout, assemble};
 use crate::checkpoint::{self, Saved};
 use crate::config::Config;
+use crate::end_states::StateReader;
 use crate::environments::{Environments, Share};
 use crate::error::LearnerError;
 use crate::evaluation::{Evaluated, Evaluations};
@@ -28,6 +31,7 @@ use crate::provenance::{Origin, Provenance};
 use crate::reward_log::{Paid, RewardLog};
 use crate::run_folder::RunFolder;
 use crate::trainer::collect::{Collected, ProgressMonitor};
+use crate::trainer::divergence::Divergence;
 
 /// Receives a run's events.
 pub type Observer = Box<dyn FnMut(&Event) + Send>;
@@ -62,6 +66,9 @@ pub struct Trainer {
     pub(crate) decay: LearningRateDecay,
     pub(crate) surprise: Surprise,
     pub(crate) environments: Environments,
+    pub(crate) states: StateReader,
+    /// What helps if simulated environments diverge; empty for external ones.
+    pub(crate) divergence_remedy: String,
     pub(crate) evaluations: Evaluations,
     pub(crate) iteration: u64,
     /// The newest policies, encoded for actors.
@@ -98,6 +105,7 @@ pub struct RunningTrainer {
     behaviour: Option<WeightsName>,
     /// Whether idle actor threads have been reported.
     advised: bool,
+    divergence: Divergence,
     /// When the last iteration ended.
     ended: Instant,
 }
@@ -128,6 +136,7 @@ impl Trainer {
             arrived: None,
             behaviour: None,
             advised: false,
+            divergence: Divergence::default(),
             ended: Instant::now(),
         };
         running.begin()?;
@@ -276,6 +285,7 @@ impl RunningTrainer {
         trainer.metrics.iteration(&report)?;
         trainer.trace(collected.behaviour, &collected.rollouts, &update.report)?;
         self.advise(report.actors);
+        self.report_divergence();
         self.tell(&Event::Iteration(report));
         Ok(())
     }

@@ -333,7 +333,7 @@ impl Cluster {
                 Effect::Evaluation(outcome) => {
                     assert!(self.evaluated.insert(outcome.iteration), "evaluated twice");
                 }
-                Effect::Failed(found) => panic!("results of correct actors differ: {found}"),
+                other => panic!("correct actors do not cause {other:?}"),
             }
         }
     }

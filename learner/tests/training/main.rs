@@ -5,6 +5,7 @@
 mod actor;
 mod canary;
 mod cut;
+mod end_states;
 mod film;
 mod settings;
 mod toy;
@@ -41,7 +42,7 @@ fn try_to_train(
 ) -> (Result<Summary, LearnerError>, Vec<Event>) {
     let (lease, audit) = (launch.config.lease, launch.config.audit);
     let (trainer, run) = launch::prepare(launch).unwrap();
-    let exchange = Exchange::new(run, lease, audit);
+    let exchange = Exchange::new(run, lease, audit, toy::states());
     let events = Arc::new(Mutex::new(Vec::new()));
     let stops = Arc::new(AtomicUsize::new(0));
     let (observed, stopping) = (Arc::clone(&events), Arc::clone(&stops));

@@ -21,6 +21,8 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         policy: policy(),
         environment: toy::environment(),
         task_settings: "{}".to_owned(),
+        states: toy::states(),
+        divergence_remedy: String::new(),
         seed: RunSeed(7),
         iterations,
         logged: Episodes::None,

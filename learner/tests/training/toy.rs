@@ -1,6 +1,7 @@
 //! A toy environment for two agents, and its rollouts. Two points move on one line each; each agent pushes one of them
 //! to its target.
 
+use learner::end_states::{Position, StateReader};
 use policy::{
     ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator, standard_normal,
 };
@@ -42,6 +43,17 @@ pub(crate) fn environment() -> EnvironmentSpec {
         max_state_bytes: 64,
         feature_z: false,
     }
+}
+
+/// Decodes the environment's states.
+pub(crate) fn states() -> StateReader {
+    StateReader::new(|state| {
+        if state.len() != 32 {
+            return Err(format!("it has {} bytes; a state of the toy has 32", state.len()));
+        }
+        let World { episode, step, limit, .. } = World::decode(state);
+        Ok(Position { episode, step, limit })
+    })
 }
 
 /// The state of one environment.

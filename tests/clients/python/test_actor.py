@@ -48,6 +48,20 @@ def test_python_and_the_projects_own_actors_take_over_each_others_games(serve):
     assert iterations(learner.metrics())[-1]["messages_refused"] == 0
 
 
+def test_an_actor_returns_leases_whose_states_it_cannot_restore_and_their_episodes_begin_again(serve):
+    class Forgetful(Cue):
+        def restore(self, state: bytes) -> int:
+            raise ValueError("no state of this game")
+
+    learner = serve("forgetful", [*SMALL, "run.iterations=3", "evaluation.every_steps=0", "environments.steps=30",
+                                  "environments.message_steps=30"])
+    client = Learner(learner.address)
+    assert act_for(client, Forgetful, np.random.default_rng(3)) > 0
+    client.close()
+    assert "finished after iteration 3" in learner.finish()
+    assert iterations(learner.metrics())[-1]["messages_refused"] == 0
+
+
 def test_the_learner_tells_a_python_program_where_the_run_stands(serve):
     learner = serve("status", [*SMALL, "environments.per_slot=10"])
     client = Learner(learner.address)

@@ -41,6 +41,7 @@ impl Cluster {
             let lost = match incident {
                 Incident::Expired(lease) => vec![lease],
                 Incident::Gone { leases, .. } => leases,
+                Incident::Returned { lease, .. } => vec![lease],
                 Incident::Quarantined { .. } => Vec::new(),
             };
             let slots = lost.iter().filter(|lease| matches!(lease.work, LeasedWork::Slot(_)));

@@ -1,10 +1,10 @@
 //! What goes wrong with actors, each in one line of the log: who it was, what they were at, and what happens next.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::net::SocketAddr;
 
-use proto::{ActorId, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal};
+use proto::{ActorId, LeaseFailure, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal};
 
 use crate::exchange::Exchange;
 use crate::slots::{ConnectionId, Incident};
@@ -29,13 +29,31 @@ impl fmt::Display for Caller {
     }
 }
 
-/// How registered actors call themselves.
+/// How registered actors call themselves, and which actors sent the states of environments.
 #[derive(Debug, Default)]
-pub(super) struct Names(BTreeMap<ActorId, String>);
+pub(super) struct Names {
+    actors: BTreeMap<ActorId, String>,
+    /// The actor that sent the latest end state of an environment, in words: it may be gone.
+    senders: BTreeMap<u32, String>,
+}
 
 impl Names {
     pub(super) fn insert(&mut self, actor: ActorId, name: String) {
-        self.0.insert(actor, name);
+        self.actors.insert(actor, name);
+    }
+
+    /// The end states of these environments came from `actor`.
+    pub(super) fn note_sender(&mut self, actor: ActorId, environments: &[u32]) {
+        let name = self.call(actor);
+        self.senders.extend(environments.iter().map(|environment| (*environment, name.clone())));
+    }
+
+    /// Who sent the start states of these environments.
+    fn senders(&self, environments: &[u32]) -> String {
+        let of =
+            |environment| self.senders.get(environment).map_or("the checkpoint", String::as_str);
+        let names = environments.iter().map(of).collect::<BTreeSet<_>>();
+        names.into_iter().collect::<Vec<_>>().join(", ")
     }
 
     /// What the incident is in words; an actor that is gone loses its name.
@@ -43,7 +61,7 @@ impl Names {
         match incident {
             Incident::Gone { actor, leases } => {
                 let who = self.call(*actor);
-                self.0.remove(actor);
+                self.actors.remove(actor);
                 match leases[..] {
                     [] => Notice::Usual(format!("{who} is gone; it held no lease")),
                     _ => Notice::Loss(format!("{who} is gone, {}; {FREE}", each(leases))),
@@ -63,6 +81,16 @@ impl Names {
                     each(std::slice::from_ref(lease))
                 ))
             }
+            Incident::Returned { lease, failure, detail, environments } => {
+                let (who, at) = (self.call(lease.actor), at(lease));
+                let from = match failure {
+                    LeaseFailure::StartState => {
+                        format!("; the start states are from {}", self.senders(environments))
+                    }
+                    LeaseFailure::Environment => String::new(),
+                };
+                Notice::Loss(format!("{who} returned its lease, {at}: {detail}; {FREE}{from}"))
+            }
             Incident::Quarantined { actor, pause } => {
                 let (who, secs) = (self.call(*actor), pause.as_secs_f64());
                 Notice::Loss(format!(
@@ -73,8 +101,8 @@ impl Names {
         }
     }
 
-    fn call(&self, actor: ActorId) -> String {
-        match self.0.get(&actor) {
+    pub(super) fn call(&self, actor: ActorId) -> String {
+        match self.actors.get(&actor) {
             Some(name) => format!("actor {actor} ({name})"),
             None => format!("actor {actor}"),
         }
@@ -112,6 +140,14 @@ fn at(lease: &LeaseStatus) -> String {
         LeasedWork::Episode(episode) => {
             format!("at evaluation episode {episode} (lease {lease})")
         }
+    }
+}
+
+/// Work in words.
+pub(super) fn work(work: LeasedWork) -> String {
+    match work {
+        LeasedWork::Slot(slot) => format!("slot {slot}"),
+        LeasedWork::Episode(episode) => format!("evaluation episode {episode}"),
     }
 }
 
@@ -177,11 +213,28 @@ mod tests {
     }
 
     #[test]
+    fn a_returned_lease_is_a_line_with_the_cause_and_who_sent_the_start_states() {
+        let mut names = Names::default();
+        names.insert(ActorId(3), "local-0".to_owned());
+        names.insert(ActorId(9), "rogue".to_owned());
+        names.note_sender(ActorId(9), &[4]);
+        let returned = Incident::Returned {
+            lease: lease(LeasedWork::Slot(5)),
+            failure: LeaseFailure::StartState,
+            detail: "no state".to_owned(),
+            environments: vec![4, 5],
+        };
+        let line = "actor 3 (local-0) returned its lease, at slot 5 (lease 7) after 2 chunks: no state; its work is \
+                    free again, from the first step; the start states are from actor 9 (rogue), the checkpoint";
+        assert_eq!(names.describe(&returned), Notice::Loss(line.to_owned()));
+    }
+
+    #[test]
     fn an_actor_that_leaves_without_a_lease_is_no_loss_and_its_name_goes_with_it() {
         let mut names = Names::default();
         names.insert(ActorId(3), "local-0".to_owned());
         let gone = Incident::Gone { actor: ActorId(3), leases: Vec::new() };
         let usual = Notice::Usual("actor 3 (local-0) is gone; it held no lease".to_owned());
-        assert_eq!((names.describe(&gone), names.0.len()), (usual, 0));
+        assert_eq!((names.describe(&gone), names.actors.len()), (usual, 0));
     }
 }

@@ -1,8 +1,8 @@
 //! Results of actors: decoded and checked without the lock, then taken in.
 
 use proto::{
-    Ack, AckState, EvaluationResult, LeaseId, PushHeader, Reason, Refusal, RolloutOrigin,
-    TrajectoryChunk,
+    Ack, AckState, EvaluationResult, LeaseId, PushHeader, Reason, Refusal, ReturnedLease,
+    RolloutOrigin, TrajectoryChunk,
 };
 
 use super::Exchange;
@@ -26,8 +26,8 @@ impl Exchange {
     /// all or the first of its steps, so it belongs on a thread that may block.
     ///
     /// # Errors
-    /// Refuses what [`crate::slots::SlotTable::preview_chunk`] and `read` refuse, and a chunk that the lease's weights
-    /// do not explain.
+    /// Refuses what [`crate::slots::SlotTable::preview_chunk`] and `read` refuse, a chunk that the lease's weights
+    /// do not explain, and end states that cannot be decoded or do not continue the slot's episodes.
     pub fn accept_chunk(
         &self,
         sender: ConnectionId,
@@ -46,11 +46,27 @@ impl Exchange {
         let drawn = (trust == Trust::Exact).then_some(&origin);
         let extent = self.extent(header.lease, sequence);
         canary::check(&published.policy, &self.run, &chunk, drawn, extent)?;
+        let course = self.lock().table.course(header.lease, &chunk);
+        course.map_or(Ok(()), |course| self.states.check_end(&course, &self.run))?;
         self.change(|shared| {
+            // An audit has no environments of its own: its end states are only compared.
+            let environments = shared.table.environments_of(header.lease);
+            let actor = shared.table.lease_of(sender, header.lease).map(|lease| lease.actor);
             let ack = shared.table.chunk(sender, header, chunk)?;
             shared.chunks_accepted += u64::from(ack.state == AckState::Accepted);
+            if let (true, Some(actor)) = (ack.lease_finished, actor) {
+                shared.names.note_sender(actor, &environments);
+            }
             Ok(ack)
         })
+    }
+
+    /// An actor returns a lease that it cannot process.
+    ///
+    /// # Errors
+    /// Refuses unknown actors and other incarnations.
+    pub fn give_back(&self, sender: ConnectionId, returned: &ReturnedLease) -> Result<(), Refusal> {
+        self.change(|shared| shared.table.give_back(sender, returned))
     }
 
     /// How much of a chunk is checked: all of it if the secret sample covers it, or if any actor has failed a check since

@@ -214,6 +214,11 @@ impl Actors {
         Some(pause)
     }
 
+    /// The process of each registered actor.
+    pub(super) fn processes(&self) -> impl Iterator<Item = Process> {
+        self.registered.values().map(|actor| actor.process)
+    }
+
     pub(super) fn count(&self) -> usize {
         self.registered.len()
     }

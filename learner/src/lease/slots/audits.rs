@@ -92,6 +92,13 @@ impl Audits {
         }
     }
 
+    /// The audit with this lease could not be computed.
+    pub(super) fn skip(&mut self, id: LeaseId) {
+        let open = self.open.len();
+        self.open.retain(|audit| audit.holder != Some(id));
+        self.counts.skipped += (open - self.open.len()) as u64;
+    }
+
     /// The audit's result is complete: a disagreement if it differs from the accepted one.
     pub(super) fn complete(&mut self, id: LeaseId, lease: &OpenLease) -> Option<Disagreement> {
         let at = self.open.iter().position(|audit| audit.holder == Some(id))?;

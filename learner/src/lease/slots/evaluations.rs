@@ -37,14 +37,19 @@ impl Evaluations {
         self.0.values().map(|evaluation| evaluation.weights)
     }
 
-    /// The first free episode of the earliest evaluation, and how often it was leased before.
-    pub(super) fn claim(&mut self) -> Option<(EvaluationWork, WeightsName, u32)> {
+    /// The first free episode of the earliest evaluation that `may_try` permits, and how often it was leased before.
+    pub(super) fn claim(
+        &mut self,
+        may_try: impl Fn(EvaluationWork) -> bool,
+    ) -> Option<(EvaluationWork, WeightsName, u32)> {
         for (iteration, evaluation) in &mut self.0 {
-            if let Some(at) = evaluation.free.pop_first() {
+            let work = |at: u32| EvaluationWork { iteration: *iteration, episode: at };
+            let first = evaluation.free.iter().copied().find(|at| may_try(work(*at)));
+            if let Some(at) = first {
+                evaluation.free.remove(&at);
                 let episode = &mut evaluation.episodes[at as usize];
                 episode.issued += 1;
-                let work = EvaluationWork { iteration: *iteration, episode: at };
-                return Some((work, evaluation.weights, episode.issued - 1));
+                return Some((work(at), evaluation.weights, episode.issued - 1));
             }
         }
         None
@@ -92,12 +97,12 @@ mod tests {
         evaluations.open(3, WeightsName { version: PolicyVersion(3), digest: Digest([0; 32]) }, 2);
         let work = |episode| EvaluationWork { iteration: 3, episode };
         for episode in 0..2 {
-            assert_eq!(evaluations.claim().map(|(work, ..)| work), Some(work(episode)));
+            assert_eq!(evaluations.claim(|_| true).map(|(work, ..)| work), Some(work(episode)));
         }
         let result = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps: 5 };
         assert_eq!(evaluations.complete(work(0), result), None);
         (0..3).for_each(|episode| evaluations.release(work(episode)));
-        assert_eq!(evaluations.claim().map(|(work, ..)| work), Some(work(1)));
-        assert_eq!(evaluations.claim().map(|(work, ..)| work), None);
+        assert_eq!(evaluations.claim(|_| true).map(|(work, ..)| work), Some(work(1)));
+        assert_eq!(evaluations.claim(|_| true).map(|(work, ..)| work), None);
     }
 }

@@ -136,9 +136,14 @@ impl OpenIteration {
         Self { iteration, weights, slots, environments, free, single, complete: 0 }
     }
 
-    /// The lowest free slot.
-    pub(super) fn claim(&mut self, id: LeaseId, now: Duration) -> Option<ClaimedSlot> {
-        let index = *self.free.first()?;
+    /// The lowest free slot that `may_try` permits.
+    pub(super) fn claim(
+        &mut self,
+        id: LeaseId,
+        now: Duration,
+        may_try: impl Fn(usize) -> bool,
+    ) -> Option<ClaimedSlot> {
+        let index = self.free.iter().copied().find(|index| may_try(*index))?;
         let held = SlotState::Held(vec![HeldLease { id, since: now }]);
         self.change(index, |slot| slot.state = held);
         Some(self.issue(index))
@@ -223,6 +228,13 @@ impl OpenIteration {
             }
             _ => Vec::new(),
         }
+    }
+
+    /// Replaces a slot that no lease computes. Results from its former start states are forgotten.
+    pub(super) fn replace(&mut self, index: usize, work: RolloutWork) {
+        let slot = &mut self.slots[index];
+        slot.earlier.clear();
+        slot.work = work;
     }
 
     /// The lease ended before its result was complete.

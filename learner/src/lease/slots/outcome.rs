@@ -2,7 +2,10 @@
 
 use std::time::Duration;
 
-use proto::{ActorId, Digest, EvaluationResult, Lease, LeaseId, LeaseStatus, TrajectoryChunk};
+use proto::{
+    ActorId, Digest, EvaluationResult, Lease, LeaseFailure, LeaseId, LeaseStatus, LeasedWork,
+    RolloutOrigin, TrajectoryChunk,
+};
 
 use super::{AuditCounts, Disagreement};
 
@@ -49,6 +52,19 @@ pub enum Effect {
     Evaluation(EvaluationOutcome),
     /// Two valid results differ.
     Failed(Box<Disagreement>),
+    /// The start states of this slot cannot be used: it waits for others ([`super::SlotTable::replace`]).
+    BeginAgain(RolloutOrigin),
+    /// Work that no actor can do.
+    GivenUp {
+        /// The last actor that failed.
+        actor: ActorId,
+        /// The work.
+        work: LeasedWork,
+        /// How often it failed.
+        times: u32,
+        /// The last cause.
+        detail: String,
+    },
 }
 
 /// What went wrong with an actor's work, for whoever tells people.
@@ -63,6 +79,17 @@ pub enum Incident {
     },
     /// No message came for this lease for its time to live, it made no progress for long, or it is too old.
     Expired(LeaseStatus),
+    /// The actor cannot process this lease and returned it.
+    Returned {
+        /// The lease, ended now.
+        lease: LeaseStatus,
+        /// What prevents its processing.
+        failure: LeaseFailure,
+        /// The cause.
+        detail: String,
+        /// The slot's environments; empty for other work.
+        environments: Vec<u32>,
+    },
     /// Too many messages in a row were refused.
     Quarantined {
         /// The actor.

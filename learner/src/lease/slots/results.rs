@@ -5,6 +5,7 @@ use proto::{
     RolloutOrigin, RolloutWork, TrajectoryChunk,
 };
 
+use super::failures::Key;
 use super::iteration::Completion;
 use super::leases::{Claim, LeaseState, OpenLease, follows, repeated, wrong_kind};
 use super::{ConnectionId, Effect, SlotTable, Trust};
@@ -133,6 +134,7 @@ impl SlotTable {
         let (owner, secs) = (lease.owner, self.now.saturating_sub(lease.begun));
         match open.complete(index, id, lease) {
             Completion::Accepted => {
+                self.failures.forget(Key::Slot(index));
                 self.typical.add(secs, open.work(index).environments.len());
                 let audited = owner.trust == Trust::Exact && self.actors.can_audit();
                 let digests = self.finished.digests(id).filter(|_| audited);
@@ -196,6 +198,7 @@ impl SlotTable {
             self.actors.finished(lease.owner.actor);
         }
         self.finished.remember(header.lease, vec![header.digest]);
+        self.failures.forget(Key::Episode(work.iteration, work.episode));
         let outcome = self.evaluations.complete(work, result);
         self.effects.extend(outcome.map(Effect::Evaluation));
         let (lease, state) = (header.lease, AckState::Accepted);

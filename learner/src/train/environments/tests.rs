@@ -146,6 +146,38 @@ fn restored_environments_equal_the_originals() {
 }
 
 #[test]
+fn an_environment_that_begins_again_has_the_next_episode_and_survives_a_checkpoint() {
+    let mut environments = Environments::fresh(layout(), 9, Phase::Staggered);
+    environments.begin_again(0);
+    assert_eq!(environments, Environments::fresh(layout(), 9, Phase::Staggered));
+    environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
+    environments.begin_again(0);
+    let fresh = Start::Fresh { episode: 1, limit: 9 };
+    let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
+    let starts = environments.starts_of(&[0, 1]).into_iter().map(|e| e.start);
+    assert_eq!(starts.collect::<Vec<_>>(), [fresh, second]);
+    let mut restored = Environments::fresh(layout(), 9, Phase::Staggered);
+    restored.restore(&environments.arrays(), 1).unwrap();
+    assert_eq!(restored, environments);
+}
+
+#[test]
+fn states_are_invalid_that_cannot_be_decoded_or_are_at_another_position() {
+    let mut environments = Environments::fresh(layout(), 9, Phase::Lockstep);
+    environments.advance(&batch([0.5; 6], &[1]), &[rollout()]);
+    let position = |episode, step| Position { episode, step, limit: 9 };
+    let positions = move |first: Position, second: Position| {
+        StateReader::new(move |state| Ok(if state == [4] { second } else { first }))
+    };
+    assert_eq!(environments.invalid(&positions(position(0, 3), position(1, 2))), []);
+    let found = environments.invalid(&positions(position(0, 3), position(0, 2)));
+    let why = "it is at step 2 of 9 of episode 0, its environment is at step 2 of 9 of episode 1";
+    assert_eq!(found, [(1, why.to_owned())]);
+    let unread = StateReader::new(|_| Err("no state".to_owned()));
+    assert_eq!(environments.invalid(&unread).len(), 2);
+}
+
+#[test]
 fn a_missing_or_invalid_array_is_named_in_the_error() {
     let mut environments = Environments::fresh(layout(), 2, Phase::Lockstep);
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);

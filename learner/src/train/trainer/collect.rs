@@ -65,6 +65,7 @@ impl RunningTrainer {
                 self.arrived = Some(Collected { rollouts, secs, behaviour });
             }
             Wake::Evaluation(outcome) => self.take_evaluation(&outcome)?,
+            Wake::BeginAgain(slot) => self.begin_again(&slot),
             Wake::Failed(error) => return Err(error.into()),
             Wake::Patience => self.report_progress(),
         }

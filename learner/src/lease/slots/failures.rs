@@ -1,0 +1,193 @@
+//! Work that actors returned because they could not process it: who may try it again, and when it is given up.
+//!
+//! Failed work is leased to other processes first. One actor alone can therefore neither block work nor end the run while
+//! another actor can do the work.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use proto::LeaseFailure;
+
+use super::actors::Process;
+use super::leases::Claim;
+
+/// Leases of a slot with invalid start states after which it begins new episodes.
+const MOST_START_STATES: u32 = 2;
+/// Failed leases of a slot that continues episodes after which it begins new ones.
+const MOST_CONTINUED: u32 = 4;
+/// Failed leases of a new episode after which the run ends.
+const MOST_FRESH: u32 = 5;
+/// Processes remembered for each work; a client may invent any number.
+const MOST_PROCESSES: usize = 64;
+
+/// Failed work of the open iteration and of open evaluations.
+#[derive(Debug, Default)]
+pub(super) struct Failures(BTreeMap<Key, Failed>);
+
+/// Work that can fail. The result of an audit is not needed, so a failed audit is skipped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Key {
+    /// The slot at this index of the open iteration.
+    Slot(usize),
+    /// An episode of the evaluation of an iteration.
+    Episode(u64, u32),
+}
+
+/// What happens to failed work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    /// It is leased again.
+    Retry,
+    /// The slot waits until the trainer has replaced its start states.
+    BeginAgain,
+    /// It failed this many times and ends the run.
+    GiveUp(u32),
+}
+
+/// How the work starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Begin {
+    /// With new episodes only.
+    Fresh,
+    /// With at least one state of an earlier slot.
+    Continued,
+}
+
+#[derive(Debug, Default)]
+struct Failed {
+    times: u32,
+    start_states: u32,
+    by: BTreeSet<Process>,
+    first: Duration,
+    last: Duration,
+    /// The trainer replaces the work, or the run ends: it is not leased.
+    decided: bool,
+}
+
+impl Key {
+    /// The work of a lease; `None` for an audit.
+    pub(super) fn of(claim: Claim) -> Option<Self> {
+        match claim {
+            Claim::Slot(index) => Some(Self::Slot(index)),
+            Claim::Episode(work) => Some(Self::Episode(work.iteration, work.episode)),
+            Claim::Audit { .. } => None,
+        }
+    }
+}
+
+impl Failures {
+    /// Whether `process` may try the work now. One that failed waits for the `others`, the registered processes, but not
+    /// longer than `ttl`.
+    pub(super) fn may_try(
+        &self,
+        key: Key,
+        process: Process,
+        others: impl Iterator<Item = Process>,
+        (now, ttl): (Duration, Duration),
+    ) -> bool {
+        let Some(failed) = self.0.get(&key) else { return true };
+        let waits = || failed.is_untried_by(others) && now < failed.last + ttl;
+        !failed.decided && !(failed.by.contains(&process) && waits())
+    }
+
+    /// Counts a failure. `others` are the registered processes.
+    pub(super) fn add(
+        &mut self,
+        (key, begin): (Key, Begin),
+        failure: LeaseFailure,
+        process: Process,
+        others: impl Iterator<Item = Process>,
+        (now, ttl): (Duration, Duration),
+    ) -> Verdict {
+        let failed =
+            self.0.entry(key).or_insert_with(|| Failed { first: now, ..Failed::default() });
+        failed.times += 1;
+        failed.start_states += u32::from(failure == LeaseFailure::StartState);
+        failed.last = now;
+        if failed.by.len() < MOST_PROCESSES {
+            failed.by.insert(process);
+        }
+        let most = if begin == Begin::Fresh { MOST_FRESH } else { MOST_CONTINUED };
+        let tried_by_all = !failed.is_untried_by(others) || now >= failed.first + ttl * most;
+        let verdict = match begin {
+            _ if failed.decided => Verdict::Retry,
+            Begin::Continued if failed.start_states >= MOST_START_STATES => Verdict::BeginAgain,
+            Begin::Continued if failed.times >= most && tried_by_all => Verdict::BeginAgain,
+            Begin::Fresh if failed.times >= most && tried_by_all => Verdict::GiveUp(failed.times),
+            _ => Verdict::Retry,
+        };
+        failed.decided |= verdict != Verdict::Retry;
+        verdict
+    }
+
+    /// The work is done, or has other start states.
+    pub(super) fn forget(&mut self, key: Key) {
+        self.0.remove(&key);
+    }
+
+    /// Another iteration has been opened.
+    pub(super) fn forget_slots(&mut self) {
+        self.0.retain(|key, _| !matches!(key, Key::Slot(_)));
+    }
+}
+
+impl Failed {
+    fn is_untried_by(&self, mut others: impl Iterator<Item = Process>) -> bool {
+        others.any(|other| !self.by.contains(&other))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::ProcessId;
+
+    use super::*;
+
+    const TTL: Duration = Duration::from_secs(20);
+    const SLOT: Key = Key::Slot(3);
+
+    fn process(number: u8) -> Process {
+        Process::Named(ProcessId([number; 16]))
+    }
+
+    /// The verdicts on failures of one slot by these processes, while all `registered` are there.
+    fn verdicts(begin: Begin, failure: LeaseFailure, by: &[u8], registered: &[u8]) -> Vec<Verdict> {
+        let mut failures = Failures::default();
+        let add = |(second, number): (usize, &u8)| {
+            let now = Duration::from_secs(second as u64);
+            let others = registered.iter().copied().map(process);
+            failures.add((SLOT, begin), failure, process(*number), others, (now, TTL))
+        };
+        by.iter().enumerate().map(add).collect()
+    }
+
+    #[test]
+    fn a_slot_whose_start_states_fail_twice_begins_again() {
+        let verdicts = verdicts(Begin::Continued, LeaseFailure::StartState, &[1, 2], &[1, 2, 3]);
+        assert_eq!(verdicts, [Verdict::Retry, Verdict::BeginAgain]);
+    }
+
+    #[test]
+    fn five_failures_of_a_new_episode_end_the_run_unless_another_process_has_not_tried() {
+        let failure = LeaseFailure::Environment;
+        let alone = verdicts(Begin::Fresh, failure, &[1; 5], &[1]);
+        assert_eq!((alone[3], alone[4]), (Verdict::Retry, Verdict::GiveUp(5)));
+        assert_eq!(verdicts(Begin::Fresh, failure, &[1; 9], &[1, 2]), [Verdict::Retry; 9]);
+        let continued = verdicts(Begin::Continued, failure, &[1, 2, 1, 2], &[1, 2]);
+        assert_eq!((continued[2], continued[3]), (Verdict::Retry, Verdict::BeginAgain));
+    }
+
+    #[test]
+    fn a_process_that_failed_waits_for_the_others_but_not_longer_than_a_time_to_live() {
+        let mut failures = Failures::default();
+        let registered = || [1, 2].into_iter().map(process);
+        let (failure, zero) = (LeaseFailure::Environment, (Duration::ZERO, TTL));
+        failures.add((SLOT, Begin::Fresh), failure, process(1), registered(), zero);
+        let may_try = |number, secs| {
+            let now = (Duration::from_secs(secs), TTL);
+            failures.may_try(SLOT, process(number), registered(), now)
+        };
+        assert_eq!((may_try(1, 19), may_try(2, 19), may_try(1, 20)), (false, true, true));
+        assert!(failures.may_try(SLOT, process(1), [process(1)].into_iter(), zero));
+    }
+}

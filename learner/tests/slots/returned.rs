@@ -1,0 +1,123 @@
+//! Leases that actors return: other processes try the work, then it begins again or ends the run.
+
+use std::time::Duration;
+
+use learner::slots::{Effect, Offer, SlotTable};
+use proto::{
+    EnvironmentStart, LeaseFailure, LeasedWork, ReturnedLease, RolloutOrigin, RolloutWork, Start,
+};
+
+use crate::table::{
+    Actor, Held, INCARNATION, TTL, actor, audited_table, complete, lease, slot, table, weights,
+    works,
+};
+
+/// Returns a lease; the table's effects besides those that wake actors.
+fn give_back(
+    table: &mut SlotTable,
+    (owner, held): (Actor, &Held),
+    failure: LeaseFailure,
+) -> Vec<Effect> {
+    let returned = ReturnedLease {
+        actor: owner.id,
+        incarnation: INCARNATION,
+        lease: held.id,
+        failure,
+        detail: "broken".to_owned(),
+    };
+    table.give_back(owner.connection, &returned).unwrap();
+    let mut effects = table.effects();
+    effects.retain(|effect| *effect != Effect::WorkFreed);
+    effects
+}
+
+/// The only slot of iteration 1 with this start.
+fn work(start: Start) -> RolloutWork {
+    let environments = vec![EnvironmentStart { environment: 0, start }];
+    RolloutWork { iteration: 1, slot: 0, environments }
+}
+
+fn continued() -> RolloutWork {
+    work(Start::Continue { state: vec![7], recurrent: Vec::new() })
+}
+
+#[test]
+fn a_slot_whose_start_state_two_actors_cannot_restore_waits_for_another_start() {
+    let mut table = table(1);
+    table.open_iteration(1, weights(), vec![continued()]);
+    let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
+    let held = lease(&mut table, one);
+    assert_eq!(give_back(&mut table, (one, &held), LeaseFailure::StartState), []);
+    assert_eq!(one.ask(&mut table), Ok(Offer::Nothing), "another process tries it first");
+    let held = lease(&mut table, two);
+    let origin = RolloutOrigin { iteration: 1, slot: 0, environments: vec![0] };
+    assert_eq!(
+        give_back(&mut table, (two, &held), LeaseFailure::StartState),
+        [Effect::BeginAgain(origin)]
+    );
+    table.tick(TTL * 2);
+    assert_eq!(two.ask(&mut table), Ok(Offer::Nothing), "it has no start state that is valid");
+    table.replace(work(Start::Fresh { episode: 3, limit: 10 }));
+    assert_eq!(table.effects(), [Effect::WorkFreed], "waiting actors are notified");
+    let held = lease(&mut table, one);
+    assert!(matches!(complete(&mut table, &held)[..], [Effect::Iteration(_)]));
+}
+
+#[test]
+fn a_process_that_is_alone_tries_again_and_work_that_always_fails_ends_the_run() {
+    let mut table = table(2);
+    let own = actor(&mut table, 1);
+    for _ in 0..4 {
+        let held = lease(&mut table, own);
+        assert_eq!(slot(&held), 0);
+        assert_eq!(give_back(&mut table, (own, &held), LeaseFailure::Environment), []);
+    }
+    let held = lease(&mut table, own);
+    let given_up = Effect::GivenUp {
+        actor: own.id,
+        work: LeasedWork::Slot(0),
+        times: 5,
+        detail: "broken".to_owned(),
+    };
+    assert_eq!(give_back(&mut table, (own, &held), LeaseFailure::Environment), [given_up]);
+}
+
+#[test]
+fn failures_are_forgotten_when_the_work_is_done() {
+    let mut table = table(1);
+    let own = actor(&mut table, 1);
+    for iteration in 0..3 {
+        table.open_iteration(iteration, weights(), works(iteration, 1));
+        for _ in 0..4 {
+            let held = lease(&mut table, own);
+            assert_eq!(give_back(&mut table, (own, &held), LeaseFailure::Environment), []);
+        }
+        let held = lease(&mut table, own);
+        assert!(matches!(complete(&mut table, &held)[..], [Effect::Iteration(_)]));
+    }
+}
+
+#[test]
+fn an_actor_cannot_return_the_lease_of_another_or_a_lease_that_has_ended() {
+    let mut table = table(1);
+    let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
+    let held = lease(&mut table, one);
+    for _ in 0..9 {
+        assert_eq!(give_back(&mut table, (two, &held), LeaseFailure::StartState), []);
+    }
+    assert!(matches!(complete(&mut table, &held)[..], [Effect::Iteration(_)]));
+    assert_eq!(give_back(&mut table, (one, &held), LeaseFailure::StartState), []);
+    assert_eq!(table.incidents(), []);
+}
+
+#[test]
+fn a_returned_audit_is_skipped() {
+    let mut table = audited_table(1);
+    let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
+    let held = lease(&mut table, one);
+    complete(&mut table, &held);
+    table.tick(Duration::from_secs(1));
+    let audit = lease(&mut table, two);
+    assert_eq!(give_back(&mut table, (two, &audit), LeaseFailure::StartState), []);
+    assert_eq!((table.counts().audits.skipped, two.ask(&mut table)), (1, Ok(Offer::Nothing)));
+}

@@ -1,0 +1,96 @@
+//! Encoded states of environments: those of an actor are checked before they count, and a run goes on from a checkpoint with
+//! invalid ones.
+
+use learner::end_states::StateReader;
+use learner::slots::ConnectionId;
+use learner::{AuditConfig, Exchange, LeaseConfig, launch};
+use proto::{
+    EnvironmentStart, LeaseAnswer, PolicyVersion, PushHeader, Reason, Refusal, RolloutWork, Start,
+    TrajectoryChunk,
+};
+
+use crate::actor::registration;
+use crate::settings::{launch_in, resumed};
+use crate::{toy, train};
+
+/// The answer to the last chunk of a slot whose end states `change` has changed.
+fn answer(change: impl Fn(&mut TrajectoryChunk)) -> Option<Refusal> {
+    let folder = tempfile::tempdir().unwrap();
+    let (trainer, run) = launch::prepare(launch_in(folder.path(), 1)).unwrap();
+    drop(trainer);
+    let launch = launch_in(folder.path(), 1);
+    let problem = learner::assemble::problem(&launch.environment);
+    let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
+    let policy = algorithm.snapshot().unwrap();
+    let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };
+    let exchange = Exchange::new(run, lease, AuditConfig { share: 0.0 }, toy::states());
+    exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();
+    // The first environment's episode ends in the slot of 8 steps, the second one's does not.
+    let start = |environment, limit| EnvironmentStart {
+        environment,
+        start: Start::Fresh { episode: 0, limit },
+    };
+    let work = RolloutWork { iteration: 0, slot: 0, environments: vec![start(0, 3), start(1, 10)] };
+    exchange.open_iteration(0, PolicyVersion(0), vec![work.clone()]);
+    let connection = ConnectionId(1);
+    let own = exchange.register(connection, &registration(exchange.run())).unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    let asked = exchange.lease(connection, own.actor, own.incarnation, std::time::Duration::ZERO);
+    let LeaseAnswer::Lease(lease) = runtime.block_on(asked).unwrap() else { panic!("no lease") };
+    let mut chunks = toy::roll_out(exchange.run(), &policy, &work);
+    change(chunks.last_mut().unwrap());
+    let answers = chunks.into_iter().map(|chunk| {
+        let header = PushHeader::of(&lease, chunk.digest(&work.origin()));
+        exchange.accept_chunk(connection, &header, chunk.sequence, |_| Ok(chunk)).err()
+    });
+    answers.last().unwrap()
+}
+
+/// The two end states of a chunk.
+fn states(chunk: &mut TrajectoryChunk) -> &mut [Vec<u8>] {
+    &mut chunk.end.as_mut().unwrap().environments
+}
+
+#[test]
+fn end_states_that_cannot_be_decoded_or_do_not_continue_the_episodes_are_refused() {
+    assert_eq!(answer(|_| {}), None);
+    type Change = fn(&mut TrajectoryChunk);
+    let changes: [(Change, usize, &str); 4] = [
+        (|chunk| states(chunk)[1].truncate(9), 1, "it has 9 bytes"),
+        (|chunk| states(chunk)[0][8] = 7, 0, "step 5 of 10 of episode 7"),
+        (|chunk| states(chunk)[1][16] = 9, 1, "its environment is at step 8 of 10 of episode 0"),
+        (|chunk| states(chunk).swap(0, 1), 0, "its environment is at step 5 of 10 of episode 1"),
+    ];
+    for (change, environment, detail) in changes {
+        let refusal = answer(change).unwrap();
+        let field = format!("chunk.end.environments[{environment}]");
+        assert_eq!((refusal.reason, refusal.field), (Reason::BadValue, field));
+        assert!(refusal.detail.contains(detail), "{}", refusal.detail);
+    }
+}
+
+#[test]
+fn a_run_goes_on_from_a_checkpoint_whose_states_nothing_can_restore_with_the_same_result_each_time()
+{
+    let finished = |decoder: StateReader| {
+        let folder = tempfile::tempdir().unwrap();
+        train(launch_in(folder.path(), 2), 2);
+        let mut launch = resumed(launch_in(folder.path(), 4));
+        launch.states = decoder;
+        train(launch, 2).state_sha256
+    };
+    // A resume first reads the states of the checkpoint, one for each of the four environments.
+    let rejects = || {
+        let strict = toy::states();
+        let checked = std::sync::atomic::AtomicUsize::new(0);
+        StateReader::new(move |state| {
+            match checked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) {
+                0..4 => Err("nothing can restore it".to_owned()),
+                _ => strict.decode(state),
+            }
+        })
+    };
+    let [undisturbed, first, second] = [toy::states(), rejects(), rejects()].map(finished);
+    assert_eq!(first, second);
+    assert_ne!(first, undisturbed);
+}
