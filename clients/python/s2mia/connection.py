@@ -10,6 +10,8 @@ from collections.abc import Iterator, Sequence
 
 import grpc
 
+from s2mia.name import printable
+
 
 @dataclasses.dataclass(frozen=True)
 class Tls:
@@ -82,5 +84,5 @@ def one_line(address: str) -> Iterator[None]:
     try:
         yield
     except grpc.RpcError as error:
-        details = " ".join(str(error.details()).split())
+        details = printable(str(error.details()))
         raise ConnectionError(f"{address}: {error.code().name}: {details}") from None

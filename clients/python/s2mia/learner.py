@@ -12,6 +12,7 @@ import grpc
 
 from s2mia import wire
 from s2mia.connection import Tls, authorization, open_channel
+from s2mia.name import check
 
 # Limit of every message, in both directions.
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
@@ -73,7 +74,11 @@ class Learner:
         insecure_allow_remote: bool = False,
         token: str | None = None,
     ) -> None:
-        """Registers as an actor. `address` is `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`."""
+        """Registers as an actor. `address` is `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`.
+
+        Raises `ValueError` for an invalid address or name `client`.
+        """
+        check(client, "the name of the client")
         self.metadata = authorization(token)
         options = [
             ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from s2mia import wire
+from s2mia.name import check
 
 from s2mia_environment.environment import EnvironmentBatch
 
@@ -20,6 +21,7 @@ class Streams:
     def __init__(self, make: Callable[[], EnvironmentBatch]) -> None:
         self.make = make
         self.spare = [make()]
+        _check_names(self.spare[0].spec)
         self.description = wire.DescribeEnvironmentResponse(environment=self.spare[0].spec).SerializeToString()
         self.batches: dict[int, EnvironmentBatch] = {}
         self.numbers = itertools.count()
@@ -47,6 +49,17 @@ class Streams:
     def close(self, number: int) -> None:
         """Ends the stream and its environments."""
         del self.batches[number]
+
+
+def _check_names(spec: "wire.EnvironmentSpec") -> None:
+    """Raises `ValueError` for a name that learner and actors would refuse."""
+    check(spec.task, "the environment's name")
+    for index, agent in enumerate(spec.agents):
+        check(agent.name, f"the name of agent {index}")
+        for joint in agent.joints:
+            check(joint, f"the name of a joint of agent {index}")
+    for feature in itertools.chain(spec.state, *(agent.observation for agent in spec.agents)):
+        check(feature.name, "the name of a feature")
 
 
 def _failed(error: Exception) -> EnvironmentFailed:
