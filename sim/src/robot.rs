@@ -12,6 +12,7 @@ mod mesh;
 mod model;
 mod model_files;
 mod neighbourhood;
+mod nesting;
 mod softness;
 
 use std::borrow::Cow;
