@@ -14,6 +14,7 @@ use crate::process::output;
 /// Refuses an address that other machines can reach in plain text unless that is allowed.
 pub(crate) fn check(arguments: &PageArguments, tls: Option<&Arc<ServerTls>>) -> Result<(), Usage> {
     let PageAddress::At(address) = arguments.page else { return Ok(()) };
+    hosts(&arguments.page_host)?;
     if arguments.insecure_allow_remote_page || tls.is_some() {
         return Ok(());
     }
@@ -38,7 +39,12 @@ pub(crate) async fn open(
     })?;
     let scheme = if tls.is_some() { "https" } else { "http" };
     output::line(format!("page: {scheme}://{}", listener.local_addr()?));
-    Ok(Some(Page { listener, hosts: Hosts::with(&arguments.page_host), tls }))
+    Ok(Some(Page { listener, hosts: hosts(&arguments.page_host)?, tls }))
+}
+
+/// The hosts that `--page-host` allows.
+pub(crate) fn hosts(names: &[String]) -> Result<Hosts, Usage> {
+    Hosts::with(names).map_err(|error| Usage::new(format!("--page-host: {error}")))
 }
 
 #[cfg(test)]

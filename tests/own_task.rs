@@ -227,6 +227,44 @@ fn a_file_of_a_model_that_cannot_be_used_is_refused_before_anything_is_written()
     refused(&model, "trunk", "trunk", &broken);
 }
 
+#[cfg(unix)]
+#[test]
+fn a_model_is_read_from_regular_files_inside_its_folder() {
+    let runs = Runs::new();
+    let task = example_of_files(&runs);
+    let folder = task.parent().unwrap();
+    let parts = folder.join("parts");
+    let (mesh, outside) = (parts.join("trunk.stl"), runs.folder("trunk.stl"));
+    std::fs::rename(&mesh, &outside).unwrap();
+    std::os::unix::fs::symlink(&outside, &mesh).unwrap();
+    assert!(refusal(&["task", "check", text(&task)]).contains("parts/trunk.stl: it is a link"));
+
+    std::fs::remove_file(&mesh).unwrap();
+    let pipe = std::process::Command::new("mkfifo").arg(&mesh).status();
+    assert!(pipe.unwrap().success());
+    assert!(refusal(&["task", "check", text(&task)]).contains("it is not a regular file"));
+
+    std::fs::remove_file(&mesh).unwrap();
+    std::fs::rename(&outside, parts.join("b.stl")).unwrap();
+    std::os::unix::fs::symlink("b.stl", &mesh).unwrap();
+    succeeded(&["task", "check", text(&task)]);
+}
+
+#[test]
+fn a_name_in_a_model_that_cannot_be_shown_is_refused() {
+    let runs = Runs::new();
+    let task = example(&runs);
+    let model = task.with_file_name("hopper.xml");
+    let plain = std::fs::read_to_string(&model).unwrap();
+    assert!(plain.contains("<body name=\"shank\""));
+    for (name, why) in [("a\u{202e}b", "U+202E"), ("a\u{2028}b", "U+2028"), ("", "is empty")] {
+        let changed = plain.replace("<body name=\"shank\"", &format!("<body name=\"{name}\""));
+        std::fs::write(&model, changed).unwrap();
+        let line = refusal(&["task", "check", text(&task)]);
+        assert!(line.contains(why) && !line.contains("a\u{202e}"), "{line}");
+    }
+}
+
 #[test]
 fn a_resume_with_another_file_is_refused_in_one_line() {
     let runs = Runs::new();

@@ -1,6 +1,6 @@
 //! Errors of actors and of external environments.
 
-use proto::{LeaseId, Refusal, in_words};
+use proto::{LeaseId, Refusal, in_words, name};
 use recording::trajectory_log::LogStartError;
 use security::SecurityError;
 use sim::{SimError, StateError};
@@ -187,9 +187,7 @@ fn outcome(status: &Status) -> String {
 /// Describes an error and its causes in one line, without repeating a cause that a message already includes.
 #[must_use]
 pub fn causes(error: &(dyn std::error::Error + 'static)) -> String {
-    let folded = |error: &dyn std::error::Error| {
-        error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
-    };
+    let folded = |error: &dyn std::error::Error| name::printable(&error.to_string());
     let mut line = folded(error);
     let mut source = error.source();
     while let Some(cause) = source {

@@ -26,7 +26,7 @@ pub use launch::Launch;
 pub use lease::{canary, end_states, exchange, published, sample, slots};
 pub use listener::Listener;
 pub use observe::{event, metrics, page, snapshot};
-pub use page::{Hosts, OverlaidRun, Overlay, Page, serve_overlay};
+pub use page::{Hosts, NotAHost, OverlaidRun, Overlay, Page, serve_overlay};
 pub use run::run;
 use serve::{accepting, team, token};
 pub use serve::{health, listener, service};

@@ -1,5 +1,6 @@
 //! Requests to trained policies and their answers. `validate/acting.rs` checks received steps.
 
+use crate::name::printable;
 use crate::read::{required, unknown};
 use crate::{AgentSpec, Reason, Refusal, WeightsName, tensor, wire};
 
@@ -94,8 +95,8 @@ impl PolicyDescription {
         let agents =
             agents.map(|(i, agent)| PolicyAgent::from_wire(agent, &format!("agents[{i}]")));
         Ok(Self {
-            run_id: wire.run_id,
-            task: wire.task,
+            run_id: printable(&wire.run_id),
+            task: printable(&wire.task),
             weights: WeightsName::from_wire(wire.weights, "weights")?,
             agents: agents.collect::<Result<_, _>>()?,
             dt_secs: wire.dt_secs,

@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-use crate::read::{digest, process, required, short_line, unknown};
+use crate::read::{digest, process, required, short_name, unknown};
 use crate::{
     ActorId, Digest, EnvironmentSpec, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal,
     RunDescription, WeightsName, wire,
@@ -46,8 +46,10 @@ impl Registration {
     /// If the name or the build is invalid, a part is missing, the fingerprint is not a SHA-256, or the id of the process
     /// does not have 16 bytes.
     pub fn from_wire(wire: wire::RegisterRequest) -> Result<Self, Refusal> {
-        short_line(&wire.client, "client")?;
-        short_line(&wire.build, "build")?;
+        short_name(&wire.client, "client")?;
+        if !wire.build.is_empty() {
+            short_name(&wire.build, "build")?;
+        }
         let environment = required(wire.environment, "environment")?;
         let fingerprint =
             wire.rollout_fingerprint.map(|bytes| digest(&bytes, "rollout_fingerprint"));

@@ -4,7 +4,7 @@ use std::fmt::{Debug, Display};
 
 use prost::Message as _;
 
-use crate::read::{bad_value, positive, required, seconds, short_line};
+use crate::read::{bad_value, positive, required, seconds, short_name};
 use crate::{Digest, Refusal, wire};
 
 /// Maximum number of choices of a discrete action.
@@ -121,11 +121,15 @@ impl EnvironmentSpec {
         Digest::of(&self.to_wire().encode_to_vec())
     }
 
-    /// Rejects sizes of 0, indices outside the global state, and invalid actions.
+    /// Rejects names that cannot be shown, sizes of 0, indices outside the global state, and invalid actions.
     pub(crate) fn check(&self, field: &str) -> Result<(), Refusal> {
+        short_name(&self.task, &format!("{field}.task"))?;
+        short_name(&self.state_kind, &format!("{field}.state_kind"))?;
         positive(self.agents.len() as u64, &format!("{field}.agents"))?;
+        check_names(&self.state, &format!("{field}.state"))?;
         for (i, agent) in self.agents.iter().enumerate() {
             let agent_field = format!("{field}.agents[{i}]");
+            agent.check_names(&agent_field)?;
             agent.action.check(&format!("{agent_field}.action.choices"))?;
             agent.check_indices(self.state.len(), &format!("{agent_field}.seen or near"))?;
         }
@@ -140,8 +144,6 @@ impl EnvironmentSpec {
     /// global state, or `feature_z` is set.
     pub fn from_service(wire: wire::DescribeEnvironmentResponse) -> Result<Self, Refusal> {
         let spec = Self::from_wire(required(wire.environment, "environment")?, "environment")?;
-        short_line(&spec.task, "environment.task")?;
-        short_line(&spec.state_kind, "environment.state_kind")?;
         positive(spec.state.len() as u64, "environment.state")?;
         for (i, agent) in spec.agents.iter().enumerate() {
             let field = format!("environment.agents[{i}]");
@@ -206,6 +208,14 @@ impl AgentSpec {
             near: self.near.clone(),
             action: Some(wire::ActionSpec { size, low, high, choices }),
         }
+    }
+
+    fn check_names(&self, field: &str) -> Result<(), Refusal> {
+        short_name(&self.name, &format!("{field}.name"))?;
+        for (i, joint) in self.joints.iter().enumerate() {
+            short_name(joint, &format!("{field}.joints[{i}]"))?;
+        }
+        check_names(&self.observation, &format!("{field}.observation"))
     }
 
     /// Checks its indices into a global state of `state` features.
@@ -297,6 +307,11 @@ fn features(wire: Vec<wire::FeatureSpec>, field: &str) -> Result<Vec<FeatureSpec
         Ok(FeatureSpec { role: role.ok_or_else(unknown)?, name: wire.name })
     };
     wire.into_iter().enumerate().map(feature).collect()
+}
+
+fn check_names(features: &[FeatureSpec], field: &str) -> Result<(), Refusal> {
+    let mut features = features.iter().enumerate();
+    features.try_for_each(|(i, feature)| short_name(&feature.name, &format!("{field}[{i}].name")))
 }
 
 fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<Difference> {

@@ -15,6 +15,7 @@ mod film;
 mod ids;
 mod left_out;
 mod line;
+pub mod name;
 mod play;
 mod read;
 mod refusal;

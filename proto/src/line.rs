@@ -1,5 +1,6 @@
 //! Progress of a run, sent to watchers at the end of each iteration.
 
+use crate::name::printable;
 use crate::read::unknown;
 use crate::{Refusal, wire};
 
@@ -87,7 +88,7 @@ impl RunLine {
             Err(_) => return Err(unknown("end", wire.end)),
         };
         Ok(Self {
-            run_id: wire.run_id,
+            run_id: printable(&wire.run_id),
             iteration: wire.iteration,
             env_steps: wire.env_steps,
             env_steps_per_sec: wire.env_steps_per_sec,
@@ -136,5 +137,8 @@ mod tests {
         for line in [bare.clone(), full(RunEnd::Finished), full(RunEnd::Stopped)] {
             assert_eq!(RunLine::from_wire(line.to_wire()), Ok(line));
         }
+        let hostile = RunLine { run_id: "a\u{1b}[2J\u{202e}\nb".to_owned(), ..bare };
+        let read = RunLine::from_wire(hostile.to_wire()).unwrap();
+        assert_eq!(read.run_id, "a<U+001B>[2J<U+202E> b");
     }
 }

@@ -1,23 +1,15 @@
 //! Checks of single fields of received messages; errors name the field.
 
-use crate::{Digest, ProcessId, Reason, Refusal};
+use crate::{Digest, ProcessId, Reason, Refusal, name};
 
 /// A required submessage.
 pub(crate) fn required<T>(value: Option<T>, field: &str) -> Result<T, Refusal> {
     value.ok_or_else(|| Refusal::new(Reason::MissingField, field, "must be set"))
 }
 
-/// Longest name of a peer, bytes.
-const MAX_NAME_BYTES: usize = 128;
-
-/// Checks that a name is short and without control characters, for logs.
-pub(crate) fn short_line(name: &str, field: &str) -> Result<(), Refusal> {
-    let bytes = name.len();
-    if bytes <= MAX_NAME_BYTES && !name.contains(char::is_control) {
-        return Ok(());
-    }
-    let detail = format!("{bytes} bytes, expected one line of at most {MAX_NAME_BYTES}");
-    Err(bad_value(field, detail))
+/// Checks that a name can be shown in logs and on terminals.
+pub(crate) fn short_name(name: &str, field: &str) -> Result<(), Refusal> {
+    name::check(name, name::LONGEST).map_err(|error| bad_value(field, format!("a name {error}")))
 }
 
 /// Exactly 32 bytes.

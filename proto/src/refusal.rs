@@ -6,6 +6,8 @@ use std::fmt;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
+use crate::name;
+
 /// Domain of every `google.rpc.ErrorInfo` that this program sends.
 const ERROR_DOMAIN: &str = "s2mia";
 
@@ -137,7 +139,7 @@ impl Refusal {
     /// A refusal because of `field`.
     #[must_use]
     pub fn new(reason: Reason, field: impl Into<String>, detail: impl Into<String>) -> Self {
-        Self { reason, field: truncated(field.into()), detail: truncated(detail.into()) }
+        Self { reason, field: truncated(&field.into()), detail: truncated(&detail.into()) }
     }
 
     /// The refusal in a peer's status, if it contains one.
@@ -151,7 +153,7 @@ impl Refusal {
     }
 }
 
-/// A status without a refusal, as one line.
+/// A status without a refusal, as one short line.
 #[must_use]
 pub fn in_words(status: &Status) -> String {
     match (status.code(), status.message()) {
@@ -159,7 +161,7 @@ pub fn in_words(status: &Status) -> String {
             "the server at this address does not provide this service; it may be another program"
                 .to_owned()
         }
-        (code, message) => format!("{code:?}: {message}"),
+        (code, message) => truncated(&format!("{code:?}: {message}")),
     }
 }
 
@@ -174,8 +176,8 @@ impl From<Refusal> for Status {
 }
 
 /// Limits text that a peer may have sent to one short line.
-pub(crate) fn truncated(text: String) -> String {
-    let mut text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+pub(crate) fn truncated(text: &str) -> String {
+    let mut text = name::printable(text);
     if text.len() > MAX_TEXT_BYTES {
         let end = (0..=MAX_TEXT_BYTES).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
         text.truncate(end);
@@ -202,6 +204,14 @@ mod tests {
     #[test]
     fn a_status_of_another_program_is_not_a_refusal() {
         assert_eq!(Refusal::from_status(&Status::aborted("a proxy")), None);
+    }
+
+    #[test]
+    fn a_text_of_a_peer_is_one_line_that_shows_all_its_characters() {
+        let refusal = Refusal::new(Reason::BadValue, "a\u{202e}b", "one\u{2028}two");
+        assert_eq!(refusal.to_string(), "BAD_VALUE: a<U+202E>b: one two");
+        let status = Status::internal("\u{1b}[2J\nall is well");
+        assert_eq!(in_words(&status), "Internal: <U+001B>[2J all is well");
     }
 
     #[test]

@@ -55,13 +55,12 @@ impl ReturnedLease {
             Ok(wire::LeaseFailure::Environment) => LeaseFailure::Environment,
             _ => return Err(unknown("failure", wire.failure)),
         };
-        let detail = wire.detail.replace(char::is_control, " ");
         Ok(Self {
             actor: ActorId(wire.actor_id),
             incarnation: Incarnation(wire.incarnation),
             lease: LeaseId(wire.lease_id),
             failure,
-            detail: truncated(detail),
+            detail: truncated(&wire.detail),
         })
     }
 }

@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 
+use crate::name::printable;
 use crate::read::{bad_value, digest, length, positive, required, seconds};
 use crate::{Digest, EnvironmentSpec, Incarnation, MAX_MESSAGE_BYTES, Refusal, wire};
 
@@ -148,7 +149,7 @@ impl RunDescription {
         let wire = required(wire, "run")?;
         let environment = required(wire.environment, "run.environment")?;
         let run = Self {
-            run_id: wire.run_id,
+            run_id: printable(&wire.run_id),
             protocol_version: wire.protocol_version,
             incarnation: Incarnation(wire.incarnation),
             seed: wire.seed,
@@ -163,7 +164,7 @@ impl RunDescription {
             config_sha256: digest(&wire.config_sha256, "run.config_sha256")?,
             heartbeat_secs: wire.heartbeat_secs,
             settings_toml: wire.settings_toml,
-            build: wire.build,
+            build: printable(&wire.build),
             other_builds: wire.other_builds,
             sampled_evaluations: wire.sampled_evaluations,
             restores_observations: wire.restores_observations,

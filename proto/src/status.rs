@@ -1,5 +1,6 @@
 //! Status of a run, for operators and scripts.
 
+use crate::name::printable;
 use crate::{ActorId, Incarnation, LeaseId, wire};
 
 /// Status of a run.
@@ -88,7 +89,7 @@ impl Status {
     #[must_use]
     pub fn from_wire(wire: wire::GetStatusResponse) -> Self {
         Self {
-            run_id: wire.run_id,
+            run_id: printable(&wire.run_id),
             incarnation: Incarnation(wire.incarnation),
             iteration: wire.iteration,
             env_steps: wire.env_steps,

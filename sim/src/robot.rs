@@ -13,6 +13,7 @@ mod mesh;
 mod model;
 mod model_files;
 mod neighbourhood;
+mod nesting;
 mod softness;
 
 use std::borrow::Cow;

@@ -169,12 +169,13 @@ impl TaskDefinition {
         TaskFile::parse(&self.file).map(|file| file.agents.into_keys().collect())
     }
 
-    /// Builds the task `name` of the file and discards it.
+    /// Builds the task `name` of the file and discards it. Returns the names of the model's bodies and coordinates.
     ///
     /// # Errors
     /// If the file, the model or a name in the file is invalid.
-    pub fn check(&self, name: &str) -> Result<(), SimError> {
-        Task::build(&TaskFile::parse(&self.file)?, &self.model, name).map(|_| ())
+    pub fn check(&self, name: &str) -> Result<Vec<String>, SimError> {
+        let robot = Task::build(&TaskFile::parse(&self.file)?, &self.model, name)?.robot;
+        Ok([robot.bodies(), robot.coordinate_names()].concat())
     }
 
     /// The table `settings` of the file, as TOML; empty without one.
@@ -207,8 +208,9 @@ fn check_numbers(robot: &Robot) -> Result<(), SimError> {
     let motors = robot.layout().motors.iter().zip(robot.actuators());
     for (motor, joint) in motors {
         let [low, high] = motor.range;
-        if !(low.is_finite() && high.is_finite() && low < high && motor.gear.is_finite()) {
-            let gear = motor.gear;
+        let gear = motor.gear;
+        let acts = gear.is_finite() && gear != 0.0;
+        if !(low.is_finite() && high.is_finite() && low < high && acts) {
             return Err(unfit(format!(
                 "{joint}: its motor has gear {gear} and range [{low}, {high}]"
             )));
@@ -220,6 +222,11 @@ fn check_numbers(robot: &Robot) -> Result<(), SimError> {
 /// Checks that every motor's joint belongs to exactly one agent.
 fn check_agents(agents: &[Vec<String>], robot: &Robot) -> Result<(), SimError> {
     let motors: Vec<String> = robot.actuators().map(str::to_owned).collect();
+    if let Some((_, joint)) =
+        motors.iter().enumerate().find(|(i, joint)| motors[..*i].contains(joint))
+    {
+        return Err(refused(format!("agents: the joint `{joint}` has more than one motor")));
+    }
     let names = Names::new("motor on a joint", &motors);
     let mut owned = BTreeSet::new();
     for (number, joints) in agents.iter().enumerate() {

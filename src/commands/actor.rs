@@ -2,6 +2,7 @@
 
 use actor::Transport;
 use anyhow::Context as _;
+use proto::name;
 use recording::trajectory_log::LogConfig;
 use tokio::sync::watch;
 
@@ -40,13 +41,16 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
         let allowed = actor::config::check_environment(url, &transport);
         allowed.map_err(|error| Usage::new(format!("--environment: {error}")))?;
     }
+    let name = arguments.name.unwrap_or_else(default_name);
+    name::check(&name, name::LONGEST)
+        .map_err(|error| Usage::new(format!("--name: {name:?} {error}")))?;
     let config = actor::Config {
         learner: arguments.learner,
         transport,
         token: token::of_environment()?,
         environment: arguments.environment,
         max_outage_secs: patience.as_secs_f64(),
-        name: arguments.name.unwrap_or_else(default_name),
+        name,
         threads: arguments.threads.into(),
         build: BUILD.to_owned(),
         log: log(arguments.log)?,

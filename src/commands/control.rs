@@ -36,7 +36,7 @@ pub(super) fn resume(arguments: &OrderArguments) -> anyhow::Result<()> {
 pub(super) fn checkpoint(arguments: &CheckpointArguments) -> anyhow::Result<()> {
     order(&arguments.learner, arguments.timeout_secs, async |learner| {
         let saved = learner.save_checkpoint().await?;
-        Ok(format!("iteration {}: {}", saved.iteration, saved.path))
+        Ok(format!("iteration {}: {}", saved.iteration, proto::name::printable(&saved.path)))
     })
 }
 

@@ -5,13 +5,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use learner::metrics::Curves;
-use learner::{Hosts, OverlaidRun, Overlay, Page};
+use learner::{OverlaidRun, Overlay, Page};
 use tokio::net::TcpListener;
 
 use crate::cli::RunsPageArguments;
 use crate::errors::Usage;
 use crate::figures::learning_curve;
 use crate::listening::demand_loopback;
+use crate::page;
 use crate::process::{output, runtime};
 use crate::run::growing::Growing;
 use crate::run::{newest, run_path};
@@ -26,6 +27,7 @@ pub(super) fn run(arguments: RunsPageArguments) -> anyhow::Result<()> {
              the names they use";
         demand_loopback("--listen", arguments.listen, permission)?;
     }
+    let hosts = page::hosts(&arguments.page_host)?;
     let folders = if arguments.runs.is_empty() { newest::all()? } else { arguments.runs };
     folders.iter().try_for_each(|folder| run_path::demand_run(folder))?;
     let followed = Mutex::new(Followed::of(&folders));
@@ -36,7 +38,7 @@ pub(super) fn run(arguments: RunsPageArguments) -> anyhow::Result<()> {
             Usage::new(format!("--listen {}: {error}; {advice}", arguments.listen))
         })?;
         output::line(format!("page: http://{}", listener.local_addr()?));
-        let page = Page { listener, hosts: Hosts::with(&arguments.page_host), tls: None };
+        let page = Page { listener, hosts, tls: None };
         learner::serve_overlay(page, look).await;
         Ok(())
     })

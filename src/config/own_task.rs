@@ -2,10 +2,11 @@
 //! model names, become settings, so that they take part in the hash of the settings and travel with the run.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::Read as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use proto::name;
 use sim::{ModelFiles, TaskDefinition};
 
 use super::error::ConfigError;
@@ -99,10 +100,12 @@ impl OwnTask {
 
     /// Builds the task once.
     fn checked(self) -> Result<Self, ConfigError> {
-        match self.definition.check(&self.name) {
-            Ok(()) => Ok(self),
-            Err(error) => Err(refused(&self.place, error)),
+        let refuse = |error: &dyn std::fmt::Display| refused(&self.place, error);
+        for name in self.definition.check(&self.name).map_err(|error| refuse(&error))? {
+            let why = |error| refuse(&format!("the name {name:?} in the model {error}"));
+            name::check(&name, name::LONGEST).map_err(why)?;
         }
+        Ok(self)
     }
 
     /// The table `settings` of the file.
@@ -129,7 +132,7 @@ fn text(path: &Path) -> Result<String, ConfigError> {
 /// Text of the model `document` in `folder`, with all files that it needs.
 fn one_document(folder: &Path, document: &str) -> Result<String, String> {
     let read = |path: &str| {
-        let bytes = content(&folder.join(path), MODEL_FILE_BYTES);
+        let bytes = inside(folder, path).and_then(|file| content(&file, MODEL_FILE_BYTES));
         bytes.map_err(|error| format!("{path}: {error}"))
     };
     let text = ModelFiles::one_document(document, read).map_err(|error| error.to_string())?;
@@ -142,8 +145,23 @@ fn one_document(folder: &Path, document: &str) -> Result<String, String> {
     }
 }
 
-/// Content of a file of at most `limit` bytes.
+/// Place of a file of the model. Its content travels with the run, so a link must not lead out of the folder.
+fn inside(folder: &Path, path: &str) -> Result<PathBuf, String> {
+    let resolved = |path: &Path| path.canonicalize().map_err(|error| error.to_string());
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let (folder, file) = (resolved(folder)?, resolved(&folder.join(path))?);
+    match file.starts_with(&folder) {
+        true => Ok(file),
+        false => Err("it is a link that leaves the task file's folder; copy the file".to_owned()),
+    }
+}
+
+/// Content of a regular file of at most `limit` bytes.
 fn content(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
+    // Opening a pipe would wait for its other end.
+    if !fs::metadata(path).map_err(|error| error.to_string())?.is_file() {
+        return Err("it is not a regular file".to_owned());
+    }
     let mut bytes = Vec::new();
     let file = File::open(path).map_err(|error| error.to_string())?;
     file.take(limit + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
@@ -154,6 +172,6 @@ fn content(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
 }
 
 fn refused(place: &str, error: impl std::fmt::Display) -> ConfigError {
-    let detail = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    let detail = name::printable(&error.to_string());
     ConfigError::Unreadable { place: place.to_owned(), detail }
 }

@@ -154,6 +154,7 @@ fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
         }
         given => PathBuf::from(given),
     };
+    run_path::check_name(&folder)?;
     if folder.exists() && !folder.is_dir() {
         let why = format!("{} is no folder; run.dir names the run's folder", folder.display());
         return Err(Usage::new(why).into());

@@ -10,6 +10,9 @@ use time::OffsetDateTime;
 
 use crate::errors::Usage;
 
+/// Longest name of a folder that file systems allow, bytes.
+const LONGEST_NAME: usize = 255;
+
 /// The resolved configuration.
 pub(crate) fn config_file(folder: &Path) -> PathBuf {
     folder.join(CONFIG)
@@ -59,6 +62,13 @@ pub(crate) fn name(folder: &Path) -> String {
     resolved.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned()
 }
 
+/// Refuses the name of a new run if logs and clients cannot show it.
+pub(crate) fn check_name(folder: &Path) -> Result<(), Usage> {
+    let name = name(folder);
+    let refused = |error| Usage::new(format!("run.dir: the name {name:?} {error}"));
+    proto::name::check(&name, LONGEST_NAME).map_err(refused)
+}
+
 /// `runs/<task>-<algorithm>-seed<seed>-<UTC time>`. An external program may name the task, so only its letters, digits,
 /// dots and underscores are kept.
 pub(crate) fn default_folder(task: &str, algorithm: &str, seed: u64, now: SystemTime) -> PathBuf {
@@ -87,6 +97,15 @@ mod tests {
             (1_767_225_599, "20251231-235959"),
         ] {
             assert_eq!(utc(OffsetDateTime::from_unix_timestamp(secs).unwrap()), date);
+        }
+    }
+
+    #[test]
+    fn a_run_has_a_name_that_can_be_shown() {
+        assert!(check_name(Path::new("runs/a run/")).is_ok());
+        for hidden in ["runs/a\u{2028}b", "a\nb", "a\u{202e}", "\u{200b}", " a"] {
+            let line = check_name(Path::new(hidden)).unwrap_err().to_string();
+            assert!(line.starts_with("run.dir: the name \"") && !line.contains(hidden), "{line}");
         }
     }
 

@@ -19,6 +19,7 @@ from s2mia.arguments import Parser
 from s2mia.connection import CallError, Tls
 from s2mia.cue import KIND, Cue
 from s2mia.learner import Learner
+from s2mia.name import printable
 from s2mia.policy import Floats, Policy
 
 
@@ -212,8 +213,8 @@ def _work(arguments: argparse.Namespace) -> int:
     learner = Learner(arguments.learner, tls=arguments.tls)
     offered = learner.run.environment
     if offered.state_kind != KIND:
-        raise ValueError(f"{offered.task} is not supported; this actor supports only cue-2x1")
-    print(f"run {learner.run.run_id}, actor {learner.actor_id}", flush=True)
+        raise ValueError(f"{printable(offered.task)} is not supported; this actor supports only cue-2x1")
+    print(f"run {printable(learner.run.run_id)}, actor {learner.actor_id}", flush=True)
     return act_for(learner, Cue, np.random.default_rng())
 
 

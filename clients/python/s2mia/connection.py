@@ -13,6 +13,8 @@ from typing import Any
 
 import grpc
 
+from s2mia.name import printable
+
 CALL_SECS = 10.0
 # Interval at which a server that is starting is tried again.
 RETRY_SECS = 0.2
@@ -52,9 +54,8 @@ class CallError(ConnectionError):
         self.status: grpc.RpcError = status
         """The error that gRPC raised; `grpc_status.rpc_status.from_call` reads the refusal in it."""
         self.code: grpc.StatusCode = status.code() if known else grpc.StatusCode.UNKNOWN
-        details = " ".join(str(status.details() if known else status).split())
-        printable = "".join(letter if letter.isprintable() else "?" for letter in details)
-        super().__init__(f"{address}: {self.code.name}: {printable}{_advice(self.code, details)}")
+        details = printable(str(status.details() if known else status))
+        super().__init__(f"{address}: {self.code.name}: {details}{_advice(self.code, details)}")
 
 
 def _advice(code: grpc.StatusCode, details: str) -> str:

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from s2mia import wire
 from s2mia.connection import Connection, Tls
+from s2mia.name import printable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,10 +75,11 @@ class Progress:
 
 
 def _field(message: Any, name: str) -> Any:
-    """The value of a field; `None` if it is absent."""
+    """The value of a field, a text as it can be printed; `None` if it is absent."""
     if message.DESCRIPTOR.fields_by_name[name].has_presence and not message.HasField(name):
         return None
-    return getattr(message, name)
+    value = getattr(message, name)
+    return printable(value) if isinstance(value, str) else value
 
 
 def _fields(kind: type[Any], message: Any) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from s2mia import wire
 from s2mia.connection import CALL_SECS, Connection, Tls
+from s2mia.name import check
 
 # Limit of every message, in both directions.
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
@@ -89,9 +90,10 @@ class Learner:
     ) -> None:
         """Registers as an actor. `address` is `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`.
 
-        Raises `ValueError` for an invalid address, certificate or token. Raises `ConnectionError`, as every call, if
-        the learner does not answer or refuses the call.
+        Raises `ValueError` for an invalid address, name `client`, certificate or token. Raises `ConnectionError`, as every
+        call, if the learner does not answer or refuses the call.
         """
+        check(client, "the name of the client")
         options = [
             ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
             # A registration ends with its connection, so channels must not share connections.

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from s2mia import wire
+from s2mia.name import check
 
 from s2mia_environment.environment import EnvironmentBatch, InvalidEnvironment
 
@@ -117,6 +118,10 @@ class Streams:
         self.make = make
         self.spare: list[EnvironmentBatch] = []
         self.spare.append(self._made())
+        try:
+            _check_names(self.spare[0].spec)
+        except ValueError as error:
+            raise failed(InvalidEnvironment(str(error))) from None
         self.description = wire.DescribeEnvironmentResponse(environment=self.spare[0].spec).SerializeToString()
         self.streams: dict[int, Stream] = {}
         self.numbers = itertools.count()
@@ -149,3 +154,14 @@ class Streams:
             return self.make()
         except _ERRORS as error:
             raise failed(error) from error
+
+
+def _check_names(spec: "wire.EnvironmentSpec") -> None:
+    """Raises `ValueError` for a name that learner and actors would refuse."""
+    check(spec.task, "the environment's name")
+    for index, agent in enumerate(spec.agents):
+        check(agent.name, f"the name of agent {index}")
+        for joint in agent.joints:
+            check(joint, f"the name of a joint of agent {index}")
+    for feature in itertools.chain(spec.state, *(agent.observation for agent in spec.agents)):
+        check(feature.name, "the name of a feature")

@@ -15,7 +15,7 @@ use tokio::net::TcpListener;
 
 use crate::metrics::Curves;
 
-pub use hosts::Hosts;
+pub use hosts::{Hosts, NotAHost};
 pub(crate) use server::serve;
 pub use server::serve_overlay;
 pub(crate) use view::{Facts, RunView};

@@ -120,3 +120,24 @@ fn a_program_that_cannot_save_states_is_no_liar_and_equal_descriptions_have_one_
     assert_eq!(read.as_ref().map(EnvironmentSpec::digest), Ok(offered.digest()));
     assert_ne!(offered.digest(), environment().digest());
 }
+
+#[test]
+fn a_name_of_an_environment_that_cannot_be_shown_is_refused_by_its_field() {
+    let named: [(&str, fn(&mut EnvironmentSpec) -> &mut String); 6] = [
+        ("task", |spec| &mut spec.task),
+        ("state_kind", |spec| &mut spec.state_kind),
+        ("state[1].name", |spec| &mut spec.state[1].name),
+        ("agents[1].name", |spec| &mut spec.agents[1].name),
+        ("agents[0].joints[1]", |spec| &mut spec.agents[0].joints[1]),
+        ("agents[0].observation[2].name", |spec| &mut spec.agents[0].observation[2].name),
+    ];
+    for (field, name) in named {
+        for hostile in ["", "a ", "a\nb", "a\u{2029}b", "a\u{2066}b", "\u{feff}a"] {
+            let mut spec = environment();
+            hostile.clone_into(name(&mut spec));
+            let answer = wire::DescribeEnvironmentResponse { environment: Some(spec.to_wire()) };
+            let refusal = EnvironmentSpec::from_service(answer).unwrap_err();
+            assert_eq!(refusal.field, format!("environment.{field}"), "{hostile:?}");
+        }
+    }
+}

@@ -42,7 +42,16 @@ fn a_name_that_could_fill_the_memory_or_forge_a_line_of_a_log_is_refused() {
         Registration::from_wire(named.to_wire()).err().map(|refusal| refusal.field)
     };
     assert_eq!(refused(&"n".repeat(128)), None);
-    for hostile in ["n".repeat(129).as_str(), "a\n2026-01-01 INFO all is well", "\u{1b}[2J"] {
+    for hostile in [
+        "n".repeat(129).as_str(),
+        "a\n2026-01-01 INFO all is well",
+        "\u{1b}[2J",
+        "a\u{2028}b",
+        "a\u{202e}b",
+        "\u{200b}",
+        " a",
+        "",
+    ] {
         assert_eq!(refused(hostile).as_deref(), Some("client"));
     }
 }

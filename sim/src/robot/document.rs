@@ -3,14 +3,17 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, ParsingOptions};
 
 use super::folder::Folder;
+use super::nesting::deepest;
 
-/// Most elements inside each other.
+/// Most elements inside each other, those of included files counted where they are included.
 const DEEPEST_ELEMENT: usize = 200;
 /// Nesting depth of included files.
 const DEEPEST_INCLUDE: usize = 8;
+/// Most nodes of a file: elements, comments and texts between them.
+const MOST_NODES: u32 = 200_000;
 
 /// An element with its attributes, without text.
 #[derive(Clone, Debug)]
@@ -31,7 +34,7 @@ impl Element {
         if root.tag_name().name() != "mujoco" {
             return Err(format!("the document is <{}>, not <mujoco>", root.tag_name().name()));
         }
-        read(root, None, folder, DEEPEST_INCLUDE)
+        read(root, &Source::of(text, None), folder, Depth { elements: 1, includes: 0 })
     }
 
     /// Error message for this element.
@@ -127,36 +130,71 @@ impl Element {
         number.map_err(|_| self.refuse(format!("{name}=\"{text}\" must be a whole number")))
     }
 
-    /// `true` or `false`; other words, such as `auto`, are `None`.
-    pub(super) fn flag(&self, name: &str) -> Option<bool> {
+    /// `true` or `false`; `None` without the attribute, or if it is `auto`.
+    pub(super) fn flag(&self, name: &str) -> Result<Option<bool>, String> {
         match self.text(name) {
-            Some("true" | "1" | "enable") => Some(true),
-            Some("false" | "0" | "disable") => Some(false),
-            _ => None,
+            None | Some("auto") => Ok(None),
+            Some("true" | "1" | "enable") => Ok(Some(true)),
+            Some("false" | "0" | "disable") => Ok(Some(false)),
+            Some(word) => Err(self.refuse(format!("{name}=\"{word}\" must be true or false"))),
         }
     }
 }
 
+/// A file of a document.
+struct Source {
+    /// `None` for the document itself.
+    file: Option<Rc<str>>,
+    /// Bytes before the end of each line.
+    line_ends: Vec<usize>,
+}
+
+impl Source {
+    fn of(text: &str, file: Option<Rc<str>>) -> Self {
+        let line_ends = text.match_indices('\n').map(|(at, _)| at).collect();
+        Self { file, line_ends }
+    }
+
+    /// Number of the line with this byte.
+    fn line(&self, byte: usize) -> u32 {
+        self.line_ends.partition_point(|end| *end < byte) as u32 + 1
+    }
+}
+
+/// How many elements, and how many included files, an element is in.
+#[derive(Clone, Copy)]
+struct Depth {
+    /// With the element itself.
+    elements: usize,
+    includes: usize,
+}
+
 fn read(
     node: Node<'_, '_>,
-    file: Option<&Rc<str>>,
+    source: &Source,
     folder: &mut Folder<'_>,
-    depth: usize,
+    depth: Depth,
 ) -> Result<Element, String> {
+    if depth.elements > DEEPEST_ELEMENT {
+        return Err(too_deep());
+    }
+    folder.count_element()?;
     let mut element = Element {
         tag: node.tag_name().name().to_owned(),
-        file: file.cloned(),
-        line: node.document().text_pos_at(node.range().start).row,
+        file: source.file.clone(),
+        line: source.line(node.range().start),
         attributes: node
             .attributes()
             .map(|a| (a.name().to_owned(), a.value().to_owned()))
             .collect(),
         children: Vec::new(),
     };
+    check_plain(node, &element)?;
+    let inside = Depth { elements: depth.elements + 1, ..depth };
     for child in node.children().filter(Node::is_element) {
-        let child_element = read(child, file, folder, depth)?;
+        let child_element = read(child, source, folder, inside)?;
         if child_element.tag == "include" {
-            element.children.extend(included(&child_element, folder, depth)?);
+            element.children.extend(included(&child_element, folder, inside)?);
         } else {
             element.children.push(child_element);
         }
@@ -164,44 +202,52 @@ fn read(
     Ok(element)
 }
 
+/// Refuses prefixes, which could give an element two attributes of one name, and text, such as a tag without its `<`.
+fn check_plain(node: Node<'_, '_>, element: &Element) -> Result<(), String> {
+    let root = node.document().root_element().tag_name();
+    let prefixed = node.attributes().find(|attribute| attribute.namespace().is_some());
+    if prefixed.is_some() || node.tag_name().namespace() != root.namespace() {
+        return Err(element.refuse("names with a prefix are not supported"));
+    }
+    let texts = node.children().filter_map(|child| child.text().filter(|_| child.is_text()));
+    match texts.map(str::trim).find(|text| !text.is_empty()) {
+        None => Ok(()),
+        Some(text) => {
+            let start: String = text.chars().take(40).collect();
+            Err(element.refuse(format!("text between elements has no meaning: {start}")))
+        }
+    }
+}
+
 /// Parses XML that is not nested so deeply that the parser's stack would overflow.
 fn parsed(text: &str) -> Result<Document<'_>, String> {
     if deepest(text) > DEEPEST_ELEMENT {
-        return Err(format!("elements are nested more than {DEEPEST_ELEMENT} deep"));
+        return Err(too_deep());
     }
-    Document::parse(text).map_err(|error| error.to_string())
+    let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+    Document::parse_with_options(text, options).map_err(|error| error.to_string())
 }
 
-/// How many elements are inside each other, at most. Attributes contain no `<`; tags in comments count too.
-fn deepest(text: &str) -> usize {
-    let (mut depth, mut deepest) = (0_usize, 0);
-    for tag in text.split('<').skip(1) {
-        let is_empty = tag.split('>').next().is_some_and(|tag| tag.ends_with('/'));
-        if tag.starts_with('/') {
-            depth = depth.saturating_sub(1);
-        } else if !is_empty && !tag.starts_with(['!', '?']) {
-            depth += 1;
-            deepest = deepest.max(depth);
-        }
-    }
-    deepest
+fn too_deep() -> String {
+    format!("elements are nested more than {DEEPEST_ELEMENT} deep")
 }
 
 /// Children of the root of an included file.
 fn included(
     include: &Element,
     folder: &mut Folder<'_>,
-    depth: usize,
+    depth: Depth,
 ) -> Result<Vec<Element>, String> {
     let name = include.text("file").ok_or_else(|| include.refuse("it has no `file`"))?;
-    if depth == 0 {
+    if depth.includes == DEEPEST_INCLUDE {
         return Err(include.refuse(format!("files are included more than {DEEPEST_INCLUDE} deep")));
     }
-    let (path, bytes) = folder.read("", name).map_err(|error| include.refuse(error))?;
-    let text = std::str::from_utf8(&bytes).map_err(|_| include.refuse("it is not UTF-8 text"))?;
-    let document = parsed(text).map_err(|error| include.refuse(error))?;
-    let root = read(document.root_element(), Some(&Rc::from(path)), folder, depth - 1)?;
-    Ok(root.children)
+    let (path, text) = folder.read_document(name).map_err(|error| include.refuse(error))?;
+    let document = parsed(&text).map_err(|error| include.refuse(error))?;
+    // The children of the root take the place of the include.
+    let outside = Depth { elements: depth.elements - 1, includes: depth.includes + 1 };
+    let source = Source::of(&text, Some(Rc::from(path)));
+    Ok(read(document.root_element(), &source, folder, outside)?.children)
 }
 
 /// Attributes that state an orientation. An element's own replaces that of its class.
@@ -209,6 +255,27 @@ pub(super) const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxe
 /// Actuators share one default, whatever their tag.
 const ACTUATORS: [&str; 5] = ["general", "motor", "position", "velocity", "damper"];
 const MAIN: &str = "main";
+/// Elements with defaults.
+const DEFAULTS: [&str; 18] = [
+    "mesh",
+    "material",
+    "joint",
+    "geom",
+    "site",
+    "camera",
+    "light",
+    "pair",
+    "equality",
+    "tendon",
+    "general",
+    "motor",
+    "position",
+    "velocity",
+    "damper",
+    "intvelocity",
+    "cylinder",
+    "muscle",
+];
 
 /// Default classes: attributes by tag, with those of the parent classes.
 #[derive(Debug)]
@@ -219,12 +286,17 @@ impl Classes {
     pub(super) fn new(root: &Element) -> Result<Self, String> {
         let mut classes = Self(BTreeMap::from([(MAIN.to_owned(), BTreeMap::new())]));
         for default in root.all("default") {
-            let name = default.text("class").unwrap_or(MAIN);
-            let parent = classes.0.remove(name).unwrap_or_default();
-            if name != MAIN {
-                classes.0.insert(MAIN.to_owned(), parent.clone());
+            let main = classes.0.remove(MAIN).unwrap_or_default();
+            classes.add(default, MAIN, main)?;
+        }
+        // All outermost elements describe the main class, which then has their names too.
+        let main = classes.0.get(MAIN).cloned().unwrap_or_default();
+        let names: BTreeSet<&str> =
+            root.all("default").filter_map(|default| default.text("class")).collect();
+        for name in names.into_iter().filter(|name| *name != MAIN) {
+            if classes.0.insert(name.to_owned(), main.clone()).is_some() {
+                return Err(format!("two defaults have the class `{name}`"));
             }
-            classes.add(default, name, parent)?;
         }
         Ok(classes)
     }
@@ -235,15 +307,21 @@ impl Classes {
         name: &str,
         mut class: BTreeMap<String, BTreeMap<String, String>>,
     ) -> Result<(), String> {
+        default.only(&[&["class"]])?;
         for child in default.children.iter().filter(|child| child.tag != "default") {
+            if !DEFAULTS.contains(&child.tag.as_str()) {
+                return Err(child.refuse("this element is not supported"));
+            }
             overlay(class.entry(slot(&child.tag).to_owned()).or_default(), &child.attributes);
         }
         for child in default.all("default") {
             let name = child.text("class").ok_or_else(|| child.refuse("it has no `class`"))?;
             self.add(child, name, class.clone())?;
         }
-        self.0.insert(name.to_owned(), class);
-        Ok(())
+        match self.0.insert(name.to_owned(), class) {
+            None => Ok(()),
+            Some(_) => Err(format!("two defaults have the class `{name}`")),
+        }
     }
 
     /// An element with the attributes of its class: its own `class`, else `childclass`, else the main class. It has no
@@ -257,6 +335,9 @@ impl Classes {
         let class = self.0.get(name);
         let class =
             class.ok_or_else(|| element.refuse(format!("no default has the class `{name}`")))?;
+        if let Some(child) = element.children.first() {
+            return Err(child.refuse("this element is not supported"));
+        }
         let mut attributes = class.get(slot(&element.tag)).cloned().unwrap_or_default();
         overlay(&mut attributes, &element.attributes);
         Ok(element.with(attributes))

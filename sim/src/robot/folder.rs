@@ -4,6 +4,12 @@ use std::collections::BTreeMap;
 
 /// Largest file of a model, bytes.
 const LARGEST_FILE: usize = 64 << 20;
+/// Largest MJCF file, bytes: a parsed file takes many times its size.
+const LARGEST_DOCUMENT: usize = 4 << 20;
+/// Most bytes of all files, each counted as often as it is named.
+const MOST_BYTES: usize = 256 << 20;
+/// Most elements of a document and of all files that it includes.
+const MOST_ELEMENTS: usize = 20_000;
 
 /// Files that a model may name, each as often as it does.
 const MOST_READS: usize = 1000;
@@ -15,8 +21,15 @@ pub(super) struct Folder<'a> {
     source: &'a dyn Fn(&str) -> Result<Vec<u8>, String>,
     /// Contents of the files read so far, by path.
     pub(super) known: BTreeMap<String, Vec<u8>>,
-    /// How often files were read; a document that includes itself in many ways would grow without bound.
-    pub(super) reads: usize,
+    /// What was read so far; a document that includes a file in many ways would grow without bound.
+    total: Total,
+}
+
+#[derive(Default)]
+struct Total {
+    files: usize,
+    bytes: usize,
+    elements: usize,
 }
 
 impl<'a> Folder<'a> {
@@ -25,13 +38,38 @@ impl<'a> Folder<'a> {
         source: &'a dyn Fn(&str) -> Result<Vec<u8>, String>,
     ) -> Result<Self, String> {
         check_relative(document)?;
-        Ok(Self { path: resolved(document)?, source, known: BTreeMap::new(), reads: 0 })
+        Ok(Self {
+            path: resolved(document)?,
+            source,
+            known: BTreeMap::new(),
+            total: Total::default(),
+        })
+    }
+
+    /// Starts counting again, for another pass over the same document.
+    pub(super) fn recount(&mut self) {
+        self.total = Total::default();
+    }
+
+    /// Counts an element of the document or of an included file.
+    pub(super) fn count_element(&mut self) -> Result<(), String> {
+        self.total.elements += 1;
+        match self.total.elements <= MOST_ELEMENTS {
+            true => Ok(()),
+            false => Err(format!("the model has more than {MOST_ELEMENTS} elements")),
+        }
     }
 
     /// Text of the document.
     pub(super) fn document(&mut self) -> Result<String, String> {
         let path = self.path.clone();
-        String::from_utf8(self.content(&path)?).map_err(|_| format!("{path} is not UTF-8 text"))
+        self.content(&path).and_then(|bytes| text(&path, bytes))
+    }
+
+    /// Path and text of a file that the document includes.
+    pub(super) fn read_document(&mut self, name: &str) -> Result<(String, String), String> {
+        let (path, bytes) = self.read("", name)?;
+        text(&path, bytes).map(|text| (path, text))
     }
 
     /// Path and content of a file that the document names, in the folder `subfolder` next to the document.
@@ -49,20 +87,34 @@ impl<'a> Folder<'a> {
     }
 
     fn content(&mut self, path: &str) -> Result<Vec<u8>, String> {
-        self.reads += 1;
-        if self.reads > MOST_READS {
+        self.total.files += 1;
+        if self.total.files > MOST_READS {
             return Err(format!("the model names more than {MOST_READS} files"));
         }
-        if let Some(bytes) = self.known.get(path) {
-            return Ok(bytes.clone());
-        }
-        let bytes = (self.source)(path)?;
+        let bytes = match self.known.get(path) {
+            Some(bytes) => bytes.clone(),
+            None => (self.source)(path)?,
+        };
         if bytes.len() > LARGEST_FILE {
             return Err(format!("{path} has more than {LARGEST_FILE} bytes"));
         }
-        self.known.insert(path.to_owned(), bytes.clone());
+        self.total.bytes += bytes.len();
+        if self.total.bytes > MOST_BYTES {
+            return Err(format!("the files of the model have more than {MOST_BYTES} bytes"));
+        }
+        if !self.known.contains_key(path) {
+            self.known.insert(path.to_owned(), bytes.clone());
+        }
         Ok(bytes)
     }
+}
+
+/// Text of an MJCF file.
+fn text(path: &str, bytes: Vec<u8>) -> Result<String, String> {
+    if bytes.len() > LARGEST_DOCUMENT {
+        return Err(format!("{path} has {} bytes, at most {LARGEST_DOCUMENT}", bytes.len()));
+    }
+    String::from_utf8(bytes).map_err(|_| format!("{path} is not UTF-8 text"))
 }
 
 fn check_relative(path: &str) -> Result<(), String> {

@@ -12,6 +12,8 @@ use crate::scene::Hull;
 
 const STL_HEADER_BYTES: usize = 84;
 const STL_TRIANGLE_BYTES: usize = 50;
+/// Largest coordinate of a scaled mesh, m: products of larger ones overflow.
+const FARTHEST: f64 = 1e4;
 
 /// A closed surface of triangles.
 #[derive(Clone, Debug)]
@@ -81,6 +83,9 @@ impl Mesh {
 
     /// The convex hull.
     pub(super) fn hull(&self) -> Result<Hull, String> {
+        if let Some(far) = self.points.iter().flatten().find(|x| !(x.abs() <= FARTHEST)) {
+            return Err(format!("a coordinate is {far} m, at most {FARTHEST} m are allowed"));
+        }
         let unique: BTreeSet<[u32; 3]> =
             self.points.iter().map(|point| point.map(|x| (x as f32 + 0.0).to_bits())).collect();
         let points: Vec<Vector> =

@@ -51,7 +51,7 @@ impl ModelFiles {
         if folder.known.len() == 1 {
             return Ok(text);
         }
-        folder.reads = 0;
+        folder.recount();
         model::flat(&text, &mut folder).map_err(refused)
     }
 }

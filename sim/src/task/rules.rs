@@ -214,7 +214,7 @@ fn farthest(key: &str, distribution: Option<Noise>, fastest: f32) -> Result<f32,
     within(key, size, 0.0, fastest / FARTHEST_NORMAL).map(|()| size * factor)
 }
 
-/// Refuses a condition without bounds, or one that the rest pose violates.
+/// Refuses a condition without bounds, or one that no value meets.
 fn checked_healthy(row: &HealthyRow, names: Names<'_>) -> Result<(usize, HealthyRow), SimError> {
     let place = format!("healthy.{}", row.coordinate);
     let index = names.index("healthy.coordinate", &row.coordinate)?;

@@ -306,6 +306,25 @@ fn a_frictionless_shape_slides_on_and_masks_decide_what_touches_the_floor() {
     assert!(slid("contype=\"1\" conaffinity=\"1\"").1 < -1.0, "it falls through the floor");
 }
 
+/// As in MuJoCo: an outermost class is the main one, whatever its name, and several of them are one.
+#[test]
+fn outermost_defaults_hold_for_shapes_without_a_class() {
+    let mass = |defaults: &str| {
+        let body = "<body name=\"b\"><joint name=\"j\"/><geom size=\"0.1\"/></body>";
+        let mjcf = document(body, "").replace("<worldbody>", &format!("{defaults}<worldbody>"));
+        robot(&mjcf).unwrap().masses().map(|(_, mass, _)| mass).sum::<f32>()
+    };
+    let water = mass("");
+    let named = "<default class=\"a\"><geom density=\"500\"/></default>";
+    let inner = "<default class=\"b\"><default class=\"c\"/></default>";
+    assert_near(
+        "density",
+        &[mass(named), mass(&format!("{named}{inner}"))],
+        &[water / 2.0; 2],
+        1e-6,
+    );
+}
+
 #[test]
 fn what_is_left_out_is_listed() {
     let pair = "<body pos=\"0 0 1\"><joint/><geom size=\"0.1\"/><body pos=\"1 0 0\"><joint/><geom size=\"0.1\"/></body></body>";

@@ -176,6 +176,30 @@ fn a_base_of_decoration_remains_a_link() {
 }
 
 #[test]
+fn elements_of_included_files_count_where_they_are_included() {
+    let nested = |inside: &str| {
+        format!("<mujoco>{}{inside}{}</mujoco>", "<body>".repeat(120), "</body>".repeat(120))
+    };
+    let read = |path: &str| match path {
+        "a.xml" => Ok(nested("<include file=\"b.xml\"/>").into_bytes()),
+        "wide.xml" => {
+            Ok(format!("<mujoco>{}</mujoco>", "<include file=\"c.xml\"/>".repeat(30)).into())
+        }
+        "c.xml" => Ok(format!("<mujoco>{}</mujoco>", "<body/>".repeat(1000)).into_bytes()),
+        "large.xml" => Ok(vec![b' '; 5 << 20]),
+        _ => Ok(nested("").into_bytes()),
+    };
+    for (document, expected) in [
+        ("a.xml", "elements are nested more than 200 deep"),
+        ("wide.xml", "more than 20000 elements"),
+        ("large.xml", "large.xml has 5242880 bytes, at most 4194304"),
+    ] {
+        let error = ModelFiles::one_document(document, read).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
 fn a_model_that_needs_no_other_file_is_returned_unchanged() {
     let document = "<mujoco>  <asset><mesh name=\"m\" file=\"lost.stl\"/></asset><worldbody><body>\
         <joint/><geom size=\"0.1\"/></body></worldbody></mujoco>";

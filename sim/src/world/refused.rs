@@ -55,6 +55,21 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
         (bodies("<joint/>"), "line 3, <body name=\"b\">: a body that moves must have a mass"),
         (bodies("<composite/>"), "line 3, <composite>: this element is not supported"),
         (bodies("<geom size=\"0.1\"/>"), "the model has no joints"),
+        (bodies("<geom size=\"1\"><plugin/></geom>"), "line 3, <plugin>: this element"),
+        (bodies("geom size=\"1\"/>"), "line 3, <body name=\"b\">: text between elements"),
+        (bodies("<geom xml:size=\"2\" size=\"1\"/>"), "line 3, <geom>: names with a prefix"),
+        (
+            bodies("<inertial pos=\"0 0 0\" mass=\"1\"/>\n<inertial pos=\"0 0 0\" mass=\"2\"/>"),
+            "line 4, <inertial>: its body has another",
+        ),
+        (bodies("<joint/><inertial mass=\"1\"/>"), "<inertial>: it must have `pos` and `mass`"),
+        (
+            bodies("<joint limited=\"True\" range=\"-1 1\"/><geom size=\"1\"/>"),
+            "line 3, <joint>: limited=\"True\" must be true or false",
+        ),
+        (geom("size=\"0.1\" condim=\"2\""), "line 4, <geom>: `condim` must be 1, 3, 4 or 6"),
+        (geom("size=\"1e5\""), "line 4, <geom>: `size` must have at most 3 numbers, each at most"),
+        (geom("type=\"box\" size=\"1 1 1 1\""), "line 4, <geom>: `size` must have at most 3"),
         (document("<body mocap=\"true\"/>", ""), "line 3, <body>: mocap bodies"),
         (
             document(&format!("<geom name=\"wall\" type=\"box\" size=\"1 1 1\"/>{LOPSIDED}"), ""),
@@ -69,8 +84,19 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
 
 #[test]
 fn a_model_that_is_nested_too_deeply_is_refused_before_the_stack_overflows() {
-    let nested = |depth: usize| format!("{}{}", "<body>".repeat(depth), "</body>".repeat(depth));
-    assert_refused(&[(section(&nested(10_000)), "nested more than 200 deep")]);
+    let starts = [
+        "<body>",
+        "<body name=\"/>\">",
+        "<body name='/>'>",
+        "<body><!--</body>-->",
+        "<body><![CDATA[</body>]]>",
+        "<body><?p </body>?>",
+        "<body><site name=\"</body>\"/>",
+    ];
+    for start in starts {
+        let nested = format!("{}{}", start.repeat(10_000), "</body>".repeat(10_000));
+        assert_refused(&[(section(&nested), "nested more than 200 deep")]);
+    }
 }
 
 #[test]
@@ -108,6 +134,13 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         (
             section("\n<contact><pair geom1=\"a\"/></contact>"),
             "line 6, <pair>: explicit contact pairs",
+        ),
+        (section("\n<option><falg gravity=\"disable\"/></option>"), "line 6, <falg>: this element"),
+        (section("\n<default><goem size=\"1\"/></default>"), "line 6, <goem>: this element"),
+        (section("\n<default clas=\"a\"/>"), "line 6, <default>: the attribute `clas`"),
+        (
+            section("<default><default class=\"a\"/><default class=\"a\"/></default>"),
+            "two defaults have the class `a`",
         ),
         (section("\n<deformable/>"), "line 6, <deformable>: this element"),
         (section("\n<option viscosity=\"0.1\"/>"), "line 6, <option>: viscosity=\"0.1\""),

@@ -1,37 +1,82 @@
 //! Accepted host names of the page. With DNS rebinding, a website could point its own name at this machine and read the
 //! responses; browsers send that name in the header `Host`.
 
-use security::addresses;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 /// Loopback names and the hosts that the user allows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Hosts(Vec<String>);
+pub struct Hosts(Vec<Host>);
+
+/// A host of a URL.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Host {
+    /// An IPv4 address that is mapped to IPv6 is the IPv4 address.
+    Address(IpAddr),
+    /// In lower case, without the dot at the end of an absolute name.
+    Name(String),
+}
+
+/// A text that is not a host.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no host; write a name or an address, without http:// and path")]
+pub struct NotAHost(String);
 
 impl Hosts {
     /// Accepts loopback and `more` names or addresses; ports are ignored.
-    #[must_use]
-    pub fn with(more: &[String]) -> Self {
-        Self(more.iter().map(|name| bare(name).to_ascii_lowercase()).collect())
+    ///
+    /// # Errors
+    /// If one of them is not a host.
+    pub fn with(more: &[String]) -> Result<Self, NotAHost> {
+        let host = |text: &String| {
+            let address = text.parse().ok().map(address);
+            address.or_else(|| Host::parse(text)).ok_or_else(|| NotAHost(text.clone()))
+        };
+        more.iter().map(host).collect::<Result<_, _>>().map(Self)
     }
 
     /// Whether a `Host` header with this value is accepted, with any port.
     #[must_use]
     pub fn allow(&self, host: &str) -> bool {
-        let name = bare(host).to_ascii_lowercase();
-        addresses::is_loopback(&name) || self.0.contains(&name)
+        let Some(host) = Host::parse(host) else { return false };
+        let is_loopback = match &host {
+            Host::Address(address) => address.is_loopback(),
+            // RFC 6761, section 6.3.
+            Host::Name(name) => name == "localhost",
+        };
+        is_loopback || self.0.contains(&host)
     }
 }
 
-/// A host without its port and without the brackets of an IPv6 address.
-fn bare(host: &str) -> &str {
-    if let Some(rest) = host.strip_prefix('[') {
-        return rest.split(']').next().unwrap_or_default();
+impl Host {
+    /// Reads `uri-host [ ":" port ]` (RFC 9110, section 7.2). `None` for any other text.
+    fn parse(text: &str) -> Option<Self> {
+        let (host, port) = match text.strip_prefix('[') {
+            Some(rest) => {
+                let (inside, port) = rest.split_once(']')?;
+                (address(inside.parse::<Ipv6Addr>().ok()?.into()), port)
+            }
+            None => {
+                let name = text.split(':').next().unwrap_or_default();
+                (Self::of_name(name)?, &text[name.len()..])
+            }
+        };
+        let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
+        (port.is_empty() || port.strip_prefix(':').is_some_and(is_port)).then_some(host)
     }
-    match host.split_once(':') {
-        // More than one colon without brackets means an IPv6 address.
-        Some((name, port)) if !port.contains(':') => name,
-        _ => host,
+
+    fn of_name(text: &str) -> Option<Self> {
+        if let Ok(found) = text.parse::<Ipv4Addr>() {
+            return Some(address(found.into()));
+        }
+        let name = text.strip_suffix('.').unwrap_or(text).to_ascii_lowercase();
+        let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
+        let is_label = |label: &str| !label.is_empty() && label.bytes().all(is_plain);
+        name.split('.').all(is_label).then_some(Self::Name(name))
     }
+}
+
+fn address(address: IpAddr) -> Host {
+    Host::Address(address.to_canonical())
 }
 
 #[cfg(test)]
@@ -41,16 +86,30 @@ mod tests {
     #[test]
     fn all_loopback_names_are_accepted_and_other_hosts_are_not() {
         let hosts = Hosts::default();
-        for host in
-            ["localhost", "LocalHost:80", "127.0.0.1:8080", "127.9.9.9", "[::1]:8080", "[::1]"]
-        {
+        for host in [
+            "localhost",
+            "LocalHost:80",
+            "localhost.:80",
+            "localhost:",
+            "127.0.0.1:8080",
+            "127.9.9.9",
+            "[::1]:8080",
+            "[::1]",
+            "[0:0:0:0:0:0:0:1]",
+            "[::ffff:127.0.0.1]:80",
+        ] {
             assert!(hosts.allow(host), "{host}");
         }
         for host in [
             "",
+            ".",
+            ":80",
             "example.org",
             "localhost.example.org",
+            "example.localhost",
+            "localhost..",
             "127.0.0.1.example.org:80",
+            "127.0.0.1.",
             "10.0.0.1",
             "0.0.0.0",
             "[2001:db8::1]:80",
@@ -60,9 +119,48 @@ mod tests {
     }
 
     #[test]
+    fn a_text_that_is_no_host_with_a_port_is_not_accepted() {
+        let hosts = Hosts::default();
+        for host in [
+            "[::1]example.org",
+            "[::1].example.org:80",
+            "[::1",
+            "::1",
+            "::1]",
+            "[[::1]]",
+            "[localhost]",
+            "[127.0.0.1]",
+            "[::1%lo]",
+            "localhost:80@example.org",
+            "localhost:example.org",
+            "localhost@example.org",
+            "example.org@localhost",
+            "localhost:80:80",
+            "localhost/",
+            "localhost:8 0",
+            " localhost",
+            "localhost, example.org",
+            "localhost#example.org",
+            "2130706433",
+            "0x7f000001",
+            "0177.0.0.1",
+            "127.1",
+            "127.0.0.01",
+        ] {
+            assert!(!hosts.allow(host), "{host}");
+        }
+    }
+
+    #[test]
     fn hosts_that_the_user_allows_are_accepted() {
-        let hosts = Hosts::with(&["Learner".to_owned(), "2001:db8::1".to_owned()]);
-        assert!(hosts.allow("learner:50080") && hosts.allow("[2001:db8::1]:1"));
-        assert!(hosts.allow("localhost") && !hosts.allow("learner.example.org"));
+        let allowed = ["Learner", "2001:DB8:0::1", "10.0.0.5:80", "a.example.org."];
+        let hosts = Hosts::with(&allowed.map(str::to_owned)).unwrap();
+        for host in ["learner:50080", "[2001:db8::1]:1", "10.0.0.5", "A.example.org", "localhost"] {
+            assert!(hosts.allow(host), "{host}");
+        }
+        assert!(!hosts.allow("learner.example.org") && !hosts.allow("example.org"));
+        for wrong in ["http://learner", "learner/", "", "a b", "*"] {
+            assert!(Hosts::with(&[wrong.to_owned()]).is_err(), "{wrong}");
+        }
     }
 }

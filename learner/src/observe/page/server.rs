@@ -146,8 +146,9 @@ async fn answer_over_tls(stream: TcpStream, peer: SocketAddr, tls: Arc<ServerTls
 
 /// Rejects other hosts and methods, and sets the security headers.
 async fn check(State(rules): State<Arc<Rules>>, request: Request, next: Next) -> Response {
-    let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    let mut response = if !rules.hosts.allow(host) {
+    let mut hosts = request.headers().get_all(HOST).into_iter();
+    let host = hosts.next().and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let mut response = if hosts.next().is_some() || !rules.hosts.allow(host) {
         let why = "this host name is not allowed; add it with --page-host\n";
         (StatusCode::FORBIDDEN, why).into_response()
     } else if ![Method::GET, Method::HEAD].contains(request.method()) {

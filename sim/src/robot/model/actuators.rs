@@ -45,7 +45,10 @@ pub(super) fn read(
 
 fn motor(element: &Element, context: &Context, links: &Links<'_>) -> Result<MotorPlan, String> {
     element.only(&[&KNOWN, &GENERAL])?;
-    let joint = element.text("joint").or(element.text("jointinparent"));
+    let joint = match (element.text("joint"), element.text("jointinparent")) {
+        (Some(_), Some(_)) => return Err(element.refuse("it has `joint` and `jointinparent`")),
+        (joint, in_parent) => joint.or(in_parent),
+    };
     let joint = joint.ok_or_else(|| element.refuse("an actuator must act on a joint"))?;
     let hinges = links.plans.iter().filter_map(|plan| match &plan.joint {
         JointPlan::Hinge(hinge) => Some(hinge),
@@ -77,7 +80,7 @@ fn control_range(element: &Element, hinge: &Hinge, context: &Context) -> Result<
         }
         _ => element.numbers("ctrlrange")?,
     };
-    let limited = element.flag("ctrllimited");
+    let limited = element.flag("ctrllimited")?;
     match range {
         Some([low, high])
             if low < high && limited.unwrap_or(context.options.autolimits || inherited > 0.0) =>
@@ -94,7 +97,7 @@ fn control_range(element: &Element, hinge: &Hinge, context: &Context) -> Result<
 
 fn force_range(element: &Element, context: &Context) -> Result<Option<[f32; 2]>, String> {
     let range = element.numbers::<2>("forcerange")?;
-    let limited = element.flag("forcelimited").unwrap_or(context.options.autolimits);
+    let limited = element.flag("forcelimited")?.unwrap_or(context.options.autolimits);
     match range.filter(|_| limited) {
         Some([low, high]) if low >= high => {
             Err(element.refuse("`forcerange` must have a lower and a higher end"))

@@ -73,7 +73,11 @@ fn fill(
                 bodies[own].joints.push((joint, frame));
             }
             "freejoint" if own > 0 => bodies[own].joints.push((child.clone(), frame)),
-            "inertial" if own > 0 => bodies[own].inertial = Some((child.clone(), frame)),
+            "inertial" if own > 0 => {
+                if bodies[own].inertial.replace((child.clone(), frame)).is_some() {
+                    return Err(child.refuse("its body has another `inertial`"));
+                }
+            }
             "body" => add_body(bodies, own, child, (childclass, frame), context)?,
             "frame" => {
                 child.only(&[&["name", "childclass", "pos"], &ORIENTATIONS])?;
@@ -97,7 +101,7 @@ fn add_body(
 ) -> Result<(), String> {
     let known = ["name", "pos", "childclass", "mocap", "gravcomp", "user", "sleep"];
     element.only(&[&known, &ORIENTATIONS])?;
-    if element.flag("mocap") == Some(true) {
+    if element.flag("mocap")? == Some(true) {
         return Err(element.refuse("mocap bodies are not supported"));
     }
     if element.number("gravcomp", 0.0)? != 0.0 {
@@ -123,6 +127,9 @@ pub(super) fn stated_inertia(body: &Body, options: &Options) -> Result<Option<So
 fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<Solid, String> {
     let known = ["pos", "mass", "diaginertia", "fullinertia"];
     element.only(&[&known, &ORIENTATIONS])?;
+    if element.text("pos").is_none() || element.text("mass").is_none() {
+        return Err(element.refuse("it must have `pos` and `mass`"));
+    }
     let mass = element.number("mass", 0.0)?;
     let mut solid = match (element.numbers("diaginertia")?, element.numbers("fullinertia")?) {
         (Some(principal), None) => Solid::principal(mass, principal),

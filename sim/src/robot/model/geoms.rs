@@ -38,6 +38,8 @@ const KNOWN: [&str; 20] = [
 /// Attributes without effect on the motion; `hfield` belongs to a type that is refused.
 const SKIPPED: [&str; 8] =
     ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale"];
+/// Largest size of a shape, m: the inertia of a larger one overflows.
+const LARGEST_SIZE: f64 = 1e4;
 /// Density of shapes that state neither density nor mass, kg/m^3.
 const WATER: f64 = 1000.0;
 
@@ -78,7 +80,7 @@ impl Geom {
     /// Reads a shape that is stated in `outer`, a frame in its body.
     pub(super) fn new(element: Element, outer: Frame, context: &Context) -> Result<Self, String> {
         element.only(&[&KNOWN, &SKIPPED, &ORIENTATIONS])?;
-        if element.flag("shellinertia") == Some(true) {
+        if element.flag("shellinertia")? == Some(true) {
             return Err(element.refuse("`shellinertia` is not supported"));
         }
         if element.number("gap", 0.0)? != 0.0 {
@@ -145,6 +147,10 @@ impl Geom {
             );
         }
         let size = element.list("size")?.unwrap_or_default();
+        if size.len() > 3 || size.iter().any(|length| *length > LARGEST_SIZE) {
+            let most = format!("`size` must have at most 3 numbers, each at most {LARGEST_SIZE} m");
+            return Err(element.refuse(most));
+        }
         let (count, after) = match self.kind() {
             "sphere" => (1, 1),
             "capsule" | "cylinder" => (2, 1),
@@ -279,6 +285,9 @@ impl Collision {
         };
         if collision.friction < 0.0 || collision.margin < 0.0 || collision.mix < 0.0 {
             return Err(element.refuse("`friction`, `margin` and `solmix` must not be negative"));
+        }
+        if ![1, 3, 4, 6].contains(&collision.dimensions) {
+            return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
         }
         Ok(collision)
     }

@@ -136,7 +136,8 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         ),
     };
     let stated = joint.numbers::<2>("range")?;
-    let limited = joint.flag("limited").unwrap_or(context.options.autolimits && stated.is_some());
+    let limited = joint.flag("limited")?;
+    let limited = limited.unwrap_or(context.options.autolimits && stated.is_some());
     let range =
         stated.filter(|_| limited).map(|range| range.map(|end| (angle(end) - reference) as f32));
     if limited && range.is_none_or(|[low, high]| low >= high) {
@@ -175,7 +176,7 @@ fn limit(joint: &Element, context: &Context) -> Result<Softness, String> {
 
 fn torque_range(joint: &Element) -> Result<Option<[f32; 2]>, String> {
     let range = joint.numbers::<2>("actuatorfrcrange")?;
-    if joint.flag("actuatorfrclimited") == Some(false) {
+    if joint.flag("actuatorfrclimited")? == Some(false) {
         return Ok(None);
     }
     match range {

@@ -26,6 +26,13 @@ const SECTIONS: [&str; 15] = [
     "sensor",
     "keyframe",
 ];
+/// Elements of the sections that are read in part.
+const CHILDREN: [(&str, &[&str]); 4] = [
+    ("compiler", &["lengthrange"]),
+    ("option", &["flag"]),
+    ("asset", &["texture", "material", "mesh", "hfield", "skin", "model"]),
+    ("contact", &["pair", "exclude"]),
+];
 const COMPILER: [&str; 20] = [
     "angle",
     "eulerseq",
@@ -136,26 +143,28 @@ impl Options {
             ["timestep", "gravity", "integrator", "density", "viscosity", "wind", "magnetic"];
         option.only(&[&SOLVER, &known])?;
         flags.only(&[&FLAGS, &ENABLED, &["contact", "gravity"]])?;
-        if let Some(flag) = ENABLED.iter().find(|flag| flags.flag(flag) == Some(false)) {
-            return Err(flags.refuse(format!("{flag}=\"disable\" is not supported")));
+        for flag in ENABLED {
+            if flags.flag(flag)? == Some(false) {
+                return Err(flags.refuse(format!("{flag}=\"disable\" is not supported")));
+            }
         }
         let mut options = Self {
             angles: angles(&compiler)?,
-            autolimits: compiler.flag("autolimits").unwrap_or(true),
+            autolimits: compiler.flag("autolimits")?.unwrap_or(true),
             mass_source: mass_source(&compiler)?,
             least: [compiler.number("boundmass", 0.0)?, compiler.number("boundinertia", 0.0)?],
             total_mass: Some(compiler.number("settotalmass", -1.0)?).filter(|mass| *mass > 0.0),
             mesh_folder: folder(&compiler),
-            strips_paths: compiler.flag("strippath").unwrap_or(false),
+            strips_paths: compiler.flag("strippath")?.unwrap_or(false),
             timestep_secs: option.number("timestep", 0.002)?,
             gravity: vector(option.numbers("gravity")?.unwrap_or([0.0, 0.0, -9.81])),
             integration: integration(&option)?,
-            has_contacts: flags.flag("contact").unwrap_or(true),
+            has_contacts: flags.flag("contact")?.unwrap_or(true),
         };
         if options.timestep_secs <= 0.0 {
             return Err(option.refuse("`timestep` must be positive"));
         }
-        if flags.flag("gravity") == Some(false) {
+        if flags.flag("gravity")? == Some(false) {
             options.gravity = Vector::ZERO;
         }
         Ok((options, differences(&option)?))
@@ -184,10 +193,18 @@ fn check_sections(root: &Element) -> Result<(), String> {
     if let Some(section) = root.children.iter().find(unknown) {
         return Err(section.refuse("this element is not supported"));
     }
-    let constraints = root.all("equality").flat_map(|section| &section.children);
-    if let Some(constraint) = constraints.into_iter().find(|one| one.flag("active") != Some(false))
-    {
-        return Err(constraint.refuse("equality constraints are not supported"));
+    for section in &root.children {
+        let known = CHILDREN.iter().find(|(tag, _)| *tag == section.tag);
+        let unknown =
+            |child: &&Element| known.is_some_and(|(_, known)| !known.contains(&child.tag.as_str()));
+        if let Some(child) = section.children.iter().find(unknown) {
+            return Err(child.refuse("this element is not supported"));
+        }
+    }
+    for constraint in root.all("equality").flat_map(|section| &section.children) {
+        if constraint.flag("active")? != Some(false) {
+            return Err(constraint.refuse("equality constraints are not supported"));
+        }
     }
     let pairs = root.all("contact").flat_map(|section| section.all("pair"));
     if let Some(pair) = pairs.into_iter().next() {
