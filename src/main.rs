@@ -17,8 +17,6 @@ mod run;
 
 use std::process::ExitCode;
 
-use clap::Parser as _;
-
 use crate::config::ConfigError;
 use crate::errors::{Incomplete, Usage};
 
@@ -27,7 +25,7 @@ use crate::errors::{Incomplete, Usage};
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    let arguments = match cli::Arguments::try_parse() {
+    let arguments = match cli::Arguments::of_process() {
         Ok(arguments) => arguments,
         Err(error) => return cli::report(&error),
     };
