@@ -6,6 +6,7 @@ mod export;
 mod figures;
 mod log;
 mod page;
+mod paths;
 mod refusal;
 mod serve;
 mod settings;
@@ -23,11 +24,12 @@ pub(crate) use control::{
     CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
     WatchArguments, patience, seconds,
 };
-pub(crate) use experiment::{ClusterArguments, Engine, ExperimentArguments};
+pub(crate) use experiment::{Engine, ExperimentArguments};
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::PlotArguments;
 pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
 pub(crate) use page::{PageAddress, PageArguments, RunsPageArguments};
+pub(crate) use paths::ForceArguments;
 pub(crate) use refusal::report;
 pub(crate) use serve::ServeArguments;
 pub(crate) use settings::SettingsArguments;
@@ -145,6 +147,9 @@ pub(crate) struct ResumeArguments {
     /// Exit without cleanup at POINT@ITERATION, such as after-publish@3. Tests of crash recovery use it.
     #[arg(long, value_name = "POINT@ITERATION", hide = true)]
     pub(crate) die_at: Option<learner::Fault>,
+    /// Start a new run in run.dir although the folder contains other files.
+    #[arg(long, conflicts_with = "resume")]
+    pub(crate) force: bool,
 }
 
 /// `s2mia train`
@@ -262,7 +267,7 @@ pub(crate) struct HealthArguments {
 /// `s2mia eval`
 #[derive(Args, Debug)]
 pub(crate) struct EvalArguments {
-    /// Run folder.
+    /// Run folder, or one of its checkpoints.
     pub(crate) run: PathBuf,
     /// Number of whole episodes.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
@@ -278,7 +283,7 @@ pub(crate) struct EvalArguments {
 /// `s2mia record`
 #[derive(Args, Debug)]
 pub(crate) struct RecordArguments {
-    /// Run folder.
+    /// Run folder, or one of its checkpoints.
     pub(crate) run: PathBuf,
     /// Number of whole episodes to record, from episode 0 on.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
@@ -289,12 +294,15 @@ pub(crate) struct RecordArguments {
     /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap].
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }
 
 /// `s2mia film`
 #[derive(Args, Debug)]
 pub(crate) struct FilmArguments {
-    /// Run folder.
+    /// Run folder, or one of its checkpoints.
     pub(crate) run: PathBuf,
     /// Index of the episode, counted as in `s2mia eval`.
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
@@ -311,12 +319,15 @@ pub(crate) struct FilmArguments {
     /// PNG file to write [default: RUN/film.png].
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }
 
 /// `s2mia inspect`
 #[derive(Args, Debug)]
 pub(crate) struct InspectArguments {
-    /// Run folder.
+    /// Run folder, or one of its checkpoints.
     pub(crate) run: PathBuf,
     /// Print one JSON object.
     #[arg(long)]
@@ -332,6 +343,9 @@ pub(crate) struct TasksArguments {
     /// Draw every robot's partition into DIR/TASK.png, with links in the agents' colours and numbered joints.
     #[arg(long, value_name = "DIR", conflicts_with = "json")]
     pub(crate) picture: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }
 
 /// `s2mia certs`
@@ -367,11 +381,11 @@ mod tests {
     fn the_contract_of_outside_scripts_parses() {
         let line = "s2mia train halfcheetah-6x1 algorithm=happo-s2mia run.seed=7 run.iterations=5 \
                     run.actors=2 run.dir=DIR";
-        let parsed = Arguments::try_parse_from(line.split_whitespace()).unwrap();
+        let parsed = Arguments::of(line.split_whitespace()).unwrap();
         let Command::Train(train) = parsed.command else { panic!("not train") };
         assert_eq!(train.settings.settings.len(), 6);
         assert_eq!(train.settings.settings[0], "halfcheetah-6x1");
-        let parsed = Arguments::try_parse_from(["s2mia", "inspect", "DIR", "--json"]).unwrap();
+        let parsed = Arguments::of(["s2mia", "inspect", "DIR", "--json"]).unwrap();
         assert!(matches!(parsed.command, Command::Inspect(InspectArguments { json: true, .. })));
     }
 }

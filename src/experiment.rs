@@ -5,6 +5,7 @@ pub(crate) mod claim;
 pub(crate) mod comparison;
 pub(crate) mod file;
 pub(crate) mod listing;
+pub(crate) mod place;
 pub(crate) mod plan;
 pub(crate) mod progress;
 pub(crate) mod queue;

@@ -5,23 +5,28 @@ mod graph;
 mod onnx;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use policy::ActorPolicy;
 use serde_json::json;
 use sim::{AgentDescription, Description, EnvironmentBatch, Robot};
 
 use crate::process::output;
+use crate::process::target::{self, Existing};
 use crate::progress::WorkProgress;
 use crate::run::checkpointed::{self, Trained};
+use crate::run::run_path;
 
 /// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`. Returns the
-/// name and the contents of each file.
+/// name and the contents of each file. Files of an earlier export are refused, or removed if they are to be replaced.
 pub(crate) fn export(
-    folder: &Path,
+    (folder, existing): (&Path, Existing),
     trained: &Trained,
     world: &mut dyn EnvironmentBatch,
 ) -> anyhow::Result<Vec<(String, String)>> {
+    let earlier = run_path::files(folder, is_exported)?;
+    target::demand_free("--onnx", earlier.clone(), existing)?;
     let (snapshot, task) = (&trained.policy, world.description());
     let common = common(trained, task);
     let mut files = Vec::new();
@@ -42,7 +47,18 @@ pub(crate) fn export(
         "{chosen}: return {value:.2}, {steps} steps; each observation, hidden state, action"
     );
     files.push(("episode.safetensors".to_owned(), told));
+    let is_new = |path: &PathBuf| files.iter().any(|(name, _)| path.ends_with(name));
+    for path in earlier.into_iter().filter(|path| !is_new(path)) {
+        std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+    }
     Ok(files)
+}
+
+/// Whether an export writes files of this name.
+fn is_exported(name: &str) -> bool {
+    let number = name.strip_prefix("agent_").and_then(|rest| rest.strip_suffix(".onnx"));
+    let of_agent = number.is_some_and(|number| number.parse::<u32>().is_ok());
+    of_agent || ["policy.safetensors", "episode.safetensors"].contains(&name)
 }
 
 /// Metadata of all agents' models: the run, the duration of a step, and who scales observations.

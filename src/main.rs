@@ -18,7 +18,6 @@ mod run;
 use std::process::ExitCode;
 
 use actor::ActorError;
-use clap::Parser as _;
 
 use crate::config::ConfigError;
 use crate::errors::{ENVIRONMENT_OUTAGE, Incomplete, Usage};
@@ -28,7 +27,7 @@ use crate::errors::{ENVIRONMENT_OUTAGE, Incomplete, Usage};
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    let arguments = match cli::Arguments::try_parse() {
+    let arguments = match cli::Arguments::of_process() {
         Ok(arguments) => arguments,
         Err(error) => return cli::report(&error),
     };

@@ -1,8 +1,11 @@
 //! The process: its runtime, threads, stop signals, output and log lines.
 
+pub(crate) mod home;
 pub(crate) mod logging;
 pub(crate) mod output;
+pub(crate) mod shell;
 pub(crate) mod signals;
+pub(crate) mod target;
 pub(crate) mod threads;
 
 use std::time::SystemTime;

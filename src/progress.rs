@@ -5,12 +5,13 @@ mod wording;
 mod work;
 
 use std::io::IsTerminal as _;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use learner::Event;
 
-use crate::process::{logging, output};
+use crate::process::{logging, output, shell};
 use wording::RecentIterations;
 pub(crate) use work::WorkProgress;
 
@@ -21,6 +22,8 @@ const LINE_PERIOD: Duration = Duration::from_secs(10);
 pub(crate) struct Progress {
     recent: RecentIterations,
     screen: Screen,
+    /// The command that ends a pause.
+    resume: String,
 }
 
 enum Screen {
@@ -29,13 +32,14 @@ enum Screen {
 }
 
 impl Progress {
-    /// For a run of `total` env steps; a bar if stdout is a terminal.
-    pub(crate) fn new(total: u64) -> Self {
+    /// For a run of `total` env steps in `folder`; a bar if stdout is a terminal.
+    pub(crate) fn new(total: u64, folder: &Path) -> Self {
         let screen = match std::io::stdout().is_terminal() {
             true => Screen::Bar(bar(total)),
             false => Screen::Lines { last: None },
         };
-        Self { recent: RecentIterations::new(total), screen }
+        let resume = format!("s2mia resume {}", shell::path(folder));
+        Self { recent: RecentIterations::new(total), screen, resume }
     }
 
     /// Shows one event.
@@ -80,7 +84,7 @@ impl Progress {
     }
 
     fn paused(&self) {
-        let text = "paused: no new work is handed out until `s2mia resume`";
+        let text = format!("paused: no new work is handed out until `{}`", self.resume);
         match &self.screen {
             Screen::Bar(bar) => bar.set_message(text),
             Screen::Lines { .. } => output::line(text),

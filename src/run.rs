@@ -6,6 +6,7 @@ pub(crate) mod fingerprints;
 pub(crate) mod growing;
 pub(crate) mod launch;
 pub(crate) mod message_sizes;
+pub(crate) mod new_folder;
 pub(crate) mod newest;
 pub(crate) mod offered;
 pub(crate) mod process_log;

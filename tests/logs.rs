@@ -187,7 +187,7 @@ fn a_truncated_log_is_recovered_with_a_status_that_reports_the_loss() {
     let (status, text) = told(&log(&["info".as_ref(), &out]));
     assert_eq!(status, Some(0), "{text}");
     let (status, text) = told(&log(&["recover".as_ref(), &cut, "--out".as_ref(), &cut]));
-    assert_eq!(status, Some(1), "{text}");
+    assert_eq!(status, Some(2), "{text}");
     assert!(text.contains("already exists"), "{text}");
     let again = runs.folder("again.mcap");
     let (status, text) = told(&log(&["recover".as_ref(), &whole, "--out".as_ref(), &again]));

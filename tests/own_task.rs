@@ -305,7 +305,7 @@ fn an_invalid_file_is_refused_with_its_path_before_anything_is_written() {
         assert!(!folder.exists());
     }
     let twice = refusal(&["task", "new", text(task.parent().unwrap())]);
-    assert!(twice.contains("exists already"), "{twice}");
+    assert!(twice.contains("already exists"), "{twice}");
 }
 
 #[test]

@@ -31,6 +31,6 @@ pub use run::run;
 use serve::{accepting, team, token};
 pub use serve::{health, listener, service};
 pub use snapshot::RunSnapshot;
-pub use store::{checkpoint, durable, json_lines, provenance, reward_log, run_folder};
+pub use store::{checkpoint, durable, json_lines, plain_file, provenance, reward_log, run_folder};
 pub use train::{assemble, environments, evaluation, fault, trainer};
 pub use trainer::Summary;

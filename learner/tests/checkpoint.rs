@@ -316,3 +316,40 @@ fn an_array_outside_all_groups_is_rejected_by_name() {
     let error = saved.unwrap_err().to_string();
     assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
 }
+
+#[test]
+fn a_reader_beside_a_learner_that_removes_old_checkpoints_always_finds_a_whole_one() {
+    let run = Run::with(&[1]);
+    let finished = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            (2..150).for_each(|iteration| drop(run.save(iteration, 1)));
+            finished.store(true, std::sync::atomic::Ordering::Relaxed);
+        });
+        while !finished.load(std::sync::atomic::Ordering::Relaxed) {
+            assert!(run.load().skipped.is_empty());
+        }
+    });
+    assert_eq!(files(&run.folder()).len(), 2);
+}
+
+#[test]
+fn a_checkpoint_is_recognised_by_its_place_and_as_a_copy_even_if_it_is_damaged() {
+    let run = Run::with(&[1]);
+    let copy = run.0.path().join("best");
+    fs::create_dir(&copy).unwrap();
+    assert!(!checkpoint::is_checkpoint(&copy) && !checkpoint::is_checkpoint(run.0.path()));
+    files(&run.path(1)).iter().for_each(|file| {
+        drop(fs::copy(file, copy.join(file.file_name().unwrap())).unwrap());
+    });
+    assert_eq!(checkpoint::load(&copy).unwrap().checkpoint, checkpoint(1));
+    fs::remove_file(copy.join("manifest.json")).unwrap();
+    assert!(checkpoint::is_checkpoint(&copy));
+    fs::remove_dir_all(run.path(1)).unwrap();
+    fs::create_dir(run.path(1)).unwrap();
+    assert!(checkpoint::is_checkpoint(&run.path(1)));
+    // A run folder into which a policy was exported.
+    fs::write(run.0.path().join("policy.safetensors"), "").unwrap();
+    fs::write(run.0.path().join("config.toml"), "").unwrap();
+    assert!(!checkpoint::is_checkpoint(run.0.path()));
+}

@@ -2,7 +2,7 @@
 
 /// The candidate most similar to `word`, if it is a few typing errors away at most.
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    nearest_by(word, candidates, strsim::levenshtein)
+    nearest_by(word, candidates, strsim::osa_distance)
 }
 
 /// As [`nearest`], where `distance` counts the typing errors between the word and a candidate.

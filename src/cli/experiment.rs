@@ -20,6 +20,9 @@ pub(crate) struct ExperimentArguments {
     /// Only make tables and figures from the existing runs.
     #[arg(long)]
     pub(crate) report: bool,
+    /// Use the experiment's folder although it has files of others and no run.
+    #[arg(long)]
+    pub(crate) force: bool,
     /// Number of parallel runs [default: from the number of cores].
     #[arg(long, value_name = "RUNS", value_parser = clap::value_parser!(u16).range(1..))]
     pub(crate) jobs: Option<u16>,

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::ForceArguments;
+
 /// `s2mia plot`
 #[derive(Args, Debug)]
 pub(crate) struct PlotArguments {
@@ -17,4 +19,7 @@ pub(crate) struct PlotArguments {
     /// Folder for learning_curve.svg and .png [default: the run folder; with several runs the current folder].
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }

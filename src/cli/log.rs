@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use super::ForceArguments;
+
 /// Trajectory logging of an actor.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct ActorLogArguments {
@@ -50,6 +52,9 @@ pub(crate) struct RecoverArguments {
     /// New file for the recovered data.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }
 
 /// `s2mia log join`
@@ -61,4 +66,7 @@ pub(crate) struct JoinArguments {
     /// New file for the joined episodes.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }

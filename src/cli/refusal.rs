@@ -2,8 +2,10 @@
 
 use std::process::ExitCode;
 
+use clap::CommandFactory as _;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
+use super::Arguments;
 use super::settings::VALUE_NAME;
 use crate::config::{keys, layers};
 use crate::process::output;
@@ -34,7 +36,8 @@ fn one_line(error: &clap::Error) -> String {
     let report = error.render().to_string();
     let message = report.split("\n\n").filter(|text| text.trim_start().starts_with("error:"));
     let message = message.map(|text| text.split_whitespace().collect::<Vec<_>>().join(" "));
-    let meant = meant(error).or_else(|| setting_meant(error, &report));
+    let meant = command_meant(error, &report).or_else(|| meant(error));
+    let meant = meant.or_else(|| setting_meant(error, &report));
     message.chain(meant).collect::<Vec<_>>().join("; ") + "; see --help"
 }
 
@@ -43,7 +46,6 @@ fn one_line(error: &clap::Error) -> String {
 fn meant(error: &clap::Error) -> Option<String> {
     let kinds = [
         (ContextKind::InvalidArg, ContextKind::SuggestedArg),
-        (ContextKind::InvalidSubcommand, ContextKind::SuggestedSubcommand),
         (ContextKind::InvalidValue, ContextKind::SuggestedValue),
     ];
     kinds.into_iter().find_map(|(given, suggested)| {
@@ -59,6 +61,22 @@ fn meant(error: &clap::Error) -> Option<String> {
         let index = names.iter().position(|name| name == nearest)?;
         Some(format!("did you mean `{}`?", suggested[index]))
     })
+}
+
+/// The command that was probably meant, of those where the unknown one is. The usage text in `report` says where that is.
+fn command_meant(error: &clap::Error, report: &str) -> Option<String> {
+    let Some(ContextValue::String(given)) = error.get(ContextKind::InvalidSubcommand) else {
+        return None;
+    };
+    let mut command = Arguments::command();
+    let (_, usage) = report.split_once("Usage: ")?;
+    for word in usage.split_whitespace().skip(1) {
+        let Some(inner) = command.find_subcommand(word) else { break };
+        command = inner.clone();
+    }
+    let names: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+    let nearest = keys::nearest(given, names)?;
+    Some(format!("did you mean `{nearest}`?"))
 }
 
 /// A tip for an unknown flag that is probably a setting, if the command takes settings.
@@ -81,7 +99,6 @@ fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::Arguments;
     use clap::Parser as _;
 
     fn refusal(arguments: &[&str]) -> String {
@@ -118,6 +135,14 @@ mod tests {
         let found = "error: unexpected argument '--resum' found";
         assert_eq!(line, format!("{found}; did you mean `--resume`?; see --help"));
         assert!(refusal(&["recor", "runs/x"]).contains("did you mean `record`?"));
+        for (line, meant) in [
+            (&["trian"][..], "train"),
+            (&["lgo"], "log"),
+            (&["log", "verfiy"], "verify"),
+            (&["task", "nwe", "x"], "new"),
+        ] {
+            assert!(refusal(line).contains(&format!("did you mean `{meant}`?")), "{line:?}");
+        }
         assert!(refusal(&["--log-format", "jsn", "tasks"]).contains("did you mean `json`?"));
     }
 

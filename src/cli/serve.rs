@@ -10,7 +10,7 @@ use super::ServerTlsArguments;
 /// `s2mia serve`
 #[derive(Args, Debug)]
 pub(crate) struct ServeArguments {
-    /// Run folder.
+    /// Run folder, or one of its checkpoints.
     pub(crate) run: PathBuf,
     /// Address on which the server listens for clients of the policies.
     #[arg(

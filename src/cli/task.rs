@@ -4,6 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use super::ForceArguments;
+use crate::process::home;
+
 /// `s2mia task`
 #[derive(Debug, Subcommand)]
 pub(crate) enum TaskCommand {
@@ -17,7 +20,7 @@ pub(crate) enum TaskCommand {
 #[derive(Args, Debug)]
 pub(crate) struct TaskCheckArguments {
     /// Task file, or FILE:PARTITION if it has several partitions.
-    #[arg(value_name = "FILE")]
+    #[arg(value_name = "FILE", value_parser = home::expanded_text)]
     pub(crate) task: String,
     /// Number of episodes of random actions.
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -25,6 +28,9 @@ pub(crate) struct TaskCheckArguments {
     /// Draw eight pictures of the first episode into this PNG file.
     #[arg(long, value_name = "FILE")]
     pub(crate) film: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }
 
 /// `s2mia task new`
@@ -33,4 +39,7 @@ pub(crate) struct TaskNewArguments {
     /// Folder of the new files; it is made if necessary.
     #[arg(value_name = "DIR")]
     pub(crate) folder: PathBuf,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
 }

@@ -13,7 +13,7 @@ use security::development::{Issued, Issuer};
 
 use crate::cli::CertsArguments;
 use crate::errors::Usage;
-use crate::process::output;
+use crate::process::{output, shell};
 
 /// Only the owner may read a private key.
 const SECRET: u32 = 0o600;
@@ -73,7 +73,9 @@ fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
 }
 
 fn instructions(folder: &Path, name: &str, days: u32) -> String {
-    let dir = folder.display();
+    let (dir, file) = (folder.display(), |name: &str| shell::path(&folder.join(name)));
+    let [server, server_key, ca] = ["server.pem", "server.key", "ca.pem"].map(file);
+    let [actor, actor_key] = ["actor.pem", "actor.key"].map(file);
     let host = match name.parse::<IpAddr>() {
         Ok(IpAddr::V6(address)) => format!("[{address}]"),
         _ => name.to_owned(),
@@ -81,9 +83,9 @@ fn instructions(folder: &Path, name: &str, days: u32) -> String {
     format!(
         "{dir} holds an authority, a learner's certificate and one for each role, good for {days} \
          days.\nThe authority's own key was not kept: to make more, make all of them anew.\n\n  \
-         s2mia learner --listen 0.0.0.0:50051 --tls-certificate {dir}/server.pem --tls-key \
-         {dir}/server.key --tls-client-ca {dir}/ca.pem\n  s2mia actor --learner \
-         https://{host}:50051 --tls-ca {dir}/ca.pem --tls-certificate {dir}/actor.pem --tls-key \
-         {dir}/actor.key"
+         s2mia learner --listen 0.0.0.0:50051 --tls-certificate {server} --tls-key {server_key} \
+         --tls-client-ca {ca}\n  s2mia actor --learner {} --tls-ca {ca} --tls-certificate {actor} \
+         --tls-key {actor_key}",
+        shell::word(&format!("https://{host}:50051"))
     )
 }

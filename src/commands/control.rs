@@ -11,16 +11,18 @@ use crate::cli::{CheckpointArguments, LearnerArgument, OrderArguments};
 use crate::cli::{credentials, patience};
 use crate::errors::Usage;
 use crate::listening::token;
-use crate::process::{output, runtime};
+use crate::process::{output, runtime, shell};
 
 /// Hands out no more work.
 pub(super) fn pause(arguments: &OrderArguments) -> anyhow::Result<()> {
     order(&arguments.learner, arguments.timeout_secs, async |learner| {
         let leases = learner.pause().await?;
         let of = &arguments.learner.of;
-        Ok(format!(
-            "{of} is paused; {leases} leases go on to their end; `s2mia resume {of}` goes on"
-        ))
+        let resume = match arguments.learner.tls.files() {
+            None => format!("`s2mia resume {}` goes on", shell::path(Path::new(of))),
+            Some(_) => "`s2mia resume` with the same arguments goes on".to_owned(),
+        };
+        Ok(format!("{of} is paused; {leases} leases go on to their end; {resume}"))
     })
 }
 
@@ -57,7 +59,8 @@ fn order(
     let patience = patience(timeout_secs)?;
     let Some(url) = url(learner)? else {
         let of = &learner.of;
-        anyhow::bail!("no learner works on {of}; `s2mia status {of}` says how far it came");
+        let run = shell::path(Path::new(of));
+        anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
     let told = runtime()?.block_on(async {
         let mut operator = operator(&url, learner, patience).await?;

@@ -5,11 +5,12 @@ use std::time::Duration;
 use learner::run_folder::RunFolder;
 use tokio::sync::watch;
 
-use crate::cli::{ClusterArguments, Engine, ExperimentArguments};
+use crate::cli::{Engine, ExperimentArguments};
 use crate::errors::Usage;
 use crate::experiment::claim::Claimant;
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
+use crate::experiment::place;
 use crate::experiment::plan::{PlannedRun, plan, remarks};
 use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
@@ -18,7 +19,8 @@ use crate::experiment::run_state::is_finished;
 use crate::experiment::scheduler::{self, Tally};
 use crate::experiment::selection::Selection;
 use crate::experiment::submit::{k8s, slurm};
-use crate::process::{output, runtime, signals};
+use crate::process::{output, runtime, shell, signals};
+use crate::run::new_folder::Others;
 
 /// Signals within this time are one stop request: Slurm signals all processes of a job, and the job's script passes the
 /// signal on.
@@ -36,7 +38,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let at_once = arguments.jobs.map_or_else(|| file.runs_at_once(cores), usize::from);
     if let Some(engine) = arguments.submit {
-        return submit(&file, runs.len(), engine, &arguments.cluster);
+        return submit(&file, &runs, engine, arguments);
     }
     remarks(&runs).iter().for_each(output::line);
     if arguments.list {
@@ -49,6 +51,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
         demand_any(&file, &runs)?;
         return runtime.block_on(tell(&file, &runs));
     }
+    place::check(&file, &runs, others(arguments))?;
     learner::durable::make_folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
@@ -65,11 +68,12 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
 /// Writes and submits the script of Slurm's jobs, or prints what Kubernetes needs.
 fn submit(
     file: &ExperimentFile,
-    runs: usize,
+    runs: &[PlannedRun],
     engine: Engine,
-    cluster: &ClusterArguments,
+    arguments: &ExperimentArguments,
 ) -> anyhow::Result<()> {
-    let jobs = cluster.jobs(runs);
+    let cluster = &arguments.cluster;
+    let jobs = cluster.jobs(runs.len());
     match engine {
         Engine::K8s => {
             let (image, queue) = cluster.k8s()?;
@@ -81,6 +85,7 @@ fn submit(
         Engine::Slurm => {
             let script = slurm::script(file, &jobs, cluster.slurm()?)?;
             slurm::demand_sbatch()?;
+            place::check(file, runs, others(arguments))?;
             learner::durable::make_folder(&file.folder)?;
             let path = file.folder.join(slurm::SCRIPT_NAME);
             output::file(&path, script.as_bytes())?;
@@ -88,6 +93,11 @@ fn submit(
         }
     }
     Ok(())
+}
+
+/// What the experiment's folder may contain before the first run.
+fn others(arguments: &ExperimentArguments) -> Others {
+    if arguments.force { Others::Accepted } else { Others::Refused }
 }
 
 async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Tally, bool)> {
@@ -109,8 +119,8 @@ fn demand_any(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> 
     if runs.iter().any(|run| record.holds(run) || RunFolder::holds_run(&run.folder)) {
         return Ok(());
     }
-    let path = file.path.display();
-    let why = format!("no run of {path} has started; `s2mia experiment {path}` starts them");
+    let (path, shown) = (shell::path(&file.path), file.path.display());
+    let why = format!("no run of {shown} has started; `s2mia experiment {path}` starts them");
     Err(Usage::new(why).into())
 }
 
@@ -122,7 +132,7 @@ fn all_finished(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<bo
 
 /// Result of a part of an experiment whose other runs are not finished.
 fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> String {
-    let (finished, file) = (tally.finished, arguments.file.display());
+    let (finished, file) = (tally.finished, shell::path(&arguments.file));
     format!(
         "{finished} of {planned} selected runs are finished; when all runs are, `s2mia experiment {file} --report` \
          compares them"
@@ -156,7 +166,7 @@ fn finish(
         ));
     }
     if let Some(arguments) = stopped {
-        let (file, selection) = (arguments.file.display(), arguments.selection());
+        let (file, selection) = (shell::path(&arguments.file), arguments.selection());
         output::line(format!(
             "stopped with {finished} of {planned} runs finished; resume with `s2mia experiment {file}{selection}`"
         ));

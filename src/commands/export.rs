@@ -11,7 +11,8 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let mut stage = Stage::of(&trained.config)?;
     output::option_folder("--onnx", &arguments.onnx)?;
-    let files = export::export(&arguments.onnx, &trained, stage.environment.as_mut())?;
+    let existing = arguments.force.existing();
+    let files = export::export((&arguments.onnx, existing), &trained, stage.environment.as_mut())?;
     for (name, holds) in files {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }

@@ -9,23 +9,33 @@ use crate::cli::FilmArguments;
 use crate::errors::Usage;
 use crate::film::{self, Frame, PlayedEpisode};
 use crate::process::output;
+use crate::process::target::Target;
 use crate::run::checkpointed::{self, Trained};
+use crate::run::run_path;
 
 /// Writes the strip and prints the measures of the whole episode.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     demand_simulator(&trained, &arguments.run)?;
-    let path = arguments.out.clone().unwrap_or_else(|| arguments.run.join("film.png"));
-    output::check_file("--out", &path)?;
+    let target = target(arguments)?;
     let episode = trained.episode(arguments.episode);
     let played = PlayedEpisode::play(&trained.config.task, &trained.policy, episode.key())?;
     let steps = times::steps(arguments, played.dt_secs, played.steps())?;
     let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
     let png = film::strip(&played.robot, &frames)?;
-    output::file(&path, &png)?;
+    target.write(&png)?;
     output::line(format!("{episode}: {}", played.summary()));
-    output::line(format!("{}: {}", path.display(), times_shown(&frames, arguments.every_secs)));
+    let shown = target.path().display();
+    output::line(format!("{shown}: {}", times_shown(&frames, arguments.every_secs)));
     Ok(())
+}
+
+/// The file to write: the named one, or that of the run folder.
+fn target(arguments: &FilmArguments) -> anyhow::Result<Target> {
+    match &arguments.out {
+        Some(path) => Ok(Target::named("--out", path, "png", arguments.force.existing())?),
+        None => Target::fixed(&run_path::folder_of(&arguments.run, "--out")?.join("film.png")),
+    }
 }
 
 /// The times that the strip shows.

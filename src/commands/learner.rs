@@ -44,7 +44,7 @@ async fn serve(
     arguments: &LearnerArguments,
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
-    let Prepared { config, folder, launch } = prepared;
+    let Prepared { config, folder, launch, new: _new } = prepared;
     let token = token::of_environment()?;
     let (mut listener, url) = listening.open().await?;
     if let Some(token) = token {
@@ -52,7 +52,7 @@ async fn serve(
     }
     output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = page::open(&arguments.page, page_tls).await?;
-    let mut progress = Progress::new(config.env_steps());
+    let mut progress = Progress::new(config.env_steps(), &folder);
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary =
         learner::run(launch, listener, page, observer, stop).await.context("the learner failed")?;

@@ -1,19 +1,26 @@
 //! `s2mia plot`: learning curves as SVG and PNG.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::cli::PlotArguments;
+use crate::figures::learning_curve::Curve;
 use crate::figures::{self, learning_curve};
-use crate::process::output;
+use crate::process::{output, target};
+use crate::run::run_path;
 
 /// Writes both files and prints their paths.
 pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {
     let curves = learning_curve::read_all(&arguments.runs)?;
     let folder = folder(arguments)?;
-    let written = match arguments.ablation {
-        true => figures::write_ablation(&folder, &curves)?,
-        false => figures::write_learning_curve(&folder, &curves)?,
+    let (name, write): (_, fn(&Path, &[Curve]) -> _) = match arguments.ablation {
+        true => (figures::ABLATION, figures::write_ablation),
+        false => (figures::LEARNING_CURVE, figures::write_learning_curve),
     };
+    // A run folder has the figures of its own run only.
+    if arguments.out.is_some() || arguments.runs.len() > 1 {
+        target::demand_free("--out", figures::paths(&folder, name), arguments.force.existing())?;
+    }
+    let written = write(&folder, &curves)?;
     written.iter().for_each(|path| output::line(path.display()));
     Ok(())
 }
@@ -24,7 +31,7 @@ fn folder(arguments: &PlotArguments) -> anyhow::Result<PathBuf> {
             output::option_folder("--out", folder)?;
             folder.clone()
         }
-        (None, [only]) => only.clone(),
+        (None, [only]) => run_path::run_of(only),
         (None, _) => PathBuf::from("."),
     })
 }

@@ -1,6 +1,6 @@
 //! `s2mia record`: episodes of a trained policy as MCAP.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context as _;
 use recording::{RecordError, RecordSummary, RecordedRun};
@@ -9,6 +9,7 @@ use rollout::EvaluationEpisode;
 use crate::cli::RecordArguments;
 use crate::figures::chart;
 use crate::process::output;
+use crate::process::target::Target;
 use crate::progress::WorkProgress;
 use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::Stage;
@@ -17,18 +18,20 @@ use crate::run::run_path;
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
-    let path = path(arguments, trained.iteration)?;
+    let target = target(arguments, trained.iteration)?;
     let mut stage = Stage::of(&trained.config)?;
     let run = recorded(arguments, &trained, &stage)?;
     let episodes = episodes(arguments, &trained);
-    let summary = played(&mut stage, &run, &episodes, &path)
-        .with_context(|| format!("cannot record {}", path.display()))?;
+    let summary = target.fill(|draft| {
+        played(&mut stage, &run, &episodes, draft)
+            .with_context(|| format!("cannot record {}", target.path().display()))
+    })?;
     for (episode, played) in episodes.iter().zip(&summary.episodes) {
         let (value, steps) = (played.extrinsic_return, played.steps);
         output::line(format!("{episode}: return {value:.2}, {steps} steps"));
     }
     let megabytes = summary.bytes as f64 / 1e6;
-    let (messages, shown) = (chart::thousands(summary.messages), path.display());
+    let (messages, shown) = (chart::thousands(summary.messages), target.path().display());
     output::line(format!("{shown}: {messages} messages, {megabytes:.1} MB; open it in Foxglove"));
     Ok(())
 }
@@ -50,14 +53,13 @@ fn played(
 }
 
 /// The file to write; its folder must exist. The run's own folder of logs is created.
-fn path(arguments: &RecordArguments, iteration: u64) -> anyhow::Result<PathBuf> {
+fn target(arguments: &RecordArguments, iteration: u64) -> anyhow::Result<Target> {
     if let Some(path) = &arguments.out {
-        output::check_file("--out", path)?;
-        return Ok(path.clone());
+        return Ok(Target::named("--out", path, "mcap", arguments.force.existing())?);
     }
-    let logs = run_path::logs(&arguments.run);
+    let logs = run_path::logs(&run_path::folder_of(&arguments.run, "--out")?);
     output::folder(&logs)?;
-    Ok(logs.join(format!("iter_{iteration:08}.mcap")))
+    Target::fixed(&logs.join(format!("iter_{iteration:08}.mcap")))
 }
 
 /// The chosen episode, or the first ones.
@@ -77,7 +79,7 @@ fn recorded<'a>(
     let config = &trained.config;
     let task = &stage.environment.description().task;
     let mut metadata = checkpointed::metadata(trained, task);
-    metadata.insert("run_id".to_owned(), run_path::name(&arguments.run));
+    metadata.insert("run_id".to_owned(), run_path::name(&run_path::run_of(&arguments.run)));
     let task_settings = match config.environment.url.as_str() {
         "" => serde_json::to_string(&config.task).context("cannot write the task's settings")?,
         _ => String::new(),

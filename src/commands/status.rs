@@ -10,7 +10,7 @@ use crate::cli::patience;
 use crate::commands::control::{operator, url};
 use crate::config::run_settings::config_of_run;
 use crate::figures::chart::thousands;
-use crate::process::{output, runtime};
+use crate::process::{output, runtime, shell};
 use crate::run::checkpointed;
 use crate::run::run_path;
 
@@ -86,15 +86,15 @@ fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
         output::line(object);
         return Ok(());
     }
-    let (run, steps) = (run.display(), thousands(env_steps));
+    let (shown, run, steps) = (run.display(), shell::path(run), thousands(env_steps));
     let at = format!("iteration {iteration} of {iterations}, {steps} env steps");
     output::line(match (rest.newest, rest.is_finished()) {
         (None, _) => format!(
-            "{run} stopped before its first checkpoint; `s2mia train --resume {run}` begins it again"
+            "{shown} stopped before its first checkpoint; `s2mia train --resume {run}` begins it again"
         ),
-        (Some(_), true) => format!("{run} is finished: {at}"),
+        (Some(_), true) => format!("{shown} is finished: {at}"),
         (Some(_), false) => {
-            format!("{run} is stopped: {at}; `s2mia train --resume {run}` goes on")
+            format!("{shown} is stopped: {at}; `s2mia train --resume {run}` goes on")
         }
     });
     Ok(())

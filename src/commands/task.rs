@@ -1,5 +1,7 @@
 //! `s2mia task`: checks a task file, or writes an example of one.
 
+use std::path::Path;
+
 use anyhow::Context as _;
 use policy::randomness::uniform;
 use policy::{Draw, Key, Purpose, RunSeed};
@@ -11,7 +13,8 @@ use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
 use crate::errors::Usage;
 use crate::film::{self, Frame, RobotShapes};
-use crate::process::output;
+use crate::process::target::{self, Target};
+use crate::process::{output, shell};
 
 /// Seed of the random actions.
 const SEED: RunSeed = RunSeed(0);
@@ -26,26 +29,38 @@ pub(super) fn run(command: &TaskCommand) -> anyhow::Result<()> {
     }
 }
 
-/// Writes the example; refuses to replace a file.
+/// Writes the example.
 fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
     let TaskDefinition { file, model } = TaskDefinition::example();
     let texts = [("hopper.toml", file), ("hopper.xml", model)];
     let texts = texts.map(|(name, text)| (arguments.folder.join(name), text));
-    if let Some((path, _)) = texts.iter().find(|(path, _)| path.exists()) {
-        return Err(Usage::new(format!("{} exists already", path.display())).into());
-    }
+    let paths = texts.iter().map(|(path, _)| path.clone());
+    target::demand_free("DIR", paths, arguments.force.existing())?;
     output::option_folder("DIR", &arguments.folder)?;
     for (path, text) in &texts {
         output::file(path, text.as_bytes())?;
     }
-    let task = texts[0].0.display();
-    output::line(format!("{task}: next `s2mia task check {task}`, then `s2mia train {task}`"));
+    let (task, shown) = (&texts[0].0, texts[0].0.display());
+    let (check, train) = (shell::path(task), setting(task));
+    output::line(format!("{shown}: next `s2mia task check {check}`, then `s2mia train {train}`"));
     Ok(())
+}
+
+/// A path as the task of `s2mia train`, in which an argument with `=` is a setting.
+fn setting(task: &Path) -> String {
+    match task.to_string_lossy().contains('=') {
+        true => shell::word(&format!("task={}", task.display())),
+        false => shell::path(task),
+    }
 }
 
 /// Prints the robot, its agents and what random actions do.
 fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
-    let request = Request { settings: vec![arguments.task.clone()], ..Request::default() };
+    let film = arguments.film.as_ref();
+    let film = film.map(|path| Target::named("--film", path, "png", arguments.force.existing()));
+    let film = film.transpose()?;
+    let settings = vec![format!("task={}", arguments.task)];
+    let request = Request { settings, ..Request::default() };
     let config = RunConfig::build(layers::resolve(&request)?)?;
     let mut world = sim::environments(&config.task, 1).context("cannot build the task")?;
     let Some(robot) = world.robot() else {
@@ -62,9 +77,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     for episode in 0..arguments.episodes {
         trial.play(&mut *world, episode)?;
     }
-    if let Some(path) = &arguments.film {
-        output::file(path, &trial.film(&*world)?)?;
-        output::line(path.display());
+    if let Some(film) = film {
+        film.write(&trial.film(&*world)?)?;
+        output::line(film.path().display());
     }
     output::line(trial.summary(arguments.episodes));
     anyhow::ensure!(trial.faults == 0, "the simulation is unstable: shorten the model's timestep");

@@ -1,6 +1,6 @@
 //! `s2mia tasks`: the tasks that can be trained.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use serde_json::json;
@@ -10,7 +10,7 @@ use crate::cli::TasksArguments;
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
 use crate::film::{self, RobotShapes};
-use crate::process::output;
+use crate::process::{output, target};
 
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
@@ -18,6 +18,9 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
         sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
     if let Some(folder) = &arguments.picture {
         output::option_folder("--picture", folder)?;
+        let robots = worlds.iter().filter(|world| world.robot().is_some());
+        let pictures = robots.map(|world| picture(folder, world.description()));
+        target::demand_free("--picture", pictures, arguments.force.existing())?;
         return worlds.iter_mut().try_for_each(|world| draw(&mut **world, folder));
     }
     let tasks: Vec<&Description> = worlds.iter().map(|world| world.description()).collect();
@@ -39,12 +42,17 @@ fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
     sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
 }
 
+/// The file of a task's picture.
+fn picture(folder: &Path, task: &Description) -> PathBuf {
+    folder.join(format!("{}.png", task.task))
+}
+
 /// Draws one picture and prints the names of its numbered joints; a game has no picture.
 fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
     let Some(robot) = RobotShapes::of(world) else { return Ok(()) };
     let joints = film::distinct_joints(world)?;
     let (task, pose) = (world.description(), world.pose(0));
-    let path = folder.join(format!("{}.png", task.task));
+    let path = picture(folder, task);
     output::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
     let names = task.agents.iter().flat_map(|agent| &agent.joints);
     let numbers: Vec<String> =

@@ -35,7 +35,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
         return determinism::verify(&arguments.settings, &prepared.config.environment, iterations);
     }
     let live = live(&arguments.live, &prepared)?;
-    let Prepared { config, folder, launch } = &prepared;
+    let Prepared { config, folder, launch, .. } = &prepared;
     output::line(opening(config, &launch.environment.task, folder));
     if let Some((show, server)) = live {
         show.start(server)?;
@@ -53,7 +53,7 @@ async fn train(
     stop_sender: watch::Sender<bool>,
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
-    let Prepared { config, folder, launch } = prepared;
+    let Prepared { config, folder, launch, new: _new } = prepared;
     let page = page::open(page, None).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
@@ -65,7 +65,7 @@ async fn train(
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
     })?;
     let actors = tokio::spawn(supervisor::supervise(processes, ended, stop_sender));
-    let mut progress = Progress::new(config.env_steps());
+    let mut progress = Progress::new(config.env_steps(), &folder);
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary = learner::run(launch, listener, page, observer, stop).await;
     end.send_replace(true);

@@ -19,7 +19,7 @@ use crate::commands::status::AtRest;
 use crate::config::run_settings::config_of_run;
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
-use crate::process::{output, runtime, signals};
+use crate::process::{output, runtime, shell, signals};
 use crate::run::checkpointed;
 use crate::run::run_path;
 
@@ -135,7 +135,8 @@ impl<'a> Watch<'a> {
             let rest = AtRest::of(Path::new(&learner.of))?;
             let of = &learner.of;
             if self.run_id.is_some() && !rest.is_finished() {
-                let next = format!("`s2mia train --resume {of}` starts one");
+                let run = shell::path(Path::new(of));
+                let next = format!("`s2mia train --resume {run}` starts one");
                 return Err(anyhow::anyhow!("the learner of {of} has ended; {next}"));
             }
             self.show(&rest.last_line());

@@ -1,7 +1,7 @@
 //! Properties of keys: which affect the result of a run, and which are spelled alike.
 
 use sim::spelling::nearest_by;
-use strsim::levenshtein;
+use strsim::osa_distance;
 
 use super::scalar::Scalar;
 
@@ -118,9 +118,9 @@ pub(crate) fn nearest<'a>(
 
 /// Edit distance; a word without its section is also compared with the last part of the key.
 fn distance_to_key(word: &str, key: &str) -> usize {
-    let whole = levenshtein(word, key);
+    let whole = osa_distance(word, key);
     match key.rsplit_once('.') {
-        Some((_, last)) if !word.contains('.') => whole.min(levenshtein(word, last)),
+        Some((_, last)) if !word.contains('.') => whole.min(osa_distance(word, last)),
         _ => whole,
     }
 }

@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use proto::name;
 use sim::{ModelFiles, TaskDefinition};
 
+use crate::process::home;
+
 use super::error::ConfigError;
 use super::layer::{Layer, Source};
 use super::scalar::Scalar;
@@ -70,8 +72,15 @@ impl OwnTask {
             Some((path, partition)) => (format!("{path}.toml"), Some(partition)),
             None => (task.to_owned(), None),
         };
-        let is_path = path.ends_with(".toml") || task.contains(std::path::is_separator);
-        is_path.then(|| Self::of_file(Path::new(&path), partition))
+        Self::is_path(task).then(|| {
+            let whole = home::expanded(Path::new(&path)).map_err(|error| refused(&path, error))?;
+            Self::of_file(&whole, partition)
+        })
+    }
+
+    /// Whether `task` is the path of a file, with or without a partition.
+    pub(crate) fn is_path(task: &str) -> bool {
+        task.ends_with(".toml") || task.contains(".toml:") || task.contains(std::path::is_separator)
     }
 
     fn of_file(path: &Path, partition: Option<&str>) -> Result<Self, ConfigError> {

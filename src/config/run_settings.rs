@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use learner::plain_file;
 use learner::run_folder::{CONFIG, MANIFEST, RunFolder};
 use sim::{AgentDescription, Robot};
 
@@ -50,7 +51,11 @@ fn demand_unit(file: &Path, folder: &Path, config: &RunConfig) -> Result<(), Con
 
 fn readable(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {
     let file = folder.join(CONFIG);
-    let own = RunConfig::of_file(&file).and_then(|config| unchanged(&file, folder, config));
+    let read = match plain_file::refusal(&file) {
+        None => RunConfig::of_file(&file),
+        Some(why) => Err(unreadable(&file, why.to_string())),
+    };
+    let own = read.and_then(|config| unchanged(&file, folder, config));
     let Err(why) = own else { return own.map(|config| (file, config)) };
     let Ok(loaded) = learner::checkpoint::load_newest(folder) else { return Err(why) };
     let copy = loaded.path.join(learner::checkpoint::SETTINGS);
@@ -71,14 +76,17 @@ fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig,
     let found = policy::arrays::hex(&found);
     match recorded {
         Some(expected) if expected != found => {
-            let place = file.display().to_string();
             let detail = format!(
                 "these are not the run's settings: their SHA-256 is {found}, {MANIFEST} has {expected}"
             );
-            Err(ConfigError::Unreadable { place, detail })
+            Err(unreadable(file, detail))
         }
         _ => Ok(config),
     }
+}
+
+fn unreadable(file: &Path, detail: String) -> ConfigError {
+    ConfigError::Unreadable { place: file.display().to_string(), detail }
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context as _;
+use learner::plain_file;
 use tokio::sync::watch;
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, sleep};
@@ -150,7 +151,7 @@ impl Claimant {
     /// The process that holds the claim at `path`. A dead process of this host holds nothing; a dead process of another
     /// host does until its claim is taken over.
     pub(crate) fn holder(&self, path: &Path) -> Option<Holder> {
-        let file = File::options().read(true).write(true).open(path).ok()?;
+        let file = plain_file::open(File::options().read(true).write(true), path).ok()?;
         let holder = read(path).ok()??;
         let dead = self.is_here(&holder) && file.try_lock().is_ok();
         (!dead && !holder.host.is_empty()).then_some(holder)

@@ -7,7 +7,9 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use crate::config::error::in_words;
+use crate::config::own_task::OwnTask;
 use crate::errors::Usage;
+use crate::process::home;
 
 /// Settings that keys of the experiment file replace.
 const DECIDED: [&str; 8] = [
@@ -24,6 +26,8 @@ const DECIDED: [&str; 8] = [
 /// An experiment file larger than this is a mistake.
 const LIMIT_BYTES: usize = 1 << 20;
 
+/// The folder of the program's own experiments, in the folder to which their paths are relative.
+const SHIPPED: &str = "configs/experiments";
 /// Algorithm of the default baseline.
 const BASELINE: &str = "happo";
 
@@ -34,12 +38,15 @@ pub(crate) struct ExperimentFile {
     /// Path of the file.
     #[serde(skip)]
     pub(crate) path: PathBuf,
-    /// Folder of run folders, tables and figures; empty: `runs/` and the file's name.
+    /// Folder of run folders, tables and figures; the file may leave it out: `runs/` and the file's name.
     #[serde(default)]
     pub(crate) folder: PathBuf,
     /// CSV file of the finished runs, which are not run again; empty: no file.
     #[serde(default)]
     pub(crate) record: PathBuf,
+    /// `folder` and `record` as the file has them.
+    #[serde(skip)]
+    pub(crate) written: [PathBuf; 2],
     /// Environment steps of each run.
     pub(crate) env_steps: u64,
     /// Seeds of each variant on each task.
@@ -100,25 +107,46 @@ impl ExperimentFile {
     fn parse(path: &Path, text: &str) -> Result<Self, String> {
         let written: Self =
             toml::from_str(text).map_err(|error| not_an_experiment(text, &error))?;
-        let file = Self { path: path.to_path_buf(), ..written }.completed();
+        let file = Self { path: path.to_path_buf(), ..written }.completed()?;
         file.validate()?;
         Ok(file)
     }
 
-    /// Fills in the names and the folder that the file omits.
-    fn completed(mut self) -> Self {
+    /// Fills in the names and the folder that the file omits, and finds its paths.
+    fn completed(mut self) -> Result<Self, String> {
+        self.written = [self.folder.clone(), self.record.clone()];
         for variant in self.variants.iter_mut().filter(|variant| variant.name.is_empty()) {
             variant.name.clone_from(&variant.algorithm);
         }
         if self.folder.as_os_str().is_empty() {
             self.folder = Path::new("runs").join(self.path.file_stem().unwrap_or_default());
         }
+        self.find_paths()?;
         if self.baseline.is_empty() {
             let usual = self.variants.iter().find(|variant| variant.algorithm == BASELINE);
             let baseline = usual.or(self.variants.first()).map(|variant| variant.name.clone());
             self.baseline = baseline.unwrap_or_default();
         }
-        self
+        Ok(self)
+    }
+
+    /// Makes the file's paths relative to its base instead of the folder in which the command is typed.
+    fn find_paths(&mut self) -> Result<(), String> {
+        let base = base(&self.path);
+        let found = |path: &Path| {
+            home::expanded(path).map(|path| base.join(path)).map_err(|why| why.to_string())
+        };
+        self.folder = found(&self.folder)?;
+        if !self.record.as_os_str().is_empty() {
+            self.record = found(&self.record)?;
+        }
+        let of_variants = self.variants.iter_mut().filter_map(|variant| variant.tasks.as_mut());
+        for task in of_variants.chain([&mut self.tasks]).flatten() {
+            if OwnTask::is_path(task) {
+                *task = found(Path::new(task))?.to_string_lossy().into_owned();
+            }
+        }
+        Ok(())
     }
 
     fn validate(&self) -> Result<(), String> {
@@ -167,6 +195,16 @@ impl Variant {
         self.seeds.as_ref().map_or(Ok(()), |seeds| distinct("seeds", seeds))?;
         undecided(&format!("settings of {}", self.name), self.settings.as_ref())
     }
+}
+
+/// The folder to which the paths in an experiment's file are relative: that of the file; for `configs/experiments` the one
+/// with `configs`.
+fn base(file: &Path) -> PathBuf {
+    let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_path_buf());
+    let levels = if whole.parent().is_some_and(|it| it.ends_with(SHIPPED)) { 3 } else { 1 };
+    let base = whole.ancestors().nth(levels).unwrap_or(&whole);
+    let here = std::env::current_dir().unwrap_or_default();
+    base.strip_prefix(here).unwrap_or(base).to_path_buf()
 }
 
 fn one() -> usize {
@@ -257,12 +295,33 @@ pub(crate) mod tests {
         let (mappo, happo) =
             ("[[variants]]\nalgorithm = \"mappo\"\n", "[[variants]]\nalgorithm = \"happo\"\n");
         let least = file(&format!("{mappo}{happo}"));
-        assert_eq!(least.folder, Path::new("runs/sample"));
+        assert_eq!(least.folder, Path::new("files/runs/sample"));
         assert_eq!((least.actors, least.threads, least.threshold), (1, 1, 0.8));
         assert_eq!([&*least.variants[0].name, &*least.variants[1].name], ["mappo", "happo"]);
         assert_eq!(least.baseline, "happo");
         assert_eq!(file(mappo).baseline, "mappo");
         assert_eq!(file(&format!("{mappo}{happo}name = \"plain\"\n")).baseline, "plain");
+    }
+
+    #[test]
+    fn paths_are_relative_to_the_file_and_those_of_the_programs_own_files_to_its_root() {
+        let text = SAMPLE.replacen("actors = 1", "record = \"r.csv\"", 1);
+        let text = text.replacen("\"ant-4x2\"", "\"robots/a.toml:two\"", 1);
+        let whole = |path: &str| std::path::absolute(path).unwrap().display().to_string();
+        for (path, base) in [
+            ("a.toml", ""),
+            ("study/a.toml", "study/"),
+            ("../a.toml", "../"),
+            ("/study/a.toml", "/study/"),
+            ("configs/experiments/a.toml", ""),
+            (&whole("configs/experiments/a.toml"), ""),
+            ("/other/configs/experiments/a.toml", "/other/"),
+        ] {
+            let file = ExperimentFile::parse(Path::new(path), &text).unwrap();
+            assert_eq!(file.folder.display().to_string(), format!("{base}runs/sample"), "{path}");
+            assert_eq!(file.record.display().to_string(), format!("{base}r.csv"), "{path}");
+            assert_eq!(file.tasks, ["halfcheetah-2x3", &format!("{base}robots/a.toml:two")]);
+        }
     }
 
     /// Of the table that `text` is parsed as: what it may hold, as the parser tells of an unknown field.

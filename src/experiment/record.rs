@@ -2,6 +2,7 @@
 //! A run in the record is not run again.
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -61,11 +62,10 @@ impl Record {
     /// # Errors
     /// Names the file and the invalid line.
     pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
-        if !path.exists() {
-            return Ok(Self::default());
-        }
-        let text = std::fs::read_to_string(path);
-        let text = text.with_context(|| format!("cannot read {}", path.display()))?;
+        let text = match std::fs::read_to_string(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Self::default()),
+            text => text.with_context(|| format!("cannot read {}", path.display()))?,
+        };
         let mut lines = text.lines().zip(1..);
         if lines.next().is_none_or(|(first, _)| first != HEADER) {
             bail!("{} must begin with the line {HEADER}", path.display());

@@ -1,9 +1,9 @@
 //! The state of an experiment's run, read from its folder.
 
-use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
+use learner::plain_file;
 use learner::run_folder::RunFolder;
 use serde_json::Value;
 
@@ -88,7 +88,7 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
 /// The last lines of a file of JSON lines, without those that cannot be parsed.
 pub(super) fn last_lines(path: &Path) -> Vec<Value> {
     let tail = || -> std::io::Result<Vec<u8>> {
-        let mut file = File::open(path)?;
+        let mut file = plain_file::reader(path)?;
         let length = file.metadata()?.len();
         file.seek(SeekFrom::Start(length.saturating_sub(TAIL_BYTES)))?;
         let mut bytes = Vec::new();

@@ -2,12 +2,13 @@
 //! skips finished ones and those of other processes. A run that fails does not stop the others.
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
 use anyhow::Context as _;
+use learner::plain_file;
 use tokio::process::{Child, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -140,7 +141,7 @@ async fn ended(
 /// The run's log, locked. The process that writes to it holds the lock until it ends. A run of an experiment that was
 /// killed may therefore still write its last checkpoint. `None` if stopped while waiting.
 async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result<Option<File>> {
-    let log = OpenOptions::new().create(true).append(true).open(path);
+    let log = plain_file::append(path);
     let log = log.with_context(|| format!("cannot write {}", path.display()))?;
     loop {
         match log.try_lock() {
@@ -148,7 +149,9 @@ async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Resul
             Err(TryLockError::WouldBlock) if *stop.borrow() => return Ok(None),
             Err(TryLockError::WouldBlock) => tokio::time::sleep(POLL_INTERVAL).await,
             Err(TryLockError::Error(error)) => {
-                return Err(error).with_context(|| format!("cannot lock {}", path.display()));
+                return Err(error).with_context(|| {
+                    format!("cannot lock {}: its file system must support flock", path.display())
+                });
             }
         }
     }
@@ -160,7 +163,8 @@ fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     command.args(["train", "--stop-with-stdin", "--page", "off"]).args(&run.settings);
     match run_state(run) {
         RunState::New => command.arg(format!("run.dir={}", run.folder.display())),
-        _ => command.arg("--resume").arg(&run.folder),
+        // As one word, because the path may begin with `-`.
+        _ => command.arg(format!("--resume={}", run.folder.display())),
     };
     let started = command
         .stdin(Stdio::piped())

@@ -4,9 +4,11 @@
 mod quantity;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use learner::plain_file;
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
@@ -83,6 +85,7 @@ pub(crate) struct Panel {
 
 /// Reads the curves of a run folder.
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
+    let folder = &run_path::run_of(folder);
     demand_run(folder)?;
     let lines = lines(&run_path::metrics_file(folder))?;
     let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();
@@ -92,6 +95,7 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
 /// Reads the settings of a run folder, without its curves.
 pub(crate) fn without_points(folder: &Path) -> anyhow::Result<Curve> {
     let file = run_path::config_file(folder);
+    plain_file::refusal(&file).map_or(Ok(()), Err).with_context(|| file.display().to_string())?;
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
     let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
     let settings = semantic.map(|(key, _)| (key.to_owned(), resolved.shown(key))).collect();
@@ -126,11 +130,10 @@ pub(crate) fn evaluations(metrics: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
 
 /// Ignores an incomplete last line, which a run may be writing.
 fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
-    if !metrics.exists() {
-        return Ok(Vec::new());
-    }
-    let text = std::fs::read_to_string(metrics)
-        .with_context(|| format!("cannot read {}", metrics.display()))?;
+    let text = match plain_file::read_to_string(metrics) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        text => text.with_context(|| format!("cannot read {}", metrics.display()))?,
+    };
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 

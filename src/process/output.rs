@@ -2,7 +2,6 @@
 //! reader that has gone, such as `head`: it ends a command that only prints, and nothing else.
 
 use std::fmt::Display;
-use std::fs::File;
 use std::io::{ErrorKind, IsTerminal as _, Write as _};
 use std::path::Path;
 use std::process::exit;
@@ -12,6 +11,7 @@ use anyhow::Context as _;
 
 use crate::cli::{Command, LogCommand};
 use crate::errors::Usage;
+use crate::process::target::{Target, check_parent};
 
 /// What a failed write to standard output means.
 static STDOUT: OnceLock<Stdout> = OnceLock::new();
@@ -84,31 +84,14 @@ pub(crate) fn error(text: impl Display) {
     let _unread = writeln!(std::io::stderr().lock(), "{text}");
 }
 
-/// Writes a file into an existing folder, and waits until the disk has it: some file systems report a full disk only
-/// then.
+/// Writes or replaces a file with a fixed name in an existing folder.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let written = File::create(path).and_then(|mut file| {
-        file.write_all(bytes)?;
-        match file.sync_all() {
-            // A pipe or a device, such as /dev/stdout, cannot be flushed.
-            Err(error) if error.kind() == ErrorKind::InvalidInput => Ok(()),
-            synced => synced,
-        }
-    });
-    written.with_context(|| format!("cannot write {}", path.display()))
+    Target::fixed(path)?.write(bytes)
 }
 
 /// Creates a folder and its parents if necessary.
 pub(crate) fn folder(path: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))
-}
-
-/// Refuses a file that `option` names if its folder does not exist, or if it is a folder itself.
-pub(crate) fn check_file(option: &str, path: &Path) -> Result<(), Usage> {
-    if path.is_dir() {
-        return Err(Usage::new(format!("{option} {}: is a folder; name a file", path.display())));
-    }
-    check_parent(option, path)
 }
 
 /// Creates the folder that `option` names, if necessary. Refuses it if the folder around it does not exist, which is
@@ -120,16 +103,4 @@ pub(crate) fn option_folder(option: &str, path: &Path) -> anyhow::Result<()> {
     }
     check_parent(option, path)?;
     folder(path)
-}
-
-fn check_parent(option: &str, path: &Path) -> Result<(), Usage> {
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-    match parent.filter(|parent| !parent.is_dir()) {
-        None => Ok(()),
-        Some(parent) => Err(Usage::new(format!(
-            "{option} {}: there is no folder {}; create it first",
-            path.display(),
-            parent.display()
-        ))),
-    }
 }

@@ -1,16 +1,17 @@
-//! The newest valid checkpoint of a run.
+//! The newest valid checkpoint of a run, or the one that is named instead of a run.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
-use learner::checkpoint::{CheckpointError, Loaded};
+use learner::checkpoint::{self, CheckpointError, Loaded};
 use policy::{PolicySnapshot, RunSeed};
 use proto::{Digest, PolicyVersion, WeightsName};
 use rollout::EvaluationEpisode;
 
 use crate::config::run_config::RunConfig;
 use crate::config::run_settings::config_of_run;
+use crate::process::shell;
 use crate::run::run_path::demand_run;
 
 /// A trained policy with the settings of its run.
@@ -36,18 +37,21 @@ impl Trained {
     }
 }
 
-/// Loads the newest checkpoint with correct hashes; refuses a run without any.
+/// Loads the newest checkpoint with correct hashes, or the checkpoint at `run`; refuses a run without any.
 pub(crate) fn load(run: &Path) -> anyhow::Result<Loaded> {
-    let shown = run.display();
     load_if_any(run)?.with_context(|| {
-        format!("{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {shown}` begins it again")
+        let (shown, run) = (run.display(), shell::path(run));
+        format!("{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {run}` begins it again")
     })
 }
 
 /// As [`load`], but `None` before the first checkpoint. Logs every newer checkpoint that is damaged.
 pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
     demand_run(run)?;
-    let loaded = match learner::checkpoint::load_newest(run) {
+    if checkpoint::is_checkpoint(run) {
+        return Ok(Some(checkpoint::load(run)?));
+    }
+    let loaded = match checkpoint::load_newest(run) {
         Err(CheckpointError::None { .. }) => return Ok(None),
         loaded => loaded.with_context(|| format!("{} has no valid checkpoint", run.display()))?,
     };

@@ -1,11 +1,11 @@
 //! The curves of a run, read from its metrics as they grow.
 
-use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::PathBuf;
 
 use learner::metrics::Curves;
+use learner::plain_file;
 use serde_json::{Map, Value};
 
 use crate::run::run_path;
@@ -94,7 +94,7 @@ impl Lines {
 
     /// The whole lines that have not been read yet; none if there is no file.
     fn more(&mut self) -> std::io::Result<More> {
-        let mut file = match File::open(&self.path) {
+        let mut file = match plain_file::reader(&self.path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Ok(More { lines: Vec::new(), damaged: 0, from_the_start: false });
             }

@@ -1,7 +1,6 @@
 //! Prepares the start of a learner from the arguments of `train` and `learner`.
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use actor::Transport;
 use learner::Launch;
@@ -16,8 +15,9 @@ use crate::config::run_settings::{ACTION_UNIT, settings_of_run};
 use crate::config::{ConfigError, Request, blame, effect, keys, layers};
 use crate::errors::Usage;
 use crate::run::fingerprints::{BUILD, Fingerprints};
+use crate::run::new_folder::{self, NewFolder, Others};
 use crate::run::offered::Offered;
-use crate::run::run_path::demand_run;
+use crate::run::run_path::demand_resumable;
 use crate::run::{message_sizes, resume, run_path};
 
 /// A run that is ready to start.
@@ -28,9 +28,11 @@ pub(crate) struct Prepared {
     pub(crate) folder: PathBuf,
     /// Everything that the learner starts with.
     pub(crate) launch: Launch,
+    /// The folder of a new run.
+    pub(crate) new: Option<NewFolder>,
 }
 
-/// Checks the settings and the run folder; starts and writes nothing. `transport` limits the connection to an external
+/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder with a name of its own. `transport` limits the connection to an external
 /// environment.
 pub(crate) fn prepare(
     settings: &SettingsArguments,
@@ -40,12 +42,16 @@ pub(crate) fn prepare(
     let mut config = configure(settings, resumed.resume.as_deref())?;
     let offered = Offered::of(&config, transport)?;
     effect::demand(&config, Some(&offered.spec))?;
-    let folder = match &resumed.resume {
+    let others = if resumed.force { Others::Accepted } else { Others::Refused };
+    let (folder, new) = match &resumed.resume {
         Some(folder) => {
             offered.demand_that_of(&config)?;
-            folder.clone()
+            (folder.clone(), None)
         }
-        None => new_folder(&config, &offered.spec.task)?,
+        None => {
+            let new = NewFolder::of(&config, &offered.spec.task, others)?;
+            (new.path().to_path_buf(), Some(new))
+        }
     };
     // The learner claims the folder later, after the actors have started.
     RunFolder::demand_free(&folder)?;
@@ -63,7 +69,7 @@ pub(crate) fn prepare(
     }
     launch.fault = resumed.die_at;
     suits_environment(&config, &launch)?;
-    Ok(Prepared { config, folder, launch })
+    Ok(Prepared { config, folder, launch, new })
 }
 
 /// Refuses settings that do not suit the environment, by name.
@@ -103,9 +109,7 @@ pub(crate) fn prepare_or_resume(
 fn run_in_place(settings: &SettingsArguments) -> Result<Option<PathBuf>, ConfigError> {
     let request = Request::from_process(settings.files.clone(), settings.written());
     let resolved = layers::resolve(&request)?;
-    let folder = Path::new(resolved.text("run.dir"));
-    let there = !folder.as_os_str().is_empty() && RunFolder::holds_run(folder);
-    Ok(there.then(|| folder.to_path_buf()))
+    Ok(new_folder::named(&resolved)?.filter(|folder| RunFolder::holds_run(folder)))
 }
 
 /// The settings of a new run, or those of `resumed` with permitted changes.
@@ -114,7 +118,7 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     let Some(folder) = resumed else {
         return Ok(RunConfig::build(layers::resolve(&request)?)?);
     };
-    demand_run(folder)?;
+    demand_resumable(folder)?;
     let (file, old) = settings_of_run(folder)?;
     request.resumed = Some(file);
     let new = RunConfig::build(layers::resolve(&request)?)?;
@@ -125,7 +129,7 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
 
 /// Refuses another `run.dir` than that of the resumed run.
 fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigError> {
-    if new.run.dir == old.run.dir {
+    if new_folder::named(new)? == new_folder::named(old)? {
         return Ok(());
     }
     Err(ConfigError::Refused {
@@ -133,40 +137,6 @@ fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigErr
         key: "run.dir".to_owned(),
         detail: "a resumed run stays in its folder".to_owned(),
     })
-}
-
-/// The folder of a new run; refuses one that holds a run already.
-fn new_folder(config: &RunConfig, task: &str) -> anyhow::Result<PathBuf> {
-    let run = &config.run;
-    let folder = match run.dir.as_str() {
-        "" if layers::is_of_this_command(config.resolved.origin("run.dir")) => {
-            return Err(ConfigError::Refused {
-                place: config.resolved.origin("run.dir").to_owned(),
-                key: "run.dir".to_owned(),
-                detail: "it is empty; without it the run gets a new folder in `runs`".to_owned(),
-            }
-            .into());
-        }
-        "" => {
-            let algorithm = config.resolved.text("algorithm");
-            let now = SystemTime::now();
-            run_path::default_folder(task, algorithm, run.seed, now)
-        }
-        given => PathBuf::from(given),
-    };
-    run_path::check_name(&folder)?;
-    if folder.exists() && !folder.is_dir() {
-        let why = format!("{} is no folder; run.dir names the run's folder", folder.display());
-        return Err(Usage::new(why).into());
-    }
-    if RunFolder::holds_run(&folder) {
-        let shown = folder.display();
-        let why = format!(
-            "{shown} already contains a run; resume it with `s2mia train --resume {shown}`"
-        );
-        return Err(Usage::new(why).into());
-    }
-    Ok(folder)
 }
 
 /// The start of a new run of `config`.

@@ -1,26 +1,26 @@
 //! The runs of the folder `runs`, for commands without an argument.
 
-use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use learner::run_folder::{RunFolder, STARTS};
 
 use crate::errors::Usage;
+use crate::process::home;
+use crate::run::run_path;
 
 /// Where new runs go by default.
 const RUNS: &str = "runs";
 /// The learner that is asked if there is no run.
 const LEARNER: &str = "http://127.0.0.1:50051";
 
-/// `of`, or if it is empty the newest run that has a learner, else the newest run, else the default learner.
-#[expect(clippy::unnecessary_wraps, reason = "a parser of arguments returns a result")]
-pub(crate) fn or_newest(of: &str) -> Result<String, Infallible> {
-    Ok(match of {
-        "" => newest(Path::new(RUNS))
-            .map_or_else(|| LEARNER.to_owned(), |run| run.display().to_string()),
-        of => of.to_owned(),
-    })
+/// `of`, or the run of the checkpoint `of`, or if it is empty the newest run that has a learner, else the newest run, else the default learner.
+pub(crate) fn or_newest(of: &str) -> Result<String, Usage> {
+    let shown = |run: PathBuf| run.display().to_string();
+    match of {
+        "" => Ok(newest(Path::new(RUNS)).map_or_else(|| LEARNER.to_owned(), shown)),
+        of => home::expanded_text(of).map(|of| shown(run_path::run_of(Path::new(&of)))),
+    }
 }
 
 /// All runs of the folder `runs`, in the order of their names.

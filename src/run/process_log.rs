@@ -1,10 +1,11 @@
 //! Why a child process failed, from its exit status and the part of the log that it wrote.
 
-use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
+
+use learner::plain_file;
 
 /// Levels of log lines that report no failure.
 const HARMLESS: [&str; 4] = ["WARN", "INFO", "DEBUG", "TRACE"];
@@ -40,7 +41,7 @@ impl ProcessLog {
 
     /// The last line that is neither blank nor a log line of a harmless level.
     fn error(&self) -> Option<String> {
-        let mut file = File::open(&self.path).ok()?;
+        let mut file = plain_file::reader(&self.path).ok()?;
         file.seek(SeekFrom::Start(self.from)).ok()?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).ok()?;

@@ -4,11 +4,14 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use learner::checkpoint;
 use learner::metrics::METRICS_FILE;
+use learner::plain_file;
 use learner::run_folder::{CONFIG, LOGS, MANIFEST, RunFolder};
 use time::OffsetDateTime;
 
 use crate::errors::Usage;
+use crate::process::shell;
 
 /// Longest name of a folder that file systems allow, bytes.
 const LONGEST_NAME: usize = 255;
@@ -18,13 +21,57 @@ pub(crate) fn config_file(folder: &Path) -> PathBuf {
     folder.join(CONFIG)
 }
 
-/// Refuses a folder that contains no run.
+/// Refuses a folder that contains neither a run nor a checkpoint.
 pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
-    let lacking = || format!("{} is no run folder: it has no {CONFIG}", folder.display());
-    if config_file(folder).is_file() || RunFolder::holds_run(folder) {
-        Ok(())
-    } else {
-        Err(Usage::new(lacking()))
+    let is_run = config_file(folder).is_file() || RunFolder::holds_run(folder);
+    if is_run || checkpoint::is_checkpoint(folder) {
+        return Ok(());
+    }
+    let shown = folder.display();
+    Err(Usage::new(match RunFolder::around(folder) {
+        Some(run) => {
+            format!("{shown} is no run folder, but in the run {}; name that", run.display())
+        }
+        None => format!("{shown} is no run folder: it has no {CONFIG}"),
+    }))
+}
+
+/// Refuses a folder that contains no run, and the folder of a checkpoint, which a resume would overwrite.
+pub(crate) fn demand_resumable(folder: &Path) -> Result<(), Usage> {
+    if !checkpoint::is_checkpoint(folder) {
+        return demand_run(folder);
+    }
+    let shown = folder.display();
+    Err(Usage::new(match RunFolder::around(folder) {
+        Some(run) => format!(
+            "{shown} is a checkpoint; `s2mia train --resume {}` resumes its run from the newest checkpoint",
+            shell::path(&run)
+        ),
+        None => format!(
+            "{shown} is a checkpoint without its run; copy it to NEW/checkpoints/iter_00000000, with its number, and \
+             resume NEW"
+        ),
+    }))
+}
+
+/// The run that `path` names: its folder, or that of one of its checkpoints. A checkpoint outside a run stands for itself.
+pub(crate) fn run_of(path: &Path) -> PathBuf {
+    let of_checkpoint = || RunFolder::around(path).filter(|_| checkpoint::is_checkpoint(path));
+    of_checkpoint().unwrap_or_else(|| path.to_path_buf())
+}
+
+/// The run folder for files of the run at `path` that `option` could name elsewhere.
+///
+/// # Errors
+/// `path` is a checkpoint outside a run.
+pub(crate) fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
+    let run = run_of(path);
+    match checkpoint::is_checkpoint(&run) {
+        false => Ok(run),
+        true => Err(Usage::new(format!(
+            "{} is a checkpoint without its run; name the file to write with {option}",
+            path.display()
+        ))),
     }
 }
 
@@ -43,12 +90,16 @@ pub(crate) fn logs(folder: &Path) -> PathBuf {
     folder.join(LOGS)
 }
 
-/// The files of a folder whose names `belong`, in the order of their names.
+/// The files of a folder whose names `belong`, in the order of their names. Refuses pipes and devices, which would block.
 pub(crate) fn files(folder: &Path, belong: fn(&str) -> bool) -> io::Result<Vec<PathBuf>> {
     let paths = folder.read_dir()?.filter_map(|entry| Some(entry.ok()?.path()));
     let mut paths: Vec<_> = paths.filter(|path| file_name(path).is_some_and(belong)).collect();
     paths.sort();
-    Ok(paths)
+    let waits = |path: &&PathBuf| path.metadata().is_ok_and(|found| !found.is_file());
+    match paths.iter().find(waits).and_then(|path| Some((path, plain_file::refusal(path)?))) {
+        None => Ok(paths),
+        Some((path, why)) => Err(io::Error::other(format!("{}: {why}", path.display()))),
+    }
 }
 
 /// The name of a file, if it is text.

@@ -12,6 +12,7 @@ use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
 use crate::config::run_settings::config_of_run;
+use crate::errors::Usage;
 use crate::run::checkpointed;
 use crate::run::offered::Stage;
 use crate::run::run_path;
@@ -48,7 +49,7 @@ impl ServedRun {
     /// The policies that the service hands out, always the newest loaded ones.
     pub(crate) fn policies(&self) -> ServedPolicies {
         ServedPolicies {
-            run_id: run_path::name(&self.path),
+            run_id: run_path::name(&run_path::run_of(&self.path)),
             environment: self.environment.clone(),
             newest: self.newest.subscribe(),
         }
@@ -56,6 +57,13 @@ impl ServedRun {
 
     /// Loads each new checkpoint on a thread of its own until the process ends.
     pub(crate) fn follow(self) -> anyhow::Result<()> {
+        if learner::checkpoint::is_checkpoint(&self.path) {
+            let shown = self.path.display();
+            let why = format!(
+                "{shown} is a checkpoint, which never changes; name its run, or leave out --follow"
+            );
+            return Err(Usage::new(why).into());
+        }
         let thread = std::thread::Builder::new().name("follow".to_owned());
         thread.spawn(move || self.load_newer()).map(drop).context("cannot follow the run")
     }

@@ -2,13 +2,14 @@
 //! ends all with the run.
 
 use std::ffi::OsString;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use learner::plain_file;
 use proto::Episodes;
 use recording::trajectory_log::LogSettings;
 use security::Token;
@@ -142,11 +143,8 @@ impl ActorProcesses {
     /// Starts a process in its own group, so that Ctrl-C reaches it only through its learner.
     fn start(&self, index: usize) -> anyhow::Result<Child> {
         let log = self.log_path(index);
-        let log: File = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&log)
-            .with_context(|| format!("cannot write {}", log.display()))?;
+        let log: File =
+            plain_file::append(&log).with_context(|| format!("cannot write {}", log.display()))?;
         Command::new(&self.program)
             .args(["actor", "--exit-with-stdin", "--learner", &self.learner])
             .args(["--name", &format!("local-{index}")])
@@ -169,9 +167,11 @@ impl ActorProcesses {
         if episodes == Episodes::None {
             return Vec::new();
         }
+        // As one word, because the path may begin with `-`.
+        let mut folder = OsString::from("--log-dir=");
+        folder.push(&self.logs);
         vec![
-            "--log-dir".into(),
-            self.logs.clone().into(),
+            folder,
             "--log-episodes".into(),
             episodes.to_string().into(),
             "--log-max-file-mib".into(),

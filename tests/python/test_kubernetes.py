@@ -109,6 +109,10 @@ def test_an_experiment_becomes_a_valid_job_whose_pods_are_its_shards(tmp_path, o
     assert container["image"] == ("registry:5000/s2mia:1" if options else "s2mia")
     assert container["command"][:3] == ["s2mia-job", "experiment", "/experiment/Study_1.toml"]
     assert container["command"][-2:] == ["--shard", f"$(JOB_COMPLETION_INDEX)/{shards}"]
+    # The paths in the file are relative to its folder, which is the volume.
+    assert container["workingDir"] == "/experiment"
+    mounts = {one["mountPath"]: one["name"] for one in container["volumeMounts"]}
+    assert mounts == {"/experiment": "runs", "/experiment/Study_1.toml": "experiment"}
     assert container["resources"]["requests"]["cpu"] == "4"
     context = container["securityContext"]
     assert pod["securityContext"]["runAsNonRoot"] and context["readOnlyRootFilesystem"] and context["capabilities"] == {"drop": ["ALL"]}

@@ -74,6 +74,7 @@ const PLACES: [(&str, &[&str], &str); 2] = [
             "learner/src/store/checkpoint",
             "learner/src/store/durable",
             "learner/src/store/json_lines",
+            "learner/src/store/plain_file",
             "learner/src/observe/metrics",
             "learner/src/observe/page/memory",
             "learner/src/store/reward_log",

@@ -17,10 +17,12 @@ use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256, to_
 
 use crate::config::CheckpointConfig;
 use crate::durable::{self, FileError};
+use crate::plain_file;
 
-use kept::{iterations, prune};
+use kept::{is_gone, iterations, prune};
 use step::about_to;
 
+pub use kept::is_checkpoint;
 pub(crate) use kept::named_latest;
 pub use manifest::{FileEntry, Manifest, SCHEMA};
 pub use step::{Before, Step};
@@ -180,7 +182,7 @@ pub fn weights_sha256(arrays: &NamedArrays) -> String {
 /// The folder of checkpoints in a run folder.
 #[must_use]
 pub fn folder(run_folder: &Path) -> PathBuf {
-    run_folder.join("checkpoints")
+    run_folder.join(kept::FOLDER)
 }
 
 /// Writes a checkpoint and removes those that need not stay. A checkpoint of the same iteration with the
@@ -235,16 +237,28 @@ pub fn load(path: &Path) -> Result<Loaded, CheckpointError> {
 /// There is none, or none is whole.
 pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
     let folder = folder(run_folder);
+    loop {
+        if let Some(loaded) = newest_listed(&folder)? {
+            return Ok(loaded);
+        }
+    }
+}
+
+/// The newest whole checkpoint of a list that is made once; `None` if a learner has removed one since, so that the list
+/// is outdated.
+fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
     let mut skipped = Vec::new();
-    for iteration in iterations(&folder)?.into_iter().rev() {
+    for iteration in iterations(folder)?.into_iter().rev() {
         let path = folder.join(name(iteration));
         match read(&path) {
             Ok((checkpoint, manifest)) => {
-                return Ok(Loaded { checkpoint, manifest, path, skipped });
+                return Ok(Some(Loaded { checkpoint, manifest, path, skipped }));
             }
+            Err(_) if is_gone(&path) => return Ok(None),
             Err(detail) => skipped.push((path, detail)),
         }
     }
+    let folder = folder.to_path_buf();
     match skipped.is_empty() {
         true => Err(CheckpointError::None { folder }),
         false => Err(CheckpointError::NoneUsable { folder, skipped }),
@@ -327,8 +341,10 @@ fn files(checkpoint: &Checkpoint) -> Result<BTreeMap<String, Vec<u8>>, Checkpoin
 /// Reads and verifies a checkpoint; otherwise what is wrong with it.
 fn read(path: &Path) -> Result<(Checkpoint, Manifest), String> {
     let manifest = Manifest::from_bytes(&read_file(path, MANIFEST, None)?)?;
-    if path.file_name().is_none_or(|found| *found != *name(manifest.iteration)) {
-        return Err(format!("its manifest is that of {}", name(manifest.iteration)));
+    let own = name(manifest.iteration);
+    // A copy may have any name but that of another iteration.
+    if path.file_name().is_some_and(|found| *found != *own && kept::is_name(found)) {
+        return Err(format!("its manifest is that of {own}"));
     }
     let mut arrays = NamedArrays::new();
     let mut policy = None;
@@ -363,7 +379,7 @@ fn read_file(folder: &Path, name: &str, size: Option<u64>) -> Result<Vec<u8>, St
     if found.len() > limit || size.is_some_and(|size| found.len() != size) {
         return Err(format!("{name} has {} bytes, expected {limit}", found.len()));
     }
-    std::fs::read(&path).map_err(|error| format!("{name}: {error}"))
+    plain_file::read(&path).map_err(|error| format!("{name}: {error}"))
 }
 
 fn reasons(skipped: &[(PathBuf, String)]) -> String {

@@ -5,6 +5,8 @@ use std::io::{self, Write as _};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
+use crate::plain_file;
+
 /// A file that could not be written or read.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot {action} {path}: {source}")]
@@ -25,9 +27,15 @@ impl FileError {
     }
 }
 
-/// Writes a whole new file and waits until the disk has it.
+/// Writes a whole new file and waits until the disk has it. What is at the path is removed first, never written through.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    let written = File::create(path).and_then(|mut file| {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            return Err(FileError::of("replace", path)(error));
+        }
+        _ => {}
+    }
+    let written = File::create_new(path).and_then(|mut file| {
         file.write_all(bytes)?;
         file.sync_all()
     });
@@ -54,7 +62,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 
 /// Appends a line to a file, which is created if it does not exist, and waits until the disk has it.
 pub(crate) fn append_line(path: &Path, line: &str) -> Result<(), FileError> {
-    let appended = File::options().create(true).append(true).open(path).and_then(|mut file| {
+    let appended = plain_file::append(path).and_then(|mut file| {
         file.write_all(format!("{line}\n").as_bytes())?;
         file.sync_all()
     });

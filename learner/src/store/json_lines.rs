@@ -2,13 +2,14 @@
 //! checkpoint from which it goes on.
 
 use std::collections::BTreeSet;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
 use crate::durable::{self, FileError};
+use crate::plain_file;
 
 /// Bytes that wait for a disk which takes nothing, before the run gives up.
 const MOST_WAITING: usize = 16 << 20;
@@ -29,7 +30,7 @@ impl JsonLines {
     /// # Errors
     /// Names the file if it cannot be read or written.
     pub fn cut(path: &Path, iteration: u64) -> Result<(Self, Vec<Value>), FileError> {
-        let text = match std::fs::read(path) {
+        let text = match plain_file::read(path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             bytes => bytes.map_err(FileError::of("read", path))?,
         };
@@ -72,7 +73,7 @@ impl JsonLines {
     /// Names the file if it cannot be read or written.
     pub fn insert(&mut self, more: Vec<String>) -> Result<(), FileError> {
         let text =
-            std::fs::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
+            plain_file::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
         let mut lines = text.lines().map(str::to_owned).chain(more).collect::<Vec<_>>();
         lines.sort_by_cached_key(|line| place(&serde_json::from_str(line).unwrap_or_default()));
         durable::replace(&self.path, format!("{}\n", lines.join("\n")).as_bytes())?;
@@ -129,8 +130,7 @@ impl JsonLines {
 /// Opens a file to append to; a new one lasts, too.
 fn opened(path: &Path) -> Result<File, FileError> {
     let is_new = !path.exists();
-    let file = OpenOptions::new().create(true).append(true).open(path);
-    let file = file.map_err(FileError::of("open", path))?;
+    let file = plain_file::append(path).map_err(FileError::of("open", path))?;
     if is_new {
         durable::sync_name(path)?;
     }
@@ -176,6 +176,7 @@ fn of_iteration(line: &[u8]) -> Option<(u64, Value)> {
 mod tests {
     use super::*;
     use serde_json::json;
+    use std::fs::OpenOptions;
 
     #[test]
     fn a_cut_keeps_each_iteration_up_to_the_checkpoint_once() {

@@ -2,17 +2,20 @@
 
 mod identity;
 mod manifest;
+mod place;
 mod token;
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, TryLockError};
 use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use crate::checkpoint;
 use crate::durable::{self, FileError};
+use crate::{checkpoint, plain_file};
+
+pub use place::PlaceError;
 
 /// The resolved configuration.
 pub const CONFIG: &str = "config.toml";
@@ -44,6 +47,9 @@ pub enum RunFolderError {
     /// A file or folder could not be written or read.
     #[error(transparent)]
     File(#[from] FileError),
+    /// It is no place for a run.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
     /// Another learner works on it.
     #[error("{path} is in use by another learner (process {process})")]
     Locked {
@@ -98,7 +104,7 @@ pub enum RunFolderError {
 
 impl RunFolderError {
     fn in_use(path: &Path) -> Self {
-        let process = std::fs::read_to_string(path.join(LOCK)).unwrap_or_default();
+        let process = plain_file::read_to_string(&path.join(LOCK)).unwrap_or_default();
         Self::Locked { path: path.to_path_buf(), process: process.trim().to_owned() }
     }
 }
@@ -107,8 +113,9 @@ impl RunFolder {
     /// Claims a folder for a new run.
     ///
     /// # Errors
-    /// The folder holds a run, is in use, or cannot be written.
+    /// The folder holds a run or is inside one, is in use, or cannot be written.
     pub fn claim_new(path: &Path) -> Result<Self, RunFolderError> {
+        Self::demand_outside_runs(path)?;
         durable::make_folder(path)?;
         let folder = Self::lock(path)?;
         // A process that was killed may have made the folder without waiting for the disk.
@@ -130,12 +137,6 @@ impl RunFolder {
         let folder = Self::lock(path)?;
         folder.check_manifest(config_sha256)?;
         Ok(folder)
-    }
-
-    /// Whether the folder contains a run: a manifest, or checkpoints whose manifest is lost.
-    #[must_use]
-    pub fn holds_run(path: &Path) -> bool {
-        path.join(MANIFEST).exists() || checkpoint::folder(path).exists()
     }
 
     /// The folder.
@@ -224,7 +225,7 @@ impl RunFolder {
             return Ok(None);
         }
         let place = path.join(ADDRESS);
-        let address = std::fs::read_to_string(&place).map_err(FileError::of("read", &place))?;
+        let address = plain_file::read_to_string(&place).map_err(FileError::of("read", &place))?;
         Ok(Some(address.trim().to_owned()))
     }
 
@@ -233,6 +234,7 @@ impl RunFolder {
     /// # Errors
     /// Names the folder and the learner's process, or a file that cannot be read.
     pub fn demand_free(path: &Path) -> Result<(), RunFolderError> {
+        place::demand_plain(path)?;
         match Self::is_locked(path)? {
             true => Err(RunFolderError::in_use(path)),
             false => Ok(()),
@@ -246,14 +248,14 @@ impl RunFolder {
             return Ok(true);
         }
         let lock = path.join(LOCK);
-        if !lock.is_file() {
+        if lock.symlink_metadata().is_err() {
             return Ok(false);
         }
-        let open = File::open(&lock).map_err(FileError::of("open", &lock))?;
+        let open = plain_file::reader(&lock).map_err(FileError::of("open", &lock))?;
         match open.try_lock_shared() {
             Ok(()) => Ok(false),
             Err(TryLockError::WouldBlock) => Ok(true),
-            Err(TryLockError::Error(error)) => Err(FileError::of("lock", &lock)(error).into()),
+            Err(TryLockError::Error(error)) => Err(place::not_lockable(&lock, &error).into()),
         }
     }
 
@@ -262,14 +264,14 @@ impl RunFolder {
         if folder.as_ref().is_some_and(|f| matches!(f.try_lock(), Err(TryLockError::WouldBlock))) {
             return Err(RunFolderError::in_use(path));
         }
+        place::demand_plain(path)?;
         let place = path.join(LOCK);
-        let open = OpenOptions::new().create(true).write(true).truncate(false).open(&place);
-        let mut lock = open.map_err(FileError::of("open", &place))?;
+        let mut lock = plain_file::append(&place).map_err(FileError::of("open", &place))?;
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(RunFolderError::in_use(path)),
             Err(TryLockError::Error(error)) => {
-                return Err(FileError::of("lock", &place)(error).into());
+                return Err(place::not_lockable(&place, &error).into());
             }
         }
         lock.set_len(0)

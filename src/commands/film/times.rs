@@ -48,9 +48,18 @@ mod tests {
     use std::path::PathBuf;
 
     use super::*;
+    use crate::cli::ForceArguments;
 
     fn arguments(frames: u32, from_secs: Option<f64>, every_secs: f64) -> FilmArguments {
-        FilmArguments { run: PathBuf::new(), episode: 0, frames, from_secs, every_secs, out: None }
+        FilmArguments {
+            run: PathBuf::new(),
+            episode: 0,
+            frames,
+            from_secs,
+            every_secs,
+            out: None,
+            force: ForceArguments::default(),
+        }
     }
 
     fn refusal(arguments: &FilmArguments, length: usize) -> String {

@@ -74,8 +74,9 @@ fn paths_of(logs: &LogFiles, belong: fn(&str) -> bool) -> anyhow::Result<Vec<Pat
 
 /// The files of a folder whose names `belong`; for a run folder, those of its logs.
 fn in_folder(folder: &Path, belong: fn(&str) -> bool) -> anyhow::Result<Vec<PathBuf>> {
-    let logs = run_path::logs(folder);
-    let is_run = run_path::config_file(folder).is_file() && logs.is_dir();
+    let run = run_path::run_of(folder);
+    let logs = run_path::logs(&run);
+    let is_run = run_path::config_file(&run).is_file() && logs.is_dir();
     let folder = if is_run { &logs } else { folder };
     let paths = run_path::files(folder, belong);
     let paths = paths.with_context(|| format!("cannot read {}", folder.display()))?;

@@ -7,20 +7,24 @@ use crate::commands::log::files::{in_file, index, paid};
 use crate::errors::Incomplete;
 use crate::figures::chart::thousands;
 use crate::process::output;
+use crate::process::target::Target;
 use crate::progress::WorkProgress;
 
 /// Writes the file and prints its contents. Ends with status 3 if part of a reward log is damaged.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
-    output::check_file("--out", &arguments.out)?;
+    let target = Target::named("--out", &arguments.out, "mcap", arguments.force.existing())?;
     let mut progress = WorkProgress::new();
     let index = index(&arguments.logs, &mut progress)?;
     progress.begin_phase();
-    let joined = join(&index, &arguments.out, |share, shares| {
-        let place = || format!("wrote share {} of {}", thousands(share), thousands(shares));
-        progress.reach(share, shares, place);
+    let joined = target.fill(|draft| {
+        let joined = join(&index, draft, |share, shares| {
+            let place = || format!("wrote share {} of {}", thousands(share), thousands(shares));
+            progress.reach(share, shares, place);
+        });
+        in_file(&arguments.out, joined)
     });
     drop(progress);
-    let joined = in_file(&arguments.out, joined)?;
+    let joined = joined?;
     let [episodes, shares, steps] =
         [joined.episodes as u64, joined.shares, joined.steps].map(thousands);
     let shown = arguments.out.display();

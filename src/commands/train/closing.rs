@@ -1,15 +1,15 @@
 //! The last lines of `s2mia train`: results, checkpoint and possible next commands.
 
-use std::fs::File;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::time::Duration;
 
-use learner::Summary;
+use learner::{Summary, plain_file};
 use proto::is_reward_log_name;
 use recording::trajectory_log::{is_log_name, totals};
 
 use crate::figures::chart;
+use crate::process::shell;
 use crate::run::run_path::{self, config_file};
 
 /// Size of the curve in characters.
@@ -58,14 +58,22 @@ impl Closing<'_> {
     }
 
     fn next(&self) -> String {
-        let run = self.folder.display();
+        let run = shell::path(self.folder);
         let twice = format!("run.iterations={}", self.summary.iteration * 2);
         let train = match (self.summary.stopped_early, self.length) {
             (true, _) => format!("--resume {run}"),
             (false, Length::MayRise) => format!("--resume {run} {twice}"),
             (false, Length::Fixed) => {
-                let config = config_file(self.folder);
-                format!("--config {} run.dir={run}-longer {twice}", config.display())
+                let config = shell::path(&config_file(self.folder));
+                // Of `a/` and `.` the folder beside it, not one in it.
+                let run = match self.folder.file_name() {
+                    Some(_) => self.folder.to_path_buf(),
+                    None => self.folder.canonicalize().unwrap_or_else(|_| self.folder.into()),
+                };
+                let name = format!("{}-longer", run_path::name(&run));
+                let dir = format!("run.dir={}", run.with_file_name(name).display());
+                let dir = shell::word(&dir);
+                format!("--config {config} {dir} {twice}")
             }
         };
         format!(
@@ -95,7 +103,7 @@ pub(super) fn logged(logs: &Path) -> String {
 }
 
 fn lines(path: &Path) -> u64 {
-    File::open(path).map_or(0, |file| BufReader::new(file).split(b'\n').count() as u64)
+    plain_file::reader(path).map_or(0, |file| BufReader::new(file).split(b'\n').count() as u64)
 }
 
 /// First and last evaluation, and the curve between them.
@@ -144,6 +152,17 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part} is not in:\n{text}");
         }
+    }
+
+    #[test]
+    fn a_shell_reads_the_next_commands_as_they_are_meant() {
+        let (folder, elapsed) = (Path::new("my runs/it's/"), Duration::ZERO);
+        let summary = summary();
+        let next = |length| Closing { folder, summary: &summary, length, elapsed }.text(&[]);
+        let last = r"s2mia train --resume 'my runs/it'\''s/' run.iterations=500";
+        assert!(next(Length::MayRise).ends_with(last), "{}", next(Length::MayRise));
+        let last = r"'run.dir=my runs/it'\''s-longer' run.iterations=500";
+        assert!(next(Length::Fixed).ends_with(last), "{}", next(Length::Fixed));
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::os::unix::fs::{FileExt as _, MetadataExt as _};
 use std::path::Path;
 
 use anyhow::Context as _;
+use learner::plain_file;
 use serde::{Deserialize, Serialize};
 
 /// Length of a claim file. It never changes, so a reader never sees the rest of a longer text.
@@ -41,10 +42,12 @@ pub(super) fn open(path: &Path) -> anyhow::Result<Option<(File, bool)>> {
     let mut options = OpenOptions::new();
     options.read(true).write(true);
     let opened = match options.clone().create_new(true).open(path) {
-        Err(error) if error.kind() == ErrorKind::AlreadyExists => match options.open(path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-            opened => opened.map(|file| (file, false)),
-        },
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            match plain_file::open(&options, path) {
+                Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+                opened => opened.map(|file| (file, false)),
+            }
+        }
         created => created.map(|file| (file, true)),
     };
     opened.map(Some).with_context(|| format!("cannot write {}", path.display()))
@@ -72,7 +75,7 @@ pub(super) fn is_at(file: &File, path: &Path) -> bool {
 /// The contents; empty if they are incomplete, `None` without a file. Opens the file every time, because NFS shows the
 /// writes of other hosts only then.
 pub(super) fn read(path: &Path) -> anyhow::Result<Option<Holder>> {
-    match std::fs::read(path) {
+    match plain_file::read(path) {
         Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes).unwrap_or_default())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error).with_context(|| format!("cannot read {}", path.display())),

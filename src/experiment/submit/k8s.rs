@@ -21,8 +21,9 @@ pub(crate) fn manifest(
     image: &str,
     queue: Option<&str>,
 ) -> anyhow::Result<String> {
-    demand_relative("folder", &file.folder)?;
-    demand_relative("record", &file.record)?;
+    let [folder, record] = &file.written;
+    demand_relative("folder", folder)?;
+    demand_relative("record", record)?;
     let mut tasks =
         file.variants.iter().filter_map(|v| v.tasks.as_ref()).chain([&file.tasks]).flatten();
     if let Some(task) = tasks.find(|task| Path::new(task).extension().is_some()) {

@@ -7,6 +7,7 @@ use serde_json::Value;
 use super::TABLES;
 use crate::durable::FileError;
 use crate::json_lines::{self, JsonLines, gaps, iterations};
+use crate::plain_file;
 
 /// Adds the lines up to `iteration` that only the tables have to `kept` and to the file, and reports what is lost.
 ///
@@ -20,7 +21,7 @@ pub(super) fn restore(
 ) -> Result<(), FileError> {
     let mut restored = Vec::new();
     for (name, kind) in TABLES {
-        let text = std::fs::read_to_string(run_folder.join(name)).unwrap_or_default();
+        let text = plain_file::read_to_string(&run_folder.join(name)).unwrap_or_default();
         let mut present = iterations(kept, kind);
         restored.extend(rows(&text, kind).into_iter().filter(|row| {
             let at = row.value["iteration"].as_u64();

@@ -1,6 +1,6 @@
 //! Metrics as CSV: one row per line of `metrics.jsonl`, one column per figure.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -8,6 +8,7 @@ use serde_json::{Map, Value};
 
 use super::view::View;
 use crate::durable::{self, FileError};
+use crate::plain_file;
 
 /// First columns of every table.
 const FIRST_COLUMNS: [&str; 2] = ["iteration", "env_steps"];
@@ -46,7 +47,7 @@ impl Table {
     /// Rewrites the file with more columns, which are empty in all rows so far.
     fn widen(&mut self, more: Vec<String>) -> Result<(), FileError> {
         let text =
-            std::fs::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
+            plain_file::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
         self.columns.extend(more.iter().cloned());
         let rows = text.lines().skip(1).map(|row| row.to_owned() + &",".repeat(more.len()) + "\n");
         let wider = format!("{}\n{}", self.columns.join(","), rows.collect::<String>());
@@ -75,7 +76,7 @@ impl View for Table {
 }
 
 fn append_to(path: &Path) -> Result<File, FileError> {
-    OpenOptions::new().append(true).open(path).map_err(FileError::of("open", path))
+    plain_file::append(path).map_err(FileError::of("open", path))
 }
 
 fn of(line: &Map<String, Value>, kind: &str) -> bool {

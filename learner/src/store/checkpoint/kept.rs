@@ -1,23 +1,26 @@
 //! Which checkpoints stand in a folder, and which of them stay.
 
+use std::ffi::OsStr;
+use std::io::ErrorKind;
 use std::path::Path;
 
-use super::{CheckpointError, DRAFT, LATEST, name};
+use super::{CheckpointError, DRAFT, LATEST, MANIFEST, POLICY, SETTINGS, name};
 use crate::config::CheckpointConfig;
 use crate::durable::{self, FileError};
+
+/// Name of the folder of checkpoints in a run folder.
+pub(super) const FOLDER: &str = "checkpoints";
 
 /// Iterations of all checkpoints in `folder`, ascending; drafts and other files do not count.
 pub(super) fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
     let entries = match std::fs::read_dir(folder) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(FileError::of("read", folder))?,
     };
     let mut found = Vec::new();
     for entry in entries {
         let file_name = entry.map_err(FileError::of("read", folder))?.file_name();
-        let file_name = file_name.to_string_lossy();
-        let digits = file_name.strip_prefix("iter_").and_then(|digits| digits.parse().ok());
-        found.extend(digits.filter(|iteration| name(*iteration) == file_name));
+        found.extend(iteration(&file_name));
     }
     found.sort_unstable();
     Ok(found)
@@ -26,8 +29,38 @@ pub(super) fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
 /// The iteration that `LATEST` names; `None` if it names none.
 pub(crate) fn named_latest(run_folder: &Path) -> Option<u64> {
     let text = std::fs::read_to_string(super::folder(run_folder).join(LATEST)).ok()?;
-    let iteration = text.trim().strip_prefix("iter_")?.parse().ok()?;
-    (name(iteration) == text.trim()).then_some(iteration)
+    iteration(OsStr::new(text.trim()))
+}
+
+/// The iteration of the checkpoint with this name.
+fn iteration(file_name: &OsStr) -> Option<u64> {
+    let file_name = file_name.to_str()?;
+    let digits = file_name.strip_prefix("iter_").and_then(|digits| digits.parse().ok());
+    digits.filter(|iteration| name(*iteration) == file_name)
+}
+
+/// Whether a checkpoint of some iteration has this name.
+pub(super) fn is_name(file_name: &OsStr) -> bool {
+    iteration(file_name).is_some()
+}
+
+/// Whether nothing is at `path`.
+pub(super) fn is_gone(path: &Path) -> bool {
+    path.symlink_metadata().is_err_and(|error| error.kind() == ErrorKind::NotFound)
+}
+
+/// Whether the folder is that of a checkpoint, whole or damaged, in its run or a copy elsewhere.
+#[must_use]
+pub fn is_checkpoint(path: &Path) -> bool {
+    let whole = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    let parent = whole.parent().and_then(Path::file_name);
+    let in_place =
+        parent.is_some_and(|parent| parent == FOLDER) && whole.file_name().is_some_and(is_name);
+    let has = |name: &str| whole.join(name).is_file();
+    // A run folder may have the policy as an exported file.
+    let is_copy =
+        || has(POLICY) && (has(MANIFEST) || has(SETTINGS)) && is_gone(&whole.join(FOLDER));
+    whole.is_dir() && (in_place || is_copy())
 }
 
 /// Removes all but the newest `keep_last` up to `newest` and the multiples of `keep_every`, and drafts that
@@ -41,7 +74,7 @@ pub(super) fn prune(
     let written = iterations(folder)?.into_iter().filter(|iteration| *iteration <= newest);
     for iteration in written.rev().skip(keep.keep_last) {
         if !keep.stays_for_ever(iteration) {
-            durable::remove_folder(&folder.join(name(iteration)))?;
+            remove(folder, &name(iteration))?;
         }
     }
     let entries = std::fs::read_dir(folder).map_err(FileError::of("read", folder))?;
@@ -52,4 +85,12 @@ pub(super) fn prune(
         }
     }
     Ok(())
+}
+
+/// Removes a checkpoint at once for its readers: it is renamed before its files are removed.
+fn remove(folder: &Path, name: &str) -> Result<(), FileError> {
+    let (place, draft) = (folder.join(name), folder.join(format!("{DRAFT}{name}")));
+    durable::remove_folder(&draft)?;
+    std::fs::rename(&place, &draft).map_err(FileError::of("remove", &place))?;
+    durable::remove_folder(&draft)
 }

@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::RunFolderError;
 use crate::durable::{self, FileError};
+use crate::plain_file;
 
 /// Manifest field: hash of the manifest with this field empty.
 const MANIFEST_SHA256: &str = "manifest_sha256";
@@ -22,7 +23,7 @@ pub(super) fn write(path: &Path, mut manifest: Value) -> Result<(), RunFolderErr
 /// Reads a manifest; refuses one that has changed since it was written.
 pub(super) fn read(path: &Path) -> Result<Value, RunFolderError> {
     let damaged = |detail: String| RunFolderError::Damaged { path: path.to_path_buf(), detail };
-    let bytes = std::fs::read(path).map_err(FileError::of("read", path))?;
+    let bytes = plain_file::read(path).map_err(FileError::of("read", path))?;
     let mut manifest: Value =
         serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
     let object = manifest.as_object_mut().ok_or_else(|| damaged("it is no object".to_owned()))?;

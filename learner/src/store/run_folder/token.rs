@@ -9,9 +9,10 @@ use security::Token;
 
 use super::{RunFolder, RunFolderError};
 use crate::durable::{self, FileError};
+use crate::plain_file;
 
 /// The token that the learner of the latest start requires.
-const TOKEN: &str = "token";
+pub(super) const TOKEN: &str = "token";
 /// Readable and writable by the owner only.
 const OWNER_ONLY: u32 = 0o600;
 
@@ -50,7 +51,7 @@ impl RunFolder {
     /// The file cannot be read for another reason, or it contains no token.
     pub fn token(folder: &Path) -> Result<Option<Token>, RunFolderError> {
         let path = folder.join(TOKEN);
-        let text = match std::fs::read_to_string(&path) {
+        let text = match plain_file::read_to_string(&path) {
             Err(error)
                 if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied) =>
             {

@@ -1,0 +1,93 @@
+//! Opens files of a run folder only if they are plain files: a link could lead out of the folder, and a pipe would block.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read as _};
+use std::os::unix::fs::{FileTypeExt as _, OpenOptionsExt as _};
+use std::path::Path;
+
+/// Opens a plain file.
+///
+/// # Errors
+/// If it cannot be opened, or is a link, a pipe or anything else that is not a plain file.
+pub fn open(options: &OpenOptions, path: &Path) -> io::Result<File> {
+    let mut options = options.clone();
+    match options.custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path) {
+        Ok(file) if file.metadata()?.is_file() => Ok(file),
+        Ok(_) => Err(refusal(path).unwrap_or_else(|| io::ErrorKind::InvalidInput.into())),
+        Err(error) => Err(refusal(path).unwrap_or(error)),
+    }
+}
+
+/// Opens a plain file to append to it; creates it if it does not exist.
+///
+/// # Errors
+/// As [`open`].
+pub fn append(path: &Path) -> io::Result<File> {
+    open(OpenOptions::new().create(true).append(true), path)
+}
+
+/// Opens a plain file to read it.
+///
+/// # Errors
+/// As [`open`].
+pub fn reader(path: &Path) -> io::Result<File> {
+    open(OpenOptions::new().read(true), path)
+}
+
+/// Content of a plain file.
+///
+/// # Errors
+/// As [`open`], or if it cannot be read.
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    reader(path)?.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// Text of a plain file.
+///
+/// # Errors
+/// As [`read`], or if it is not UTF-8.
+pub fn read_to_string(path: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    reader(path)?.read_to_string(&mut text)?;
+    Ok(text)
+}
+
+/// The reason if something other than a plain file is at `path`.
+#[must_use]
+pub fn refusal(path: &Path) -> Option<io::Error> {
+    let kind = path.symlink_metadata().ok()?.file_type();
+    let word = match kind {
+        _ if kind.is_file() => return None,
+        _ if kind.is_symlink() => "a link",
+        _ if kind.is_dir() => "a directory",
+        _ if kind.is_fifo() => "a pipe",
+        _ => "a device or socket",
+    };
+    Some(io::Error::new(io::ErrorKind::InvalidInput, format!("it is {word}, not a plain file")))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+    use std::process::Command;
+
+    use super::*;
+
+    #[test]
+    fn links_and_pipes_are_neither_followed_nor_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link, pipe] = ["file", "link", "pipe"].map(|name| folder.path().join(name));
+        std::fs::write(&file, "a").unwrap();
+        symlink(&file, &link).unwrap();
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        assert_eq!(read_to_string(&file).unwrap(), "a");
+        for (path, kind) in [(&link, "a link"), (&pipe, "a pipe")] {
+            for error in [read(path).unwrap_err(), append(path).unwrap_err()] {
+                assert_eq!(error.to_string(), format!("it is {kind}, not a plain file"));
+            }
+        }
+        assert_eq!(read(&folder.path().join("none")).unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+}

@@ -1,0 +1,191 @@
+//! Files that commands write. A file that a user names is replaced, or written with an unusual extension, only on request.
+//! It appears complete or not at all.
+
+use std::fs::File;
+use std::io::{ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use learner::plain_file;
+
+use crate::errors::Usage;
+
+/// What happens to existing files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Existing {
+    /// They stay, and the command is refused.
+    Kept,
+    /// They are replaced.
+    Replaced,
+}
+
+/// A file to write.
+#[derive(Debug)]
+pub(crate) struct Target {
+    path: PathBuf,
+    existing: Existing,
+}
+
+impl Target {
+    /// The file that `option` names, for content that files with this `extension` have.
+    ///
+    /// # Errors
+    /// It is a folder, is in no existing folder, exists, or has another extension.
+    pub(crate) fn named(
+        option: &str,
+        path: &Path,
+        extension: &str,
+        existing: Existing,
+    ) -> Result<Self, Usage> {
+        let refused = |why: &str| Err(Usage::new(format!("{option} {}: {why}", path.display())));
+        if path.is_dir() {
+            return refused("is a folder; name a file");
+        }
+        check_parent(option, path)?;
+        let other = path.extension().is_some_and(|found| !found.eq_ignore_ascii_case(extension));
+        if other && existing == Existing::Kept {
+            return refused(&format!(
+                "the file has the format of .{extension}; name it so, or pass --force"
+            ));
+        }
+        demand_free(option, [path.to_path_buf()], existing)?;
+        Ok(Self { path: path.to_path_buf(), existing })
+    }
+
+    /// A file with a fixed name, which is replaced.
+    ///
+    /// # Errors
+    /// A link, a pipe or a device has this name.
+    pub(crate) fn fixed(path: &Path) -> anyhow::Result<Self> {
+        match plain_file::refusal(path) {
+            None => Ok(Self { path: path.to_path_buf(), existing: Existing::Replaced }),
+            Some(why) => anyhow::bail!("cannot write {}: {why}", path.display()),
+        }
+    }
+
+    /// The file.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes the file, and waits until the disk has it: some file systems report a full disk only then.
+    pub(crate) fn write(&self, bytes: &[u8]) -> anyhow::Result<()> {
+        let written = |draft: &Path| {
+            let mut file = File::create(draft)?;
+            file.write_all(bytes)?;
+            file.sync_all()
+        };
+        let shown = self.path.display();
+        self.fill(|draft| written(draft).with_context(|| format!("cannot write {shown}")))
+    }
+
+    /// Lets `write` make the file at a temporary path, and gives it its name when it is complete.
+    pub(crate) fn fill<T>(
+        &self,
+        write: impl FnOnce(&Path) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let draft = format!(".tmp-{}-{name}", std::process::id());
+        let draft = Draft(self.path.with_file_name(draft));
+        let written = write(&draft.0)?;
+        self.publish(&draft)?;
+        Ok(written)
+    }
+
+    fn publish(&self, draft: &Draft) -> anyhow::Result<()> {
+        let shown = self.path.display();
+        if self.existing == Existing::Kept {
+            match std::fs::hard_link(&draft.0, &self.path) {
+                Ok(()) => return Ok(()),
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                    return Err(taken("", &self.path).into());
+                }
+                // Not every file system supports links.
+                Err(_) => {}
+            }
+        }
+        std::fs::rename(&draft.0, &self.path).with_context(|| format!("cannot write {shown}"))
+    }
+}
+
+/// A temporary file, removed if it still has its name when it is dropped.
+struct Draft(PathBuf);
+
+impl Drop for Draft {
+    fn drop(&mut self) {
+        let _renamed = std::fs::remove_file(&self.0);
+    }
+}
+
+/// Refuses files that exist, unless they may be replaced. Pipes and devices are never replaced.
+pub(crate) fn demand_free(
+    option: &str,
+    paths: impl IntoIterator<Item = PathBuf>,
+    existing: Existing,
+) -> Result<(), Usage> {
+    for path in paths {
+        let Ok(found) = path.symlink_metadata() else { continue };
+        if existing == Existing::Kept {
+            return Err(taken(&format!("{option} "), &path));
+        }
+        if let Some(why) = plain_file::refusal(&path).filter(|_| !found.is_symlink()) {
+            return Err(Usage::new(format!("{option} {}: {why}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+fn taken(option: &str, path: &Path) -> Usage {
+    let advice = "name another place, or pass --force to replace it";
+    Usage::new(format!("{option}{}: already exists; {advice}", path.display()))
+}
+
+/// Refuses a path in a folder that does not exist, which is probably misspelt.
+pub(crate) fn check_parent(option: &str, path: &Path) -> Result<(), Usage> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+    match parent.filter(|parent| !parent.is_dir()) {
+        None => Ok(()),
+        Some(parent) => Err(Usage::new(format!(
+            "{option} {}: there is no folder {}; create it first",
+            path.display(),
+            parent.display()
+        ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    #[test]
+    fn an_existing_file_and_another_extension_need_permission() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let named = |name: &str, existing| Target::named("--out", &path(name), "png", existing);
+        named("a.PNG", Existing::Kept).unwrap().write(b"new").unwrap();
+        let taken = named("a.PNG", Existing::Kept).unwrap_err().to_string();
+        assert!(taken.ends_with("pass --force to replace it"), "{taken}");
+        let other = named("x.mp4", Existing::Kept).unwrap_err().to_string();
+        assert!(other.contains("x.mp4: the file has the format of .png"), "{other}");
+        named("a.PNG", Existing::Replaced).unwrap().write(b"newer").unwrap();
+        assert_eq!(std::fs::read(path("a.PNG")).unwrap(), b"newer");
+        assert_eq!(folder.path().read_dir().unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_that_appears_meanwhile_is_kept_and_nothing_is_written_through_a_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link] = ["a.png", "b.png"].map(|name| folder.path().join(name));
+        let target = Target::named("--out", &file, "png", Existing::Kept).unwrap();
+        std::fs::write(&file, "mine").unwrap();
+        target.write(b"new").unwrap_err();
+        symlink(&file, &link).unwrap();
+        Target::named("--out", &link, "png", Existing::Kept).unwrap_err();
+        Target::fixed(&link).unwrap_err();
+        Target::named("--out", &link, "png", Existing::Replaced).unwrap().write(b"new").unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), b"mine");
+        assert_eq!(std::fs::read(&link).unwrap(), b"new");
+    }
+}
