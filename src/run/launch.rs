@@ -129,7 +129,7 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
 
 /// Refuses another `run.dir` than that of the resumed run.
 fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigError> {
-    if new_folder::named(new)? == new_folder::named(old)? {
+    if new_folder::named(&new.resolved)? == new_folder::named(&old.resolved)? {
         return Ok(());
     }
     Err(ConfigError::Refused {

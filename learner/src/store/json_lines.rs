@@ -176,7 +176,6 @@ fn of_iteration(line: &[u8]) -> Option<(u64, Value)> {
 mod tests {
     use super::*;
     use serde_json::json;
-    use std::fs::OpenOptions;
 
     #[test]
     fn a_cut_keeps_each_iteration_up_to_the_checkpoint_once() {
