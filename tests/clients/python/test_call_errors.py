@@ -167,4 +167,3 @@ def test_a_signal_stops_an_actor_without_a_traceback(serve, number):
 
 def test_a_status_without_a_code_is_one_line_too():
     assert str(CallError("a:1", grpc.RpcError("two\nlines\x1b"))) == "a:1: UNKNOWN: two lines?"
-
