@@ -23,6 +23,12 @@ MAX_UNACKNOWLEDGED = 4
 PROCESS = os.urandom(16)
 
 
+def check_seconds(value: float, field: str) -> None:
+    """Refuses a duration that timers cannot hold."""
+    if not 1e-9 <= value <= 1e9:
+        raise ValueError(f"{field}: {value} s, expected 1e-9 to 1e9")
+
+
 def chunk_digest(chunk: Any, rollout: Any) -> bytes:
     """SHA-256 of a chunk of the slot `rollout`, as trajectory.proto describes it."""
     sha = hashlib.sha256(b"s2mia.v1.TrajectoryChunk")
@@ -84,6 +90,7 @@ class Learner:
         self.service = wire.LearnerServiceStub(self.channel)
         request = wire.DescribeRunRequest()
         self.run = self._call("DescribeRun", request, wait_for_ready=True).run
+        check_seconds(self.run.heartbeat_secs, "run.heartbeat_secs")
         registration = wire.RegisterRequest(
             client=client,
             protocol_version=self.run.protocol_version,
