@@ -93,6 +93,9 @@ pub enum ActorError {
     /// The log-writer thread ended unexpectedly.
     #[error("the last file of the log was not closed")]
     LogNotClosed,
+    /// A stepping thread cannot be started.
+    #[error("cannot start a stepping thread: {0}")]
+    Thread(#[source] std::io::Error),
     /// The stepping thread ended unexpectedly.
     #[error("the stepping thread ended: {0}")]
     Stepping(String),

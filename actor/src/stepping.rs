@@ -87,12 +87,11 @@ impl Stepper {
         let (jobs, queue) = mpsc::channel(1);
         let (results, outputs) = mpsc::channel(QUEUE);
         let thread = std::thread::Builder::new().name("stepping".to_owned());
-        thread
-            .spawn(move || {
-                let _entered = runtime.enter();
-                step_until_dropped(worlds, queue, &results);
-            })
-            .expect("a process can start the stepping thread");
+        let started = thread.spawn(move || {
+            let _entered = runtime.enter();
+            step_until_dropped(worlds, queue, &results);
+        });
+        started.map_err(ActorError::Thread)?;
         Ok(Self { jobs, outputs })
     }
 }

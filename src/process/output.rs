@@ -35,7 +35,7 @@ pub(crate) fn start(command: &Command) {
             | Command::Inspect(_)
             | Command::Config(_)
             | Command::Log(LogCommand::Info(_) | LogCommand::Verify(_))
-    );
+    ) || matches!(command, Command::Tasks(tasks) if tasks.picture.is_none());
     let is_terminal = std::io::stdout().is_terminal();
     STDOUT.get_or_init(|| Stdout { only_prints, is_terminal });
 }

@@ -1,8 +1,6 @@
 //! A limit of processes and threads: libraries panic when they cannot start a thread. The program reports it as an
 //! error instead.
 
-use std::panic::PanicHookInfo;
-
 use crate::process::output;
 
 /// The beginnings of these panics: of tokio, of the standard library and of rayon.
@@ -15,21 +13,16 @@ const PANICS: [&str; 3] = [
 /// Replaces the report of such a panic by one line. In the main thread it ends the program with status 1.
 pub(crate) fn report_limit() {
     let report = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| match cause(panic) {
-        Some(cause) => {
-            let advice =
-                "raise the limit of processes and threads (`ulimit -u`, or the container's)";
-            output::error(format!("error: {cause}; {advice}"));
-            if std::thread::current().name() == Some("main") {
-                std::process::exit(1);
-            }
+    std::panic::set_hook(Box::new(move |panic| {
+        if !panic.payload_as_str().is_some_and(is_limit) {
+            return report(panic);
         }
-        None => report(panic),
+        let advice = "raise the limit of processes and threads (`ulimit -u`, or the container's)";
+        output::error(format!("error: cannot start a thread; {advice}"));
+        if std::thread::current().name() == Some("main") {
+            std::process::exit(1);
+        }
     }));
-}
-
-fn cause<'a>(panic: &'a PanicHookInfo<'_>) -> Option<&'a str> {
-    panic.payload_as_str().filter(|text| is_limit(text))
 }
 
 fn is_limit(panic: &str) -> bool {

@@ -71,7 +71,8 @@ def _problem(run: Any) -> str | None:
     if not (run.chunk_steps and run.slot_steps and run.hidden_every) or run.slot_steps % run.chunk_steps:
         steps = f"slot_steps {run.slot_steps}, chunk_steps {run.chunk_steps}, hidden_every {run.hidden_every}"
         return f"the description of the run is invalid: {steps}"
-    if not 0 < run.heartbeat_secs <= threading.TIMEOUT_MAX:
+    # What timers can hold.
+    if not 1e-9 <= run.heartbeat_secs <= 1e9:
         return f"the description of the run is invalid: heartbeat_secs {run.heartbeat_secs}"
     return None
 

@@ -1,13 +1,21 @@
 """`s2mia.Client` queries, watches, pauses and stops a learner, over plain text and TLS."""
 
+import math
 import subprocess
 
 import pytest
 import s2mia
 from conftest import FEW, SMALL, command, s2mia_run
 from s2mia.connection import target
+from s2mia.learner import check_seconds
 
 TLS = s2mia.Tls("ca.pem", "admin.pem", "admin.key")
+
+
+@pytest.mark.parametrize("secs", [0.0, -1.0, 1e300, math.nan, math.inf])
+def test_a_duration_that_no_timer_holds_is_refused_by_name(secs):
+    with pytest.raises(ValueError, match="run.heartbeat_secs"):
+        check_seconds(secs, "run.heartbeat_secs")
 
 
 def test_a_learner_is_queried_paused_saved_and_stopped(serve):
