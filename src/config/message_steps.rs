@@ -84,8 +84,8 @@ mod tests {
              range: a multiple of policy.backpropagation_steps = 7"
         );
         assert_eq!(
-            refusal(&["environments.steps=40", "environments.message_steps=50"]),
-            "command line: environments.message_steps = 50 is out of range: 1 to environments.steps = 40"
+            refusal(&["environments.steps=40", "environments.message_steps=60"]),
+            "command line: environments.message_steps = 60 is out of range: 1 to environments.steps = 40"
         );
     }
 }

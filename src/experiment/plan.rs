@@ -188,6 +188,11 @@ mod tests {
                 "every_steps = 0",
                 "variant happo on halfcheetah-2x3: evaluation.every_steps must be above 0",
             ),
+            (
+                "settings.evaluation.every_steps",
+                "settings.maddpg.batch",
+                "variant happo on halfcheetah-2x3: `maddpg.batch` has no effect in this run",
+            ),
             ("\"ant-4x2\"", "\"ant-9x9\"", "variant happo on ant-9x9: unknown task `ant-9x9`"),
             (
                 "algorithm = \"happo\"",

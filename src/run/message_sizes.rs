@@ -132,7 +132,7 @@ mod tests {
 
     fn config(settings: &[&str]) -> RunConfig {
         let url = "environment_service.url=http://localhost:7";
-        let settings = [&[url], settings].concat().into_iter().map(str::to_owned).collect();
+        let settings = [settings, &[url]].concat().into_iter().map(str::to_owned).collect();
         RunConfig::build(layers::resolve(&Request { settings, ..Request::default() }).unwrap())
             .unwrap()
     }

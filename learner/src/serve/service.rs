@@ -78,6 +78,7 @@ pub async fn serve(
     let on_close = Arc::new(move |id| closed_on.disconnect(id));
     let incoming = connections::accept(listener, most_with_actors, on_close);
     let storage = exchange.storage();
+    let environment_bytes = exchange.run().environment.message_bytes();
     let control = ControlServiceServer::new(Control { exchange: Arc::clone(&exchange) });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let learner = Learner { exchange, checks: Arc::new(Semaphore::new(cores)) };
@@ -88,7 +89,7 @@ pub async fn serve(
     reporter.set_serving::<LearnerServiceServer<Learner>>().await;
     tokio::spawn(storage::follow(storage, reporter));
     server()
-        .layer(bodies::limits())
+        .layer(bodies::limits(environment_bytes))
         .add_service(InterceptedService::new(learner, connections::needs(Role::Actor)))
         .add_service(control)
         .add_service(health)

@@ -7,15 +7,16 @@ import pytest
 import s2mia
 from conftest import FEW, SMALL, command, s2mia_run
 from s2mia.connection import target
-from s2mia.learner import check_seconds
+from s2mia.learner import _problem
 
 TLS = s2mia.Tls("ca.pem", "admin.pem", "admin.key")
 
 
 @pytest.mark.parametrize("secs", [0.0, -1.0, 1e300, math.nan, math.inf])
 def test_a_duration_that_no_timer_holds_is_refused_by_name(secs):
-    with pytest.raises(ValueError, match="run.heartbeat_secs"):
-        check_seconds(secs, "run.heartbeat_secs")
+    run = s2mia.wire.RunDescription(protocol_version=s2mia.learner.PROTOCOL_VERSION, heartbeat_secs=secs)
+    run.chunk_steps = run.slot_steps = run.hidden_every = 1
+    assert "heartbeat_secs" in _problem(run)
 
 
 def test_a_learner_is_queried_paused_saved_and_stopped(serve):

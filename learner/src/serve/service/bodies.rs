@@ -14,7 +14,7 @@ use tonic::codegen::http::Request;
 use tonic::{Code, Status};
 use tower::util::MapRequestLayer;
 
-/// Largest request of a unary call, bytes. A registration names every observation feature.
+/// Largest request of a unary call, bytes, unless a registration needs more.
 const MOST_REQUEST_BYTES: usize = 256 << 10;
 /// Budget of unprocessed result bytes, over all streams.
 const MOST_IN_FLIGHT_BYTES: usize = 512 << 20;
@@ -23,10 +23,14 @@ const STREAMS: [&str; 2] = ["/Act", "/ServerReflectionInfo"];
 /// The call whose messages are large.
 const RESULTS: &str = "/PushTrajectory";
 
-/// A layer that limits the bodies of all requests.
-pub(super) fn limits() -> MapRequestLayer<impl Fn(Request<Body>) -> Request<Body> + Clone> {
+/// A layer that limits the bodies of all requests. A registration names every feature of the environment, whose description
+/// has `environment_bytes`, and as much again is left for everything else.
+pub(super) fn limits(
+    environment_bytes: usize,
+) -> MapRequestLayer<impl Fn(Request<Body>) -> Request<Body> + Clone> {
     let budget = Budget::of(MOST_IN_FLIGHT_BYTES);
-    MapRequestLayer::new(move |request| budget.limit(request))
+    let most = MOST_REQUEST_BYTES.max(environment_bytes.saturating_mul(2));
+    MapRequestLayer::new(move |request| budget.limit(request, most))
 }
 
 /// The budget of all result streams.
@@ -54,8 +58,8 @@ impl Budget {
         Arc::new(Share { budget: Arc::clone(self), held: AtomicUsize::new(0) })
     }
 
-    /// Limits the body of one request.
-    fn limit(self: &Arc<Self>, mut request: Request<Body>) -> Request<Body> {
+    /// Limits the body of one request; that of a unary call to `most` bytes.
+    fn limit(self: &Arc<Self>, mut request: Request<Body>, most: usize) -> Request<Body> {
         let path = request.uri().path();
         if path.ends_with(RESULTS) {
             let share = self.share();
@@ -65,7 +69,7 @@ impl Budget {
         if STREAMS.iter().any(|stream| path.ends_with(stream)) {
             return request;
         }
-        request.map(|body| Body::new(Limited::new(body, MOST_REQUEST_BYTES)))
+        request.map(|body| Body::new(Limited::new(body, most)))
     }
 }
 

@@ -60,7 +60,7 @@ pub async fn serve_policies(
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<PolicyServiceServer<Policies>>().await;
     let serving = server()
-        .layer(bodies::limits())
+        .layer(bodies::limits(0))
         .add_service(InterceptedService::new(policies, connections::needs(Role::Viewer)))
         .add_service(health)
         .add_service(reflection(&SERVICES).build_v1().expect(COMPILED))
