@@ -5,6 +5,8 @@
 mod backups;
 #[path = "slots/cluster.rs"]
 mod cluster;
+#[path = "slots/episodes.rs"]
+mod episodes;
 #[path = "slots/events.rs"]
 mod events;
 #[path = "slots/faults.rs"]
@@ -17,5 +19,7 @@ mod network;
 mod random_cases;
 #[path = "slots/results.rs"]
 mod results;
+#[path = "slots/shares.rs"]
+mod shares;
 #[path = "slots/table.rs"]
 mod table;
