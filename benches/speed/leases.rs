@@ -60,6 +60,7 @@ fn table(slots: u32) -> SlotTable {
         steps_per_slot: 1,
         episode_steps: 1,
         audit: SecretSample::NONE,
+        requires_fingerprint: false,
     });
     let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };
     let work = |slot| RolloutWork { iteration: 0, slot, environments: Vec::new() };

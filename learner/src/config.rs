@@ -4,6 +4,10 @@
 use policy::PolicyConfig;
 use serde::{Deserialize, Serialize};
 
+mod audit;
+
+pub use audit::{AuditConfig, Fingerprint};
+
 /// Slots for each actor thread, if there are environments for them.
 const SLOTS_PER_THREAD: usize = 2;
 /// Most environments of a slot that is cut to the actor threads: more share a message, but one failure loses them all.
@@ -17,7 +21,7 @@ pub struct Config {
     pub environments: EnvironmentsConfig,
     /// How long an actor may be silent.
     pub lease: LeaseConfig,
-    /// How many slots are computed twice.
+    /// What is computed twice, and by whom.
     pub audit: AuditConfig,
     /// When and how policies are evaluated.
     pub evaluation: EvaluationConfig,
@@ -78,28 +82,6 @@ impl LeaseConfig {
         };
         within("lease.ttl_secs", self.ttl_secs, 0.1, 3600.0)?;
         within("lease.heartbeat_secs", self.heartbeat_secs, 0.01, self.ttl_secs / 2.0)
-    }
-}
-
-/// How many slots are computed twice, by two actors, to compare the results.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AuditConfig {
-    /// Share of the slots, 0 to 1. No slot is audited while the actors of fewer than two processes are connected.
-    pub share: f64,
-}
-
-impl AuditConfig {
-    /// Refuses shares outside 0 to 1.
-    ///
-    /// # Errors
-    /// Names the key and its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        if (0.0..=1.0).contains(&self.share) {
-            return Ok(());
-        }
-        let (found, range) = (self.share.to_string(), "0 to 1".to_owned());
-        Err(ConfigError { key: "audit.share", found, range })
     }
 }
 

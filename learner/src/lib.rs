@@ -15,8 +15,8 @@ mod store;
 mod train;
 
 pub use config::{
-    AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, LeaseConfig,
-    MetricsConfig, Phase, ThreadsConfig,
+    AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Fingerprint,
+    LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
 };
 pub use error::LearnerError;
 pub use event::{Event, IterationReport, Stage};

@@ -5,6 +5,8 @@
 mod backups;
 #[path = "slots/cluster.rs"]
 mod cluster;
+#[path = "slots/episodes.rs"]
+mod episodes;
 #[path = "slots/events.rs"]
 mod events;
 #[path = "slots/faults.rs"]
@@ -19,5 +21,7 @@ mod random_cases;
 mod results;
 #[path = "slots/returned.rs"]
 mod returned;
+#[path = "slots/shares.rs"]
+mod shares;
 #[path = "slots/table.rs"]
 mod table;

@@ -29,8 +29,10 @@ use crate::run::{determinism, run_path};
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     page::check(&arguments.page, None)?;
-    let prepared =
+    let mut prepared =
         launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
+    let audit = &mut prepared.launch.config.audit;
+    *audit = audit.with_own_actors();
     if let Some(iterations) = arguments.verify_determinism {
         return determinism::verify(&arguments.settings, &prepared.config.environment, iterations);
     }

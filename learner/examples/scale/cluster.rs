@@ -96,6 +96,7 @@ impl Cluster {
             steps_per_slot: scenario.chunks,
             episode_steps: 1,
             audit: SecretSample { share, secret: scenario.seed },
+            requires_fingerprint: false,
         });
         let (Cores::Own(cores) | Cores::Shared(cores)) = scenario.cores;
         let mut cluster = Self {

@@ -110,6 +110,7 @@ impl Exchange {
             steps_per_slot: run.slot_steps,
             episode_steps: run.environment.episode_steps,
             audit: SecretSample::new(audit.share),
+            requires_fingerprint: audit.requires_fingerprint(),
         });
         let shared = Shared {
             table,

@@ -8,17 +8,22 @@
 //!
 //! Results are compared by digest. What an ended lease had sent is kept: a later result that contradicts it is computed
 //! once more, and if two complete ones differ, the run must stop. A slot that takes much longer than others gets a
-//! backup lease, and a share of the slots is audited ([`SecretSample`]).
+//! backup lease, and a share of the slots is audited ([`SecretSample`]). Episodes of evaluations likewise.
+//!
+//! An actor whose leases expire gets no work for a while, as one whose messages are refused. While a process waits for
+//! work, no other one holds more than its share.
 
 use std::time::Duration;
 
 use proto::{
-    ActorId, EvaluationWork, Heartbeat, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal,
-    RolloutWork, RunState, WeightsName, Work,
+    ActorId, Heartbeat, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal, RolloutWork,
+    RunState, WeightsName,
 };
 
 mod actors;
 mod audits;
+mod claims;
+mod disagreement;
 mod evaluations;
 mod failures;
 mod figures;
@@ -27,18 +32,20 @@ mod leases;
 mod open;
 mod outcome;
 mod pause;
+mod processes;
 mod results;
 mod returned;
 mod typical;
 
-use actors::{Actors, Admission, Owner};
+use actors::{Actors, Admission};
 pub use actors::{ConnectionId, Trust};
 pub use audits::AuditCounts;
 use audits::Audits;
+use claims::Claimed;
+pub use disagreement::{ComputedPart, Disagreement, Part};
 use evaluations::Evaluations;
-use failures::{Failures, Key};
-use iteration::{ClaimedSlot, OpenIteration};
-pub use iteration::{ComputedChunk, Disagreement};
+use failures::Failures;
+use iteration::OpenIteration;
 use leases::{Claim, Finished, OpenLease};
 use open::OpenLeases;
 pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Incident, Offer, SlotRollout};
@@ -60,8 +67,10 @@ pub struct SlotRules {
     pub steps_per_slot: u32,
     /// Steps of the longest episode.
     pub episode_steps: u32,
-    /// Which slots are computed twice.
+    /// Which slots and episodes are computed twice.
     pub audit: SecretSample,
+    /// Whether actors without a fingerprint, which cannot be audited, get no work.
+    pub requires_fingerprint: bool,
 }
 
 /// Who computes what.
@@ -80,19 +89,11 @@ pub struct SlotTable {
     audits: Audits,
     failures: Failures,
     typical: TypicalTime,
+    typical_episode: TypicalTime,
     reissued: u64,
     backups: u64,
     effects: Vec<Effect>,
     incidents: Vec<Incident>,
-}
-
-/// What a new lease is for.
-struct Claimed {
-    claim: Claim,
-    weights: WeightsName,
-    work: Work,
-    /// How often the work was leased before.
-    attempt: u32,
 }
 
 impl SlotTable {
@@ -113,6 +114,7 @@ impl SlotTable {
             audits: Audits::new(rules.audit),
             failures: Failures::default(),
             typical: TypicalTime::default(),
+            typical_episode: TypicalTime::default(),
             reissued: 0,
             backups: 0,
             effects: Vec::new(),
@@ -124,19 +126,45 @@ impl SlotTable {
     pub fn tick(&mut self, now: Duration) {
         self.now = self.now.max(now);
         for id in self.open.expired(self.now) {
-            let lost = self.open.get(id).map(|lease| lease.status(id, self.now));
-            self.incidents.extend(lost.map(Incident::Expired));
-            self.abandon(id);
+            self.expire(id);
+        }
+        let processes = &self.actors.processes;
+        let hopeless = |process| processes.any_stalled() && processes.others_are_stalled(process);
+        let skipped = self.evaluations.skip_audits(self.now, hopeless);
+        if !skipped.is_empty() {
+            self.audits.counts.skipped += skipped.len() as u64;
+            skipped.into_iter().flatten().for_each(|id| self.expire(id));
+            self.end_evaluations();
         }
     }
 
-    /// When the next lease ends without a message, or the next slot may get a backup lease.
+    fn expire(&mut self, id: LeaseId) {
+        let Some(lease) = self.open.get(id) else { return };
+        let actor = lease.owner.actor;
+        self.incidents.push(Incident::Expired(lease.status(id, self.now)));
+        let pause = self.actors.expired(lease.owner, lease.begun, self.now);
+        self.incidents.extend(pause.map(|pause| Incident::Quarantined { actor, pause }));
+        self.abandon(id);
+    }
+
+    /// Hands over the evaluations that no longer wait for a result or an audit.
+    fn end_evaluations(&mut self) {
+        let complete = self.evaluations.take_complete();
+        self.effects.extend(complete.into_iter().map(Effect::Evaluation));
+    }
+
+    /// When the next lease ends without a message, the next slot or episode may get a backup lease, or the table changes
+    /// otherwise by time alone.
     #[must_use]
     pub fn next_deadline(&self) -> Option<Duration> {
-        let age = self.backup_age();
-        let young = |open: &OpenIteration| open.first_held_after(self.now.checked_sub(age));
-        let backup = self.iteration.as_ref().and_then(young).map(|since| since + age);
-        self.open.first_deadline().into_iter().chain(backup).min()
+        let others = [self.evaluations.first_skipped(), self.actors.processes.first_released()];
+        let backups = self.next_backup().into_iter().chain(self.next_episode_backup());
+        self.open
+            .first_deadline()
+            .into_iter()
+            .chain(backups)
+            .chain(others.into_iter().flatten())
+            .min()
     }
 
     /// What is to be done since the last call, in order.
@@ -198,7 +226,7 @@ impl SlotTable {
     ) -> ActorId {
         let gone = self.actors.make_room(connection);
         self.end_leases_of(&gone);
-        self.actors.register(connection, trust, process)
+        self.actors.register(connection, trust, process, self.now)
     }
 
     /// Whether an actor registered on this connection.
@@ -223,11 +251,11 @@ impl SlotTable {
     }
 
     /// Gives `actor` the lowest free slot, else the first free evaluation episode, else an audit, else a backup of the
-    /// slowest slot of another process.
+    /// slowest slot or of an episode of another process.
     ///
     /// # Errors
-    /// Refuses actors that did not register on the sender's connection, other incarnations, and more leases than one
-    /// actor may hold.
+    /// Refuses actors that did not register on the sender's connection, other incarnations, actors without a fingerprint
+    /// if one is required, and more leases than one actor may hold.
     pub fn lease(
         &mut self,
         sender: ConnectionId,
@@ -236,6 +264,8 @@ impl SlotTable {
     ) -> Result<Offer, Refusal> {
         self.same_incarnation(incarnation)?;
         let owner = self.actors.owner(sender, actor)?;
+        self.may_be_audited(owner)?;
+        self.actors.processes.asks(owner.process, self.now);
         let held = self.open.of(actor).count();
         match self.actors.admit(owner, held, self.now)? {
             _ if self.over => return Ok(Offer::Done),
@@ -245,62 +275,15 @@ impl SlotTable {
         }
         let id = LeaseId(self.last_lease + 1);
         let Some(Claimed { claim, weights, work, attempt }) = self.claim(id, owner) else {
+            self.found_nothing(owner);
             return Ok(Offer::Nothing);
         };
+        if self.actors.processes.got_work(owner.process) {
+            self.effects.push(Effect::WorkFreed);
+        }
         self.last_lease = id.0;
         self.open.insert(id, OpenLease::new(owner, weights, claim, self.now, self.rules.ttl));
         Ok(Offer::Lease(Lease { id, incarnation, weights, attempt, work }))
-    }
-
-    fn claim(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        if let Some(claimed) = self.claim_slot(id, owner) {
-            return Some(claimed);
-        }
-        let now = (self.now, self.rules.ttl);
-        let may_try = |work: EvaluationWork| {
-            let key = Key::Episode(work.iteration, work.episode);
-            self.failures.may_try(key, owner.process, self.actors.processes(), now)
-        };
-        if let Some((work, weights, attempt)) = self.evaluations.claim(may_try) {
-            self.reissued += u64::from(attempt > 0);
-            let (claim, work) = (Claim::Episode(work), Work::Evaluation(work));
-            return Some(Claimed { claim, weights, work, attempt });
-        }
-        if owner.trust == Trust::Exact
-            && let Some((work, weights)) = self.audits.claim(id, owner)
-        {
-            let claim = Claim::Audit { slot: work.slot };
-            return Some(Claimed { claim, weights, work: Work::Rollout(work), attempt: 1 });
-        }
-        self.claim_backup(id, owner)
-    }
-
-    fn claim_slot(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        let now = (self.now, self.rules.ttl);
-        let may_try = |index| {
-            let key = Key::Slot(index);
-            self.failures.may_try(key, owner.process, self.actors.processes(), now)
-        };
-        let open = self.iteration.as_mut()?;
-        let slot = open.claim(id, self.now, may_try)?;
-        self.reissued += u64::from(slot.attempt > 0);
-        Some(Claimed::slot(slot, open.weights))
-    }
-
-    fn claim_backup(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        let since = self.now.checked_sub(self.backup_age())?;
-        let open = self.iteration.as_mut()?;
-        let of_another = |held: LeaseId| {
-            self.open.get(held).is_some_and(|lease| !lease.owner.shares_process(&owner))
-        };
-        let slot = open.claim_backup(id, since, self.now, of_another)?;
-        self.backups += 1;
-        Some(Claimed::slot(slot, open.weights))
-    }
-
-    /// A slot that is held for longer than this may get a backup lease.
-    fn backup_age(&self) -> Duration {
-        self.typical.backup_age(self.slot_environments()).unwrap_or(self.rules.ttl)
     }
 
     /// Environments of a slot of the open iteration.
@@ -356,7 +339,7 @@ impl SlotTable {
             return;
         };
         match lease.claim {
-            Claim::Episode(work) => self.evaluations.release(work),
+            Claim::Episode(work) => self.evaluations.release(work, id),
             Claim::Audit { .. } => self.audits.release(id),
             Claim::Slot(index) => {
                 if let Some(open) = &mut self.iteration {
@@ -373,12 +356,5 @@ impl SlotTable {
         }
         let detail = format!("{found}, this start of the learner is {}", self.rules.incarnation);
         Err(Refusal::new(Reason::OtherIncarnation, "incarnation", detail))
-    }
-}
-
-impl Claimed {
-    fn slot(slot: ClaimedSlot, weights: WeightsName) -> Self {
-        let ClaimedSlot { index, work, attempt } = slot;
-        Self { claim: Claim::Slot(index), weights, work: Work::Rollout(work), attempt }
     }
 }

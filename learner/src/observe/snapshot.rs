@@ -38,7 +38,7 @@ pub struct RunSnapshot {
     pub audits: AuditCounts,
     /// Median time from lease to result of the latest slots, for each environment of a slot, seconds.
     pub slot_secs: Option<f64>,
-    /// Registrations without a fingerprint: with any, the run is not exactly repeatable.
+    /// Actors without a fingerprint whose results count: with any, the run is not exactly repeatable.
     pub foreign_actors: u64,
     /// Refused messages by reason.
     pub refusals: BTreeMap<String, u64>,

@@ -207,6 +207,7 @@ impl RunningTrainer {
         self.save_if_requested();
         let complete = self.trainer.iteration >= self.trainer.last_iteration;
         let stopped_early = !complete || !self.settle_evaluation()?;
+        self.note_foreign_actors(self.outside.exchange.run_snapshot().foreign_actors);
         self.trainer.metrics.sync()?;
         self.trainer.folder.demand_in_place()?;
         if let Some(error) = self.outside.exchange.failure() {
@@ -252,16 +253,9 @@ impl RunningTrainer {
     fn record(&mut self, collected: &Collected, update: &Update) -> Result<(), LearnerError> {
         let now = self.outside.exchange.run_snapshot();
         let begun = std::mem::replace(&mut self.ended, Instant::now());
+        self.note_foreign_actors(now.foreign_actors);
         let trainer = &mut self.trainer;
         trainer.folder.demand_in_place()?;
-        if now.foreign_actors > 0 {
-            // Retried after every iteration until it succeeds.
-            if let Err(error) = trainer.folder.note_foreign_actors() {
-                tracing::error!(
-                    "cannot record foreign actors in the manifest: {error}; retrying after the next iteration"
-                );
-            }
-        }
         let mut metrics = trainer.surprise.report();
         metrics.extend(update.report.iter().cloned());
         // An external environment may have its own time limit; reaching it is not a fault.
@@ -288,6 +282,18 @@ impl RunningTrainer {
         self.report_divergence();
         self.tell(&Event::Iteration(report));
         Ok(())
+    }
+
+    /// Records in the manifest that results of actors without a fingerprint count, if so many do. Retried after every
+    /// iteration until it succeeds.
+    fn note_foreign_actors(&self, foreign: u64) {
+        if foreign > 0
+            && let Err(error) = self.trainer.folder.note_foreign_actors()
+        {
+            tracing::error!(
+                "cannot record foreign actors in the manifest: {error}; retrying after the next iteration"
+            );
+        }
     }
 
     /// Logs once that there are more actor threads than an iteration can have slots.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use learner::slots::{AuditCounts, ConnectionId, Effect, Offer};
+use learner::slots::{AuditCounts, ConnectionId, Effect, Offer, Part};
 use proto::{AckState, Digest, Heartbeat, Reason};
 
 use crate::table::{
@@ -132,7 +132,7 @@ fn an_audit_that_differs_stops_the_run_and_names_both_actors() {
     push_as(&mut table, &audit, 1, OTHER).unwrap();
     push(&mut table, &audit, 2).unwrap();
     let [Effect::Failed(found)] = &table.effects()[..] else { panic!("no failure") };
-    assert_eq!((found.iteration, found.slot, found.sequence), (0, 0, 1));
+    assert_eq!((found.iteration, found.part), (0, Part::Chunk { slot: 0, sequence: 1 }));
     assert_eq!((found.first.actor, found.second.actor, found.second.digest), (a.id, b.id, OTHER));
     assert_eq!(table.counts().audits, audits(0, 1, 0));
 }

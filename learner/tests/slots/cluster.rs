@@ -369,7 +369,7 @@ impl Cluster {
     fn check_footprint(&self) {
         let held = self.table.footprint();
         assert!(held.actors <= ACTORS, "{held:?}");
-        assert!(held.open_leases <= 2 * SLOTS as usize + 1 + 8, "{held:?}");
+        assert!(held.open_leases <= 2 * SLOTS as usize + 2 + 8, "{held:?}");
         assert!(held.chunks <= 2 * u64::from(SLOTS * CHUNKS), "{held:?}");
         assert!(held.open_audits <= 8 && held.earlier_results <= 9 * SLOTS as usize, "{held:?}");
         assert!(held.finished_leases <= 4096, "{held:?}");

@@ -1,6 +1,6 @@
 //! Accepted, repeated and refused results, and results that contradict each other.
 
-use learner::slots::{ConnectionId, Effect, SlotTable, Trust};
+use learner::slots::{ConnectionId, Effect, Part, SlotTable, Trust};
 use proto::{AckState, ActorId, Digest, PolicyVersion, Reason};
 
 use crate::table::{Actor, CHUNKS, actor, complete, lease, push, push_as, table};
@@ -102,7 +102,7 @@ fn two_complete_results_that_differ_stop_the_run_and_name_their_actors() {
     push_as(&mut table, &second, 1, OTHER).unwrap();
     push(&mut table, &second, 2).unwrap();
     let [Effect::Failed(found)] = &table.effects()[..] else { panic!("no failure") };
-    assert_eq!((found.slot, found.sequence), (0, 1));
+    assert_eq!(found.part, Part::Chunk { slot: 0, sequence: 1 });
     assert_eq!((found.first.actor, found.second.actor, found.second.digest), (a.id, b.id, OTHER));
 }
 
@@ -113,6 +113,7 @@ fn results_of_a_foreign_actor_are_never_compared() {
     let connection = ConnectionId(2);
     let foreign = Actor { connection, id: table.register(connection, Trust::Foreign, None) };
     let lease = lease(&mut table, foreign);
+    assert_eq!(table.counts().foreign, 0, "it has registered only");
     assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, foreign.id)]);
     assert_eq!(table.counts().foreign, 1);
 }

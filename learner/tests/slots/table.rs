@@ -6,8 +6,9 @@ use std::time::Duration;
 use learner::sample::SecretSample;
 use learner::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
 use proto::{
-    Ack, ActorId, Digest, EnvironmentStart, Incarnation, Lease, PolicyVersion, ProcessId,
-    PushHeader, Refusal, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
+    Ack, ActorId, Digest, EnvironmentStart, EvaluationResult, Heartbeat, Incarnation, Lease,
+    PolicyVersion, ProcessId, PushHeader, Refusal, RolloutWork, Start, TrajectoryChunk,
+    WeightsName, Work,
 };
 
 pub(crate) const INCARNATION: Incarnation = Incarnation(11);
@@ -38,6 +39,7 @@ pub(crate) fn rules(incarnation: Incarnation) -> SlotRules {
         steps_per_slot: 50,
         episode_steps: 1000,
         audit: SecretSample::NONE,
+        requires_fingerprint: false,
     }
 }
 
@@ -165,4 +167,22 @@ pub(crate) fn complete(table: &mut SlotTable, lease: &Held) -> Vec<Effect> {
         push(table, lease, sequence).unwrap();
     }
     table.effects()
+}
+
+/// Sends this return for the episode of the lease.
+pub(crate) fn play(
+    table: &mut SlotTable,
+    lease: &Held,
+    extrinsic_return: f64,
+) -> Result<Ack, Refusal> {
+    let Work::Evaluation(work) = lease.work else { panic!("expected an episode, got {lease:?}") };
+    let result = EvaluationResult { episode: work.episode, extrinsic_return, steps: 5 };
+    let header = PushHeader::of(lease, result.digest(work.iteration));
+    table.evaluation(lease.connection, &header, result)
+}
+
+/// Says that the lease's work goes on, at this step.
+pub(crate) fn beat(table: &mut SlotTable, actor: Actor, lease: &Held, slot_step: u32) -> bool {
+    let beat = Heartbeat { actor: actor.id, incarnation: INCARNATION, lease: lease.id, slot_step };
+    table.heartbeat(actor.connection, &beat).unwrap()
 }

@@ -6,7 +6,7 @@ use learner::assemble::problem;
 use learner::canary::{self, Extent};
 use learner::exchange::Caller;
 use learner::slots::ConnectionId;
-use learner::{AuditConfig, Exchange, LeaseConfig, launch};
+use learner::{AuditConfig, Exchange, Fingerprint, LeaseConfig, launch};
 use policy::{CoreKind, PolicySnapshot};
 use proto::{
     EnvironmentStart, Lease, LeaseAnswer, PolicyVersion, PushHeader, Reason, Refusal, Registered,
@@ -154,7 +154,8 @@ fn lease(exchange: &Exchange, connection: ConnectionId, own: Registered) -> Leas
 fn after_the_first_mismatch_every_chunk_of_every_actor_is_checked_whole() {
     let (run, policy, chunks) = rolled_out(CoreKind::Gru);
     let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };
-    let exchange = Exchange::new(run, lease, AuditConfig { share: 0.0 }, toy::states());
+    let audit = AuditConfig { share: 0.0, fingerprint: Fingerprint::Optional };
+    let exchange = Exchange::new(run, lease, audit, toy::states());
     exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();
     exchange.open_iteration(0, PolicyVersion(0), vec![work()]);
     let changed = |row: usize| {

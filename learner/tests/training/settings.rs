@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use learner::{
-    AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Launch,
-    LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
+    AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Fingerprint,
+    Launch, LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
 };
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, RunSeed};
 use proto::{Digest, Episodes};
@@ -54,7 +54,7 @@ fn config() -> Config {
             phase: Phase::Staggered,
         },
         lease: LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 },
-        audit: AuditConfig { share: 0.5 },
+        audit: AuditConfig { share: 0.5, fingerprint: Fingerprint::Optional },
         evaluation: EvaluationConfig { every_steps: 64, episodes: 3, sampled: false },
         checkpoint: CheckpointConfig { every: 2, keep_last: 3, keep_every: 0 },
         metrics: MetricsConfig { csv: true, tensorboard: true },

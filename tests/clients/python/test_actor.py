@@ -4,7 +4,7 @@ import json
 import subprocess
 
 import numpy as np
-from conftest import MANY, SMALL, command
+from conftest import FEW, MANY, SMALL, command, refusal
 from s2mia import Learner, act_for, wire
 from s2mia.cue import Cue
 
@@ -72,3 +72,16 @@ def test_the_learner_tells_a_python_program_where_the_run_stands(serve):
     assert [one.lease_id for one in status.leases] == [lease.lease_id]
     assert client.heartbeat(lease, 0)
     client.close()
+
+
+def test_an_actor_that_cannot_be_audited_gets_no_work_where_everything_is(serve):
+    learner = serve("audited", [*FEW, "audit.share=1"])
+    client = Learner(learner.address)
+    request = wire.LeaseSlotsRequest(actor_id=client.actor_id, incarnation=client.incarnation)
+    assert refusal(lambda: client.service.LeaseSlots(request, timeout=10)) == ("MISSING_FIELD", "rollout_fingerprint")
+    with subprocess.Popen(command("actor", "--learner", learner.url), stderr=subprocess.DEVNULL) as own:
+        assert own.wait(timeout=60) == 0
+    client.close()
+    learner.finish()
+    manifest = json.loads((learner.folder / "manifest.json").read_text())
+    assert manifest["foreign_actors"] is False, "it has registered only"

@@ -94,8 +94,8 @@ impl Names {
             Incident::Quarantined { actor, pause } => {
                 let (who, secs) = (self.call(*actor), pause.as_secs_f64());
                 Notice::Loss(format!(
-                    "{who} is in quarantine: too many of its messages in a row were refused; it gets no work \
-                     for {secs:.1} s"
+                    "{who} is in quarantine: too many of its messages in a row were refused or of its leases expired; \
+                     it gets no work for {secs:.1} s"
                 ))
             }
         }
@@ -207,8 +207,8 @@ mod tests {
         let pause = Duration::from_secs(40);
         assert_eq!(
             line(&Incident::Quarantined { actor: ActorId(3), pause }),
-            "actor 3 (local-0) is in quarantine: too many of its messages in a row were refused; it gets no \
-             work for 40.0 s"
+            "actor 3 (local-0) is in quarantine: too many of its messages in a row were refused or of its leases \
+             expired; it gets no work for 40.0 s"
         );
     }
 

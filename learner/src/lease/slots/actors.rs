@@ -1,18 +1,20 @@
 //! Registered actors: their connection, whether their results can be compared, and how many of their latest messages
-//! were refused.
+//! were refused and leases expired.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use proto::{ActorId, ProcessId, Reason, Refusal};
 
+use super::processes::Processes;
+
 /// Leases one actor may hold at a time.
 const MOST_LEASES: usize = 4;
 /// Actors of one connection. A client that registers over and over must not fill the memory.
 const MOST_PER_CONNECTION: usize = 16;
-/// Refusals in a row after which an actor gets no work for a while.
+/// Refusals and expiries in a row after which an actor gets no work for a while.
 const STRIKES: u32 = 3;
-/// The pause doubles with each further refusal, this many times at most.
+/// The pause doubles with each further one, this many times at most.
 const MOST_DOUBLINGS: u32 = 5;
 
 /// One connection to the service.
@@ -31,11 +33,11 @@ pub(super) struct Owner {
 impl Owner {
     /// Whether both actors belong to one process; its results do not confirm each other.
     pub(super) fn shares_process(&self, other: &Self) -> bool {
-        self.connection == other.connection || self.process == other.process
+        self.process == other.process
     }
 }
 
-/// The process of an actor.
+/// The process of an actor: the same for all actors of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Process {
     /// The id that the actor sent.
@@ -69,6 +71,10 @@ struct Actor {
     trust: Trust,
     strikes: u32,
     quarantined_until: Duration,
+    /// When the latest expiry of a lease counted.
+    expired: Option<Duration>,
+    /// Whether any of its results was accepted.
+    counted: bool,
 }
 
 /// The registered actors.
@@ -76,13 +82,12 @@ struct Actor {
 pub(super) struct Actors {
     pause: Duration,
     last: u64,
-    /// Registrations of foreign actors so far.
+    /// Foreign actors so far of which a result was accepted.
     pub(super) foreign: u64,
+    pub(super) processes: Processes,
     registered: BTreeMap<ActorId, Actor>,
     /// The actors of each connection that has any.
     connected: BTreeMap<ConnectionId, BTreeSet<ActorId>>,
-    /// How many exact actors each process has, if any.
-    exact: BTreeMap<Process, usize>,
 }
 
 impl Actors {
@@ -92,9 +97,9 @@ impl Actors {
             pause,
             last: 0,
             foreign: 0,
+            processes: Processes::default(),
             registered: BTreeMap::new(),
             connected: BTreeMap::new(),
-            exact: BTreeMap::new(),
         }
     }
 
@@ -103,18 +108,28 @@ impl Actors {
         connection: ConnectionId,
         trust: Trust,
         process: Option<ProcessId>,
+        now: Duration,
     ) -> ActorId {
-        let process = process.map_or(Process::Connection(connection), Process::Named);
+        // A connection has one process, whatever ids its later registrations give.
+        let first = self.connected.get(&connection).and_then(BTreeSet::first);
+        let process = first.and_then(|id| self.registered.get(id)).map_or_else(
+            || process.map_or(Process::Connection(connection), Process::Named),
+            |actor| actor.process,
+        );
         self.last += 1;
-        self.foreign += u64::from(trust == Trust::Foreign);
-        let quarantined_until = Duration::ZERO;
-        let actor = Actor { connection, process, trust, strikes: 0, quarantined_until };
+        let actor = Actor {
+            connection,
+            process,
+            trust,
+            strikes: 0,
+            quarantined_until: Duration::ZERO,
+            expired: None,
+            counted: false,
+        };
         let id = ActorId(self.last);
         self.registered.insert(id, actor);
         self.connected.entry(connection).or_default().insert(id);
-        if trust == Trust::Exact {
-            *self.exact.entry(process).or_default() += 1;
-        }
+        self.processes.join(process, trust, now);
         id
     }
 
@@ -142,14 +157,7 @@ impl Actors {
                 self.connected.remove(&connection);
             }
         }
-        if trust == Trust::Exact
-            && let Some(count) = self.exact.get_mut(&process)
-        {
-            *count -= 1;
-            if *count == 0 {
-                self.exact.remove(&process);
-            }
-        }
+        self.processes.leave(process, trust);
     }
 
     /// The actor, if it registered on this connection.
@@ -162,11 +170,6 @@ impl Actors {
     /// Whether any actor registered on this connection.
     pub(super) fn has(&self, connection: ConnectionId) -> bool {
         self.connected.contains_key(&connection)
-    }
-
-    /// Whether exact actors of two or more processes registered.
-    pub(super) fn can_audit(&self) -> bool {
-        self.exact.len() >= 2
     }
 
     pub(super) fn admit(
@@ -198,9 +201,21 @@ impl Actors {
         self.connected.get(&connection).into_iter().flatten().copied().collect()
     }
 
-    pub(super) fn finished(&mut self, id: ActorId) {
-        if let Some(actor) = self.registered.get_mut(&id) {
+    /// A lease of the actor ended with its result.
+    pub(super) fn finished(&mut self, owner: Owner) {
+        self.processes.finished(owner.process);
+        if let Some(actor) = self.registered.get_mut(&owner.actor) {
             actor.strikes = 0;
+        }
+    }
+
+    /// A result of the actor was accepted.
+    pub(super) fn counted(&mut self, owner: Owner) {
+        if owner.trust == Trust::Foreign
+            && let Some(actor) = self.registered.get_mut(&owner.actor)
+        {
+            self.foreign += u64::from(!actor.counted);
+            actor.counted = true;
         }
     }
 
@@ -214,12 +229,29 @@ impl Actors {
         Some(pause)
     }
 
-    /// The process of each registered actor.
-    pub(super) fn processes(&self) -> impl Iterator<Item = Process> {
-        self.registered.values().map(|actor| actor.process)
+    /// Counts the expiry of a lease that began at `begun`, as [`Self::strike`] counts a refusal. Leases that were held
+    /// at the same time count once: a machine that slept lets all of them expire.
+    pub(super) fn expired(
+        &mut self,
+        owner: Owner,
+        begun: Duration,
+        now: Duration,
+    ) -> Option<Duration> {
+        self.processes.lost(owner.process);
+        let actor = self.registered.get_mut(&owner.actor)?;
+        if actor.expired.is_some_and(|latest| begun < latest) {
+            return None;
+        }
+        actor.expired = Some(now);
+        self.strike(owner.actor, now)
     }
 
     pub(super) fn count(&self) -> usize {
         self.registered.len()
+    }
+
+    /// How many gave the run's fingerprint.
+    pub(super) fn count_exact(&self) -> usize {
+        self.registered.values().filter(|actor| actor.trust == Trust::Exact).count()
     }
 }

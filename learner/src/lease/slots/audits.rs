@@ -1,19 +1,24 @@
 //! Audits: a share of the accepted slots is computed again by another actor, and the digests are compared. An audit
-//! is leased when no other work is free, and the slot's result is used meanwhile.
+//! is leased when no other work is free, and the slot's result is used meanwhile. Which evaluation episodes are audited is
+//! selected here; the evaluation waits for their audits.
 
 use std::collections::VecDeque;
 
-use proto::{Digest, LeaseId, RolloutWork, WeightsName};
+use proto::{Digest, EvaluationWork, LeaseId, RolloutWork, WeightsName};
 
 use super::actors::Owner;
-use super::iteration::{ComputedChunk, Disagreement, first_difference};
+use super::disagreement::{ComputedPart, Disagreement, Part};
+use super::iteration::first_difference;
 use super::leases::OpenLease;
 use crate::sample::SecretSample;
 
 /// Audits that wait for an actor or are computed. When one more comes, the oldest that nobody computes is skipped.
 const MOST_OPEN: usize = 8;
 
-/// Results of all audits so far.
+/// Added to an episode's number in the sample, so that episodes are selected regardless of the slots.
+const EPISODES: u64 = 1 << 32;
+
+/// Results of all audits so far, of slots and of episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AuditCounts {
     /// Both results were equal.
@@ -52,6 +57,11 @@ impl Audits {
     pub(super) fn skip_all(&mut self) {
         self.counts.skipped += self.open.len() as u64;
         self.open.clear();
+    }
+
+    /// Whether an evaluation episode is audited.
+    pub(super) fn covers(&self, work: EvaluationWork) -> bool {
+        self.sample.covers([work.iteration, EPISODES + u64::from(work.episode)])
     }
 
     /// A slot's result was accepted: it is audited if the sample covers it. Whether it is.
@@ -109,11 +119,10 @@ impl Audits {
         };
         self.counts.disagreed += 1;
         let chunk =
-            |actor, lease, digests: &[Digest]| ComputedChunk { actor, lease, digest: digests[at] };
+            |actor, lease, digests: &[Digest]| ComputedPart { actor, lease, digest: digests[at] };
         Some(Disagreement {
             iteration: audit.work.iteration,
-            slot: audit.work.slot,
-            sequence: at as u32,
+            part: Part::Chunk { slot: audit.work.slot, sequence: at as u32 },
             first: chunk(audit.owner.actor, audit.lease, &audit.digests),
             second: chunk(lease.owner.actor, id, &lease.digests),
         })

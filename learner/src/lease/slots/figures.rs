@@ -31,10 +31,13 @@ impl SlotTable {
         }
     }
 
-    /// Registered actors.
+    /// Registered actors that may get work.
     #[must_use]
     pub fn actors(&self) -> usize {
-        self.actors.count()
+        match self.rules.requires_fingerprint {
+            true => self.actors.count_exact(),
+            false => self.actors.count(),
+        }
     }
 
     /// The open leases, the oldest first.

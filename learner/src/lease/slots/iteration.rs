@@ -1,58 +1,17 @@
 //! The slots of the open iteration: which leases they have, which are complete, and whether results agree.
 
 use std::collections::BTreeSet;
-use std::fmt;
 use std::ops::Bound;
 use std::time::Duration;
 
 use proto::{ActorId, Digest, LeaseId, RolloutWork, WeightsName};
 
+use super::disagreement::{ComputedPart, Disagreement, Part};
 use super::leases::OpenLease;
 use super::{SlotRollout, Trust};
 
 /// Results of ended leases kept for comparison, for each slot.
 const MOST_EARLIER_RESULTS: usize = 8;
-/// Leases that a slot may have at a time: the first one and a backup.
-const MOST_LEASES: usize = 2;
-
-/// The digest of a chunk, and who computed it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ComputedChunk {
-    /// The actor that computed it.
-    pub actor: ActorId,
-    /// The lease under which it was computed.
-    pub lease: LeaseId,
-    /// The chunk's digest.
-    pub digest: Digest,
-}
-
-/// Two valid results of one slot that differ: a machine or the program is not deterministic, or an actor lies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Disagreement {
-    /// The iteration.
-    pub iteration: u64,
-    /// The slot.
-    pub slot: u32,
-    /// The first chunk that differs.
-    pub sequence: u32,
-    /// The earlier result.
-    pub first: ComputedChunk,
-    /// The later one.
-    pub second: ComputedChunk,
-}
-
-impl fmt::Display for Disagreement {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { iteration, slot, sequence, first, second } = self;
-        write!(
-            f,
-            "chunk {sequence} of slot {slot} in iteration {iteration}: actor {} gave {}, actor {} gave {}; \
-             a machine or the program is not deterministic; checkpoints after iteration {iteration} may hold \
-             wrong results",
-            first.actor, first.digest, second.actor, second.digest
-        )
-    }
-}
 
 /// What a complete result does.
 pub(super) enum Completion {
@@ -74,8 +33,8 @@ pub(super) struct OpenIteration {
     environments: (usize, usize),
     /// Indices of the slots without a lease.
     free: BTreeSet<usize>,
-    /// Slots that one lease computes, by its begin.
-    single: BTreeSet<(Duration, usize)>,
+    /// The slots with a lease, by the begin of the latest one.
+    held: BTreeSet<(Duration, usize)>,
     /// Slots whose result is complete, those that the trainer took included.
     complete: usize,
 }
@@ -106,7 +65,7 @@ enum SlotState {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeldLease {
     pub(super) id: LeaseId,
-    since: Duration,
+    pub(super) since: Duration,
 }
 
 /// Digests from an ended lease, from the first chunk on.
@@ -132,8 +91,8 @@ impl OpenIteration {
         let environments = (sizes.clone().sum(), sizes.max().unwrap_or(0));
         let slot = |work| Slot { work, issued: 0, state: SlotState::Free, earlier: Vec::new() };
         let slots = works.into_iter().map(slot).collect::<Vec<_>>();
-        let (free, single) = ((0..slots.len()).collect(), BTreeSet::new());
-        Self { iteration, weights, slots, environments, free, single, complete: 0 }
+        let (free, held) = ((0..slots.len()).collect(), BTreeSet::new());
+        Self { iteration, weights, slots, environments, free, held, complete: 0 }
     }
 
     /// The lowest free slot that `may_try` permits.
@@ -149,24 +108,25 @@ impl OpenIteration {
         Some(self.issue(index))
     }
 
-    /// Leases to `id` the slot that has been held longest, at least since `since`, by one lease that `may_back_up`. This
-    /// second lease begins `now`.
+    /// Leases to `id` the slot whose latest lease began first, at `since` or before, if its leases and their number so
+    /// far are such that it `may_be_backed_up`. This lease begins `now`. A second one that the slot has already is
+    /// replaced; it is returned.
     pub(super) fn claim_backup(
         &mut self,
         id: LeaseId,
         since: Duration,
         now: Duration,
-        may_back_up: impl Fn(LeaseId) -> bool,
-    ) -> Option<ClaimedSlot> {
-        let mut old = self.single.range(..=(since, usize::MAX)).map(|(_, index)| *index);
-        let other = |index: &usize| self.slots[*index].first_lease().is_some_and(&may_back_up);
-        let index = old.find(other)?;
-        self.change(index, |slot| {
-            if let SlotState::Held(leases) = &mut slot.state {
-                leases.push(HeldLease { id, since: now });
+        may_be_backed_up: impl Fn(&[HeldLease], u32) -> bool,
+    ) -> Option<(ClaimedSlot, Option<LeaseId>)> {
+        let mut old = self.held.range(..=(since, usize::MAX)).map(|(_, index)| *index);
+        let index = old.find(|index| match &self.slots[*index] {
+            Slot { state: SlotState::Held(leases), issued, .. } => {
+                may_be_backed_up(leases, *issued)
             }
-        });
-        Some(self.issue(index))
+            _ => false,
+        })?;
+        let replaced = self.change(index, |slot| slot.add_backup(HeldLease { id, since: now }));
+        Some((self.issue(index), replaced))
     }
 
     /// Changes a slot, and the indexes with it.
@@ -175,10 +135,9 @@ impl OpenIteration {
             SlotState::Free => {
                 self.free.remove(&index);
             }
-            SlotState::Held(leases) if leases.len() < MOST_LEASES => {
-                self.single.remove(&(leases[0].since, index));
+            SlotState::Held(leases) => {
+                self.held.remove(&(latest(leases), index));
             }
-            SlotState::Held(_) => {}
             SlotState::Complete(_) | SlotState::Taken => self.complete -= 1,
         }
         let result = change(&mut self.slots[index]);
@@ -186,10 +145,9 @@ impl OpenIteration {
             SlotState::Free => {
                 self.free.insert(index);
             }
-            SlotState::Held(leases) if leases.len() < MOST_LEASES => {
-                self.single.insert((leases[0].since, index));
+            SlotState::Held(leases) => {
+                self.held.insert((latest(leases), index));
             }
-            SlotState::Held(_) => {}
             SlotState::Complete(_) | SlotState::Taken => self.complete += 1,
         }
         result
@@ -209,10 +167,10 @@ impl OpenIteration {
         })
     }
 
-    /// Earliest begin after `moment`, or of all, of the slots that are held by one lease.
+    /// Earliest begin after `moment`, or of all, of the latest leases of the slots.
     pub(super) fn first_held_after(&self, moment: Option<Duration>) -> Option<Duration> {
         let after = moment.map_or(Bound::Unbounded, |at| Bound::Excluded((at, usize::MAX)));
-        self.single.range((after, Bound::Unbounded)).next().map(|(since, _)| *since)
+        self.held.range((after, Bound::Unbounded)).next().map(|(since, _)| *since)
     }
 
     /// The slot at this index.
@@ -293,6 +251,11 @@ impl OpenIteration {
         self.slots.len()
     }
 
+    /// Whether a slot has no lease.
+    pub(super) fn any_free(&self) -> bool {
+        !self.free.is_empty()
+    }
+
     /// Environments of all slots.
     pub(super) fn environments(&self) -> usize {
         self.environments.0
@@ -322,12 +285,12 @@ impl OpenIteration {
 }
 
 impl Slot {
-    /// The oldest of its leases.
-    fn first_lease(&self) -> Option<LeaseId> {
-        match &self.state {
-            SlotState::Held(leases) => leases.first().map(|lease| lease.id),
-            _ => None,
-        }
+    /// Adds a lease to the first one. The second lease that was there before.
+    fn add_backup(&mut self, lease: HeldLease) -> Option<LeaseId> {
+        let SlotState::Held(leases) = &mut self.state else { return None };
+        let replaced = leases.split_off(1);
+        leases.push(lease);
+        replaced.first().map(|replaced| replaced.id)
     }
 
     fn drop_lease(&mut self, id: LeaseId) {
@@ -354,9 +317,9 @@ impl Slot {
     ) -> Option<Disagreement> {
         let other = self.earlier.iter().find(|other| other.complete)?;
         let at = first_difference(&other.digests, &result.digests)?;
-        let slot = self.work.slot;
+        let part = Part::Chunk { slot: self.work.slot, sequence: at as u32 };
         let (first, second) = (other.chunk(at), result.chunk(at));
-        Some(Disagreement { iteration, slot, sequence: at as u32, first, second })
+        Some(Disagreement { iteration, part, first, second })
     }
 
     /// Keeps a result that adds to what is known. Complete results are never pushed out.
@@ -374,12 +337,17 @@ impl Slot {
 }
 
 impl EarlierResult {
-    fn chunk(&self, at: usize) -> ComputedChunk {
-        ComputedChunk { actor: self.actor, lease: self.lease, digest: self.digests[at] }
+    fn chunk(&self, at: usize) -> ComputedPart {
+        ComputedPart { actor: self.actor, lease: self.lease, digest: self.digests[at] }
     }
 }
 
 /// The first chunk that both have, with different digests.
 pub(super) fn first_difference(one: &[Digest], other: &[Digest]) -> Option<usize> {
     one.iter().zip(other).position(|(a, b)| a != b)
+}
+
+/// The begin of the latest of the leases of a slot.
+fn latest(leases: &[HeldLease]) -> Duration {
+    leases.last().map_or(Duration::ZERO, |lease| lease.since)
 }

@@ -1,10 +1,12 @@
-//! The open leases, and the indexes by which they are found without a look at all of them: by deadline and by actor.
+//! The open leases, and the indexes by which they are found and counted without a look at all of them: by deadline, by
+//! actor and by process.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use proto::{ActorId, LeaseId};
 
+use super::actors::Process;
 use super::leases::OpenLease;
 
 /// The open leases by id.
@@ -15,12 +17,15 @@ pub(super) struct OpenLeases {
     deadlines: BTreeSet<(Duration, LeaseId)>,
     /// All leases, by actor.
     owned: BTreeSet<(ActorId, LeaseId)>,
+    /// How many leases each process holds, if any.
+    held: BTreeMap<Process, usize>,
 }
 
 impl OpenLeases {
     pub(super) fn insert(&mut self, id: LeaseId, lease: OpenLease) {
         self.deadlines.insert((lease.deadline, id));
         self.owned.insert((lease.owner.actor, id));
+        *self.held.entry(lease.owner.process).or_default() += 1;
         self.leases.insert(id, lease);
     }
 
@@ -28,7 +33,23 @@ impl OpenLeases {
         let lease = self.leases.remove(&id)?;
         self.deadlines.remove(&(lease.deadline, id));
         self.owned.remove(&(lease.owner.actor, id));
+        if let Some(held) = self.held.get_mut(&lease.owner.process) {
+            *held -= 1;
+            if *held == 0 {
+                self.held.remove(&lease.owner.process);
+            }
+        }
         Some(lease)
+    }
+
+    /// Leases of this process.
+    pub(super) fn held_by(&self, process: Process) -> usize {
+        self.held.get(&process).copied().unwrap_or(0)
+    }
+
+    /// Processes that hold a lease.
+    pub(super) fn holders(&self) -> usize {
+        self.held.len()
     }
 
     pub(super) fn get(&self, id: LeaseId) -> Option<&OpenLease> {

@@ -90,7 +90,7 @@ pub enum Incident {
         /// The slot's environments; empty for other work.
         environments: Vec<u32>,
     },
-    /// Too many messages in a row were refused.
+    /// Too many messages in a row were refused, or leases expired.
     Quarantined {
         /// The actor.
         actor: ActorId,
@@ -106,7 +106,7 @@ pub enum Offer {
     Lease(Lease),
     /// Nothing is free.
     Nothing,
-    /// Too many of the actor's messages were refused: nothing for this actor until then.
+    /// Too many of the actor's messages were refused or of its leases expired: nothing for this actor until then.
     Quarantined(Duration),
     /// The run is over.
     Done,
@@ -119,13 +119,13 @@ pub struct Counts {
     pub chunks: u64,
     /// Registered actors.
     pub actors: usize,
-    /// Registrations without a fingerprint, over the whole run.
+    /// Actors without a fingerprint of which a result was accepted, over the whole run.
     pub foreign: u64,
     /// Slots and episodes that had to be leased again, over the whole run.
     pub reissued: u64,
-    /// Slots that were leased a second time because the first lease was slow, over the whole run.
+    /// Slots and episodes that were leased a second time because the first lease was slow, over the whole run.
     pub backups: u64,
-    /// Slots computed twice for comparison, over the whole run.
+    /// Slots and episodes computed twice for comparison, over the whole run.
     pub audits: AuditCounts,
     /// Open leases, of slots and of evaluation episodes.
     pub leases: usize,
@@ -148,7 +148,7 @@ pub struct Counts {
 pub struct Footprint {
     /// Registered actors: at most 16 for each open connection.
     pub actors: usize,
-    /// Open leases: at most two for each slot, one for each audit and each episode of an open evaluation.
+    /// Open leases: at most two for each slot and each episode of an open evaluation, and one for each audit.
     pub open_leases: usize,
     /// Finished leases whose results are recognised when they come again: at most 4,096.
     pub finished_leases: usize,

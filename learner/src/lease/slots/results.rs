@@ -5,10 +5,15 @@ use proto::{
     RolloutOrigin, RolloutWork, TrajectoryChunk,
 };
 
+use super::evaluations::{EpisodeAudit, Played, Verdict};
 use super::failures::Key;
 use super::iteration::Completion;
 use super::leases::{Claim, LeaseState, OpenLease, follows, repeated, wrong_kind};
 use super::{ConnectionId, Effect, SlotTable, Trust};
+
+/// An evaluation waits this many times to live for the audit of an episode, or three times the episode's own time if that is
+/// longer. After one, the audit comes before all other work.
+const AUDIT_IN_TTLS: u32 = 3;
 
 /// What would happen to a chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -109,7 +114,7 @@ impl SlotTable {
     fn complete_rollout(&mut self, id: LeaseId) {
         let Some(lease) = self.open.remove(id) else { return };
         self.finished.remember(id, lease.digests.clone());
-        self.actors.finished(lease.owner.actor);
+        self.actors.finished(lease.owner);
         match lease.claim {
             Claim::Slot(index) => self.complete_slot(id, index, lease),
             Claim::Audit { .. } => {
@@ -121,9 +126,13 @@ impl SlotTable {
     }
 
     fn complete_slot(&mut self, id: LeaseId, index: usize, lease: OpenLease) {
+        let slow = self.backup_age();
         let Some(open) = &mut self.iteration else { return };
         for other in open.other_leases(index, id) {
             if let Some(slower) = self.open.remove(other) {
+                if slower.digests.is_empty() && self.now - slower.begun >= slow {
+                    self.actors.processes.lost(slower.owner.process);
+                }
                 // Its later chunks are acknowledged if they are equal, and refused if they are not.
                 if slower.owner.trust == Trust::Exact && lease.owner.trust == Trust::Exact {
                     self.finished.remember(other, lease.digests.clone());
@@ -135,8 +144,9 @@ impl SlotTable {
         match open.complete(index, id, lease) {
             Completion::Accepted => {
                 self.failures.forget(Key::Slot(index));
+                self.actors.counted(owner);
                 self.typical.add(secs, open.work(index).environments.len());
-                let audited = owner.trust == Trust::Exact && self.actors.can_audit();
+                let audited = owner.trust == Trust::Exact && self.actors.processes.can_audit();
                 let digests = self.finished.digests(id).filter(|_| audited);
                 if digests.is_some_and(|digests| {
                     self.audits.consider(open.work(index), open.weights, id, owner, digests)
@@ -195,14 +205,55 @@ impl SlotTable {
             return Err(Refusal::new(Reason::BadValue, "evaluation.episode", detail));
         }
         if let Some(lease) = self.open.remove(header.lease) {
-            self.actors.finished(lease.owner.actor);
+            self.finished.remember(header.lease, vec![header.digest]);
+            self.actors.finished(lease.owner);
+            self.complete_episode(header, work, &lease, result);
         }
-        self.finished.remember(header.lease, vec![header.digest]);
         self.failures.forget(Key::Episode(work.iteration, work.episode));
-        let outcome = self.evaluations.complete(work, result);
-        self.effects.extend(outcome.map(Effect::Evaluation));
         let (lease, state) = (header.lease, AckState::Accepted);
         Ok(Ack { lease, sequence: 0, state, lease_finished: true })
+    }
+
+    fn complete_episode(
+        &mut self,
+        header: &PushHeader,
+        work: EvaluationWork,
+        lease: &OpenLease,
+        result: EvaluationResult,
+    ) {
+        let (id, digest, owner) = (header.lease, header.digest, lease.owner);
+        let (now, slow, took) = (self.now, self.episode_age(), self.now - lease.begun);
+        for other in self.evaluations.other_leases(work, id) {
+            if let Some(slower) = self.open.remove(other) {
+                if slower.owner.trust == Trust::Exact && owner.trust == Trust::Exact {
+                    self.finished.remember(other, vec![digest]);
+                }
+                if now - slower.begun >= slow {
+                    self.actors.processes.lost(slower.owner.process);
+                }
+            }
+        }
+        let open = &self.open;
+        let holds = |process| open.held_by(process) > 0;
+        let is_audited = owner.trust == Trust::Exact
+            && self.audits.covers(work)
+            && self.actors.processes.can_audit_soon(owner.process, now, holds);
+        let until = now + (self.rules.ttl * AUDIT_IN_TTLS).max(took * 3);
+        let audit = is_audited.then_some(EpisodeAudit { since: now, until, holder: None });
+        let played = Played { result, digest, owner, lease: id, audit };
+        match self.evaluations.complete(work, played) {
+            Verdict::First => {
+                self.actors.counted(owner);
+                self.typical_episode.add(took, 1);
+                self.effects.extend(audit.map(|_| Effect::WorkFreed));
+            }
+            Verdict::Agreed => self.audits.counts.agreed += 1,
+            Verdict::Differed(disagreement) => {
+                self.audits.counts.disagreed += 1;
+                self.effects.push(Effect::Failed(Box::new(disagreement)));
+            }
+        }
+        self.end_evaluations();
     }
 
     fn lease_state(

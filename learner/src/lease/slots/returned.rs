@@ -46,13 +46,10 @@ impl SlotTable {
         let (claim, Owner { actor, process, .. }) = (lease.claim, lease.owner);
         let (begin, status) = (self.begin_of(claim), lease.status(id, self.now));
         let Some(key) = Key::of(claim) else { return };
-        if let (Key::Slot(index), Some(open)) = (key, &self.iteration)
-            && !open.other_leases(index, id).is_empty()
-        {
-            // The lease was a backup, or has one.
+        if self.is_repeated(claim, id) {
             return;
         }
-        let (others, now) = (self.actors.processes(), (self.now, self.rules.ttl));
+        let (others, now) = (self.actors.processes.registered(), (self.now, self.rules.ttl));
         match self.failures.add((key, begin), failure, process, others, now) {
             Verdict::Retry => {}
             Verdict::BeginAgain => self.begin_again(key),
@@ -60,6 +57,18 @@ impl SlotTable {
                 let (work, detail) = (status.work, detail.to_owned());
                 self.effects.push(Effect::GivenUp { actor, work, times, detail });
             }
+        }
+    }
+
+    /// Whether the lease was a backup, has one, or is an audit.
+    fn is_repeated(&mut self, claim: Claim, id: LeaseId) -> bool {
+        match (claim, &self.iteration) {
+            (Claim::Slot(index), Some(open)) => !open.other_leases(index, id).is_empty(),
+            (Claim::Episode(work), _) => {
+                self.evaluations.is_played(work)
+                    || !self.evaluations.other_leases(work, id).is_empty()
+            }
+            _ => false,
         }
     }
 

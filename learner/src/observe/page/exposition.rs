@@ -95,12 +95,16 @@ impl MetricSet {
         self.gauges("actors", "Connected actors", "state", actors);
         let help = "Slots and episodes leased again";
         self.counter("leases_reissued", help, status.leases_reissued);
-        let help = "Slots leased a second time because the first lease was slow";
+        let help = "Slots and episodes leased a second time because the first lease was slow";
         self.counter("slots_backed_up", help, status.slots_backed_up);
         let AuditCounts { agreed, disagreed, skipped } = run.audits;
         let audits = [("agreed", agreed), ("disagreed", disagreed), ("skipped", skipped)];
         let audits = audits.map(|(result, count)| (vec![("result", result.to_owned())], count));
-        self.counters("audits", "Slots computed again by another actor, by result", audits);
+        self.counters(
+            "audits",
+            "Slots and episodes computed again by another actor, by result",
+            audits,
+        );
         let still = status.leases.iter().map(|lease| lease.still_secs).fold(0.0, f64::max);
         self.gauge("lease_still_seconds", "Longest time of an open lease without progress", still);
         if let Some(secs) = run.slot_secs {
@@ -120,8 +124,7 @@ impl MetricSet {
         let refusals = run.refusals.iter();
         let refusals = refusals.map(|(reason, count)| (vec![("reason", reason.clone())], *count));
         self.counters("messages_refused", "Refused messages by reason", refusals);
-        let help =
-            "Registrations without a fingerprint: with any, the run is not exactly repeatable";
+        let help = "Actors without a fingerprint whose results count: with any, the run is not exactly repeatable";
         self.counter("foreign_actors", help, run.foreign_actors);
         self.gauge("weights_bytes", "Size of the newest weights", run.weights_bytes as f64);
     }

@@ -1,0 +1,65 @@
+//! Two valid results of the same work that differ.
+
+use std::fmt;
+
+use proto::{ActorId, Digest, LeaseId};
+
+/// The digest of a chunk or of an episode's result, and who computed it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ComputedPart {
+    /// The actor that computed it.
+    pub actor: ActorId,
+    /// The lease under which it was computed.
+    pub lease: LeaseId,
+    /// The digest.
+    pub digest: Digest,
+}
+
+/// A part of an actor's work that has a digest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// A chunk of a slot.
+    Chunk {
+        /// The slot.
+        slot: u32,
+        /// The chunk's place in the slot.
+        sequence: u32,
+    },
+    /// The result of an evaluation episode.
+    Episode(u32),
+}
+
+/// Two valid results that differ: a machine or the program is not deterministic, or an actor lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Disagreement {
+    /// The iteration.
+    pub iteration: u64,
+    /// The first part that differs.
+    pub part: Part,
+    /// The earlier result.
+    pub first: ComputedPart,
+    /// The later one.
+    pub second: ComputedPart,
+}
+
+impl fmt::Display for Disagreement {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { iteration, part, first, second } = self;
+        let (what, wrong) = match part {
+            Part::Chunk { slot, sequence } => (
+                format!("chunk {sequence} of slot {slot} in iteration {iteration}"),
+                format!("checkpoints after iteration {iteration}"),
+            ),
+            Part::Episode(episode) => (
+                format!("evaluation episode {episode} of iteration {iteration}"),
+                "other evaluations of this run".to_owned(),
+            ),
+        };
+        write!(
+            f,
+            "{what}: actor {} gave {}, actor {} gave {}; a machine or the program is not deterministic; {wrong} \
+             may hold wrong results",
+            first.actor, first.digest, second.actor, second.digest
+        )
+    }
+}
