@@ -28,7 +28,11 @@ pub(crate) struct RunSection {
     /// Actor processes on this machine; 0: one per core.
     pub(crate) actors: usize,
     /// Run folder; empty: named for task, algorithm, seed and time.
-    pub(crate) dir: String,
+    #[expect(
+        dead_code,
+        reason = "it is read from the resolved settings, before a configuration is built"
+    )]
+    dir: String,
 }
 
 /// The whole configuration of a run.

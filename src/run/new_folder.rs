@@ -40,6 +40,7 @@ impl NewFolder {
             let (algorithm, seed) = (config.resolved.text("algorithm"), config.run.seed);
             return Self::made(&run_path::default_folder(task, algorithm, seed, SystemTime::now()));
         };
+        run_path::check_name(&path)?;
         let shown = path.display();
         if path.exists() && !path.is_dir() {
             let why = format!("{shown} is no folder; run.dir names the run's folder");

@@ -3,7 +3,7 @@
 
 use learner::end_states::StateReader;
 use learner::slots::ConnectionId;
-use learner::{AuditConfig, Exchange, LeaseConfig, launch};
+use learner::{AuditConfig, Exchange, Fingerprint, LeaseConfig, launch};
 use proto::{
     EnvironmentStart, LeaseAnswer, PolicyVersion, PushHeader, Reason, Refusal, RolloutWork, Start,
     TrajectoryChunk,
@@ -23,7 +23,8 @@ fn answer(change: impl Fn(&mut TrajectoryChunk)) -> Option<Refusal> {
     let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
     let policy = algorithm.snapshot().unwrap();
     let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };
-    let exchange = Exchange::new(run, lease, AuditConfig { share: 0.0 }, toy::states());
+    let audit = AuditConfig { share: 0.0, fingerprint: Fingerprint::Optional };
+    let exchange = Exchange::new(run, lease, audit, toy::states());
     exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();
     // The first environment's episode ends in the slot of 8 steps, the second one's does not.
     let start = |environment, limit| EnvironmentStart {

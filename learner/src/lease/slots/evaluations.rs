@@ -301,7 +301,8 @@ mod tests {
         let played = Played { result, digest, owner, lease, audit: None };
         assert_eq!(evaluations.complete(work(0), played), Verdict::First);
         (0..3).for_each(|episode| evaluations.release(work(episode), LeaseId(2)));
-        let mut claim = || evaluations.claim(LeaseId(4), Duration::ZERO, |_| true).map(|(work, ..)| work);
+        let mut claim =
+            || evaluations.claim(LeaseId(4), Duration::ZERO, |_| true).map(|(work, ..)| work);
         assert_eq!([claim(), claim()], [Some(work(1)), None]);
     }
 }
