@@ -91,7 +91,6 @@ impl EnvironmentService {
 
     /// A function that decodes the states of these environments as far as the program is not needed: the header, and the
     /// history of an episode that is replayed.
-    #[must_use]
     pub fn state_decoder(&self) -> impl Fn(&[u8]) -> Result<StateHeader, SimError> + use<> {
         let (states, longest) = (self.states, self.spec.episode_steps);
         let most = self.spec.max_state_bytes as usize;

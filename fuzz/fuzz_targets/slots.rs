@@ -217,6 +217,9 @@ impl Siege {
                     self.open_next();
                 }
                 Effect::Evaluation(outcome) => assert!(outcome.iteration < self.evaluations),
+                other @ (Effect::BeginAgain(_) | Effect::GivenUp { .. }) => {
+                    panic!("no lease is returned, but the table wants {other:?}")
+                }
                 Effect::Failed(found) => {
                     assert_ne!(found.first.digest, found.second.digest);
                     self.failed = true;

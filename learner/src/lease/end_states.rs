@@ -132,19 +132,13 @@ impl SlotCourse {
             let flags = chunk.terminated.iter().zip(&chunk.truncated);
             for (row, (terminated, truncated)) in flags.enumerate() {
                 let environment = row % courses.len();
-                courses[environment].step(*terminated || *truncated);
+                let course = &mut courses[environment];
+                course.steps += 1;
+                if *terminated || *truncated {
+                    (course.ended, course.steps) = (course.ended + 1, 0);
+                }
             }
         }
         Some(Self { states, courses })
-    }
-}
-
-impl Course {
-    fn step(&mut self, done: bool) {
-        self.steps += 1;
-        if done {
-            self.ended += 1;
-            self.steps = 0;
-        }
     }
 }

@@ -87,7 +87,7 @@ impl Failures {
     ) -> bool {
         let Some(failed) = self.0.get(&key) else { return true };
         let waits = || failed.is_untried_by(others) && now < failed.last + ttl;
-        !failed.decided && !(failed.by.contains(&process) && waits())
+        !(failed.decided || failed.by.contains(&process) && waits())
     }
 
     /// Counts a failure. `others` are the registered processes.
