@@ -130,7 +130,10 @@ impl EnvironmentSpec {
     /// Rejects names that cannot be shown, sizes of 0, indices outside the global state, and invalid actions.
     pub(crate) fn check(&self, field: &str) -> Result<(), Refusal> {
         short_name(&self.task, &format!("{field}.task"))?;
-        short_name(&self.state_kind, &format!("{field}.state_kind"))?;
+        // An environment whose states cannot be saved has no encoding.
+        if !self.state_kind.is_empty() {
+            short_name(&self.state_kind, &format!("{field}.state_kind"))?;
+        }
         positive(self.agents.len() as u64, &format!("{field}.agents"))?;
         check_names(&self.state, &format!("{field}.state"))?;
         for (i, agent) in self.agents.iter().enumerate() {

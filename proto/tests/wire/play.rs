@@ -131,12 +131,21 @@ fn a_name_of_an_environment_that_cannot_be_shown_is_refused_by_its_field() {
         ("agents[0].joints[1]", |spec| &mut spec.agents[0].joints[1]),
         ("agents[0].observation[2].name", |spec| &mut spec.agents[0].observation[2].name),
     ];
+    let answer = |spec: &EnvironmentSpec| wire::DescribeEnvironmentResponse {
+        environment: Some(spec.to_wire()),
+    };
+    let unnamed = EnvironmentSpec { task: String::new(), ..environment() };
+    assert_eq!(
+        EnvironmentSpec::from_service(answer(&unnamed)).unwrap_err().field,
+        "environment.task"
+    );
+    let unsaved = EnvironmentSpec { state_kind: String::new(), ..environment() };
+    assert!(EnvironmentSpec::from_service(answer(&unsaved)).is_ok());
     for (field, name) in named {
-        for hostile in ["", "a ", "a\nb", "a\u{2029}b", "a\u{2066}b", "\u{feff}a"] {
+        for hostile in ["a ", "a\nb", "a\u{2029}b", "a\u{2066}b", "\u{feff}a"] {
             let mut spec = environment();
             hostile.clone_into(name(&mut spec));
-            let answer = wire::DescribeEnvironmentResponse { environment: Some(spec.to_wire()) };
-            let refusal = EnvironmentSpec::from_service(answer).unwrap_err();
+            let refusal = EnvironmentSpec::from_service(answer(&spec)).unwrap_err();
             assert_eq!(refusal.field, format!("environment.{field}"), "{hostile:?}");
         }
     }
