@@ -340,7 +340,7 @@ fn a_checkpoint_is_recognised_by_its_place_and_as_a_copy_even_if_it_is_damaged()
     fs::create_dir(&copy).unwrap();
     assert!(!checkpoint::is_checkpoint(&copy) && !checkpoint::is_checkpoint(run.0.path()));
     files(&run.path(1)).iter().for_each(|file| {
-        let _bytes = fs::copy(file, copy.join(file.file_name().unwrap())).unwrap();
+        fs::copy(file, copy.join(file.file_name().unwrap())).unwrap();
     });
     assert_eq!(checkpoint::load(&copy).unwrap().checkpoint, checkpoint(1));
     fs::remove_file(copy.join("manifest.json")).unwrap();

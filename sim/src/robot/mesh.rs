@@ -83,7 +83,7 @@ impl Mesh {
 
     /// The convex hull.
     pub(super) fn hull(&self) -> Result<Hull, String> {
-        if let Some(far) = self.points.iter().flatten().find(|x| !(x.abs() <= FARTHEST)) {
+        if let Some(far) = self.points.iter().flatten().find(|x| x.is_nan() || x.abs() > FARTHEST) {
             return Err(format!("a coordinate is {far} m, at most {FARTHEST} m are allowed"));
         }
         let unique: BTreeSet<[u32; 3]> =
