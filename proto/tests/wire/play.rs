@@ -121,9 +121,12 @@ fn a_program_that_cannot_save_states_is_no_liar_and_equal_descriptions_have_one_
     assert_ne!(offered.digest(), environment().digest());
 }
 
+/// A name in a description.
+type NameOf = fn(&mut EnvironmentSpec) -> &mut String;
+
 #[test]
 fn a_name_of_an_environment_that_cannot_be_shown_is_refused_by_its_field() {
-    let named: [(&str, fn(&mut EnvironmentSpec) -> &mut String); 6] = [
+    let named: [(&str, NameOf); 6] = [
         ("task", |spec| &mut spec.task),
         ("state_kind", |spec| &mut spec.state_kind),
         ("state[1].name", |spec| &mut spec.state[1].name),
