@@ -20,8 +20,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use crate::run::fingerprints::BUILD;
 
 pub(crate) use control::{
-    CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
-    WatchArguments, patience,
+    CheckpointArguments, LearnerArgument, OrderArguments, StatusArguments, WatchArguments, patience,
 };
 pub(crate) use experiment::{ClusterArguments, Engine, ExperimentArguments};
 pub(crate) use export::ExportArguments;
@@ -72,7 +71,7 @@ pub(crate) enum Command {
     Health(HealthArguments),
     /// Print a run's iteration, slots, leases, actors and steps per second.
     Status(StatusArguments),
-    /// Stream a run folder live to Foxglove, or print one line per iteration that a learner finishes.
+    /// Print one line per finished iteration of a run; continues when its learner restarts.
     Watch(WatchArguments),
     /// Pause a learner: it issues no new leases; issued leases are finished.
     Pause(OrderArguments),
@@ -174,9 +173,6 @@ pub(crate) struct TrainArguments {
     /// Web page.
     #[command(flatten)]
     pub(crate) page: PageArguments,
-    /// Live view.
-    #[command(flatten)]
-    pub(crate) live: LiveArguments,
 }
 
 /// `s2mia learner`

@@ -11,7 +11,6 @@ mod film;
 mod health;
 mod inspect;
 mod learner;
-mod live;
 mod log;
 mod page;
 mod plot;

@@ -52,7 +52,6 @@ fn invalid_settings_give_one_line_and_status_two() {
         (&["watch", "no/such/run"], "no/such/run"),
         (&["watch", "no/such/run", "--lines"], "no/such/run"),
         (&["watch", "--max-outage-secs=-1"], "--max-outage-secs"),
-        (&["watch", "--listen=127.0.0.1:0"], "--listen belongs to the live view"),
         (&["watch", "no/such/run", "--json"], "--json belongs to lines"),
         (&["watch", "no/such/run", "--listen", "here"], "--listen"),
         (&["train", "--watch=here"], "--watch"),

@@ -16,7 +16,6 @@ use crate::channels::ShareChannels;
 use crate::error::RecordError;
 use crate::mcap_file::{McapFile, verify};
 use crate::share::LoggedShare;
-use crate::sink::Sink as _;
 
 /// Origin of the shares of a file.
 #[derive(Clone, Debug, PartialEq)]

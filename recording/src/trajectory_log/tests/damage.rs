@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::slot_log;
 use crate::mcap_file::McapFile;
-use crate::sink::{Schema, Sink as _};
+use crate::mcap_file::Schema;
 use crate::trajectory_log::recover::{Loss, copy};
 use crate::trajectory_log::source::read_bytes;
 use crate::trajectory_log::{LogError, Recovered, read_shares, records, recover, survey};
