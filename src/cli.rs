@@ -25,7 +25,7 @@ pub(crate) use control::{
 pub(crate) use experiment::{ClusterArguments, Engine, ExperimentArguments};
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::PlotArguments;
-pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
+pub(crate) use log::{ActorLogArguments, LogCommand, LogFiles};
 pub(crate) use page::{PageAddress, PageArguments, RunsPageArguments};
 pub(crate) use refusal::report;
 pub(crate) use serve::ServeArguments;
@@ -87,7 +87,7 @@ pub(crate) enum Command {
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP for Foxglove.
     Record(RecordArguments),
-    /// Inspect, verify, repair, replay and join trajectory logs.
+    /// Verify and replay trajectory logs.
     #[command(subcommand)]
     Log(LogCommand),
     /// Draw a robot's motion as a strip of pictures; print its distance and signs of unphysical motion.

@@ -4,5 +4,4 @@ pub mod checkpoint;
 pub mod durable;
 pub mod json_lines;
 pub mod provenance;
-pub mod reward_log;
 pub mod run_folder;

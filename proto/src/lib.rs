@@ -19,7 +19,6 @@ mod play;
 mod read;
 mod refusal;
 mod run;
-mod share_rewards;
 mod sizes;
 mod status;
 mod tensor;
@@ -48,7 +47,6 @@ pub use line::{EvaluationSummary, RunEnd, RunLine};
 pub use play::{PlayRequest, Steps, View, saved_state};
 pub use refusal::{Reason, Refusal, in_words};
 pub use run::RunDescription;
-pub use share_rewards::{ShareRewards, is_reward_log_name, reward_log_name};
 pub use status::{LeaseStatus, LeasedWork, Status};
 pub use trajectory::{AgentChunk, EvaluationResult, FinalStep, SlotEnd, TrajectoryChunk};
 pub use work::{

@@ -13,8 +13,8 @@ use serde_json::json;
 use sim::{Description, Feature, LinkShape, Pose};
 
 use crate::error::RecordError;
-use crate::share::LoggedStep;
 use crate::mcap_file::{Channel, McapFile, Schema};
+use crate::share::LoggedStep;
 use robot::RobotChannels;
 
 /// The channels `/share`, `/agents/I`, `/step` and `/share_end`, and those of a simulated robot.
@@ -56,18 +56,29 @@ impl ShareChannels {
     }
 
     /// Writes the start of a share.
-    pub(crate) fn begin(&mut self, file: &mut McapFile<impl Write + Seek>, head: &Share) -> Result<(), RecordError> {
+    pub(crate) fn begin(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+        head: &Share,
+    ) -> Result<(), RecordError> {
         file.write(&mut self.share, &head.encode_to_vec())?;
         self.scene(file)
     }
 
     /// Writes the shapes of the robot, if there is one.
-    pub(crate) fn scene(&mut self, file: &mut McapFile<impl Write + Seek>) -> Result<(), RecordError> {
+    pub(crate) fn scene(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+    ) -> Result<(), RecordError> {
         self.robot.as_mut().map_or(Ok(()), |robot| robot.scene(file))
     }
 
     /// Writes the pose of the robot, if there is one.
-    pub(crate) fn pose(&mut self, file: &mut McapFile<impl Write + Seek>, pose: &Pose) -> Result<(), RecordError> {
+    pub(crate) fn pose(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+        pose: &Pose,
+    ) -> Result<(), RecordError> {
         self.robot.as_mut().map_or(Ok(()), |robot| robot.pose(file, pose))
     }
 
@@ -84,7 +95,11 @@ impl ShareChannels {
     }
 
     /// Writes the end of a share.
-    pub(crate) fn end(&mut self, file: &mut McapFile<impl Write + Seek>, end: &ShareEnd) -> Result<(), RecordError> {
+    pub(crate) fn end(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+        end: &ShareEnd,
+    ) -> Result<(), RecordError> {
         file.write(&mut self.end, &end.encode_to_vec())
     }
 }

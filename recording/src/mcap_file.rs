@@ -27,7 +27,6 @@ pub(crate) struct Channel {
     buffer: Vec<u8>,
 }
 
-
 /// Schema and encoding of a channel's messages.
 pub(crate) struct Schema<'a> {
     /// Full name of the message type.
@@ -119,7 +118,10 @@ impl<W: Write + Seek> McapFile<W> {
     }
 
     /// Creates a channel for a Foxglove message type.
-    pub(crate) fn foxglove_channel<M: Encode>(&mut self, topic: &str) -> Result<Channel, RecordError> {
+    pub(crate) fn foxglove_channel<M: Encode>(
+        &mut self,
+        topic: &str,
+    ) -> Result<Channel, RecordError> {
         let missing =
             || RecordError::Message { topic: topic.to_owned(), why: "no schema".to_owned() };
         let schema = M::get_schema().ok_or_else(missing)?;

@@ -167,7 +167,6 @@ fn launch(
         task_settings: offered.task_settings,
         seed: RunSeed(config.run.seed),
         iterations: config.iterations(),
-        logged: config.log.episodes,
         run_id: run_path::name(folder),
         folder: folder.to_path_buf(),
         config_toml: config.resolved.to_toml(),
