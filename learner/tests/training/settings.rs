@@ -7,7 +7,7 @@ use learner::{
     LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
 };
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, RunSeed};
-use proto::{Digest};
+use proto::Digest;
 use serde_json::json;
 
 use crate::toy;
