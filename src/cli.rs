@@ -20,7 +20,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use crate::run::fingerprints::BUILD;
 
 pub(crate) use control::{
-    CheckpointArguments, LearnerArgument, OrderArguments, StatusArguments, WatchArguments, patience,
+    LearnerArgument, StatusArguments, StopArguments, WatchArguments, patience,
 };
 pub(crate) use experiment::{ClusterArguments, Engine, ExperimentArguments};
 pub(crate) use export::ExportArguments;
@@ -73,14 +73,8 @@ pub(crate) enum Command {
     Status(StatusArguments),
     /// Print one line per finished iteration of a run; continues when its learner restarts.
     Watch(WatchArguments),
-    /// Pause a learner: it issues no new leases; issued leases are finished.
-    Pause(OrderArguments),
-    /// Continue a paused learner. (`s2mia train --resume` continues a run that has ended.)
-    Resume(OrderArguments),
-    /// Make a learner write a checkpoint, and print its path.
-    Checkpoint(CheckpointArguments),
     /// Make a learner write a checkpoint and exit, as SIGTERM does.
-    Stop(OrderArguments),
+    Stop(StopArguments),
     /// Serve a run's trained policies over gRPC: clients send observations and receive actions.
     Serve(ServeArguments),
     /// Evaluate a trained policy: extrinsic return of whole episodes, with the mean action by default.

@@ -47,8 +47,6 @@ impl Progress {
             Event::Waiting { .. } | Event::Evaluation { .. } => {
                 self.line(&wording::notice(event).unwrap_or_default());
             }
-            Event::Paused => self.paused(),
-            Event::Resumed => self.resumed(),
             Event::Stage(_) | Event::Checkpoint { .. } | Event::CheckpointFailed { .. } => {}
         }
         if self.recent.is_complete() {
@@ -76,21 +74,6 @@ impl Progress {
     fn collecting(&self, env_steps: u64) {
         if let Screen::Bar(bar) = &self.screen {
             bar.set_position(env_steps);
-        }
-    }
-
-    fn paused(&self) {
-        let text = "paused: no new work is handed out until `s2mia resume`";
-        match &self.screen {
-            Screen::Bar(bar) => bar.set_message(text),
-            Screen::Lines { .. } => output::line(text),
-        }
-    }
-
-    fn resumed(&self) {
-        match &self.screen {
-            Screen::Bar(bar) => bar.set_message(self.recent.figures()),
-            Screen::Lines { .. } => output::line("resumed"),
         }
     }
 

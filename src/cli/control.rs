@@ -34,25 +34,14 @@ pub(crate) struct StatusArguments {
     pub(crate) timeout_secs: f64,
 }
 
-/// `s2mia pause`, `resume` and `stop`
+/// `s2mia stop`
 #[derive(Args, Debug)]
-pub(crate) struct OrderArguments {
+pub(crate) struct StopArguments {
     /// Learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
     /// Timeout for the learner's response.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
-    pub(crate) timeout_secs: f64,
-}
-
-/// `s2mia checkpoint`
-#[derive(Args, Debug)]
-pub(crate) struct CheckpointArguments {
-    /// Learner.
-    #[command(flatten)]
-    pub(crate) learner: LearnerArgument,
-    /// Timeout for the checkpoint. The learner finishes an update in progress first.
-    #[arg(long, value_name = "SECONDS", default_value_t = 600.0)]
     pub(crate) timeout_secs: f64,
 }
 

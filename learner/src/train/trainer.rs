@@ -172,7 +172,6 @@ impl RunningTrainer {
             self.record(&collected, &update)?;
             self.evaluate_if_due()?;
             self.save_if_due();
-            self.save_if_requested();
         }
         self.end()
     }
@@ -190,7 +189,6 @@ impl RunningTrainer {
     /// Writes the last checkpoint, then waits for the last evaluation.
     fn end(&mut self) -> Result<Summary, LearnerError> {
         let saved = self.save_now()?;
-        self.save_if_requested();
         let complete = self.trainer.iteration >= self.trainer.last_iteration;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.trainer.metrics.sync()?;

@@ -181,24 +181,6 @@ fn a_finished_run_answers_done() {
 }
 
 #[test]
-fn a_paused_run_grants_no_leases_accepts_results_and_can_be_resumed() {
-    let mut table = table(2);
-    let a = actor(&mut table, 1);
-    let open = lease(&mut table, a);
-    table.open_evaluation(0, weights(), 1);
-    table.pause();
-    assert_eq!((a.ask(&mut table), table.is_paused()), (Ok(Offer::Nothing), true));
-    assert!((0..CHUNKS).all(|sequence| push(&mut table, &open, sequence).is_ok()));
-    table.effects();
-    table.resume();
-    assert_eq!(table.effects(), [Effect::WorkFreed], "waiting actors are notified");
-    assert_eq!(slot(&lease(&mut table, a)), 1);
-    table.pause();
-    table.finish();
-    assert_eq!(a.ask(&mut table), Ok(Offer::Done), "a finished run stays finished");
-}
-
-#[test]
 fn the_seventeenth_registration_of_a_connection_removes_its_first_actor() {
     let mut table = table(1);
     let first = actor(&mut table, 1);

@@ -39,12 +39,6 @@ impl RunningTrainer {
         self.outside.exchange.report_storage(storage);
     }
 
-    /// Writes a checkpoint if an operator requested one, and answers the request. Returns whether there was a request.
-    pub(super) fn save_if_requested(&mut self) -> bool {
-        let exchange = Arc::clone(&self.outside.exchange);
-        exchange.orders().answer_saves(|| self.save_now())
-    }
-
     /// Writes a checkpoint of the last finished iteration, unless it already exists.
     pub(super) fn save_now(&mut self) -> Result<Saved, LearnerError> {
         let iteration = self.trainer.iteration;
