@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use marl::{ObservationMoments, ObservationScale, Surprise};
 use policy::{PolicyConfig, RunSeed};
-use proto::{Digest, EnvironmentSpec, Episodes, Incarnation, PROTOCOL_VERSION, RunDescription};
+use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescription};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 

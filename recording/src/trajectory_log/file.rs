@@ -82,25 +82,6 @@ impl Origin {
             description,
         }
     }
-
-    /// Origin from the metadata of a log.
-    pub(super) fn of_log(log: &ReadShares) -> Result<Self, LogError> {
-        let task = log.task()?;
-        let world = sim::environments(&task, 1).map_err(|e| LogError::Unfit(e.to_string()))?;
-        Ok(Self {
-            words: log.words.clone(),
-            settings_toml: log.settings_toml.clone(),
-            task_settings: log.task_settings.clone(),
-            description: world.description().clone(),
-            shapes: shapes(&*world),
-        })
-    }
-
-    /// Adds a metadata entry.
-    pub(super) fn with(mut self, name: &str, value: String) -> Self {
-        self.words.insert(name.to_owned(), value);
-        self
-    }
 }
 
 /// Shapes of the simulated robot; empty for games and external environments.

@@ -1,7 +1,6 @@
 //! Checkpoints of the trainer: their content and when they are written.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
 use policy::arrays::{Array, NamedArrays};
