@@ -21,13 +21,12 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use crate::run::fingerprints::BUILD;
 
 pub(crate) use control::{
-    CheckpointArguments, LearnerArgument, LiveArguments, OrderArguments, StatusArguments,
-    WatchArguments, patience, seconds,
+    LearnerArgument, StatusArguments, StopArguments, WatchArguments, patience, seconds,
 };
 pub(crate) use experiment::{Engine, ExperimentArguments};
 pub(crate) use export::ExportArguments;
 pub(crate) use figures::PlotArguments;
-pub(crate) use log::{ActorLogArguments, JoinArguments, LogCommand, LogFiles, RecoverArguments};
+pub(crate) use log::{ActorLogArguments, LogCommand, LogFiles};
 pub(crate) use page::{PageAddress, PageArguments, RunsPageArguments};
 pub(crate) use paths::ForceArguments;
 pub(crate) use refusal::report;
@@ -74,23 +73,17 @@ pub(crate) enum Command {
     Health(HealthArguments),
     /// Print a run's iteration, slots, leases, actors and steps per second.
     Status(StatusArguments),
-    /// Stream a run folder live to Foxglove, or print one line per iteration that a learner finishes.
+    /// Print one line per finished iteration of a run; continues when its learner restarts.
     Watch(WatchArguments),
-    /// Pause a learner: it issues no new leases; issued leases are finished.
-    Pause(OrderArguments),
-    /// Continue a paused learner. (`s2mia train --resume` continues a run that has ended.)
-    Resume(OrderArguments),
-    /// Make a learner write a checkpoint, and print its path.
-    Checkpoint(CheckpointArguments),
     /// Make a learner write a checkpoint and exit, as SIGTERM does.
-    Stop(OrderArguments),
+    Stop(StopArguments),
     /// Serve a run's trained policies over gRPC: clients send observations and receive actions.
     Serve(ServeArguments),
     /// Evaluate a trained policy: extrinsic return of whole episodes, with the mean action by default.
     Eval(EvalArguments),
     /// Record episodes of a trained policy as MCAP for Foxglove.
     Record(RecordArguments),
-    /// Inspect, verify, repair, replay and join trajectory logs.
+    /// Verify and replay trajectory logs.
     #[command(subcommand)]
     Log(LogCommand),
     /// Draw a robot's motion as a strip of pictures; print its distance and signs of unphysical motion.
@@ -179,9 +172,6 @@ pub(crate) struct TrainArguments {
     /// Web page.
     #[command(flatten)]
     pub(crate) page: PageArguments,
-    /// Live view.
-    #[command(flatten)]
-    pub(crate) live: LiveArguments,
 }
 
 /// `s2mia learner`

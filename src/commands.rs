@@ -11,7 +11,6 @@ mod film;
 mod health;
 mod inspect;
 mod learner;
-mod live;
 mod log;
 mod page;
 mod plot;
@@ -43,9 +42,6 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Health(arguments) => health::run(&arguments),
         Command::Status(arguments) => status::run(&arguments),
         Command::Watch(arguments) => watch::run(&arguments),
-        Command::Pause(arguments) => control::pause(&arguments),
-        Command::Resume(arguments) => control::resume(&arguments),
-        Command::Checkpoint(arguments) => control::checkpoint(&arguments),
         Command::Stop(arguments) => control::stop(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),

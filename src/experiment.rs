@@ -1,14 +1,11 @@
-//! Many runs from one file: tasks x variants x seeds. Reads the file, plans the runs, claims and runs
-//! them, and compares them.
+//! Many runs from one file: tasks x variants x seeds. Reads the file, plans the runs, executes them, and compares them.
 
-pub(crate) mod claim;
 pub(crate) mod comparison;
 pub(crate) mod file;
 pub(crate) mod listing;
 pub(crate) mod place;
 pub(crate) mod plan;
 pub(crate) mod progress;
-pub(crate) mod queue;
 pub(crate) mod record;
 pub(crate) mod report;
 pub(crate) mod results;

@@ -5,13 +5,12 @@ mod wording;
 mod work;
 
 use std::io::IsTerminal as _;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use learner::Event;
 
-use crate::process::{logging, output, shell};
+use crate::process::{logging, output};
 use wording::RecentIterations;
 pub(crate) use work::WorkProgress;
 
@@ -22,8 +21,6 @@ const LINE_PERIOD: Duration = Duration::from_secs(10);
 pub(crate) struct Progress {
     recent: RecentIterations,
     screen: Screen,
-    /// The command that ends a pause.
-    resume: String,
 }
 
 enum Screen {
@@ -32,14 +29,13 @@ enum Screen {
 }
 
 impl Progress {
-    /// For a run of `total` env steps in `folder`; a bar if stdout is a terminal.
-    pub(crate) fn new(total: u64, folder: &Path) -> Self {
+    /// For a run of `total` env steps; a bar if stdout is a terminal.
+    pub(crate) fn new(total: u64) -> Self {
         let screen = match std::io::stdout().is_terminal() {
             true => Screen::Bar(bar(total)),
             false => Screen::Lines { last: None },
         };
-        let resume = format!("s2mia resume {}", shell::path(folder));
-        Self { recent: RecentIterations::new(total), screen, resume }
+        Self { recent: RecentIterations::new(total), screen }
     }
 
     /// Shows one event.
@@ -51,8 +47,6 @@ impl Progress {
             Event::Waiting { .. } | Event::Evaluation { .. } => {
                 self.line(&wording::notice(event).unwrap_or_default());
             }
-            Event::Paused => self.paused(),
-            Event::Resumed => self.resumed(),
             Event::Stage(_) | Event::Checkpoint { .. } | Event::CheckpointFailed { .. } => {}
         }
         if self.recent.is_complete() {
@@ -80,21 +74,6 @@ impl Progress {
     fn collecting(&self, env_steps: u64) {
         if let Screen::Bar(bar) = &self.screen {
             bar.set_position(env_steps);
-        }
-    }
-
-    fn paused(&self) {
-        let text = format!("paused: no new work is handed out until `{}`", self.resume);
-        match &self.screen {
-            Screen::Bar(bar) => bar.set_message(text),
-            Screen::Lines { .. } => output::line(text),
-        }
-    }
-
-    fn resumed(&self) {
-        match &self.screen {
-            Screen::Bar(bar) => bar.set_message(self.recent.figures()),
-            Screen::Lines { .. } => output::line("resumed"),
         }
     }
 

@@ -1,5 +1,4 @@
-//! Authorised clients pause, save, watch and stop a running learner. It ends in the same state as an undisturbed
-//! one.
+//! Authorised clients watch and stop a running learner. A resume ends in the same state as an undisturbed run.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/runs.rs"]
@@ -15,7 +14,7 @@ use std::process::{Child, Command, Stdio};
 use serde_json::{Value, json};
 
 use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, has_begun};
+use waiting::has_begun;
 
 const THIRTY: &str = "run.iterations=30";
 
@@ -29,51 +28,16 @@ fn terminate(process: &Child) {
     assert!(sent.success());
 }
 
-/// Starts a run of thirty iterations and waits until it has begun.
-fn begun(folder: &Path) -> Child {
+/// Starts a run of this `length` and waits until it has begun.
+fn begun(folder: &Path, length: &str) -> Child {
     let dir = format!("run.dir={}", folder.display());
-    let run = background(&[&["train"], TINY, &[dir.as_str(), THIRTY]].concat());
+    let run = background(&[&["train"], TINY, &[dir.as_str(), length]].concat());
     has_begun(folder);
     run
 }
 
 fn status(of: &str) -> Value {
     serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
-}
-
-/// The status of a paused run without open work, and the path of its checkpoint. Checkpoints are written between
-/// updates only, so the status after one includes a pending update.
-fn at_rest(of: &str) -> (Value, String) {
-    eventually(|| {
-        let before = status(of);
-        let saved = succeeded(&["checkpoint", of]);
-        let after = status(of);
-        let rests = before == after && after["leases"] == json!([]);
-        if rests { Ok((after, saved)) } else { Err(format!("the run moves: {after}")) }
-    })
-}
-
-#[test]
-fn pauses_and_checkpoints_at_any_time_do_not_affect_the_result() {
-    let runs = Runs::new();
-    let (disturbed, quiet) = (runs.folder("disturbed"), runs.folder("quiet"));
-    let of = disturbed.to_str().unwrap();
-    let mut run = begun(&disturbed);
-    assert!(succeeded(&["pause", of]).contains("is paused"));
-    let (paused, line) = at_rest(of);
-    assert_eq!(paused["state"], "paused");
-    let health = ["health", "--learner", &address(&disturbed)];
-    assert!(succeeded(&health).contains("serves"), "a paused learner is healthy");
-    let iteration = &paused["iteration"];
-    assert!(line.starts_with(&format!("iteration {iteration}: ")), "{line}");
-    assert!(Path::new(line.trim().rsplit(": ").next().unwrap()).join("manifest.json").is_file());
-    assert_eq!(inspect(&disturbed)["iteration"], *iteration);
-    assert!(succeeded(&["resume", of]).contains("goes on"));
-    let line = succeeded(&["checkpoint", of]);
-    assert!(line.starts_with("iteration "), "{line}");
-    assert!(run.wait().unwrap().success());
-    train(&quiet, &[THIRTY]);
-    assert_eq!(inspect(&disturbed), inspect(&quiet));
 }
 
 /// The URL of a run's learner.
@@ -83,16 +47,14 @@ fn address(folder: &Path) -> String {
 }
 
 #[test]
-fn calls_without_the_token_are_refused_and_do_not_affect_the_run() {
+fn a_stop_without_the_token_is_refused_and_the_run_continues() {
     let runs = Runs::new();
-    let (disturbed, quiet) = (runs.folder("disturbed"), runs.folder("quiet"));
-    let of = disturbed.to_str().unwrap();
-    let mut run = begun(&disturbed);
-    // The run cannot end meanwhile.
-    succeeded(&["pause", of]);
-    let (url, token) = (address(&disturbed), disturbed.join("token"));
+    let folder = runs.folder("guarded");
+    let of = folder.to_str().unwrap();
+    let mut run = begun(&folder, "run.iterations=1000000");
+    let (url, token) = (address(&folder), folder.join("token"));
     assert_eq!(std::fs::metadata(&token).unwrap().permissions().mode() & 0o777, 0o600);
-    for order in ["pause", "resume", "checkpoint", "stop", "actor --learner"] {
+    for order in ["stop", "actor --learner"] {
         let arguments: Vec<&str> = order.split(' ').chain([url.as_str()]).collect();
         let answer = s2mia(&arguments);
         let told = String::from_utf8(answer.stderr).unwrap();
@@ -100,31 +62,28 @@ fn calls_without_the_token_are_refused_and_do_not_affect_the_run() {
         assert_eq!(answer.status.code(), Some(1), "{told}");
         assert!(line.contains("has no token") && line.contains(token.to_str().unwrap()), "{told}");
     }
-    assert_eq!(status(&url)["state"], "paused", "the status needs no token");
-    succeeded(&["resume", of]);
+    assert_eq!(status(&url)["state"], "running", "the status needs no token");
+    succeeded(&["stop", of]);
     assert!(run.wait().unwrap().success());
-    train(&quiet, &[THIRTY]);
-    assert_eq!(inspect(&disturbed), inspect(&quiet));
 }
 
 #[test]
-fn a_paused_run_can_be_stopped_and_resumed() {
+fn a_run_that_a_client_stops_can_be_resumed() {
     let runs = Runs::new();
     let (stopped, quiet) = (runs.folder("stopped"), runs.folder("quiet"));
     let of = stopped.to_str().unwrap();
-    let mut run = begun(&stopped);
-    succeeded(&["pause", of]);
-    let iteration = at_rest(of).0["iteration"].clone();
+    let mut run = begun(&stopped, THIRTY);
     assert!(succeeded(&["stop", of]).contains("stops after a checkpoint"));
     assert!(run.wait().unwrap().success());
     let left = status(of);
-    assert_eq!((&left["state"], &left["iteration"]), (&json!("stopped"), &iteration));
-    for order in ["pause", "resume", "checkpoint", "stop"] {
-        let answer = s2mia(&[order, of]);
-        let line = String::from_utf8(answer.stderr).unwrap();
-        assert_eq!(answer.status.code(), Some(1));
-        assert!(line.contains("no learner works on") && line.lines().count() == 1, "{line}");
-    }
+    assert_eq!(
+        (&left["state"], &left["iteration"]),
+        (&json!("stopped"), &inspect(&stopped)["iteration"])
+    );
+    let answer = s2mia(&["stop", of]);
+    let line = String::from_utf8(answer.stderr).unwrap();
+    assert_eq!(answer.status.code(), Some(1));
+    assert!(line.contains("no learner works on") && line.lines().count() == 1, "{line}");
     succeeded(&["train", "--resume", of]);
     train(&quiet, &[THIRTY]);
     assert_eq!(inspect(&stopped), inspect(&quiet));
@@ -148,10 +107,10 @@ fn watched(folder: &Path) -> Child {
 fn waiting_for_a_learner_is_reported_once_with_its_reason() {
     let runs = Runs::new();
     let folder = runs.folder("stopped");
-    let mut learner = begun(&folder);
+    let mut learner = begun(&folder, THIRTY);
     let of = folder.to_str().unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(["watch", of, "--lines", "--max-outage-secs", "1.5"]);
+    command.args(["watch", of, "--max-outage-secs", "1.5"]);
     let watch = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
     let mut watch = watch.unwrap();
     // The first line shows that the watcher has met the learner.
@@ -172,9 +131,9 @@ fn waiting_for_a_learner_is_reported_once_with_its_reason() {
 fn a_watcher_of_a_run_that_a_client_stops_says_so_and_ends_as_does_a_later_one() {
     let runs = Runs::new();
     let folder = runs.folder("stopped by a client");
-    let mut learner = begun(&folder);
+    let mut learner = begun(&folder, THIRTY);
     let of = folder.to_str().unwrap();
-    let mut watch = background(&["watch", of, "--lines"]);
+    let mut watch = background(&["watch", of]);
     let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
     told.next().unwrap().unwrap();
     succeeded(&["stop", of]);
@@ -182,10 +141,7 @@ fn a_watcher_of_a_run_that_a_client_stops_says_so_and_ends_as_does_a_later_one()
     assert!(watch.wait().unwrap().success());
     let last = told.last().unwrap().unwrap();
     assert!(last.starts_with("stopped after iteration "), "{last}");
-    assert_eq!(
-        succeeded(&["watch", of, "--lines"]).trim_end().split("  ").next(),
-        last.split("  ").next()
-    );
+    assert_eq!(succeeded(&["watch", of]).trim_end().split("  ").next(), last.split("  ").next());
 }
 
 #[test]
@@ -193,8 +149,8 @@ fn a_watcher_gets_each_iteration_once_across_a_restart_and_then_the_end() {
     let runs = Runs::new();
     let folder = runs.folder("watched");
     let of = folder.to_str().unwrap();
-    let mut first = begun(&folder);
-    let mut watch = background(&["watch", of, "--lines", "--json"]);
+    let mut first = begun(&folder, THIRTY);
+    let mut watch = background(&["watch", of, "--json"]);
     let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
     let begin = told.next().unwrap().unwrap();
     terminate(&first);
@@ -217,6 +173,6 @@ fn a_watcher_gets_each_iteration_once_across_a_restart_and_then_the_end() {
         (&ends[1]["iteration"], &ends[1]["evaluation"]["iteration"]),
         (&json!(30), &json!(30))
     );
-    let at_rest = succeeded(&["watch", of, "--lines"]);
+    let at_rest = succeeded(&["watch", of]);
     assert!(at_rest.starts_with("finished after iteration 30, "), "{at_rest}");
 }

@@ -1,11 +1,11 @@
 //! Environments of another program, behind the interface of simulated ones. This module counts episodes and steps,
-//! truncates episodes at their limits, restores an episode in the next slot, and maps actions, which runs have in units
-//! of half a range, to the range that the program states.
+//! truncates episodes at their limits, and restores an episode in the next slot. `actions.rs` maps actions.
 //!
 //! An encoded state starts with the episode's index (u64), step (u32) and limit (u32), little-endian. The saved state
 //! of the program follows. If the program does not save states, the episode's key (32 bytes) and its actions so far
 //! (f32 `[step, A]`) follow, from which the episode is replayed.
 
+mod actions;
 mod header;
 
 use std::cell::RefCell;
@@ -14,12 +14,12 @@ use std::ops::Range;
 use proto::{ActionSpec, EnvironmentSpec, View};
 use rollout::description;
 use sim::{
-    ActionScale, Description, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError,
-    standardise,
+    Description, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise,
 };
 
 use crate::client::{EnvironmentClient, Play};
 use crate::error::{ActorError, EnvironmentError};
+use crate::outside::actions::OwnActions;
 pub use crate::outside::header::StateHeader;
 use crate::outside::header::{HEADER_BYTES, KEY_BYTES, history};
 
@@ -124,7 +124,7 @@ impl EnvironmentService {
         };
         OutsideEnvironments {
             description: description(&self.spec),
-            actions: self.offered.agents.iter().map(|agent| OwnAction::of(&agent.action)).collect(),
+            actions: OwnActions::of(&self.offered),
             states: self.states,
             scale: if self.spec.feature_z { standardise } else { |_| {} },
             play: RefCell::new(self.client.play(&self.offered)),
@@ -160,28 +160,11 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
     })
 }
 
-/// An agent's action in the program's unit.
-#[derive(Clone, Copy, Debug)]
-struct OwnAction {
-    size: usize,
-    /// `None` for a choice.
-    scale: Option<ActionScale>,
-}
-
-impl OwnAction {
-    fn of(offered: &ActionSpec) -> Self {
-        let range = [offered.low, offered.high];
-        let scale = offered.choices.is_none().then(|| ActionScale::to(range));
-        Self { size: offered.size as usize, scale }
-    }
-}
-
 /// Environments of a slot, stepped by another program.
 #[derive(Debug)]
 pub struct OutsideEnvironments {
     description: Description,
-    /// Action of each agent.
-    actions: Vec<OwnAction>,
+    actions: OwnActions,
     states: States,
     /// Scales an observation.
     scale: fn(&mut [f32]),
@@ -319,10 +302,10 @@ impl OutsideEnvironments {
         outcome: &mut [Outcome],
     ) -> Result<(), SimError> {
         let numbers = environments.iter().map(|environment| *environment as u32).collect();
-        let actions_by_agent = self.by_agent(actions);
+        let actions_by_agent = self.actions.by_agent(actions);
         let answer = self.play.get_mut().step(numbers, actions_by_agent);
         let steps = answer.map_err(|error| error.at(&self.place(environments)))?;
-        let width = self.width();
+        let width = self.actions.width();
         for (row, &environment) in environments.iter().enumerate() {
             let now = &mut self.episodes[environment];
             now.read_row(&steps.view, row, self.scale);
@@ -347,24 +330,6 @@ impl OutsideEnvironments {
             true => format!("step {first} of the episode"),
             false => format!("steps {first} to {last} of {} episodes", environments.len()),
         }
-    }
-
-    /// Numbers of the joint action, `A`.
-    fn width(&self) -> usize {
-        self.actions.iter().map(|action| action.size).sum()
-    }
-
-    /// Splits `[n, A]` into `[n, act]` for each agent, in the program's units.
-    fn by_agent(&self, actions: &[f32]) -> Vec<Vec<f32>> {
-        let width = self.width();
-        let mut from = 0;
-        let agent = |action: &OwnAction| {
-            let columns = from..from + action.size;
-            from += action.size;
-            let own = |number: &f32| action.scale.map_or(*number, |scale| scale.apply(*number));
-            actions.chunks_exact(width).flat_map(|row| &row[columns.clone()]).map(own).collect()
-        };
-        self.actions.iter().map(agent).collect()
     }
 
     /// Restores states that the program saved; the header of each is already read.
@@ -402,7 +367,7 @@ impl OutsideEnvironments {
         header: &StateHeader,
         past: &[u8],
     ) -> Result<(), SimError> {
-        let width = self.width();
+        let width = self.actions.width();
         let (key, actions) = history(header, past, width)?;
         self.reset(environment, header.episode, header.limit, key)?;
         for (step, action) in actions.chunks_exact(width).enumerate() {

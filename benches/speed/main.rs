@@ -7,7 +7,6 @@ mod end_to_end;
 mod inference;
 mod instructions;
 mod iteration;
-mod leases;
 mod load;
 mod peak;
 mod physics;
@@ -48,7 +47,7 @@ const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 /// Name of a section, description of its rows, and the function that measures them.
 type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<Row>>);
 
-const SECTIONS: [Measurement; 14] = [
+const SECTIONS: [Measurement; 13] = [
     ("products", "matrix products of single floats on one core", products::rows),
     ("physics", "environment steps on one core under random actions", physics::rows),
     ("inference", "one step of a slot: all its agents in all its environments", inference::rows),
@@ -68,7 +67,6 @@ const SECTIONS: [Measurement; 14] = [
         "one iteration's cost for actors and learner; for equal halves, their ratio",
         sizing::rows,
     ),
-    ("leases", "a call of the slot table", leases::rows),
     ("load", "a learner process and N actors that send a recorded slot", load::rows),
     ("scaling", "one update of a synthetic task, on two threads", scaling::rows),
 ];

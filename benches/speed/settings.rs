@@ -100,7 +100,6 @@ impl Settings {
             divergence_remedy: String::new(),
             seed: RunSeed(1),
             iterations: iterations as u64,
-            logged: proto::Episodes::None,
             run_id: "speed".to_owned(),
             folder: folder.to_path_buf(),
             config_toml: String::new(),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use marl::{ObservationMoments, ObservationScale, Surprise};
 use policy::{PolicyConfig, RunSeed};
-use proto::{Digest, EnvironmentSpec, Episodes, Incarnation, PROTOCOL_VERSION, RunDescription};
+use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescription};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 
@@ -19,7 +19,6 @@ use crate::evaluation::Evaluations;
 use crate::fault::Fault;
 use crate::metrics::Metrics;
 use crate::provenance::Provenance;
-use crate::reward_log::RewardLog;
 use crate::run_folder::{RunFolder, RunFolderError};
 use crate::sample::random_number;
 use crate::trainer::{Trainer, policy_bytes};
@@ -47,8 +46,6 @@ pub struct Launch {
     pub seed: RunSeed,
     /// Iterations of the whole run.
     pub iterations: u64,
-    /// Episodes whose intrinsic rewards are logged.
-    pub logged: Episodes,
     /// Names the run.
     pub run_id: String,
     /// The run folder.
@@ -251,7 +248,6 @@ fn build(
         decay: launch.training.update.learning_rate_decay,
         iteration: 0,
         provenance: Provenance::open(folder.path(), iteration)?,
-        reward_log: RewardLog::open(&folder.logs(), launch.logged)?,
         folder,
         metrics,
         saved: None,

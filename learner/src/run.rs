@@ -54,7 +54,7 @@ pub async fn run(
     let (asked, broken) = (Arc::clone(&exchange), Arc::new(AtomicBool::new(false)));
     let service_ended = Arc::clone(&broken);
     let stop = move || {
-        *stop.borrow() || asked.orders().is_stopped() || service_ended.load(Ordering::Relaxed)
+        *stop.borrow() || asked.is_stop_requested() || service_ended.load(Ordering::Relaxed)
     };
     let outside = Outside { exchange: Arc::clone(&exchange), observer, stop: Box::new(stop) };
     // The first answer to a client already has the figures of the run.
@@ -63,8 +63,7 @@ pub async fn run(
     let result = on_own_thread(running).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
     // After a signal actors wait for the next learner: it may be a restart.
-    let actors_end = complete || exchange.orders().is_stopped();
-    exchange.orders().end();
+    let actors_end = complete || exchange.is_stop_requested();
     exchange.show_end(result.as_ref().ok());
     let served = match actors_end {
         true => server.bid_farewell(&exchange).await.close().await,

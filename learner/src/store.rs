@@ -5,5 +5,4 @@ pub mod durable;
 pub mod json_lines;
 pub mod plain_file;
 pub mod provenance;
-pub mod reward_log;
 pub mod run_folder;

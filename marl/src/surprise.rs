@@ -110,15 +110,6 @@ impl Surprise {
         self.agents.par_iter().map(agent).collect()
     }
 
-    /// Eq. (9), only the second term: `alpha log p_theta^i(o_t^i)`, per agent `[T, B]`, for the batch of the last
-    /// [`Surprise::refit`]. [`Surprise::relabel`] adds it to the reward.
-    #[must_use]
-    pub fn intrinsic_rewards(&self) -> Rewards {
-        // Adding 0.0 turns -0 into 0.
-        let reward = |score: &f64| (self.rule.alpha * score + 0.0) as f32;
-        self.agents.iter().map(|agent| agent.scores().iter().map(reward).collect()).collect()
-    }
-
     /// The densities as arrays, `density/agent_I.NAME`.
     ///
     /// # Errors
@@ -282,9 +273,13 @@ mod tests {
         let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
         let mut surprise = surprise(0.1, 2);
         surprise.refit(&batch, 0).unwrap();
-        let (relabelled, added) = (surprise.relabel(&batch), surprise.intrinsic_rewards());
-        for (relabelled, added) in relabelled.iter().flatten().zip(added.iter().flatten()) {
-            assert!(*added < 0.0 && (relabelled - (2.0 + added)).abs() < 1e-6);
+        let relabelled = surprise.relabel(&batch);
+        for (agent, rewards) in surprise.agents.iter().zip(&relabelled) {
+            for (score, relabelled) in agent.scores().iter().zip(rewards) {
+                assert!(
+                    *score < 0.0 && (f64::from(*relabelled) - (2.0 + 0.1 * score)).abs() < 1e-6
+                );
+            }
         }
     }
 
@@ -294,6 +289,5 @@ mod tests {
         let mut surprise = surprise(0.0, 1);
         surprise.refit(&batch, 0).unwrap();
         assert_eq!(surprise.relabel(&batch)[0], batch.reward);
-        assert!(surprise.intrinsic_rewards()[0].iter().all(|reward| reward.to_bits() == 0));
     }
 }

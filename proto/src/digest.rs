@@ -5,7 +5,7 @@ use std::fmt;
 
 use sha2::{Digest as _, Sha256};
 
-use crate::{RolloutOrigin, ShareRewards, wire};
+use crate::{RolloutOrigin, wire};
 
 /// A SHA-256, displayed as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -67,21 +67,6 @@ pub(crate) fn of_evaluation(result: &wire::EvaluationResult, iteration: u64) -> 
     canonical.integers(&[result.episode]);
     canonical.0.update(result.extrinsic_return.to_le_bytes());
     canonical.integers(&[result.steps]);
-    canonical.finish()
-}
-
-/// The digest documented at [`ShareRewards::checksum`].
-pub(crate) fn of_share_rewards(line: &ShareRewards) -> Digest {
-    let mut canonical = Canonical::new(b"s2mia.log.ShareRewards");
-    canonical.blob(line.episode_id.as_bytes());
-    canonical.integers(&[line.first_step]);
-    canonical.0.update(line.iteration.to_le_bytes());
-    canonical.blob(line.weights_sha256.as_bytes());
-    canonical.blob(line.config_sha256.as_bytes());
-    for rewards in &line.intrinsic_reward {
-        let bits = |reward: &Option<f32>| reward.map_or(0x7fc0_0000, f32::to_bits).to_le_bytes();
-        canonical.blob(&rewards.iter().flat_map(bits).collect::<Vec<u8>>());
-    }
     canonical.finish()
 }
 

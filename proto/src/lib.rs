@@ -21,7 +21,6 @@ mod read;
 mod refusal;
 mod returned;
 mod run;
-mod share_rewards;
 mod sizes;
 mod status;
 mod tensor;
@@ -51,7 +50,6 @@ pub use play::{PlayRequest, Steps, View, saved_state};
 pub use refusal::{Reason, Refusal, in_words};
 pub use returned::{LeaseFailure, ReturnedLease};
 pub use run::RunDescription;
-pub use share_rewards::{ShareRewards, is_reward_log_name, reward_log_name};
 pub use status::{LeaseStatus, LeasedWork, Status};
 pub use trajectory::{AgentChunk, EvaluationResult, FinalStep, SlotEnd, TrajectoryChunk};
 pub use work::{

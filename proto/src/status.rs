@@ -30,8 +30,6 @@ pub struct Status {
     pub storage_degraded: bool,
     /// Open leases, the oldest first.
     pub leases: Vec<LeaseStatus>,
-    /// Whether the run is paused: no new leases.
-    pub paused: bool,
     /// Slots that got a second lease because the first was slow, since the learner started.
     pub slots_backed_up: u64,
     /// Slots that another actor computed again with an equal result, since the learner started.
@@ -79,7 +77,6 @@ impl Status {
             leases_reissued: self.leases_reissued,
             storage_degraded: self.storage_degraded,
             leases: self.leases.iter().map(|lease| lease.to_wire()).collect(),
-            paused: self.paused,
             slots_backed_up: self.slots_backed_up,
             audits_agreed: self.audits_agreed,
         }
@@ -101,7 +98,6 @@ impl Status {
             leases_reissued: wire.leases_reissued,
             storage_degraded: wire.storage_degraded,
             leases: wire.leases.iter().filter_map(LeaseStatus::from_wire).collect(),
-            paused: wire.paused,
             slots_backed_up: wire.slots_backed_up,
             audits_agreed: wire.audits_agreed,
         }
@@ -164,7 +160,6 @@ mod tests {
             leases_reissued: 8,
             storage_degraded: true,
             leases: vec![lease(11, LeasedWork::Slot(6)), lease(12, LeasedWork::Episode(0))],
-            paused: true,
             slots_backed_up: 9,
             audits_agreed: 10,
         };

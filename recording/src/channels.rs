@@ -1,10 +1,11 @@
-//! The topics of episodes, the same in trajectory logs, recordings and the live view.
+//! The topics of episodes, the same in trajectory logs and recordings.
 
 mod geometry;
 mod robot;
 mod scene;
 
 use std::collections::BTreeMap;
+use std::io::{Seek, Write};
 
 use prost::Message;
 use proto::trajectory_log::{DESCRIPTORS, Share, ShareEnd};
@@ -12,8 +13,8 @@ use serde_json::json;
 use sim::{Description, Feature, LinkShape, Pose};
 
 use crate::error::RecordError;
+use crate::mcap_file::{Channel, McapFile, Schema};
 use crate::share::LoggedStep;
-use crate::sink::{Channel, Schema, Sink};
 use robot::RobotChannels;
 
 /// The channels `/share`, `/agents/I`, `/step` and `/share_end`, and those of a simulated robot.
@@ -29,7 +30,7 @@ impl ShareChannels {
     /// Creates the channels of the environment that `description` describes. `shapes` are those of its
     /// robot, empty without one.
     pub(crate) fn create(
-        sink: &mut impl Sink,
+        file: &mut McapFile<impl Write + Seek>,
         description: &Description,
         shapes: &[LinkShape],
     ) -> Result<Self, RecordError> {
@@ -40,52 +41,67 @@ impl ShareChannels {
                 ("action", json!(agent.joints).to_string()),
                 ("action_unit", json!(agent.action.unit()).to_string()),
             ];
-            agents.push(channel(sink, &format!("/agents/{index}"), "AgentStep", &about)?);
+            agents.push(channel(file, &format!("/agents/{index}"), "AgentStep", &about)?);
         }
         let about = [("state", names(&description.state))];
         Ok(Self {
             agents,
             robot: match shapes {
                 [] => None,
-                shapes => Some(RobotChannels::create(sink, shapes)?),
+                shapes => Some(RobotChannels::create(file, shapes)?),
             },
-            share: channel(sink, "/share", "Share", &[])?,
-            step: channel(sink, "/step", "Step", &about)?,
-            end: channel(sink, "/share_end", "ShareEnd", &[])?,
+            share: channel(file, "/share", "Share", &[])?,
+            step: channel(file, "/step", "Step", &about)?,
+            end: channel(file, "/share_end", "ShareEnd", &[])?,
         })
     }
 
     /// Writes the start of a share.
-    pub(crate) fn begin(&mut self, sink: &mut impl Sink, head: &Share) -> Result<(), RecordError> {
-        sink.write(&mut self.share, &head.encode_to_vec())?;
-        self.scene(sink)
+    pub(crate) fn begin(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+        head: &Share,
+    ) -> Result<(), RecordError> {
+        file.write(&mut self.share, &head.encode_to_vec())?;
+        self.scene(file)
     }
 
     /// Writes the shapes of the robot, if there is one.
-    pub(crate) fn scene(&mut self, sink: &mut impl Sink) -> Result<(), RecordError> {
-        self.robot.as_mut().map_or(Ok(()), |robot| robot.scene(sink))
+    pub(crate) fn scene(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+    ) -> Result<(), RecordError> {
+        self.robot.as_mut().map_or(Ok(()), |robot| robot.scene(file))
     }
 
     /// Writes the pose of the robot, if there is one.
-    pub(crate) fn pose(&mut self, sink: &mut impl Sink, pose: &Pose) -> Result<(), RecordError> {
-        self.robot.as_mut().map_or(Ok(()), |robot| robot.pose(sink, pose))
+    pub(crate) fn pose(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+        pose: &Pose,
+    ) -> Result<(), RecordError> {
+        self.robot.as_mut().map_or(Ok(()), |robot| robot.pose(file, pose))
     }
 
     /// Writes a step without its pose.
     pub(crate) fn step(
         &mut self,
-        sink: &mut impl Sink,
+        file: &mut McapFile<impl Write + Seek>,
         step: &LoggedStep,
     ) -> Result<(), RecordError> {
         for (channel, agent) in self.agents.iter_mut().zip(&step.agents) {
-            sink.write(channel, &agent.encode_to_vec())?;
+            file.write(channel, &agent.encode_to_vec())?;
         }
-        sink.write(&mut self.step, &step.step.encode_to_vec())
+        file.write(&mut self.step, &step.step.encode_to_vec())
     }
 
     /// Writes the end of a share.
-    pub(crate) fn end(&mut self, sink: &mut impl Sink, end: &ShareEnd) -> Result<(), RecordError> {
-        sink.write(&mut self.end, &end.encode_to_vec())
+    pub(crate) fn end(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+        end: &ShareEnd,
+    ) -> Result<(), RecordError> {
+        file.write(&mut self.end, &end.encode_to_vec())
     }
 }
 
@@ -96,7 +112,7 @@ fn names(features: &[Feature]) -> String {
 
 /// Creates a channel for a message of this project; `about` is the channel's metadata.
 fn channel(
-    sink: &mut impl Sink,
+    file: &mut McapFile<impl Write + Seek>,
     topic: &str,
     message: &str,
     about: &[(&str, String)],
@@ -105,5 +121,5 @@ fn channel(
     let schema =
         Schema { name: &name, encoding: "protobuf", data: DESCRIPTORS, messages: "protobuf" };
     let about = about.iter().map(|(key, value)| ((*key).to_owned(), value.clone()));
-    sink.channel(topic, &schema, &about.collect::<BTreeMap<_, _>>())
+    file.channel(topic, &schema, &about.collect::<BTreeMap<_, _>>())
 }

@@ -1,9 +1,9 @@
-//! Errors of recordings, logs being written and the live view.
+//! Errors of recordings and of logs being written.
 
 use sim::SimError;
 use thiserror::Error;
 
-/// Why an episode cannot be recorded or shown.
+/// Why an episode cannot be recorded.
 #[derive(Debug, Error)]
 pub enum RecordError {
     /// The file cannot be written or read.

@@ -6,14 +6,38 @@ use std::fs::File;
 use std::io::{BufWriter, IntoInnerError, Seek, Write};
 use std::path::Path;
 
+use foxglove::Encode;
+use foxglove::messages::Timestamp;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions, Writer};
 
 use crate::error::RecordError;
-use crate::sink::{Channel, Schema, Sink};
 
 /// Size of a chunk before compression, bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
+
+const NANOS_PER_SEC: u64 = 1_000_000_000;
+
+/// A channel of a file.
+#[derive(Clone, Debug)]
+pub(crate) struct Channel {
+    id: u16,
+    topic: String,
+    sequence: u32,
+    buffer: Vec<u8>,
+}
+
+/// Schema and encoding of a channel's messages.
+pub(crate) struct Schema<'a> {
+    /// Full name of the message type.
+    pub(crate) name: &'a str,
+    /// Schema encoding.
+    pub(crate) encoding: &'a str,
+    /// Encoded schema.
+    pub(crate) data: &'a [u8],
+    /// Message encoding.
+    pub(crate) messages: &'a str,
+}
 
 /// An MCAP file being written. Chunks are compressed and have checksums.
 pub(crate) struct McapFile<W: Write + Seek> {
@@ -61,8 +85,9 @@ impl<W: Write + Seek> McapFile<W> {
     }
 }
 
-impl<W: Write + Seek> Sink for McapFile<W> {
-    fn channel(
+impl<W: Write + Seek> McapFile<W> {
+    /// Creates a channel with a schema and metadata.
+    pub(crate) fn channel(
         &mut self,
         topic: &str,
         schema: &Schema<'_>,
@@ -70,10 +95,11 @@ impl<W: Write + Seek> Sink for McapFile<W> {
     ) -> Result<Channel, RecordError> {
         let id = self.writer.add_schema(schema.name, schema.encoding, schema.data)?;
         let id = self.writer.add_channel(id, topic, schema.messages, about)?;
-        Ok(Channel::new(id, topic))
+        Ok(Channel { id, topic: topic.to_owned(), sequence: 0, buffer: Vec::new() })
     }
 
-    fn write(&mut self, channel: &mut Channel, data: &[u8]) -> Result<(), RecordError> {
+    /// Writes an encoded message with the current time.
+    pub(crate) fn write(&mut self, channel: &mut Channel, data: &[u8]) -> Result<(), RecordError> {
         let header = MessageHeader {
             channel_id: channel.id,
             sequence: channel.sequence,
@@ -86,12 +112,51 @@ impl<W: Write + Seek> Sink for McapFile<W> {
         Ok(())
     }
 
-    fn nanos(&self) -> u64 {
-        self.nanos
+    /// Advances simulated time.
+    pub(crate) fn advance(&mut self, nanos: u64) {
+        self.nanos += nanos;
     }
 
-    fn advance(&mut self, nanos: u64) {
-        self.nanos += nanos;
+    /// Creates a channel for a Foxglove message type.
+    pub(crate) fn foxglove_channel<M: Encode>(
+        &mut self,
+        topic: &str,
+    ) -> Result<Channel, RecordError> {
+        let missing =
+            || RecordError::Message { topic: topic.to_owned(), why: "no schema".to_owned() };
+        let schema = M::get_schema().ok_or_else(missing)?;
+        let messages = M::get_message_encoding();
+        let (name, encoding) = (schema.name.as_str(), schema.encoding.as_str());
+        let schema = Schema { name, encoding, data: &schema.data, messages: &messages };
+        self.channel(topic, &schema, &BTreeMap::new())
+    }
+
+    /// Writes a Foxglove message with the current time.
+    pub(crate) fn foxglove<M: Encode>(
+        &mut self,
+        channel: &mut Channel,
+        message: &M,
+    ) -> Result<(), RecordError> {
+        let mut buffer = std::mem::take(&mut channel.buffer);
+        buffer.clear();
+        let encoded = message.encode(&mut buffer).map_err(|error| RecordError::Message {
+            topic: channel.topic.clone(),
+            why: error.to_string(),
+        });
+        let written = encoded.and_then(|()| self.write(channel, &buffer));
+        channel.buffer = buffer;
+        written
+    }
+
+    /// Current time of messages as a Foxglove timestamp.
+    pub(crate) fn now(&self) -> Timestamp {
+        let nanos = self.nanos;
+        Timestamp::new((nanos / NANOS_PER_SEC) as u32, (nanos % NANOS_PER_SEC) as u32)
+    }
+
+    /// Advances time by a second before the next episode.
+    pub(crate) fn pause(&mut self) {
+        self.advance(NANOS_PER_SEC);
     }
 }
 

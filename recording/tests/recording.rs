@@ -103,7 +103,7 @@ fn a_recording_is_a_log_of_the_episodes_and_is_replayed_bit_for_bit() {
     let summary = record(&path);
     let bytes = read_bytes(&path).unwrap();
     let mut shares = Vec::new();
-    let log = read_shares(&bytes, |share, _| {
+    let log = read_shares(&bytes, |share| {
         shares.push(share);
         Ok(())
     });

@@ -2,7 +2,6 @@
 //! recordings.
 
 use std::fmt;
-use std::ops::ControlFlow;
 
 use policy::{Key, PolicySnapshot, RunSeed};
 use proto::ActionChoice;
@@ -91,23 +90,8 @@ pub fn play_episode(
 /// As [`play_episode`].
 pub fn play_on(
     world: &mut dyn EnvironmentBatch,
-    acting: (&PolicySnapshot, ActionChoice),
-    on_step: &mut impl FnMut(&PlayedStep<'_>),
-) -> Result<Episode, SimError> {
-    play_while(world, acting, &mut |step| {
-        on_step(step);
-        ControlFlow::Continue(())
-    })
-}
-
-/// As [`play_on`], but `on_step` can stop the episode.
-///
-/// # Errors
-/// As [`play_episode`].
-pub fn play_while(
-    world: &mut dyn EnvironmentBatch,
     (policy, choice): (&PolicySnapshot, ActionChoice),
-    on_step: &mut impl FnMut(&PlayedStep<'_>) -> ControlFlow<()>,
+    on_step: &mut impl FnMut(&PlayedStep<'_>),
 ) -> Result<Episode, SimError> {
     let mut agents = Agents::new(world, policy);
     let mut outcomes = vec![Outcome::default(); world.count()];
@@ -120,7 +104,7 @@ pub fn play_while(
         let outcome = outcomes[0];
         episode.extrinsic_return += f64::from(outcome.reward);
         episode.steps += 1;
-        let wanted = on_step(&PlayedStep {
+        on_step(&PlayedStep {
             world,
             action: &agents.joint,
             observation: &agents.observation,
@@ -129,7 +113,7 @@ pub fn play_while(
             outcome,
             step: episode.steps,
         });
-        if outcome.terminated || outcome.truncated || wanted.is_break() {
+        if outcome.terminated || outcome.truncated {
             return Ok(episode);
         }
     }

@@ -11,7 +11,7 @@ mod film;
 mod identity;
 mod slot;
 
-pub use evaluation::{Episode, EvaluationEpisode, PlayedStep, play_episode, play_on, play_while};
+pub use evaluation::{Episode, EvaluationEpisode, PlayedStep, play_episode, play_on};
 pub use film::{Camera, FILMED};
 pub use identity::{description, environment_spec, rollout_fingerprint};
 pub use slot::roll_out;

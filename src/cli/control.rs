@@ -1,6 +1,5 @@
 //! The arguments of commands that query or control a running learner.
 
-use std::net::SocketAddr;
 use std::time::Duration;
 
 use clap::Args;
@@ -35,9 +34,9 @@ pub(crate) struct StatusArguments {
     pub(crate) timeout_secs: f64,
 }
 
-/// `s2mia pause`, `resume` and `stop`
+/// `s2mia stop`
 #[derive(Args, Debug)]
-pub(crate) struct OrderArguments {
+pub(crate) struct StopArguments {
     /// Learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
@@ -46,69 +45,21 @@ pub(crate) struct OrderArguments {
     pub(crate) timeout_secs: f64,
 }
 
-/// `s2mia checkpoint`
-#[derive(Args, Debug)]
-pub(crate) struct CheckpointArguments {
-    /// Learner.
-    #[command(flatten)]
-    pub(crate) learner: LearnerArgument,
-    /// Timeout for the checkpoint. The learner finishes an update in progress first.
-    #[arg(long, value_name = "SECONDS", default_value_t = 600.0)]
-    pub(crate) timeout_secs: f64,
-}
-
-const WATCH_CASES: &str = "\
-Examples:
-  s2mia watch              the newest run in runs, live, as s2mia watch RUN
-  s2mia watch URL          lines of the learner at URL
-  s2mia watch RUN --lines  lines of the run in this folder; continues when its learner restarts
-  s2mia watch RUN          the robot and the learning curves of this run folder, live, until Ctrl-C:
-                           open ws://127.0.0.1:8765 in Foxglove, with deploy/foxglove/s2mia.json";
-
 /// `s2mia watch`
 #[derive(Args, Debug)]
-#[command(after_help = WATCH_CASES)]
 pub(crate) struct WatchArguments {
     /// Run folder or learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
-    /// Print one line per iteration of RUN instead of streaming it live; with a URL this is the default.
-    #[arg(long)]
-    pub(crate) lines: bool,
     /// Omit the lines of iterations up to and including this one [default: 0].
     #[arg(long, value_name = "ITERATION")]
     pub(crate) after: Option<u64>,
     /// Print one JSON object per line.
     #[arg(long)]
     pub(crate) json: bool,
-    /// When printing lines, exit if the learner cannot be reached for this long [default: 300].
-    #[arg(long, value_name = "SECONDS")]
-    pub(crate) max_outage_secs: Option<f64>,
-    /// Address of the live view [default: 127.0.0.1:8765].
-    #[arg(long, value_name = "ADDRESS", value_parser = crate::listening::address)]
-    pub(crate) listen: Option<SocketAddr>,
-    /// Allow a non-loopback --listen address without encryption and authentication.
-    #[arg(long)]
-    pub(crate) insecure_allow_remote: bool,
-}
-
-/// The live view of `s2mia train`.
-#[derive(Args, Clone, Debug)]
-pub(crate) struct LiveArguments {
-    /// Stream the robot and the learning curves live to Foxglove [default ADDRESS: 127.0.0.1:8765].
-    #[arg(
-        long,
-        value_name = "ADDRESS",
-        num_args = 0..=1,
-        require_equals = true,
-        default_missing_value = "127.0.0.1:8765",
-        value_parser = crate::listening::address,
-        conflicts_with = "verify_determinism"
-    )]
-    pub(crate) watch: Option<SocketAddr>,
-    /// Allow a non-loopback --watch address without encryption and authentication.
-    #[arg(long, requires = "watch")]
-    pub(crate) insecure_allow_remote_watch: bool,
+    /// Exit if the learner cannot be reached for this long.
+    #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
+    pub(crate) max_outage_secs: f64,
 }
 
 /// Longest time that an option accepts, seconds: 31 years. Deadlines of calls cannot be much longer.

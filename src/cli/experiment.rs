@@ -14,7 +14,7 @@ use crate::experiment::submit::slurm::Options;
 pub(crate) struct ExperimentArguments {
     /// TOML file with tasks, variants and seeds.
     pub(crate) file: PathBuf,
-    /// Only list the runs: index, length, progress, and the host that computes it.
+    /// Only list the runs: index, length and progress.
     #[arg(long, visible_alias = "status", conflicts_with = "report")]
     pub(crate) list: bool,
     /// Only make tables and figures from the existing runs.

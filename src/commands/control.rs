@@ -1,4 +1,4 @@
-//! What is asked of a learner at work: `s2mia pause`, `resume`, `checkpoint` and `stop`, and how it is found.
+//! `s2mia stop`, and how commands find a running learner.
 
 use std::path::Path;
 use std::time::Duration;
@@ -7,66 +7,24 @@ use learner::run_folder::RunFolder;
 use learner::service::Operator;
 use security::addresses;
 
-use crate::cli::{CheckpointArguments, LearnerArgument, OrderArguments};
-use crate::cli::{credentials, patience};
+use crate::cli::{LearnerArgument, StopArguments, credentials, patience};
 use crate::errors::Usage;
 use crate::listening::token;
 use crate::process::{output, runtime, shell};
 
-/// Hands out no more work.
-pub(super) fn pause(arguments: &OrderArguments) -> anyhow::Result<()> {
-    order(&arguments.learner, arguments.timeout_secs, async |learner| {
-        let leases = learner.pause().await?;
-        let of = &arguments.learner.of;
-        let resume = match arguments.learner.tls.files() {
-            None => format!("`s2mia resume {}` goes on", shell::path(Path::new(of))),
-            Some(_) => "`s2mia resume` with the same arguments goes on".to_owned(),
-        };
-        Ok(format!("{of} is paused; {leases} leases go on to their end; {resume}"))
-    })
-}
-
-/// Hands out work again.
-pub(super) fn resume(arguments: &OrderArguments) -> anyhow::Result<()> {
-    order(&arguments.learner, arguments.timeout_secs, async |learner| {
-        learner.resume().await?;
-        Ok(format!("{} goes on", arguments.learner.of))
-    })
-}
-
-/// Has a checkpoint written.
-pub(super) fn checkpoint(arguments: &CheckpointArguments) -> anyhow::Result<()> {
-    order(&arguments.learner, arguments.timeout_secs, async |learner| {
-        let saved = learner.save_checkpoint().await?;
-        Ok(format!("iteration {}: {}", saved.iteration, proto::name::printable(&saved.path)))
-    })
-}
-
 /// Ends the learner.
-pub(super) fn stop(arguments: &OrderArguments) -> anyhow::Result<()> {
-    order(&arguments.learner, arguments.timeout_secs, async |learner| {
-        learner.stop().await?;
-        Ok(format!("{} stops after a checkpoint", arguments.learner.of))
-    })
-}
-
-/// Gives one order, and says what came of it.
-fn order(
-    learner: &LearnerArgument,
-    timeout_secs: f64,
-    give: impl AsyncFnOnce(&mut Operator) -> anyhow::Result<String>,
-) -> anyhow::Result<()> {
-    let patience = patience(timeout_secs)?;
+pub(super) fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
+    let learner = &arguments.learner;
+    let of = &learner.of;
+    let patience = patience(arguments.timeout_secs)?;
     let Some(url) = url(learner)? else {
-        let of = &learner.of;
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
-    let told = runtime()?.block_on(async {
-        let mut operator = operator(&url, learner, patience).await?;
-        give(&mut operator).await
-    });
-    output::line(told?);
+    runtime()?.block_on(async {
+        operator(&url, learner, patience).await?.stop().await.map_err(anyhow::Error::from)
+    })?;
+    output::line(format!("{of} stops after a checkpoint"));
     Ok(())
 }
 

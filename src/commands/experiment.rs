@@ -7,7 +7,6 @@ use tokio::sync::watch;
 
 use crate::cli::{Engine, ExperimentArguments};
 use crate::errors::Usage;
-use crate::experiment::claim::Claimant;
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::listing::listing;
 use crate::experiment::place;
@@ -26,9 +25,6 @@ use crate::run::new_folder::Others;
 /// signal on.
 const REPEATED: Duration = Duration::from_secs(2);
 
-/// Name of the claim on tables, figures and the record.
-const REPORT_CLAIM: &str = "report.claim";
-
 /// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed or
 /// could not start.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
@@ -45,21 +41,21 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
         output::line(listing(&selected, &Record::read(&file.record)?, at_once));
         return Ok(());
     }
-    // Lives until the report is written, so that a second signal ends the process then, too.
-    let runtime = runtime()?;
     if arguments.report {
         demand_any(&file, &runs)?;
-        return runtime.block_on(tell(&file, &runs));
+        return tell(&file, &runs);
     }
     place::check(&file, &runs, others(arguments))?;
     learner::durable::make_folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         selected.iter().cloned().partition(|run| record.holds(run));
+    // Lives until the report is written, so that a second signal ends the process then, too.
+    let runtime = runtime()?;
     let (mut tally, stopped) = runtime.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
     match arguments.selection() == Selection::All || all_finished(&file, &runs)? {
-        true => runtime.block_on(tell(&file, &runs))?,
+        true => tell(&file, &runs)?,
         false => output::line(rest(&tally, selected.len(), arguments)),
     }
     finish(&tally, selected.len(), stopped.then_some(arguments))
@@ -139,12 +135,9 @@ fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> Strin
     )
 }
 
-async fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
+fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
     output::folder(&file.folder)?;
-    // Several processes may end at the same time; each writes the same files.
-    let claim = Claimant::of_this_host().wait(&file.folder.join(REPORT_CLAIM)).await?;
     let (table, written) = report::write(file, runs)?;
-    drop(claim);
     output::line(table);
     written.iter().for_each(|path| output::line(path.display()));
     Ok(())
@@ -155,16 +148,7 @@ fn finish(
     planned: usize,
     stopped: Option<&ExperimentArguments>,
 ) -> anyhow::Result<()> {
-    let Tally { finished, failed, misplaced, held } = tally;
-    if !held.is_empty() {
-        let hosts: Vec<String> =
-            held.iter().map(|(host, runs)| format!("{runs} on {host}")).collect();
-        let count: usize = held.values().sum();
-        output::line(format!(
-            "{count} of {planned} runs are held by other processes: {}",
-            hosts.join(", ")
-        ));
-    }
+    let Tally { finished, failed, misplaced } = tally;
     if let Some(arguments) = stopped {
         let (file, selection) = (shell::path(&arguments.file), arguments.selection());
         output::line(format!(

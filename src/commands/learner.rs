@@ -52,7 +52,7 @@ async fn serve(
     }
     output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = page::open(&arguments.page, page_tls).await?;
-    let mut progress = Progress::new(config.env_steps(), &folder);
+    let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary =
         learner::run(launch, listener, page, observer, stop).await.context("the learner failed")?;

@@ -107,13 +107,12 @@ fn text(status: &Status) -> String {
     });
     let disk =
         if status.storage_degraded { "\nthe last checkpoint could not be written" } else { "" };
-    let paused = if status.paused { " is paused" } else { "" };
     let idle = match actors.saturating_sub(*slots) {
         0 => String::new(),
         idle => format!(" ({idle} more than slots in this iteration)"),
     };
     let mut text = format!(
-        "{run_id}{paused}: iteration {iteration}, {} env steps{pace}\n\
+        "{run_id}: iteration {iteration}, {} env steps{pace}\n\
          {complete_slots} of {slots} slots complete, {} leases on {actors} actors{idle}, \
          {} leased again, {} backed up, {} audited, {} messages refused{disk}",
         thousands(status.env_steps),

@@ -9,13 +9,11 @@ use actor::Transport;
 use anyhow::Context as _;
 use learner::{LearnerError, Listener, Summary};
 use proto::Episodes;
-use recording::LiveServer;
 use security::Token;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::cli::{LiveArguments, PageArguments, TrainArguments};
-use crate::commands::live::{Place, Show};
+use crate::cli::{PageArguments, TrainArguments};
 use crate::commands::train::closing::{Closing, Length};
 use crate::config::run_config::RunConfig;
 use crate::figures::{chart, learning_curve};
@@ -36,12 +34,8 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if let Some(iterations) = arguments.verify_determinism {
         return determinism::verify(&arguments.settings, &prepared.config.environment, iterations);
     }
-    let live = live(&arguments.live, &prepared)?;
     let Prepared { config, folder, launch, .. } = &prepared;
     output::line(opening(config, &launch.environment.task, folder));
-    if let Some((show, server)) = live {
-        show.start(server)?;
-    }
     let (stop_sender, stop) = watch::channel(false);
     if arguments.stop_with_stdin {
         signals::stop_with_stdin(stop_sender.clone())?;
@@ -67,7 +61,7 @@ async fn train(
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
     })?;
     let actors = tokio::spawn(supervisor::supervise(processes, ended, stop_sender));
-    let mut progress = Progress::new(config.env_steps(), &folder);
+    let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary = learner::run(launch, listener, page, observer, stop).await;
     end.send_replace(true);
@@ -84,23 +78,6 @@ async fn train(
     let closing = Closing { folder: &folder, summary: &summary, length, elapsed: begin.elapsed() };
     output::line(closing.text(&points));
     Ok(())
-}
-
-/// The requested live view. It already listens, so an occupied port is reported before the run starts.
-fn live(
-    arguments: &LiveArguments,
-    prepared: &Prepared,
-) -> anyhow::Result<Option<(Show, LiveServer)>> {
-    let Some(address) = arguments.watch else { return Ok(None) };
-    let place = Place {
-        address,
-        flag: "--watch",
-        permission: "--insecure-allow-remote-watch",
-        permitted: arguments.insecure_allow_remote_watch,
-    };
-    let show = Show { folder: prepared.folder.clone(), config: prepared.config.clone() };
-    let server = place.open(&run_path::name(&prepared.folder))?;
-    Ok(Some((show, server)))
 }
 
 /// The first line: the folder and the settings of the run.

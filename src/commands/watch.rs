@@ -1,94 +1,29 @@
-//! `s2mia watch`: a run folder shown live to Foxglove, or a line for each iteration as it is finished, from one learner
-//! of a run and the next.
+//! `s2mia watch`: one line for each iteration as it is finished, from one learner of a run and the next.
 
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
 use learner::health::HealthError;
 use learner::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::{Value, json};
-use tokio::sync::watch;
 
 use crate::cli::{WatchArguments, seconds};
-use crate::commands::control::{address, operator, url};
-use crate::commands::live::{Place, Show};
+use crate::commands::control::{operator, url};
 use crate::commands::status::AtRest;
-use crate::config::run_settings::config_of_run;
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
-use crate::process::{output, runtime, shell, signals};
-use crate::run::checkpointed;
-use crate::run::run_path;
+use crate::process::{output, runtime, shell};
 
 /// How long a learner may take to answer.
 const ANSWER: Duration = Duration::from_secs(3);
 /// Pause between two tries to reach it.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// How long a learner may be away, if nothing else is said.
-const OUTAGE_SECS: f64 = 300.0;
-/// Where the live view is, if nothing else is said.
-const LIVE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8765);
-
-/// A run folder live, a learner's URL line by line.
+/// Prints one line per finished iteration until the run has had its last one.
 pub(super) fn run(arguments: &WatchArguments) -> anyhow::Result<()> {
-    match arguments.lines || address(&arguments.learner.of).is_some() {
-        true => lines(arguments),
-        false => live(arguments),
-    }
-}
-
-/// Ends when the run has had its last iteration.
-fn lines(arguments: &WatchArguments) -> anyhow::Result<()> {
-    let of_live = [
-        ("--listen", arguments.listen.is_some()),
-        ("--insecure-allow-remote", arguments.insecure_allow_remote),
-    ];
-    refuse(&of_live, "belongs to the live view of a run folder, not to lines: leave it out")?;
-    let secs = arguments.max_outage_secs.unwrap_or(OUTAGE_SECS);
-    let outage = seconds("--max-outage-secs", secs)?;
+    let outage = seconds("--max-outage-secs", arguments.max_outage_secs)?;
     runtime()?.block_on(Watch::new(arguments).until_the_end(outage))
-}
-
-/// Ends when it is told to.
-fn live(arguments: &WatchArguments) -> anyhow::Result<()> {
-    let of_lines = [
-        ("--after", arguments.after.is_some()),
-        ("--json", arguments.json),
-        ("--max-outage-secs", arguments.max_outage_secs.is_some()),
-        ("--tls-ca", arguments.learner.tls.files().is_some()),
-    ];
-    refuse(&of_lines, "belongs to lines, not to the live view: add --lines or leave it out")?;
-    let folder = PathBuf::from(&arguments.learner.of);
-    // Checks that it is a folder, too.
-    if url(&arguments.learner)?.is_none() {
-        checkpointed::trained(&folder)?;
-    }
-    let show = Show { config: config_of_run(&folder)?, folder };
-    let place = Place {
-        address: arguments.listen.unwrap_or(LIVE),
-        flag: "--listen",
-        permission: "--insecure-allow-remote",
-        permitted: arguments.insecure_allow_remote,
-    };
-    let server = place.open(&run_path::name(&show.folder))?;
-    show.start(server)?;
-    runtime()?.block_on(async {
-        let (stop_sender, mut stop) = watch::channel(false);
-        signals::stop_on_signal(stop_sender, || ())?;
-        stop.wait_for(|stop| *stop).await.map(drop).context("cannot wait for Ctrl-C")
-    })
-}
-
-/// Refuses the first flag that was given.
-fn refuse(flags: &[(&str, bool)], why: &str) -> Result<(), Usage> {
-    match flags.iter().find(|(_, given)| *given) {
-        Some((flag, _)) => Err(Usage::new(format!("{flag} {why}"))),
-        None => Ok(()),
-    }
 }
 
 /// How far somebody has watched.

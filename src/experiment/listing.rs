@@ -1,6 +1,5 @@
-//! The runs of an experiment as lines: index, name, length, progress and holder.
+//! The runs of an experiment as lines: index, name, length and progress.
 
-use super::claim::Claimant;
 use super::plan::PlannedRun;
 use super::record::Record;
 use super::run_state::{RunState, mismatch, run_state};
@@ -10,10 +9,9 @@ use crate::figures::chart;
 pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> String {
     let width = runs.iter().map(|run| run.name().len()).max().unwrap_or(0);
     let digits = runs.iter().map(|run| run.index.to_string().len()).max().unwrap_or(0);
-    let claimant = Claimant::of_this_host();
     let line = |run: &PlannedRun| {
         let steps = chart::thousands(run.config.env_steps());
-        let state = state(run, record, &claimant);
+        let state = state(run, record);
         format!("{:digits$}  {:width$}  {steps:>10} steps  {state}\n", run.index, run.name())
     };
     let total = runs.iter().map(|run| run.config.env_steps()).sum();
@@ -21,18 +19,14 @@ pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> S
     format!("{lines}{} runs, {} steps, {at_once} at once", runs.len(), chart::thousands(total))
 }
 
-fn state(run: &PlannedRun, record: &Record, claimant: &Claimant) -> String {
+fn state(run: &PlannedRun, record: &Record) -> String {
     if record.holds(run) {
         return "recorded".to_owned();
     }
-    let state = match (mismatch(run), run_state(run)) {
-        (Some(why), _) => return why,
+    match (mismatch(run), run_state(run)) {
+        (Some(why), _) => why,
         (None, RunState::New) => "new".to_owned(),
         (None, RunState::Begun { env_steps }) => format!("at {}", chart::thousands(env_steps)),
-        (None, RunState::Finished) => return "finished".to_owned(),
-    };
-    match claimant.holder(&run.claim()) {
-        Some(holder) => format!("{state}, held by {} (process {})", holder.host, holder.pid),
-        None => state,
+        (None, RunState::Finished) => "finished".to_owned(),
     }
 }

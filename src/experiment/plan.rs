@@ -47,11 +47,6 @@ impl PlannedRun {
     pub(crate) fn log(&self) -> PathBuf {
         self.folder.with_file_name(format!("{}.log", self.name()))
     }
-
-    /// Path of the file that names the process that computes the run.
-    pub(crate) fn claim(&self) -> PathBuf {
-        self.folder.with_file_name(format!("{}.claim", self.name()))
-    }
 }
 
 /// All runs: every variant on every task with its first seed, then with its second, and so on. An experiment that is

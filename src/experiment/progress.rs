@@ -94,7 +94,6 @@ impl Progress {
             Ending::Stopped => format!("{} stopped; it can be resumed", run.name()),
             Ending::Failed(why) => format!("{} failed: {why}", run.name()),
             Ending::Misplaced(why) => format!("{} cannot begin: {why}", run.name()),
-            Ending::Lost(host) => format!("{} is held by {host} now", run.name()),
         };
         match &self.screen {
             Screen::Bar(bar) => bar.println(line),

@@ -50,8 +50,6 @@ pub(crate) enum Ending {
     Failed(String),
     /// The folder holds another run, with the difference.
     Misplaced(String),
-    /// A process on another host took the run over, because this one did not renew its claim.
-    Lost(String),
 }
 
 /// The state of the run; does not check whether the folder holds this run.

@@ -1,7 +1,7 @@
 //! Runs an experiment's trainings, several at once, each in its own process: starts new ones, resumes stopped ones,
-//! skips finished ones and those of other processes. A run that fails does not stop the others.
+//! skips finished ones. A run that fails does not stop the others.
 
-use std::collections::BTreeMap;
+use std::collections::VecDeque;
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -13,11 +13,9 @@ use tokio::process::{Child, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::claim::Claim;
 use super::plan::PlannedRun;
 use super::progress::Progress;
-use super::queue::Queue;
-use super::run_state::{Ending, RunState, mismatch, run_state};
+use super::run_state::{Ending, RunState, is_finished, mismatch, run_state};
 use crate::run::process_log::ProcessLog;
 
 /// Poll interval for the progress of runs and for a locked log.
@@ -32,12 +30,9 @@ pub(crate) struct Tally {
     pub(crate) failed: usize,
     /// Runs whose folders hold other runs.
     pub(crate) misplaced: usize,
-    /// Runs that other processes hold, by host.
-    pub(crate) held: BTreeMap<String, usize>,
 }
 
-/// Runs all to their end, at most `at_once` at a time, or stops them with checkpoints. Does not wait for runs that
-/// other processes hold.
+/// Runs all to their end, at most `at_once` at a time, or stops them with checkpoints.
 pub(crate) async fn run_all(
     runs: &[PlannedRun],
     at_once: usize,
@@ -46,16 +41,19 @@ pub(crate) async fn run_all(
 ) -> anyhow::Result<Tally> {
     let program = std::env::current_exe().context("cannot find this program")?;
     let mut tally = Tally::default();
-    let mut queue = Queue::new(runs);
+    let mut waiting: VecDeque<&PlannedRun> = runs.iter().collect();
     let mut going = JoinSet::new();
     loop {
         while going.len() < at_once && !*stop.borrow() {
-            let Some((run, claim)) = queue.next().await else { break };
-            going.spawn(finish(program.clone(), run, claim, stop.clone()));
+            let Some(run) = waiting.pop_front() else { break };
+            if is_finished(run) {
+                tally.finished += 1;
+                continue;
+            }
+            going.spawn(finish(program.clone(), run.clone(), stop.clone()));
         }
-        if going.is_empty() && (queue.is_empty() || *stop.borrow()) {
-            tally.finished += queue.finished;
-            return Ok(Tally { held: queue.held(), ..tally });
+        if going.is_empty() {
+            return Ok(tally);
         }
         tokio::select! {
             Some(ended) = going.join_next() => {
@@ -64,27 +62,19 @@ pub(crate) async fn run_all(
                 tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
                 tally.misplaced += usize::from(matches!(ending, Ending::Misplaced(_)));
                 progress.ended(&run, &ending);
-                queue.retry_held();
-                if let Ending::Lost(host) = ending {
-                    queue.lost(run, host);
-                }
             }
             () = tokio::time::sleep(POLL_INTERVAL) => progress.show(runs, going.len()),
         }
     }
 }
 
-/// Starts or resumes one run and waits for its end. Then the claim is released.
+/// Starts or resumes one run and waits for its end.
 async fn finish(
     program: PathBuf,
     run: PlannedRun,
-    claim: anyhow::Result<Claim>,
     mut stop: watch::Receiver<bool>,
 ) -> (PlannedRun, Ending) {
-    let ending = match claim {
-        Ok(claim) => train(&program, &run, &claim, &mut stop).await,
-        Err(error) => Err(error),
-    };
+    let ending = train(&program, &run, &mut stop).await;
     let ending = ending.unwrap_or_else(|error| Ending::Failed(format!("{error:#}")));
     (run, ending)
 }
@@ -92,10 +82,9 @@ async fn finish(
 async fn train(
     program: &Path,
     run: &PlannedRun,
-    claim: &Claim,
     stop: &mut watch::Receiver<bool>,
 ) -> anyhow::Result<Ending> {
-    let Some(log) = claimed_log(&run.log(), stop).await? else { return Ok(Ending::Stopped) };
+    let Some(log) = locked_log(&run.log(), stop).await? else { return Ok(Ending::Stopped) };
     if let Some(why) = mismatch(run) {
         return Ok(Ending::Misplaced(why));
     }
@@ -109,14 +98,7 @@ async fn train(
         }
         drop(stdin);
     };
-    let status = tokio::select! {
-        status = ended(&mut child, stopped) => status.context("cannot wait for a run")?,
-        holder = claim.lost() => {
-            // The folder belongs to the other process, so this one must not write a checkpoint into it.
-            child.kill().await.context("cannot end a run")?;
-            return Ok(Ending::Lost(holder.host_name()));
-        }
-    };
+    let status = ended(&mut child, stopped).await.context("cannot wait for a run")?;
     Ok(match (status.success(), run_state(run)) {
         (true, RunState::Finished) => Ending::Finished,
         (true, _) => Ending::Stopped,
@@ -140,7 +122,7 @@ async fn ended(
 
 /// The run's log, locked. The process that writes to it holds the lock until it ends. A run of an experiment that was
 /// killed may therefore still write its last checkpoint. `None` if stopped while waiting.
-async fn claimed_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result<Option<File>> {
+async fn locked_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result<Option<File>> {
     let log = plain_file::append(path);
     let log = log.with_context(|| format!("cannot write {}", path.display()))?;
     loop {

@@ -34,7 +34,7 @@ pub(crate) fn start(command: &Command) {
             | Command::Eval(_)
             | Command::Inspect(_)
             | Command::Config(_)
-            | Command::Log(LogCommand::Info(_) | LogCommand::Verify(_))
+            | Command::Log(LogCommand::Verify(_))
     ) || matches!(command, Command::Tasks(tasks) if tasks.picture.is_none());
     let is_terminal = std::io::stdout().is_terminal();
     STDOUT.get_or_init(|| Stdout { only_prints, is_terminal });

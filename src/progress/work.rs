@@ -32,11 +32,6 @@ impl WorkProgress {
         Self { pace: Pace::new(Instant::now(), period), bar }
     }
 
-    /// Starts another kind of work, so the time left is estimated anew.
-    pub(crate) fn begin_phase(&mut self) {
-        self.pace.began = Instant::now();
-    }
-
     /// `done` of `total` is done; `place` states which part of the work, such as `episode 3/10`.
     pub(crate) fn reach(&mut self, done: u64, total: u64, place: impl FnOnce() -> String) {
         let Some(text) = self.pace.due(Instant::now(), (done, total), place) else { return };

@@ -158,7 +158,6 @@ fn launch(
         divergence_remedy: divergence_remedy(config).to_owned(),
         seed: RunSeed(config.run.seed),
         iterations: config.iterations(),
-        logged: config.log.episodes,
         run_id: run_path::name(folder),
         folder: folder.to_path_buf(),
         config_toml: config.resolved.to_toml(),

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import struct
 
 import pytest
 from mcap.reader import make_reader
@@ -16,34 +15,41 @@ AGENTS = 6
 
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory):
-    """Folder of a run that logged every episode, joined into one file."""
+    """Folder of a run that logged every episode."""
     folder = tmp_path_factory.mktemp("runs") / "logged"
     s2mia("train", *TINY, f"run.dir={folder}", "log.episodes=all")
-    s2mia("log", "join", folder / "logs", "--out", folder / "joined.mcap")
     return folder
 
 
 @pytest.fixture(scope="module")
-def shares(logged):
+def logs(logged):
+    """The run's trajectory logs."""
+    return sorted((logged / "logs").glob("trajectories-*.mcap"))
+
+
+@pytest.fixture(scope="module")
+def shares(logs):
     """Each share as (head, steps, end); a step is (agents' messages, the step's message)."""
     found, agents = [], []
-    with (logged / "joined.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
-        for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
-            if channel.topic == "/share":
-                found.append([message, [], None])
-            elif channel.topic.startswith("/agents/"):
-                agents.append(message)
-            elif channel.topic == "/step":
-                found[-1][1].append((agents, message))
-                agents = []
-            elif channel.topic == "/share_end":
-                found[-1][2] = message
+    for log in logs:
+        with log.open("rb") as file:
+            reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+            for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
+                if channel.topic == "/share":
+                    found.append([message, [], None])
+                elif channel.topic.startswith("/agents/"):
+                    agents.append(message)
+                elif channel.topic == "/step":
+                    found[-1][1].append((agents, message))
+                    agents = []
+                elif channel.topic == "/share_end":
+                    found[-1][2] = message
+    found.sort(key=lambda share: (share[0].kind, share[0].episode_id, share[0].first_step))
     return found
 
 
-def test_every_topic_has_its_schema_in_the_file(logged):
-    with (logged / "joined.mcap").open("rb") as file:
+def test_every_topic_has_its_schema_in_the_file(logs):
+    with logs[0].open("rb") as file:
         summary = make_reader(file).get_summary()
     named = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
     expected = {f"/agents/{agent}": "s2mia.log.v1.AgentStep" for agent in range(AGENTS)}
@@ -74,45 +80,6 @@ def test_training_is_logged_step_by_step(shares):
     assert all(head.attempt == 0 and head.seed == 7 for head, _ in rollouts)
 
 
-def test_intrinsic_rewards_have_the_mean_that_the_metrics_tell(logged, shares):
-    lines = [json.loads(line) for line in (logged / "metrics.jsonl").read_text().splitlines()]
-    told = [line for line in lines if line["kind"] == "iteration"]
-    assert len(told) == ITERATIONS
-    for line in told:
-        # An iteration is told when it is finished, and shares belong to the one that is under way.
-        steps = [agents for head, steps, _ in shares if head.kind == 1 and head.iteration + 1 == line["iteration"] for agents, _ in steps]
-        assert len(steps) == STEPS_PER_ITERATION
-        for agent in range(AGENTS):
-            found = sum(agents[agent].intrinsic_reward for agents in steps) / len(steps)
-            assert found != 0
-            assert found == pytest.approx(line[f"agent{agent}/surprise_bonus_mean"], rel=1e-5)
-
-
-def test_evaluations_have_no_intrinsic_reward(shares):
-    steps = [(head.kind, agents) for head, steps, _ in shares for agents, _ in steps]
-    assert all(agent.HasField("intrinsic_reward") == (kind == 1) for kind, agents in steps for agent in agents)
-
-
-def test_a_line_of_the_reward_log_is_as_the_documentation_shows_it(logged):
-    block = (ROOT / "docs" / "LOGS.md").read_text().split("```json\n")[1].split("```")[0]
-    line = json.loads((logged / "logs" / "rewards-0001.jsonl").read_text().splitlines()[0])
-    assert list(json.loads(block)) == list(line)
-    assert len(line["intrinsic_reward"]) == AGENTS
-
-
-def test_a_line_of_the_reward_log_has_the_checksum_of_its_documented_bytes(logged):
-    def blob(data):
-        return struct.pack("<Q", len(data)) + data
-
-    for text in (logged / "logs" / "rewards-0001.jsonl").read_text().splitlines():
-        line = json.loads(text)
-        parts = [b"s2mia.log.ShareRewards", blob(line["episode_id"].encode())]
-        parts.append(struct.pack("<IQ", line["first_step"], line["iteration"]))
-        parts += [blob(line[name].encode()) for name in ("weights_sha256", "config_sha256")]
-        parts += [blob(struct.pack(f"<{len(steps)}f", *steps)) for steps in line["intrinsic_reward"]]
-        assert hashlib.sha256(b"".join(parts)).hexdigest() == line["sha256"]
-
-
 def test_shares_of_an_episode_follow_one_another(shares):
     ends = {}
     for head, _, end in shares:
@@ -141,8 +108,8 @@ def test_weights_are_named_by_the_digest_of_their_snapshot(logged, shares):
     assert last and all(head.weights_sha256 == digest for head in last)
 
 
-def test_the_file_carries_the_run_s_settings(logged):
-    with (logged / "joined.mcap").open("rb") as file:
+def test_the_file_carries_the_run_s_settings(logged, logs):
+    with logs[0].open("rb") as file:
         reader = make_reader(file)
         attachments = {record.name: record.data for record in reader.iter_attachments()}
         words = {record.name: record.metadata for record in reader.iter_metadata()}
@@ -151,23 +118,22 @@ def test_the_file_carries_the_run_s_settings(logged):
     assert words["s2mia.log.totals"]["lost_shares"] == "0"
 
 
-def test_the_ten_lines_of_the_documentation_print_a_return_per_share(logged, capsys):
+def test_the_ten_lines_of_the_documentation_print_a_return_per_share(logged, shares, capsys):
     block = (ROOT / "docs" / "LOGS.md").read_text().split("```python\n")[1].split("```")[0]
-    exec(block.replace("joined.mcap", str(logged / "joined.mcap")), {})
+    exec(block.replace('"RUN/logs"', repr(str(logged / "logs"))), {})
     printed = capsys.readouterr().out.splitlines()
-    assert len(printed) == 2 * ITERATIONS * 2 + 3
-    assert printed[0].startswith("rollout-0-0 from step 0: ")
+    assert len(printed) == len(shares)
+    assert any(line.startswith("rollout-0-0 from step 0: ") for line in printed)
 
 
-def test_the_foxglove_layout_shows_topics_that_are_there(logged, recording):
+def test_the_foxglove_layout_shows_topics_that_are_there(logs, recording):
     layout = json.loads((ROOT / "deploy" / "foxglove" / "s2mia.json").read_text())
     panels = layout["configById"]
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
     paths += [panel["xAxisPath"]["value"] for panel in panels.values() if "xAxisPath" in panel]
     paths += [panel["topicPath"] for panel in panels.values() if "topicPath" in panel]
-    # A live view has the topics of a recording, and two more.
-    topics = {"/curves", "/run"}
-    for name in [logged / "joined.mcap", recording]:
+    topics = set()
+    for name in [logs[0], recording]:
         with name.open("rb") as file:
             reader = make_reader(file, decoder_factories=[DecoderFactory()])
             topics |= {channel.topic for channel in reader.get_summary().channels.values()}

@@ -9,7 +9,7 @@ import yaml
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 FILES = ("stack.yaml", "stack.observability.yaml", "compose.yaml", "compose.mtls.yaml")
 STACK, STACK_PROMETHEUS, COMPOSE, MTLS = (yaml.safe_load((DEPLOY / name).read_text()) for name in FILES)
-PUBLISHED = {"learner": "PAGE_PORT", "prometheus": "PROMETHEUS_PORT", "grafana": "GRAFANA_PORT"}
+PUBLISHED = {"learner": "PAGE_PORT", "prometheus": "PROMETHEUS_PORT"}
 
 
 def test_a_learner_takes_the_same_variables_as_under_compose():

@@ -77,7 +77,6 @@ const PLACES: [(&str, &[&str], &str); 2] = [
             "learner/src/store/plain_file",
             "learner/src/observe/metrics",
             "learner/src/observe/page/memory",
-            "learner/src/store/reward_log",
             "learner/src/store/run_folder",
             "recording/src/mcap_file",
             "recording/src/record.rs",

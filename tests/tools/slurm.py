@@ -224,7 +224,6 @@ def main() -> None:
             (study / "study.toml").write_text(STUDY)
         with Slurm(folder).started() as slurm:
             jobs = disturbed(slurm, cluster)
-            # Meanwhile the claims of the lost node become old.
             subprocess.run([PROGRAM, "experiment", "study.toml"], cwd=local, check=True, stdout=subprocess.DEVNULL)
             demand_restarts(slurm, cluster, jobs)
         if record(cluster) != record(local):

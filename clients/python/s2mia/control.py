@@ -41,7 +41,6 @@ class Status:
     slots_backed_up: int
     audits_agreed: int
     storage_degraded: bool
-    paused: bool
     leases: tuple[Lease, ...]
     """Open leases, the oldest first."""
 
@@ -101,7 +100,7 @@ class Client:
         """Prepares a connection to `url`: `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`.
 
         Raises `ValueError` for an invalid address, certificate or token. Every call raises `ConnectionError` if the learner does not
-        answer within `timeout_secs`, or refuses the call. Pause, resume, checkpoint and stop of `s2mia train` need the
+        answer within `timeout_secs`, or refuses the call. To stop `s2mia train`, it needs the
         `token` of its run folder; by default, that of S2MIA_TOKEN is sent.
         """
         self.url, self.timeout_secs = url, timeout_secs
@@ -141,18 +140,6 @@ class Client:
         if fields["evaluation"] is not None:
             fields["evaluation"] = Evaluation(**_fields(Evaluation, message.evaluation))
         return Progress(**fields)
-
-    def pause(self) -> int:
-        """Stops the issue of leases. Returns the number of open leases, which continue."""
-        return int(self._call("Pause", wire.PauseRequest()).open_leases)
-
-    def resume(self) -> None:
-        """Issues leases again."""
-        self._call("Resume", wire.ResumeRequest())
-
-    def checkpoint(self) -> str:
-        """Writes a checkpoint and returns its directory on the learner's machine."""
-        return str(self._call("SaveCheckpoint", wire.SaveCheckpointRequest()).path)
 
     def stop(self) -> None:
         """Ends the learner with a checkpoint."""

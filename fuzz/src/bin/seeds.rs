@@ -14,7 +14,7 @@ use proto::wire::play_response::Answer;
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     Digest, EnvironmentStart, EvaluationResult, Incarnation, Lease, LeaseAnswer, LeaseId,
-    PROTOCOL_VERSION, PolicyVersion, ProcessId, PushHeader, Registration, RolloutWork, ShareRewards, Start,
+    PROTOCOL_VERSION, PolicyVersion, ProcessId, PushHeader, Registration, RolloutWork, Start,
     Steps, View, WeightsName, Work, wire,
 };
 use sim::ContactForces;
@@ -31,7 +31,6 @@ fn main() {
         ("checkpoint", noise()),
         ("slots", noise()),
         ("log", logs()),
-        ("reward_log", reward_logs()),
         ("environment_answers", answers()),
     ] {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target);
@@ -137,24 +136,6 @@ fn states() -> Vec<Seed> {
 fn logs() -> Vec<Seed> {
     let changes = noise().into_iter().map(|(_, bytes)| (Some(1), bytes));
     std::iter::once((Some(0), recording())).chain(changes).collect()
-}
-
-/// The first and the second share of the episodes of [`recording`], as a line each.
-fn reward_logs() -> Vec<Seed> {
-    let line = |episode_id: &str, first_step| {
-        let share = ShareRewards {
-            episode_id: episode_id.to_owned(),
-            first_step,
-            iteration: 3,
-            weights_sha256: Digest([9; 32]).to_string(),
-            config_sha256: Digest([8; 32]).to_string(),
-            intrinsic_reward: vec![vec![Some(0.5), None], vec![Some(-1.0), Some(0.0)]],
-            sha256: String::new(),
-        };
-        serde_json::to_string(&share.sealed()).expect("a share") + "\n"
-    };
-    let both = line("rollout-0-0", 0) + &line("rollout-0-0", 2);
-    vec![(None, both.clone().into_bytes()), (None, both.replace("0.5", "1e39").into_bytes())]
 }
 
 /// A specification, and the answers to each request.

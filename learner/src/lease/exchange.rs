@@ -2,6 +2,7 @@
 //! under one lock, and the queue of what the trainer waits for.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -22,14 +23,12 @@ pub use crate::slots::{EvaluationOutcome, SlotRollout};
 pub use crate::snapshot::FilmedEpisode;
 use crate::snapshot::RunSnapshot;
 
-mod control;
 mod error;
 mod incidents;
 mod reporting;
 mod results;
 mod weights;
 
-pub use control::{Orders, SaveError};
 pub use error::ExchangeError;
 pub use incidents::Caller;
 use incidents::{Names, Notice, is_about_the_lease};
@@ -73,7 +72,8 @@ pub struct Exchange {
     /// Wakes tasks that wait for a lease.
     work: Notify,
     storage: watch::Sender<Storage>,
-    orders: Orders,
+    /// Whether a client asked the run to end, as a signal does.
+    stop_requested: AtomicBool,
     states: StateReader,
     /// Chunks that are checked whole although no check has failed, by lease and sequence.
     checked: SecretSample,
@@ -124,7 +124,7 @@ impl Exchange {
         let snapshot = RunSnapshot::new(run.run_id.clone(), run.incarnation);
         Arc::new(Self {
             snapshot: watch::Sender::new(Arc::new(snapshot)),
-            orders: Orders::default(),
+            stop_requested: AtomicBool::new(false),
             states,
             checked: SecretSample::new(canary::SHARE),
             run,
@@ -134,6 +134,17 @@ impl Exchange {
             work: Notify::new(),
             storage: watch::Sender::new(Storage::Sound),
         })
+    }
+
+    /// Ends the run as a signal does. The trainer reads the request several times a second.
+    pub fn request_stop(&self) {
+        self.stop_requested.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether a client asked the run to end.
+    #[must_use]
+    pub fn is_stop_requested(&self) -> bool {
+        self.stop_requested.load(Ordering::Relaxed)
     }
 
     /// What the run is about.

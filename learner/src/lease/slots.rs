@@ -31,7 +31,6 @@ mod iteration;
 mod leases;
 mod open;
 mod outcome;
-mod pause;
 mod processes;
 mod results;
 mod returned;
@@ -79,7 +78,6 @@ pub struct SlotTable {
     rules: SlotRules,
     now: Duration,
     over: bool,
-    paused: bool,
     actors: Actors,
     last_lease: u64,
     open: OpenLeases,
@@ -104,7 +102,6 @@ impl SlotTable {
             rules,
             now: Duration::ZERO,
             over: false,
-            paused: false,
             actors: Actors::new(rules.ttl),
             last_lease: 0,
             open: OpenLeases::default(),
@@ -269,7 +266,6 @@ impl SlotTable {
         let held = self.open.of(actor).count();
         match self.actors.admit(owner, held, self.now)? {
             _ if self.over => return Ok(Offer::Done),
-            _ if self.paused => return Ok(Offer::Nothing),
             Admission::Quarantined(wait) => return Ok(Offer::Quarantined(wait)),
             Admission::Welcome => {}
         }

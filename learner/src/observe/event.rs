@@ -45,10 +45,6 @@ pub enum Event {
         /// Consecutive failures.
         failures: u32,
     },
-    /// The run is paused: no new leases until it is resumed.
-    Paused,
-    /// The run is resumed.
-    Resumed,
     /// No results have arrived for a while.
     Waiting {
         /// Seconds since the last result.

@@ -98,7 +98,6 @@ impl RunSnapshot {
             leases_reissued: 0,
             storage_degraded: false,
             leases: Vec::new(),
-            paused: false,
             slots_backed_up: 0,
             audits_agreed: 0,
         };
@@ -152,7 +151,7 @@ impl RunSnapshot {
         match event {
             Event::Stage(stage) => self.stage = *stage,
             Event::Iteration(report) => self.iteration(report),
-            Event::Collecting { .. } | Event::Paused => self.waiting = None,
+            Event::Collecting { .. } => self.waiting = None,
             Event::Waiting { reason, .. } => self.waiting = Some(reason.clone()),
             Event::Checkpoint { iteration, secs, bytes, .. } => {
                 let (iteration, secs, bytes) = (*iteration, *secs, *bytes);
@@ -167,7 +166,6 @@ impl RunSnapshot {
                     episodes: *episodes as u32,
                 });
             }
-            Event::Resumed => {}
         }
     }
 

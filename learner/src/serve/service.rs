@@ -38,7 +38,7 @@ mod replayed;
 mod snapshots;
 mod storage;
 
-pub use operator::{Operator, RemoteCheckpoint, WatchedLines};
+pub use operator::{Operator, WatchedLines};
 pub use policies::{ServedPolicies, serve_policies};
 pub use storage::STORAGE;
 

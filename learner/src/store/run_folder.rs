@@ -28,8 +28,7 @@ pub const STARTS: &str = "starts.jsonl";
 const LOCK: &str = "learner.lock";
 /// Where the learner of the latest start listened.
 const ADDRESS: &str = "address";
-/// Manifest field: whether an actor without a fingerprint ever took part, so that the run is not
-/// exactly repeatable.
+/// Manifest field: whether a result of an actor without a fingerprint counts, which may not be repeatable.
 const FOREIGN_ACTORS: &str = "foreign_actors";
 
 /// A run folder that this process alone may write to, until it is dropped.
@@ -149,12 +148,6 @@ impl RunFolder {
     #[must_use]
     pub fn file(&self, name: &str) -> PathBuf {
         self.path.join(name)
-    }
-
-    /// The folder of trajectory logs.
-    #[must_use]
-    pub fn logs(&self) -> PathBuf {
-        self.file(LOGS)
     }
 
     /// Writes the settings, a line in `starts.jsonl` and, at the run's first start, the manifest. The manifest makes

@@ -34,21 +34,6 @@ pub struct Environments {
     faults: u64,
 }
 
-/// The part of an episode within one iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Share {
-    /// Global index of the environment.
-    pub environment: u32,
-    /// Index of the episode in its environment.
-    pub episode: u64,
-    /// Steps of the episode before this part.
-    pub first_step: u32,
-    /// Steps of the slot before this part.
-    pub slot_step: usize,
-    /// Steps in this part.
-    pub steps: usize,
-}
-
 /// Step limit of an environment's first episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Limit {
@@ -135,34 +120,6 @@ impl Environments {
             Some((environment as u32, why))
         };
         self.starts.iter().enumerate().filter_map(check).collect()
-    }
-
-    /// The parts of episodes in an iteration, by environment and episode. Must be called before [`Self::advance`].
-    #[must_use]
-    pub fn shares(&self, batch: &Batch) -> Vec<Share> {
-        let environments = 0..batch.environments;
-        environments.flat_map(|environment| self.shares_of(environment, batch)).collect()
-    }
-
-    fn shares_of(&self, environment: usize, batch: &Batch) -> Vec<Share> {
-        let mut open = Share {
-            environment: environment as u32,
-            episode: self.finished[environment],
-            first_step: self.episode_length[environment] as u32,
-            slot_step: 0,
-            steps: 0,
-        };
-        let mut shares = Vec::new();
-        for step in 0..batch.steps {
-            open.steps += 1;
-            if batch.done(step * batch.environments + environment) {
-                shares.push(open);
-                let (episode, slot_step) = (open.episode + 1, step + 1);
-                open = Share { episode, first_step: 0, slot_step, steps: 0, ..open };
-            }
-        }
-        shares.extend((open.steps > 0).then_some(open));
-        shares
     }
 
     /// Advances to the end of an iteration with its rewards and the end states of its slots. `batch` is assembled from

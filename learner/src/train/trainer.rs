@@ -20,7 +20,7 @@ use crate::assemble::{Layout, assemble};
 use crate::checkpoint::{self, Saved};
 use crate::config::Config;
 use crate::end_states::StateReader;
-use crate::environments::{Environments, Share};
+use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::{Evaluated, Evaluations};
 use crate::event::{Event, IterationReport, Stage};
@@ -28,7 +28,6 @@ use crate::exchange::{Exchange, SlotRollout};
 use crate::fault::{self, Fault, Point};
 use crate::metrics::Metrics;
 use crate::provenance::{Origin, Provenance};
-use crate::reward_log::{Paid, RewardLog};
 use crate::run_folder::RunFolder;
 use crate::trainer::collect::{Collected, ProgressMonitor};
 use crate::trainer::divergence::Divergence;
@@ -76,8 +75,6 @@ pub struct Trainer {
     pub(crate) folder: RunFolder,
     pub(crate) metrics: Metrics,
     pub(crate) provenance: Provenance,
-    /// `None` if no training episodes are logged.
-    pub(crate) reward_log: Option<RewardLog>,
     pub(crate) saved: Option<Saved>,
     pub(crate) failed_saves: u32,
     pub(crate) pool: ThreadPool,
@@ -175,7 +172,6 @@ impl RunningTrainer {
             self.enter(Stage::Update);
             self.trainer.fault_at(Point::AfterCollect);
             let batch = assemble(&self.trainer.layout, &collected.rollouts);
-            let shares = self.trainer.environments.shares(&batch);
             self.trainer.environments.advance(&batch, &collected.rollouts);
             let update = self.trainer.update(&batch)?;
             self.trainer.iteration += 1;
@@ -183,10 +179,8 @@ impl RunningTrainer {
             self.lease();
             self.trainer.fault_at(Point::AfterPublish);
             self.record(&collected, &update)?;
-            self.log_rewards(&collected, &shares);
             self.evaluate_if_due()?;
             self.save_if_due()?;
-            self.save_if_requested();
         }
         self.end()
     }
@@ -204,7 +198,6 @@ impl RunningTrainer {
     /// Writes the last checkpoint, then waits for the last evaluation.
     fn end(&mut self) -> Result<Summary, LearnerError> {
         let saved = self.save_now()?;
-        self.save_if_requested();
         let complete = self.trainer.iteration >= self.trainer.last_iteration;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.note_foreign_actors(self.outside.exchange.run_snapshot().foreign_actors);
@@ -303,22 +296,6 @@ impl RunningTrainer {
             tracing::info!("{advice}");
             self.advised = true;
         }
-    }
-
-    /// Logs the intrinsic rewards of the iteration just finished.
-    fn log_rewards(&mut self, collected: &Collected, shares: &[Share]) {
-        let Trainer { reward_log, surprise, layout, iteration, config_sha256, .. } =
-            &mut self.trainer;
-        let Some(log) = reward_log else { return };
-        log.take(Paid {
-            iteration: *iteration - 1,
-            weights: collected.behaviour.digest,
-            config: *config_sha256,
-            shares,
-            rewards: &surprise.intrinsic_rewards(),
-            environments: layout.environments,
-        });
-        self.outside.exchange.count_lost_log_steps(log.newly_lost());
     }
 
     /// Begins an evaluation of the newest policies if it is due, after waiting for the outstanding one.

@@ -6,8 +6,7 @@ use learner::slots::{ConnectionId, Effect, Offer};
 use proto::{ActorId, EvaluationResult, Heartbeat, Incarnation, PushHeader, Reason, Work};
 
 use crate::table::{
-    Actor, CHUNKS, Held, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights,
-    works,
+    Actor, Held, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights, works,
 };
 
 fn second(count: u64) -> Duration {
@@ -178,24 +177,6 @@ fn a_finished_run_answers_done() {
     let a = actor(&mut table, 1);
     table.finish();
     assert_eq!(a.ask(&mut table), Ok(Offer::Done));
-}
-
-#[test]
-fn a_paused_run_grants_no_leases_accepts_results_and_can_be_resumed() {
-    let mut table = table(2);
-    let a = actor(&mut table, 1);
-    let open = lease(&mut table, a);
-    table.open_evaluation(0, weights(), 1);
-    table.pause();
-    assert_eq!((a.ask(&mut table), table.is_paused()), (Ok(Offer::Nothing), true));
-    assert!((0..CHUNKS).all(|sequence| push(&mut table, &open, sequence).is_ok()));
-    table.effects();
-    table.resume();
-    assert_eq!(table.effects(), [Effect::WorkFreed], "waiting actors are notified");
-    assert_eq!(slot(&lease(&mut table, a)), 1);
-    table.pause();
-    table.finish();
-    assert_eq!(a.ask(&mut table), Ok(Offer::Done), "a finished run stays finished");
 }
 
 #[test]

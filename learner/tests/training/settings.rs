@@ -7,7 +7,7 @@ use learner::{
     Launch, LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
 };
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, RunSeed};
-use proto::{Digest, Episodes};
+use proto::Digest;
 use serde_json::json;
 
 use crate::toy;
@@ -25,7 +25,6 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         divergence_remedy: String::new(),
         seed: RunSeed(7),
         iterations,
-        logged: Episodes::None,
         run_id: "toy".to_owned(),
         folder: folder.to_path_buf(),
         config_toml: "task = \"toy\"\n".to_owned(),

@@ -1,12 +1,14 @@
 //! Channels of a robot: frames of its links, joints, and shapes as a scene.
 
+use std::io::{Seek, Write};
+
 use foxglove::messages::{FrameTransform, FrameTransforms, JointState, JointStates, SceneUpdate};
 use sim::{LinkShape, Pose};
 
 use super::geometry::{quaternion, vector};
 use super::scene;
 use crate::error::RecordError;
-use crate::sink::{Channel, Sink};
+use crate::mcap_file::{Channel, McapFile};
 
 /// The channels `/tf`, `/joint_states` and `/scene`.
 pub(crate) struct RobotChannels {
@@ -18,24 +20,34 @@ pub(crate) struct RobotChannels {
 
 impl RobotChannels {
     /// Creates the channels of a robot with these shapes.
-    pub(crate) fn create(sink: &mut impl Sink, shapes: &[LinkShape]) -> Result<Self, RecordError> {
+    pub(crate) fn create(
+        file: &mut McapFile<impl Write + Seek>,
+        shapes: &[LinkShape],
+    ) -> Result<Self, RecordError> {
         Ok(Self {
             shapes: shapes.to_vec(),
-            transforms: sink.foxglove_channel::<FrameTransforms>("/tf")?,
-            joints: sink.foxglove_channel::<JointStates>("/joint_states")?,
-            scene: sink.foxglove_channel::<SceneUpdate>("/scene")?,
+            transforms: file.foxglove_channel::<FrameTransforms>("/tf")?,
+            joints: file.foxglove_channel::<JointStates>("/joint_states")?,
+            scene: file.foxglove_channel::<SceneUpdate>("/scene")?,
         })
     }
 
     /// Writes the shapes at the start of a share.
-    pub(crate) fn scene(&mut self, sink: &mut impl Sink) -> Result<(), RecordError> {
-        let scene = scene::update(&self.shapes, sink.now());
-        sink.foxglove(&mut self.scene, &scene)
+    pub(crate) fn scene(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+    ) -> Result<(), RecordError> {
+        let scene = scene::update(&self.shapes, file.now());
+        file.foxglove(&mut self.scene, &scene)
     }
 
     /// Writes the poses of links and joints.
-    pub(crate) fn pose(&mut self, sink: &mut impl Sink, pose: &Pose) -> Result<(), RecordError> {
-        let now = sink.now();
+    pub(crate) fn pose(
+        &mut self,
+        file: &mut McapFile<impl Write + Seek>,
+        pose: &Pose,
+    ) -> Result<(), RecordError> {
+        let now = file.now();
         let transform = |link: &sim::LinkPose| FrameTransform {
             timestamp: Some(now),
             parent_frame_id: "world".to_owned(),
@@ -50,9 +62,9 @@ impl RobotChannels {
             ..JointState::default()
         };
         let transforms = FrameTransforms { transforms: pose.links.iter().map(transform).collect() };
-        sink.foxglove(&mut self.transforms, &transforms)?;
+        file.foxglove(&mut self.transforms, &transforms)?;
         let joints =
             JointStates { timestamp: Some(now), joints: pose.joints.iter().map(joint).collect() };
-        sink.foxglove(&mut self.joints, &joints)
+        file.foxglove(&mut self.joints, &joints)
     }
 }

@@ -49,7 +49,6 @@ fn agents(chunk: &TrajectoryChunk, row: usize) -> Vec<AgentStep> {
         observation: of_row(&agent.observation),
         action: of_row(&agent.action),
         log_prob: Some(agent.log_prob[row]),
-        intrinsic_reward: None,
     };
     chunk.agents.iter().map(agent).collect()
 }

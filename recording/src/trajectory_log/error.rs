@@ -17,25 +17,22 @@ pub enum LogError {
     NotMcap,
     /// The end of the file is missing.
     #[error(
-        "not finished: its end is missing, so it is still being written or was truncated; `s2mia log recover` saves \
-         the intact part"
+        "not finished: its end is missing, so it is still being written or was truncated; `mcap recover` of the MCAP \
+         command line saves the intact part"
     )]
     Unfinished,
     /// The file is corrupted.
-    #[error("damaged: {0}; `s2mia log recover` saves the intact part")]
+    #[error("damaged: {0}; `mcap recover` of the MCAP command line saves the intact part")]
     Damaged(String),
     /// The file is an MCAP file, but not a trajectory log.
     #[error("an MCAP file, but not a trajectory log: {0}")]
     Foreign(String),
-    /// The log cannot be joined or replayed by this program.
+    /// The log cannot be replayed by this program.
     #[error("{0}")]
     Unfit(String),
     /// The output cannot be written.
     #[error(transparent)]
     Write(#[from] RecordError),
-    /// The output file already exists.
-    #[error("already exists; choose another file")]
-    Taken,
 }
 
 impl From<mcap::McapError> for LogError {

@@ -9,14 +9,11 @@ use proto::{Episodes, RunDescription};
 use rollout::description;
 use sim::{Description, EnvironmentBatch, LinkShape, Robot, TaskConfig};
 
-use super::error::LogError;
 use super::names::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
-use super::shares::ReadShares;
 use crate::channels::ShareChannels;
 use crate::error::RecordError;
 use crate::mcap_file::{McapFile, verify};
 use crate::share::LoggedShare;
-use crate::sink::Sink as _;
 
 /// Origin of the shares of a file.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,25 +79,6 @@ impl Origin {
             shapes: shapes(world),
             description,
         }
-    }
-
-    /// Origin from the metadata of a log.
-    pub(super) fn of_log(log: &ReadShares) -> Result<Self, LogError> {
-        let task = log.task()?;
-        let world = sim::environments(&task, 1).map_err(|e| LogError::Unfit(e.to_string()))?;
-        Ok(Self {
-            words: log.words.clone(),
-            settings_toml: log.settings_toml.clone(),
-            task_settings: log.task_settings.clone(),
-            description: world.description().clone(),
-            shapes: shapes(&*world),
-        })
-    }
-
-    /// Adds a metadata entry.
-    pub(super) fn with(mut self, name: &str, value: String) -> Self {
-        self.words.insert(name.to_owned(), value);
-        self
     }
 }
 

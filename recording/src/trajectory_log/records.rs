@@ -18,19 +18,11 @@ const MOST_BYTES: usize = 1 << 30;
 /// If the end is missing, a checksum is wrong, a record is invalid, or `each` fails.
 pub(super) fn read(
     bytes: &[u8],
-    each: impl FnMut(Record<'_>) -> Result<(), LogError>,
+    mut each: impl FnMut(Record<'_>) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
     if bytes.len() < 2 * mcap::MAGIC.len() || !bytes.ends_with(mcap::MAGIC) {
         return Err(LogError::Unfinished);
     }
-    read_data(bytes, each)
-}
-
-/// As [`read`], but passes all records before a missing end to `each`.
-pub(super) fn read_data(
-    bytes: &[u8],
-    mut each: impl FnMut(Record<'_>) -> Result<(), LogError>,
-) -> Result<(), LogError> {
     let options = LinearReaderOptions::default()
         .with_emit_chunks(true)
         .with_validate_data_section_crc(true)
@@ -43,7 +35,7 @@ pub(super) fn read_data(
 }
 
 /// Reads the records of a chunk with this body, after checking its checksum.
-pub(super) fn unpack(
+fn unpack(
     body: &[u8],
     each: &mut impl FnMut(Record<'_>) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
@@ -143,7 +135,7 @@ fn skip_parts<'a>(parts: &[Part], mut body: &'a [u8]) -> Option<&'a [u8]> {
 
 /// Whether the sizes in a chunk's body are consistent and at most [`MOST_BYTES`] decompressed. The records of an
 /// uncompressed chunk must fill it exactly.
-pub(super) fn is_chunk(body: &[u8]) -> bool {
+fn is_chunk(body: &[u8]) -> bool {
     if body.len() < CHUNK_HEAD {
         return false;
     }
@@ -181,6 +173,6 @@ fn is_attachment(body: &[u8]) -> bool {
 }
 
 /// Reads a little-endian u64 at `at`, which must be within bounds.
-pub(super) fn number(bytes: &[u8], at: usize) -> u64 {
+fn number(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().expect("the slice was cut to this length"))
 }

@@ -51,14 +51,14 @@ pub struct Replayed {
 /// If the file is damaged or not a trajectory log, or this program does not support its task or a state.
 pub fn replay(bytes: &[u8], mut on_share: impl FnMut(u64, u64)) -> Result<Replayed, LogError> {
     let mut all = 0;
-    let log = read_shares(bytes, |share, _| {
+    let log = read_shares(bytes, |share| {
         all += share.steps.len() as u64;
         Ok(())
     })?;
     let world = sim::environments(&log.task()?, 1);
     let mut player = Player::new(world.map_err(|error| LogError::Unfit(error.to_string()))?);
     let mut replayed = Replayed::default();
-    read_shares(bytes, |share, _| {
+    read_shares(bytes, |share| {
         if replayed.difference.is_none() {
             match player.play(&share)? {
                 Some(difference) => replayed.difference = Some(difference),

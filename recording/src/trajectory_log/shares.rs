@@ -1,20 +1,20 @@
-//! Reads the complete shares of a log in order.
+//! Reads the complete shares of a log in order, and a log's totals.
 
 use std::collections::BTreeMap;
+use std::io::{Read as _, Seek as _};
+use std::path::Path;
 
 use foxglove::messages::{FrameTransforms, JointStates};
-use mcap::records::{MessageHeader, Record};
+use mcap::records::{Record, op};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use prost::Message;
 use proto::trajectory_log::{AgentStep, Share, ShareEnd, Step};
 use sim::{JointPose, LinkPose, Pose};
 
 use super::error::LogError;
 use super::names::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
-use super::records;
+use super::{records, source};
 use crate::share::{LoggedShare, LoggedStep};
-
-/// A share with the times of its first and last message, nanoseconds.
-type Timed = (LoggedShare, (u64, u64));
 
 /// Metadata and attachments of a log.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -31,14 +31,13 @@ pub struct ReadShares {
     pub torn_steps: u64,
 }
 
-/// Reads a finished log, checks all checksums and schemas, and passes each complete share to `on_share`, with the times
-/// of its first and last message, nanoseconds.
+/// Reads a finished log, checks all checksums and schemas, and passes each complete share to `on_share`.
 ///
 /// # Errors
 /// If the file is damaged or not a trajectory log, or `on_share` fails.
 pub fn read_shares(
     bytes: &[u8],
-    mut on_share: impl FnMut(LoggedShare, (u64, u64)) -> Result<(), LogError>,
+    mut on_share: impl FnMut(LoggedShare) -> Result<(), LogError>,
 ) -> Result<ReadShares, LogError> {
     let mut assembler = Assembler::default();
     let mut log = ReadShares::default();
@@ -54,8 +53,8 @@ pub fn read_shares(
                 _ => {}
             },
             other => {
-                if let Some((share, nanos)) = assembler.take(other)? {
-                    on_share(share, nanos)?;
+                if let Some(share) = assembler.take(other)? {
+                    on_share(share)?;
                 }
             }
         }
@@ -71,6 +70,35 @@ pub fn read_shares(
     }
     log.torn_steps = assembler.torn_steps + assembler.open_steps();
     Ok(log)
+}
+
+/// Reads the totals of a finished log, without reading the whole file: `shares`, `steps`, `lost_shares` and
+/// `lost_steps`.
+///
+/// # Errors
+/// If the file cannot be read or has no totals.
+pub fn totals(path: &Path) -> Result<BTreeMap<String, String>, LogError> {
+    let mut file = source::open(path)?;
+    let mut reader = SummaryReader::new();
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::ReadRequest(wanted) => {
+                let read = file.read(reader.insert(wanted)).map_err(LogError::Read)?;
+                reader.notify_read(read);
+            }
+            SummaryReadEvent::SeekRequest(to) => {
+                reader.notify_seeked(file.seek(to).map_err(LogError::Read)?);
+            }
+        }
+    }
+    let summary = reader.finish().ok_or(LogError::Unfinished)?;
+    let last = summary.metadata_indexes.iter().find(|index| index.name == TOTALS_NAME);
+    let last = last.ok_or_else(|| LogError::Foreign("it has no totals".to_owned()))?;
+    let record = source::read_part(path, last.offset, last.length)?;
+    match records::parse(op::METADATA, record.get(records::RECORD_HEAD..).unwrap_or_default())? {
+        Record::Metadata(record) => Ok(record.metadata),
+        _ => Err(LogError::Damaged("the metadata index points to another record".to_owned())),
+    }
 }
 
 fn text(data: &[u8]) -> Result<String, LogError> {
@@ -108,13 +136,13 @@ impl Role {
 }
 
 /// Assembles messages to shares. Incomplete shares are skipped and their steps counted.
-#[derive(Clone, Default)]
-pub(super) struct Assembler {
+#[derive(Default)]
+struct Assembler {
     /// Name and encoding of each schema.
     schemas: BTreeMap<u16, (String, String)>,
     roles: BTreeMap<u16, Role>,
     agents: usize,
-    open: Option<(LoggedShare, u64)>,
+    open: Option<LoggedShare>,
     pose: Pose,
     acted: Vec<AgentStep>,
     torn_steps: u64,
@@ -122,14 +150,14 @@ pub(super) struct Assembler {
 
 impl Assembler {
     /// Adds a record; returns a share if the record completes it.
-    pub(super) fn take(&mut self, record: Record<'_>) -> Result<Option<Timed>, LogError> {
+    fn take(&mut self, record: Record<'_>) -> Result<Option<LoggedShare>, LogError> {
         match record {
             Record::Schema { header, .. } => {
                 self.schemas.insert(header.id, (header.name, header.encoding));
                 Ok(None)
             }
             Record::Channel(channel) => self.declare(&channel).map(|()| None),
-            Record::Message { header, data } => self.message(&header, &data),
+            Record::Message { header, data } => self.message(header.channel_id, &data),
             _ => Ok(None),
         }
     }
@@ -149,10 +177,10 @@ impl Assembler {
         Ok(())
     }
 
-    fn message(&mut self, header: &MessageHeader, data: &[u8]) -> Result<Option<Timed>, LogError> {
+    fn message(&mut self, channel: u16, data: &[u8]) -> Result<Option<LoggedShare>, LogError> {
         let unknown = || LogError::Damaged("a message has an unknown channel".to_owned());
-        match self.roles.get(&header.channel_id).copied().ok_or_else(unknown)? {
-            Role::Share => self.begin(Share::decode(data)?, header.log_time),
+        match self.roles.get(&channel).copied().ok_or_else(unknown)? {
+            Role::Share => self.begin(Share::decode(data)?),
             Role::Transforms => self.pose.links = links(&FrameTransforms::decode(data)?),
             Role::Joints => self.pose.joints = joints(&JointStates::decode(data)?),
             Role::Agent(index) if index == self.acted.len() => {
@@ -160,18 +188,15 @@ impl Assembler {
             }
             Role::Agent(_) | Role::Other => {}
             Role::Step => self.step(Step::decode(data)?),
-            Role::ShareEnd => {
-                let share = self.end(ShareEnd::decode(data)?);
-                return Ok(share.map(|(share, begun)| (share, (begun, header.log_time))));
-            }
+            Role::ShareEnd => return Ok(self.end(ShareEnd::decode(data)?)),
         }
         Ok(None)
     }
 
-    fn begin(&mut self, head: Share, nanos: u64) {
+    fn begin(&mut self, head: Share) {
         self.torn_steps += self.open_steps();
         let end = ShareEnd::default();
-        self.open = Some((LoggedShare { head, steps: Vec::new(), end }, nanos));
+        self.open = Some(LoggedShare { head, steps: Vec::new(), end });
         self.acted.clear();
     }
 
@@ -179,7 +204,7 @@ impl Assembler {
         let (pose, agents) = (std::mem::take(&mut self.pose), std::mem::take(&mut self.acted));
         let all = agents.len() == self.agents;
         match &mut self.open {
-            Some((share, _)) if all && step.step == share.next_step() => {
+            Some(share) if all && step.step == share.next_step() => {
                 share.steps.push(LoggedStep { pose, agents, step });
             }
             _ => {
@@ -189,21 +214,28 @@ impl Assembler {
         }
     }
 
-    fn end(&mut self, end: ShareEnd) -> Option<(LoggedShare, u64)> {
-        let (share, begun) = self.open.take()?;
+    fn end(&mut self, end: ShareEnd) -> Option<LoggedShare> {
+        let share = self.open.take()?;
         if end.steps as usize != share.steps.len() {
             self.torn_steps += share.steps.len() as u64;
             return None;
         }
-        Some((LoggedShare { end, ..share }, begun))
+        Some(LoggedShare { end, ..share })
     }
 
     fn open_steps(&self) -> u64 {
-        self.open.as_ref().map_or(0, |(share, _)| share.steps.len() as u64)
+        self.open.as_ref().map_or(0, |share| share.steps.len() as u64)
     }
 }
 
 impl ReadShares {
+    /// Number of shares that the actor could not write, as the end of the log reports it.
+    #[must_use]
+    pub fn lost_shares(&self) -> u64 {
+        let count = self.totals.as_ref().and_then(|totals| totals.get("lost_shares"));
+        count.and_then(|count| count.parse().ok()).unwrap_or(0)
+    }
+
     /// Settings of the task.
     ///
     /// # Errors

@@ -3,7 +3,6 @@
 mod damage;
 #[path = "../../../rollout/tests/rollout/fixture.rs"]
 mod fixture;
-mod rewards;
 mod several;
 mod whole;
 #[path = "../../../rollout/tests/rollout/work.rs"]
@@ -100,7 +99,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 fn read(path: &Path) -> (ReadShares, Vec<LoggedShare>) {
     let mut shares = Vec::new();
-    let log = read_shares(&read_bytes(path).unwrap(), |share, _| {
+    let log = read_shares(&read_bytes(path).unwrap(), |share| {
         shares.push(share);
         Ok(())
     });

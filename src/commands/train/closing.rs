@@ -1,11 +1,9 @@
 //! The last lines of `s2mia train`: results, checkpoint and possible next commands.
 
-use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::time::Duration;
 
-use learner::{Summary, plain_file};
-use proto::is_reward_log_name;
+use learner::Summary;
 use recording::trajectory_log::{is_log_name, totals};
 
 use crate::figures::chart;
@@ -82,28 +80,22 @@ impl Closing<'_> {
     }
 }
 
-/// Totals of all trajectory logs of the run, and of the learner's reward logs.
+/// Totals of all trajectory logs of the run.
 pub(super) fn logged(logs: &Path) -> String {
-    let files = |belong| run_path::files(logs, belong).unwrap_or_default();
-    let logged = files(is_log_name);
+    let logged = run_path::files(logs, is_log_name).unwrap_or_default();
     let finished: Vec<_> = logged.iter().filter_map(|path| totals(path).ok()).collect();
     let sum = |figure: &str| {
         let values = finished.iter().filter_map(|of| of.get(figure)?.parse::<u64>().ok());
         chart::thousands(values.sum())
     };
     format!(
-        "logged {} steps in {} shares of episodes to {}, with intrinsic rewards of {}; {} shares lost, {} files not finished",
+        "logged {} steps in {} shares of episodes to {}; {} shares lost, {} files not finished",
         sum("steps"),
         sum("shares"),
         logs.display(),
-        chart::thousands(files(is_reward_log_name).iter().map(|path| lines(path)).sum()),
         sum("lost_shares"),
         logged.len() - finished.len(),
     )
-}
-
-fn lines(path: &Path) -> u64 {
-    plain_file::reader(path).map_or(0, |file| BufReader::new(file).split(b'\n').count() as u64)
 }
 
 /// First and last evaluation, and the curve between them.

@@ -1,4 +1,4 @@
-"""`s2mia.Client` queries, watches, pauses and stops a learner, over plain text and TLS."""
+"""`s2mia.Client` queries, watches and stops a learner, over plain text and TLS."""
 
 import math
 import subprocess
@@ -19,22 +19,17 @@ def test_a_duration_that_no_timer_holds_is_refused_by_name(secs):
     assert "heartbeat_secs" in _problem(run)
 
 
-def test_a_learner_is_queried_paused_saved_and_stopped(serve):
+def test_a_learner_is_queried_and_stopped(serve):
     learner = serve("orders", [*SMALL, "environments.per_slot=10"])
     with s2mia.Client(learner.url) as client:
         status = client.status()
         assert (status.run_id, status.iteration, status.slots, status.actors) == ("orders", 0, 2, 0)
-        assert (status.paused, status.leases, status.env_steps_per_sec) == (False, (), None)
+        assert (status.leases, status.env_steps_per_sec) == ((), None)
         actor = s2mia.Learner(learner.address)
         lease = actor.lease()
         (held,) = client.status().leases
         assert (held.lease_id, held.actor_id, held.episode) == (lease.lease_id, actor.actor_id, None)
         assert held.slot in (0, 1)
-        assert client.pause() == 1
-        assert client.status().paused
-        client.resume()
-        assert not client.status().paused
-        assert client.checkpoint().endswith("iter_00000000")
         actor.close()
         client.stop()
     assert "stopped after iteration 0" in learner.finish()

@@ -79,7 +79,7 @@ impl Exchange {
         let first = RunLine::without_figures(status.run_id, iteration, env_steps);
         let end = match summary {
             Some(ended) if !ended.stopped_early => RunEnd::Finished,
-            _ if self.orders.is_stopped() => RunEnd::StoppedByClient,
+            _ if self.is_stop_requested() => RunEnd::StoppedByClient,
             _ => RunEnd::Stopped,
         };
         self.snapshot.send_modify(|snapshot| Arc::make_mut(snapshot).end(end, first));
@@ -149,7 +149,6 @@ impl Exchange {
         status.leases_reissued = counts.reissued;
         status.storage_degraded = *self.storage.borrow() == Storage::Degraded;
         status.leases = shared.table.leases();
-        status.paused = shared.table.is_paused();
         status.slots_backed_up = counts.backups;
         status.audits_agreed = counts.audits.agreed;
     }
@@ -178,7 +177,7 @@ pub fn status_json(status: &Status) -> Value {
         })
     };
     json!({
-        "state": if status.paused { "paused" } else { "running" },
+        "state": "running",
         "run_id": status.run_id,
         "incarnation": format!("{:016x}", status.incarnation.0),
         "iteration": status.iteration,

@@ -64,8 +64,6 @@ impl MetricSet {
         self.gauge("sample_reuse_ratio", help, facts.sample_reuse);
         let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == run.stage)));
         self.gauges("phase", "1 for the current stage of the trainer", "phase", Stage::ALL.map(at));
-        let paused = f64::from(u8::from(status.paused));
-        self.gauge("paused", "1 while the run is paused", paused);
         let secs = run.phase_secs().into_iter().flatten();
         self.gauges("phase_seconds", "Duration of the parts of the last iteration", "phase", secs);
     }

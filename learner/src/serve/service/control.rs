@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use crate::exchange::{Exchange, SaveError};
+use crate::exchange::Exchange;
 use crate::service::connections::{caller, demand};
 
 /// Lines buffered per watcher; the exchange keeps the others.
@@ -47,49 +47,12 @@ impl ControlService for Control {
         Ok(Response::new(ReceiverStream::new(stream)))
     }
 
-    async fn pause(
-        &self,
-        request: Request<wire::PauseRequest>,
-    ) -> Result<Response<wire::PauseResponse>, Status> {
-        demand(&request, Role::Admin)?;
-        let open_leases = self.exchange.pause();
-        tracing::info!(
-            "{}: no new leases; {open_leases} open leases will finish",
-            caller(&request, "pause")
-        );
-        Ok(Response::new(wire::PauseResponse { open_leases }))
-    }
-
-    async fn resume(
-        &self,
-        request: Request<wire::ResumeRequest>,
-    ) -> Result<Response<wire::ResumeResponse>, Status> {
-        demand(&request, Role::Admin)?;
-        self.exchange.resume();
-        tracing::info!("{}: the run is resumed", caller(&request, "resume"));
-        Ok(Response::new(wire::ResumeResponse {}))
-    }
-
-    async fn save_checkpoint(
-        &self,
-        request: Request<wire::SaveCheckpointRequest>,
-    ) -> Result<Response<wire::SaveCheckpointResponse>, Status> {
-        demand(&request, Role::Admin)?;
-        let saved = self.exchange.orders().save().await.map_err(|error| match error {
-            SaveError::Failed(_) => Status::failed_precondition(error.to_string()),
-            SaveError::Ended => Status::unavailable(error.to_string()),
-        })?;
-        let (iteration, path) = (saved.iteration, saved.path.display().to_string());
-        tracing::info!(iteration, path, "{}", caller(&request, "save_checkpoint"));
-        Ok(Response::new(wire::SaveCheckpointResponse { iteration, path }))
-    }
-
     async fn stop(
         &self,
         request: Request<wire::StopRequest>,
     ) -> Result<Response<wire::StopResponse>, Status> {
         demand(&request, Role::Admin)?;
-        self.exchange.orders().stop();
+        self.exchange.request_stop();
         tracing::info!("{}: the run stops after a checkpoint", caller(&request, "stop"));
         Ok(Response::new(wire::StopResponse {}))
     }

@@ -23,15 +23,6 @@ pub struct Operator {
     service: ControlServiceClient<InterceptedService<Channel, Authorization>>,
 }
 
-/// A checkpoint on the learner's machine.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RemoteCheckpoint {
-    /// Finished iterations in it.
-    pub iteration: u64,
-    /// Its directory.
-    pub path: String,
-}
-
 /// A stream of the run's lines.
 #[derive(Debug)]
 pub struct WatchedLines {
@@ -69,35 +60,6 @@ impl Operator {
     pub async fn status(&mut self) -> Result<Status, HealthError> {
         let answer = self.service.get_status(wire::GetStatusRequest {});
         Ok(Status::from_wire(answered(&self.url, self.timeout, answer).await?))
-    }
-
-    /// Pauses the run. Returns the number of open leases, which will finish.
-    ///
-    /// # Errors
-    /// No response, or the call is rejected.
-    pub async fn pause(&mut self) -> Result<u64, HealthError> {
-        let answer = self.service.pause(wire::PauseRequest {});
-        Ok(answered(&self.url, self.timeout, answer).await?.open_leases)
-    }
-
-    /// Resumes a paused run.
-    ///
-    /// # Errors
-    /// No response, or the call is rejected.
-    pub async fn resume(&mut self) -> Result<(), HealthError> {
-        let answer = self.service.resume(wire::ResumeRequest {});
-        answered(&self.url, self.timeout, answer).await.map(drop)
-    }
-
-    /// Waits for a checkpoint of the last finished iteration.
-    ///
-    /// # Errors
-    /// No response, the call is rejected, or the checkpoint could not be written.
-    pub async fn save_checkpoint(&mut self) -> Result<RemoteCheckpoint, HealthError> {
-        let answer = self.service.save_checkpoint(wire::SaveCheckpointRequest {});
-        let wire::SaveCheckpointResponse { iteration, path } =
-            answered(&self.url, self.timeout, answer).await?;
-        Ok(RemoteCheckpoint { iteration, path })
     }
 
     /// Stops the learner after a checkpoint.

@@ -69,28 +69,6 @@ fn environments_are_numbered_over_all_slots() {
 }
 
 #[test]
-fn an_iteration_is_split_into_parts_of_episodes() {
-    let share = |environment, episode, first_step, slot_step, steps| Share {
-        environment,
-        episode,
-        first_step,
-        slot_step,
-        steps,
-    };
-    let mut environments = Environments::fresh(layout(), 10, Phase::Lockstep);
-    // An episode of environment 1 ends with the second step.
-    let first = batch([0.0; 6], &[3]);
-    let expected = [share(0, 0, 0, 0, 3), share(1, 0, 0, 0, 2), share(1, 1, 0, 2, 1)];
-    assert_eq!(environments.shares(&first), expected);
-    environments.advance(&first, &[rollout()]);
-    // An episode of environment 0 ends with the last step.
-    let second = batch([0.0; 6], &[4]);
-    assert_eq!(environments.shares(&second), [share(0, 0, 3, 0, 3), share(1, 1, 1, 0, 3)]);
-    environments.advance(&second, &[rollout()]);
-    assert_eq!(environments.shares(&second)[0], share(0, 1, 0, 0, 3));
-}
-
-#[test]
 fn an_episode_truncated_before_its_limit_is_counted_as_a_fault() {
     // Limits 2 and 4: environment 0 reaches its limit with step 1; the end of environment 1 after step 0 is a fault.
     let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);

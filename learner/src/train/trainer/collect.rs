@@ -55,9 +55,6 @@ impl RunningTrainer {
 
     fn wait(&mut self) -> Result<(), LearnerError> {
         self.trainer.folder.demand_in_place()?;
-        if self.save_if_requested() {
-            self.enter(Stage::Collect);
-        }
         match self.outside.exchange.wait(POLL_INTERVAL) {
             Wake::Iteration { rollouts, secs } => {
                 let behaviour =
@@ -86,9 +83,6 @@ impl RunningTrainer {
     fn report_progress(&mut self) {
         let now = self.outside.exchange.run_snapshot();
         let progress = self.progress.update(Instant::now(), &now);
-        if let Some(change) = progress.change {
-            self.tell(&change);
-        }
         if progress.new_steps && self.arrived.is_none() {
             let iteration = self.trainer.iteration;
             let env_steps = self.trainer.env_steps() + now.steps_collected;
@@ -105,7 +99,6 @@ pub(super) struct ProgressMonitor {
     steps: u64,
     last_steps: Instant,
     last_report: Instant,
-    paused: bool,
 }
 
 /// Progress since the previous update.
@@ -114,14 +107,12 @@ pub(super) struct Progress {
     pub(super) new_steps: bool,
     /// [`Event::Waiting`] if no results have arrived for long.
     pub(super) waiting: Option<Event>,
-    /// [`Event::Paused`] or [`Event::Resumed`] if the run was paused or resumed.
-    pub(super) change: Option<Event>,
 }
 
 impl ProgressMonitor {
     /// A monitor that starts at `now`.
     pub(super) fn new(now: Instant) -> Self {
-        Self { steps: 0, last_steps: now, last_report: now, paused: false }
+        Self { steps: 0, last_steps: now, last_report: now }
     }
 
     /// Restarts the monitor when the trainer begins to wait, so that an update does not count as waiting.
@@ -131,18 +122,14 @@ impl ProgressMonitor {
 
     /// Compares the run's figures with those of the previous update.
     pub(super) fn update(&mut self, now: Instant, run: &RunSnapshot) -> Progress {
-        let (steps, paused) = (run.steps_collected, run.status.paused);
-        let new_steps = steps != self.steps;
-        let event = if paused { Event::Paused } else { Event::Resumed };
-        let change = (paused != self.paused).then_some(event);
-        (self.steps, self.paused) = (steps, paused);
-        if new_steps || paused {
-            // No results are expected during a pause.
+        let new_steps = run.steps_collected != self.steps;
+        self.steps = run.steps_collected;
+        if new_steps {
             self.begin(now);
         }
         let due = now.duration_since(self.last_report) >= REPORT_INTERVAL;
         let waiting = due.then(|| self.report(now, run.status.actors));
-        Progress { new_steps, waiting, change }
+        Progress { new_steps, waiting }
     }
 
     /// The reason why no results arrive.
@@ -182,23 +169,6 @@ mod tests {
         let reason = "no actor is connected".to_owned();
         assert_eq!(update(21, run(40, 0)).waiting, Some(Event::Waiting { seconds: 20.0, reason }));
         assert!(update(22, run(80, 1)).new_steps);
-    }
-
-    #[test]
-    fn pause_and_resume_are_reported_and_a_pause_does_not_count_as_waiting() {
-        let start = Instant::now();
-        let mut monitor = ProgressMonitor::new(start);
-        let mut update = |secs, paused| {
-            let mut run = run(0, 2);
-            run.status.paused = paused;
-            let progress = monitor.update(start + Duration::from_secs(secs), &run);
-            (progress.change, progress.waiting.is_some())
-        };
-        assert_eq!(update(1, true), (Some(Event::Paused), false));
-        assert_eq!(update(100, true), (None, false));
-        assert_eq!(update(101, false), (Some(Event::Resumed), false));
-        assert_eq!(update(109, false), (None, false));
-        assert_eq!(update(110, false), (None, true));
     }
 
     #[test]

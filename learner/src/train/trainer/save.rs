@@ -2,7 +2,6 @@
 
 use std::io;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
 use policy::arrays::{Array, NamedArrays};
@@ -43,12 +42,6 @@ impl RunningTrainer {
         };
         self.outside.exchange.report_storage(storage);
         Ok(())
-    }
-
-    /// Writes a checkpoint if an operator requested one, and answers the request. Returns whether there was a request.
-    pub(super) fn save_if_requested(&mut self) -> bool {
-        let exchange = Arc::clone(&self.outside.exchange);
-        exchange.orders().answer_saves(|| self.save_now())
     }
 
     /// Writes a checkpoint of the last finished iteration, unless it already exists.
