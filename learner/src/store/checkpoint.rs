@@ -33,7 +33,7 @@ const MANIFEST: &str = "manifest.json";
 const POLICY: &str = "policy.safetensors";
 /// Where a directory stands until it is whole.
 const DRAFT: &str = ".tmp-";
-/// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves.
+/// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves, unless they change.
 const LATEST: &str = "LATEST";
 /// The run's settings, so that a checkpoint by itself is enough to go on.
 pub const SETTINGS: &str = "config.toml";
@@ -245,7 +245,7 @@ pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
 }
 
 /// The newest whole checkpoint of a list that is made once; `None` if a learner has removed one since, so that the list
-/// is outdated.
+/// is outdated, and the one in `LATEST` is gone, too.
 fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
     let mut skipped = Vec::new();
     for iteration in iterations(folder)?.into_iter().rev() {
@@ -254,7 +254,7 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
             Ok((checkpoint, manifest)) => {
                 return Ok(Some(Loaded { checkpoint, manifest, path, skipped }));
             }
-            Err(_) if is_gone(&path) => return Ok(None),
+            Err(_) if is_gone(&path) => return Ok(latest(folder)),
             Err(detail) => skipped.push((path, detail)),
         }
     }
@@ -263,6 +263,13 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
         true => Err(CheckpointError::None { folder }),
         false => Err(CheckpointError::NoneUsable { folder, skipped }),
     }
+}
+
+/// The checkpoint that `LATEST` names, if it can be read. A learner may remove checkpoints faster than they are listed.
+fn latest(folder: &Path) -> Option<Loaded> {
+    let named = plain_file::read_to_string(&folder.join(LATEST)).ok()?;
+    let name = named.trim();
+    kept::is_name(name.as_ref()).then(|| load(&folder.join(name)).ok())?
 }
 
 /// The iteration of the newest checkpoint of a run, whole or not; `None` if there is none.

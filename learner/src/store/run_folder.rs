@@ -248,7 +248,7 @@ impl RunFolder {
         match open.try_lock_shared() {
             Ok(()) => Ok(false),
             Err(TryLockError::WouldBlock) => Ok(true),
-            Err(TryLockError::Error(error)) => Err(place::not_lockable(&lock, &error).into()),
+            Err(TryLockError::Error(error)) => Err(place::not_lockable(&lock, &error)),
         }
     }
 
@@ -263,9 +263,7 @@ impl RunFolder {
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(RunFolderError::in_use(path)),
-            Err(TryLockError::Error(error)) => {
-                return Err(place::not_lockable(&place, &error).into());
-            }
+            Err(TryLockError::Error(error)) => return Err(place::not_lockable(&place, &error)),
         }
         lock.set_len(0)
             .and_then(|()| writeln!(lock, "{}", std::process::id()))

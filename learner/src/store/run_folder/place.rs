@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::token::TOKEN;
-use super::{ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, RunFolder, STARTS};
+use super::{ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, RunFolder, RunFolderError, STARTS};
 use crate::durable::FileError;
 use crate::{checkpoint, plain_file};
 
@@ -113,10 +113,9 @@ pub(super) fn demand_plain(path: &Path) -> Result<(), PlaceError> {
 }
 
 /// Not every file system has locks.
-pub(super) fn not_lockable(place: &Path, error: &io::Error) -> FileError {
-    FileError::of("lock", place)(io::Error::other(format!(
-        "its file system must support flock ({error})"
-    )))
+pub(super) fn not_lockable(place: &Path, error: &io::Error) -> RunFolderError {
+    let why = format!("its file system must support flock ({error})");
+    FileError::of("lock", place)(io::Error::other(why)).into()
 }
 
 /// Whether the folder has more of a run than another program's `manifest.json` or `checkpoints`.
