@@ -20,12 +20,6 @@ pub enum Episodes {
 }
 
 impl Episodes {
-    /// Whether any training episodes are logged.
-    #[must_use]
-    pub fn include_rollouts(self) -> bool {
-        matches!(self, Self::All | Self::Every(_))
-    }
-
     /// Whether episode `episode` of environment `environment` is logged. The selected index differs between environments.
     #[must_use]
     pub fn include_rollout(self, environment: u32, episode: u64) -> bool {

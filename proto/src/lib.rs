@@ -63,7 +63,7 @@ pub fn wire_bytes(message: &impl prost::Message) -> usize {
 }
 
 /// Version of what the `.proto` files say. Both sides must have the same one.
-pub const PROTOCOL_VERSION: u32 = 4;
+pub const PROTOCOL_VERSION: u32 = 5;
 /// Largest message in either direction, bytes.
 pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
 /// Largest part of a policy snapshot in one message, bytes.

@@ -17,7 +17,7 @@ MAX_MESSAGE_BYTES = 4 * 1024 * 1024
 # Limit of a snapshot.
 MAX_WEIGHTS_BYTES = 1 << 30
 # Version of the protocol that this package has, as in proto/src/lib.rs.
-PROTOCOL_VERSION = 4
+PROTOCOL_VERSION = 5
 LEASE_WAIT_MILLIS = 5_000
 # Maximum number of unacknowledged results.
 MAX_UNACKNOWLEDGED = 4
