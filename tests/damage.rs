@@ -109,10 +109,11 @@ fn a_resume_of_a_whole_run_warns_of_nothing_and_names_what_another_has_lost() {
 }
 
 #[test]
-fn settings_without_a_manifest_are_no_run_and_a_new_run_takes_the_folder() {
+fn a_start_that_ended_before_its_manifest_is_no_run_and_a_new_run_takes_the_folder() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     std::fs::create_dir(&folder).unwrap();
+    std::fs::write(folder.join("learner.lock"), "7\n").unwrap();
     std::fs::write(folder.join("config.toml"), "task = \"ant-2x4\"\n").unwrap();
     train(&folder, &["run.iterations=1"]);
     assert_eq!(inspect(&folder)["iteration"], 1);

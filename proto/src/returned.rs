@@ -80,7 +80,7 @@ mod tests {
         };
         let mut wire = returned.to_wire();
         assert_eq!(ReturnedLease::from_wire(&wire), Ok(returned.clone()));
-        wire.detail = "no\n\u{1b}state".to_owned();
+        wire.detail = "no\n\tstate".to_owned();
         assert_eq!(ReturnedLease::from_wire(&wire), Ok(returned));
         wire.failure = 0;
         assert_eq!(ReturnedLease::from_wire(&wire).unwrap_err().field, "failure");

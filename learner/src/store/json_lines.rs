@@ -208,14 +208,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.jsonl");
         let (mut lines, _) = JsonLines::cut(&path, 0).unwrap();
-        let aside = folder.path().join("aside");
-        std::fs::rename(&path, &aside).unwrap();
-        std::os::unix::fs::symlink("/dev/full", &path).unwrap();
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let disk = std::mem::replace(&mut lines.file, full);
+        lines.path = "/dev/full".into();
         lines.append(&json!({"iteration": 1})).unwrap();
         lines.append(&json!({"iteration": 2})).unwrap();
         let refused = lines.sync().unwrap_err().to_string();
         assert!(refused.contains("cannot append to"), "{refused}");
-        std::fs::rename(&aside, &path).unwrap();
+        (lines.file, lines.path) = (disk, path.clone());
         lines.append(&json!({"iteration": 3})).unwrap();
         lines.sync().unwrap();
         let text = std::fs::read_to_string(&path).unwrap();

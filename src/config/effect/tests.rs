@@ -8,6 +8,7 @@ use crate::config::{Request, layers};
 /// Settings that have an effect in every run. Where a run allows only one value, giving that value is right, not without effect.
 const ALWAYS: &[&str] = &[
     "algorithm",
+    "audit.fingerprint",
     "audit.share",
     "checkpoint.every",
     "checkpoint.keep_every",
