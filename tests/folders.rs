@@ -71,12 +71,11 @@ fn a_run_starts_in_a_folder_with_files_of_others_only_on_request() {
 fn existing_files_are_replaced_only_on_request() {
     let runs = Runs::new();
     let run = runs.folder("run");
-    train(&run, &["run.iterations=1", "run.actors=1", "log.episodes=evaluation"]);
-    let [png, mcap, movie, joined] =
-        ["a.png", "a.mcap", "x.mp4", "j.mcap"].map(|name| runs.folder(name));
+    train(&run, &["run.iterations=1", "run.actors=1"]);
+    let [png, mcap, movie] = ["a.png", "a.mcap", "x.mp4"].map(|name| runs.folder(name));
     let [onnx, figures, pictures, task] =
         ["onnx", "figures", "pictures", "task"].map(|name| runs.folder(name));
-    let (run, logs) = (text(&run), run.join("logs"));
+    let run = text(&run);
     let commands = [
         vec!["film", run, "--frames", "1", "--out", text(&png)],
         vec!["record", run, "--out", text(&mcap)],
@@ -84,7 +83,6 @@ fn existing_files_are_replaced_only_on_request() {
         vec!["plot", run, "--out", text(&figures)],
         vec!["tasks", "--picture", text(&pictures)],
         vec!["task", "new", text(&task)],
-        vec!["log", "join", text(&logs), "--out", text(&joined)],
     ];
     for command in commands {
         succeeded(&command);

@@ -209,8 +209,7 @@ fn check_numbers(robot: &Robot) -> Result<(), SimError> {
     for (motor, joint) in motors {
         let [low, high] = motor.range;
         let gear = motor.gear;
-        let acts = gear.is_finite() && gear != 0.0;
-        if !(low.is_finite() && high.is_finite() && low < high && acts) {
+        if !(low.is_finite() && high.is_finite() && low < high && gear.is_finite()) {
             return Err(unfit(format!(
                 "{joint}: its motor has gear {gear} and range [{low}, {high}]"
             )));

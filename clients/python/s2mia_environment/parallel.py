@@ -26,7 +26,7 @@ def number_of(seed: bytes) -> int:
 
 
 class Box:
-    """A continuous action. Policies act in -1 to 1: the limits of each dimension's own range."""
+    """A continuous action. Actors map -1 and 1 to the range in `spec`: that of all dimensions, or -1 to 1 if they differ."""
 
     def __init__(self, space: spaces.Box) -> None:
         low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
@@ -34,11 +34,13 @@ class Box:
         if not np.all(np.abs([low, high]) < np.finfo(np.float32).max):
             raise InvalidEnvironment(f"actions must have finite bounds, not {space}; state the range that has an effect")
         self.space, self.low, self.high = space, low, high
-        self.middle, self.half = low / 2 + high / 2, high / 2 - low / 2
-        self.spec = wire.ActionSpec(size=low.size, low=-1.0, high=1.0)
+        one_range = np.unique(low).size == np.unique(high).size == 1
+        own = (low[0], high[0]) if one_range else (-1.0, 1.0)
+        self.middle, self.half = (0.0, 1.0) if one_range else (low / 2 + high / 2, high / 2 - low / 2)
+        self.spec = wire.ActionSpec(size=low.size, low=own[0], high=own[1])
 
     def action(self, numbers: np.ndarray) -> np.ndarray:
-        """The action of the environment: scaled to the range of each dimension and clamped."""
+        """The action of the environment, for numbers in the range of `spec`: clamped to the range of each dimension."""
         return self._of_type(np.clip(self.middle + self.half * numbers.astype(np.float64), self.low, self.high))
 
     def _of_type(self, scaled: np.ndarray) -> np.ndarray:

@@ -185,16 +185,16 @@ def test_the_same_seed_gives_the_same_episode_and_another_seed_another():
     assert signs(bytes(32)) == signs(bytes(32)) != signs(bytes(31) + b"\x01")
 
 
-def test_pushes_are_brought_into_the_range_of_each_dimension_and_clamped():
-    for low, high, push, expected in (
-        ((-2.0, -2.0), (2.0, 2.0), (0.5, 9.0), [1.0, 2.0]),
-        ((0.0, 0.0), (4.0, 4.0), (0.0, -1.0), [2.0, 0.0]),
-        ((0.0, -1.0), (4.0, 1.0), (0.0, 9.0), [2.0, 1.0]),
-        ((-100.0, 0.1), (100.0, 0.7), (0.25, 1.0), [25.0, float(np.float32(0.7))]),
+def test_pushes_are_clamped_and_brought_into_ranges_that_differ():
+    for low, high, own, push, expected in (
+        ((-2.0, -2.0), (2.0, 2.0), (-2.0, 2.0), (0.5, 9.0), [0.5, 2.0]),
+        ((0.0, 0.0), (4.0, 4.0), (0.0, 4.0), (1.0, -1.0), [1.0, 0.0]),
+        ((0.0, -1.0), (4.0, 1.0), (-1.0, 1.0), (0.0, 9.0), [2.0, 1.0]),
+        ((-100.0, 0.1), (100.0, 0.7), (-1.0, 1.0), (0.25, 1.0), [25.0, float(np.float32(0.7))]),
     ):
         game = Parallel(Push(low=low, high=high))
         action = game.spec.agents[0].action
-        assert (action.size, action.low, action.high) == (2, -1.0, 1.0)
+        assert (action.size, action.low, action.high) == (2, *own)
         game.step([np.array(push, np.float32)] * 2)
         assert game.observe()[1][0].tolist() == expected
 
