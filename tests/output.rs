@@ -32,7 +32,7 @@ fn a_full_disk_is_an_error_of_one_line_for_every_command_that_prints() {
         &["eval", run, "--episodes", "1", "--json"][..],
         &["inspect", run],
         &["status", run, "--json"],
-        &["watch", run, "--lines"],
+        &["watch", run],
         &["export", run, "--onnx", out.to_str().unwrap()],
         &["config", "cue-2x1"],
         &["tasks", "--json"],
@@ -81,7 +81,7 @@ fn a_watch_that_nobody_reads_ends_and_the_run_goes_on() {
         assert_eq!(training.try_wait().unwrap(), None);
         std::thread::yield_now();
     }
-    let watch = ["watch", folder.to_str().unwrap(), "--lines"];
+    let watch = ["watch", folder.to_str().unwrap()];
     let watched = s2mia(&watch).stdout(unread()).stderr(Stdio::null()).status().unwrap();
     assert_eq!(watched.code(), Some(0));
     assert_eq!(training.try_wait().unwrap(), None);

@@ -15,9 +15,11 @@ use runs::{Runs, TINY, inspect, s2mia, train};
 /// Maximum duration of a stop.
 const GRACE: Duration = Duration::from_secs(30);
 
+/// Whoever runs the tests may ignore SIGHUP, which processes inherit.
 fn started(arguments: &[&str]) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut command = Command::new("env");
+    command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_s2mia")]).args(arguments);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
     command.spawn().unwrap()
 }
 

@@ -275,18 +275,16 @@ fn an_episode_has_one_return_in_every_command() {
 fn only_the_named_file_or_folder_is_created_never_the_folder_around_it() {
     let runs = Runs::new();
     let folder = runs.folder("run");
-    train(&folder, &["run.iterations=1", "run.actors=1", "log.episodes=evaluation"]);
-    let (run, logs) = (folder.to_str().unwrap(), folder.join("logs"));
-    let missing = runs.folder("mising");
+    train(&folder, &["run.iterations=1", "run.actors=1"]);
+    let (run, missing) = (folder.to_str().unwrap(), runs.folder("mising"));
     let inside = missing.join("new");
-    let (inside, logs) = (inside.to_str().unwrap(), logs.to_str().unwrap());
+    let inside = inside.to_str().unwrap();
     for (arguments, option) in [
         (vec!["record", run, "--out", inside], "--out"),
         (vec!["film", run, "--out", inside], "--out"),
         (vec!["export", run, "--onnx", inside], "--onnx"),
         (vec!["plot", run, "--out", inside], "--out"),
         (vec!["tasks", "--picture", inside], "--picture"),
-        (vec!["log", "join", logs, "--out", inside], "--out"),
     ] {
         let output = s2mia(&arguments);
         let line = String::from_utf8(output.stderr).unwrap();

@@ -9,7 +9,7 @@ use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
 
-/// One episode of the evaluation of a run's weights. Training, `eval`, `record`, `film`, `export` and the live view start
+/// One episode of the evaluation of a run's weights. Training, `eval`, `record`, `film`, `export` and the page start
 /// an episode of the same index in the same state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EvaluationEpisode {

@@ -1,4 +1,4 @@
-//! Shapes and poses of links, for recordings and the live view.
+//! Shapes and poses of links, for recordings, films and the page.
 
 use std::sync::Arc;
 

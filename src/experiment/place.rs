@@ -11,10 +11,9 @@ use crate::errors::Usage;
 use crate::run::new_folder::{Others, demand_outside_runs};
 
 /// Names of tables and figures.
-const REPORT: [&str; 7] = [
+const REPORT: [&str; 6] = [
     "results.md",
     "results.csv",
-    "report.claim",
     "learning_curve.svg",
     "learning_curve.png",
     "ablation.svg",
@@ -51,7 +50,7 @@ pub(crate) fn check(
 
 /// Whether a file or folder of this name shows that an experiment used the folder.
 fn belongs(file: &ExperimentFile, runs: &[PlannedRun], name: &str) -> bool {
-    let stem = name.strip_suffix(".log").or_else(|| name.strip_suffix(".claim")).unwrap_or(name);
+    let stem = name.strip_suffix(".log").unwrap_or(name);
     name.starts_with("slurm")
         || runs.iter().any(|run| run.name() == stem)
         || RunFolder::holds_run(&file.folder.join(name))

@@ -88,6 +88,9 @@ async fn train(
     if let Some(why) = mismatch(run) {
         return Ok(Ending::Misplaced(why));
     }
+    if is_finished(run) {
+        return Ok(Ending::Finished);
+    }
     let own_log = ProcessLog::before_start(&run.log());
     let mut child = start(program, run, log)?;
     let stdin = child.stdin.take();

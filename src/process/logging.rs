@@ -26,8 +26,7 @@ pub(crate) fn bars() -> &'static MultiProgress {
 pub(crate) fn start(arguments: &Arguments) -> Result<(), Usage> {
     let default = match arguments.command {
         Command::Learner(_) | Command::Actor(_) => "info",
-        // Invalid connections to the live view's port are not reported.
-        _ => "warn,foxglove=off",
+        _ => "warn",
     };
     let filter = match &arguments.log {
         Some(filter) => EnvFilter::try_new(filter)

@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 
 use anyhow::Context as _;
 
-use crate::cli::{Command, LogCommand};
+use crate::cli::Command;
 use crate::errors::Usage;
 use crate::process::target::{Target, check_parent};
 
@@ -34,7 +34,6 @@ pub(crate) fn start(command: &Command) {
             | Command::Eval(_)
             | Command::Inspect(_)
             | Command::Config(_)
-            | Command::Log(LogCommand::Verify(_))
     ) || matches!(command, Command::Tasks(tasks) if tasks.picture.is_none());
     let is_terminal = std::io::stdout().is_terminal();
     STDOUT.get_or_init(|| Stdout { only_prints, is_terminal });

@@ -2,6 +2,7 @@
 //! It appears complete or not at all.
 
 use std::fs::File;
+use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
@@ -71,7 +72,7 @@ impl Target {
     /// Writes the file, and waits until the disk has it: some file systems report a full disk only then.
     pub(crate) fn write(&self, bytes: &[u8]) -> anyhow::Result<()> {
         let written = |draft: &Path| {
-            let mut file = File::create(draft)?;
+            let mut file = File::create_new(draft)?;
             file.write_all(bytes)?;
             file.sync_all()
         };
@@ -85,7 +86,9 @@ impl Target {
         write: impl FnOnce(&Path) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        let draft = format!(".tmp-{}-{name}", std::process::id());
+        // Processes on several machines may write the same file at the same time.
+        let random = RandomState::new().build_hasher().finish();
+        let draft = format!(".tmp-{random:016x}-{name}");
         let draft = Draft(self.path.with_file_name(draft));
         let written = write(&draft.0)?;
         self.publish(&draft)?;

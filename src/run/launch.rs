@@ -32,8 +32,8 @@ pub(crate) struct Prepared {
     pub(crate) new: Option<NewFolder>,
 }
 
-/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder with a name of its own. `transport` limits the connection to an external
-/// environment.
+/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder with a name of its own.
+/// `transport` limits the connection to an external environment.
 pub(crate) fn prepare(
     settings: &SettingsArguments,
     resumed: &ResumeArguments,
@@ -42,6 +42,7 @@ pub(crate) fn prepare(
     let mut config = configure(settings, resumed.resume.as_deref())?;
     let offered = Offered::of(&config, transport)?;
     effect::demand(&config, Some(&offered.spec))?;
+    let fingerprints = Fingerprints::measure();
     let others = if resumed.force { Others::Accepted } else { Others::Refused };
     let (folder, new) = match &resumed.resume {
         Some(folder) => {
@@ -57,7 +58,6 @@ pub(crate) fn prepare(
     RunFolder::demand_free(&folder)?;
     config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment_service.url");
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
-    let fingerprints = Fingerprints::measure();
     let mut launch = launch(&config, offered, &folder, &fingerprints);
     if let Some(folder) = &resumed.resume {
         launch.config_sha256 = Digest(config.resolved.sha256_as(&recorded_hash(folder)));

@@ -14,7 +14,8 @@ const RUNS: &str = "runs";
 /// The learner that is asked if there is no run.
 const LEARNER: &str = "http://127.0.0.1:50051";
 
-/// `of`, or the run of the checkpoint `of`, or if it is empty the newest run that has a learner, else the newest run, else the default learner.
+/// `of`, or the run of the checkpoint `of`, or if it is empty the newest run that has a learner, else the newest run, else
+/// the default learner.
 pub(crate) fn or_newest(of: &str) -> Result<String, Usage> {
     let shown = |run: PathBuf| run.display().to_string();
     match of {

@@ -1,5 +1,6 @@
 //! The settings that a resume may change.
 
+use crate::config::message_steps::MESSAGE;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, keys};
 
@@ -15,6 +16,10 @@ pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError>
     for (key, value) in settings {
         if keys::FILLED_IN == key && new.environment.description.is_empty() {
             // The environment's description is not known yet; `Offered` compares it later.
+            continue;
+        }
+        if key == MESSAGE && !new.resolved.is_given(key) && !new.environment.url.is_empty() {
+            // The run's value may be lower, so that the messages of its environment fit.
             continue;
         }
         if new.resolved.entries[key].value != *value {

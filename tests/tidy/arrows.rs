@@ -53,7 +53,7 @@ const HEAVY: [(&str, &[&str]); 33] = [
     ("hyper", &["learner"]),
     ("hyper-util", &["learner"]),
     ("prometheus-client", &["learner"]),
-    ("tokio", &[ROOT, "actor", "learner", "recording"]),
+    ("tokio", &[ROOT, "actor", "learner"]),
     ("tokio-rustls", &["actor", "learner"]),
     ("tokio-stream", &[ROOT, "actor", "learner"]),
     ("tonic", &["proto", "actor", "learner"]),

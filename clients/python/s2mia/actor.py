@@ -180,17 +180,18 @@ def act_for(learner: Learner, make: Callable[[], Environment], rng: np.random.Ge
             held, policy = lease.weights.digest, Policy(learner.weights(lease.weights))
         results: Iterable[Any]
         try:
-            if lease.WhichOneof("work") == "rollout":
-                results = Slot(learner.run, lease.rollout, policy, make, rng).chunks()
-            else:
-                results = [evaluate(learner.run, lease.evaluation, policy, make(), rng)]
-            done += learner.push(lease, results)
-        except StartStateError as error:
-            # The state is from another actor; another lease may have other states.
-            learner.return_lease(lease, wire.LEASE_FAILURE_START_STATE, str(error))
+            try:
+                if lease.WhichOneof("work") == "rollout":
+                    results = Slot(learner.run, lease.rollout, policy, make, rng).chunks()
+                else:
+                    results = [evaluate(learner.run, lease.evaluation, policy, make(), rng)]
+                done += learner.push(lease, results)
+            except StartStateError as error:
+                # The state is from another actor; another lease may have other states.
+                learner.return_lease(lease, wire.LEASE_FAILURE_START_STATE, str(error))
         except CallError as error:
             # The lease ended, for example because it was reissued; continue with another.
-            if error.code != grpc.StatusCode.ABORTED:
+            if error.code() != grpc.StatusCode.ABORTED:
                 raise
     return done
 

@@ -46,16 +46,24 @@ class Tls:
     """Host name in the learner's certificate; by default the host in its URL."""
 
 
-class CallError(ConnectionError):
-    """A call that failed: one line with the address, the gRPC status and its details."""
+class CallError(ConnectionError, grpc.RpcError):
+    """A call that failed: one line with the address, the gRPC status and its details. Also an `RpcError`, as gRPC raises."""
 
     def __init__(self, address: str, status: grpc.RpcError) -> None:
         known = isinstance(status, grpc.Call)
         self.status: grpc.RpcError = status
         """The error that gRPC raised; `grpc_status.rpc_status.from_call` reads the refusal in it."""
-        self.code: grpc.StatusCode = status.code() if known else grpc.StatusCode.UNKNOWN
-        details = printable(str(status.details() if known else status))
-        super().__init__(f"{address}: {self.code.name}: {details}{_advice(self.code, details)}")
+        self._code: grpc.StatusCode = status.code() if known else grpc.StatusCode.UNKNOWN
+        self._details = printable(str(status.details() if known else status))
+        super().__init__(f"{address}: {self._code.name}: {self._details}{_advice(self._code, self._details)}")
+
+    def code(self) -> grpc.StatusCode:
+        """The gRPC status."""
+        return self._code
+
+    def details(self) -> str:
+        """What the server says, in one line."""
+        return self._details
 
 
 def _advice(code: grpc.StatusCode, details: str) -> str:
@@ -194,10 +202,12 @@ class Connection:
             raise ConnectionError(f"{self.address}: the connection is closed")
         try:
             yield
+        except CallError:
+            raise
         except grpc.RpcError as error:
             raise CallError(self.address, error) from None
-        except ValueError:
-            if self._open:
+        except ValueError as error:
+            if self._open and "closed" not in str(error):
                 raise
             # Another thread closed the channel.
             raise ConnectionError(f"{self.address}: the connection is closed") from None

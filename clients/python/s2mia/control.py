@@ -99,9 +99,9 @@ class Client:
     ) -> None:
         """Prepares a connection to `url`: `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`.
 
-        Raises `ValueError` for an invalid address, certificate or token. Every call raises `ConnectionError` if the learner does not
-        answer within `timeout_secs`, or refuses the call. To stop `s2mia train`, it needs the
-        `token` of its run folder; by default, that of S2MIA_TOKEN is sent.
+        Raises `ValueError` for an invalid address, certificate or token. Every call raises `ConnectionError` if the
+        learner does not answer within `timeout_secs`, or refuses the call. To stop `s2mia train`, it needs the `token`
+        of its run folder; by default, that of S2MIA_TOKEN is sent.
         """
         self.url, self.timeout_secs = url, timeout_secs
         self._connection = Connection(

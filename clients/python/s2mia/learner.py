@@ -131,7 +131,7 @@ class Learner:
 
     def close(self) -> None:
         """Ends the registration and its leases."""
-        self._connection.close()
+        self.channel.close()
 
     def lease(self) -> Any:
         """Returns the next lease, or None if the run is over."""
@@ -178,7 +178,7 @@ class Learner:
             failure=failure,
             detail=detail,
         )
-        self._call("ReturnLease", request)
+        self._connection.call("ReturnLease", request)
 
     def message(self, lease: Any, content: Any) -> Any:
         """The message with a chunk or evaluation result of a lease."""

@@ -72,6 +72,13 @@ pub struct SlotRules {
     pub requires_fingerprint: bool,
 }
 
+impl SlotRules {
+    /// Actors of less trust get no work.
+    fn least_trust(&self) -> Trust {
+        if self.requires_fingerprint { Trust::Exact } else { Trust::Foreign }
+    }
+}
+
 /// Who computes what.
 #[derive(Debug)]
 pub struct SlotTable {
@@ -154,7 +161,11 @@ impl SlotTable {
     /// otherwise by time alone.
     #[must_use]
     pub fn next_deadline(&self) -> Option<Duration> {
-        let others = [self.evaluations.first_skipped(), self.actors.processes.first_released()];
+        let others = [
+            self.evaluations.first_skipped(),
+            self.actors.processes.first_released(self.now),
+            self.failures.next_try(self.now, self.rules.ttl),
+        ];
         let backups = self.next_backup().into_iter().chain(self.next_episode_backup());
         self.open
             .first_deadline()
@@ -236,6 +247,10 @@ impl SlotTable {
     pub fn disconnect(&mut self, connection: ConnectionId) {
         let gone = self.actors.disconnect(connection);
         self.end_leases_of(&gone);
+        if !gone.is_empty() {
+            // Work that waited for the process may be free for the others now.
+            self.effects.push(Effect::WorkFreed);
+        }
     }
 
     fn end_leases_of(&mut self, gone: &[ActorId]) {
@@ -274,7 +289,7 @@ impl SlotTable {
             self.found_nothing(owner);
             return Ok(Offer::Nothing);
         };
-        if self.actors.processes.got_work(owner.process) {
+        if self.actors.processes.wait_no_more(owner.process) {
             self.effects.push(Effect::WorkFreed);
         }
         self.last_lease = id.0;

@@ -8,8 +8,8 @@ use proto::{
 };
 
 use crate::table::{
-    Actor, Held, INCARNATION, TTL, actor, audited_table, complete, lease, slot, table, weights,
-    works,
+    Actor, Held, INCARNATION, TTL, actor, audited_table, beat, complete, lease, play, slot, table,
+    weights, works,
 };
 
 /// Returns a lease; the table's effects besides those that wake actors.
@@ -120,4 +120,54 @@ fn a_returned_audit_is_skipped() {
     let audit = lease(&mut table, two);
     assert_eq!(give_back(&mut table, (two, &audit), LeaseFailure::StartState), []);
     assert_eq!((table.counts().audits.skipped, two.ask(&mut table)), (1, Ok(Offer::Nothing)));
+}
+
+#[test]
+fn an_evaluation_does_not_wait_for_an_audit_that_was_returned() {
+    let mut table = audited_table(0);
+    table.open_evaluation(7, weights(), 1);
+    let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
+    let first = lease(&mut table, one);
+    play(&mut table, &first, 1.0).unwrap();
+    let audit = lease(&mut table, two);
+    table.effects();
+    let effects = give_back(&mut table, (two, &audit), LeaseFailure::Environment);
+    assert!(matches!(effects[..], [Effect::Evaluation(_)]), "{effects:?}");
+    assert_eq!((table.counts().audits.skipped, two.ask(&mut table)), (1, Ok(Offer::Nothing)));
+}
+
+#[test]
+fn work_that_fails_under_its_lease_and_its_backup_is_given_up() {
+    let mut table = table(1);
+    let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
+    let first = lease(&mut table, one);
+    table.tick(TTL / 2);
+    beat(&mut table, one, &first, 1);
+    table.tick(TTL);
+    let backup = lease(&mut table, two);
+    assert_eq!(give_back(&mut table, (one, &first), LeaseFailure::Environment), []);
+    assert_eq!(one.ask(&mut table), Ok(Offer::Nothing), "it has failed, so it is no backup");
+    assert_eq!(give_back(&mut table, (two, &backup), LeaseFailure::Environment), []);
+    for times in 2..=5 {
+        let held = lease(&mut table, one);
+        let effects = give_back(&mut table, (one, &held), LeaseFailure::Environment);
+        assert_eq!(matches!(effects[..], [Effect::GivenUp { .. }]), times == 5, "{effects:?}");
+    }
+}
+
+#[test]
+fn work_that_a_process_may_not_try_is_not_kept_for_it() {
+    let mut table = table(3);
+    let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
+    let failed = lease(&mut table, one);
+    lease(&mut table, two);
+    give_back(&mut table, (one, &failed), LeaseFailure::Environment);
+    let other = lease(&mut table, one);
+    complete(&mut table, &other);
+    assert_eq!(one.ask(&mut table), Ok(Offer::Nothing), "another process tries it first");
+    assert_eq!(slot(&lease(&mut table, two)), 0);
+    assert!(table.next_deadline() > Some(Duration::ZERO), "no deadline has passed");
+    table.disconnect(two.connection);
+    assert!(table.effects().contains(&Effect::WorkFreed));
+    assert_eq!(slot(&lease(&mut table, one)), 0, "no other process is left");
 }

@@ -90,10 +90,10 @@ def _again(folder, batch):
 def test_logged_training_steps_have_the_log_probabilities_that_numpy_computes(tmp_path):
     logging = ["policy.core=mlp", "log.episodes=all", "checkpoint.every=1"]
     s2mia_run("train", *ROBOT, *logging, f"run.dir={tmp_path / 'run'}")
-    s2mia_run("log", "join", tmp_path / "run" / "logs", "--out", tmp_path / "joined.mcap")
     team = s2mia.load(tmp_path / "run" / "checkpoints" / "iter_00000001")
     version, compared = None, 0
-    with (tmp_path / "joined.mcap").open("rb") as file:
+    [log] = sorted((tmp_path / "run" / "logs").glob("trajectories-*.mcap"))
+    with log.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
             if channel.topic == "/share":

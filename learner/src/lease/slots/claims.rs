@@ -9,7 +9,7 @@ use super::evaluations::ClaimedEpisode;
 use super::failures::Key;
 use super::iteration::{ClaimedSlot, HeldLease, OpenIteration};
 use super::leases::Claim;
-use super::{SlotTable, Trust};
+use super::{Effect, SlotTable, Trust};
 
 /// The time that a second lease has doubles this many times at most.
 const MOST_DOUBLINGS: u32 = 6;
@@ -26,7 +26,7 @@ pub(super) struct Claimed {
 impl SlotTable {
     /// Refuses an actor whose results no audit can compare, if the run requires that.
     pub(super) fn may_be_audited(&self, owner: Owner) -> Result<(), Refusal> {
-        if owner.trust == Trust::Exact || !self.rules.requires_fingerprint {
+        if owner.trust == Trust::Exact || self.rules.least_trust() == Trust::Foreign {
             return Ok(());
         }
         let detail = "the actor gave none, and this learner gives work only to actors that it can audit; start the \
@@ -60,14 +60,14 @@ impl SlotTable {
     /// The first free slot, else the first free episode, that the actor's process may try after failures.
     fn claim_free(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
         let (failures, processes) = (&self.failures, &self.actors.processes);
-        let now = (self.now, self.rules.ttl);
-        let may_try = |key| failures.may_try(key, owner.process, processes.registered(), now);
+        let (now, least) = ((self.now, self.rules.ttl), self.rules.least_trust());
+        let may_try = |key| failures.may_try(key, owner.process, processes.registered(least), now);
         if let Some(open) = &mut self.iteration
             && let Some(slot) = open.claim(id, self.now, |index| may_try(Key::Slot(index)))
         {
             return Some(Claimed::slot(slot, open.weights));
         }
-        let may_play = |work: EvaluationWork| may_try(Key::Episode(work.iteration, work.episode));
+        let may_play = |work: EvaluationWork| may_try(Key::episode(work));
         self.evaluations.claim(id, self.now, may_play).map(Claimed::episode)
     }
 
@@ -91,22 +91,28 @@ impl SlotTable {
         };
         let shows_nothing =
             |held: &HeldLease| leases.get(held.id).is_some_and(|lease| lease.digests.is_empty());
-        let suits = |held: &[HeldLease], issued: u32, age: Duration| {
+        let failures = &self.failures;
+        let suits = |key: Key, held: &[HeldLease], issued: u32, age: Duration| {
             let (since, patience) = match held {
                 [only] => (only.since, age),
                 [_, second] if shows_nothing(second) => (second.since, patience(age, issued)),
                 _ => return false,
             };
-            held.iter().all(of_another) && (since + patience <= now || held.iter().all(of_stalled))
+            !failures.has_failed(key, owner.process)
+                && held.iter().all(of_another)
+                && (since + patience <= now || held.iter().all(of_stalled))
         };
         let since = if processes.any_stalled() { Some(now) } else { now.checked_sub(slot_age) };
         let slot = since.zip(self.iteration.as_mut()).and_then(|(since, open)| {
-            let suits = |held: &[HeldLease], issued| suits(held, issued, slot_age);
+            let suits =
+                |index, held: &[HeldLease], issued| suits(Key::Slot(index), held, issued, slot_age);
             let (slot, replaced) = open.claim_backup(id, since, now, suits)?;
             Some((Claimed::slot(slot, open.weights), replaced))
         });
         let (claimed, replaced) = slot.or_else(|| {
-            let suits = |held: &[HeldLease], issued| suits(held, issued, episode_age);
+            let suits = |work: EvaluationWork, held: &[HeldLease], issued| {
+                suits(Key::episode(work), held, issued, episode_age)
+            };
             let (episode, replaced) = self.evaluations.claim_backup(id, now, suits)?;
             Some((Claimed::episode(episode), replaced))
         })?;
@@ -135,18 +141,26 @@ impl SlotTable {
                 (slots + self.evaluations.missing()).div_ceil(self.open.holders() + waiting)
             }
         };
-        let is_any_free = self.iteration.as_ref().is_some_and(OpenIteration::any_free)
-            || self.evaluations.any_free();
-        if held >= share && waiting > 0 && is_any_free {
+        if held >= share && waiting > 0 && self.is_any_free() {
             self.actors.processes.keep_work(self.now);
         }
         held < share
     }
 
-    /// There was nothing for this actor. Its process waits for work if it holds none.
+    fn is_any_free(&self) -> bool {
+        self.iteration.as_ref().is_some_and(OpenIteration::any_free) || self.evaluations.any_free()
+    }
+
+    /// There was nothing for this actor. Its process waits for work if it holds none, unless it may not try the free work
+    /// after a failure: nothing is kept for it then.
     pub(super) fn found_nothing(&mut self, owner: Owner) {
+        let is_any_free = self.is_any_free();
         let processes = &mut self.actors.processes;
-        if self.open.held_by(owner.process) == 0 && !processes.is_stalled(owner.process) {
+        if is_any_free {
+            if processes.wait_no_more(owner.process) {
+                self.effects.push(Effect::WorkFreed);
+            }
+        } else if self.open.held_by(owner.process) == 0 && !processes.is_stalled(owner.process) {
             processes.wait(owner.process, self.now);
         }
     }

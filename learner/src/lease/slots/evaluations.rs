@@ -110,15 +110,17 @@ impl Evaluations {
         self.0.get(&work.iteration).is_some_and(|open| episode(open).is_some())
     }
 
-    /// Leases to `id` the first episode without a result whose leases and their number so far are such that it
-    /// `may_be_backed_up`. This lease begins `now`. A second one that the episode has already is replaced; it is returned.
+    /// Leases to `id` the first episode without a result that `may_be_backed_up`, given its leases and their number so
+    /// far. This lease begins `now`. A second one that the episode has already is replaced; it is returned.
     pub(super) fn claim_backup(
         &mut self,
         id: LeaseId,
         now: Duration,
-        may_be_backed_up: impl Fn(&[HeldLease], u32) -> bool,
+        may_be_backed_up: impl Fn(EvaluationWork, &[HeldLease], u32) -> bool,
     ) -> Option<(ClaimedEpisode, Option<LeaseId>)> {
-        let slow = |one: &Episode| !one.held.is_empty() && may_be_backed_up(&one.held, one.issued);
+        let slow = |work, one: &Episode| {
+            !one.held.is_empty() && may_be_backed_up(work, &one.held, one.issued)
+        };
         let work = self.first(slow)?;
         let mut replaced = Vec::new();
         let claimed = self.issue(work, |episode| {
@@ -136,7 +138,7 @@ impl Evaluations {
         by: Owner,
         latest: Duration,
     ) -> Option<ClaimedEpisode> {
-        let waits = |episode: &Episode| {
+        let waits = |_, episode: &Episode| {
             episode.played.is_some_and(|played| {
                 let waits = |audit: EpisodeAudit| audit.holder.is_none() && audit.since <= latest;
                 played.audit.is_some_and(waits) && !played.owner.shares_process(&by)
@@ -152,10 +154,11 @@ impl Evaluations {
         episodes.filter_map(|episode| episode.held.last().map(|lease| lease.since))
     }
 
-    fn first(&self, suits: impl Fn(&Episode) -> bool) -> Option<EvaluationWork> {
+    fn first(&self, suits: impl Fn(EvaluationWork, &Episode) -> bool) -> Option<EvaluationWork> {
         self.0.iter().find_map(|(iteration, evaluation)| {
-            let at = evaluation.episodes.iter().position(&suits)?;
-            Some(EvaluationWork { iteration: *iteration, episode: at as u32 })
+            let work = |at: u32| EvaluationWork { iteration: *iteration, episode: at };
+            let mut works = (0..).map(work).zip(&evaluation.episodes);
+            works.find(|(work, episode)| suits(*work, episode)).map(|(work, _)| work)
         })
     }
 
@@ -220,6 +223,17 @@ impl Evaluations {
         }
         evaluation.missing -= usize::from(first.audit.take().is_some());
         Verdict::Agreed
+    }
+
+    /// Ends the audit that `id` computes. Whether there was one.
+    pub(super) fn skip_audit(&mut self, work: EvaluationWork, id: LeaseId) -> bool {
+        let Some(evaluation) = self.0.get_mut(&work.iteration) else { return false };
+        let episode = evaluation.episodes.get_mut(work.episode as usize);
+        let played = episode.and_then(|episode| episode.played.as_mut());
+        let audit =
+            played.and_then(|played| played.audit.take_if(|audit| audit.holder == Some(id)));
+        evaluation.missing -= usize::from(audit.is_some());
+        audit.is_some()
     }
 
     /// Ends the audits for which there is no more time, and those without a lease that are `hopeless` because of the

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use proto::LeaseFailure;
+use proto::{EvaluationWork, LeaseFailure};
 
 use super::actors::Process;
 use super::leases::Claim;
@@ -69,9 +69,13 @@ impl Key {
     pub(super) fn of(claim: Claim) -> Option<Self> {
         match claim {
             Claim::Slot(index) => Some(Self::Slot(index)),
-            Claim::Episode(work) => Some(Self::Episode(work.iteration, work.episode)),
+            Claim::Episode(work) => Some(Self::episode(work)),
             Claim::Audit { .. } => None,
         }
+    }
+
+    pub(super) fn episode(work: EvaluationWork) -> Self {
+        Self::Episode(work.iteration, work.episode)
     }
 }
 
@@ -90,6 +94,27 @@ impl Failures {
         !(failed.decided || failed.by.contains(&process) && waits())
     }
 
+    /// Whether `process` failed at the work: it is no backup for another one.
+    pub(super) fn has_failed(&self, key: Key, process: Process) -> bool {
+        self.0.get(&key).is_some_and(|failed| failed.by.contains(&process))
+    }
+
+    /// `process` failed at work that another lease still computes, so the failure does not count yet.
+    pub(super) fn note(&mut self, key: Key, process: Process, now: Duration) {
+        self.failed(key, now).is_by(process, now);
+    }
+
+    /// When work that waits for processes that have not tried it is next free for the others.
+    pub(super) fn next_try(&self, now: Duration, ttl: Duration) -> Option<Duration> {
+        let waits =
+            self.0.values().filter(|failed| !failed.decided).map(|failed| failed.last + ttl);
+        waits.filter(|at| *at > now).min()
+    }
+
+    fn failed(&mut self, key: Key, now: Duration) -> &mut Failed {
+        self.0.entry(key).or_insert_with(|| Failed { first: now, ..Failed::default() })
+    }
+
     /// Counts a failure. `others` are the registered processes.
     pub(super) fn add(
         &mut self,
@@ -99,14 +124,10 @@ impl Failures {
         others: impl Iterator<Item = Process>,
         (now, ttl): (Duration, Duration),
     ) -> Verdict {
-        let failed =
-            self.0.entry(key).or_insert_with(|| Failed { first: now, ..Failed::default() });
+        let failed = self.failed(key, now);
         failed.times += 1;
         failed.start_states += u32::from(failure == LeaseFailure::StartState);
-        failed.last = now;
-        if failed.by.len() < MOST_PROCESSES {
-            failed.by.insert(process);
-        }
+        failed.is_by(process, now);
         let most = if begin == Begin::Fresh { MOST_FRESH } else { MOST_CONTINUED };
         let tried_by_all = !failed.is_untried_by(others) || now >= failed.first + ttl * most;
         let verdict = match begin {
@@ -132,6 +153,13 @@ impl Failures {
 }
 
 impl Failed {
+    fn is_by(&mut self, process: Process, now: Duration) {
+        self.last = now;
+        if self.by.len() < MOST_PROCESSES {
+            self.by.insert(process);
+        }
+    }
+
     fn is_untried_by(&self, mut others: impl Iterator<Item = Process>) -> bool {
         others.any(|other| !self.by.contains(&other))
     }

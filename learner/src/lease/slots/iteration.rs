@@ -108,20 +108,20 @@ impl OpenIteration {
         Some(self.issue(index))
     }
 
-    /// Leases to `id` the slot whose latest lease began first, at `since` or before, if its leases and their number so
-    /// far are such that it `may_be_backed_up`. This lease begins `now`. A second one that the slot has already is
+    /// Leases to `id` the slot whose latest lease began first, at `since` or before, of those that `may_be_backed_up`,
+    /// given their leases and the number of these so far. This lease begins `now`. A second one that the slot has already is
     /// replaced; it is returned.
     pub(super) fn claim_backup(
         &mut self,
         id: LeaseId,
         since: Duration,
         now: Duration,
-        may_be_backed_up: impl Fn(&[HeldLease], u32) -> bool,
+        may_be_backed_up: impl Fn(usize, &[HeldLease], u32) -> bool,
     ) -> Option<(ClaimedSlot, Option<LeaseId>)> {
         let mut old = self.held.range(..=(since, usize::MAX)).map(|(_, index)| *index);
         let index = old.find(|index| match &self.slots[*index] {
             Slot { state: SlotState::Held(leases), issued, .. } => {
-                may_be_backed_up(leases, *issued)
+                may_be_backed_up(*index, leases, *issued)
             }
             _ => false,
         })?;

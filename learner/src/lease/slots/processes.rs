@@ -68,9 +68,10 @@ impl Processes {
         }
     }
 
-    /// The processes with a registered actor.
-    pub(super) fn registered(&self) -> impl Iterator<Item = Process> {
-        self.known.keys().copied()
+    /// The processes with a registered actor of this trust or more.
+    pub(super) fn registered(&self, least: Trust) -> impl Iterator<Item = Process> {
+        let suits = move |known: &Known| least == Trust::Foreign || known.exact > 0;
+        self.known.iter().filter(move |(_, known)| suits(known)).map(|(process, _)| *process)
     }
 
     /// Whether two or more processes have exact actors.
@@ -138,8 +139,8 @@ impl Processes {
         self.waiting.insert(process, Waiting { until: now + SILENCE, kept: None });
     }
 
-    /// The process got work. Whether work that was kept is free for the others now, because no other process waits.
-    pub(super) fn got_work(&mut self, process: Process) -> bool {
+    /// The process got work, or may not have the free work. Whether work that was kept is free for the others now, because no other process waits.
+    pub(super) fn wait_no_more(&mut self, process: Process) -> bool {
         let was_kept = |one: Waiting| one.kept.is_some();
         self.waiting.remove(&process).is_some_and(was_kept) && self.waiting.is_empty()
     }
@@ -156,8 +157,9 @@ impl Processes {
         self.waiting.values_mut().for_each(|one| one.kept = one.kept.or(Some(now)));
     }
 
-    /// When the first work that is kept for a process is free for the others.
-    pub(super) fn first_released(&self) -> Option<Duration> {
-        self.waiting.values().filter_map(|one| one.kept).min().map(|since| since + KEPT)
+    /// When the first work that is kept for a process is free for the others, if not yet.
+    pub(super) fn first_released(&self, now: Duration) -> Option<Duration> {
+        let released = self.waiting.values().filter_map(|one| one.kept).map(|since| since + KEPT);
+        released.filter(|at| *at > now).min()
     }
 }

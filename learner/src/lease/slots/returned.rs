@@ -26,8 +26,9 @@ impl SlotTable {
         let (detail, environments) = (returned.detail.clone(), self.environments_of(id));
         self.incidents.push(Incident::Returned { lease, failure, detail, environments });
         self.count_failure(id, failure, &returned.detail);
-        self.audits.skip(id);
+        self.skip_audit(id);
         self.abandon(id);
+        self.end_evaluations();
         Ok(())
     }
 
@@ -46,10 +47,15 @@ impl SlotTable {
         let (claim, Owner { actor, process, .. }) = (lease.claim, lease.owner);
         let (begin, status) = (self.begin_of(claim), lease.status(id, self.now));
         let Some(key) = Key::of(claim) else { return };
-        if self.is_repeated(claim, id) {
+        if self.is_episode_audit(claim) {
             return;
         }
-        let (others, now) = (self.actors.processes.registered(), (self.now, self.rules.ttl));
+        if self.is_computed_elsewhere(claim, id) {
+            self.failures.note(key, process, self.now);
+            return;
+        }
+        let others = self.actors.processes.registered(self.rules.least_trust());
+        let now = (self.now, self.rules.ttl);
         match self.failures.add((key, begin), failure, process, others, now) {
             Verdict::Retry => {}
             Verdict::BeginAgain => self.begin_again(key),
@@ -60,16 +66,28 @@ impl SlotTable {
         }
     }
 
-    /// Whether the lease was a backup, has one, or is an audit.
-    fn is_repeated(&mut self, claim: Claim, id: LeaseId) -> bool {
-        match (claim, &self.iteration) {
-            (Claim::Slot(index), Some(open)) => !open.other_leases(index, id).is_empty(),
-            (Claim::Episode(work), _) => {
-                self.evaluations.is_played(work)
-                    || !self.evaluations.other_leases(work, id).is_empty()
-            }
-            _ => false,
+    /// An audit that its actor could not compute is not needed.
+    fn skip_audit(&mut self, id: LeaseId) {
+        self.audits.skip(id);
+        if let Some(Claim::Episode(work)) = self.open.get(id).map(|lease| lease.claim)
+            && self.evaluations.skip_audit(work, id)
+        {
+            self.audits.counts.skipped += 1;
         }
+    }
+
+    fn is_episode_audit(&self, claim: Claim) -> bool {
+        matches!(claim, Claim::Episode(work) if self.evaluations.is_played(work))
+    }
+
+    /// Whether the lease was a backup or has one.
+    fn is_computed_elsewhere(&mut self, claim: Claim, id: LeaseId) -> bool {
+        let others = match (claim, &self.iteration) {
+            (Claim::Slot(index), Some(open)) => open.other_leases(index, id),
+            (Claim::Episode(work), _) => self.evaluations.other_leases(work, id),
+            _ => Vec::new(),
+        };
+        !others.is_empty()
     }
 
     fn begin_again(&mut self, key: Key) {

@@ -7,6 +7,7 @@ use std::path::Path;
 use super::{CheckpointError, DRAFT, LATEST, MANIFEST, POLICY, SETTINGS, name};
 use crate::config::CheckpointConfig;
 use crate::durable::{self, FileError};
+use crate::plain_file;
 
 /// Name of the folder of checkpoints in a run folder.
 pub(super) const FOLDER: &str = "checkpoints";
@@ -28,7 +29,7 @@ pub(super) fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
 
 /// The iteration that `LATEST` names; `None` if it names none.
 pub(crate) fn named_latest(run_folder: &Path) -> Option<u64> {
-    let text = std::fs::read_to_string(super::folder(run_folder).join(LATEST)).ok()?;
+    let text = plain_file::read_to_string(&super::folder(run_folder).join(LATEST)).ok()?;
     iteration(OsStr::new(text.trim()))
 }
 
