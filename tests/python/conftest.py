@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 from pathlib import Path
 
@@ -41,6 +42,13 @@ def s2mia(*arguments):
     done = subprocess.run([program(), *map(str, arguments)], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, f"s2mia {arguments}\n{done.stdout}\n{done.stderr}"
     return done.stdout
+
+
+def examples(heading):
+    """The Python examples under the heading `## HEADING` of docs/USING.md."""
+    document = (ROOT / "docs" / "USING.md").read_text()
+    section = document.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    return re.findall(r"```python\n(.*?)```", section, re.DOTALL)
 
 
 @pytest.fixture(scope="session")

@@ -1,12 +1,11 @@
-"""Exported policies act elsewhere as they act here, and the examples in docs/EXPORT.md do what they say."""
+"""Exported policies act elsewhere as they act here, and the examples in docs/USING.md do what they say."""
 
 import json
-import re
 
 import numpy
 import onnxruntime
 import pytest
-from conftest import ROOT, TINY, s2mia
+from conftest import TINY, examples, s2mia
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from safetensors import safe_open
@@ -124,7 +123,7 @@ def test_the_model_names_its_inputs_and_outputs(exported, tasks):
 
 def test_the_documented_examples_run(exported, monkeypatch, capsys):
     monkeypatch.chdir(exported.parent)
-    with_onnx, with_numpy = re.findall(r"```python\n(.*?)```", (ROOT / "docs/EXPORT.md").read_text(), re.DOTALL)
+    with_onnx, with_numpy = examples("ONNX export")
     exec(with_onnx, {})
     assert float(capsys.readouterr().out.split(":")[1]) < 1e-5
     scope = {}

@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from conftest import ITERATIONS, ROOT, STEPS_PER_ITERATION, TINY, s2mia
+from conftest import ITERATIONS, ROOT, STEPS_PER_ITERATION, TINY, examples, s2mia
 
 AGENTS = 6
 
@@ -119,7 +119,7 @@ def test_the_file_carries_the_run_s_settings(logged, logs):
 
 
 def test_the_ten_lines_of_the_documentation_print_a_return_per_share(logged, shares, capsys):
-    block = (ROOT / "docs" / "LOGS.md").read_text().split("```python\n")[1].split("```")[0]
+    (block,) = examples("Trajectory logs")
     exec(block.replace('"RUN/logs"', repr(str(logged / "logs"))), {})
     printed = capsys.readouterr().out.splitlines()
     assert len(printed) == len(shares)

@@ -20,6 +20,13 @@ def python(*arguments, cwd, path=CLIENTS) -> str:
     return done.stdout
 
 
+def examples(heading: str) -> list[str]:
+    """The Python examples under the heading `## HEADING` of docs/USING.md."""
+    document = (ROOT / "docs" / "USING.md").read_text()
+    section = document.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    return re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+
+
 def listing() -> set[pathlib.Path]:
     """All files of the package's folder, except compiled ones."""
     return {path for path in CLIENTS.rglob("*") if "__pycache__" not in path.parts}
@@ -89,7 +96,7 @@ def test_the_documented_examples_run(serve, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     train = (*SMALL, "run.iterations=20", "run.actors=1", "evaluation.every_steps=10000", "run.dir=runs/cue")
     s2mia_run("train", *train)
-    policies, tables, learner = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "PYTHON.md").read_text(), re.DOTALL)
+    policies, tables, learner = examples("Python package")
     exec(policies, {})
     assert re.search(r"most likely choices: \[\d, \d\]\nsampled choices: \[\d, \d\]", capsys.readouterr().out)
     exec(tables, {})
