@@ -42,6 +42,14 @@ mod config {
     pub(crate) use resolved::Resolved;
 }
 
+#[path = "../../src/errors.rs"]
+mod errors;
+#[path = "."]
+mod process {
+    #[path = "../../src/process/home.rs"]
+    pub(crate) mod home;
+}
+
 use std::path::{Path, PathBuf};
 
 use config::run_config::RunConfig;

@@ -1,4 +1,4 @@
-//! The files of a run folder: checkpoints, provenance, reward logs, and how they are written.
+//! The files of a run folder: checkpoints, provenance, and how they are written.
 
 pub mod checkpoint;
 pub mod durable;

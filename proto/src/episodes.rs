@@ -1,4 +1,4 @@
-//! Selection and ids of the episodes in the actors' trajectory logs and the learner's reward log.
+//! Selection and ids of the episodes in the actors' trajectory logs.
 
 use std::fmt;
 use std::str::FromStr;

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use learner::metrics::Curves;
+use learner::run_folder::RunFolder;
 use learner::{OverlaidRun, Overlay, Page};
 use tokio::net::TcpListener;
 
@@ -30,7 +31,7 @@ pub(super) fn run(arguments: RunsPageArguments) -> anyhow::Result<()> {
     let hosts = page::hosts(&arguments.page_host)?;
     let folders = if arguments.runs.is_empty() { newest::all()? } else { arguments.runs };
     folders.iter().try_for_each(|folder| run_path::demand_run(folder))?;
-    let folders: Vec<_> = folders.iter().map(|folder| run_path::run_of(folder)).collect();
+    let folders: Vec<_> = folders.iter().map(|folder| RunFolder::of(folder)).collect();
     let followed = Mutex::new(Followed::of(&folders));
     let look = move || followed.lock().unwrap_or_else(PoisonError::into_inner).look();
     runtime()?.block_on(async {

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use learner::run_folder::RunFolder;
+
 use crate::cli::PlotArguments;
 use crate::figures::learning_curve::Curve;
 use crate::figures::{self, learning_curve};
 use crate::process::{output, target};
-use crate::run::run_path;
 
 /// Writes both files and prints their paths.
 pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {
@@ -31,7 +32,7 @@ fn folder(arguments: &PlotArguments) -> anyhow::Result<PathBuf> {
             output::option_folder("--out", folder)?;
             folder.clone()
         }
-        (None, [only]) => run_path::run_of(only),
+        (None, [only]) => RunFolder::of(only),
         (None, _) => PathBuf::from("."),
     })
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context as _;
+use learner::run_folder::RunFolder;
 use recording::{RecordError, RecordSummary, RecordedRun};
 use rollout::EvaluationEpisode;
 
@@ -79,7 +80,7 @@ fn recorded<'a>(
     let config = &trained.config;
     let task = &stage.environment.description().task;
     let mut metadata = checkpointed::metadata(trained, task);
-    metadata.insert("run_id".to_owned(), run_path::name(&run_path::run_of(&arguments.run)));
+    metadata.insert("run_id".to_owned(), run_path::name(&RunFolder::of(&arguments.run)));
     let task_settings = match config.environment.url.as_str() {
         "" => serde_json::to_string(&config.task).context("cannot write the task's settings")?,
         _ => String::new(),

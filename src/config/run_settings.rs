@@ -8,7 +8,6 @@ use sim::{AgentDescription, Robot};
 
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
-use crate::run::run_path::run_of;
 
 /// Unit of continuous actions, in the manifest of a run; earlier versions did not record it.
 pub(crate) const ACTION_UNIT: (&str, &str) = ("action_unit", "half_range");
@@ -26,7 +25,7 @@ pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), Con
 fn demand_unit(file: &Path, folder: &Path, config: &RunConfig) -> Result<(), ConfigError> {
     let (key, unit) = ACTION_UNIT;
     if config.task.definition.is_none()
-        || RunFolder::recorded(&run_of(folder)).is_none_or(|manifest| manifest[key] == unit)
+        || RunFolder::recorded(&RunFolder::of(folder)).is_none_or(|manifest| manifest[key] == unit)
     {
         return Ok(());
     }

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use learner::plain_file;
+use learner::run_folder::RunFolder;
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
@@ -85,7 +86,7 @@ pub(crate) struct Panel {
 
 /// Reads the curves of a run folder.
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
-    let folder = &run_path::run_of(folder);
+    let folder = &RunFolder::of(folder);
     demand_run(folder)?;
     let lines = lines(&run_path::metrics_file(folder))?;
     let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();

@@ -7,7 +7,6 @@ use learner::run_folder::{RunFolder, STARTS};
 
 use crate::errors::Usage;
 use crate::process::home;
-use crate::run::run_path;
 
 /// Where new runs go by default.
 const RUNS: &str = "runs";
@@ -20,7 +19,7 @@ pub(crate) fn or_newest(of: &str) -> Result<String, Usage> {
     let shown = |run: PathBuf| run.display().to_string();
     match of {
         "" => Ok(newest(Path::new(RUNS)).map_or_else(|| LEARNER.to_owned(), shown)),
-        of => home::expanded_text(of).map(|of| shown(run_path::run_of(Path::new(&of)))),
+        of => home::expanded_text(of).map(|of| shown(RunFolder::of(Path::new(&of)))),
     }
 }
 

@@ -54,18 +54,12 @@ pub(crate) fn demand_resumable(folder: &Path) -> Result<(), Usage> {
     }))
 }
 
-/// The run that `path` names: its folder, or that of one of its checkpoints. A checkpoint outside a run stands for itself.
-pub(crate) fn run_of(path: &Path) -> PathBuf {
-    let of_checkpoint = || RunFolder::around(path).filter(|_| checkpoint::is_checkpoint(path));
-    of_checkpoint().unwrap_or_else(|| path.to_path_buf())
-}
-
 /// The run folder for files of the run at `path` that `option` could name elsewhere.
 ///
 /// # Errors
 /// `path` is a checkpoint outside a run.
 pub(crate) fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
-    let run = run_of(path);
+    let run = RunFolder::of(path);
     match checkpoint::is_checkpoint(&run) {
         false => Ok(run),
         true => Err(Usage::new(format!(

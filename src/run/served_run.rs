@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use learner::checkpoint::Loaded;
 use learner::published::Published;
+use learner::run_folder::RunFolder;
 use learner::service::ServedPolicies;
 use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
@@ -49,7 +50,7 @@ impl ServedRun {
     /// The policies that the service hands out, always the newest loaded ones.
     pub(crate) fn policies(&self) -> ServedPolicies {
         ServedPolicies {
-            run_id: run_path::name(&run_path::run_of(&self.path)),
+            run_id: run_path::name(&RunFolder::of(&self.path)),
             environment: self.environment.clone(),
             newest: self.newest.subscribe(),
         }

@@ -176,10 +176,10 @@ def act_for(learner: Learner, make: Callable[[], Environment], rng: np.random.Ge
     """Works for a learner until its run is over, in environments from `make()`. Returns the number of leases."""
     held, done = None, 0
     while (lease := learner.lease()) is not None:
-        if lease.weights.digest != held:
-            held, policy = lease.weights.digest, Policy(learner.weights(lease.weights))
         results: Iterable[Any]
         try:
+            if lease.weights.digest != held:
+                held, policy = lease.weights.digest, Policy(learner.weights(lease.weights))
             try:
                 if lease.WhichOneof("work") == "rollout":
                     results = Slot(learner.run, lease.rollout, policy, make, rng).chunks()

@@ -28,7 +28,7 @@ pub struct RunSnapshot {
     pub chunks_accepted: u64,
     /// Size of all messages with results, bytes.
     pub bytes_received: u64,
-    /// Steps that the actors' trajectory logs and the learner's reward log lost.
+    /// Steps that the actors' trajectory logs lost.
     pub log_steps_lost: u64,
     /// Size of the newest weights, bytes.
     pub weights_bytes: u64,

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use learner::run_folder::RunFolder;
 use recording::trajectory_log::{LogError, is_log_name};
 
 use crate::cli::LogFiles;
@@ -35,7 +36,7 @@ pub(super) fn size(path: &Path) -> u64 {
 
 /// The logs of a folder; for a run folder, those of the run.
 fn in_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let run = run_path::run_of(folder);
+    let run = RunFolder::of(folder);
     let logs = run_path::logs(&run);
     let is_run = run_path::config_file(&run).is_file() && logs.is_dir();
     let folder = if is_run { &logs } else { folder };

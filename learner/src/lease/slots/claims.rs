@@ -91,14 +91,14 @@ impl SlotTable {
         };
         let shows_nothing =
             |held: &HeldLease| leases.get(held.id).is_some_and(|lease| lease.digests.is_empty());
-        let failures = &self.failures;
+        let (failures, ttl) = (&self.failures, self.rules.ttl);
         let suits = |key: Key, held: &[HeldLease], issued: u32, age: Duration| {
             let (since, patience) = match held {
                 [only] => (only.since, age),
                 [_, second] if shows_nothing(second) => (second.since, patience(age, issued)),
                 _ => return false,
             };
-            !failures.has_failed(key, owner.process)
+            failures.may_back_up(key, owner.process, (now, ttl))
                 && held.iter().all(of_another)
                 && (since + patience <= now || held.iter().all(of_stalled))
         };

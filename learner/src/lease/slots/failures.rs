@@ -58,7 +58,8 @@ struct Failed {
     times: u32,
     start_states: u32,
     by: BTreeSet<Process>,
-    first: Duration,
+    /// When a failure counted first.
+    first: Option<Duration>,
     last: Duration,
     /// The trainer replaces the work, or the run ends: it is not leased.
     decided: bool,
@@ -91,17 +92,26 @@ impl Failures {
     ) -> bool {
         let Some(failed) = self.0.get(&key) else { return true };
         let waits = || failed.is_untried_by(others) && now < failed.last + ttl;
-        !(failed.decided || failed.by.contains(&process) && waits())
+        !(failed.decided || failed.is_by(process) && waits())
     }
 
-    /// Whether `process` failed at the work: it is no backup for another one.
-    pub(super) fn has_failed(&self, key: Key, process: Process) -> bool {
-        self.0.get(&key).is_some_and(|failed| failed.by.contains(&process))
+    /// Whether `process` may compute work that another lease computes too. One that failed may not for `ttl`, or at all
+    /// if the work failed often: the other lease ends it then.
+    pub(super) fn may_back_up(
+        &self,
+        key: Key,
+        process: Process,
+        (now, ttl): (Duration, Duration),
+    ) -> bool {
+        let Some(failed) = self.0.get(&key) else { return true };
+        !failed.is_by(process) || failed.times < MOST_CONTINUED && now >= failed.last + ttl
     }
 
-    /// `process` failed at work that another lease still computes, so the failure does not count yet.
+    /// `process` failed at work that another lease still computes: only a second failure counts, and nothing follows yet.
     pub(super) fn note(&mut self, key: Key, process: Process, now: Duration) {
-        self.failed(key, now).is_by(process, now);
+        let failed = self.0.entry(key).or_default();
+        failed.times += u32::from(failed.is_by(process));
+        failed.add(process, now);
     }
 
     /// When work that waits for processes that have not tried it is next free for the others.
@@ -109,10 +119,6 @@ impl Failures {
         let waits =
             self.0.values().filter(|failed| !failed.decided).map(|failed| failed.last + ttl);
         waits.filter(|at| *at > now).min()
-    }
-
-    fn failed(&mut self, key: Key, now: Duration) -> &mut Failed {
-        self.0.entry(key).or_insert_with(|| Failed { first: now, ..Failed::default() })
     }
 
     /// Counts a failure. `others` are the registered processes.
@@ -124,12 +130,13 @@ impl Failures {
         others: impl Iterator<Item = Process>,
         (now, ttl): (Duration, Duration),
     ) -> Verdict {
-        let failed = self.failed(key, now);
+        let failed = self.0.entry(key).or_default();
         failed.times += 1;
         failed.start_states += u32::from(failure == LeaseFailure::StartState);
-        failed.is_by(process, now);
+        failed.add(process, now);
+        let first = *failed.first.get_or_insert(now);
         let most = if begin == Begin::Fresh { MOST_FRESH } else { MOST_CONTINUED };
-        let tried_by_all = !failed.is_untried_by(others) || now >= failed.first + ttl * most;
+        let tried_by_all = !failed.is_untried_by(others) || now >= first + ttl * most;
         let verdict = match begin {
             _ if failed.decided => Verdict::Retry,
             Begin::Continued if failed.start_states >= MOST_START_STATES => Verdict::BeginAgain,
@@ -153,7 +160,12 @@ impl Failures {
 }
 
 impl Failed {
-    fn is_by(&mut self, process: Process, now: Duration) {
+    /// Whether the process failed, as far as it is known.
+    fn is_by(&self, process: Process) -> bool {
+        self.by.contains(&process) || self.by.len() >= MOST_PROCESSES
+    }
+
+    fn add(&mut self, process: Process, now: Duration) {
         self.last = now;
         if self.by.len() < MOST_PROCESSES {
             self.by.insert(process);

@@ -117,7 +117,7 @@ impl MetricSet {
         self.counters("chunks", "Chunks of trajectories", chunks);
         let help = "Size of all received messages with results";
         self.counter("ingest_bytes", help, run.bytes_received);
-        let help = "Steps that trajectory and reward logs lost";
+        let help = "Steps that trajectory logs lost";
         self.counter("log_dropped", help, run.log_steps_lost);
         let refusals = run.refusals.iter();
         let refusals = refusals.map(|(reason, count)| (vec![("reason", reason.clone())], *count));

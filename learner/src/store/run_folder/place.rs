@@ -75,6 +75,14 @@ impl RunFolder {
         })
     }
 
+    /// The run that `path` names: its folder, or that of one of its checkpoints. A checkpoint outside a run stands for
+    /// itself.
+    #[must_use]
+    pub fn of(path: &Path) -> PathBuf {
+        let run = Self::around(path).filter(|_| checkpoint::is_checkpoint(path));
+        run.unwrap_or_else(|| path.to_path_buf())
+    }
+
     /// Refuses a folder inside another run.
     ///
     /// # Errors
