@@ -46,7 +46,7 @@ class Tls:
     """Host name in the learner's certificate; by default the host in its URL."""
 
 
-class CallError(ConnectionError, grpc.RpcError):
+class CallError(ConnectionError, grpc.RpcError):  # type: ignore[misc]  # grpc has no types
     """A call that failed: one line with the address, the gRPC status and its details. Also an `RpcError`, as gRPC raises."""
 
     def __init__(self, address: str, status: grpc.RpcError) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from s2mia_environment import Environment
-from s2mia_environment.parallel import Parallel, features
+from s2mia_environment.parallel import features
 from s2mia import wire
 
 STEPS = 50
@@ -75,14 +75,14 @@ class Aim(ParallelEnv):
     possible_agents = ["one", "two"]
     max_cycles = 20
 
-    def __init__(self, high: float) -> None:
-        self.high = high
+    def __init__(self, first: float, second: float) -> None:
+        self.high = np.array([first, second], np.float32)
 
     def observation_space(self, agent):
         return spaces.Box(-1, 1, (1,), np.float32)
 
     def action_space(self, agent):
-        return spaces.Box(-self.high, self.high, (2,), np.float32)
+        return spaces.Box(-self.high, self.high, dtype=np.float32)
 
     def reset(self, seed=None, options=None):
         self.agents, self.moves = list(self.possible_agents), 0
@@ -94,19 +94,6 @@ class Aim(ParallelEnv):
         seen = dict.fromkeys(self.agents, np.ones(1, np.float32))
         never, late = dict.fromkeys(self.agents, False), dict.fromkeys(self.agents, self.moves == self.max_cycles)
         return seen, dict.fromkeys(self.agents, paid), never, late, {}
-
-
-class OwnAim(Parallel):
-    """The same, offered with the range in its own unit."""
-
-    def __init__(self, high: float) -> None:
-        super().__init__(Aim(high))
-        for agent in self.spec.agents:
-            agent.action.low, agent.action.high = -high, high
-
-    def step(self, actions):
-        limit = self.env.high
-        return super().step([numbers.clip(-limit, limit) / limit for numbers in actions])
 
 
 class Liar(Environment):

@@ -6,7 +6,7 @@ import types
 import pytest
 from conftest import ROOT
 from s2mia import name, wire
-from s2mia_environment.streams import Streams
+from s2mia_environment.streams import EnvironmentFailed, Streams
 
 
 def test_the_rules_are_those_of_the_program():
@@ -40,5 +40,5 @@ def test_an_environment_with_a_name_that_cannot_be_shown_is_not_offered(field, h
         name=named["agent"], joints=[named["joint"]], observation=[wire.FeatureSpec(name=named["observation"])]
     )
     spec = wire.EnvironmentSpec(task=named["task"], agents=[agent], state=[wire.FeatureSpec(name=named["state"])])
-    with pytest.raises(ValueError, match="name"):
+    with pytest.raises(EnvironmentFailed, match="name"):
         Streams(lambda: types.SimpleNamespace(spec=spec))
