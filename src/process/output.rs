@@ -18,6 +18,9 @@ static STDOUT: OnceLock<Stdout> = OnceLock::new();
 /// Why standard output could not be written, if that is an error.
 static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 
+/// Extensions of the files that commands write into folders.
+const EXTENSIONS: [&str; 5] = ["csv", "onnx", "png", "svg", "xml"];
+
 struct Stdout {
     /// Without output, the command has nothing to do.
     only_prints: bool,
@@ -94,12 +97,38 @@ pub(crate) fn folder(path: &Path) -> anyhow::Result<()> {
 }
 
 /// Creates the folder that `option` names, if necessary. Refuses it if the folder around it does not exist, which is
-/// probably a misspelt path, or if it is a file.
+/// probably a misspelt path, or if it is a file or a new folder with the name of one.
 pub(crate) fn option_folder(option: &str, path: &Path) -> anyhow::Result<()> {
+    let refused = |why| Err(Usage::new(format!("{option} {}: {why}", path.display())).into());
     if path.is_file() {
-        let why = format!("{option} {}: is a file; name a folder", path.display());
-        return Err(Usage::new(why).into());
+        return refused("is a file; name a folder");
+    }
+    let is_named_file =
+        path.extension().is_some_and(|found| EXTENSIONS.iter().any(|one| found == *one));
+    if is_named_file && !path.exists() {
+        return refused(
+            "has the name of a file; name a folder, for the command writes several files",
+        );
     }
     check_parent(option, path)?;
     folder(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_with_the_name_of_a_file_is_used_only_if_it_exists() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("curves.svg");
+        let refused = option_folder("--out", &path).unwrap_err().to_string();
+        assert!(
+            refused.ends_with("name a folder, for the command writes several files"),
+            "{refused}"
+        );
+        std::fs::create_dir(&path).unwrap();
+        option_folder("--out", &path).unwrap();
+        option_folder("--out", &folder.path().join("figures.new")).unwrap();
+    }
 }

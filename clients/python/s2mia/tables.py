@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from s2mia.checkpoint import read
+from s2mia.checkpoint import POLICY, read
 from s2mia.error import RunError
 
 try:
@@ -35,13 +35,15 @@ class Runs(NamedTuple):
 
 
 def runs(folder: str | os.PathLike[str]) -> Runs:
-    """Reads all runs in a folder and its sub-folders, or the one run of a run folder.
+    """Reads all runs in a folder and its sub-folders, or the one run of a run folder or of one of its checkpoints.
 
     Running and stopped runs are included. Raises `RunError` if there is no run or a file is damaged.
     """
     root = pathlib.Path(folder)
     if not root.is_dir():
         raise RunError(f"{root} is no folder")
+    if (root / POLICY).is_file() and _is_run(above := root.resolve().parent.parent):
+        root = above
     found = list(_run_folders(root))
     if not found:
         raise RunError(f"{root} holds no run: no folder in it has a config.toml and a manifest.json")
@@ -66,12 +68,17 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
     return Runs(table, metrics, evaluations)
 
 
+def _is_run(path: pathlib.Path) -> bool:
+    """Whether a folder is a run's. A checkpoint has the same files and its policies."""
+    return all((path / name).is_file() for name in ("config.toml", "manifest.json")) and not (path / POLICY).exists()
+
+
 def _run_folders(root: pathlib.Path) -> Iterator[pathlib.Path]:
     """Run folders in the order of their paths. Nothing in a run folder is another run."""
-    for place, folders, files in os.walk(root, onerror=_refuse):
-        if {"config.toml", "manifest.json"} <= set(files):
+    for place, folders, _ in os.walk(root, onerror=_refuse):
+        if _is_run(path := pathlib.Path(place)):
             folders.clear()
-            yield pathlib.Path(place)
+            yield path
         folders.sort()
 
 

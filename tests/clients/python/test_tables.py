@@ -56,6 +56,14 @@ def test_a_run_folder_is_a_table_of_one_row(folder):
     assert list(found.table["task"]) == ["cue-2x1"]
 
 
+def test_a_checkpoint_is_its_run_and_no_run_of_its_own(folder):
+    checkpoints = folder / "one" / "checkpoints"
+    [newest, *_] = sorted(checkpoints.glob("iter_*"), reverse=True)
+    assert list(s2mia.runs(newest).table.index) == ["one"]
+    with pytest.raises(s2mia.RunError, match="checkpoints holds no run: "):
+        s2mia.runs(checkpoints)
+
+
 def test_a_line_that_is_still_being_written_is_left_out(folder, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(folder / "one", run)
