@@ -82,11 +82,8 @@ fn about_agent(agent: &AgentDescription, robot: Option<&Robot>) -> BTreeMap<Stri
         ],
     };
     let controls = robot.map(|robot| {
-        let ranges = |joint: &String| {
-            let mut motors = robot.actuators().zip(robot.control_ranges());
-            motors.find(|(driven, _)| driven == joint).map(|(_, range)| range)
-        };
-        let ranges: Vec<_> = agent.joints.iter().filter_map(ranges).collect();
+        let ranges = agent.joints.iter().filter_map(|joint| robot.control_range(joint));
+        let ranges: Vec<_> = ranges.collect();
         ("control_ranges", serde_json::to_string(&ranges).expect("ranges of a model are finite"))
     });
     let words = [

@@ -15,14 +15,10 @@ use crate::errors::Usage;
 
 /// Parses the address of an option, for clap.
 pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
-    text.parse().map_err(|_| {
-        security::addresses::check_port(text).err().map_or_else(
-            || {
-                "expected an IP address with a port, such as 127.0.0.1:50051 or [::1]:50051"
-                    .to_owned()
-            },
-            |port| port.to_string(),
-        )
+    let form = "expected an IP address with a port, such as 127.0.0.1:50051 or [::1]:50051";
+    text.parse().map_err(|_| match security::addresses::check_port(text) {
+        Err(port) => port.to_string(),
+        Ok(()) => form.to_owned(),
     })
 }
 

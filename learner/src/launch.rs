@@ -194,7 +194,8 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
         tracing::error!("{} is passed over: {reason}", path.display());
     }
     let (from, whole) = (loaded.checkpoint.iteration, loaded.skipped.is_empty());
-    if let Some(latest) = checkpoint::named_latest(folder.path()).filter(|at| *at > from && whole) {
+    let latest = checkpoint::named_latest(&checkpoint::folder(folder.path()));
+    if let Some(latest) = latest.filter(|at| *at > from && whole) {
         let path = loaded.path.display();
         tracing::error!(
             "the checkpoint of iteration {latest} is lost; the run continues from {path}"

@@ -140,6 +140,12 @@ impl Robot {
         self.blueprint.motors.iter().map(|motor| motor.range)
     }
 
+    /// Range of the control of the motor of `joint`; `None` without a motor.
+    pub fn control_range(&self, joint: &str) -> Option<[f32; 2]> {
+        let mut motors = self.blueprint.motors.iter();
+        motors.find(|motor| motor.joint == joint).map(|motor| motor.range)
+    }
+
     /// Kind of its encoded states.
     pub(crate) fn state_kind(&self) -> String {
         format!("rapier/{}", self.name)

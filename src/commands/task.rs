@@ -100,17 +100,13 @@ fn links(robot: &Robot) -> String {
 
 /// Limits, control range and largest torque of each hinge.
 fn joints(robot: &Robot) -> String {
-    let control = |joint: &str| {
-        let mut motors = robot.actuators().zip(robot.control_ranges());
-        motors.find(|(driven, _)| *driven == joint).map(|(_, range)| range)
-    };
     let line = |((name, range), [unit, newtons]): ((&str, Option<[f32; 2]>), [&str; 2])| {
         let range = match range {
             Some([low, high]) => format!("{low} to {high} {unit}"),
             None => "no limits".to_owned(),
         };
         let ends = [f32::MIN, f32::MAX].map(|control| robot.torque(name, control));
-        let motor = match (control(name), ends) {
+        let motor = match (robot.control_range(name), ends) {
             (Some([low, high]), [Some(one), Some(other)]) => {
                 let largest = one.abs().max(other.abs());
                 format!("motor up to {largest} {newtons}, control {low} to {high}")

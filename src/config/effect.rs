@@ -9,12 +9,10 @@ use sim::{ContactForces, ObservationMode, ObservationNorm, PartitionSemantics, T
 
 use super::conditions::{Condition, Property, TABLE};
 use super::error::ConfigError;
+use super::keys::URL;
 use super::resolved::Resolved;
 use super::run_config::RunConfig;
 use super::scalar::Scalar;
-
-/// Setting with the URL of an environment from outside.
-const URL: &str = "environment_service.url";
 
 impl Condition {
     fn holds(self, run: &Run<'_>) -> bool {

@@ -8,6 +8,9 @@ use super::scalar::Scalar;
 /// Key of the run folder.
 const FOLDER: &str = "run.dir";
 
+/// Key of the URL of the program that provides the environment; empty for the simulator.
+pub(crate) const URL: &str = "environment_service.url";
+
 /// Key of the environments of a slot, and of those of the run, of which they are a divisor. Earlier versions hashed it as a
 /// semantic key.
 pub(crate) const PER_SLOT: (&str, &str) = ("environments.per_slot", "environments.count");
@@ -16,7 +19,7 @@ pub(crate) const PER_SLOT: (&str, &str) = ("environments.per_slot", "environment
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     FOLDER,
-    "environment_service.url",
+    URL,
     PER_SLOT.0,
     "lease.",
     "audit.",
@@ -29,7 +32,7 @@ const OPERATIONAL: &[&str] = &[
 
 /// Keys that had another name in an earlier version, and their name now.
 const RENAMED: &[(&str, &str)] = &[
-    ("environment.url", "environment_service.url"),
+    ("environment.url", URL),
     ("environment.description", "environment_service.description"),
     ("environments.chunk_steps", "environments.message_steps"),
     ("policy.chunk_steps", "policy.backpropagation_steps"),

@@ -219,7 +219,7 @@ fn named_layers(
 
 /// Whether the environment comes from outside.
 fn names_outside(asked: &[Layer]) -> bool {
-    let url = asked.iter().rev().find_map(|layer| layer.values.get("environment_service.url"));
+    let url = asked.iter().rev().find_map(|layer| layer.values.get(keys::URL));
     url.is_some_and(|url| *url != Scalar::Text(String::new()))
 }
 

@@ -29,16 +29,12 @@ fn demand_unit(file: &Path, folder: &Path, config: &RunConfig) -> Result<(), Con
     {
         return Ok(());
     }
-    let place = file.display().to_string();
-    let world = sim::environments(&config.task, 1).map_err(|error| ConfigError::Unreadable {
-        place: place.clone(),
-        detail: error.to_string(),
-    })?;
+    let world =
+        sim::environments(&config.task, 1).map_err(|error| unreadable(file, error.to_string()))?;
     let own = |robot: &Robot, agent: &AgentDescription| {
-        let motors = robot.actuators().zip(robot.control_ranges());
-        let mut ranges = motors.filter(|(joint, _)| agent.joints.iter().any(|own| own == joint));
-        let first = ranges.next().map_or([-1.0, 1.0], |(_, range)| range);
-        first != [-1.0, 1.0] && ranges.all(|(_, range)| range == first)
+        let mut ranges = agent.joints.iter().filter_map(|joint| robot.control_range(joint));
+        let first = ranges.next().unwrap_or([-1.0, 1.0]);
+        first != [-1.0, 1.0] && ranges.all(|range| range == first)
     };
     let agents = &world.description().agents;
     if world.robot().is_none_or(|robot| !agents.iter().any(|agent| own(robot, agent))) {
@@ -46,7 +42,7 @@ fn demand_unit(file: &Path, folder: &Path, config: &RunConfig) -> Result<(), Con
     }
     let detail = "the run is of an earlier version, whose actions were the controls of the motors; now -1 and 1 are the \
                   limits of a motor's control range: train it again";
-    Err(ConfigError::Unreadable { place, detail: detail.to_owned() })
+    Err(unreadable(file, detail.to_owned()))
 }
 
 fn readable(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {

@@ -7,18 +7,9 @@ use learner::run_folder::RunFolder;
 
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
+use super::report;
 use crate::errors::Usage;
 use crate::run::new_folder::{Others, demand_outside_runs};
-
-/// Names of tables and figures.
-const REPORT: [&str; 6] = [
-    "results.md",
-    "results.csv",
-    "learning_curve.svg",
-    "learning_curve.png",
-    "ablation.svg",
-    "ablation.png",
-];
 
 /// Refuses a folder in a run, and one with files of others but no run.
 ///
@@ -39,7 +30,7 @@ pub(crate) fn check(
         .filter_map(|entry| Some(entry.ok()?.file_name().to_string_lossy().into_owned()))
         .collect();
     let is_used = others == Others::Accepted || names.iter().any(|name| belongs(file, runs, name));
-    match names.iter().find(|name| !REPORT.contains(&name.as_str())) {
+    match names.iter().find(|name| !report::is_part(name)) {
         Some(name) if !is_used => Err(Usage::new(format!(
             "{shown} contains {name} and no run of an experiment; choose another `folder`, or pass --force to use it"
         ))

@@ -13,6 +13,16 @@ use crate::figures::learning_curve::{self, Curve, Quantity};
 use crate::figures::{self, chart};
 use crate::process::output;
 
+/// The table as Markdown and as CSV.
+const TABLES: [&str; 2] = ["results.md", "results.csv"];
+
+/// Whether a table or a figure has this name.
+pub(crate) fn is_part(name: &str) -> bool {
+    let mut figures = [figures::LEARNING_CURVE, figures::ABLATION].into_iter();
+    let is_figure = |figure| figures::paths(Path::new(""), figure).contains(&PathBuf::from(name));
+    TABLES.contains(&name) || figures.any(is_figure)
+}
+
 /// Writes `results.md`, `results.csv` and the figures of the runs that exist. Returns the table and the paths.
 pub(crate) fn write(
     file: &ExperimentFile,
@@ -28,10 +38,8 @@ pub(crate) fn write(
         let compared = comparisons(&measured, &variants, &file.baseline, measure);
         table += &over_all_tasks(&compared, &file.baseline, measure.name());
     }
-    let mut written = vec![
-        put(&file.folder, "results.md", &table)?,
-        put(&file.folder, "results.csv", &csv(&rows))?,
-    ];
+    let mut written =
+        vec![put(&file.folder, TABLES[0], &table)?, put(&file.folder, TABLES[1], &csv(&rows))?];
     curves.retain(|curve| !curve.of(Quantity::Return).is_empty());
     if !curves.is_empty() {
         written.extend(figures::write_learning_curve(&file.folder, &curves)?);

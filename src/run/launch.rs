@@ -56,7 +56,7 @@ pub(crate) fn prepare(
     };
     // The learner claims the folder later, after the actors have started.
     RunFolder::demand_free(&folder)?;
-    config.resolved.set_text(keys::FILLED_IN, &offered.description, "environment_service.url");
+    config.resolved.set_text(keys::FILLED_IN, &offered.description, keys::URL);
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let mut launch = launch(&config, offered, &folder, &fingerprints);
     if let Some(folder) = &resumed.resume {

@@ -4,12 +4,10 @@
 use learner::Launch;
 use proto::{Digest, RunDescription};
 
+use crate::config::keys::{self, URL};
 use crate::config::message_steps::{MESSAGE, WINDOW};
 use crate::config::run_config::RunConfig;
-use crate::config::{ConfigError, keys, message_steps};
-
-/// The setting of an environment from outside.
-const URL: &str = "environment_service.url";
+use crate::config::{ConfigError, message_steps};
 
 /// What determines the size of a message.
 #[derive(Clone, Copy, PartialEq)]
@@ -22,17 +20,24 @@ struct Sizes {
     window: usize,
 }
 
+impl Sizes {
+    fn of(config: &RunConfig) -> Self {
+        let environments = &config.learner.environments;
+        Self {
+            // Slots of no fixed size are as small as their messages need.
+            per_slot: environments.per_slot.max(1),
+            message: environments.message_steps,
+            window: config.policy.backpropagation_steps,
+        }
+    }
+}
+
 /// Lowers the steps of a message until one fits, unless the user gave them.
 ///
 /// Refuses settings with which no message fits.
 pub(crate) fn fit(config: &mut RunConfig, launch: &mut Launch) -> Result<(), ConfigError> {
     let environments = &config.learner.environments;
-    let now = Sizes {
-        // Slots of no fixed size are as small as their messages need.
-        per_slot: environments.per_slot.max(1),
-        message: environments.message_steps,
-        window: config.policy.backpropagation_steps,
-    };
+    let now = Sizes::of(config);
     let run = launch.smallest_description();
     if fits(&run, now) {
         return Ok(());
@@ -186,12 +191,7 @@ mod tests {
 
     fn refusal(settings: &[&str], observed: usize) -> String {
         let config = config(settings);
-        let environments = &config.learner.environments;
-        let now = Sizes {
-            per_slot: environments.per_slot.max(1),
-            message: environments.message_steps,
-            window: config.policy.backpropagation_steps,
-        };
+        let now = Sizes::of(&config);
         let run = run(observed);
         refused(&config, &run, (now, largest(&run, now, (20, 50)))).to_string()
     }

@@ -8,12 +8,10 @@ use sim::{EnvironmentBatch, State};
 use tokio::runtime::Runtime;
 
 use crate::config::ConfigError;
+use crate::config::keys::URL;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::process::runtime;
-
-/// The setting that names the program.
-const URL: &str = "environment_service.url";
 
 /// The environment that every actor of a run must step.
 pub(crate) struct Offered {

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256, to_safetensors};
 
 use crate::config::CheckpointConfig;
-use crate::durable::{self, FileError};
+use crate::durable::{self, DRAFT, FileError};
 use crate::plain_file;
 
 use kept::{is_gone, iterations, prune};
@@ -31,8 +31,6 @@ pub use step::{Before, Step};
 const MANIFEST: &str = "manifest.json";
 /// The policies' bytes as actors get them.
 const POLICY: &str = "policy.safetensors";
-/// Where a directory stands until it is whole.
-const DRAFT: &str = ".tmp-";
 /// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves, unless they change.
 const LATEST: &str = "LATEST";
 /// The run's settings, so that a checkpoint by itself is enough to go on.
@@ -254,7 +252,11 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
             Ok((checkpoint, manifest)) => {
                 return Ok(Some(Loaded { checkpoint, manifest, path, skipped }));
             }
-            Err(_) if is_gone(&path) => return Ok(latest(folder)),
+            // A learner may remove checkpoints faster than they are listed.
+            Err(_) if is_gone(&path) => {
+                let latest = named_latest(folder);
+                return Ok(latest.and_then(|latest| load(&folder.join(name(latest))).ok()));
+            }
             Err(detail) => skipped.push((path, detail)),
         }
     }
@@ -263,13 +265,6 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
         true => Err(CheckpointError::None { folder }),
         false => Err(CheckpointError::NoneUsable { folder, skipped }),
     }
-}
-
-/// The checkpoint that `LATEST` names, if it can be read. A learner may remove checkpoints faster than they are listed.
-fn latest(folder: &Path) -> Option<Loaded> {
-    let named = plain_file::read_to_string(&folder.join(LATEST)).ok()?;
-    let name = named.trim();
-    kept::is_name(name.as_ref()).then(|| load(&folder.join(name)).ok())?
 }
 
 /// The iteration of the newest checkpoint of a run, whole or not; `None` if there is none.

@@ -7,6 +7,9 @@ use std::path::{Path, PathBuf};
 
 use crate::plain_file;
 
+/// With what the name of a file or folder begins until it is complete.
+pub(crate) const DRAFT: &str = ".tmp-";
+
 /// A file that could not be written or read.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot {action} {path}: {source}")]
@@ -54,7 +57,7 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
 pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let name =
         path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let draft = path.with_file_name(format!(".tmp-{name}"));
+    let draft = path.with_file_name(format!("{DRAFT}{name}"));
     write(&draft, bytes)?;
     std::fs::rename(&draft, path).map_err(FileError::of("replace", path))?;
     sync_name(path)

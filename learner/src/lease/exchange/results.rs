@@ -49,12 +49,13 @@ impl Exchange {
         let course = self.lock().table.course(header.lease, &chunk);
         course.map_or(Ok(()), |course| self.states.check_end(&course, &self.run))?;
         self.change(|shared| {
-            // An audit has no environments of its own: its end states are only compared.
-            let environments = shared.table.environments_of(header.lease);
-            let actor = shared.table.lease_of(sender, header.lease).map(|lease| lease.actor);
+            // An audit has no environments of its own: its end states are only compared. Only the last chunk has some.
+            let lease = shared.table.lease_of(sender, header.lease).filter(|_| chunk.end.is_some());
+            let ended =
+                lease.map(|lease| (lease.actor, shared.table.environments_of(header.lease)));
             let ack = shared.table.chunk(sender, header, chunk)?;
             shared.chunks_accepted += u64::from(ack.state == AckState::Accepted);
-            if let (true, Some(actor)) = (ack.lease_finished, actor) {
+            if let Some((actor, environments)) = ended.filter(|_| ack.lease_finished) {
                 shared.names.note_sender(actor, &environments);
             }
             Ok(ack)

@@ -5,7 +5,7 @@ use proto::{LeaseFailure, LeaseId, Refusal, ReturnedLease, RolloutWork, Start, T
 use super::actors::Owner;
 use super::failures::{Begin, Key, Verdict};
 use super::leases::Claim;
-use super::{ConnectionId, Effect, Incident, OpenIteration, SlotTable};
+use super::{ConnectionId, Effect, Incident, SlotTable};
 use crate::end_states::SlotCourse;
 
 impl SlotTable {
@@ -110,33 +110,31 @@ impl SlotTable {
 
     /// How the work of a lease starts.
     fn begin_of(&self, claim: Claim) -> Begin {
-        let continues = |open: &OpenIteration, index| {
-            let mut starts = open.work(index).environments.iter();
+        let continues = |work: &RolloutWork| {
+            let mut starts = work.environments.iter();
             starts.any(|start| matches!(start.start, Start::Continue { .. }))
         };
+        if self.slot_of(claim).is_some_and(continues) { Begin::Continued } else { Begin::Fresh }
+    }
+
+    /// The slot of the open iteration that a lease computes; `None` for audits and episodes.
+    fn slot_of(&self, claim: Claim) -> Option<&RolloutWork> {
         match (claim, &self.iteration) {
-            (Claim::Slot(index), Some(open)) if continues(open, index) => Begin::Continued,
-            _ => Begin::Fresh,
+            (Claim::Slot(index), Some(open)) => Some(open.work(index)),
+            _ => None,
         }
     }
 
     /// The environments of the slot that a lease computes, unless it is an audit.
     pub(crate) fn environments_of(&self, id: LeaseId) -> Vec<u32> {
-        match (self.open.get(id).map(|lease| lease.claim), &self.iteration) {
-            (Some(Claim::Slot(index)), Some(open)) => open.work(index).origin().environments,
-            _ => Vec::new(),
-        }
+        let slot = self.open.get(id).and_then(|lease| self.slot_of(lease.claim));
+        slot.map_or_else(Vec::new, |work| work.origin().environments)
     }
 
     /// The course of the slot that a lease computes, to its last chunk `last`; `None` for audits, whose end states are
     /// compared, and if `last` has no end states.
     pub(crate) fn course(&self, id: LeaseId, last: &TrajectoryChunk) -> Option<SlotCourse> {
         let lease = self.open.get(id)?;
-        match (lease.claim, &self.iteration) {
-            (Claim::Slot(index), Some(open)) => {
-                SlotCourse::new(open.work(index), &lease.chunks, last)
-            }
-            _ => None,
-        }
+        SlotCourse::new(self.slot_of(lease.claim)?, &lease.chunks, last)
     }
 }

@@ -4,9 +4,9 @@ use std::ffi::OsStr;
 use std::io::ErrorKind;
 use std::path::Path;
 
-use super::{CheckpointError, DRAFT, LATEST, MANIFEST, POLICY, SETTINGS, name};
+use super::{CheckpointError, LATEST, MANIFEST, POLICY, SETTINGS, name};
 use crate::config::CheckpointConfig;
-use crate::durable::{self, FileError};
+use crate::durable::{self, DRAFT, FileError};
 use crate::plain_file;
 
 /// Name of the folder of checkpoints in a run folder.
@@ -27,9 +27,9 @@ pub(super) fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
     Ok(found)
 }
 
-/// The iteration that `LATEST` names; `None` if it names none.
-pub(crate) fn named_latest(run_folder: &Path) -> Option<u64> {
-    let text = plain_file::read_to_string(&super::folder(run_folder).join(LATEST)).ok()?;
+/// The iteration that `LATEST` in a folder of checkpoints names; `None` if it names none.
+pub(crate) fn named_latest(folder: &Path) -> Option<u64> {
+    let text = plain_file::read_to_string(&folder.join(LATEST)).ok()?;
     iteration(OsStr::new(text.trim()))
 }
 

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 
 use super::token::TOKEN;
 use super::{ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, RunFolder, RunFolderError, STARTS};
-use crate::durable::FileError;
+use crate::durable::{DRAFT, FileError};
+use crate::provenance::PROVENANCE_FILE;
 use crate::{checkpoint, plain_file};
 
-/// Names that a run writes into its folder; drafts begin with `.tmp-`.
+/// Names that a run writes into its folder; drafts begin with [`DRAFT`].
 const OWN: [&str; 13] = [
     ADDRESS,
     "checkpoints",
@@ -20,12 +21,11 @@ const OWN: [&str; 13] = [
     MANIFEST,
     "metrics.csv",
     "metrics.jsonl",
-    "provenance.jsonl",
+    PROVENANCE_FILE,
     STARTS,
     "tensorboard",
     TOKEN,
 ];
-const DRAFT: &str = ".tmp-";
 /// Folder in the root of a file system.
 const LOST_AND_FOUND: &str = "lost+found";
 
