@@ -132,8 +132,6 @@ impl CheckpointConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MetricsConfig {
-    /// `metrics.csv` and `evaluations.csv`.
-    pub csv: bool,
     /// `tensorboard/events.out.tfevents.*`.
     pub tensorboard: bool,
 }

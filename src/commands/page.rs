@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use learner::json_lines::JsonLinesReader;
 use learner::metrics::Curves;
 use learner::run_folder::RunFolder;
 use learner::{OverlaidRun, Overlay, Page};
@@ -15,7 +16,6 @@ use crate::figures::learning_curve;
 use crate::listening::demand_loopback;
 use crate::page;
 use crate::process::{output, runtime};
-use crate::run::growing::Growing;
 use crate::run::{newest, run_path};
 
 /// How often the metrics are read, at most.
@@ -57,27 +57,70 @@ struct FollowedRun {
     name: String,
     /// Name of its group of seeds, or why its settings cannot be read.
     group: Result<String, String>,
-    growing: Growing,
+    metrics: JsonLinesReader,
     curves: Arc<Curves>,
+    /// Lines that are no JSON objects.
+    damaged: u64,
+    /// Why the metrics could not be read at the last attempt.
+    error: Option<String>,
 }
 
 impl FollowedRun {
+    fn new(folder: &Path, name: String, group: Result<String, String>) -> Self {
+        let metrics = JsonLinesReader::of(run_path::metrics_file(folder));
+        Self { name, group, metrics, curves: Arc::default(), damaged: 0, error: None }
+    }
+
     fn shown(&self) -> OverlaidRun {
         let (name, curves) = (self.name.clone(), Arc::clone(&self.curves));
-        let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.growing.trouble());
+        let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.trouble());
         let troubles = troubles.collect::<Vec<_>>().join("; ");
         let trouble = Some(troubles).filter(|troubles| !troubles.is_empty());
         OverlaidRun { name, group: self.group.clone().ok(), trouble, curves }
+    }
+
+    /// What of the metrics cannot be read, if anything.
+    fn trouble(&self) -> Option<String> {
+        let damage = match self.damaged {
+            0 => None,
+            1 => Some("1 damaged line is skipped".to_owned()),
+            lines => Some(format!("{lines} damaged lines are skipped")),
+        };
+        let name = run_path::file_name(self.metrics.path()).unwrap_or_default();
+        self.error.clone().or(damage).map(|why| format!("{name}: {why}"))
+    }
+
+    /// Reads what is new, and returns whether anything is. Metrics that cannot be read are tried again; each new reason
+    /// is reported once.
+    fn follow(&mut self) -> bool {
+        match self.metrics.more() {
+            Ok(new) => {
+                let is_readable_again = self.error.take().is_some();
+                if new.from_the_start {
+                    (self.curves, self.damaged) = (Arc::default(), 0);
+                }
+                self.damaged += new.damaged;
+                let curves = Arc::make_mut(&mut self.curves);
+                new.lines.iter().for_each(|line| curves.add(line));
+                is_readable_again || new.damaged > 0 || !new.lines.is_empty()
+            }
+            Err(error) => {
+                let error = error.to_string();
+                let is_new = self.error.as_ref() != Some(&error);
+                if is_new {
+                    tracing::warn!("{}: {error}", self.metrics.path().display());
+                }
+                self.error = Some(error);
+                is_new
+            }
+        }
     }
 }
 
 impl Followed {
     fn of(folders: &[PathBuf]) -> Self {
         let all = folders.iter().zip(names(folders)).zip(groups(folders));
-        let runs = all.map(|((folder, name), group)| {
-            let growing = Growing::of(run_path::metrics_file(folder));
-            FollowedRun { name, group, growing, curves: Arc::default() }
-        });
+        let runs = all.map(|((folder, name), group)| FollowedRun::new(folder, name, group));
         Self { runs: runs.collect(), version: 0, looked: None }
     }
 
@@ -93,10 +136,7 @@ impl Followed {
 
     fn follow(&mut self) {
         for run in &mut self.runs {
-            if run.growing.follow() {
-                run.curves = Arc::new(run.growing.get().clone());
-                self.version += 1;
-            }
+            self.version += u64::from(run.follow());
         }
     }
 }
@@ -139,6 +179,34 @@ mod tests {
         let folders = |all: &[&str]| all.iter().map(PathBuf::from).collect::<Vec<_>>();
         assert_eq!(names(&folders(&["a/x", "a/y"])), ["x", "y"]);
         assert_eq!(names(&folders(&["a/x", "b/x"])), ["a/x", "b/x"]);
+    }
+
+    fn in_no_group(folder: &Path) -> FollowedRun {
+        FollowedRun::new(folder, String::new(), Ok(String::new()))
+    }
+
+    #[test]
+    fn damaged_lines_are_counted_and_skipped() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = "{\"env_steps\":40,\"a\":1}\n\0\0\0\n{\"env_st\n";
+        std::fs::write(folder.path().join("metrics.jsonl"), text).unwrap();
+        let mut run = in_no_group(folder.path());
+        assert!(run.follow());
+        assert_eq!(run.curves.newest("a"), Some(1.0));
+        assert_eq!(run.trouble().as_deref(), Some("metrics.jsonl: 2 damaged lines are skipped"));
+        assert!(!run.follow());
+    }
+
+    #[test]
+    fn metrics_that_cannot_be_read_are_reported_once_until_they_can_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        std::fs::create_dir(&path).unwrap();
+        let mut run = in_no_group(folder.path());
+        assert_eq!([run.follow(), run.follow()], [true, false]);
+        assert!(run.trouble().unwrap().contains("directory"), "{:?}", run.trouble());
+        std::fs::remove_dir(&path).unwrap();
+        assert_eq!((run.follow(), run.trouble()), (true, None));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
-use learner::provenance::PROVENANCE_FILE;
+use learner::run_folder::PROVENANCE;
 use learner::run_folder::RunFolder;
 use policy::arrays::hex;
 use serde_json::Value;
@@ -140,7 +140,7 @@ impl Record {
         let evaluations = evaluations(curve);
         let manifest = RunFolder::recorded(&run.folder)
             .with_context(|| format!("{} has no whole manifest", run.folder.display()))?;
-        let last = last_lines(&run.folder.join(PROVENANCE_FILE)).pop().unwrap_or_default();
+        let last = last_lines(&run.folder.join(PROVENANCE)).pop().unwrap_or_default();
         let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let origin = Origin {
             settings_sha256: settings_sha256s(run).next().unwrap_or_default(),
@@ -267,7 +267,7 @@ mod tests {
         run.folder = folder.to_path_buf();
         std::fs::write(folder.join("manifest.json"), "{\"git_commit\": \"abc\"}").unwrap();
         let lines = "{\"weights_sha256\": \"12\"}\n{\"weights_sha256\": \"34\"}\n";
-        std::fs::write(folder.join(PROVENANCE_FILE), lines).unwrap();
+        std::fs::write(folder.join(PROVENANCE), lines).unwrap();
         let returns = vec![(0.0, -1.5), (4000.0, 2.0), (8000.0, 3.25)];
         let surprise = vec![(1000.0, 4.0), (3000.0, 6.0), (7000.0, 8.0)];
         let points = [(Quantity::Return, returns), (Quantity::Surprise, surprise)];

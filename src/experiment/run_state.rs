@@ -1,9 +1,8 @@
 //! The state of an experiment's run, read from its folder.
 
-use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
-use learner::plain_file;
+use learner::json_lines;
 use learner::run_folder::RunFolder;
 use serde_json::Value;
 
@@ -83,21 +82,9 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     same.err().map(|error| format!("{} holds another run: {error}", run.folder.display()))
 }
 
-/// The last lines of a file of JSON lines, without those that cannot be parsed.
+/// The last lines of a file of JSON lines; none if it cannot be read.
 pub(super) fn last_lines(path: &Path) -> Vec<Value> {
-    let tail = || -> std::io::Result<Vec<u8>> {
-        let mut file = plain_file::reader(path)?;
-        let length = file.metadata()?.len();
-        file.seek(SeekFrom::Start(length.saturating_sub(TAIL_BYTES)))?;
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes)?;
-        Ok(bytes)
-    };
-    let bytes = tail().unwrap_or_default();
-    bytes
-        .split(|byte| *byte == b'\n')
-        .filter_map(|line| serde_json::from_slice(line).ok())
-        .collect()
+    json_lines::last_lines(path, TAIL_BYTES).unwrap_or_default()
 }
 
 #[cfg(test)]

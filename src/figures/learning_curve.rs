@@ -4,10 +4,10 @@
 mod quantity;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use learner::json_lines::JsonLinesReader;
 use learner::plain_file;
 use learner::run_folder::RunFolder;
 use policy::{Draw, Purpose};
@@ -129,13 +129,9 @@ pub(crate) fn evaluations(metrics: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
     Ok(Quantity::Return.points(&lines(metrics)?))
 }
 
-/// Ignores an incomplete last line, which a run may be writing.
 fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
-    let text = match plain_file::read_to_string(metrics) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        text => text.with_context(|| format!("cannot read {}", metrics.display()))?,
-    };
-    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+    let read = JsonLinesReader::of(metrics.to_path_buf()).more();
+    Ok(read.with_context(|| format!("cannot read {}", metrics.display()))?.lines)
 }
 
 /// Runs that differ only in their seed, by task and by the name that distinguishes them from the task's other runs.

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use learner::checkpoint;
-use learner::metrics::METRICS_FILE;
 use learner::plain_file;
-use learner::run_folder::{CONFIG, LOGS, MANIFEST, RunFolder};
+use learner::run_folder::{CONFIG, LOGS, MANIFEST, METRICS, RunFolder};
 use time::OffsetDateTime;
 
 use crate::errors::Usage;
@@ -71,7 +70,7 @@ pub(crate) fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
 
 /// One JSON object per iteration or evaluation.
 pub(crate) fn metrics_file(folder: &Path) -> PathBuf {
-    folder.join(METRICS_FILE)
+    folder.join(METRICS)
 }
 
 /// Versions, hashes and fingerprints.

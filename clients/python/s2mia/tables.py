@@ -29,9 +29,9 @@ class Runs(NamedTuple):
     table: pd.DataFrame
     """One row per run, by its path in the folder: the settings that differ, its folder and its newest results."""
     metrics: pd.DataFrame
-    """One row per run and iteration, with the columns of `metrics.csv` and `run`."""
+    """One row per run and iteration: `run` and the figures of its line in `metrics.jsonl`."""
     evaluations: pd.DataFrame
-    """One row per run and evaluation, with the columns of `evaluations.csv` and `run`."""
+    """One row per run and evaluation: `run` and the figures of its line in `metrics.jsonl`."""
 
 
 def runs(folder: str | os.PathLike[str]) -> Runs:

@@ -1,42 +1,34 @@
 //! `metrics.jsonl`: one line per iteration and one per evaluation, each exactly once.
 //!
 //! `iteration` is the number of finished iterations: in the line of an iteration, including that one; in the line of an
-//! evaluation, that of the evaluated policies. If enabled, `metrics.csv`, `evaluations.csv` and `tensorboard/` contain
-//! the same figures.
+//! evaluation, that of the evaluated policies. If enabled, `tensorboard/` contains the same figures. It is written anew
+//! from the lines when a run starts or resumes, so that it also shows each iteration once.
 
 mod curves;
 mod event_file;
-mod restore;
-mod table;
 mod tags;
-mod view;
-mod views;
 
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 pub use self::curves::{Curve, Curves};
-use self::views::Views;
+use self::event_file::EventFile;
 use crate::config::MetricsConfig;
 use crate::durable::FileError;
 use crate::evaluation::Spread;
 use crate::event::IterationReport;
 use crate::json_lines::{JsonLines, iterations};
-
-/// The file's name in the run folder.
-pub const METRICS_FILE: &str = "metrics.jsonl";
-
-/// The tables beside it, and the lines that each holds.
-const TABLES: [(&str, &str); 2] = [("metrics.csv", "iteration"), ("evaluations.csv", "evaluation")];
+use crate::run_folder::{METRICS, TENSORBOARD};
 
 /// The metrics files of a run, open for appending.
 #[derive(Debug)]
 pub struct Metrics {
     lines: JsonLines,
-    views: Views,
+    events: Option<EventFile>,
     curves: Arc<Mutex<Curves>>,
 }
 
@@ -51,13 +43,17 @@ impl Metrics {
         config: &MetricsConfig,
         iteration: u64,
     ) -> Result<(Self, BTreeSet<u64>), FileError> {
-        let (mut lines, mut kept) = JsonLines::cut(&run_folder.join(METRICS_FILE), iteration)?;
-        restore::restore(run_folder, &mut lines, &mut kept, iteration)?;
+        let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS), iteration)?;
+        lines.warn_of_gaps(&kept, iteration);
         let measured = iterations(&kept, "evaluation");
-        let views = Views::make(run_folder, config, &kept)?;
+        let events = if config.tensorboard {
+            Some(EventFile::make(&run_folder.join(TENSORBOARD), &kept, SystemTime::now())?)
+        } else {
+            None
+        };
         let mut curves = Curves::default();
-        kept.iter().filter_map(Value::as_object).for_each(|line| curves.add(line));
-        Ok((Self { lines, views, curves: Arc::new(Mutex::new(curves)) }, measured))
+        kept.iter().for_each(|line| curves.add(line));
+        Ok((Self { lines, events, curves: Arc::new(Mutex::new(curves)) }, measured))
     }
 
     /// The curves of all figures, those before a resume included. They are updated while the run continues.
@@ -71,12 +67,7 @@ impl Metrics {
     /// # Errors
     /// The file cannot be written.
     pub fn iteration(&mut self, report: &IterationReport) -> Result<(), FileError> {
-        let mut line = Map::new();
-        for (name, value) in &report.metrics {
-            // JSON cannot represent non-finite numbers; they become null.
-            line.insert(name.clone(), json!(value));
-        }
-        let own = json!({
+        let mut line = json!({
             "kind": "iteration",
             "iteration": report.iteration,
             "env_steps": report.env_steps,
@@ -90,8 +81,11 @@ impl Metrics {
             "messages_refused": report.messages_refused,
             "leases_reissued": report.leases_reissued,
         });
-        line.extend(own.as_object().cloned().unwrap_or_default());
-        self.append(line)
+        for (name, value) in &report.metrics {
+            // JSON cannot represent non-finite numbers; they become null.
+            line[name] = json!(value);
+        }
+        self.append(&line)
     }
 
     /// Adds an evaluation of the policies after `iteration` iterations.
@@ -105,7 +99,7 @@ impl Metrics {
         spread: &Spread,
         episodes: usize,
     ) -> Result<(), FileError> {
-        let line = json!({
+        self.append(&json!({
             "kind": "evaluation",
             "iteration": iteration,
             "env_steps": env_steps,
@@ -114,14 +108,23 @@ impl Metrics {
             "minimum": spread.minimum,
             "maximum": spread.maximum,
             "episodes": episodes,
-        });
-        self.append(line.as_object().cloned().unwrap_or_default())
+        }))
     }
 
-    fn append(&mut self, line: Map<String, Value>) -> Result<(), FileError> {
-        self.views.add(&line);
-        self.curves.lock().unwrap_or_else(PoisonError::into_inner).add(&line);
-        self.lines.append(&Value::Object(line))
+    fn append(&mut self, line: &Value) -> Result<(), FileError> {
+        self.add_event(line);
+        self.curves.lock().unwrap_or_else(PoisonError::into_inner).add(line);
+        self.lines.append(line)
+    }
+
+    /// Adds a line to the event file. One that cannot be written is logged and dropped instead of ending the run,
+    /// because a resume writes it anew.
+    fn add_event(&mut self, line: &Value) {
+        let Some(events) = &mut self.events else { return };
+        if let Err(error) = events.add(line) {
+            tracing::error!("{error}; the next resume of the run writes it anew");
+            self.events = None;
+        }
     }
 
     /// Flushes all lines to disk.
@@ -137,7 +140,7 @@ impl Metrics {
 mod tests {
     use super::*;
 
-    const ALL: MetricsConfig = MetricsConfig { csv: true, tensorboard: true };
+    const ALL: MetricsConfig = MetricsConfig { tensorboard: true };
 
     fn report(iteration: u64) -> IterationReport {
         IterationReport {
@@ -160,7 +163,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
         metrics.iteration(&report(1)).unwrap();
-        let text = std::fs::read_to_string(folder.path().join(METRICS_FILE)).unwrap();
+        let text = std::fs::read_to_string(folder.path().join(METRICS)).unwrap();
         let expected = json!({
             "kind": "iteration", "iteration": 1, "env_steps": 40, "episode_return": null,
             "env_steps_per_sec": 50.0, "iteration_secs": 0.8,
@@ -186,26 +189,13 @@ mod tests {
     }
 
     #[test]
-    fn a_resume_truncates_the_tables_like_the_lines() {
+    fn a_disabled_event_file_is_not_written() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
-        (1..=4).for_each(|iteration| metrics.iteration(&report(iteration)).unwrap());
-        let table = || std::fs::read_to_string(folder.path().join("metrics.csv")).unwrap();
-        let whole = table();
-        let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 2).unwrap();
-        assert_eq!(table().lines().count(), 3);
-        (3..=4).for_each(|iteration| metrics.iteration(&report(iteration)).unwrap());
-        assert_eq!(table(), whole);
-    }
-
-    #[test]
-    fn disabled_files_are_not_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let none = MetricsConfig { csv: false, tensorboard: false };
+        let none = MetricsConfig { tensorboard: false };
         let (mut metrics, _) = Metrics::open(folder.path(), &none, 0).unwrap();
         metrics.iteration(&report(1)).unwrap();
         let names =
             std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
-        assert_eq!(names.collect::<Vec<_>>(), [METRICS_FILE]);
+        assert_eq!(names.collect::<Vec<_>>(), [METRICS]);
     }
 }

@@ -23,7 +23,7 @@ use kept::{is_gone, iterations, prune};
 use step::about_to;
 
 pub use kept::is_checkpoint;
-pub(crate) use kept::named_latest;
+pub(crate) use kept::{FOLDER, named_latest};
 pub use manifest::{FileEntry, Manifest, SCHEMA};
 pub use step::{Before, Step};
 
@@ -180,7 +180,7 @@ pub fn weights_sha256(arrays: &NamedArrays) -> String {
 /// The folder of checkpoints in a run folder.
 #[must_use]
 pub fn folder(run_folder: &Path) -> PathBuf {
-    run_folder.join(kept::FOLDER)
+    run_folder.join(FOLDER)
 }
 
 /// Writes a checkpoint and removes those that need not stay. A checkpoint of the same iteration with the

@@ -1,9 +1,10 @@
-//! A file of one JSON object per line, each of an iteration, which a resume cuts back to the
-//! checkpoint from which it goes on.
+//! Files of one JSON object per line, each of an iteration, which a resume cuts back to its checkpoint: written by a
+//! learner, and read while they grow.
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{ErrorKind, Write as _};
+use std::io::{ErrorKind, Read as _, Seek as _, SeekFrom, Write as _};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
@@ -61,24 +62,16 @@ impl JsonLines {
         Ok((Self { path: path.to_path_buf(), file: opened(path)?, waiting: Vec::new() }, kept))
     }
 
-    /// The file.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Puts lines in their places by iteration, an iteration before its evaluation. The other lines keep their bytes.
-    ///
-    /// # Errors
-    /// Names the file if it cannot be read or written.
-    pub fn insert(&mut self, more: Vec<String>) -> Result<(), FileError> {
-        let text =
-            plain_file::read_to_string(&self.path).map_err(FileError::of("read", &self.path))?;
-        let mut lines = text.lines().map(str::to_owned).chain(more).collect::<Vec<_>>();
-        lines.sort_by_cached_key(|line| place(&serde_json::from_str(line).unwrap_or_default()));
-        durable::replace(&self.path, format!("{}\n", lines.join("\n")).as_bytes())?;
-        self.file = opened(&self.path)?;
-        Ok(())
+    /// Warns of iterations up to `last` that have no line.
+    pub(crate) fn warn_of_gaps(&self, lines: &[Value], last: u64) {
+        let lost = gaps(&iterations(lines, "iteration"), last);
+        if !lost.is_empty() {
+            tracing::warn!(
+                "{} has no lines of iterations {}",
+                self.path.display(),
+                lost.join(", ")
+            );
+        }
     }
 
     /// Adds one line. If the file cannot be written, that is told, and the line waits.
@@ -127,6 +120,86 @@ impl JsonLines {
     }
 }
 
+/// Reads a file of JSON objects that grows, and that a resume may cut back. Each whole line is read once.
+#[derive(Clone, Debug)]
+pub struct JsonLinesReader {
+    path: PathBuf,
+    /// Which file was at the path.
+    inode: u64,
+    /// Bytes of it that have been read.
+    read: u64,
+}
+
+/// The lines of a file since the last look.
+#[derive(Clone, Debug, Default)]
+pub struct NewLines {
+    /// The JSON objects.
+    pub lines: Vec<Value>,
+    /// Number of whole lines that are no JSON objects.
+    pub damaged: u64,
+    /// Whether these are all lines, because the file is another one than before.
+    pub from_the_start: bool,
+}
+
+impl JsonLinesReader {
+    /// A reader of this file, which need not exist yet.
+    #[must_use]
+    pub fn of(path: PathBuf) -> Self {
+        Self { path, inode: 0, read: 0 }
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The whole lines that have not been read yet; none if there is no file.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn more(&mut self) -> std::io::Result<NewLines> {
+        let mut file = match plain_file::reader(&self.path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(NewLines::default()),
+            opened => opened?,
+        };
+        let found = file.metadata()?;
+        let from_the_start = found.ino() != self.inode || found.len() < self.read;
+        if from_the_start {
+            (self.inode, self.read) = (found.ino(), 0);
+        }
+        file.seek(SeekFrom::Start(self.read))?;
+        let mut text = Vec::new();
+        file.read_to_end(&mut text)?;
+        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        self.read += whole as u64;
+        Ok(NewLines { from_the_start, ..objects(&text[..whole]) })
+    }
+}
+
+/// The JSON objects in the last `bytes` of a file; none if there is no file.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn last_lines(path: &Path, bytes: u64) -> std::io::Result<Vec<Value>> {
+    let mut reader = JsonLinesReader::of(path.to_path_buf());
+    if let Ok(found) = path.metadata() {
+        (reader.inode, reader.read) = (found.ino(), found.len().saturating_sub(bytes));
+    }
+    Ok(reader.more()?.lines)
+}
+
+fn objects(text: &[u8]) -> NewLines {
+    let mut new = NewLines::default();
+    for line in text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+        match serde_json::from_slice::<Value>(line) {
+            Ok(line) if line.is_object() => new.lines.push(line),
+            _ => new.damaged += 1,
+        }
+    }
+    new
+}
+
 /// Opens a file to append to; a new one lasts, too.
 fn opened(path: &Path) -> Result<File, FileError> {
     let is_new = !path.exists();
@@ -137,21 +210,14 @@ fn opened(path: &Path) -> Result<File, FileError> {
     Ok(file)
 }
 
-/// The place of a line in the file: an iteration before its evaluation.
-pub(crate) fn place(line: &Value) -> (Option<u64>, bool) {
-    (line["iteration"].as_u64(), line["kind"] == "evaluation")
-}
-
 /// The iterations of the lines of `kind`; a line without a kind is one of an iteration.
 pub(crate) fn iterations(lines: &[Value], kind: &str) -> BTreeSet<u64> {
     let of_kind = |line: &&Value| line.get("kind").map_or(kind == "iteration", |it| it == kind);
     lines.iter().filter(of_kind).filter_map(|line| line["iteration"].as_u64()).collect()
 }
 
-/// Iterations up to `last` without a line of `kind`, as ranges for people.
-#[must_use]
-pub fn gaps(lines: &[Value], kind: &str, last: u64) -> Vec<String> {
-    let present = iterations(lines, kind);
+/// Iterations up to `last` that are not `present`, as ranges for people.
+fn gaps(present: &BTreeSet<u64>, last: u64) -> Vec<String> {
     let mut ranges: Vec<(u64, u64)> = Vec::new();
     for iteration in (1..=last).filter(|iteration| !present.contains(iteration)) {
         match ranges.last_mut() {
@@ -159,9 +225,8 @@ pub fn gaps(lines: &[Value], kind: &str, last: u64) -> Vec<String> {
             _ => ranges.push((iteration, iteration)),
         }
     }
-    let shown = |(first, last): (u64, u64)| match first == last {
-        true => first.to_string(),
-        false => format!("{first} to {last}"),
+    let shown = |(first, last): (u64, u64)| {
+        if first == last { first.to_string() } else { format!("{first} to {last}") }
     };
     ranges.into_iter().map(shown).collect()
 }
@@ -176,6 +241,44 @@ fn of_iteration(line: &[u8]) -> Option<(u64, Value)> {
 mod tests {
     use super::*;
     use serde_json::json;
+
+    fn append(path: &Path, text: &str) {
+        plain_file::append(path).unwrap().write_all(text.as_bytes()).unwrap();
+    }
+
+    fn more(reader: &mut JsonLinesReader) -> (Vec<u64>, bool) {
+        let new = reader.more().unwrap();
+        let iterations = new.lines.iter().map(|line| line["iteration"].as_u64().unwrap());
+        (iterations.collect(), new.from_the_start)
+    }
+
+    #[test]
+    fn each_line_is_read_once_and_only_when_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        let mut reader = JsonLinesReader::of(path.clone());
+        assert_eq!(more(&mut reader), (vec![], false));
+        append(&path, "{\"iteration\":1}\n{\"itera");
+        assert_eq!(more(&mut reader), (vec![1], true));
+        assert_eq!(more(&mut reader), (vec![], false));
+        append(&path, "tion\":2}\n");
+        assert_eq!(more(&mut reader), (vec![2], false));
+        assert_eq!(last_lines(&path, 20).unwrap(), [json!({"iteration": 2})]);
+        assert_eq!(last_lines(&path, 9999).unwrap().len(), 2);
+    }
+
+    #[test]
+    fn a_file_that_a_resume_has_cut_back_is_read_from_its_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, cut) = (folder.path().join("metrics.jsonl"), folder.path().join("cut"));
+        let mut reader = JsonLinesReader::of(path.clone());
+        append(&path, "{\"iteration\":1}\n{\"iteration\":2}\n");
+        assert_eq!(more(&mut reader), (vec![1, 2], true));
+        // As long as before, so that its length would not tell.
+        append(&cut, "{\"iteration\":1}\n{\"iteration\":3}\n");
+        std::fs::rename(&cut, &path).unwrap();
+        assert_eq!(more(&mut reader), (vec![1, 3], true));
+    }
 
     #[test]
     fn a_cut_keeps_each_iteration_up_to_the_checkpoint_once() {
@@ -224,9 +327,9 @@ mod tests {
 
     #[test]
     fn iterations_without_a_line_are_named_as_ranges() {
-        let lines = [1, 2, 7, 9].map(|iteration| json!({"iteration": iteration}));
-        assert_eq!(gaps(&lines, "iteration", 10), ["3 to 6", "8", "10"]);
-        assert!(gaps(&lines, "iteration", 2).is_empty());
+        let present = BTreeSet::from([1, 2, 7, 9]);
+        assert_eq!(gaps(&present, 10), ["3 to 6", "8", "10"]);
+        assert!(gaps(&present, 2).is_empty());
     }
 
     #[test]

@@ -9,10 +9,8 @@ use serde_json::{Value, json};
 
 use crate::durable::FileError;
 use crate::exchange::SlotRollout;
-use crate::json_lines::{JsonLines, gaps};
-
-/// The file's name in the run folder.
-pub const PROVENANCE_FILE: &str = "provenance.jsonl";
+use crate::json_lines::JsonLines;
+use crate::run_folder::PROVENANCE;
 
 /// The provenance of a run, open for more.
 #[derive(Debug)]
@@ -43,12 +41,8 @@ impl Provenance {
     /// # Errors
     /// Names the file if it cannot be read or written.
     pub fn open(run_folder: &Path, iteration: u64) -> Result<Self, FileError> {
-        let (lines, kept) = JsonLines::cut(&run_folder.join(PROVENANCE_FILE), iteration)?;
-        let lost = gaps(&kept, "iteration", iteration);
-        if !lost.is_empty() {
-            let path = lines.path().display();
-            tracing::warn!("{path} has no lines of iterations {}", lost.join(", "));
-        }
+        let (lines, kept) = JsonLines::cut(&run_folder.join(PROVENANCE), iteration)?;
+        lines.warn_of_gaps(&kept, iteration);
         Ok(Self { lines })
     }
 

@@ -23,6 +23,12 @@ pub const CONFIG: &str = "config.toml";
 pub const MANIFEST: &str = "manifest.json";
 /// Logs and recordings of actors.
 pub const LOGS: &str = "logs";
+/// The metrics, one line per iteration and one per evaluation.
+pub const METRICS: &str = "metrics.jsonl";
+/// Where the weights of each iteration come from.
+pub const PROVENANCE: &str = "provenance.jsonl";
+/// Folder of the event files of TensorBoard.
+pub(crate) const TENSORBOARD: &str = "tensorboard";
 /// One line for each start of the learner: what `manifest.json` says of the first.
 pub const STARTS: &str = "starts.jsonl";
 const LOCK: &str = "learner.lock";

@@ -56,7 +56,7 @@ fn config() -> Config {
         audit: AuditConfig { share: 0.5, fingerprint: Fingerprint::Optional },
         evaluation: EvaluationConfig { every_steps: 64, episodes: 3, sampled: false },
         checkpoint: CheckpointConfig { every: 2, keep_last: 3, keep_every: 0 },
-        metrics: MetricsConfig { csv: true, tensorboard: true },
+        metrics: MetricsConfig { tensorboard: true },
         learner: ThreadsConfig { threads: 2, connections: 16, other_builds: false },
     }
 }

@@ -33,7 +33,6 @@ const ALWAYS: &[&str] = &[
     "lease.heartbeat_secs",
     "lease.ttl_secs",
     "log.episodes",
-    "metrics.csv",
     "metrics.tensorboard",
     "observation.norm",
     "policy.backpropagation_steps",

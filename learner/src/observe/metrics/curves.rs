@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 /// Fewest points of a long curve; at twice as many, every second point is dropped.
 const FEWEST_KEPT: usize = 128;
@@ -30,11 +30,15 @@ pub struct Curve {
 
 impl Curves {
     /// Adds a line of `metrics.jsonl`. Non-finite figures are left out.
-    pub fn add(&mut self, line: &Map<String, Value>) {
-        let Some(env_steps) = line.get("env_steps").and_then(Value::as_u64) else { return };
-        let evaluation = line.get("kind").is_some_and(|kind| kind == "evaluation");
+    pub fn add(&mut self, line: &Value) {
+        let (Some(figures), Some(env_steps)) = (line.as_object(), line["env_steps"].as_u64())
+        else {
+            return;
+        };
+        let evaluation = line["kind"] == "evaluation";
         self.lines += 1;
-        for (name, value) in line.iter().filter(|(name, _)| !POSITIONS.contains(&name.as_str())) {
+        for (name, value) in figures.iter().filter(|(name, _)| !POSITIONS.contains(&name.as_str()))
+        {
             let name = if evaluation { format!("evaluation/{name}") } else { name.clone() };
             if let Some(value) = value.as_f64() {
                 let point = (env_steps, value);
@@ -94,18 +98,14 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    fn add(curves: &mut Curves, line: &Value) {
-        curves.add(line.as_object().unwrap());
-    }
-
     #[test]
     fn curves_have_the_names_of_figures_and_evaluations_a_prefix() {
         let mut curves = Curves::default();
         let line =
             json!({"kind": "iteration", "iteration": 1, "env_steps": 40, "a": 0.5, "b": null});
-        add(&mut curves, &line);
+        curves.add(&line);
         let line = json!({"kind": "evaluation", "iteration": 1, "env_steps": 40, "mean": -2.0});
-        add(&mut curves, &line);
+        curves.add(&line);
         let found: Vec<_> = curves.iter().map(|(name, curve)| (name, curve.newest)).collect();
         assert_eq!(found, [("a", (40, 0.5)), ("evaluation/mean", (40, -2.0))]);
         assert_eq!((curves.lines(), curves.newest("a"), curves.newest("b")), (2, Some(0.5), None));
@@ -115,7 +115,7 @@ mod tests {
     fn a_long_curve_keeps_its_ends_and_evenly_spaced_points_between_them() {
         let mut curves = Curves::default();
         for k in 0..100_000_u64 {
-            add(&mut curves, &json!({"kind": "iteration", "env_steps": k, "a": k}));
+            curves.add(&json!({"kind": "iteration", "env_steps": k, "a": k}));
         }
         let points: Vec<_> = curves.curves["a"].points().map(|(steps, _)| steps).collect();
         assert!((FEWEST_KEPT..=2 * FEWEST_KEPT).contains(&points.len()), "{}", points.len());

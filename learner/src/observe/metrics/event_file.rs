@@ -6,10 +6,9 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use super::tags::scalars;
-use super::view::View;
 use crate::durable::{self, FileError};
 
 /// Prefix by which TensorBoard recognises event files.
@@ -31,15 +30,15 @@ struct Clock {
 
 impl Clock {
     /// Advances the clock by a line's duration and returns the line's time.
-    fn at(&mut self, line: &Map<String, Value>) -> f64 {
+    fn at(&mut self, line: &Value) -> f64 {
         self.secs += spent_secs(line);
         self.secs
     }
 }
 
 /// Duration of the line's iteration; 0 for an evaluation, which overlaps with iterations.
-fn spent_secs(line: &Map<String, Value>) -> f64 {
-    ["rollout_secs", "update_secs"].iter().filter_map(|name| line.get(*name)?.as_f64()).sum()
+fn spent_secs(line: &Value) -> f64 {
+    ["rollout_secs", "update_secs"].iter().filter_map(|name| line[*name].as_f64()).sum()
 }
 
 impl EventFile {
@@ -51,11 +50,10 @@ impl EventFile {
     /// A file or the folder cannot be written.
     pub(super) fn make(folder: &Path, lines: &[Value], now: SystemTime) -> Result<Self, FileError> {
         let now_secs = now.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
-        let lines = || lines.iter().filter_map(Value::as_object);
-        let mut clock = Clock { secs: now_secs - lines().map(spent_secs).sum::<f64>() };
+        let mut clock = Clock { secs: now_secs - lines.iter().map(spent_secs).sum::<f64>() };
         let mut bytes = record(&version_event(clock.secs));
         bytes.extend(record(&start_event(clock.secs)));
-        for line in lines() {
+        for line in lines {
             bytes.extend(record(&scalar_event(clock.at(line), line)));
         }
         durable::make_folder(folder)?;
@@ -66,16 +64,14 @@ impl EventFile {
         let file = file.map_err(FileError::of("open", &path))?;
         Ok(Self { path, file, clock })
     }
-}
 
-impl View for EventFile {
-    fn add(&mut self, line: &Map<String, Value>) -> Result<(), FileError> {
+    /// Adds one line.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub(super) fn add(&mut self, line: &Value) -> Result<(), FileError> {
         let bytes = record(&scalar_event(self.clock.at(line), line));
         self.file.write_all(&bytes).map_err(FileError::of("append to", &self.path))
-    }
-
-    fn path(&self) -> &Path {
-        &self.path
     }
 }
 
@@ -106,7 +102,7 @@ fn start_event(wall_secs: f64) -> Vec<u8> {
 }
 
 /// `Event { wall_time, step, summary: { value: [{ tag, simple_value }, ...] } }`
-fn scalar_event(wall_secs: f64, line: &Map<String, Value>) -> Vec<u8> {
+fn scalar_event(wall_secs: f64, line: &Value) -> Vec<u8> {
     let mut summary = Vec::new();
     for (tag, value) in scalars(line) {
         let mut scalar = Vec::new();
@@ -117,7 +113,7 @@ fn scalar_event(wall_secs: f64, line: &Map<String, Value>) -> Vec<u8> {
     }
     let mut event = wall_time(wall_secs);
     event.push(key(2, VARINT));
-    put_varint(&mut event, line.get("env_steps").and_then(Value::as_u64).unwrap_or(0));
+    put_varint(&mut event, line["env_steps"].as_u64().unwrap_or(0));
     put_bytes(&mut event, 5, &summary);
     event
 }
@@ -207,7 +203,7 @@ mod tests {
     #[test]
     fn a_scalar_is_encoded_as_its_schema_requires() {
         let line = json!({"kind": "iteration", "iteration": 1, "env_steps": 300, "a/b": 0.5});
-        let event = scalar_event(2.0, line.as_object().unwrap());
+        let event = scalar_event(2.0, &line);
         let (wall, rest) = event.split_at(9);
         assert_eq!(wall, [&[0x09][..], &2.0_f64.to_le_bytes()].concat());
         // Step 300 is 0b10_0101100; the summary has 22 bytes; `stats/iteration` follows `a/b` by name.
@@ -226,7 +222,7 @@ mod tests {
         };
         let at = |secs| UNIX_EPOCH + Duration::from_secs(secs);
         let mut first = EventFile::make(folder.path(), &[], at(1000)).unwrap();
-        first.add(line(1).as_object().unwrap()).unwrap();
+        first.add(&line(1)).unwrap();
         assert_eq!(first.clock.secs, 1003.0);
         let second = EventFile::make(folder.path(), &[line(1), line(2)], at(2000)).unwrap();
         assert_eq!(second.clock.secs, 2000.0);

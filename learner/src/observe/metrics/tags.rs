@@ -1,16 +1,16 @@
 //! TensorBoard tags of the figures. They follow CleanRL and HARL: `charts/`, `losses/`, `agentI/`, `stats/`. The
 //! paper's own terms are grouped under `s2mia/`, with the agents of one figure next to each other.
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 /// Name prefixes of the figures of surprise and influence.
 const PAPER_PREFIXES: [&str; 5] = ["surprise_", "influence_", "mi_", "posterior_", "policy_nll"];
 
 /// The finite figures of one line of `metrics.jsonl`, with their tags.
-pub(super) fn scalars(line: &Map<String, Value>) -> Vec<(String, f64)> {
-    let evaluation = line.get("kind").is_some_and(|kind| kind == "evaluation");
-    let tag = if evaluation { evaluation_tag } else { iteration_tag };
-    line.iter().filter_map(|(name, value)| Some((tag(name)?, value.as_f64()?))).collect()
+pub(super) fn scalars(line: &Value) -> Vec<(String, f64)> {
+    let tag = if line["kind"] == "evaluation" { evaluation_tag } else { iteration_tag };
+    let figures = line.as_object().into_iter().flatten();
+    figures.filter_map(|(name, value)| Some((tag(name)?, value.as_f64()?))).collect()
 }
 
 /// The tag of an evaluation's figure. Its `mean` is the return shown in learning curves.
@@ -49,10 +49,6 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    fn tags(line: &Value) -> Vec<(String, f64)> {
-        scalars(line.as_object().unwrap())
-    }
-
     #[test]
     fn figures_of_an_iteration_have_the_usual_tags() {
         let line = json!({
@@ -70,13 +66,13 @@ mod tests {
             ("stats/rollout_time", 1.5),
             ("stats/update_time", 0.5),
         ];
-        assert_eq!(tags(&line), expected.map(|(tag, value)| (tag.to_owned(), value)));
+        assert_eq!(scalars(&line), expected.map(|(tag, value)| (tag.to_owned(), value)));
     }
 
     #[test]
     fn an_evaluation_has_a_return_and_its_statistics() {
         let line = json!({"kind": "evaluation", "iteration": 2, "env_steps": 80, "mean": 3.0, "minimum": 1.0});
         let expected = [("charts/evaluation_return", 3.0), ("evaluation/minimum", 1.0)];
-        assert_eq!(tags(&line), expected.map(|(tag, value)| (tag.to_owned(), value)));
+        assert_eq!(scalars(&line), expected.map(|(tag, value)| (tag.to_owned(), value)));
     }
 }

@@ -10,7 +10,7 @@ use crate::durable::{self, DRAFT, FileError};
 use crate::plain_file;
 
 /// Name of the folder of checkpoints in a run folder.
-pub(super) const FOLDER: &str = "checkpoints";
+pub(crate) const FOLDER: &str = "checkpoints";
 
 /// Iterations of all checkpoints in `folder`, ascending; drafts and other files do not count.
 pub(super) fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {

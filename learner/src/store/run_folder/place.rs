@@ -5,25 +5,25 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::token::TOKEN;
-use super::{ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, RunFolder, RunFolderError, STARTS};
+use super::{
+    ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, METRICS, PROVENANCE, RunFolder, RunFolderError, STARTS,
+    TENSORBOARD,
+};
 use crate::durable::{DRAFT, FileError};
-use crate::provenance::PROVENANCE_FILE;
 use crate::{checkpoint, plain_file};
 
 /// Names that a run writes into its folder; drafts begin with [`DRAFT`].
-const OWN: [&str; 13] = [
+const OWN: [&str; 11] = [
     ADDRESS,
-    "checkpoints",
+    checkpoint::FOLDER,
     CONFIG,
-    "evaluations.csv",
     LOCK,
     LOGS,
     MANIFEST,
-    "metrics.csv",
-    "metrics.jsonl",
-    PROVENANCE_FILE,
+    METRICS,
+    PROVENANCE,
     STARTS,
-    "tensorboard",
+    TENSORBOARD,
     TOKEN,
 ];
 /// Folder in the root of a file system.
