@@ -1,28 +1,176 @@
-//! Selects and runs a command; each has its own file.
+//! The command line: every command has its file here, with its arguments above the function that runs it.
 
 mod actor;
 mod certs;
-mod config;
 mod control;
 mod eval;
 mod experiment;
 mod export;
 mod film;
-mod health;
 mod inspect;
 mod learner;
 mod log;
 mod page;
 mod plot;
 mod record;
+mod refusal;
 mod serve;
-mod status;
 mod task;
 mod tasks;
 mod train;
 mod watch;
 
-use crate::cli::Command;
+use std::any::TypeId;
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use clap::builder::{PathBufValueParser, TypedValueParser as _};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+
+use crate::process::home;
+use crate::process::logging::LogFormat;
+use crate::process::output::Effect;
+use crate::run::fingerprints::BUILD;
+use crate::run::launch::SettingsArguments;
+
+pub(crate) use refusal::report;
+
+/// Trains cooperative robot controllers with HAPPO-S2MIA: a learner and rollout actors communicate over gRPC.
+#[derive(Debug, Parser)]
+#[command(name = "s2mia", version = BUILD, propagate_version = true, max_term_width = 100)]
+pub(crate) struct Arguments {
+    /// Log format on stderr.
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    pub(crate) log_format: LogFormat,
+    /// Log filter as in RUST_LOG: a level, or target=level pairs [default: info for learner and actor, else warn].
+    #[arg(long, global = true, value_name = "FILTER")]
+    pub(crate) log: Option<String>,
+    /// Command.
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// A command: a role in training, or a tool.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Train on this machine with a learner and actor processes; print progress and draw a return curve.
+    #[command(after_help = TRAIN_EXAMPLES)]
+    Train(train::TrainArguments),
+    /// Serve one run to actors on this or other machines.
+    Learner(learner::LearnerArguments),
+    /// Compute rollouts for a learner until its run is finished.
+    Actor(actor::ActorArguments),
+    /// Check whether a learner is serving; the exit status is the result.
+    Health(control::HealthArguments),
+    /// Print a run's iteration, slots, leases, actors and steps per second.
+    Status(control::StatusArguments),
+    /// Print one line per finished iteration of a run; continues when its learner restarts.
+    Watch(watch::WatchArguments),
+    /// Make a learner write a checkpoint and exit, as SIGTERM does.
+    Stop(control::StopArguments),
+    /// Serve a run's trained policies over gRPC: clients send observations and receive actions.
+    Serve(serve::ServeArguments),
+    /// Evaluate a trained policy: extrinsic return of whole episodes, with the mean action by default.
+    Eval(eval::EvalArguments),
+    /// Record episodes of a trained policy as MCAP for Foxglove.
+    Record(record::RecordArguments),
+    /// Verify and replay trajectory logs.
+    #[command(subcommand)]
+    Log(log::LogCommand),
+    /// Draw a robot's motion as a strip of pictures; print its distance and signs of unphysical motion.
+    Film(film::FilmArguments),
+    /// Draw the learning curves of runs as PNG and SVG.
+    Plot(plot::PlotArguments),
+    /// Serve a web page with the curves of several runs in the same charts; follows runs that still grow.
+    Page(page::PageArguments),
+    /// Train tasks x variants x seeds in parallel, then make a table and figures; repeat the command to resume.
+    Experiment(experiment::ExperimentArguments),
+    /// Write a trained policy as ONNX files, one per agent, for use in other programs.
+    Export(export::ExportArguments),
+    /// Print the contents of a run's newest valid checkpoint.
+    Inspect(inspect::InspectArguments),
+    /// List the tasks with their agents, joints and sizes.
+    Tasks(tasks::TasksArguments),
+    /// Check a task file, or write an example of one.
+    #[command(subcommand)]
+    Task(task::TaskCommand),
+    /// Print the resolved configuration with the origin of each value.
+    #[command(after_help = CONFIG_LAYERS)]
+    Config(SettingsArguments),
+    /// Create certificates for a learner and for each role, signed by a new certificate authority.
+    Certs(certs::CertsArguments),
+}
+
+const TRAIN_EXAMPLES: &str = "\
+Examples:
+  s2mia train                                    halfcheetah-2x3, happo-s2mia, 1,000,000 env steps
+  s2mia train halfcheetah-6x1 algorithm=happo run.seed=7
+  s2mia train my-robot.toml                      a robot of your own (docs/ADDING_A_TASK.md)
+  s2mia train --resume runs/NAME run.env_steps=2000000
+
+`s2mia config` prints all settings.";
+
+const CONFIG_LAYERS: &str = "\
+Later layers override earlier ones:
+  configs/base.toml             every default
+  configs/tasks/TASK.toml       the first argument, or task=TASK; with environment_service.url only if given
+  configs/own-task.toml         with a task file as TASK, then the file's [settings]
+  configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
+  configs/algorithms/NAME.toml  algorithm=NAME
+  configs/presets/PRESET.toml   algorithm.NAME.TASK, if the preset has this table
+  --config FILE                 in the order given
+  S2MIA__SECTION__KEY           environment variables
+  section.key=value             arguments";
+
+impl Arguments {
+    /// The arguments of this process.
+    pub(crate) fn of_process() -> Result<Self, clap::Error> {
+        Self::of(std::env::args_os())
+    }
+
+    fn of<T: Into<OsString> + Clone>(
+        line: impl IntoIterator<Item = T>,
+    ) -> Result<Self, clap::Error> {
+        let mut command = with_home(Self::command());
+        let mut matches = command.try_get_matches_from_mut(line)?;
+        Self::from_arg_matches_mut(&mut matches).map_err(|error| error.format(&mut command))
+    }
+}
+
+impl Command {
+    /// The log filter of a process whose user gives none.
+    pub(crate) fn log_filter(&self) -> &'static str {
+        match self {
+            Self::Learner(_) | Self::Actor(_) => "info",
+            _ => "warn",
+        }
+    }
+
+    /// Whether the command does anything besides printing.
+    pub(crate) fn effect(&self) -> Effect {
+        match self {
+            Self::Status(_)
+            | Self::Watch(_)
+            | Self::Eval(_)
+            | Self::Inspect(_)
+            | Self::Config(_) => Effect::Lines,
+            Self::Tasks(tasks) if tasks.picture.is_none() => Effect::Lines,
+            _ => Effect::Work,
+        }
+    }
+}
+
+/// The command, in which a leading `~` of every path stands for the home folder.
+fn with_home(command: clap::Command) -> clap::Command {
+    let path = TypeId::of::<PathBuf>();
+    let expanding = |arg: clap::Arg| {
+        if arg.get_value_parser().type_id() != path {
+            return arg;
+        }
+        arg.value_parser(PathBufValueParser::new().try_map(|path| home::expanded(&path)))
+    };
+    command.mut_args(expanding).mut_subcommands(with_home)
+}
 
 /// Runs one command to its end.
 pub(crate) fn run(command: Command) -> anyhow::Result<()> {
@@ -39,14 +187,41 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Page(arguments) => page::run(arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
-        Command::Health(arguments) => health::run(&arguments),
-        Command::Status(arguments) => status::run(&arguments),
+        Command::Health(arguments) => control::health(&arguments),
+        Command::Status(arguments) => control::status(&arguments),
         Command::Watch(arguments) => watch::run(&arguments),
         Command::Stop(arguments) => control::stop(&arguments),
-        Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Inspect(arguments) => inspect::inspect(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
         Command::Task(command) => task::run(&command),
-        Command::Config(arguments) => config::run(&arguments),
+        Command::Config(arguments) => inspect::config(&arguments),
         Command::Certs(arguments) => certs::run(&arguments),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent_in_itself() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn the_contract_of_outside_scripts_parses() {
+        let line = "s2mia train halfcheetah-6x1 algorithm=happo-s2mia run.seed=7 run.iterations=5 \
+                    run.actors=2 run.dir=DIR";
+        let parsed = Arguments::of(line.split_whitespace()).unwrap();
+        let Command::Train(train) = parsed.command else { panic!("not train") };
+        assert_eq!(train.settings.settings.len(), 6);
+        assert_eq!(train.settings.settings[0], "halfcheetah-6x1");
+        let parsed = Arguments::of(["s2mia", "inspect", "DIR", "--json"]).unwrap();
+        assert!(matches!(
+            parsed.command,
+            Command::Inspect(inspect::InspectArguments { json: true, .. })
+        ));
     }
 }

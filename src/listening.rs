@@ -1,17 +1,21 @@
-//! Addresses on which this program accepts connections, and the tokens that it requires there.
-
-pub(crate) mod token;
+//! Where this program accepts connections: the addresses of services and of the run's page, who can reach them, and the
+//! tokens that they require.
 
 use std::net::SocketAddr;
+use std::path::Path;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use learner::Listener;
-use security::ServerTls;
+use clap::Args;
+use learner::run_folder::RunFolder;
+use learner::{Hosts, Listener, Page};
+use security::{ServerTls, Token};
 use tokio::net::TcpListener;
 
-use crate::cli::ServerTlsArguments;
 use crate::errors::Usage;
+use crate::process::output;
+use crate::tls::ServerTlsArguments;
 
 /// Parses the address of an option, for clap.
 pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
@@ -75,6 +79,103 @@ impl Listening {
     }
 }
 
+/// The web page of `s2mia train` and `s2mia learner`.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct PageArguments {
+    /// Address of the run's web page and Prometheus metrics (/metrics); off disables both.
+    #[arg(long, value_name = "ADDRESS | off", default_value = "127.0.0.1:0")]
+    pub(crate) page: PageAddress,
+    /// Additional host names and addresses accepted in requests for the page, besides loopback.
+    #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
+    pub(crate) page_host: Vec<String>,
+    /// Allow a non-loopback --page address without encryption and authentication.
+    #[arg(long)]
+    pub(crate) insecure_allow_remote_page: bool,
+}
+
+/// Address of the page, if it is enabled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum PageAddress {
+    /// The page is disabled.
+    Off,
+    /// Address to listen on; port 0 selects a free port.
+    At(SocketAddr),
+}
+
+impl FromStr for PageAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "off" {
+            return Ok(Self::Off);
+        }
+        let address = crate::listening::address(text).map(Self::At);
+        address.map_err(|why| {
+            format!("{why}; allowed are off and an address with a port, such as 127.0.0.1:8080")
+        })
+    }
+}
+
+/// Refuses an address that other machines can reach in plain text unless that is allowed.
+pub(crate) fn check_page(
+    arguments: &PageArguments,
+    tls: Option<&Arc<ServerTls>>,
+) -> Result<(), Usage> {
+    let PageAddress::At(address) = arguments.page else { return Ok(()) };
+    hosts(&arguments.page_host)?;
+    if arguments.insecure_allow_remote_page || tls.is_some() {
+        return Ok(());
+    }
+    let permission = "pass --page-tls (s2mia learner with certificates) or --insecure-allow-remote-page to allow that, \
+         and --page-host with the names they use";
+    demand_loopback("--page", address, permission)
+}
+
+/// Opens the page and prints its URL.
+///
+/// # Errors
+/// The address is in use or invalid.
+pub(crate) async fn open_page(
+    arguments: &PageArguments,
+    tls: Option<Arc<ServerTls>>,
+) -> anyhow::Result<Option<Page>> {
+    let PageAddress::At(address) = arguments.page else { return Ok(None) };
+    let listener = TcpListener::bind(address).await.map_err(|error| {
+        Usage::new(format!(
+            "--page {address}: {error}; choose another port, or 0 for any free one, or --page off"
+        ))
+    })?;
+    let scheme = if tls.is_some() { "https" } else { "http" };
+    output::line(format!("page: {scheme}://{}", listener.local_addr()?));
+    Ok(Some(Page { listener, hosts: hosts(&arguments.page_host)?, tls }))
+}
+
+/// The hosts that `--page-host` allows.
+pub(crate) fn hosts(names: &[String]) -> Result<Hosts, Usage> {
+    Hosts::with(names).map_err(|error| Usage::new(format!("--page-host: {error}")))
+}
+
+/// The token in `S2MIA_TOKEN`, if the variable is set.
+///
+/// # Errors
+/// The variable contains no token.
+pub(crate) fn token_of_environment() -> anyhow::Result<Option<Token>> {
+    let Some(text) = std::env::var_os(Token::VARIABLE) else { return Ok(None) };
+    let token = Token::parse(&text.to_string_lossy());
+    Ok(Some(token.with_context(|| format!("cannot use {}", Token::VARIABLE))?))
+}
+
+/// The token of the run in `folder`, else that in `S2MIA_TOKEN`, if either exists.
+///
+/// # Errors
+/// A token cannot be read.
+pub(crate) fn token_for_run(folder: &Path) -> anyhow::Result<Option<Token>> {
+    match RunFolder::token(folder)? {
+        Some(token) => Ok(Some(token)),
+        None => token_of_environment(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -99,5 +200,34 @@ mod tests {
         for address in ["0.0.0.0:50051", "192.168.1.2:1", "[::]:0"] {
             assert!(demand_loopback("--listen", address.parse().unwrap(), "").is_err());
         }
+    }
+
+    fn arguments(page: &str) -> PageArguments {
+        let page = page.parse().unwrap();
+        PageArguments { page, page_host: Vec::new(), insecure_allow_remote_page: false }
+    }
+
+    #[test]
+    fn only_this_machine_sees_the_page_without_being_told() {
+        for page in ["127.0.0.1:8080", "[::1]:0", "off"] {
+            assert!(check_page(&arguments(page), None).is_ok(), "{page}");
+        }
+        for page in ["0.0.0.0:8080", "192.168.1.2:1", "[::]:0"] {
+            let refused = check_page(&arguments(page), None).unwrap_err().to_string();
+            assert!(refused.contains("--insecure-allow-remote-page"), "{refused}");
+            let allowed = PageArguments { insecure_allow_remote_page: true, ..arguments(page) };
+            assert!(check_page(&allowed, None).is_ok(), "{page}");
+        }
+        assert!("8080".parse::<PageAddress>().is_err());
+    }
+
+    #[tokio::test]
+    async fn a_port_that_is_taken_is_named_in_one_line() {
+        let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = taken.local_addr().unwrap();
+        let refused =
+            open_page(&arguments(&address.to_string()), None).await.unwrap_err().to_string();
+        assert!(refused.starts_with(&format!("--page {address}: ")), "{refused}");
+        assert!(!refused.contains('\n') && refused.contains("--page off"), "{refused}");
     }
 }

@@ -1,7 +1,6 @@
 //! The s2mia command line: sets the allocator, parses the arguments, runs one command and reports an error as one line
 //! and an exit status.
 
-mod cli;
 mod commands;
 mod config;
 mod errors;
@@ -10,10 +9,10 @@ mod export;
 mod figures;
 mod film;
 mod listening;
-mod page;
 mod process;
 mod progress;
 mod run;
+mod tls;
 
 use std::process::ExitCode;
 
@@ -27,20 +26,21 @@ use crate::errors::{ENVIRONMENT_OUTAGE, Incomplete, Usage};
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    let arguments = match cli::Arguments::of_process() {
+    let arguments = match commands::Arguments::of_process() {
         Ok(arguments) => arguments,
-        Err(error) => return cli::report(&error),
+        Err(error) => return commands::report(&error),
     };
     run(arguments).map_or_else(|error| failure(&error), |()| ExitCode::SUCCESS)
 }
 
 /// Runs the command, whose output must have been written when it ends.
-fn run(arguments: cli::Arguments) -> anyhow::Result<()> {
+fn run(arguments: commands::Arguments) -> anyhow::Result<()> {
     process::prepare()?;
-    process::logging::start(&arguments)?;
-    process::output::start(&arguments.command);
+    let commands::Arguments { log_format, log, command } = arguments;
+    process::logging::start(log_format, log.as_deref(), command.log_filter())?;
+    process::output::start(command.effect());
     choose_registers()?;
-    commands::run(arguments.command)?;
+    commands::run(command)?;
     process::output::finish()
 }
 

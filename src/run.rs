@@ -11,5 +11,4 @@ pub(crate) mod offered;
 pub(crate) mod process_log;
 pub(crate) mod resume;
 pub(crate) mod run_path;
-pub(crate) mod served_run;
 pub(crate) mod supervisor;

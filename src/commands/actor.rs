@@ -1,19 +1,73 @@
 //! `s2mia actor`: rolls out for a learner until its run is done.
 
+use std::path::PathBuf;
+
 use actor::Transport;
 use anyhow::Context as _;
+use clap::Args;
 use proto::name;
 use recording::trajectory_log::LogConfig;
 use tokio::sync::watch;
 
-use crate::cli::{ActorArguments, ActorLogArguments, seconds};
+use crate::commands::control::seconds;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, layers};
 use crate::errors::Usage;
-use crate::listening::token;
-use crate::process::runtime;
-use crate::process::signals;
+use crate::listening;
+use crate::process::{runtime, signals};
 use crate::run::fingerprints::BUILD;
+use crate::tls::ClientTlsArguments;
+
+/// `s2mia actor`
+#[derive(Args, Debug)]
+pub(crate) struct ActorArguments {
+    /// URL of the learner.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
+    pub(crate) learner: String,
+    /// Use the environment that an external program offers at this URL, instead of the run's own.
+    #[arg(long, value_name = "URL", conflicts_with = "log_dir")]
+    pub(crate) environment: Option<String>,
+    /// Name in the learner's log [default: host name and process id].
+    #[arg(long)]
+    pub(crate) name: Option<String>,
+    /// Number of threads; each steps its own slots, as a separate actor would, but they share connections and weights.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        value_parser = clap::value_parser!(u16).range(1..=1024)
+    )]
+    pub(crate) threads: u16,
+    /// Exit when the learner cannot be reached for this long.
+    #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
+    pub(crate) max_outage_secs: f64,
+    /// Exit when standard input closes, so that the actor does not outlive its parent process.
+    #[arg(long)]
+    pub(crate) exit_with_stdin: bool,
+    /// Allow a learner on another machine without encryption and authentication.
+    #[arg(long, conflicts_with = "tls_ca")]
+    pub(crate) insecure_allow_remote: bool,
+    /// Log.
+    #[command(flatten)]
+    pub(crate) log: ActorLogArguments,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ClientTlsArguments,
+}
+
+/// Trajectory logging of an actor.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct ActorLogArguments {
+    /// Folder for trajectory logs (MCAP).
+    #[arg(long, value_name = "DIR", requires = "log_episodes")]
+    pub(crate) log_dir: Option<PathBuf>,
+    /// Episodes to log, as in log.episodes: evaluation, all, or a number N for one episode in N.
+    #[arg(long, value_name = "WHICH", requires = "log_dir")]
+    pub(crate) log_episodes: Option<String>,
+    /// File size after which the log continues in a new file [default: log.max_file_mib].
+    #[arg(long, value_name = "MIB", requires = "log_dir")]
+    pub(crate) log_max_file_mib: Option<u64>,
+}
 
 /// Ends with status 0 when the learner reports that the run is done, or after a stop signal.
 pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
@@ -47,7 +101,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
     let config = actor::Config {
         learner: arguments.learner,
         transport,
-        token: token::of_environment()?,
+        token: listening::token_of_environment()?,
         environment: arguments.environment,
         max_outage_secs: patience.as_secs_f64(),
         name,

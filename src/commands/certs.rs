@@ -4,16 +4,35 @@ use std::fs::{DirBuilder, OpenOptions};
 use std::io::Write as _;
 use std::net::IpAddr;
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::Context as _;
+use clap::Args;
 use security::Role;
 use security::development::{Issued, Issuer};
 
-use crate::cli::CertsArguments;
 use crate::errors::Usage;
 use crate::process::{output, shell};
+
+/// `s2mia certs`
+#[derive(Args, Debug)]
+pub(crate) struct CertsArguments {
+    /// New or empty folder for the certificates and keys.
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+    /// Host names and addresses that actors use to reach the learner.
+    #[arg(
+        long,
+        value_name = "HOST,...",
+        value_delimiter = ',',
+        default_value = "localhost,127.0.0.1,::1"
+    )]
+    pub(crate) names: Vec<String>,
+    /// Days until the certificates expire.
+    #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=3650))]
+    pub(crate) days: u32,
+}
 
 /// Only the owner may read a private key.
 const SECRET: u32 = 0o600;

@@ -1,16 +1,61 @@
-//! `s2mia stop`, and how commands find a running learner.
+//! `s2mia status`, `s2mia health` and `s2mia stop`, and how commands find a running learner.
 
 use std::path::Path;
 use std::time::Duration;
 
+use clap::Args;
 use learner::run_folder::RunFolder;
 use learner::service::Operator;
+use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
 use security::addresses;
+use serde_json::json;
 
-use crate::cli::{LearnerArgument, StopArguments, credentials, patience};
+use crate::config::run_settings::config_of_run;
 use crate::errors::Usage;
-use crate::listening::token;
+use crate::figures::chart::thousands;
+use crate::listening::token_for_run;
 use crate::process::{output, runtime, shell};
+use crate::run::{checkpointed, newest, run_path};
+use crate::tls::{ClientTlsArguments, credentials};
+
+/// Selects the learner.
+#[derive(Args, Debug)]
+pub(crate) struct LearnerArgument {
+    /// Run folder, URL or HOST:PORT of the learner [default: the newest run in runs that has a learner, else the newest
+    /// one, else http://127.0.0.1:50051].
+    #[arg(value_name = "RUN | URL | HOST:PORT", default_value = "", hide_default_value = true, value_parser = newest::or_newest)]
+    pub(crate) of: String,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ClientTlsArguments,
+}
+
+/// Longest time that an option accepts, seconds: 31 years. Deadlines of calls cannot be much longer.
+const LONGEST_SECS: f64 = 1e9;
+
+/// The timeout that `--timeout-secs` gives.
+pub(crate) fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
+    seconds("--timeout-secs", timeout_secs)
+}
+
+/// The time that `option` gives; refuses a negative, infinite or too long one.
+pub(crate) fn seconds(option: &str, secs: f64) -> Result<Duration, Usage> {
+    match (0.0..=LONGEST_SECS).contains(&secs) {
+        true => Ok(Duration::from_secs_f64(secs)),
+        false => Err(Usage::new(format!("{option} must be 0 to {LONGEST_SECS} s, is {secs:?}"))),
+    }
+}
+
+/// `s2mia stop`
+#[derive(Args, Debug)]
+pub(crate) struct StopArguments {
+    /// Learner.
+    #[command(flatten)]
+    pub(crate) learner: LearnerArgument,
+    /// Timeout for the learner's response.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    pub(crate) timeout_secs: f64,
+}
 
 /// Ends the learner.
 pub(super) fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
@@ -64,6 +109,180 @@ pub(super) async fn operator(
     let authority = url.split_once("://").map_or(url, |(_, rest)| rest);
     let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
     let is_private = tls.is_some() || addresses::is_loopback(host);
-    let token = token::for_run(Path::new(&learner.of))?.filter(|_| is_private);
+    let token = token_for_run(Path::new(&learner.of))?.filter(|_| is_private);
     Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), patience).await?)
+}
+
+/// `s2mia status`
+#[derive(Args, Debug)]
+pub(crate) struct StatusArguments {
+    /// Learner.
+    #[command(flatten)]
+    pub(crate) learner: LearnerArgument,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Timeout for the learner's response.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    pub(crate) timeout_secs: f64,
+}
+
+/// Prints one line and a table of leases, or one JSON object.
+pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
+    let patience = patience(arguments.timeout_secs)?;
+    let Some(url) = url(&arguments.learner)? else { return at_rest(arguments) };
+    let status = runtime()?.block_on(async {
+        let mut operator = operator(&url, &arguments.learner, patience).await?;
+        anyhow::Ok(operator.status().await?)
+    })?;
+    match arguments.json {
+        true => output::line(learner::exchange::status_json(&status)),
+        false => output::line(text(&status)),
+    }
+    Ok(())
+}
+
+/// A run without a learner process: finished, stopped or crashed.
+pub(super) struct AtRest {
+    run_id: String,
+    /// The newest checkpoint, if there is one.
+    newest: Option<Reached>,
+    iterations: u64,
+}
+
+/// How far a checkpoint is.
+#[derive(Clone, Copy, Default)]
+struct Reached {
+    iteration: u64,
+    env_steps: u64,
+}
+
+impl AtRest {
+    /// Reads the newest checkpoint and the settings of the run in this folder.
+    pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
+        let loaded = checkpointed::load_if_any(run)?;
+        let newest = loaded.map(|loaded| Reached {
+            iteration: loaded.checkpoint.iteration,
+            env_steps: loaded.checkpoint.env_steps,
+        });
+        let (run_id, iterations) = (run_path::name(run), config_of_run(run)?.iterations());
+        Ok(Self { run_id, newest, iterations })
+    }
+
+    /// The last line of the run.
+    pub(super) fn last_line(&self) -> RunLine {
+        let Reached { iteration, env_steps } = self.newest.unwrap_or_default();
+        let line = RunLine::without_figures(self.run_id.clone(), iteration, env_steps);
+        let end = if self.is_finished() { RunEnd::Finished } else { RunEnd::Stopped };
+        RunLine { end: Some(end), ..line }
+    }
+
+    /// Whether the run has had its last iteration.
+    pub(super) fn is_finished(&self) -> bool {
+        self.newest.is_some_and(|newest| newest.iteration >= self.iterations)
+    }
+}
+
+fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
+    let run = Path::new(&arguments.learner.of);
+    let rest = AtRest::of(run)?;
+    let (iterations, newest) = (rest.iterations, rest.newest.unwrap_or_default());
+    let Reached { iteration, env_steps } = newest;
+    let state = if rest.is_finished() { "finished" } else { "stopped" };
+    if arguments.json {
+        let object = json!({
+            "state": state,
+            "iteration": iteration,
+            "iterations": iterations,
+            "env_steps": env_steps,
+        });
+        output::line(object);
+        return Ok(());
+    }
+    let (shown, run, steps) = (run.display(), shell::path(run), thousands(env_steps));
+    let at = format!("iteration {iteration} of {iterations}, {steps} env steps");
+    output::line(match (rest.newest, rest.is_finished()) {
+        (None, _) => format!(
+            "{shown} stopped before its first checkpoint; `s2mia train --resume {run}` begins it again"
+        ),
+        (Some(_), true) => format!("{shown} is finished: {at}"),
+        (Some(_), false) => {
+            format!("{shown} is stopped: {at}; `s2mia train --resume {run}` goes on")
+        }
+    });
+    Ok(())
+}
+
+fn text(status: &Status) -> String {
+    let Status { run_id, iteration, slots, complete_slots, actors, leases, .. } = status;
+    let pace = status.env_steps_per_sec.map_or_else(String::new, |pace| {
+        format!(", {} env steps/s", thousands(pace.round() as u64))
+    });
+    let disk =
+        if status.storage_degraded { "\nthe last checkpoint could not be written" } else { "" };
+    let idle = match actors.saturating_sub(*slots) {
+        0 => String::new(),
+        idle => format!(" ({idle} more than slots in this iteration)"),
+    };
+    let mut text = format!(
+        "{run_id}: iteration {iteration}, {} env steps{pace}\n\
+         {complete_slots} of {slots} slots complete, {} leases on {actors} actors{idle}, \
+         {} leased again, {} backed up, {} audited, {} messages refused{disk}",
+        thousands(status.env_steps),
+        leases.len(),
+        status.leases_reissued,
+        status.slots_backed_up,
+        status.audits_agreed,
+        status.messages_refused,
+    );
+    leases.iter().for_each(|lease| text += &format!("\n{}", line(lease)));
+    text
+}
+
+fn line(lease: &LeaseStatus) -> String {
+    let work = match lease.work {
+        LeasedWork::Slot(slot) => format!("slot {slot}"),
+        LeasedWork::Episode(episode) => format!("episode {episode}"),
+    };
+    let (chunks, still) = (lease.chunks, lease.still_secs);
+    format!("  {work}: actor {}, {chunks} chunks, {still:.1} s since the last", lease.actor)
+}
+
+/// `s2mia health`
+#[derive(Args, Debug)]
+pub(crate) struct HealthArguments {
+    /// URL of the learner.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
+    pub(crate) learner: String,
+    /// Timeout for the learner's response.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    pub(crate) timeout_secs: f64,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ClientTlsArguments,
+}
+
+/// Ends with status 0 if the learner serves, else with a one-line reason.
+pub(super) fn health(arguments: &HealthArguments) -> anyhow::Result<()> {
+    let patience = patience(arguments.timeout_secs)?;
+    let tls = credentials(&arguments.learner, &arguments.tls)?;
+    let asked = learner::health::demand_serving(&arguments.learner, tls.as_ref(), patience);
+    runtime()?.block_on(asked)?;
+    output::line(format!("{} serves", arguments.learner));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_that_no_deadline_can_have_are_refused_in_one_line() {
+        for secs in [-1.0, -1e300, f64::NAN, f64::INFINITY, 1e300, 1.1e9] {
+            let line = seconds("--timeout-secs", secs).unwrap_err().to_string();
+            assert_eq!(line, format!("--timeout-secs must be 0 to 1000000000 s, is {secs:?}"));
+        }
+        assert_eq!(seconds("--timeout-secs", 0.0).unwrap(), Duration::ZERO);
+        assert_eq!(seconds("--timeout-secs", 1e9).unwrap(), Duration::from_secs(1_000_000_000));
+    }
 }

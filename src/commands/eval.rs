@@ -1,18 +1,37 @@
 //! `s2mia eval`: whole episodes of a trained policy, mean or drawn actions, extrinsic return only.
 
+use std::path::PathBuf;
+
 use anyhow::Context as _;
+use clap::Args;
 use learner::evaluation::Spread;
 use proto::ActionChoice;
 use rollout::{Episode, PlayedStep};
 use serde_json::json;
 use sim::EnvironmentBatch;
 
-use crate::cli::EvalArguments;
 use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
-use crate::run::checkpointed::{self, Trained};
+use crate::run::checkpointed;
+use crate::run::checkpointed::Trained;
 use crate::run::offered::Stage;
+
+/// `s2mia eval`
+#[derive(Args, Debug)]
+pub(crate) struct EvalArguments {
+    /// Run folder, or one of its checkpoints.
+    pub(crate) run: PathBuf,
+    /// Number of whole episodes.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) episodes: u32,
+    /// Sample actions as in training (seed of episode I: SEED + I) instead of using the mean or most probable action.
+    #[arg(long, value_name = "SEED", num_args = 0..=1, default_missing_value = "0")]
+    pub(crate) sampled: Option<u64>,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
 
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {

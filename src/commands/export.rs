@@ -1,10 +1,27 @@
 //! `s2mia export`: a trained policy for other programs.
 
-use crate::cli::ExportArguments;
+use std::path::PathBuf;
+
+use clap::Args;
+
 use crate::export;
 use crate::process::output;
+use crate::process::target::ForceArguments;
 use crate::run::checkpointed;
 use crate::run::offered::Stage;
+
+/// `s2mia export`
+#[derive(Args, Debug)]
+pub(crate) struct ExportArguments {
+    /// Run folder, or one of its checkpoints.
+    pub(crate) run: PathBuf,
+    /// Folder for agent_0.onnx, agent_1.onnx, ..., policy.safetensors and episode.safetensors.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) onnx: PathBuf,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
+}
 
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {

@@ -1,17 +1,42 @@
 //! `s2mia film`: an episode of a trained policy as a strip of pictures, with its speed and signs of simulator
 //! artefacts.
 
-mod times;
+use std::path::{Path, PathBuf};
 
-use std::path::Path;
+use clap::Args;
 
-use crate::cli::FilmArguments;
 use crate::errors::Usage;
-use crate::film::{self, Frame, PlayedEpisode};
+use crate::film;
+use crate::film::{Frame, PlayedEpisode};
 use crate::process::output;
-use crate::process::target::Target;
-use crate::run::checkpointed::{self, Trained};
-use crate::run::run_path;
+use crate::process::target::{ForceArguments, Target};
+use crate::run::checkpointed::Trained;
+use crate::run::{checkpointed, run_path};
+
+/// `s2mia film`
+#[derive(Args, Debug)]
+pub(crate) struct FilmArguments {
+    /// Run folder, or one of its checkpoints.
+    pub(crate) run: PathBuf,
+    /// Index of the episode, counted as in `s2mia eval`.
+    #[arg(long, value_name = "INDEX", default_value_t = 0)]
+    pub(crate) episode: u32,
+    /// Number of pictures in the strip.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub(crate) frames: u32,
+    /// Time of the first picture [default: 5, or the middle of a shorter episode].
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) from_secs: Option<f64>,
+    /// Time between two pictures.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.05)]
+    pub(crate) every_secs: f64,
+    /// PNG file to write [default: RUN/film.png].
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
+}
 
 /// Writes the strip and prints the measures of the whole episode.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
@@ -20,7 +45,7 @@ pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let target = target(arguments)?;
     let episode = trained.episode(arguments.episode);
     let played = PlayedEpisode::play(&trained.config.task, &trained.policy, episode.key())?;
-    let steps = times::steps(arguments, played.dt_secs, played.steps())?;
+    let steps = steps(arguments, played.dt_secs, played.steps())?;
     let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
     let png = film::strip(&played.robot, &frames)?;
     target.write(&png)?;
@@ -58,5 +83,95 @@ fn demand_simulator(trained: &Trained, run: &Path) -> Result<(), Usage> {
              robots can be drawn; `s2mia record` writes its observations and states",
             run.display()
         ))),
+    }
+}
+
+/// Default time of the first frame, seconds; the start of the episode is over by then.
+const UNDER_WAY: f64 = 5.0;
+/// Tolerance of the conversion from seconds to steps, in steps.
+const ROUNDING: f64 = 1e-6;
+
+/// The steps nearest to the frames' times, in rising order, in an episode of `length` steps of `dt_secs` seconds.
+fn steps(arguments: &FilmArguments, dt_secs: f64, length: usize) -> Result<Vec<usize>, Usage> {
+    let every = arguments.every_secs / dt_secs;
+    if !every.is_finite() || every < 1.0 - ROUNDING {
+        let asked = arguments.every_secs;
+        return Err(Usage::new(format!(
+            "--every-secs {asked} does not fit: the shortest interval is one step, {dt_secs} s"
+        )));
+    }
+    let span = f64::from(arguments.frames - 1) * every;
+    let from =
+        arguments.from_secs.map_or(usual_start(dt_secs, length, span), |from| from / dt_secs);
+    let last = from + span;
+    if !(from >= 0.0 && last.round() <= length as f64) {
+        let (end, first, last) = (length as f64 * dt_secs, from * dt_secs, last * dt_secs);
+        return Err(Usage::new(format!(
+            "the frames reach from {first:.2} s to {last:.2} s, the episode from 0 s to {end:.2} s; \
+             change --from-secs, --every-secs or --frames"
+        )));
+    }
+    Ok((0..arguments.frames)
+        .map(|frame| (from + f64::from(frame) * every).round() as usize)
+        .collect())
+}
+
+/// Default first frame, in steps. A short episode is shown from its middle, or earlier if the frames then fit.
+fn usual_start(dt_secs: f64, length: usize, span: f64) -> f64 {
+    let (usual, length) = (UNDER_WAY / dt_secs, length as f64);
+    if usual + span <= length { usual } else { (length / 2.0).min(length - span).max(0.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+
+    fn arguments(frames: u32, from_secs: Option<f64>, every_secs: f64) -> FilmArguments {
+        FilmArguments {
+            run: PathBuf::new(),
+            episode: 0,
+            frames,
+            from_secs,
+            every_secs,
+            out: None,
+            force: ForceArguments::default(),
+        }
+    }
+
+    fn refusal(arguments: &FilmArguments, length: usize) -> String {
+        steps(arguments, 0.05, length).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn frames_are_evenly_spaced_from_five_seconds_on() {
+        assert_eq!(steps(&arguments(3, None, 0.05), 0.05, 1000).unwrap(), [100, 101, 102]);
+        assert_eq!(steps(&arguments(3, None, 0.5), 0.05, 1000).unwrap(), [100, 110, 120]);
+        // 0.05 s is 6.25 steps of 8 ms.
+        assert_eq!(steps(&arguments(3, Some(0.0), 0.05), 0.008, 1000).unwrap(), [0, 6, 13]);
+    }
+
+    #[test]
+    fn a_short_episode_is_shown_from_its_middle_or_from_where_the_frames_fit() {
+        assert_eq!(steps(&arguments(3, None, 0.05), 0.05, 40).unwrap(), [20, 21, 22]);
+        assert_eq!(steps(&arguments(4, None, 0.05), 0.05, 4).unwrap(), [1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn times_beyond_the_episode_are_refused_with_both_ranges() {
+        let line = refusal(&arguments(8, Some(49.9), 0.05), 1000);
+        assert!(line.contains("49.90 s to 50.25 s") && line.contains("50.00 s"), "{line}");
+        refusal(&arguments(8, None, 0.05), 3);
+        refusal(&arguments(1, Some(f64::NAN), 0.05), 1000);
+        refusal(&arguments(1, Some(-1.0), 0.05), 1000);
+    }
+
+    #[test]
+    fn an_interval_shorter_than_a_step_is_refused() {
+        for every_secs in [0.0, 0.04, -1.0, f64::INFINITY, f64::NAN] {
+            let line = refusal(&arguments(2, None, every_secs), 1000);
+            assert!(line.contains("one step, 0.05 s"), "{line}");
+        }
     }
 }

@@ -1,13 +1,38 @@
-//! `s2mia inspect`: contents of the newest valid checkpoint of a run.
+//! `s2mia config` and `s2mia inspect`: the settings that a run would have, and the contents of its newest valid
+//! checkpoint.
 
+use std::path::PathBuf;
+
+use clap::Args;
 use serde_json::json;
 
-use crate::cli::InspectArguments;
+use crate::config::run_config::RunConfig;
+use crate::config::{Request, effect, layers};
 use crate::process::output;
 use crate::run::checkpointed;
+use crate::run::launch::SettingsArguments;
+
+/// Prints TOML that `--config` can read again.
+pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
+    let request = Request::from_process(arguments.files.clone(), arguments.written());
+    let config = RunConfig::build(layers::resolve(&request)?)?;
+    output::line(config.resolved.to_toml_with_origins(effect::remarks(&config)));
+    output::line(format!("# config_sha256 = {}", policy::arrays::hex(&config.resolved.sha256())));
+    Ok(())
+}
+
+/// `s2mia inspect`
+#[derive(Args, Debug)]
+pub(crate) struct InspectArguments {
+    /// Run folder, or one of its checkpoints.
+    pub(crate) run: PathBuf,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
 
 /// Iteration, env steps and both hashes.
-pub(super) fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
+pub(super) fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
     let loaded = checkpointed::load(&arguments.run)?;
     let checkpoint = &loaded.checkpoint;
     let (weights, state) = (checkpoint.weights_sha256(), checkpoint.state_sha256());

@@ -1,24 +1,56 @@
 //! `s2mia learner`: the learner of one run, for actors on any machine.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use actor::Transport;
 use anyhow::Context as _;
+use clap::Args;
 use security::ServerTls;
 use tokio::sync::watch;
 
-use crate::cli::LearnerArguments;
-use crate::listening::{Listening, token};
-use crate::page;
+use crate::listening;
+use crate::listening::{Listening, PageArguments};
 use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
-use crate::run::launch::{self, Prepared};
+use crate::run::launch;
+use crate::run::launch::{Prepared, ResumeArguments, SettingsArguments};
+use crate::tls::ServerTlsArguments;
+
+/// `s2mia learner`
+#[derive(Args, Debug)]
+pub(crate) struct LearnerArguments {
+    /// Settings.
+    #[command(flatten)]
+    pub(crate) settings: SettingsArguments,
+    /// Resume.
+    #[command(flatten)]
+    pub(crate) resume: ResumeArguments,
+    /// Address on which the learner listens for actors.
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:50051",
+        value_parser = crate::listening::address
+    )]
+    pub(crate) listen: SocketAddr,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ServerTlsArguments,
+    /// Web page.
+    #[command(flatten)]
+    pub(crate) page: PageArguments,
+    /// Serve the page and /metrics over TLS with the files of --tls-certificate, to certificates with the role viewer or
+    /// admin.
+    #[arg(long, requires = "tls_certificate", conflicts_with = "insecure_allow_remote_page")]
+    pub(crate) page_tls: bool,
+}
 
 /// Serves until the run is done or a stop signal; the newest state is then in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
     let page_tls = arguments.page_tls.then(|| listening.tls()).flatten();
-    page::check(&arguments.page, page_tls.as_ref())?;
+    listening::check_page(&arguments.page, page_tls.as_ref())?;
     let (runtime, (stop_sender, stop)) = (runtime()?, watch::channel(false));
     // Before the launch, which takes a moment, so that a stop is never lost.
     runtime.block_on(async {
@@ -45,13 +77,13 @@ async fn serve(
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch, new: _new } = prepared;
-    let token = token::of_environment()?;
+    let token = listening::token_of_environment()?;
     let (mut listener, url) = listening.open().await?;
     if let Some(token) = token {
         listener = listener.with_token(token, &folder);
     }
     output::line(format!("{} waits for actors on {url}", folder.display()));
-    let page = page::open(&arguments.page, page_tls).await?;
+    let page = listening::open_page(&arguments.page, page_tls).await?;
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary =

@@ -1,15 +1,156 @@
-//! `s2mia log`: tools for trajectory logs, one file each.
+//! `s2mia log`: checks trajectory logs, and that the simulator reproduces them.
 
-mod files;
-mod replay;
-mod verify;
+use std::path::{Path, PathBuf};
 
-use crate::cli::LogCommand;
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+use learner::run_folder::RunFolder;
+use recording::trajectory_log;
+use recording::trajectory_log::{LogError, Replayed, is_log_name, read_bytes, read_shares};
+
+use crate::errors::{Incomplete, Usage};
+use crate::figures::chart::thousands;
+use crate::progress::WorkProgress;
+use crate::run::run_path;
+
+/// `s2mia log`
+#[derive(Debug, Subcommand)]
+pub(crate) enum LogCommand {
+    /// Verify checksums, schemas and that every share is complete. Exit status 3: shares are missing.
+    Verify(LogFiles),
+    /// Step the simulator with the logged actions and compare every observation, state and reward, bit for bit.
+    Replay(LogFiles),
+}
+
+/// Logs.
+#[derive(Args, Debug)]
+pub(crate) struct LogFiles {
+    /// MCAP files, or folders with trajectories-*.mcap.
+    #[arg(required = true, value_name = "FILE | DIR")]
+    pub(crate) files: Vec<PathBuf>,
+}
 
 /// Runs one tool.
 pub(super) fn run(command: &LogCommand) -> anyhow::Result<()> {
     match command {
-        LogCommand::Verify(files) => verify::run(files),
-        LogCommand::Replay(files) => replay::run(files),
+        LogCommand::Verify(files) => verify(files),
+        LogCommand::Replay(files) => replay(files),
     }
+}
+
+/// Ends with status 1 if a file is damaged, with 3 if only data is missing.
+fn verify(logs: &LogFiles) -> anyhow::Result<()> {
+    let paths = paths(logs)?;
+    let (all, mut done, mut progress) = (sizes(&paths), 0, WorkProgress::new());
+    let (mut cut_off, mut lost) = (0, 0);
+    for path in &paths {
+        let (mut shares, mut steps) = (0, 0);
+        let bytes = in_file(path, read_bytes(path))?;
+        let read = read_shares(&bytes, |share| {
+            shares += 1;
+            steps += share.steps.len() as u64;
+            Ok(())
+        });
+        let log = in_file(path, read)?;
+        cut_off += log.torn_steps;
+        lost += log.lost_shares();
+        done += size(path);
+        progress.reach(done, all, || format!("read {}", run_path::name(path)));
+        let (shown, shares, steps) = (path.display(), thousands(shares), thousands(steps));
+        progress.print(format!(
+            "{shown}: checksums and schemas are right: {shares} shares, {steps} steps; {} shares lost by the actor",
+            thousands(log.lost_shares())
+        ));
+    }
+    match (cut_off, lost) {
+        (0, 0) => Ok(()),
+        (cut_off, lost) => Err(Incomplete(format!(
+            "{} steps of shares that were cut off, {} lost shares",
+            thousands(cut_off),
+            thousands(lost)
+        ))
+        .into()),
+    }
+}
+
+/// Ends with status 1 at the first step that differs.
+fn replay(logs: &LogFiles) -> anyhow::Result<()> {
+    let paths = paths(logs)?;
+    let (all, mut done, mut progress) = (sizes(&paths), 0, WorkProgress::new());
+    for path in &paths {
+        let replayed = replayed(path, (done, all), &mut progress)?;
+        done += size(path);
+        let (shown, shares) = (path.display(), thousands(replayed.shares));
+        let steps = thousands(replayed.steps);
+        progress.print(format!("{shown}: {steps} steps in {shares} shares, equal bit for bit"));
+        let Some(difference) = replayed.difference else { continue };
+        match replayed.other_program {
+            Some(_) => anyhow::bail!(
+                "{shown}: {difference}; it was logged by a program that computes other numbers"
+            ),
+            None => anyhow::bail!("{shown}: {difference}"),
+        }
+    }
+    Ok(())
+}
+
+/// Replays a file, of whose logs' `all` bytes `done` are in earlier files.
+fn replayed(
+    path: &Path,
+    (done, all): (u64, u64),
+    progress: &mut WorkProgress,
+) -> anyhow::Result<Replayed> {
+    let bytes = in_file(path, read_bytes(path))?;
+    let replayed = trajectory_log::replay(&bytes, |step, steps| {
+        let here = bytes.len() as f64 * step as f64 / steps.max(1) as f64;
+        let name = run_path::name(path);
+        let place = || format!("{name}, step {} of {}", thousands(step), thousands(steps));
+        progress.reach(done + here as u64, all, place);
+    });
+    in_file(path, replayed)
+}
+
+/// The trajectory logs that the arguments name, each once, ordered by name within a folder.
+fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
+    let mut paths: Vec<PathBuf> = Vec::new();
+    for given in &logs.files {
+        let found = if given.is_dir() { in_folder(given)? } else { vec![given.clone()] };
+        for path in found {
+            if !paths.contains(&path) {
+                paths.push(path);
+            }
+        }
+    }
+    Ok(paths)
+}
+
+/// Bytes of all files together.
+fn sizes(paths: &[PathBuf]) -> u64 {
+    paths.iter().map(|path| size(path)).sum()
+}
+
+/// Bytes of a file, for progress; 0 if it cannot be read, which reading it reports.
+fn size(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |file| file.len())
+}
+
+/// The logs of a folder; for a run folder, those of the run.
+fn in_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let run = RunFolder::of(folder);
+    let logs = run_path::logs(&run);
+    let is_run = run_path::config_file(&run).is_file() && logs.is_dir();
+    let folder = if is_run { &logs } else { folder };
+    let paths = run_path::files(folder, is_log_name);
+    let paths = paths.with_context(|| format!("cannot read {}", folder.display()))?;
+    if paths.is_empty() {
+        let why =
+            format!("no trajectories-*.mcap in {}; log.episodes makes some", folder.display());
+        return Err(Usage::new(why).into());
+    }
+    Ok(paths)
+}
+
+/// Adds the path of the file to an error.
+fn in_file<T>(path: &Path, result: Result<T, LogError>) -> anyhow::Result<T> {
+    result.with_context(|| path.display().to_string())
 }

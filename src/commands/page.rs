@@ -1,34 +1,56 @@
 //! `s2mia page`: one web page with the curves of several runs, from nothing but their folders.
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use clap::Args;
 use learner::json_lines::JsonLinesReader;
 use learner::metrics::Curves;
 use learner::run_folder::RunFolder;
 use learner::{OverlaidRun, Overlay, Page};
 use tokio::net::TcpListener;
 
-use crate::cli::RunsPageArguments;
 use crate::errors::Usage;
 use crate::figures::learning_curve;
-use crate::listening::demand_loopback;
-use crate::page;
+use crate::listening::{demand_loopback, hosts};
 use crate::process::{output, runtime};
 use crate::run::{newest, run_path};
+
+/// `s2mia page`
+#[derive(Args, Debug)]
+pub(crate) struct PageArguments {
+    /// Run folders, finished or growing [default: all runs in ./runs].
+    #[arg(value_name = "RUN")]
+    pub(crate) runs: Vec<PathBuf>,
+    /// Address of the page; port 0 selects a free port.
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:0",
+        value_parser = crate::listening::address
+    )]
+    pub(crate) listen: SocketAddr,
+    /// Additional host names and addresses accepted in requests, besides loopback.
+    #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
+    pub(crate) page_host: Vec<String>,
+    /// Allow a non-loopback --listen address without encryption and authentication.
+    #[arg(long)]
+    pub(crate) insecure_allow_remote_page: bool,
+}
 
 /// How often the metrics are read, at most.
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Serves the page until the process is stopped.
-pub(super) fn run(arguments: RunsPageArguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: PageArguments) -> anyhow::Result<()> {
     if !arguments.insecure_allow_remote_page {
         let permission = "pass --insecure-allow-remote-page to allow that, and --page-host with \
              the names they use";
         demand_loopback("--listen", arguments.listen, permission)?;
     }
-    let hosts = page::hosts(&arguments.page_host)?;
+    let hosts = hosts(&arguments.page_host)?;
     let folders = if arguments.runs.is_empty() { newest::all()? } else { arguments.runs };
     folders.iter().try_for_each(|folder| run_path::demand_run(folder))?;
     let folders: Vec<_> = folders.iter().map(|folder| RunFolder::of(folder)).collect();

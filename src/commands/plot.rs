@@ -2,12 +2,32 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::Args;
 use learner::run_folder::RunFolder;
 
-use crate::cli::PlotArguments;
+use crate::figures;
+use crate::figures::learning_curve;
 use crate::figures::learning_curve::Curve;
-use crate::figures::{self, learning_curve};
+use crate::process::target::ForceArguments;
 use crate::process::{output, target};
+
+/// `s2mia plot`
+#[derive(Args, Debug)]
+pub(crate) struct PlotArguments {
+    /// Run folders. Runs that differ only in their seed are drawn as one curve, with a 95 % confidence interval and
+    /// an interquartile range.
+    #[arg(required = true, value_name = "RUN")]
+    pub(crate) runs: Vec<PathBuf>,
+    /// Draw surprise and information below the returns, as ablation.svg and .png.
+    #[arg(long)]
+    pub(crate) ablation: bool,
+    /// Folder for learning_curve.svg and .png [default: the run folder; with several runs the current folder].
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
+}
 
 /// Writes both files and prints their paths.
 pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {

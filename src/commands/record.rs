@@ -1,20 +1,39 @@
 //! `s2mia record`: episodes of a trained policy as MCAP.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use clap::Args;
 use learner::run_folder::RunFolder;
 use recording::{RecordError, RecordSummary, RecordedRun};
 use rollout::EvaluationEpisode;
 
-use crate::cli::RecordArguments;
 use crate::figures::chart;
 use crate::process::output;
-use crate::process::target::Target;
+use crate::process::target::{ForceArguments, Target};
 use crate::progress::WorkProgress;
-use crate::run::checkpointed::{self, Trained};
+use crate::run::checkpointed::Trained;
 use crate::run::offered::Stage;
-use crate::run::run_path;
+use crate::run::{checkpointed, run_path};
+
+/// `s2mia record`
+#[derive(Args, Debug)]
+pub(crate) struct RecordArguments {
+    /// Run folder, or one of its checkpoints.
+    pub(crate) run: PathBuf,
+    /// Number of whole episodes to record, from episode 0 on.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) episodes: u32,
+    /// Record only the episode with this index, counted as in `s2mia eval`.
+    #[arg(long, value_name = "INDEX", conflicts_with = "episodes")]
+    pub(crate) episode: Option<u32>,
+    /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap].
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
+}
 
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {

@@ -1,15 +1,47 @@
 //! `s2mia serve`: the policies of a run's newest checkpoint, for robots, evaluators and programs in any language.
 
-use std::path::Path;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context as _;
+use clap::Args;
+use learner::checkpoint::Loaded;
+use learner::published::Published;
+use learner::run_folder::RunFolder;
 use learner::service::{ServedPolicies, serve_policies};
+use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
-use crate::cli::ServeArguments;
+use crate::config::run_settings::config_of_run;
+use crate::errors::Usage;
 use crate::listening::Listening;
 use crate::process::{output, runtime, signals};
-use crate::run::served_run::ServedRun;
+use crate::run::offered::Stage;
+use crate::run::{checkpointed, run_path};
+use crate::tls::ServerTlsArguments;
+
+/// `s2mia serve`
+#[derive(Args, Debug)]
+pub(crate) struct ServeArguments {
+    /// Run folder, or one of its checkpoints.
+    pub(crate) run: PathBuf,
+    /// Address on which the server listens for clients of the policies.
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:50052",
+        value_parser = crate::listening::address
+    )]
+    pub(crate) listen: SocketAddr,
+    /// Load newer checkpoints of the run as they are written. An episode keeps the checkpoint that it started with.
+    #[arg(long)]
+    pub(crate) follow: bool,
+    /// TLS.
+    #[command(flatten)]
+    pub(crate) tls: ServerTlsArguments,
+}
 
 /// Serves until a signal stops it.
 pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {
@@ -29,4 +61,94 @@ async fn serve(run: &Path, served: ServedPolicies, listening: Listening) -> anyh
     let (stop_sender, stop) = watch::channel(false);
     signals::stop_on_signal(stop_sender, || output::line("stopping"))?;
     serve_policies(served, listener, stop).await.context("the service ended")
+}
+
+/// Interval between checks for a new checkpoint.
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
+
+/// A run whose policies are served.
+struct ServedRun {
+    path: PathBuf,
+    environment: EnvironmentSpec,
+    /// Of each agent.
+    hidden_sizes: Vec<u32>,
+    newest: watch::Sender<Arc<Published>>,
+}
+
+impl ServedRun {
+    /// Loads the newest checkpoint of the run in `folder`.
+    ///
+    /// # Errors
+    /// The run has no valid checkpoint, or its environment cannot be reached.
+    fn open(folder: &Path) -> anyhow::Result<Self> {
+        let loaded = checkpointed::load(folder)?;
+        let config = config_of_run(folder)?;
+        let stage = Stage::of(&config)?;
+        let environment = rollout::environment_spec(stage.environment.description());
+        let hidden = |_: &AgentSpec| config.policy.hidden_size() as u32;
+        let hidden_sizes: Vec<u32> = environment.agents.iter().map(hidden).collect();
+        let newest = Arc::new(policies(loaded, &environment, &hidden_sizes)?);
+        let newest = watch::Sender::new(newest);
+        Ok(Self { path: folder.to_path_buf(), environment, hidden_sizes, newest })
+    }
+
+    /// The policies that the service hands out, always the newest loaded ones.
+    fn policies(&self) -> ServedPolicies {
+        ServedPolicies {
+            run_id: run_path::name(&RunFolder::of(&self.path)),
+            environment: self.environment.clone(),
+            newest: self.newest.subscribe(),
+        }
+    }
+
+    /// Loads each new checkpoint on a thread of its own until the process ends.
+    fn follow(self) -> anyhow::Result<()> {
+        if learner::checkpoint::is_checkpoint(&self.path) {
+            let shown = self.path.display();
+            let why = format!(
+                "{shown} is a checkpoint, which never changes; name its run, or leave out --follow"
+            );
+            return Err(Usage::new(why).into());
+        }
+        let thread = std::thread::Builder::new().name("follow".to_owned());
+        thread.spawn(move || self.load_newer()).map(drop).context("cannot follow the run")
+    }
+
+    /// Loads each new checkpoint; logs one that is invalid and keeps the policies before it.
+    fn load_newer(&self) {
+        let mut seen = self.newest.borrow().name.version.0;
+        while !self.newest.is_closed() {
+            std::thread::sleep(POLL_INTERVAL);
+            let found = learner::checkpoint::newest_iteration(&self.path).ok().flatten();
+            let Some(iteration) = found.filter(|iteration| *iteration > seen) else { continue };
+            seen = iteration;
+            let loaded = checkpointed::load(&self.path);
+            match loaded.and_then(|of| policies(of, &self.environment, &self.hidden_sizes)) {
+                Ok(policies) => {
+                    let version = policies.name.version;
+                    tracing::info!("new episodes use the policies of iteration {version}");
+                    self.newest.send_replace(Arc::new(policies));
+                }
+                Err(error) => tracing::warn!("the previous policies stay in use: {error:#}"),
+            }
+        }
+    }
+}
+
+/// The policies in a checkpoint of the run.
+fn policies(
+    loaded: Loaded,
+    environment: &EnvironmentSpec,
+    hidden_sizes: &[u32],
+) -> anyhow::Result<Published> {
+    let version = PolicyVersion(loaded.checkpoint.iteration);
+    let parsed = Published::parse(
+        version,
+        loaded.checkpoint.policy.into(),
+        &environment.agents,
+        hidden_sizes,
+    );
+    parsed.map_err(|why| {
+        anyhow::anyhow!("cannot serve the policy in {}: {why}", loaded.path.display())
+    })
 }

@@ -3,14 +3,30 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use clap::Args;
 use serde_json::json;
 use sim::{Description, EnvironmentBatch};
 
-use crate::cli::TasksArguments;
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
-use crate::film::{self, RobotShapes};
+use crate::film;
+use crate::film::RobotShapes;
+use crate::process::target::ForceArguments;
 use crate::process::{output, target};
+
+/// `s2mia tasks`
+#[derive(Args, Debug)]
+pub(crate) struct TasksArguments {
+    /// Print one JSON array.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Draw every robot's partition into DIR/TASK.png, with links in the agents' colours and numbered joints.
+    #[arg(long, value_name = "DIR", conflicts_with = "json")]
+    pub(crate) picture: Option<PathBuf>,
+    /// Force.
+    #[command(flatten)]
+    pub(crate) force: ForceArguments,
+}
 
 /// A table, or a JSON array with every name.
 pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {

@@ -3,17 +3,33 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use clap::Args;
 use learner::health::HealthError;
 use learner::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::{Value, json};
 
-use crate::cli::{WatchArguments, seconds};
-use crate::commands::control::{operator, url};
-use crate::commands::status::AtRest;
+use crate::commands::control::{AtRest, LearnerArgument, operator, seconds, url};
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
 use crate::process::{output, runtime, shell};
+
+/// `s2mia watch`
+#[derive(Args, Debug)]
+pub(crate) struct WatchArguments {
+    /// Run folder or learner.
+    #[command(flatten)]
+    pub(crate) learner: LearnerArgument,
+    /// Omit the lines of iterations up to and including this one [default: 0].
+    #[arg(long, value_name = "ITERATION")]
+    pub(crate) after: Option<u64>,
+    /// Print one JSON object per line.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Exit if the learner cannot be reached for this long.
+    #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
+    pub(crate) max_outage_secs: f64,
+}
 
 /// How long a learner may take to answer.
 const ANSWER: Duration = Duration::from_secs(3);

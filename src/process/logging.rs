@@ -3,12 +3,12 @@
 use std::io;
 use std::sync::OnceLock;
 
+use clap::ValueEnum;
 use indicatif::MultiProgress;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Layer};
 
-use crate::cli::{Arguments, Command, LogFormat};
 use crate::errors::Usage;
 
 /// The bars of this process; log lines are written above them.
@@ -19,16 +19,21 @@ pub(crate) fn bars() -> &'static MultiProgress {
     BARS.get_or_init(MultiProgress::new)
 }
 
-/// Starts logging with the filter of `--log`, else of RUST_LOG, else the default of the command.
+/// Log format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// Human-readable lines.
+    Text,
+    /// One JSON object per line.
+    Json,
+}
+
+/// Starts logging with the filter `given` by `--log`, else that of RUST_LOG, else `default`.
 ///
 /// # Errors
-/// If the filter of `--log` is invalid.
-pub(crate) fn start(arguments: &Arguments) -> Result<(), Usage> {
-    let default = match arguments.command {
-        Command::Learner(_) | Command::Actor(_) => "info",
-        _ => "warn",
-    };
-    let filter = match &arguments.log {
+/// The filter of `--log` is invalid.
+pub(crate) fn start(format: LogFormat, given: Option<&str>, default: &str) -> Result<(), Usage> {
+    let filter = match given {
         Some(filter) => EnvFilter::try_new(filter)
             .map_err(|error| Usage::new(format!("--log {filter}: {error}")))?,
         None => EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default)),
@@ -36,7 +41,7 @@ pub(crate) fn start(arguments: &Arguments) -> Result<(), Usage> {
     // A line that nobody reads must not be reported on the same stderr, which would panic.
     let lines = tracing_subscriber::fmt::layer().with_writer(|| AboveBars);
     let lines = lines.log_internal_errors(false);
-    let lines = match arguments.log_format {
+    let lines = match format {
         LogFormat::Text => lines.with_ansi(false).with_target(false).boxed(),
         LogFormat::Json => lines.json().flatten_event(true).boxed(),
     };

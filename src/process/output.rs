@@ -9,7 +9,6 @@ use std::sync::OnceLock;
 
 use anyhow::Context as _;
 
-use crate::cli::Command;
 use crate::errors::Usage;
 use crate::process::target::{Target, check_parent};
 
@@ -22,44 +21,43 @@ static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 const EXTENSIONS: [&str; 5] = ["csv", "onnx", "png", "svg", "xml"];
 
 struct Stdout {
-    /// Without output, the command has nothing to do.
-    only_prints: bool,
+    effect: Effect,
     /// Every write to a terminal that was closed fails.
     is_terminal: bool,
 }
 
+/// What a command does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Effect {
+    /// It prints; without output it has nothing to do.
+    Lines,
+    /// It does more than print.
+    Work,
+}
+
 /// Notes what the command does. Until then, and in tests, it counts as one that does more than print.
-pub(crate) fn start(command: &Command) {
-    let only_prints = matches!(
-        command,
-        Command::Status(_)
-            | Command::Watch(_)
-            | Command::Eval(_)
-            | Command::Inspect(_)
-            | Command::Config(_)
-    ) || matches!(command, Command::Tasks(tasks) if tasks.picture.is_none());
+pub(crate) fn start(effect: Effect) {
     let is_terminal = std::io::stdout().is_terminal();
-    STDOUT.get_or_init(|| Stdout { only_prints, is_terminal });
+    STDOUT.get_or_init(|| Stdout { effect, is_terminal });
 }
 
 /// Writes the text and a line break. If that fails, a command that only prints ends: with status 0 if the reader has
-/// gone, else with an error. Another command goes on, and [`finish`] returns the error.
+/// gone, else with an error. Another command continues, and [`finish`] returns the error.
 pub(crate) fn line(text: impl Display) {
     let mut stdout = std::io::stdout().lock();
     let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
     drop(stdout);
     let Err(why) = written else { return };
-    let (only_prints, is_terminal) =
-        STDOUT.get().map_or((false, false), |stdout| (stdout.only_prints, stdout.is_terminal));
-    let gone = is_terminal || why.kind() == ErrorKind::BrokenPipe;
-    match (only_prints, gone) {
-        (true, true) => exit(0),
-        (true, false) => {
+    let stdout = STDOUT.get_or_init(|| Stdout { effect: Effect::Work, is_terminal: false });
+    let gone = stdout.is_terminal || why.kind() == ErrorKind::BrokenPipe;
+    match (stdout.effect, gone) {
+        (Effect::Lines, true) => exit(0),
+        (Effect::Lines, false) => {
             error(format!("error: {STDOUT_FAILED}: {why}"));
             exit(1)
         }
-        (false, true) => {}
-        (false, false) => drop(FAILURE.set(why)),
+        (Effect::Work, true) => {}
+        (Effect::Work, false) => drop(FAILURE.set(why)),
     }
 }
 

@@ -7,6 +7,7 @@ use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use clap::Args;
 use learner::plain_file;
 
 use crate::errors::Usage;
@@ -18,6 +19,21 @@ pub(crate) enum Existing {
     Kept,
     /// They are replaced.
     Replaced,
+}
+
+/// Permission to replace files.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub(crate) struct ForceArguments {
+    /// Replace existing files, and write a file with any extension.
+    #[arg(long)]
+    force: bool,
+}
+
+impl ForceArguments {
+    /// What happens to existing files.
+    pub(crate) fn existing(self) -> Existing {
+        if self.force { Existing::Replaced } else { Existing::Kept }
+    }
 }
 
 /// A file to write.

@@ -9,9 +9,9 @@ use anyhow::Context as _;
 use learner::checkpoint;
 use security::Token;
 
-use crate::cli::SettingsArguments;
 use crate::config::environment_section::EnvironmentSection;
 use crate::process::output;
+use crate::run::launch::SettingsArguments;
 use crate::run::run_path;
 
 /// Poll interval for a running learner.

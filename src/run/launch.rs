@@ -3,22 +3,62 @@
 use std::path::{Path, PathBuf};
 
 use actor::Transport;
+use clap::Args;
 use learner::Launch;
 use learner::run_folder::RunFolder;
 use policy::RunSeed;
 use proto::Digest;
 use serde_json::json;
 
-use crate::cli::{ResumeArguments, SettingsArguments};
 use crate::config::run_config::RunConfig;
 use crate::config::run_settings::{ACTION_UNIT, settings_of_run};
 use crate::config::{ConfigError, Request, blame, effect, keys, layers};
 use crate::errors::Usage;
 use crate::run::fingerprints::{BUILD, Fingerprints};
-use crate::run::new_folder::{self, NewFolder, Others};
+use crate::run::new_folder::{NewFolder, Others};
 use crate::run::offered::Offered;
 use crate::run::run_path::demand_resumable;
-use crate::run::{message_sizes, resume, run_path};
+use crate::run::{message_sizes, new_folder, resume, run_path};
+
+/// Placeholder for the settings of a command in help texts.
+pub(crate) const VALUE_NAME: &str = "TASK | KEY=VALUE";
+
+/// Arguments that define the configuration.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct SettingsArguments {
+    /// Task or path of a task file, followed by settings as key.path=value.
+    #[arg(value_name = VALUE_NAME)]
+    pub(crate) settings: Vec<String>,
+    /// TOML file with settings. May be given several times; later files override earlier ones.
+    #[arg(long = "config", value_name = "FILE")]
+    pub(crate) files: Vec<PathBuf>,
+    /// Train in the environment that an external program offers at this URL. TASK then only selects the settings.
+    /// Short for environment_service.url=URL.
+    #[arg(long, value_name = "URL")]
+    pub(crate) environment: Option<String>,
+}
+
+impl SettingsArguments {
+    /// All settings as key.path=value, including those given by a separate flag.
+    pub(crate) fn written(&self) -> Vec<String> {
+        let url = self.environment.iter().map(|url| format!("environment_service.url={url}"));
+        self.settings.iter().cloned().chain(url).collect()
+    }
+}
+
+/// Resume of an earlier run.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct ResumeArguments {
+    /// Resume the run in this folder from its newest valid checkpoint.
+    #[arg(long, value_name = "RUN")]
+    pub(crate) resume: Option<PathBuf>,
+    /// Exit without cleanup at POINT@ITERATION, such as after-publish@3. Tests of crash recovery use it.
+    #[arg(long, value_name = "POINT@ITERATION", hide = true)]
+    pub(crate) die_at: Option<learner::Fault>,
+    /// Start a new run in run.dir although the folder contains other files.
+    #[arg(long, conflicts_with = "resume")]
+    pub(crate) force: bool,
+}
 
 /// A run that is ready to start.
 pub(crate) struct Prepared {

@@ -5,10 +5,10 @@ use std::process::ExitCode;
 use clap::CommandFactory as _;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
-use super::Arguments;
-use super::settings::VALUE_NAME;
+use crate::commands::Arguments;
 use crate::config::{keys, layers};
 use crate::process::output;
+use crate::run::launch::VALUE_NAME;
 
 /// Prints help and version as clap does, and any other report as one line.
 pub(crate) fn report(error: &clap::Error) -> ExitCode {
@@ -98,8 +98,9 @@ fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use clap::Parser as _;
+
+    use super::*;
 
     fn refusal(arguments: &[&str]) -> String {
         let arguments = [&["s2mia"], arguments].concat();
