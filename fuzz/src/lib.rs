@@ -1,9 +1,8 @@
 //! What a fuzz target and the inputs that it begins with must agree on.
 
-use candle_core::DType;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden,
+    ActorNetwork, ActorPolicy, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden,
 };
 use proto::{Digest, PolicyVersion, WeightsName};
 use recording::RecordedRun;
@@ -108,6 +107,6 @@ pub fn small_policy(core: CoreKind, observation: usize, action: usize) -> ActorP
         head_gain: 1.0,
     };
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
-    let network = ActorNetwork::new(&config, observation, action, DType::F32, &mut rng);
+    let network = ActorNetwork::new(&config, observation, action, Head::Gaussian, &mut rng);
     network.and_then(|network| network.policy()).expect("a small network")
 }

@@ -10,12 +10,12 @@ pub mod value_normalizer;
 use std::ops::Range;
 
 use candle_core::Tensor;
+use policy::InputNorm;
 use policy::arrays::{Array, NamedArrays};
 use policy::layers::LayerSpec;
 use policy::ops::{LayerStack, Weights};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{InputNorm, Precision};
 
 use crate::config::{CriticConfig, CriticCore};
 use crate::critic::loss::mean_explained;
@@ -34,6 +34,7 @@ use crate::optimisation::layers::{Normalisation, rectified_layers, rows};
 use crate::optimisation::minibatch::minibatches;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
+use crate::rounding::round;
 use crate::shape::assert_shape;
 
 /// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then a GRU with its LayerNorm if configured, then `V` values,
@@ -41,7 +42,6 @@ use crate::shape::assert_shape;
 pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
-    precision: Precision,
     /// Suffix of the names of its arrays.
     suffix: String,
     /// Index of the critic, which is also the index of its first value.
@@ -117,7 +117,7 @@ impl Critic {
         (adam_epsilon, chunk_steps): (f64, usize),
         (suffix, index): (&str, u32),
         (inputs, count): (usize, usize),
-        (seed, precision): (RunSeed, Precision),
+        seed: RunSeed,
     ) -> Result<Self, MarlError> {
         let draw = Draw::of(Purpose::CriticInitialisation).agent(index);
         let mut rng = generator(seed, draw);
@@ -132,7 +132,7 @@ impl Critic {
             CriticCore::Gru => Some(Memory::declare(&mut specs, config.width, chunk_steps)),
         };
         let mut parameters = Parameters::new();
-        let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), &mut rng)?;
+        let layers = LayerStack::declare(&mut parameters, &specs, &mut rng)?;
         let adam = AdamConfig {
             learning_rate: config.learning_rate,
             epsilon: adam_epsilon,
@@ -141,7 +141,6 @@ impl Critic {
         Ok(Self {
             config: config.clone(),
             seed,
-            precision,
             suffix: suffix.to_owned(),
             index,
             count,
@@ -168,7 +167,7 @@ impl Critic {
         start: Option<&SequenceStart>,
     ) -> Result<Tensor, MarlError> {
         self.scale.apply(&mut states, self.inputs);
-        let input = rows(states, self.inputs, self.precision)?;
+        let input = rows(states, self.inputs)?;
         Ok(weights.apply(&input, start.map(SequenceStart::input))?)
     }
 
@@ -217,7 +216,7 @@ impl Critic {
     fn of_head(&self, normalized: &[f64], head: usize) -> Vec<f64> {
         let column = normalized.iter().skip(head).step_by(self.count);
         let value = |&value: &f64| self.normalizers[head].denormalize(value);
-        column.map(|normal| self.precision.round(value(normal))).collect()
+        column.map(|normal| round(value(normal))).collect()
     }
 
     /// Keeps the recurrent states in which the rollout of `values` ended for the next rollout.
@@ -263,7 +262,7 @@ impl Critic {
                 figures.gradient_norm += weight * norm;
             }
         }
-        figures.explained_variance = mean_explained(self.precision, &values.now, returns);
+        figures.explained_variance = mean_explained(&values.now, returns);
         figures.skipped = self.adam.skipped();
         // After the fit, so that old and new values use the same scaling.
         self.scale.take_in(inputs.rows);
@@ -299,7 +298,7 @@ impl Critic {
         let order = layout.sources(part);
         let states = order.iter().flat_map(|&row| &rows[row * width..(row + 1) * width]);
         let start = values.unrolled.as_ref();
-        let start = start.map(|states| states.start(layout, part, self.precision)).transpose()?;
+        let start = start.map(|states| states.start(layout, part)).transpose()?;
         let output = self.forward(weights, states.copied().collect(), start.as_ref())?;
         let found = numbers(&output)?;
         let share = 1.0 / (total * layout.steps * self.count) as f64;

@@ -6,7 +6,7 @@ mod maddpg;
 mod mappo;
 mod on_policy;
 
-use policy::{PolicyConfig, Precision, RunSeed};
+use policy::{PolicyConfig, RunSeed};
 
 use crate::config::{Config, Rule};
 use crate::data::batch::Problem;
@@ -27,27 +27,12 @@ pub fn build(
     problem: &Problem,
     seed: RunSeed,
 ) -> Result<Box<dyn Algorithm>, MarlError> {
-    build_in(Precision::Single, config, policy, problem, seed)
-}
-
-/// As [`build`], in any precision.
-///
-/// # Errors
-/// As [`build`].
-pub fn build_in(
-    precision: Precision,
-    config: &Config,
-    policy: &PolicyConfig,
-    problem: &Problem,
-    seed: RunSeed,
-) -> Result<Box<dyn Algorithm>, MarlError> {
-    let start = (seed, precision);
     config.suits(policy)?;
     config.suits_agents(problem)?;
     match config.update.rule {
-        Rule::Happo => Ok(Box::new(OnPolicy::new(Happo, config, policy, problem, start)?)),
-        Rule::Mappo => Ok(Box::new(OnPolicy::new(Mappo, config, policy, problem, start)?)),
-        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, start)?)),
+        Rule::Happo => Ok(Box::new(OnPolicy::new(Happo, config, policy, problem, seed)?)),
+        Rule::Mappo => Ok(Box::new(OnPolicy::new(Mappo, config, policy, problem, seed)?)),
+        Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, seed)?)),
     }
 }
 

@@ -86,17 +86,6 @@ impl Array {
         }
     }
 
-    /// The elements in `range` as an array of the given shape.
-    #[must_use]
-    pub(crate) fn part(&self, range: core::ops::Range<usize>, shape: Vec<usize>) -> Self {
-        match self {
-            Self::F32 { data, .. } => Self::F32 { shape, data: data[range].to_vec() },
-            Self::F64 { data, .. } => Self::F64 { shape, data: data[range].to_vec() },
-            Self::I64 { data, .. } => Self::I64 { shape, data: data[range].to_vec() },
-            Self::U8 { data, .. } => Self::U8 { shape, data: data[range].to_vec() },
-        }
-    }
-
     fn dtype(&self) -> Dtype {
         match self {
             Self::F32 { .. } => Dtype::F32,

@@ -1,10 +1,9 @@
 //! The actor network that the learner trains.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{Device, Tensor, Var};
 use rand::RngCore;
 
 use crate::acting::{ActorPolicy, ActorSpec};
-use crate::arrays::Array;
 use crate::categorical::Categorical;
 use crate::config::PolicyConfig;
 use crate::error::PolicyError;
@@ -42,41 +41,25 @@ pub struct ActorNetwork {
 }
 
 impl ActorNetwork {
-    /// A network for `observation` features and `action` dimensions with a Gaussian head. Its weights are drawn
-    /// from `rng`.
+    /// A network for `observation` features and `action` action values. Its weights are drawn from `rng`.
     ///
     /// # Errors
-    /// Passes on a tensor error.
+    /// If `head` is invalid for `action` values; passes on a tensor error.
     pub fn new(
         config: &PolicyConfig,
         observation: usize,
         action: usize,
-        dtype: DType,
-        rng: &mut impl RngCore,
-    ) -> Result<Self, PolicyError> {
-        Self::with_head(config, observation, action, Head::Gaussian, dtype, rng)
-    }
-
-    /// As [`ActorNetwork::new`], for `action` action values and any head.
-    ///
-    /// # Errors
-    /// If `head` is invalid for `action` values; passes on a tensor error.
-    pub fn with_head(
-        config: &PolicyConfig,
-        observation: usize,
-        action: usize,
         head: Head,
-        dtype: DType,
         rng: &mut impl RngCore,
     ) -> Result<Self, PolicyError> {
         let spec = ActorSpec::new(config, observation, action, head)?;
         let mut parameters = Parameters::new();
         let declared = spec.layer_specs(f64::from(config.head_gain));
-        let layers = LayerStack::declare(&mut parameters, &declared, dtype, rng)?;
+        let layers = LayerStack::declare(&mut parameters, &declared, rng)?;
         let log_std = match head {
             Head::Gaussian => {
                 let start = Tensor::full(config.initial_log_std(), action, &Device::Cpu)?;
-                Some(parameters.add("head.log_std", start.to_dtype(dtype)?)?)
+                Some(parameters.add("head.log_std", start)?)
             }
             Head::Categorical { .. } | Head::Deterministic { .. } | Head::Uniform { .. } => None,
         };
@@ -185,7 +168,7 @@ impl ActorNetwork {
             (Some(log_std), _) => (sigmoid(log_std.as_tensor())? * self.spec.sigma_scale())?,
             (None, Some(sigma)) => {
                 let size = output.dim(1)?;
-                Tensor::full(f64::from(sigma), size, &Device::Cpu)?.to_dtype(output.dtype())?
+                Tensor::full(sigma, size, &Device::Cpu)?
             }
             (None, None) => {
                 return Ok(Distribution::Categorical(Categorical { logits: output }));
@@ -204,19 +187,12 @@ impl ActorNetwork {
         project_sigma(log_std, self.sigma_floor, self.spec.sigma_scale())
     }
 
-    /// A copy for acting, without a graph and in single precision.
+    /// A copy for acting, without a graph.
     ///
     /// # Errors
     /// Passes on a tensor error.
     pub fn policy(&self) -> Result<ActorPolicy, PolicyError> {
-        let mut arrays = self.parameters.to_arrays("")?;
-        for array in arrays.values_mut() {
-            if let Array::F64 { shape, data } = array {
-                let data = data.iter().map(|&x| x as f32).collect();
-                *array = Array::F32 { shape: shape.clone(), data };
-            }
-        }
-        ActorPolicy::new(self.spec.clone(), arrays)
+        ActorPolicy::new(self.spec.clone(), self.parameters.to_arrays("")?)
     }
 }
 
@@ -227,12 +203,8 @@ impl ActorNetwork {
 pub fn project_sigma(log_std: &Var, floor: f64, scale: f64) -> Result<(), PolicyError> {
     let share = floor / scale;
     let lowest = libm::log(share / (1.0 - share));
-    let values = log_std.as_tensor().to_dtype(DType::F64)?.to_vec1::<f64>()?;
-    if values.iter().any(|&value| value < lowest) {
-        let raised: Vec<f64> = values.into_iter().map(|value| value.max(lowest)).collect();
-        let width = raised.len();
-        let raised = Tensor::from_vec(raised, width, &Device::Cpu)?;
-        log_std.set(&raised.to_dtype(log_std.dtype())?)?;
-    }
-    Ok(())
+    let values = log_std.as_tensor().to_vec1::<f32>()?;
+    let raise = |value: f32| if f64::from(value) < lowest { lowest as f32 } else { value };
+    let raised = values.into_iter().map(raise);
+    Ok(log_std.set(&Tensor::from_iter(raised, &Device::Cpu)?)?)
 }

@@ -1,16 +1,41 @@
-//! Networks as operations on tensors.
-//!
-//! In single precision a whole network is one node of the graph, computed by the crate `kernels`. In double precision,
-//! and as the reference in tests, [`plain`] builds the same layers from candle's own operations.
+//! Networks as operations on tensors: a whole network is one node of the graph, computed by the crate `kernels`.
 
 mod network;
-pub mod plain;
-mod sigmoid;
-mod values;
 
-pub use kernels::{Activation, Layer, Network};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, WithDType};
+
+pub use kernels::{Activation, LAYER_NORM_EPSILON, Layer, Network};
 pub use network::{Backward, LayerStack, RecurrentInput, Weights};
-pub use sigmoid::sigmoid;
 
-/// Added to the variance in a layer norm, before the square root.
-pub const LAYER_NORM_EPSILON: f64 = 1e-5;
+/// `1 / (1 + exp(-x))` of every element, with the bits of `kernels`.
+///
+/// # Errors
+/// If the elements are not f32.
+pub fn sigmoid(x: &Tensor) -> Result<Tensor> {
+    x.contiguous()?.apply_op1(Sigmoid)
+}
+
+struct Sigmoid;
+
+impl CustomOp1 for Sigmoid {
+    fn name(&self) -> &'static str {
+        "sigmoid"
+    }
+
+    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let y: Vec<f32> = operand(x, layout)?.iter().map(|&x| kernels::sigmoid(x)).collect();
+        Ok((f32::to_cpu_storage_owned(y), layout.shape().clone()))
+    }
+
+    fn bwd(&self, _x: &Tensor, y: &Tensor, g: &Tensor) -> Result<Option<Tensor>> {
+        Ok(Some((g * (y * (1.0 - y)?)?)?))
+    }
+}
+
+/// The elements of a contiguous operand of a custom operation.
+fn operand<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+    let Some((start, end)) = layout.contiguous_offsets() else {
+        candle_core::bail!("a fused operation needs contiguous tensors, got {layout:?}")
+    };
+    Ok(&storage.as_slice::<f32>()?[start..end])
+}

@@ -2,7 +2,7 @@
 
 use core::ops::Range;
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{Device, Tensor, Var};
 
 use crate::arrays::{Array, NamedArrays};
 use crate::error::PolicyError;
@@ -51,11 +51,9 @@ impl Parameters {
         &mut self,
         named: Vec<(String, Vec<usize>)>,
         start: Vec<f32>,
-        dtype: DType,
     ) -> Result<Var, PolicyError> {
         let count = start.len();
-        let flat = Tensor::from_vec(start, count, &Device::Cpu)?.to_dtype(dtype)?;
-        self.declare(named, Var::from_tensor(&flat)?)
+        self.declare(named, Var::from_vec(start, count, &Device::Cpu)?)
     }
 
     fn declare(&mut self, named: Vec<(String, Vec<usize>)>, var: Var) -> Result<Var, PolicyError> {
@@ -113,10 +111,10 @@ impl Parameters {
     pub fn to_arrays(&self, prefix: &str) -> Result<NamedArrays, PolicyError> {
         let mut arrays = NamedArrays::new();
         for (index, var) in self.vars.iter().enumerate() {
-            let flat = flat_array(var)?;
+            let flat = var.as_tensor().flatten_all()?.to_vec1::<f32>()?;
             for span in self.spans.iter().filter(|span| span.var == index) {
-                let part = flat.part(span.range.clone(), span.shape.clone());
-                arrays.insert(format!("{prefix}{}", span.name), part);
+                let (shape, data) = (span.shape.clone(), flat[span.range.clone()].to_vec());
+                arrays.insert(format!("{prefix}{}", span.name), Array::F32 { shape, data });
             }
         }
         Ok(arrays)
@@ -136,59 +134,33 @@ impl Parameters {
         let parts = self
             .spans
             .iter()
-            .map(|span| stored(arrays, prefix, span, self.vars[span.var].dtype()))
+            .map(|span| stored(arrays, prefix, span))
             .collect::<Result<Vec<_>, _>>()?;
         for (index, var) in self.vars.iter().enumerate() {
             let own = self.spans.iter().zip(&parts).filter(|(span, _)| span.var == index);
-            let flat: Vec<&Array> = own.map(|(_, part)| *part).collect();
-            var.set(&joined(&flat, var)?)?;
+            let flat: Vec<f32> = own.flat_map(|(_, part)| *part).copied().collect();
+            var.set(&Tensor::from_vec(flat, var.dims(), &Device::Cpu)?)?;
         }
         Ok(())
     }
 }
 
-fn flat_array(var: &Var) -> Result<Array, PolicyError> {
-    let (shape, flat) = (vec![var.elem_count()], var.as_tensor().flatten_all()?);
-    Ok(match var.dtype() {
-        DType::F64 => Array::F64 { shape, data: flat.to_vec1()? },
-        _ => Array::F32 { shape, data: flat.to_vec1()? },
-    })
-}
-
-/// The concatenated arrays as a tensor of `var`'s shape.
-fn joined(parts: &[&Array], var: &Var) -> Result<Tensor, PolicyError> {
-    let (mut single, mut double) = (Vec::new(), Vec::new());
-    for part in parts {
-        match part {
-            Array::F32 { data, .. } => single.extend_from_slice(data),
-            Array::F64 { data, .. } => double.extend_from_slice(data),
-            Array::I64 { .. } | Array::U8 { .. } => {}
-        }
-    }
-    Ok(match var.dtype() {
-        DType::F64 => Tensor::from_vec(double, var.dims(), &Device::Cpu)?,
-        _ => Tensor::from_vec(single, var.dims(), &Device::Cpu)?,
-    })
-}
-
+/// The elements of the array of one parameter.
 fn stored<'a>(
     arrays: &'a NamedArrays,
     prefix: &str,
     span: &TensorSpan,
-    dtype: DType,
-) -> Result<&'a Array, PolicyError> {
+) -> Result<&'a [f32], PolicyError> {
     let name = format!("{prefix}{}", span.name);
-    let array =
-        arrays.get(&name).ok_or_else(|| PolicyError::Restore(format!("{name} is missing")))?;
-    let fits =
-        matches!((array, dtype), (Array::F32 { .. }, DType::F32) | (Array::F64 { .. }, DType::F64));
-    if !fits || array.shape() != span.shape {
-        let (found, expected) = (array.shape(), &span.shape);
-        return Err(PolicyError::Restore(format!(
-            "{name} has shape {found:?}, expected {expected:?} {dtype:?}"
-        )));
+    match arrays.get(&name) {
+        Some(Array::F32 { shape, data }) if *shape == span.shape => Ok(data),
+        Some(other) => {
+            let (found, expected) = (other.shape(), &span.shape);
+            let detail = format!("{name} has shape {found:?}, expected {expected:?} F32");
+            Err(PolicyError::Restore(detail))
+        }
+        None => Err(PolicyError::Restore(format!("{name} is missing"))),
     }
-    Ok(array)
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! A fixed computation whose hash shows whether two machines compute the same bits.
 
-use candle_core::DType;
 use sha2::{Digest, Sha256};
 
 use crate::acting::{ActorPolicy, Scratch};
@@ -69,7 +68,7 @@ fn fixed_policy(core: CoreKind, head: Head, action: usize) -> Result<ActorPolicy
         head_gain: 1.0,
     };
     let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe));
-    ActorNetwork::with_head(&config, OBSERVATION, action, head, DType::F32, &mut rng)?.policy()
+    ActorNetwork::new(&config, OBSERVATION, action, head, &mut rng)?.policy()
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Tensor};
 use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, InputNorm, PolicyConfig,
+    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, Head, InputNorm, PolicyConfig,
     RefreshHidden, Scratch, SequenceInput, gaussian,
 };
 
@@ -32,7 +32,7 @@ fn config(core: CoreKind) -> PolicyConfig {
 
 fn network(core: CoreKind) -> ActorNetwork {
     let mut rng = generator(RunSeed(11), Draw::of(Purpose::Initialisation));
-    ActorNetwork::new(&config(core), OBSERVATION, ACTION, DType::F32, &mut rng).unwrap()
+    ActorNetwork::new(&config(core), OBSERVATION, ACTION, Head::Gaussian, &mut rng).unwrap()
 }
 
 fn normals(seed: u64, count: usize) -> Vec<f32> {
@@ -171,9 +171,14 @@ fn projection_holds_sigma_at_its_floor_and_leaves_the_rest_alone() {
 fn the_same_draw_gives_the_same_network_and_another_draw_another() {
     let bits = |seed: u64| {
         let mut rng = generator(RunSeed(seed), Draw::of(Purpose::Initialisation));
-        let network =
-            ActorNetwork::new(&config(CoreKind::Gru), OBSERVATION, ACTION, DType::F32, &mut rng)
-                .unwrap();
+        let network = ActorNetwork::new(
+            &config(CoreKind::Gru),
+            OBSERVATION,
+            ACTION,
+            Head::Gaussian,
+            &mut rng,
+        )
+        .unwrap();
         policy::arrays::sha256(&network.parameters().to_arrays("").unwrap())
     };
     assert_eq!(bits(1), bits(1));

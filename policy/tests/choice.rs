@@ -30,7 +30,7 @@ fn network(core: CoreKind) -> ActorNetwork {
     };
     let mut rng = generator(RunSeed(11), Draw::of(Purpose::Initialisation));
     let head = Head::Categorical { choices: CHOICES };
-    ActorNetwork::with_head(&config, OBSERVATION, 1, head, DType::F32, &mut rng).unwrap()
+    ActorNetwork::new(&config, OBSERVATION, 1, head, &mut rng).unwrap()
 }
 
 fn normals(seed: u64, count: usize) -> Vec<f32> {
@@ -147,7 +147,7 @@ fn a_gaussian_snapshot_says_nothing_of_heads_and_a_head_that_does_not_fit_is_ref
             sigma_floor: 0.05,
             head_gain: 1.0,
         };
-        ActorNetwork::with_head(&config, 3, action, head, DType::F32, &mut rng)
+        ActorNetwork::new(&config, 3, action, head, &mut rng)
     };
     let gaussian = build(2, Head::Gaussian).unwrap().policy().unwrap();
     let bytes = PolicySnapshot { agents: vec![gaussian] }.to_bytes().unwrap();

@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::DType;
 use policy::arrays::{Array, from_safetensors, to_safetensors};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::snapshot::{Repeat, repeats};
@@ -33,7 +32,7 @@ fn snapshot() -> PolicySnapshot {
     let agent = |(index, core): (usize, CoreKind)| {
         let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation).agent(index as u32));
         let config = PolicyConfig { core, ..config() };
-        ActorNetwork::new(&config, 5 + index, 1 + index, DType::F32, &mut rng)
+        ActorNetwork::new(&config, 5 + index, 1 + index, Head::Gaussian, &mut rng)
             .unwrap()
             .policy()
             .unwrap()
@@ -79,7 +78,7 @@ fn the_snapshot_says_how_to_act_and_a_deterministic_actor_has_no_deviations_to_l
     let head = Head::Deterministic { noise_sigma: 0.1, low: -1.0, high: 3.0 };
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
     let config = PolicyConfig { core: CoreKind::Mlp, ..config() };
-    let network = ActorNetwork::with_head(&config, 5, 2, head, DType::F32, &mut rng).unwrap();
+    let network = ActorNetwork::new(&config, 5, 2, head, &mut rng).unwrap();
     let exploring = network.policy().unwrap();
     let warming_up = exploring.clone().uniform();
     assert!(!exploring.arrays().contains_key("head.log_std"));

@@ -126,7 +126,7 @@ fn action(graph: &mut Graph, agent: &ActorPolicy) {
 
 fn norm(graph: &mut Graph, name: &str, from: &str, to: &str) {
     let inputs = [from, &format!("{name}.weight"), &format!("{name}.bias")];
-    let epsilon = float("epsilon", LAYER_NORM_EPSILON as f32);
+    let epsilon = float("epsilon", LAYER_NORM_EPSILON);
     graph.node("LayerNormalization", &inputs, &[to], [integer("axis", -1), epsilon]);
 }
 

@@ -1,9 +1,9 @@
 //! The critic's loss, and how much of the returns its values explain.
 
-use policy::Precision;
 use rayon::prelude::*;
 
 use crate::objective::surrogate::mean_and_deviation;
+use crate::rounding::rounded;
 use crate::shape::assert_shape;
 
 /// Huber's loss of an error and its derivative: `e^2 / 2` within `delta`, linear beyond.
@@ -38,21 +38,16 @@ pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (
 /// # Panics
 /// If the shapes differ.
 #[must_use]
-pub fn explained_variance(precision: Precision, values: &[f64], returns: &[f64]) -> f64 {
+pub fn explained_variance(values: &[f64], returns: &[f64]) -> f64 {
     assert_shape("values", values.len(), returns.len());
-    let rest = precision.rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
+    let rest = rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
     let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
     if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
 }
 
 /// Mean of [`explained_variance`] over `[V][T, B]`.
-pub(super) fn mean_explained(
-    precision: Precision,
-    values: &[Vec<f64>],
-    returns: &[Vec<f64>],
-) -> f64 {
-    let one =
-        |(values, returns): (&Vec<f64>, &Vec<f64>)| explained_variance(precision, values, returns);
+pub(super) fn mean_explained(values: &[Vec<f64>], returns: &[Vec<f64>]) -> f64 {
+    let one = |(values, returns): (&Vec<f64>, &Vec<f64>)| explained_variance(values, returns);
     let shares: Vec<f64> = values.par_iter().zip(returns).map(one).collect();
     shares.iter().sum::<f64>() / shares.len() as f64
 }
@@ -83,10 +78,10 @@ mod tests {
 
     #[test]
     fn values_equal_to_the_returns_have_an_explained_variance_of_one() {
-        let (double, returns) = (Precision::Double, [1.0, 2.0, 3.0]);
-        assert_eq!(explained_variance(double, &returns, &returns), 1.0);
-        assert_eq!(explained_variance(double, &[2.0; 3], &returns), 0.0);
+        let returns = [1.0, 2.0, 3.0];
+        assert_eq!(explained_variance(&returns, &returns), 1.0);
+        assert_eq!(explained_variance(&[2.0; 3], &returns), 0.0);
         let (both, known) = (vec![returns.to_vec(); 2], vec![returns.to_vec(), vec![2.0; 3]]);
-        assert_eq!(mean_explained(double, &known, &both), 0.5);
+        assert_eq!(mean_explained(&known, &both), 0.5);
     }
 }

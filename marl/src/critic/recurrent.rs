@@ -2,12 +2,11 @@
 //! from one to the next, and is zeros where an episode begins.
 //!
 //! Values before an update come from one pass over the whole rollout with the weights before it. The fit starts every
-//! chunk of truncated back-propagation from the state of that pass, a constant in single precision, as an actor's does.
+//! chunk of truncated back-propagation from the state of that pass, a constant, as an actor's does.
 
 use std::ops::Range;
 
-use candle_core::{DType, Device, Tensor};
-use policy::Precision;
+use candle_core::{Device, Tensor};
 use policy::arrays::Array;
 use policy::layers::LayerSpec;
 use policy::ops::{RecurrentInput, Weights};
@@ -137,13 +136,12 @@ impl Unrolled {
         &self,
         layout: Layout,
         columns: &[usize],
-        precision: Precision,
     ) -> Result<SequenceStart, MarlError> {
         let width = self.width;
         let state = |&column: &usize| &self.starts[column * width..(column + 1) * width];
         let states = columns.iter().flat_map(state).copied().collect();
         let mask = layout.columns(&self.mask, 1, columns);
-        SequenceStart::new(states, mask, (columns.len(), width), precision)
+        SequenceStart::new(states, mask, (columns.len(), width))
     }
 }
 
@@ -153,14 +151,11 @@ impl SequenceStart {
         states: Vec<f32>,
         mask: Vec<f32>,
         (count, width): (usize, usize),
-        precision: Precision,
     ) -> Result<Self, MarlError> {
         assert_shape("start states", states.len(), count * width);
         let mask_shape = (mask.len() / count, count);
-        let tensor = |data: Vec<f32>, shape: (usize, usize)| {
-            Tensor::from_vec(data, shape, &Device::Cpu)?.to_dtype(precision.dtype())
-        };
-        Ok(Self { states: tensor(states, (count, width))?, mask: tensor(mask, mask_shape)? })
+        let states = Tensor::from_vec(states, (count, width), &Device::Cpu)?;
+        Ok(Self { states, mask: Tensor::from_vec(mask, mask_shape, &Device::Cpu)? })
     }
 
     pub(super) fn input(&self) -> RecurrentInput<'_> {
@@ -226,10 +221,10 @@ impl Critic {
             self.scale.apply(&mut own, self.inputs);
             let states = start[range.start * width..range.end * width].to_vec();
             let mask = layout.columns(mask, 1, &columns);
-            let start = SequenceStart::new(states, mask, (columns.len(), width), self.precision)?;
-            let own = rows(own, self.inputs, self.precision)?;
+            let start = SequenceStart::new(states, mask, (columns.len(), width))?;
+            let own = rows(own, self.inputs)?;
             let (states, values) = weights.states_and_output(&own, start.input())?;
-            let states = states.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>()?;
+            let states = states.flatten_all()?.to_vec1::<f32>()?;
             Ok((columns, numbers(&values)?, states))
         };
         let mut values = vec![0.0; layout.rows() * self.count];

@@ -1,7 +1,7 @@
 //! The critics of an algorithm: one of the global state, or, as in independent PPO, one per agent of its observation.
 
+use policy::RunSeed;
 use policy::arrays::NamedArrays;
-use policy::{Precision, RunSeed};
 use rayon::prelude::*;
 
 use super::{Critic, CriticFigures, ValueInputs, Values};
@@ -16,25 +16,25 @@ pub(crate) struct Critics {
 }
 
 impl Critics {
-    /// Critics for `problem` in the precision of `start`, with weights initialised by its seed. `chunk_steps` are the
-    /// steps of truncated back-propagation.
+    /// Critics for `problem`, with weights initialised by `seed`. `chunk_steps` are the steps of truncated
+    /// back-propagation.
     pub(crate) fn new(
         config: &Config,
         chunk_steps: usize,
         problem: &Problem,
-        start: (RunSeed, Precision),
+        seed: RunSeed,
     ) -> Result<Self, MarlError> {
         let (own, actors) = (&config.critic, (config.update.adam_epsilon, chunk_steps));
         let critics = match own.input {
             CriticInput::State => {
                 let sizes = (problem.state, config.critic_mode().values(problem.agents.len()));
-                vec![Critic::new(own, actors, ("", 0), sizes, start)?]
+                vec![Critic::new(own, actors, ("", 0), sizes, seed)?]
             }
             CriticInput::Observation => {
                 let one = |(index, agent): (usize, &AgentShape)| {
                     let suffix = format!("_{index}");
                     let number = (suffix.as_str(), index as u32);
-                    Critic::new(own, actors, number, (agent.observation, 1), start)
+                    Critic::new(own, actors, number, (agent.observation, 1), seed)
                 };
                 problem.agents.iter().enumerate().map(one).collect::<Result<_, _>>()?
             }

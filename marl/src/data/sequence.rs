@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 use policy::network::SequenceInput;
 
 use crate::data::batch::Batch;
@@ -160,8 +160,8 @@ impl Sequences {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn input(&self, columns: &[usize], dtype: DType) -> Result<SequenceInput, MarlError> {
-        self.input_from(columns, self.states(&self.hidden, columns), dtype)
+    pub fn input(&self, columns: &[usize]) -> Result<SequenceInput, MarlError> {
+        self.input_from(columns, self.states(&self.hidden, columns))
     }
 
     /// States of the chunks `columns`, `[columns, H]`, from those of all chunks `[C, H]`.
@@ -179,13 +179,11 @@ impl Sequences {
         &self,
         columns: &[usize],
         start: Vec<f32>,
-        dtype: DType,
     ) -> Result<SequenceInput, MarlError> {
         let (steps, count) = (self.layout.steps, columns.len());
         let (observation, hidden) = self.widths;
-        let tensor = |data: Vec<f32>, shape: (usize, usize)| {
-            Tensor::from_vec(data, shape, &Device::Cpu)?.to_dtype(dtype)
-        };
+        let tensor =
+            |data: Vec<f32>, shape: (usize, usize)| Tensor::from_vec(data, shape, &Device::Cpu);
         Ok(SequenceInput {
             observation: tensor(
                 self.layout.columns(&self.observation, observation, columns),
@@ -238,7 +236,7 @@ mod tests {
         let batch = numbered();
         let sequences = Sequences::of(&batch, 0, Layout::of(&batch, 2), 1);
         assert_eq!(sequences.observation, vec![0., 1., 4., 5., 2., 3., 6., 7.]);
-        let input = sequences.input(&[1, 2], DType::F32).expect("shapes fit");
+        let input = sequences.input(&[1, 2]).expect("shapes fit");
         let rows = input.observation.to_vec2::<f32>().expect("two axes");
         assert_eq!(rows, vec![vec![1.], vec![4.], vec![3.], vec![6.]]);
         assert_eq!(input.hidden.to_vec2::<f32>().expect("two axes"), vec![vec![11.], vec![12.]]);

@@ -3,7 +3,6 @@
 
 use candle_core::{Device, Tensor, Var};
 use libm::{exp, log};
-use policy::Precision;
 use policy::arrays::NamedArrays;
 use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, Backward, LayerStack};
@@ -82,14 +81,14 @@ impl Vae {
         (seed, agent): (RunSeed, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::DensityInitialisation).agent(agent));
-        let (mut parameters, single) = (Parameters::new(), Precision::Single.dtype());
+        let mut parameters = Parameters::new();
         let (features, hidden, latent) = (moments.signals(), config.hidden, config.latent);
         let (tanh, identity) = (Activation::Tanh, Activation::Identity);
         let mut pair = |name: &str, from: usize, to: usize, gain: f64| {
             let (first, second) = (format!("{name}.hidden"), format!("{name}.output"));
             let first = LayerSpec::linear(&first, (from, hidden), tanh, TANH_GAIN);
             let second = LayerSpec::linear(&second, (hidden, to), identity, gain);
-            LayerStack::declare(&mut parameters, &[first, second], single, &mut rng)
+            LayerStack::declare(&mut parameters, &[first, second], &mut rng)
         };
         let encoder = pair("encoder", features, 2 * latent, ENCODER_GAIN)?;
         let decoder = pair("decoder", latent, features, DECODER_GAIN)?;
@@ -126,7 +125,7 @@ impl Vae {
     }
 
     fn latent(&self, inputs: &[f32]) -> Result<Latent, MarlError> {
-        let inputs = rows(inputs.to_vec(), self.moments.signals(), Precision::Single)?;
+        let inputs = rows(inputs.to_vec(), self.moments.signals())?;
         let encoded = self.encoder.weights()?.apply(&inputs, None)?;
         let all = numbers(&encoded)?;
         let half = |from: usize| -> Vec<f64> {
@@ -147,11 +146,7 @@ impl Vae {
         latent: &Latent,
         noise: &[f64],
     ) -> Result<Vec<f64>, MarlError> {
-        let mean = numbers(&self.decoded(&rows(
-            latent.sample(noise),
-            self.latent,
-            Precision::Single,
-        )?)?)?;
+        let mean = numbers(&self.decoded(&rows(latent.sample(noise), self.latent)?)?)?;
         let (log_sigma, width) = (numbers(self.log_sigma.as_tensor())?, self.moments.signals());
         let row = |(x, mean): (&[f32], &[f64])| -> f64 {
             let term = |i: usize| {
@@ -173,14 +168,14 @@ impl Vae {
     /// the graphs of decoder and encoder; the gradient through it is computed by hand.
     fn gradients(&self, inputs: &[f32], noise: &[f64]) -> Result<Gradients, MarlError> {
         let latent = self.latent(inputs)?;
-        let z = Var::from_tensor(&rows(latent.sample(noise), self.latent, Precision::Single)?)?;
+        let z = Var::from_tensor(&rows(latent.sample(noise), self.latent)?)?;
         let decoded = self.decoded(z.as_tensor())?;
         let (d_decoded, d_log_sigma) = self.reconstruction_gradient(inputs, &numbers(&decoded)?)?;
         let mut outer = Backward::from(&root(&[
             OutputGradient { output: &decoded, gradient: &d_decoded },
             OutputGradient { output: self.log_sigma.as_tensor(), gradient: &d_log_sigma },
         ])?)?;
-        let d_z = by(&mut outer, &z, "latent")?.numbers();
+        let d_z = by(&mut outer, &z, "latent")?;
         let d_encoded = latent_gradient(&latent, noise, &d_z, self.latent);
         let inner = root(&[OutputGradient { output: &latent.encoded, gradient: &d_encoded }])?;
         let mut inner = Backward::from(&inner)?;
@@ -234,12 +229,13 @@ impl Vae {
 
 /// Gradient of the mean loss with respect to the encoder's output `[R, 2 latent]`: through the sample, and of
 /// [`Latent::divergence`].
-fn latent_gradient(latent: &Latent, noise: &[f64], d_z: &[f64], width: usize) -> Vec<f64> {
+fn latent_gradient(latent: &Latent, noise: &[f64], d_z: &[f32], width: usize) -> Vec<f64> {
     let share = width as f64 / d_z.len() as f64;
-    let by_mean = |i: usize| d_z[i] + share * latent.mean[i];
+    let by_z = |i: usize| f64::from(d_z[i]);
+    let by_mean = |i: usize| by_z(i) + share * latent.mean[i];
     let by_log_variance = |i: usize| {
         let sigma = latent.sigma(i);
-        0.5 * (d_z[i] * sigma * noise[i] + share * (sigma * sigma - 1.0))
+        0.5 * (by_z(i) * sigma * noise[i] + share * (sigma * sigma - 1.0))
     };
     let row = |start: usize| {
         let here = start..start + width;
@@ -319,6 +315,7 @@ fn picked<V: Copy>(from: &[V], part: &[usize], width: usize) -> Vec<V> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::optimisation::tests::meets_finite_differences;
     use crate::probe;
 
     #[test]
@@ -340,19 +337,7 @@ mod tests {
         };
         let found = vae.gradients(&inputs, &noise).unwrap();
         for (var, gradient) in vae.parameters.vars().iter().zip(&found.0) {
-            let values = var.as_tensor().flatten_all().unwrap().to_vec1::<f32>().unwrap();
-            let moved = |at: usize, by: f32| {
-                let mut values = values.clone();
-                values[at] += by;
-                var.set(&Tensor::from_vec(values, var.shape().clone(), &Device::Cpu).unwrap())
-                    .unwrap();
-                loss()
-            };
-            for (at, found) in gradient.numbers().into_iter().enumerate() {
-                let slope = (moved(at, 1e-3) - moved(at, -1e-3)) / 2e-3;
-                let _ = moved(at, 0.0);
-                assert!((slope - found).abs() < 2e-3 * (1.0 + slope.abs()));
-            }
+            meets_finite_differences(&loss, (var, gradient), 1, (1e-2, 2e-5));
         }
     }
 }

@@ -3,8 +3,7 @@
 
 use std::ops::Range;
 
-use candle_core::{Device, Tensor, Var};
-use policy::Precision;
+use candle_core::{DType, Device, Tensor, Var};
 use policy::arrays::NamedArrays;
 use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
@@ -20,6 +19,7 @@ use crate::optimisation::layers::rows;
 use crate::optimisation::minibatch::minibatches;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
+use crate::rounding::round;
 use crate::shape::assert_shape;
 
 /// Sizes of one agent's posterior.
@@ -41,7 +41,6 @@ pub struct PosteriorShape {
 /// posterior is therefore the policy, and every estimate from it is exactly 0.
 pub struct Posterior {
     config: InfluenceConfig,
-    precision: Precision,
     shape: PosteriorShape,
     parameters: Parameters,
     /// Input: the other agents' actions.
@@ -119,10 +118,10 @@ impl Posterior {
         config: &InfluenceConfig,
         adam_config: AdamConfig,
         shape: PosteriorShape,
-        (seed, precision, agent): (RunSeed, Precision, u32),
+        (seed, agent): (RunSeed, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
-        let (mut parameters, dtype) = (Parameters::new(), precision.dtype());
+        let mut parameters = Parameters::new();
         let (others, joined) = (config.encoder, shape.features + config.encoder);
         let tanh = Activation::Tanh;
         let outputs = shape.kind.head().outputs(shape.action);
@@ -131,17 +130,17 @@ impl Posterior {
             LayerSpec::linear("joined", (joined, config.hidden), tanh, TANH_GAIN),
             LayerSpec::linear("head", (config.hidden, outputs), Activation::Identity, 0.0),
         ];
-        let encoder = LayerStack::declare(&mut parameters, &encoder, dtype, &mut rng)?;
-        let joined = LayerStack::declare(&mut parameters, &joined, dtype, &mut rng)?;
+        let encoder = LayerStack::declare(&mut parameters, &encoder, &mut rng)?;
+        let joined = LayerStack::declare(&mut parameters, &joined, &mut rng)?;
         let sigma_correction = match shape.kind {
             ActionKind::Continuous => {
-                let start = Tensor::zeros(shape.action, dtype, &Device::Cpu)?;
+                let start = Tensor::zeros(shape.action, DType::F32, &Device::Cpu)?;
                 Some(parameters.add("sigma_correction", start)?)
             }
             ActionKind::Discrete { .. } => None,
         };
         let (config, adam) = (config.clone(), Adam::new(adam_config, &parameters));
-        Ok(Self { config, precision, shape, parameters, encoder, joined, sigma_correction, adam })
+        Ok(Self { config, shape, parameters, encoder, joined, sigma_correction, adam })
     }
 
     fn weights(&self) -> Result<[Weights; 2], MarlError> {
@@ -160,7 +159,7 @@ impl Posterior {
         let index = Tensor::from_vec(index, part.len(), &Device::Cpu)?;
         let features = data.features.index_select(&index, 0)?.detach();
         let others = part.iter().flat_map(|&row| &data.others[row * width..(row + 1) * width]);
-        let others = rows(others.copied().collect(), width, self.precision)?;
+        let others = rows(others.copied().collect(), width)?;
         let shift =
             joined.apply(&Tensor::cat(&[features, encoder.apply(&others, None)?], 1)?, None)?;
         let factor = self.sigma_correction.as_ref().map(|c| sigmoid(c.as_tensor())? * 2.0);
@@ -242,12 +241,11 @@ impl Posterior {
         };
         let lowest = |sigma: &f64| {
             let half = (0.5 * self.config.posterior_sigma_floor / sigma).min(0.5);
-            self.precision.round(libm::log(half / (1.0 - half)))
+            round(libm::log(half / (1.0 - half)))
         };
         let held = numbers(correction.as_tensor())?.into_iter().zip(&policy.sigma);
-        let held: Vec<f64> = held.map(|(c, sigma)| c.max(lowest(sigma))).collect();
-        let held = Tensor::from_vec(held, policy.sigma.len(), &Device::Cpu)?;
-        Ok(correction.set(&held.to_dtype(self.precision.dtype())?)?)
+        let held = held.map(|(c, sigma)| c.max(lowest(sigma)) as f32);
+        Ok(correction.set(&Tensor::from_iter(held, &Device::Cpu)?)?)
     }
 
     /// The posterior of the rows `of` of `data`.

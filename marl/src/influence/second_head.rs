@@ -6,7 +6,7 @@ use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{Distribution, Gaussian, PolicyConfig, Precision, project_sigma};
+use policy::{Distribution, Gaussian, PolicyConfig, project_sigma};
 
 use crate::config::InfluenceConfig;
 use crate::distribution::HeadRows;
@@ -20,7 +20,6 @@ pub struct SecondHead {
     others: usize,
     sigma_scale: f64,
     sigma_floor: f64,
-    precision: Precision,
     parameters: Parameters,
     /// Input: the other agents' actions.
     encoder: LayerStack,
@@ -38,10 +37,10 @@ impl SecondHead {
         config: &InfluenceConfig,
         policy: &PolicyConfig,
         shape: PosteriorShape,
-        (seed, precision, agent): (RunSeed, Precision, u32),
+        (seed, agent): (RunSeed, u32),
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
-        let (mut parameters, dtype) = (Parameters::new(), precision.dtype());
+        let mut parameters = Parameters::new();
         let (tanh, gain) = (Activation::Tanh, f64::from(policy.head_gain));
         let encoder = (shape.others, config.encoder);
         let joined = (shape.features + config.encoder, config.hidden);
@@ -51,15 +50,14 @@ impl SecondHead {
             LayerSpec::linear("joined", joined, tanh, TANH_GAIN),
             LayerSpec::linear("head", head, Activation::Identity, gain),
         ];
-        let encoder = LayerStack::declare(&mut parameters, &encoder, dtype, &mut rng)?;
-        let joined = LayerStack::declare(&mut parameters, &joined, dtype, &mut rng)?;
+        let encoder = LayerStack::declare(&mut parameters, &encoder, &mut rng)?;
+        let joined = LayerStack::declare(&mut parameters, &joined, &mut rng)?;
         let start = Tensor::full(policy.initial_log_std(), shape.action, &Device::Cpu)?;
-        let log_std = parameters.add("log_std", start.to_dtype(dtype)?)?;
+        let log_std = parameters.add("log_std", start)?;
         Ok(Self {
             others: shape.others,
             sigma_scale: f64::from(policy.sigma_scale),
             sigma_floor: config.posterior_sigma_floor,
-            precision,
             parameters,
             encoder,
             joined,
@@ -91,7 +89,7 @@ impl SecondHead {
         features: &Tensor,
         others: Vec<f32>,
     ) -> Result<Distribution, MarlError> {
-        let encoded = encoder.apply(&rows(others, self.others, self.precision)?, None)?;
+        let encoded = encoder.apply(&rows(others, self.others)?, None)?;
         let mean = joined.apply(&Tensor::cat(&[features, &encoded], 1)?, None)?;
         let sigma = (sigmoid(self.log_std.as_tensor())? * self.sigma_scale)?;
         Ok(Distribution::Gaussian(Gaussian { mean, sigma }))

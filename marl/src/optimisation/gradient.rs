@@ -5,11 +5,10 @@ use policy::ops::Backward;
 use policy::parameters::Parameters;
 
 use crate::error::MarlError;
-use crate::optimisation::reals::Reals;
 
-/// Gradients in the order of a network's variables, in their precision.
+/// Gradients in the order of a network's variables, each row-major.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Gradients(pub Vec<Reals>);
+pub struct Gradients(pub Vec<Vec<f32>>);
 
 /// A network's output and the gradient of the loss with respect to it, row-major.
 pub struct OutputGradient<'a> {
@@ -27,7 +26,8 @@ pub struct OutputGradient<'a> {
 pub fn root(outputs: &[OutputGradient<'_>]) -> Result<Tensor, MarlError> {
     let mut total = None;
     for OutputGradient { output, gradient } in outputs {
-        let constant = like(output, gradient)?;
+        let gradient: Vec<f32> = gradient.iter().map(|&x| x as f32).collect();
+        let constant = Tensor::from_vec(gradient, output.shape(), &Device::Cpu)?;
         let part = (*output * constant)?.sum_all()?;
         total = Some(match total {
             None => part,
@@ -52,7 +52,7 @@ impl Gradients {
     /// Adds `other` element by element.
     pub fn add(&mut self, other: &Self) {
         for (own, other) in self.0.iter_mut().zip(&other.0) {
-            own.add(other);
+            own.iter_mut().zip(other).for_each(|(own, other)| *own += other);
         }
     }
 
@@ -63,14 +63,15 @@ impl Gradients {
         let mut agents = agents.into_iter();
         let mut mean = agents.next().unwrap_or(Self(Vec::new()));
         agents.for_each(|agent| mean.add(&agent));
-        mean.0.iter_mut().for_each(|gradient| gradient.share(count));
+        let share = 1.0 / count as f32;
+        mean.0.iter_mut().for_each(|gradient| gradient.iter_mut().for_each(|x| *x *= share));
         mean
     }
 
     /// Euclidean norm over all parameters. Squares are summed in f64, in parameter order.
     #[must_use]
     pub fn norm(&self) -> f64 {
-        libm::sqrt(self.0.iter().map(Reals::sum_of_squares).sum())
+        libm::sqrt(self.0.iter().map(|gradient| sum_of_squares(gradient)).sum())
     }
 }
 
@@ -78,12 +79,23 @@ impl Gradients {
 ///
 /// # Errors
 /// If the backward pass did not reach the variable.
-pub fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Reals, MarlError> {
+pub fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Vec<f32>, MarlError> {
     if let Some(fused) = backward.take_fused(var) {
-        return Ok(Reals::Single(fused));
+        return Ok(fused);
     }
-    let found = backward.by(var)?;
-    Reals::of(&found.ok_or_else(|| MarlError::NoGradient(name.to_owned()))?)
+    let found = backward.by(var)?.ok_or_else(|| MarlError::NoGradient(name.to_owned()))?;
+    Ok(found.flatten_all()?.to_vec1()?)
+}
+
+/// Sum of all squares in f64: eight partial sums of every eighth element, then added in order.
+fn sum_of_squares(numbers: &[f32]) -> f64 {
+    let mut sums = [0.0; 8];
+    for part in numbers.chunks(sums.len()) {
+        for (sum, &x) in sums.iter_mut().zip(part) {
+            *sum += f64::from(x) * f64::from(x);
+        }
+    }
+    sums.iter().sum()
 }
 
 /// Values of a tensor in f64, row-major.
@@ -92,13 +104,4 @@ pub fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Reals, MarlE
 /// If a tensor operation fails.
 pub fn numbers(tensor: &Tensor) -> Result<Vec<f64>, MarlError> {
     Ok(tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?)
-}
-
-fn like(output: &Tensor, data: &[f64]) -> Result<Tensor, MarlError> {
-    let shape = output.shape().clone();
-    if output.dtype() == DType::F64 {
-        return Ok(Tensor::from_vec(data.to_vec(), shape, &Device::Cpu)?);
-    }
-    let data: Vec<f32> = data.iter().map(|&x| x as f32).collect();
-    Ok(Tensor::from_vec(data, shape, &Device::Cpu)?)
 }

@@ -1,7 +1,6 @@
 //! Layers of the networks that only the learner uses: critics, posteriors and autoencoders.
 
 use candle_core::{Device, Tensor};
-use policy::Precision;
 use policy::layers::{LayerSpec, RELU_GAIN};
 use policy::ops::Activation;
 
@@ -36,11 +35,7 @@ pub(crate) fn rectified_layers(
 }
 
 /// `[R, width]` values as a constant tensor.
-pub(crate) fn rows(
-    data: Vec<f32>,
-    width: usize,
-    precision: Precision,
-) -> Result<Tensor, MarlError> {
+pub(crate) fn rows(data: Vec<f32>, width: usize) -> Result<Tensor, MarlError> {
     let count = data.len() / width;
-    Ok(Tensor::from_vec(data, (count, width), &Device::Cpu)?.to_dtype(precision.dtype())?)
+    Ok(Tensor::from_vec(data, (count, width), &Device::Cpu)?)
 }

@@ -1,15 +1,14 @@
 //! Adam with clipping by global norm and a state that can be stored. As in PyTorch, epsilon is added after the square
 //! root.
 
+use candle_core::{Device, Tensor, Var};
 use libm::{pow, sqrt};
 use policy::arrays::{Array, NamedArrays};
-use policy::math::Real;
 use policy::parameters::{Parameters, TensorSpan};
 
 use crate::error::MarlError;
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::learning_rate::adapted;
-use crate::optimisation::reals::Reals;
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
@@ -34,17 +33,19 @@ pub struct Adam {
     /// Fraction of the configured learning rate after adaptation to the divergence.
     adapted: f64,
     spans: Vec<TensorSpan>,
-    first: Vec<Reals>,
-    second: Vec<Reals>,
+    /// Moments of every variable's elements.
+    first: Vec<Vec<f32>>,
+    second: Vec<Vec<f32>>,
     steps: i64,
     skipped: i64,
 }
 
 impl Adam {
-    /// An optimiser for `parameters`, in their precision, without steps.
+    /// An optimiser for `parameters`, without steps.
     #[must_use]
     pub fn new(config: AdamConfig, parameters: &Parameters) -> Self {
-        let zeros: Vec<Reals> = parameters.vars().iter().map(|var| Reals::zeros(var)).collect();
+        let zeros = |var: &Var| vec![0.0; var.elem_count()];
+        let zeros: Vec<Vec<f32>> = parameters.vars().iter().map(zeros).collect();
         Self {
             config,
             decay: 1.0,
@@ -104,11 +105,9 @@ impl Adam {
         for ((var, gradient), (first, second)) in
             parameters.vars().iter().zip(&gradients.0).zip(moments)
         {
-            var.set(
-                &constants
-                    .updated(Reals::of(var)?, gradient, (first, second))
-                    .tensor(var.shape())?,
-            )?;
+            let mut values = var.as_tensor().flatten_all()?.to_vec1()?;
+            constants.apply(&mut values, gradient, first, second);
+            var.set(&Tensor::from_vec(values, var.shape(), &Device::Cpu)?)?;
         }
         Ok(norm)
     }
@@ -125,7 +124,8 @@ impl Adam {
         let mut arrays = NamedArrays::new();
         for span in &self.spans {
             for (kind, moment) in [("m", &self.first), ("v", &self.second)] {
-                let array = moment[span.var].array(span);
+                let (shape, range) = (span.shape.clone(), span.range.clone());
+                let array = Array::F32 { shape, data: moment[span.var][range].to_vec() };
                 arrays.insert(format!("{prefix}{kind}.{}", span.name), array);
             }
         }
@@ -167,63 +167,41 @@ struct StepConstants {
 }
 
 impl StepConstants {
-    /// The parameter's new values. All four arrays have the network's precision.
-    fn updated(self, values: Reals, gradient: &Reals, moments: (&mut Reals, &mut Reals)) -> Reals {
-        match (values, gradient, moments) {
-            (
-                Reals::Single(values),
-                Reals::Single(gradient),
-                (Reals::Single(first), Reals::Single(second)),
-            ) => Reals::Single(self.apply(values, gradient, first, second)),
-            (
-                Reals::Double(values),
-                Reals::Double(gradient),
-                (Reals::Double(first), Reals::Double(second)),
-            ) => Reals::Double(self.apply(values, gradient, first, second)),
-            (values, gradient, _) => panic!("{values:?} and {gradient:?} differ in precision"),
-        }
-    }
-
     /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
     /// `x -= lr / (1 - b1^t) m / (sqrt(v) / sqrt(1 - b2^t) + eps)`.
-    fn apply<T: Real>(
-        self,
-        mut values: Vec<T>,
-        gradient: &[T],
-        first: &mut [T],
-        second: &mut [T],
-    ) -> Vec<T> {
+    fn apply(self, values: &mut [f32], gradient: &[f32], first: &mut [f32], second: &mut [f32]) {
         let [scale, length, root, epsilon] =
-            [self.scale, self.length, self.root, self.epsilon].map(T::from_f64);
+            [self.scale, self.length, self.root, self.epsilon].map(|x| x as f32);
         let [keep_1, take_1, keep_2, take_2] =
-            [BETA_1, 1.0 - BETA_1, BETA_2, 1.0 - BETA_2].map(T::from_f64);
+            [BETA_1, 1.0 - BETA_1, BETA_2, 1.0 - BETA_2].map(|x| x as f32);
         let moments = first.iter_mut().zip(second);
         for ((value, &gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
             let gradient = gradient * scale;
             *first = keep_1 * *first + take_1 * gradient;
             *second = keep_2 * *second + take_2 * gradient * gradient;
-            *value -= length * *first / (second.root() / root + epsilon);
+            *value -= length * *first / (second.sqrt() / root + epsilon);
         }
-        values
     }
 }
 
 /// Restores a moment of a parameter.
 fn restore_moment(
-    moment: &mut Reals,
+    moment: &mut [f32],
     arrays: &NamedArrays,
     prefix: &str,
     span: &TensorSpan,
 ) -> Result<(), MarlError> {
     let name = format!("{prefix}{}", span.name);
-    let array =
-        arrays.get(&name).ok_or_else(|| MarlError::Restore(format!("{name} is missing")))?;
-    match moment.copy_from(array, span) {
-        true => Ok(()),
-        false => Err(MarlError::Restore(format!(
-            "{name} is not an array of shape {:?} in the run's precision",
-            span.shape
-        ))),
+    match arrays.get(&name) {
+        Some(Array::F32 { shape, data }) if *shape == span.shape => {
+            moment[span.range.clone()].copy_from_slice(data);
+            Ok(())
+        }
+        Some(_) => {
+            let shape = &span.shape;
+            Err(MarlError::Restore(format!("{name} is not an f32 array of shape {shape:?}")))
+        }
+        None => Err(MarlError::Restore(format!("{name} is missing"))),
     }
 }
 
@@ -247,82 +225,83 @@ fn stored_share(arrays: &NamedArrays, name: &str) -> Result<f64, MarlError> {
 
 #[cfg(test)]
 mod tests {
-    use candle_core::{Device, Tensor};
-    use policy::Precision;
-
     use super::*;
 
     const CONFIG: AdamConfig =
         AdamConfig { learning_rate: 0.1, epsilon: 1e-8, max_gradient_norm: 100.0 };
 
-    fn zeros(precision: Precision) -> Parameters {
+    fn zeros() -> Parameters {
         let mut parameters = Parameters::new();
         for name in ["a", "b"] {
-            let zero = Tensor::zeros(1, precision.dtype(), &Device::Cpu).unwrap();
-            parameters.add(name, zero).unwrap();
+            parameters.add(name, Tensor::new(&[0.0_f32], &Device::Cpu).unwrap()).unwrap();
         }
         parameters
     }
 
     /// Gradients of two parameters with one element each.
-    fn gradients(parameters: &Parameters, numbers: [f64; 2]) -> Gradients {
-        let of = |(var, x): (&candle_core::Var, f64)| {
-            Reals::of(&Tensor::new(&[x], &Device::Cpu).unwrap().to_dtype(var.dtype()).unwrap())
-        };
-        Gradients(parameters.vars().iter().zip(numbers).map(of).collect::<Result<_, _>>().unwrap())
+    fn gradients(numbers: [f32; 2]) -> Gradients {
+        Gradients(numbers.map(|x| vec![x]).to_vec())
     }
 
-    fn values(parameters: &Parameters) -> Vec<f64> {
-        parameters.vars().iter().flat_map(|var| Reals::of(var).unwrap().numbers()).collect()
+    fn values(parameters: &Parameters) -> [f32; 2] {
+        [0, 1].map(|index| parameters.vars()[index].as_tensor().to_vec1().unwrap()[0])
     }
 
-    fn close(found: &[f64], expected: [f64; 2]) {
+    fn close(found: [f32; 2], expected: [f32; 2]) {
         let near = found.iter().zip(expected).all(|(found, x)| (found - x).abs() < 1e-6);
-        assert!(near && found.len() == 2, "{found:?}, expected {expected:?}");
+        assert!(near, "{found:?}, expected {expected:?}");
     }
 
     #[test]
-    fn two_steps_match_a_worked_case_in_both_precisions() {
-        for precision in [Precision::Single, Precision::Double] {
-            let parameters = zeros(precision);
-            let mut adam = Adam::new(CONFIG, &parameters);
-            // With m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001, each step is g / |g| times .1.
-            adam.step(&parameters, &gradients(&parameters, [1.0, -2.0])).unwrap();
-            close(&values(&parameters), [-0.1, 0.1]);
-            // a: m = .09 + .3 = .39, over .19 is 2.052632; v = .000999 + .009 = .009999, over
-            // .001999 is 5.002001, root 2.236516; .1 * 2.052632 / 2.236516 = .0917781. b: m = -.18 over
-            // .19 is -.947368; v = .003996 over .001999 is 1.998999, root 1.413860; ratio -.670058.
-            adam.step(&parameters, &gradients(&parameters, [3.0, 0.0])).unwrap();
-            close(&values(&parameters), [-0.191_778_1, 0.167_005_8]);
-        }
+    fn two_steps_match_a_worked_case() {
+        let parameters = zeros();
+        let mut adam = Adam::new(CONFIG, &parameters);
+        // With m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001, each step is g / |g| times .1.
+        adam.step(&parameters, &gradients([1.0, -2.0])).unwrap();
+        close(values(&parameters), [-0.1, 0.1]);
+        // a: m = .09 + .3 = .39, over .19 is 2.052632; v = .000999 + .009 = .009999, over
+        // .001999 is 5.002001, root 2.236516; .1 * 2.052632 / 2.236516 = .0917781. b: m = -.18 over
+        // .19 is -.947368; v = .003996 over .001999 is 1.998999, root 1.413860; ratio -.670058.
+        adam.step(&parameters, &gradients([3.0, 0.0])).unwrap();
+        close(values(&parameters), [-0.191_778_1, 0.167_005_8]);
+    }
+
+    #[test]
+    fn epsilon_is_added_to_the_root_of_the_second_moment() {
+        let parameters = zeros();
+        let mut adam = Adam::new(AdamConfig { epsilon: 1.0, ..CONFIG }, &parameters);
+        // .1 * 1 / (1 + 1) and .1 * 3 / (3 + 1).
+        adam.step(&parameters, &gradients([1.0, 3.0])).unwrap();
+        close(values(&parameters), [-0.05, -0.075]);
     }
 
     #[test]
     fn a_gradient_is_clipped_by_its_global_norm_and_reported_before_clipping() {
         for (most, first) in [(1.0, [0.06, 0.08]), (100.0, [0.3, 0.4])] {
-            let parameters = zeros(Precision::Double);
+            let parameters = zeros();
             let config = AdamConfig { max_gradient_norm: most, ..CONFIG };
             let mut adam = Adam::new(config, &parameters);
             // The norm of (3, 4) is 5. The first moment is a tenth of the clipped gradient.
-            assert_eq!(adam.step(&parameters, &gradients(&parameters, [3.0, 4.0])).unwrap(), 5.0);
-            close(&[adam.first[0].numbers(), adam.first[1].numbers()].concat(), first);
+            assert_eq!(adam.step(&parameters, &gradients([3.0, 4.0])).unwrap(), 5.0);
+            close([adam.first[0][0], adam.first[1][0]], first);
         }
     }
 
     #[test]
     fn a_step_with_a_nan_gradient_is_skipped_and_counted() {
-        let parameters = zeros(Precision::Single);
+        let parameters = zeros();
         let mut adam = Adam::new(CONFIG, &parameters);
-        let norm = adam.step(&parameters, &gradients(&parameters, [1.0, f64::NAN])).unwrap();
+        let norm = adam.step(&parameters, &gradients([1.0, f32::NAN])).unwrap();
         assert!(norm.is_nan() && adam.skipped() == 1 && adam.steps == 0);
         assert_eq!(values(&parameters), [0.0, 0.0]);
     }
 
     #[test]
-    fn moments_of_another_precision_are_rejected_by_name() {
-        let (single, double) = (zeros(Precision::Single), zeros(Precision::Double));
-        let stored = Adam::new(CONFIG, &single).arrays("optimizer/x.");
-        let error = Adam::new(CONFIG, &double).restore("optimizer/x.", &stored).unwrap_err();
+    fn moments_of_another_type_are_rejected_by_name() {
+        let mut adam = Adam::new(CONFIG, &zeros());
+        let mut stored = adam.arrays("optimizer/x.");
+        stored.insert("optimizer/x.m.a".to_owned(), Array::F64 { shape: vec![1], data: vec![0.0] });
+        let error = adam.restore("optimizer/x.", &stored).unwrap_err();
         assert!(error.to_string().contains("optimizer/x.m.a"), "{error}");
     }
 }

@@ -8,7 +8,7 @@ mod q;
 mod replay;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot, Precision};
+use policy::{NamedArrays, PolicyConfig, PolicySnapshot};
 use rayon::prelude::*;
 
 use crate::config::{Config, MaddpgConfig};
@@ -30,7 +30,7 @@ pub(crate) struct Maddpg {
 }
 
 impl Maddpg {
-    /// Networks for `problem` in the precision of `start`, with weights initialised by its seed, and an empty replay.
+    /// Networks for `problem`, with weights initialised by `seed`, and an empty replay.
     ///
     /// # Errors
     /// If a tensor operation fails.
@@ -38,10 +38,10 @@ impl Maddpg {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        start: (RunSeed, Precision),
+        seed: RunSeed,
     ) -> Result<Self, MarlError> {
         let agents = (0..problem.agents.len())
-            .map(|index| Agent::new(config, policy, problem, start, index))
+            .map(|index| Agent::new(config, policy, problem, seed, index))
             .collect::<Result<_, _>>()?;
         Ok(Self {
             replay: Replay::new(problem, config.maddpg.replay),
@@ -49,7 +49,7 @@ impl Maddpg {
             config: config.maddpg.clone(),
             problem: problem.clone(),
             chunk_steps: policy.backpropagation_steps,
-            seed: start.0,
+            seed,
             agents,
         })
     }

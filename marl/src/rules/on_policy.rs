@@ -11,7 +11,7 @@ mod memory;
 
 use std::sync::Arc;
 
-use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, Precision, RunSeed};
+use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, RunSeed};
 use rayon::prelude::*;
 use tracing::trace_span;
 
@@ -24,6 +24,7 @@ use crate::error::MarlError;
 use crate::objective::actor_loss::Figures;
 use crate::objective::advantage::{Horizon, advantage};
 use crate::objective::surrogate::normalized_advantage;
+use crate::rounding::rounded;
 use crate::rules::algorithm::{Algorithm, Report, reject_unknown};
 use crate::rules::on_policy::agent::Agent;
 use crate::rules::on_policy::ascent::{AgentInputs, PolicyChange, Trained};
@@ -50,7 +51,7 @@ pub(crate) struct OnPolicy<R> {
 }
 
 impl<R: PolicyUpdate> OnPolicy<R> {
-    /// Networks for `problem` in the precision of `start`, with weights initialised by its seed.
+    /// Networks for `problem`, with weights initialised by `seed`.
     ///
     /// # Errors
     /// If a tensor operation fails.
@@ -59,9 +60,9 @@ impl<R: PolicyUpdate> OnPolicy<R> {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        start: (RunSeed, Precision),
+        seed: RunSeed,
     ) -> Result<Self, MarlError> {
-        Ok(Self { rule, team: Team::new(config, policy, problem, start)? })
+        Ok(Self { rule, team: Team::new(config, policy, problem, seed)? })
     }
 }
 
@@ -88,7 +89,7 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
         );
         let mut report = critic_report(&fitted?);
         report.extend(updated?);
-        report.extend(prepared.report(self.team.config.critic_mode(), self.team.precision));
+        report.extend(prepared.report(self.team.config.critic_mode()));
         Ok(report)
     }
 
@@ -110,7 +111,6 @@ pub(crate) struct Team {
     pub(crate) config: Config,
     problem: Problem,
     chunk_steps: usize,
-    pub(crate) precision: Precision,
     pub(crate) seed: RunSeed,
     pub(crate) agents: Vec<Agent>,
     pub(crate) critic: Critics,
@@ -132,13 +132,13 @@ impl Prepared {
     }
 
     /// Explained variance of every agent's returns, and metrics of its posterior.
-    pub(crate) fn report(&self, mode: CriticMode, precision: Precision) -> Report {
+    pub(crate) fn report(&self, mode: CriticMode) -> Report {
         let mut report = Report::new();
         let values: Vec<Vec<f64>> = self.values.iter().flat_map(|own| own.now.clone()).collect();
         for (index, influence) in self.influence.iter().enumerate() {
-            let of = |valued: &[Vec<f64>]| precision.rounded(mode.of_agent(valued, index));
+            let of = |valued: &[Vec<f64>]| rounded(mode.of_agent(valued, index));
             let (known, returns) = (of(&values), of(&self.returns));
-            let explained = explained_variance(precision, &known, &returns);
+            let explained = explained_variance(&known, &returns);
             report.push((format!("agent{index}/explained_variance"), explained));
             report.extend(influence.report(index));
         }
@@ -147,7 +147,7 @@ impl Prepared {
 }
 
 impl Team {
-    /// Networks for `problem` in the precision of `start`, with weights initialised by its seed. Agents that share
+    /// Networks for `problem`, with weights initialised by `seed`. Agents that share
     /// parameters share the network of agent 0.
     ///
     /// # Errors
@@ -156,10 +156,10 @@ impl Team {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        start: (RunSeed, Precision),
+        seed: RunSeed,
     ) -> Result<Self, MarlError> {
         let mut agents = (0..problem.agents.len())
-            .map(|index| Agent::new(config, policy, problem, start, index))
+            .map(|index| Agent::new(config, policy, problem, seed, index))
             .collect::<Result<Vec<_>, _>>()?;
         if config.update.parameters == Sharing::Shared {
             let network = Arc::clone(&agents[0].network);
@@ -169,9 +169,9 @@ impl Team {
             }
         }
         let chunk_steps = policy.backpropagation_steps;
-        let critic = Critics::new(config, chunk_steps, problem, start)?;
-        let (config, problem, (seed, precision)) = (config.clone(), problem.clone(), start);
-        Ok(Self { config, problem, chunk_steps, precision, seed, agents, critic })
+        let critic = Critics::new(config, chunk_steps, problem, seed)?;
+        let (config, problem) = (config.clone(), problem.clone());
+        Ok(Self { config, problem, chunk_steps, seed, agents, critic })
     }
 
     pub(crate) fn scale_learning_rates(&mut self, share: f64) {
@@ -220,7 +220,6 @@ impl Team {
         let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
         let mode = self.config.critic_mode();
         let valued = mode.rewards(&batch.reward, rewards);
-        let rounded = |numbers| self.precision.rounded(numbers);
         let heads: Vec<(&Vec<f64>, &Vec<f64>)> =
             values.iter().flat_map(|own| own.now.iter().zip(&own.next)).collect();
         let one = |head: usize| {

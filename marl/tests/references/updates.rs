@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use marl::config::{CriticCore, Rule, Sharing};
-use marl::{Algorithm, Report, build_in};
-use policy::{Array, CoreKind, NamedArrays, Precision, RunSeed};
+use marl::{Algorithm, Report, build};
+use policy::{Array, CoreKind, NamedArrays, RunSeed};
 
 use crate::file::{Reference, agree, numbers};
 use crate::settings::{AGENTS, batch, config, policy, problem};
@@ -51,7 +51,7 @@ const MADDPG: Case = Case {
     seed: DRAWING,
 };
 
-/// The file's initial arrays in the algorithm's precision. Arrays that the file does not contain are the algorithm's.
+/// The file's initial arrays in the algorithm's types. Arrays that the file does not contain are the algorithm's.
 fn start(reference: &Reference, algorithm: &dyn Algorithm) -> NamedArrays {
     let mut arrays = algorithm.arrays().unwrap();
     for (name, array) in reference.under("start/") {
@@ -73,11 +73,11 @@ fn start(reference: &Reference, algorithm: &dyn Algorithm) -> NamedArrays {
     arrays
 }
 
-fn updated(reference: &Reference, case: Case, precision: Precision) -> (NamedArrays, Report) {
+fn updated(reference: &Reference, case: Case) -> (NamedArrays, Report) {
     let (problem, policy) = (problem(reference), policy(reference, case.core));
     let mut config = config(reference, case.rule.0, case.rule.1);
     config.critic.core = case.critic;
-    let mut algorithm = build_in(precision, &config, &policy, &problem, case.seed).unwrap();
+    let mut algorithm = build(&config, &policy, &problem, case.seed).unwrap();
     algorithm.restore(&start(reference, algorithm.as_ref())).unwrap();
     let rewards: Vec<Vec<f32>> =
         (0..AGENTS).map(|agent| reference.single(&format!("batch/rewards_{agent}"))).collect();
@@ -85,46 +85,59 @@ fn updated(reference: &Reference, case: Case, precision: Precision) -> (NamedArr
     (algorithm.arrays().unwrap(), report)
 }
 
-fn agrees_with_pytorch(case: Case, precision: Precision, tolerance: f64) {
+/// Relative to the largest change of an array's weights. PyTorch computed in double precision, the update in single
+/// precision: rounding errors of a gradient, some 1e-6 of its largest element, are a larger part of a small element's
+/// step, because Adam's steps hardly depend on the gradient's size. The largest error found is 3.3e-5.
+const WEIGHTS: f64 = 1e-4;
+/// Relative to an array's largest element, for moments, memories and figures. The largest error found is 1.6e-5.
+const OTHERS: f64 = 5e-5;
+
+fn agrees_with_pytorch(case: Case) {
     let reference = Reference::of(case.file);
-    let (arrays, report) = updated(&reference, case, precision);
+    let (arrays, report) = updated(&reference, case);
     for (name, expected) in reference.under("expected/") {
-        let found = match name.strip_prefix("report/") {
-            None => numbers(&arrays[name]),
-            Some(figure) => vec![report.iter().find(|(own, _)| own == figure).unwrap().1],
+        let (found, expected) = match name.strip_prefix("report/") {
+            None => (numbers(&arrays[name]), numbers(expected)),
+            Some(figure) => {
+                let found = report.iter().find(|(own, _)| own == figure).unwrap().1;
+                (vec![found], numbers(expected))
+            }
         };
-        agree(name, &found, &numbers(expected), tolerance);
+        if name.starts_with("weights/") {
+            let start = reference.numbers(&format!("start/{name}"));
+            let change = |to: Vec<f64>| -> Vec<f64> {
+                to.iter().zip(&start).map(|(after, before)| after - before).collect()
+            };
+            agree(name, &change(found), &change(expected), WEIGHTS);
+        } else {
+            agree(name, &found, &expected, OTHERS);
+        }
     }
 }
 
 #[test]
 fn happo_with_a_recurrent_core_agrees_with_pytorch() {
-    agrees_with_pytorch(HAPPO_GRU, Precision::Double, 1e-9);
-    agrees_with_pytorch(HAPPO_GRU, Precision::Single, 1e-4);
+    agrees_with_pytorch(HAPPO_GRU);
 }
 
 #[test]
 fn happo_with_a_recurrent_critic_agrees_with_pytorch() {
-    agrees_with_pytorch(HAPPO_GRU_CRITIC, Precision::Double, 1e-9);
-    agrees_with_pytorch(HAPPO_GRU_CRITIC, Precision::Single, 1e-4);
+    agrees_with_pytorch(HAPPO_GRU_CRITIC);
 }
 
 #[test]
 fn happo_with_a_feed_forward_core_agrees_with_pytorch() {
-    agrees_with_pytorch(HAPPO_MLP, Precision::Double, 1e-9);
-    agrees_with_pytorch(HAPPO_MLP, Precision::Single, 1e-4);
+    agrees_with_pytorch(HAPPO_MLP);
 }
 
 #[test]
 fn mappo_with_shared_parameters_agrees_with_pytorch() {
-    agrees_with_pytorch(MAPPO, Precision::Double, 1e-9);
-    agrees_with_pytorch(MAPPO, Precision::Single, 1e-4);
+    agrees_with_pytorch(MAPPO);
 }
 
 #[test]
 fn a_step_of_maddpg_agrees_with_pytorch() {
-    agrees_with_pytorch(MADDPG, Precision::Double, 1e-9);
-    agrees_with_pytorch(MADDPG, Precision::Single, 1e-4);
+    agrees_with_pytorch(MADDPG);
 }
 
 #[test]
@@ -133,7 +146,7 @@ fn the_references_contain_every_array_of_a_run() {
         let reference = Reference::of(case.file);
         let named: BTreeSet<&str> =
             reference.under("expected/").into_iter().map(|(name, _)| name).collect();
-        let (arrays, _) = updated(&reference, case, Precision::Double);
+        let (arrays, _) = updated(&reference, case);
         // Skipped steps are no result, the replay is tested by the update that uses it, and no learning rate is
         // adapted.
         let kept = ["skipped", "adapted"];

@@ -3,14 +3,14 @@
 use std::cell::RefCell;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use candle_core::backend::BackendStorage as _;
 use candle_core::backprop::GradStore;
-use candle_core::{CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, TensorId, Var};
+use candle_core::{
+    CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, TensorId, Var, WithDType,
+};
 use kernels::{Input, Network, Packed, Sequences, Workspace};
 use rand::RngCore;
 
-use super::plain;
-use super::values::{operand, values};
+use super::operand;
 use crate::error::PolicyError;
 use crate::layers::{LayerSpec, network_of};
 use crate::parameters::Parameters;
@@ -18,17 +18,15 @@ use crate::parameters::Parameters;
 /// Layers whose trainable parameters are one flat variable.
 #[derive(Clone, Debug)]
 pub struct LayerStack {
-    network: Arc<Network>,
+    network: Network,
     flat: Var,
 }
 
 /// The current weights of a [`LayerStack`], packed for computation. Created once per optimiser step.
 #[derive(Clone, Debug)]
 pub struct Weights {
-    network: Arc<Network>,
     flat: Tensor,
-    /// Only in single precision.
-    packed: Option<Arc<Packed>>,
+    packed: Arc<Packed>,
 }
 
 /// States and resets of a recurrent network, rows `t * B + b`.
@@ -48,13 +46,12 @@ impl LayerStack {
     pub fn declare(
         parameters: &mut Parameters,
         specs: &[LayerSpec],
-        dtype: DType,
         rng: &mut impl RngCore,
     ) -> core::result::Result<Self, PolicyError> {
         let start: Vec<f32> = specs.iter().flat_map(|spec| spec.initial_values(rng)).collect();
         let named = specs.iter().flat_map(LayerSpec::parameters).collect();
-        let flat = parameters.add_all(named, start, dtype)?;
-        Ok(Self { network: Arc::new(network_of(specs)), flat })
+        let flat = parameters.add_all(named, start)?;
+        Ok(Self { network: network_of(specs), flat })
     }
 
     /// The current weights, differentiable.
@@ -62,7 +59,7 @@ impl LayerStack {
     /// # Errors
     /// Passes on a tensor error.
     pub fn weights(&self) -> Result<Weights> {
-        self.weights_of(self.flat.as_tensor().clone())
+        weights_of(&self.network, self.flat.as_tensor().clone())
     }
 
     /// As [`LayerStack::weights`], but constant.
@@ -70,7 +67,7 @@ impl LayerStack {
     /// # Errors
     /// Passes on a tensor error.
     pub fn constant_weights(&self) -> Result<Weights> {
-        self.weights_of(self.flat.as_tensor().detach())
+        weights_of(&self.network, self.flat.as_tensor().detach())
     }
 
     /// As [`LayerStack::weights`], separately for all layers but the last and for the last, for networks that share the
@@ -81,23 +78,21 @@ impl LayerStack {
     pub fn split_weights(&self) -> Result<[Weights; 2]> {
         let layers = self.network.layers();
         let (trunk, last) = layers.split_at(layers.len() - 1);
-        let [trunk, last] = [trunk, last].map(|part| Arc::new(Network::new(part.to_vec())));
-        let (first, rest) = (trunk.parameters(), last.parameters());
-        let of_last = self.flat.narrow(0, first, rest)?;
-        Ok([weights_of(trunk, self.flat.narrow(0, 0, first)?)?, weights_of(last, of_last)?])
-    }
-
-    fn weights_of(&self, flat: Tensor) -> Result<Weights> {
-        weights_of(Arc::clone(&self.network), flat)
+        let [trunk, last] = [trunk, last].map(|part| Network::new(part.to_vec()));
+        let first = trunk.parameters();
+        let of_last = self.flat.narrow(0, first, last.parameters())?;
+        Ok([weights_of(&trunk, self.flat.narrow(0, 0, first)?)?, weights_of(&last, of_last)?])
     }
 }
 
-fn weights_of(network: Arc<Network>, flat: Tensor) -> Result<Weights> {
-    let packed = match flat.dtype() {
-        DType::F32 => Some(Arc::new(Packed::new(&network, &values::<f32>(&flat)?))),
-        _ => None,
-    };
-    Ok(Weights { network, flat, packed })
+fn weights_of(network: &Network, flat: Tensor) -> Result<Weights> {
+    let packed = Arc::new(Packed::new(network, &values(&flat)?));
+    Ok(Weights { flat, packed })
+}
+
+/// The elements of `tensor`, row-major.
+fn values(tensor: &Tensor) -> Result<Vec<f32>> {
+    tensor.flatten_all()?.to_vec1::<f32>()
 }
 
 impl Weights {
@@ -107,13 +102,7 @@ impl Weights {
     /// If shapes or element types do not match.
     pub fn apply(&self, x: &Tensor, recurrent: Option<RecurrentInput<'_>>) -> Result<Tensor> {
         let x = &x.contiguous()?;
-        match &self.packed {
-            Some(packed) => x.apply_op2(&self.flat, Fused::new(packed, x, recurrent)?),
-            None => plain::network(&self.network, x, &self.flat, recurrent).map(|layers| {
-                let last = layers.len() - 1;
-                layers[last].clone()
-            }),
-        }
+        x.apply_op2(&self.flat, Fused::new(&self.packed, x, recurrent)?)
     }
 
     /// The input of the last layer, `[R, F]`, and the output, `[R, out]`; both constant.
@@ -125,26 +114,9 @@ impl Weights {
         x: &Tensor,
         recurrent: Option<RecurrentInput<'_>>,
     ) -> Result<(Tensor, Tensor)> {
-        let (x, rows) = (&x.contiguous()?, x.dim(0)?);
-        let Some(packed) = &self.packed else {
-            let layers = plain::network(&self.network, x, &self.flat.detach(), recurrent)?;
-            let last = layers.len() - 1;
-            return Ok((layers[last - 1].detach(), layers[last].detach()));
-        };
-        let op = Fused::new(packed, x, recurrent)?;
-        let (mut features, mut output) = (Vec::new(), Vec::new());
-        let layers = self.network.layers();
+        let (rows, layers) = (x.dim(0)?, self.packed.network().layers());
         let width = layers[layers.len() - 1].inputs();
-        with_workspace(|workspace| {
-            op.forward(&values::<f32>(x)?, workspace);
-            workspace.append_features(&mut features);
-            workspace.append_output(&mut output);
-            Ok(())
-        })?;
-        Ok((
-            Tensor::from_vec(features, (rows, width), x.device())?,
-            Tensor::from_vec(output, (rows, self.network.outputs()), x.device())?,
-        ))
+        self.constants(x, recurrent, (rows, width), Workspace::append_features)
     }
 
     /// The recurrent state after every row, `[R, H]`, and the output, `[R, out]`; both constant.
@@ -156,26 +128,12 @@ impl Weights {
         x: &Tensor,
         recurrent: RecurrentInput<'_>,
     ) -> Result<(Tensor, Tensor)> {
-        let Some((gru, hidden)) = self.network.gru() else {
+        let Some((gru, hidden)) = self.packed.network().gru() else {
             candle_core::bail!("a network without a GRU has no states")
         };
-        let (x, rows) = (&x.contiguous()?, x.dim(0)?);
-        let Some(packed) = &self.packed else {
-            let layers = plain::network(&self.network, x, &self.flat.detach(), Some(recurrent))?;
-            return Ok((layers[gru + 1].detach(), layers[layers.len() - 1].detach()));
-        };
-        let op = Fused::new(packed, x, Some(recurrent))?;
-        let (mut states, mut output) = (Vec::new(), Vec::new());
-        with_workspace(|workspace| {
-            op.forward(&values::<f32>(x)?, workspace);
-            workspace.append_states(gru, &mut states);
-            workspace.append_output(&mut output);
-            Ok(())
-        })?;
-        Ok((
-            Tensor::from_vec(states, (rows, hidden), x.device())?,
-            Tensor::from_vec(output, (rows, self.network.outputs()), x.device())?,
-        ))
+        let states =
+            |workspace: &Workspace, into: &mut Vec<f32>| workspace.append_states(gru, into);
+        self.constants(x, Some(recurrent), (x.dim(0)?, hidden), states)
     }
 
     /// The recurrent state after the last step, `[B, H]`, constant; `None` without a GRU.
@@ -183,22 +141,34 @@ impl Weights {
     /// # Errors
     /// If shapes or element types do not match.
     pub fn last_states(&self, x: &Tensor, recurrent: RecurrentInput<'_>) -> Result<Option<Tensor>> {
-        let Some((gru, hidden)) = self.network.gru() else { return Ok(None) };
-        let (steps, sequences) = recurrent.mask.dims2()?;
-        let Some(packed) = &self.packed else {
-            let layers = plain::network(&self.network, x, &self.flat.detach(), Some(recurrent))?;
-            let last = layers[gru + 1].narrow(0, (steps - 1) * sequences, sequences)?;
-            return Ok(Some(last.detach()));
+        let Some((gru, hidden)) = self.packed.network().gru() else { return Ok(None) };
+        let sequences = recurrent.mask.dim(1)?;
+        let last = |workspace: &Workspace, into: &mut Vec<f32>| {
+            workspace.append_last_states(gru, sequences, into);
         };
-        let x = &x.contiguous()?;
-        let op = Fused::new(packed, x, Some(recurrent))?;
-        let mut states = Vec::new();
-        with_workspace(|workspace| {
-            op.forward(&values::<f32>(x)?, workspace);
-            workspace.append_last_states(gru, sequences, &mut states);
-            Ok(())
-        })?;
-        Ok(Some(Tensor::from_vec(states, (sequences, hidden), x.device())?))
+        Ok(Some(self.constants(x, Some(recurrent), (sequences, hidden), last)?.0))
+    }
+
+    /// A forward pass without a graph: what `append` reads from the workspace, of the given shape, and the output,
+    /// `[R, out]`.
+    fn constants(
+        &self,
+        x: &Tensor,
+        recurrent: Option<RecurrentInput<'_>>,
+        shape: (usize, usize),
+        append: impl FnOnce(&Workspace, &mut Vec<f32>),
+    ) -> Result<(Tensor, Tensor)> {
+        let op = Fused::new(&self.packed, x, recurrent)?;
+        let (rows, input) = (x.dim(0)?, values(x)?);
+        let mut workspace = take_workspace();
+        op.forward(&input, &mut workspace);
+        let (mut found, mut output) = (Vec::new(), Vec::new());
+        append(&workspace, &mut found);
+        workspace.append_output(&mut output);
+        return_workspace(workspace);
+        let outputs = self.packed.network().outputs();
+        let output = Tensor::from_vec(output, (rows, outputs), x.device())?;
+        Ok((Tensor::from_vec(found, shape, x.device())?, output))
     }
 }
 
@@ -265,13 +235,6 @@ fn return_workspace(workspace: Workspace) {
     POOL.with_borrow_mut(|idle| idle.push(workspace));
 }
 
-fn with_workspace<T>(work: impl FnOnce(&mut Workspace) -> Result<T>) -> Result<T> {
-    let mut workspace = take_workspace();
-    let found = work(&mut workspace);
-    return_workspace(workspace);
-    found
-}
-
 /// A network's forward pass and its backward pass.
 struct Fused {
     packed: Arc<Packed>,
@@ -315,8 +278,7 @@ impl Fused {
                     let mask = (steps, sequences);
                     candle_core::bail!("{rows} rows with states {state:?} and a mask {mask:?}")
                 }
-                let flat = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
-                let (start, mask) = (flat(given.start)?, flat(given.mask)?);
+                let (start, mask) = (values(given.start)?, values(given.mask)?);
                 Some(Recurrent { start, mask, sequences })
             }
             (Some(_), None) => candle_core::bail!("a recurrent network needs states and a mask"),
@@ -347,12 +309,9 @@ impl CustomOp2 for Fused {
         &self,
         x: &CpuStorage,
         x_layout: &Layout,
-        flat: &CpuStorage,
+        _flat: &CpuStorage,
         _flat_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        if x.dtype() != flat.dtype() {
-            candle_core::bail!("network: element types differ")
-        }
         let (rows, _) = x_layout.shape().dims2()?;
         let mut workspace = take_workspace();
         self.forward(operand(x, x_layout)?, &mut workspace);
@@ -360,7 +319,7 @@ impl CustomOp2 for Fused {
         workspace.append_output(&mut output);
         *self.workspace.lock().unwrap_or_else(PoisonError::into_inner) = Some(workspace);
         let shape = Shape::from((rows, self.packed.network().outputs()));
-        Ok((candle_core::WithDType::to_cpu_storage_owned(output), shape))
+        Ok((f32::to_cpu_storage_owned(output), shape))
     }
 
     fn bwd(
@@ -374,12 +333,10 @@ impl CustomOp2 for Fused {
         let Some(mut workspace) = kept else {
             candle_core::bail!("a second backward pass over one forward pass")
         };
-        let g = g.contiguous()?;
         let mut by_flat = flat.track_op().then(|| take_gradient(flat));
         let mut by_x = x.track_op().then(Vec::new);
-        let output = values::<f32>(&g)?;
         let (parameters, input) = (by_flat.as_deref_mut(), by_x.as_mut());
-        self.packed.backward(&output, self.sequences(), &mut workspace, parameters, input);
+        self.packed.backward(&values(g)?, self.sequences(), &mut workspace, parameters, input);
         return_workspace(workspace);
         let by_x = by_x.map(|data| Tensor::from_vec(data, x.shape(), x.device())).transpose()?;
         let Some(data) = by_flat else { return Ok((by_x, None)) };

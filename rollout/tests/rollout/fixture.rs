@@ -59,9 +59,7 @@ pub(crate) fn policy_for(description: &sim::Description) -> PolicySnapshot {
             None => Head::Gaussian,
             Some(choices) => Head::Categorical { choices: choices as usize },
         };
-        let dtype = candle_core::DType::F32;
-        let network =
-            ActorNetwork::with_head(&config, observation, action, head, dtype, &mut rng).unwrap();
+        let network = ActorNetwork::new(&config, observation, action, head, &mut rng).unwrap();
         network.policy().unwrap()
     };
     PolicySnapshot { agents: description.agents.iter().enumerate().map(agent).collect() }

@@ -11,6 +11,7 @@ use crate::config::{CriticConfig, CriticCore, StateNorm};
 use crate::critic::{FitData, Values};
 use crate::data::batch::Final;
 use crate::optimisation::gradient::Gradients;
+use crate::optimisation::tests::meets_finite_differences;
 use crate::probe;
 
 const INPUTS: usize = 3;
@@ -27,9 +28,9 @@ fn config() -> CriticConfig {
     CriticConfig { core: CriticCore::Gru, width: WIDTH, layers: 1, ..usual }
 }
 
-fn critic(config: &CriticConfig, precision: Precision) -> Critic {
+fn critic(config: &CriticConfig) -> Critic {
     let sizes = (INPUTS, VALUES);
-    Critic::new(config, (1e-5, CHUNK), ("", 0), sizes, (RunSeed(3), precision)).unwrap()
+    Critic::new(config, (1e-5, CHUNK), ("", 0), sizes, RunSeed(3)).unwrap()
 }
 
 fn normals(count: usize, rng: &mut impl RngCore) -> Vec<f32> {
@@ -64,8 +65,8 @@ fn values(critic: &Critic, batch: &Batch) -> Values {
 }
 
 /// A critic whose memory is that of an earlier rollout.
-fn with_memory(precision: Precision) -> Critic {
-    let mut critic = critic(&config(), precision);
+fn with_memory() -> Critic {
+    let mut critic = critic(&config());
     let before = values(&critic, &rollout(0, STEPS, &[]));
     critic.carry(&before);
     critic
@@ -82,7 +83,7 @@ fn of_row(values: &Values, row: usize) -> &[f64] {
 
 #[test]
 fn values_after_an_episodes_end_do_not_depend_on_what_was_before() {
-    let critic = with_memory(Precision::Single);
+    let critic = with_memory();
     let batch = rollout(1, STEPS, &ENDS);
     let mut changed = batch.clone();
     for row in 0..ENVIRONMENTS {
@@ -98,7 +99,7 @@ fn values_after_an_episodes_end_do_not_depend_on_what_was_before() {
 
 #[test]
 fn states_are_carried_to_the_next_rollout_except_across_an_end() {
-    let mut critic = with_memory(Precision::Single);
+    let mut critic = with_memory();
     let ended = values(&critic, &rollout(1, STEPS, &ENDS));
     critic.carry(&ended);
     let zero: Vec<bool> =
@@ -108,7 +109,7 @@ fn states_are_carried_to_the_next_rollout_except_across_an_end() {
 
 #[test]
 fn two_rollouts_have_the_values_of_one_of_twice_the_length() {
-    let mut critic = with_memory(Precision::Single);
+    let mut critic = with_memory();
     let whole = rollout(1, 2 * STEPS, &ENDS);
     let expected = values(&critic, &whole);
     let half = STEPS * ENVIRONMENTS;
@@ -124,7 +125,7 @@ fn two_rollouts_have_the_values_of_one_of_twice_the_length() {
 
 #[test]
 fn a_truncated_episode_is_bootstrapped_with_the_memory_of_its_last_step() {
-    let critic = with_memory(Precision::Single);
+    let critic = with_memory();
     let whole = values(&critic, &rollout(1, STEPS, &[]));
     let mut cut = rollout(1, STEPS, &[(2, 1)]);
     let next = 3 * ENVIRONMENTS + 1;
@@ -145,7 +146,7 @@ fn by_chunks(critic: &Critic, batch: &Batch, values: &Values) -> Vec<f64> {
         let rows = layout.sources(&[chunk]);
         let states = rows.iter().flat_map(|&row| &batch.state[row * INPUTS..(row + 1) * INPUTS]);
         let unrolled = values.unrolled.as_ref().unwrap();
-        let start = unrolled.start(layout, &[chunk], critic.precision).unwrap();
+        let start = unrolled.start(layout, &[chunk]).unwrap();
         let own = critic.forward(&weights, states.copied().collect(), Some(&start)).unwrap();
         for (row, own) in rows.iter().zip(numbers(&own).unwrap().chunks_exact(VALUES)) {
             found[row * VALUES..(row + 1) * VALUES].copy_from_slice(own);
@@ -156,31 +157,22 @@ fn by_chunks(critic: &Critic, batch: &Batch, values: &Values) -> Vec<f64> {
 
 #[test]
 fn chunks_of_an_unchanged_critic_have_the_values_of_the_whole_rollout_bit_for_bit() {
-    let critic = with_memory(Precision::Single);
+    let critic = with_memory();
     let batch = rollout(1, STEPS, &ENDS);
     let values = values(&critic, &batch);
     assert_eq!(values.layout.chunks, STEPS / CHUNK * ENVIRONMENTS);
     assert_eq!(by_chunks(&critic, &batch, &values), values.normalized);
 }
 
-#[test]
-fn single_precision_agrees_with_the_double_precision_reference() {
-    let batch = rollout(1, STEPS, &ENDS);
-    let of = |precision| values(&with_memory(precision), &batch).normalized;
-    let (single, double) = (of(Precision::Single), of(Precision::Double));
-    for (row, (a, b)) in single.iter().zip(&double).enumerate() {
-        assert!((a - b).abs() < 1e-5, "{row}: {a} {b}");
-    }
-}
-
 /// Rows of a stored matrix or vector `[out]`, `[out][in]`.
 fn stored(arrays: &NamedArrays, name: &str) -> Vec<Vec<f64>> {
     match &arrays[&format!("weights/critic.{name}")] {
-        Array::F64 { shape, data } => {
+        Array::F32 { shape, data } => {
             let width = if shape.len() == 2 { shape[1] } else { 1 };
+            let data: Vec<f64> = data.iter().map(|&x| f64::from(x)).collect();
             data.chunks_exact(width).map(<[f64]>::to_vec).collect()
         }
-        _ => panic!("{name} is not f64"),
+        _ => panic!("{name} is not f32"),
     }
 }
 
@@ -201,7 +193,7 @@ fn normalised(x: &[f64]) -> Vec<f64> {
 
 #[test]
 fn one_step_is_a_gru_step_between_the_layers_and_the_values() {
-    let mut critic = with_memory(Precision::Double);
+    let mut critic = with_memory();
     critic.parameters.vars()[0].set(&shifted(&critic, 0.1)).unwrap();
     let norms = ["norm", "layers.0.norm", "gru_norm"];
     reset_norms(&mut critic, &norms);
@@ -224,7 +216,8 @@ fn one_step_is_a_gru_step_between_the_layers_and_the_values() {
     let expected = affine(&arrays, "value.weight", "value.bias", &normalised(&after));
     let found = values(&critic, &batch);
     for (found, expected) in of_row(&found, 0).iter().zip(expected) {
-        assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        // A sum of some ten products of single precision.
+        assert!((found - expected).abs() < 2e-6, "{found} {expected}");
     }
 }
 
@@ -234,7 +227,7 @@ fn shifted(critic: &Critic, by: f64) -> Tensor {
     let mut rng = generator(RunSeed(8), Draw::of(Purpose::Probe));
     let moves = normals(var.elem_count(), &mut rng);
     let moves = Tensor::from_vec(moves, var.shape(), &Device::Cpu).unwrap();
-    (var + (moves.to_dtype(var.dtype()).unwrap() * by).unwrap()).unwrap()
+    (var + (moves * by).unwrap()).unwrap()
 }
 
 fn reset_norms(critic: &mut Critic, names: &[&str]) {
@@ -242,7 +235,7 @@ fn reset_norms(critic: &mut Critic, names: &[&str]) {
     for name in names {
         for (part, value) in [("weight", 1.0), ("bias", 0.0)] {
             let array = arrays.get_mut(&format!("weights/critic.{name}.{part}")).unwrap();
-            let Array::F64 { data, .. } = array else { panic!("{name} is not f64") };
+            let Array::F32 { data, .. } = array else { panic!("{name} is not f32") };
             data.fill(value);
         }
     }
@@ -258,32 +251,22 @@ fn loss(critic: &Critic, batch: &Batch, values: &Values, target: &[f64]) -> (f64
 
 #[test]
 fn the_gradient_matches_finite_differences() {
-    let critic = with_memory(Precision::Double);
+    let critic = with_memory();
     let batch = rollout(1, STEPS, &ENDS);
     let values = values(&critic, &batch);
     let target: Vec<f64> = (0..values.normalized.len()).map(|at| (at % 7) as f64 - 3.0).collect();
     let var = &critic.parameters.vars()[0];
     var.set(&shifted(&critic, 0.01)).unwrap();
     let (_, Gradients(gradients)) = loss(&critic, &batch, &values, &target);
-    let (gradient, at) = (gradients[0].numbers(), var.as_tensor().to_vec1::<f64>().unwrap());
-    let mut used = 0;
-    for (index, &slope) in gradient.iter().enumerate() {
-        let moved = |by: f64| {
-            let mut parameters = at.clone();
-            parameters[index] += by;
-            var.set(&Tensor::from_vec(parameters, var.shape(), &Device::Cpu).unwrap()).unwrap();
-            loss(&critic, &batch, &values, &target).0
-        };
-        let found = (moved(1e-5) - moved(-1e-5)) / 2e-5;
-        assert!((found - slope).abs() < 1e-7, "parameter {index}: {found} {slope}");
-        used += usize::from(slope.abs() > 1e-6);
-    }
+    let gradient = &gradients[0];
+    let loss = || loss(&critic, &batch, &values, &target).0;
+    let used = meets_finite_differences(&loss, (var, gradient), 1, (1e-3, 1e-4));
     assert!(2 * used > gradient.len(), "{used} of {} have a slope", gradient.len());
 }
 
 #[test]
 fn a_state_that_is_not_finite_is_forgotten_after_the_rollout() {
-    let mut critic = critic(&config(), Precision::Single);
+    let mut critic = critic(&config());
     let mut batch = rollout(0, STEPS, &[]);
     batch.state[..INPUTS].fill(f32::MAX);
     let broken = values(&critic, &batch);
@@ -295,7 +278,7 @@ fn a_state_that_is_not_finite_is_forgotten_after_the_rollout() {
 
 #[test]
 fn states_of_another_number_of_environments_or_units_are_refused() {
-    let mut critic = with_memory(Precision::Single);
+    let mut critic = with_memory();
     let mut arrays = critic.arrays().unwrap();
     let name = "memory/critic.hidden".to_owned();
     let two = Array::F32 { shape: vec![2, WIDTH], data: vec![0.5; 2 * WIDTH] };
@@ -340,7 +323,7 @@ fn explained(core: CriticCore) -> f64 {
     let usual = CriticConfig { core, input_norm, state_norm, ..config() };
     let (width, learning_rate, epochs, normalizer_beta) = (16, 1e-2, 5, 0.9);
     let config = CriticConfig { width, learning_rate, epochs, normalizer_beta, ..usual };
-    let mut critic = critic(&config, Precision::Single);
+    let mut critic = critic(&config);
     let mut shares = Vec::new();
     for number in 0..200 {
         let (batch, returns) = cued(number);
@@ -363,7 +346,7 @@ fn only_a_recurrent_critic_explains_returns_that_need_memory() {
 #[test]
 fn a_restored_critic_continues_bit_for_bit_with_its_memory() {
     let config = CriticConfig { state_norm: StateNorm::Running, ..config() };
-    let mut kept = critic(&config, Precision::Single);
+    let mut kept = critic(&config);
     let step = |critic: &mut Critic, number: u32| {
         let batch = rollout(number, STEPS, &ENDS);
         let values = values(critic, &batch);
@@ -374,7 +357,7 @@ fn a_restored_critic_continues_bit_for_bit_with_its_memory() {
     };
     step(&mut kept, 0);
     let stored = kept.arrays().unwrap();
-    let mut other = critic(&config, Precision::Single);
+    let mut other = critic(&config);
     step(&mut other, 7);
     other.restore(&stored).unwrap();
     assert_eq!(step(&mut kept, 1), step(&mut other, 1));
@@ -382,7 +365,7 @@ fn a_restored_critic_continues_bit_for_bit_with_its_memory() {
     let forgetful = Array::F32 { shape: vec![0, WIDTH], data: vec![] };
     let mut without = stored;
     without.insert("memory/critic.hidden".to_owned(), forgetful);
-    let mut other = critic(&config, Precision::Single);
+    let mut other = critic(&config);
     other.restore(&without).unwrap();
     step(&mut other, 1);
     assert_ne!(kept.arrays().unwrap(), other.arrays().unwrap());

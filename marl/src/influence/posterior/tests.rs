@@ -1,6 +1,5 @@
 //! Posteriors of actions with mutual information known in closed form.
 
-use candle_core::DType;
 use policy::randomness::standard_normal;
 
 use super::*;
@@ -36,7 +35,7 @@ fn posterior() -> Posterior {
 
 fn of_shape(shape: PosteriorShape) -> Posterior {
     let adam = AdamConfig { learning_rate: 2e-2, epsilon: 1e-5, max_gradient_norm: 10.0 };
-    Posterior::new(&config(), adam, shape, (RunSeed(3), Precision::Single, 0)).unwrap()
+    Posterior::new(&config(), adam, shape, (RunSeed(3), 0)).unwrap()
 }
 
 /// The agent's and the other's actions, both normal with standard deviation `SIGMA` and correlation `rho`.

@@ -1,12 +1,10 @@
 //! One agent of MADDPG: a deterministic actor, its central action value, and a target network of each.
 
-use candle_core::{Device, Tensor};
-use policy::math::Real;
+use candle_core::{DType, Device, Tensor};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{
-    ActorNetwork, ActorPolicy, Distribution, Head, NamedArrays, PolicyConfig, Precision,
-    SequenceInput,
+    ActorNetwork, ActorPolicy, Distribution, Head, NamedArrays, PolicyConfig, SequenceInput,
 };
 
 use crate::config::Config;
@@ -16,14 +14,12 @@ use crate::error::MarlError;
 use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::optimisation::layers::rows;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
-use crate::optimisation::reals::Reals;
 use crate::rules::maddpg::q::ActionValue;
 use crate::rules::maddpg::replay::Sample;
 
 /// An agent in training.
 pub(super) struct Agent {
     index: usize,
-    precision: Precision,
     actor: ActorNetwork,
     target_actor: ActorNetwork,
     value: ActionValue,
@@ -48,7 +44,7 @@ impl Agent {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        (seed, precision): (RunSeed, Precision),
+        seed: RunSeed,
         index: usize,
     ) -> Result<Self, MarlError> {
         let draw = |purpose| generator(seed, Draw::of(purpose).agent(index as u32));
@@ -59,12 +55,12 @@ impl Agent {
         let actor = || {
             let mut rng = draw(Purpose::Initialisation);
             let (observation, action) = (shape.observation, shape.action);
-            ActorNetwork::with_head(policy, observation, action, head, precision.dtype(), &mut rng)
+            ActorNetwork::new(policy, observation, action, head, &mut rng)
         };
         let inputs = problem.state + problem.agents.iter().map(|agent| agent.action).sum::<usize>();
         let value = || {
             let mut rng = draw(Purpose::CriticInitialisation);
-            ActionValue::new(&config.critic, inputs, precision, &mut rng)
+            ActionValue::new(&config.critic, inputs, &mut rng)
         };
         let adam = |learning_rate, max_gradient_norm, parameters: &Parameters| {
             let epsilon = config.update.adam_epsilon;
@@ -74,7 +70,6 @@ impl Agent {
         let (first, q) = (actor()?, value()?);
         Ok(Self {
             index,
-            precision,
             actor_adam: adam(update.learning_rate, update.max_gradient_norm, first.parameters()),
             value_adam: adam(critic.learning_rate, critic.max_gradient_norm, &q.parameters),
             actor: first,
@@ -105,7 +100,7 @@ impl Agent {
     pub(super) fn learn(&mut self, sample: &Sample, next: &[Tensor]) -> Result<Figures, MarlError> {
         let target = self.targets(sample, next)?;
         let taken = sample.action.iter().zip(next);
-        let taken = taken.map(|(action, like)| rows(action.clone(), like.dim(1)?, self.precision));
+        let taken = taken.map(|(action, like)| rows(action.clone(), like.dim(1)?));
         let taken = taken.collect::<Result<Vec<_>, MarlError>>()?;
         let value_loss = self.fit_value(sample, &taken, &target)?;
         let (action_value, gradient_norm) = self.update_actor(sample, taken)?;
@@ -165,9 +160,9 @@ impl Agent {
         observation: &[f32],
         count: usize,
     ) -> Result<Tensor, MarlError> {
-        let unread = Tensor::zeros((1, 1), self.precision.dtype(), &Device::Cpu)?;
+        let unread = Tensor::zeros((1, 1), DType::F32, &Device::Cpu)?;
         let input = SequenceInput {
-            observation: rows(observation.to_vec(), observation.len() / count, self.precision)?,
+            observation: rows(observation.to_vec(), observation.len() / count)?,
             hidden: unread.clone(),
             mask: unread,
         };
@@ -181,7 +176,7 @@ impl Agent {
     fn joint_input(&self, state: &[f32], actions: &[Tensor]) -> Result<Tensor, MarlError> {
         let (mut state, width) = (state.to_vec(), state.len() / actions[0].dim(0)?);
         self.states.apply(&mut state, width);
-        let mut parts = vec![rows(state, width, self.precision)?];
+        let mut parts = vec![rows(state, width)?];
         parts.extend(actions.iter().cloned());
         Ok(Tensor::cat(&parts, 1)?)
     }
@@ -227,21 +222,14 @@ impl Agent {
 
 /// Polyak averaging: `target' = (1 - share) target + share source`, parameter by parameter.
 fn polyak_update(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
+    let share = share as f32;
     for (target, source) in target.vars().iter().zip(source.vars()) {
-        let updated = match (Reals::of(target)?, Reals::of(source)?) {
-            (Reals::Single(slow), Reals::Single(fast)) => Reals::Single(blend(&slow, &fast, share)),
-            (Reals::Double(slow), Reals::Double(fast)) => Reals::Double(blend(&slow, &fast, share)),
-            (slow, fast) => panic!("{slow:?} and {fast:?} differ in precision"),
-        };
-        target.set(&updated.tensor(target.shape())?)?;
+        let slow = target.as_tensor().flatten_all()?.to_vec1::<f32>()?;
+        let fast = source.as_tensor().flatten_all()?.to_vec1::<f32>()?;
+        let moved = slow.iter().zip(fast).map(|(slow, fast)| (1.0 - share) * slow + share * fast);
+        target.set(&Tensor::from_vec(moved.collect(), target.shape(), &Device::Cpu)?)?;
     }
     Ok(())
-}
-
-fn blend<T: Real>(slow: &[T], fast: &[T], share: f64) -> Vec<T> {
-    let share = T::from_f64(share);
-    let pairs = slow.iter().zip(fast);
-    pairs.map(|(&slow, &fast)| (T::one() - share) * slow + share * fast).collect()
 }
 
 #[cfg(test)]
@@ -261,8 +249,7 @@ mod tests {
         let (problem, mut config) = (probe::problem(), probe::config());
         let seen = |norm, config: &mut Config| {
             config.critic.state_norm = norm;
-            let start = (RunSeed(0), Precision::Single);
-            let agent = Agent::new(config, &probe::policy(), &problem, start, 0).unwrap();
+            let agent = Agent::new(config, &probe::policy(), &problem, RunSeed(0), 0).unwrap();
             let action = Tensor::new(&[[9.0_f32]], &Device::Cpu).unwrap();
             agent.joint_input(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
         };

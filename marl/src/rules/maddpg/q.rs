@@ -1,7 +1,6 @@
 //! The central action value of one agent: the value of a joint action in a global state.
 
 use candle_core::Tensor;
-use policy::Precision;
 use policy::ops::LayerStack;
 use policy::parameters::Parameters;
 use rand::RngCore;
@@ -21,13 +20,12 @@ impl ActionValue {
     pub(super) fn new(
         config: &CriticConfig,
         inputs: usize,
-        precision: Precision,
         rng: &mut impl RngCore,
     ) -> Result<Self, MarlError> {
         let shape = (inputs, config.width, config.layers);
         let specs = rectified_layers(shape, Normalisation::None, 1);
         let mut parameters = Parameters::new();
-        let layers = LayerStack::declare(&mut parameters, &specs, precision.dtype(), rng)?;
+        let layers = LayerStack::declare(&mut parameters, &specs, rng)?;
         Ok(Self { parameters, layers })
     }
 

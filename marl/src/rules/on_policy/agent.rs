@@ -6,7 +6,7 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig, Precision};
+use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig};
 use rayon::prelude::*;
 
 use crate::config::{Config, CountedState, Estimator, QTraining, UpdateConfig};
@@ -52,14 +52,14 @@ impl Agent {
         config: &Config,
         policy: &PolicyConfig,
         problem: &Problem,
-        (seed, precision): (RunSeed, Precision),
+        seed: RunSeed,
         index: usize,
     ) -> Result<Self, MarlError> {
         let (shape, number) = (&problem.agents[index], index as u32);
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
-        let (head, dtype) = (shape.kind.head(), precision.dtype());
         let (observation, action) = (shape.observation, shape.action);
-        let network = ActorNetwork::with_head(policy, observation, action, head, dtype, &mut rng)?;
+        let head = shape.kind.head();
+        let network = ActorNetwork::new(policy, observation, action, head, &mut rng)?;
         let sizes = problem.agents.iter().map(|agent| agent.kind.encoded_size(agent.action));
         let total: usize = sizes.sum();
         let (update, influence) = (&config.update, &config.influence);
@@ -77,8 +77,7 @@ impl Agent {
         let wanted = influence.lambda > 0.0 && own.others > 0;
         let counts = influence.estimator == Estimator::Count;
         let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
-        let (shared, start_of_q) =
-            (influence.q_training == QTraining::Shared, (seed, precision, number));
+        let (shared, start_of_q) = (influence.q_training == QTraining::Shared, (seed, number));
         let posterior = (wanted && !counts && !shared)
             .then(|| Posterior::new(influence, q_adam, own, start_of_q))
             .transpose()?;
@@ -100,7 +99,7 @@ impl Agent {
             },
             update: update.clone(),
             kind: shape.kind,
-            memory: Memory::new(policy, precision),
+            memory: Memory::new(policy),
             posterior,
             second_head,
             holdout_every: influence.holdout_every,

@@ -56,7 +56,7 @@ impl Agent {
 
 #[cfg(test)]
 mod tests {
-    use policy::{Draw, Precision, Purpose, RunSeed};
+    use policy::{Draw, Purpose, RunSeed};
 
     use super::super::agent::{fit_posteriors, gather};
     use super::super::ascent::{AgentInputs, gradient, maximise};
@@ -65,19 +65,15 @@ mod tests {
     use crate::config::QTraining;
     use crate::data::sequence::Layout;
     use crate::influence::mutual_information;
-    use crate::optimisation::gradient::numbers;
+    use crate::optimisation::tests::meets_finite_differences;
     use crate::probe;
 
     /// Two agents with their rollout data and influence.
-    fn prepared(
-        q_training: QTraining,
-        precision: Precision,
-    ) -> (Vec<Agent>, Vec<Experience>, Vec<Influence>) {
+    fn prepared(q_training: QTraining) -> (Vec<Agent>, Vec<Experience>, Vec<Influence>) {
         let (problem, policy, batch, mut config) =
             (probe::problem(), probe::policy(), probe::batch(), probe::config());
         config.influence.q_training = q_training;
-        let agent =
-            |index| Agent::new(&config, &policy, &problem, (RunSeed(0), precision), index).unwrap();
+        let agent = |index| Agent::new(&config, &policy, &problem, RunSeed(0), index).unwrap();
         let mut agents = vec![agent(0), agent(1)];
         let layout = Layout::of(&batch, policy.backpropagation_steps);
         let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();
@@ -89,7 +85,7 @@ mod tests {
 
     #[test]
     fn a_second_head_is_evaluated_on_all_rows_before_it_is_trained_on_them() {
-        let (agents, experience, influence) = prepared(QTraining::Shared, Precision::Single);
+        let (agents, experience, influence) = prepared(QTraining::Shared);
         let second = agents[0].second_head.as_ref().unwrap();
         let conditional = second.conditional(&experience[0].conditions()).unwrap();
         let rows: Vec<usize> = (0..experience[0].sequences.layout.rows()).collect();
@@ -101,35 +97,23 @@ mod tests {
 
     #[test]
     fn the_gradient_of_equation_10_reaches_both_heads_and_their_trunk() {
-        let (agents, experience, influence) = prepared(QTraining::Shared, Precision::Double);
+        let (agents, experience, influence) = prepared(QTraining::Shared);
         let agent = &agents[0];
         let inputs = AgentInputs { experience: &experience[0], influence: &influence[0] };
         let factor = vec![1.0; experience[0].log_prob.len()];
         let columns: Vec<usize> = (0..experience[0].sequences.layout.chunks).collect();
         let loss = || gradient(agent, inputs, &factor, &columns).unwrap().0.loss;
         let found = gradient(agent, inputs, &factor, &columns).unwrap().1;
-        for (var, slope) in agent.trainable.vars().iter().zip(&found.0) {
-            let (start, slope, h) = (numbers(var).unwrap(), slope.numbers(), 1e-6);
-            let moved = |at: usize, by: f64| {
-                let mut to = start.clone();
-                to[at] += by;
-                let to = candle_core::Tensor::from_vec(to, var.shape(), var.device()).unwrap();
-                var.set(&to).unwrap();
-                loss()
-            };
-            for at in (0..start.len()).step_by(1 + start.len() / 7) {
-                let expected = (moved(at, h) - moved(at, -h)) / (2.0 * h);
-                moved(at, 0.0);
-                let error = (expected - slope[at]).abs();
-                assert!(error < 1e-6 * (1.0 + expected.abs()), "{at}: {expected} {}", slope[at]);
-            }
+        for (var, gradient) in agent.trainable.vars().iter().zip(&found.0) {
+            let stride = 1 + gradient.len() / 7;
+            meets_finite_differences(&loss, (var, gradient), stride, (1e-2, 1e-5));
         }
     }
 
     #[test]
     fn the_sweep_trains_a_second_head_but_no_posterior_trained_by_likelihood() {
         for (q_training, touched) in [(QTraining::Mle, false), (QTraining::Shared, true)] {
-            let (mut agents, experience, influence) = prepared(q_training, Precision::Single);
+            let (mut agents, experience, influence) = prepared(q_training);
             let before = agents[0].posterior_arrays(0).unwrap();
             let factor = vec![1.0; experience[0].log_prob.len()];
             let key = (RunSeed(0), Draw::of(Purpose::Minibatch));

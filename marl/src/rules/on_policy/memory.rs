@@ -1,10 +1,9 @@
 //! Recurrent states at the start of a chunk: stored, recomputed with the current weights, or after a burn-in with them.
 //!
-//! Recomputed states are constants in single precision, like stored ones.
+//! Recomputed states are constants, like stored ones.
 
-use candle_core::DType;
 use policy::network::SequenceInput;
-use policy::{ActorNetwork, PolicyConfig, Precision, RefreshHidden};
+use policy::{ActorNetwork, PolicyConfig, RefreshHidden};
 
 use crate::data::sequence::Sequences;
 use crate::error::MarlError;
@@ -15,16 +14,15 @@ pub(super) struct Memory {
     /// Number of chunks processed before a chunk.
     burn_in: usize,
     refresh: RefreshHidden,
-    precision: Precision,
     /// States at each chunk's start `[C, H]` that replace the stored ones, for the current `D_k` only.
     refreshed: Option<Vec<f32>>,
 }
 
 impl Memory {
-    pub(super) fn new(policy: &PolicyConfig, precision: Precision) -> Self {
+    pub(super) fn new(policy: &PolicyConfig) -> Self {
         let (burn_in, refresh) =
             (policy.burn_in / policy.backpropagation_steps, policy.refresh_hidden);
-        Self { burn_in, refresh, precision, refreshed: None }
+        Self { burn_in, refresh, refreshed: None }
     }
 
     /// Input of `network` for some chunks. All log-probabilities of an update use it.
@@ -35,7 +33,7 @@ impl Memory {
         columns: &[usize],
     ) -> Result<SequenceInput, MarlError> {
         let start = self.burned_in_states(network, sequences, columns, self.burn_in)?;
-        sequences.input_from(columns, start, self.precision.dtype())
+        sequences.input_from(columns, start)
     }
 
     /// Returns to the stored states, for a new `D_k`.
@@ -109,8 +107,8 @@ impl Memory {
         columns: &[usize],
         start: Vec<f32>,
     ) -> Result<Vec<f32>, MarlError> {
-        let input = sequences.input_from(columns, start, self.precision.dtype())?;
-        let last = network.last_state(&network.weights()?, &input)?.to_dtype(DType::F32)?;
+        let input = sequences.input_from(columns, start)?;
+        let last = network.last_state(&network.weights()?, &input)?;
         let mut states = last.flatten_all()?.to_vec1::<f32>()?;
         for (state, &column) in states.chunks_exact_mut(network.hidden_size()).zip(columns) {
             if sequences.ends[column] {

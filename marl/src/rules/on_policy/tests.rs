@@ -2,7 +2,7 @@
 //! ratio and the factor `M` are 1.
 
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
-use policy::{CoreKind, PolicyConfig, Precision, RefreshHidden, RunSeed, Scratch};
+use policy::{CoreKind, PolicyConfig, RefreshHidden, RunSeed, Scratch};
 
 use super::agent::{Agent, gather};
 use super::ascent::{AgentInputs, gradient, policy_change};
@@ -42,8 +42,7 @@ fn policies() -> [PolicyConfig; 5] {
 }
 
 fn agents(policy: &PolicyConfig) -> Vec<Agent> {
-    let start = (RunSeed(3), Precision::Single);
-    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), start, index);
+    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), RunSeed(3), index);
     (0..2).map(|index| agent(index).unwrap()).collect()
 }
 

@@ -1,15 +1,10 @@
-//! Layers from candle's own operations: slower, differentiated by candle, in any precision.
+//! The reference: layers from candle's own operations, differentiated by candle, in any precision.
 
 use candle_core::{Result, Tensor};
-use kernels::{Activation, Layer, Network};
-
-use super::{LAYER_NORM_EPSILON, RecurrentInput};
+use policy::ops::{Activation, LAYER_NORM_EPSILON, Layer, Network, RecurrentInput};
 
 /// The input `x` `[R, in]` and every layer's result, for a network with the parameters `flat`.
-///
-/// # Errors
-/// If shapes or element types do not match.
-pub fn network(
+pub(crate) fn network(
     network: &Network,
     x: &Tensor,
     flat: &Tensor,
@@ -46,10 +41,7 @@ pub fn network(
 }
 
 /// `activation(x W^T + b)`: `x` is `[R, in]`, `w` `[out, in]`, `b` `[out]`.
-///
-/// # Errors
-/// If shapes or element types do not match.
-pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, activation: Activation) -> Result<Tensor> {
+fn linear(x: &Tensor, w: &Tensor, b: &Tensor, activation: Activation) -> Result<Tensor> {
     let y = x.matmul(&w.t()?)?.broadcast_add(b)?;
     match activation {
         Activation::Identity => Ok(y),
@@ -60,22 +52,16 @@ pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, activation: Activation) -> Res
 
 /// `(x - mean) / sqrt(var + 1e-5) * weight + bias` over the last axis, with the biased variance: `x` is `[R, F]`,
 /// `weight` and `bias` are `[F]`.
-///
-/// # Errors
-/// If shapes or element types do not match.
-pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
     let centred = x.broadcast_sub(&x.mean_keepdim(1)?)?;
     let variance = centred.sqr()?.mean_keepdim(1)?;
-    let normal = centred.broadcast_div(&(variance + LAYER_NORM_EPSILON)?.sqrt()?)?;
+    let normal = centred.broadcast_div(&(variance + f64::from(LAYER_NORM_EPSILON))?.sqrt()?)?;
     normal.broadcast_mul(weight)?.broadcast_add(bias)
 }
 
 /// The recurrent part of [`Layer::Gru`]: `projected` is `x W_i^T + b_i`, `[T*B, 3H]`. Returns every `h_t`,
 /// `[T*B, H]`.
-///
-/// # Errors
-/// If shapes or element types do not match.
-pub fn gru_sequence(
+fn gru_sequence(
     projected: &Tensor,
     w_hh: &Tensor,
     b_hh: &Tensor,
