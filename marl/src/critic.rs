@@ -11,7 +11,6 @@ use std::ops::Range;
 
 use candle_core::Tensor;
 use policy::InputNorm;
-use policy::arrays::{Array, NamedArrays};
 use policy::layers::LayerSpec;
 use policy::ops::{LayerStack, Weights};
 use policy::parameters::Parameters;
@@ -36,6 +35,7 @@ use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
 use crate::rounding::round;
 use crate::shape::assert_shape;
+use crate::state::{Visitor, visit_parameters};
 
 /// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then a GRU with its LayerNorm if configured, then `V` values,
 /// each normalised by its own returns. [`CriticMode`](crate::config::CriticMode) selects the valued rewards.
@@ -315,45 +315,17 @@ impl Critic {
         Ok((loss, Gradients::of(&self.parameters, &root)?))
     }
 
-    /// `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`, `memory/critic*.hidden`;
-    /// the first `*` is the suffix.
-    ///
-    /// # Errors
-    /// If a tensor operation fails.
-    pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.parameters.to_arrays(&format!("weights/critic{}.", self.suffix))?;
-        arrays.append(&mut self.adam.arrays(&format!("optimizer/critic{}.", self.suffix)));
-        arrays.append(&mut self.scale.arrays(&format!("normalizer/state{}.", self.suffix)));
-        for (agent, normalizer) in (self.index..).zip(&self.normalizers) {
-            let array = Array::F64 { shape: vec![3], data: normalizer.state().to_vec() };
-            arrays.insert(format!("normalizer/value_{agent}"), array);
-        }
-        arrays.extend(self.memory.as_ref().map(|memory| (self.memory_name(), memory.array())));
-        Ok(arrays)
-    }
-
-    /// Restores the output of [`Critic::arrays`].
-    ///
-    /// # Errors
-    /// Names an array that is missing or of another shape or type.
-    pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.parameters.load(&format!("weights/critic{}.", self.suffix), arrays)?;
-        self.adam.restore(&format!("optimizer/critic{}.", self.suffix), arrays)?;
-        self.scale.restore(&format!("normalizer/state{}.", self.suffix), arrays)?;
+    /// Visits `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`,
+    /// `memory/critic*.hidden`; the first `*` is the suffix.
+    pub(crate) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        let suffix = &self.suffix;
+        visit_parameters(visitor, &format!("weights/critic{suffix}."), &self.parameters)?;
+        self.adam.visit(&format!("optimizer/critic{suffix}."), visitor)?;
+        self.scale.visit(&format!("normalizer/state{suffix}."), visitor)?;
         for (agent, normalizer) in (self.index..).zip(&mut self.normalizers) {
-            let name = format!("normalizer/value_{agent}");
-            match arrays.get(&name) {
-                Some(Array::F64 { data, .. }) if data.len() == 3 => {
-                    normalizer.restore([data[0], data[1], data[2]]);
-                }
-                _ => return Err(MarlError::Restore(format!("{name} is not 3 f64 numbers"))),
-            }
+            normalizer.visit(&format!("normalizer/value_{agent}"), visitor)?;
         }
-        let name = self.memory_name();
-        self.memory.as_mut().map_or(Ok(()), |memory| memory.restore(&name, arrays.get(&name)))
-    }
-
-    fn memory_name(&self) -> String {
-        format!("memory/critic{}.hidden", self.suffix)
+        let name = format!("memory/critic{suffix}.hidden");
+        self.memory.as_mut().map_or(Ok(()), |memory| memory.visit(&name, visitor))
     }
 }

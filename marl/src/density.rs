@@ -3,18 +3,17 @@
 pub mod categorical;
 pub mod diagonal_gaussian;
 mod moments;
-mod stored;
 #[cfg(test)]
 mod tests;
 pub mod vae;
 
-use policy::arrays::NamedArrays;
 use policy::randomness::RunSeed;
 use rayon::prelude::*;
 
 use crate::config::{DensityKind, SurpriseConfig};
 use crate::error::MarlError;
 use crate::shape::assert_shape;
+use crate::state::Visitor;
 use moments::Moments;
 
 /// Observations of one agent.
@@ -91,16 +90,11 @@ pub trait Density: Send + Sync {
     ) -> Result<Vec<f64>, MarlError>;
     /// Number of active features, and of features left out because they hardly vary.
     fn features(&self) -> (usize, usize);
-    /// `theta` and the other state of the next fit, as arrays under `prefix`.
+    /// Visits `theta` and the other state of the next fit, as arrays under `prefix`.
     ///
     /// # Errors
-    /// If a tensor operation fails.
-    fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError>;
-    /// Restores a stored `theta`.
-    ///
-    /// # Errors
-    /// Names the array that is missing or has another shape or type.
-    fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError>;
+    /// Passes on the visitor's; if a tensor operation fails.
+    fn visit(&mut self, prefix: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError>;
 }
 
 /// The configured density over the observation features `signal` of agent `agent`.

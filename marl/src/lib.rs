@@ -18,6 +18,7 @@ pub mod probe;
 mod rounding;
 pub mod rules;
 mod shape;
+pub mod state;
 pub mod surprise;
 
 pub use config::{
@@ -28,6 +29,7 @@ pub use data::observation::{ObservationMoments, ObservationScale};
 pub use error::MarlError;
 pub use optimisation::learning_rate::LearningRateDecay;
 pub use probe::probe;
-pub use rules::algorithm::{self, Algorithm, Report};
+pub use rules::algorithm::{Algorithm, Report};
 pub use rules::build;
+pub use state::State;
 pub use surprise::Surprise;

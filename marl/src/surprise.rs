@@ -6,7 +6,6 @@
 mod agent;
 mod scored;
 
-use policy::arrays::NamedArrays;
 use policy::randomness::RunSeed;
 use rayon::prelude::*;
 
@@ -16,6 +15,7 @@ use crate::density::{self, DensityContext, Observations};
 use crate::error::MarlError;
 use crate::rules::algorithm::Report;
 use crate::shape::assert_shape;
+use crate::state::{State, Visitor};
 use crate::surprise::agent::{AgentSurprise, Rule};
 
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`; the right-hand side per step: minus the mean log-density of
@@ -110,36 +110,6 @@ impl Surprise {
         self.agents.par_iter().map(agent).collect()
     }
 
-    /// The densities as arrays, `density/agent_I.NAME`.
-    ///
-    /// # Errors
-    /// If a tensor operation fails.
-    pub fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = NamedArrays::new();
-        for (index, agent) in self.agents.iter().enumerate() {
-            arrays.append(&mut agent.arrays(&prefix(index))?);
-        }
-        Ok(arrays)
-    }
-
-    /// Restores stored densities.
-    ///
-    /// # Errors
-    /// Names an array that is missing, unknown, or of another shape or type.
-    pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        let known = self.arrays()?;
-        let stored = arrays.keys().filter(|name| name.starts_with("density/"));
-        if let Some(name) = stored.into_iter().find(|name| !known.contains_key(*name)) {
-            return Err(MarlError::Restore(format!(
-                "{name} does not belong to a density of this run"
-            )));
-        }
-        for (index, agent) in self.agents.iter_mut().enumerate() {
-            agent.restore(&prefix(index), arrays)?;
-        }
-        Ok(())
-    }
-
     /// Metrics of the last fit, per agent: entropy bound of the observations (nats), mean and standard deviation of the
     /// bonus per step (reward), its share of the return, and the numbers of active features and of features left out.
     #[must_use]
@@ -160,8 +130,16 @@ impl Surprise {
     }
 }
 
-fn prefix(agent: usize) -> String {
-    format!("density/agent_{agent}.")
+impl State for Surprise {
+    fn prefixes(&self) -> &'static [&'static str] {
+        &["density/"]
+    }
+
+    /// Visits `density/agent_I.NAME`.
+    fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        let mut agents = self.agents.iter_mut().enumerate();
+        agents.try_for_each(|(i, agent)| agent.visit(&format!("density/agent_{i}."), visitor))
+    }
 }
 
 #[cfg(test)]

@@ -233,7 +233,7 @@ fn recurrent_critics_give_the_same_bits_on_one_two_and_three_threads_with_any_ru
 #[test]
 fn weights_are_the_arrays_under_their_prefix() {
     for rule in RULES {
-        let algorithm = algorithm(rule);
+        let mut algorithm = algorithm(rule);
         let mut arrays = algorithm.arrays().unwrap();
         arrays.retain(|name, _| name.starts_with("weights/"));
         assert_eq!(algorithm.weights().unwrap(), arrays);

@@ -86,7 +86,9 @@ impl Array {
         }
     }
 
-    fn dtype(&self) -> Dtype {
+    /// Type of the elements.
+    #[must_use]
+    pub fn dtype(&self) -> Dtype {
         match self {
             Self::F32 { .. } => Dtype::F32,
             Self::F64 { .. } => Dtype::F64,

@@ -192,7 +192,7 @@ impl ActorNetwork {
     /// # Errors
     /// Passes on a tensor error.
     pub fn policy(&self) -> Result<ActorPolicy, PolicyError> {
-        ActorPolicy::new(self.spec.clone(), self.parameters.to_arrays("")?)
+        ActorPolicy::new(self.spec.clone(), self.parameters.to_arrays()?)
     }
 }
 

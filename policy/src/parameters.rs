@@ -104,62 +104,37 @@ impl Parameters {
         span.map_or("", |span| &span.name)
     }
 
-    /// The parameters as arrays named `PREFIX` + name.
+    /// The elements of every variable, in order.
     ///
     /// # Errors
     /// Passes on a tensor error.
-    pub fn to_arrays(&self, prefix: &str) -> Result<NamedArrays, PolicyError> {
-        let mut arrays = NamedArrays::new();
-        for (index, var) in self.vars.iter().enumerate() {
-            let flat = var.as_tensor().flatten_all()?.to_vec1::<f32>()?;
-            for span in self.spans.iter().filter(|span| span.var == index) {
-                let (shape, data) = (span.shape.clone(), flat[span.range.clone()].to_vec());
-                arrays.insert(format!("{prefix}{}", span.name), Array::F32 { shape, data });
-            }
-        }
-        Ok(arrays)
+    pub fn values(&self) -> Result<Vec<Vec<f32>>, PolicyError> {
+        let one = |var: &Var| Ok(var.as_tensor().flatten_all()?.to_vec1()?);
+        self.vars.iter().map(one).collect()
     }
 
-    /// Sets the parameters from the arrays named `PREFIX` + name.
+    /// Sets the elements of every variable.
     ///
     /// # Errors
-    /// Names an array that is missing, unknown under the prefix, or of another shape or type. No
-    /// parameter has then changed.
-    pub fn load(&self, prefix: &str, arrays: &NamedArrays) -> Result<(), PolicyError> {
-        let known = |name: &str| self.spans.iter().any(|span| span.name == name);
-        let extra = arrays.keys().filter_map(|name| name.strip_prefix(prefix)).find(|n| !known(n));
-        if let Some(name) = extra {
-            return Err(PolicyError::Restore(format!("{prefix}{name} belongs to no parameter")));
-        }
-        let parts = self
-            .spans
-            .iter()
-            .map(|span| stored(arrays, prefix, span))
-            .collect::<Result<Vec<_>, _>>()?;
-        for (index, var) in self.vars.iter().enumerate() {
-            let own = self.spans.iter().zip(&parts).filter(|(span, _)| span.var == index);
-            let flat: Vec<f32> = own.flat_map(|(_, part)| *part).copied().collect();
-            var.set(&Tensor::from_vec(flat, var.dims(), &Device::Cpu)?)?;
+    /// If a number of elements is wrong.
+    pub fn set(&self, values: Vec<Vec<f32>>) -> Result<(), PolicyError> {
+        for (var, values) in self.vars.iter().zip(values) {
+            var.set(&Tensor::from_vec(values, var.shape(), &Device::Cpu)?)?;
         }
         Ok(())
     }
-}
 
-/// The elements of the array of one parameter.
-fn stored<'a>(
-    arrays: &'a NamedArrays,
-    prefix: &str,
-    span: &TensorSpan,
-) -> Result<&'a [f32], PolicyError> {
-    let name = format!("{prefix}{}", span.name);
-    match arrays.get(&name) {
-        Some(Array::F32 { shape, data }) if *shape == span.shape => Ok(data),
-        Some(other) => {
-            let (found, expected) = (other.shape(), &span.shape);
-            let detail = format!("{name} has shape {found:?}, expected {expected:?} F32");
-            Err(PolicyError::Restore(detail))
-        }
-        None => Err(PolicyError::Restore(format!("{name} is missing"))),
+    /// The parameters as arrays.
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn to_arrays(&self) -> Result<NamedArrays, PolicyError> {
+        let values = self.values()?;
+        let one = |span: &TensorSpan| {
+            let (shape, data) = (span.shape.clone(), values[span.var][span.range.clone()].to_vec());
+            (span.name.clone(), Array::F32 { shape, data })
+        };
+        Ok(self.spans.iter().map(one).collect())
     }
 }
 
@@ -185,19 +160,13 @@ mod tests {
     }
 
     #[test]
-    fn loading_is_strict_and_an_error_names_the_array() {
-        let source = parameters().to_arrays("p.").expect("f32 arrays");
+    fn values_are_set_and_become_arrays_with_their_names() {
         let target = parameters();
-        assert!(target.load("p.", &source).is_ok());
-        let mut missing = source.clone();
-        missing.remove("p.a");
-        let mut extra = source.clone();
-        extra.insert("p.b".to_owned(), Array::F32 { shape: vec![0], data: vec![] });
-        let mut reshaped = source.clone();
-        reshaped.insert("p.a".to_owned(), Array::F32 { shape: vec![1], data: vec![9.0] });
-        for (arrays, name) in [(missing, "p.a is missing"), (extra, "p.b"), (reshaped, "p.a has")] {
-            let error = target.load("p.", &arrays).expect_err(name).to_string();
-            assert!(error.contains(name), "{error}");
-        }
+        target.set(vec![vec![5.0, 6.0], vec![7.0, 8.0]]).expect("two numbers each");
+        let one = |data: Vec<f32>| Array::F32 { shape: vec![2], data };
+        let expected =
+            [("z".to_owned(), one(vec![5.0, 6.0])), ("a".to_owned(), one(vec![7.0, 8.0]))];
+        assert_eq!(target.to_arrays().expect("f32"), NamedArrays::from(expected));
+        assert!(target.set(vec![vec![5.0], vec![7.0, 8.0]]).is_err());
     }
 }

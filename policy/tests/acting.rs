@@ -179,7 +179,7 @@ fn the_same_draw_gives_the_same_network_and_another_draw_another() {
             &mut rng,
         )
         .unwrap();
-        policy::arrays::sha256(&network.parameters().to_arrays("").unwrap())
+        policy::arrays::sha256(&network.parameters().to_arrays().unwrap())
     };
     assert_eq!(bits(1), bits(1));
     assert_ne!(bits(1), bits(2));

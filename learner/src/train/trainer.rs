@@ -11,7 +11,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use marl::{Algorithm, Batch, LearningRateDecay, MarlError, ObservationMoments, Report, Surprise};
+use marl::{
+    Algorithm, Batch, LearningRateDecay, MarlError, ObservationMoments, Report, State as _,
+    Surprise,
+};
 use policy::arrays::NamedArrays;
 use proto::{Digest, PolicyVersion, WeightsName};
 use rayon::ThreadPool;

@@ -7,7 +7,6 @@
 use std::ops::Range;
 
 use candle_core::{Device, Tensor};
-use policy::arrays::Array;
 use policy::layers::LayerSpec;
 use policy::ops::{RecurrentInput, Weights};
 
@@ -19,6 +18,7 @@ use crate::optimisation::gradient::numbers;
 use crate::optimisation::layers::rows;
 use crate::optimisation::shards::{self, shards};
 use crate::shape::assert_shape;
+use crate::state::{Elements, Shape, Visitor};
 
 /// Recurrent states between two rollouts.
 #[derive(Clone, Debug)]
@@ -90,23 +90,9 @@ impl Memory {
         }
     }
 
-    /// The carried states, `[B, H]`; `[0, H]` before the first rollout.
-    pub(super) fn array(&self) -> Array {
-        let shape = vec![self.carried.len() / self.width, self.width];
-        Array::F32 { shape, data: self.carried.clone() }
-    }
-
-    /// Restores the output of [`Memory::array`], which is stored under `name`.
-    pub(super) fn restore(&mut self, name: &str, array: Option<&Array>) -> Result<(), MarlError> {
-        let width = self.width;
-        match array {
-            Some(Array::F32 { shape, data }) if matches!(shape[..], [count, found] if found == width && count * width == data.len()) =>
-            {
-                self.carried.clone_from(data);
-                Ok(())
-            }
-            _ => Err(MarlError::Restore(format!("{name} is not f32 states of {width} numbers"))),
-        }
+    /// Visits the carried states, `[B, H]`; `[0, H]` before the first rollout.
+    pub(super) fn visit(&mut self, name: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        visitor.array(name, Shape::Rows(&[self.width]), Elements::F32(&mut self.carried))
     }
 }
 

@@ -1,12 +1,12 @@
 //! Scaling of the critic's input.
 
 use libm::sqrt;
-use policy::NamedArrays;
 use policy::standardisation::LIMIT;
 
 use crate::config::StateNorm;
 use crate::data::running::RunningMoments;
 use crate::error::MarlError;
+use crate::state::Visitor;
 
 /// Features with a standard deviation below this count as equal and are only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;
@@ -43,17 +43,14 @@ impl StateScale {
         }
     }
 
-    pub(crate) fn arrays(&self, prefix: &str) -> NamedArrays {
-        match self {
-            Self::AsShown | Self::OwnFeatures => NamedArrays::new(),
-            Self::Running(moments) => moments.arrays(prefix),
-        }
-    }
-
-    pub(crate) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
+    pub(crate) fn visit(
+        &mut self,
+        prefix: &str,
+        visitor: &mut dyn Visitor,
+    ) -> Result<(), MarlError> {
         match self {
             Self::AsShown | Self::OwnFeatures => Ok(()),
-            Self::Running(moments) => moments.restore(prefix, arrays),
+            Self::Running(moments) => moments.visit(prefix, visitor),
         }
     }
 }

@@ -1,13 +1,13 @@
 //! The critics of an algorithm: one of the global state, or, as in independent PPO, one per agent of its observation.
 
 use policy::RunSeed;
-use policy::arrays::NamedArrays;
 use rayon::prelude::*;
 
 use super::{Critic, CriticFigures, ValueInputs, Values};
 use crate::config::{Config, CriticInput};
 use crate::data::batch::{AgentShape, Batch, Final, Problem};
 use crate::error::MarlError;
+use crate::state::Visitor;
 
 /// One critic, or one per agent.
 pub(crate) struct Critics {
@@ -79,16 +79,8 @@ impl Critics {
         Ok(CriticFigures::mean(&fitted))
     }
 
-    pub(crate) fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        let mut all = NamedArrays::new();
-        for critic in &self.critics {
-            all.append(&mut critic.arrays()?);
-        }
-        Ok(all)
-    }
-
-    pub(crate) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.critics.iter_mut().try_for_each(|critic| critic.restore(arrays))
+    pub(crate) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        self.critics.iter_mut().try_for_each(|critic| critic.visit(visitor))
     }
 }
 

@@ -2,6 +2,9 @@
 
 use libm::sqrt;
 
+use crate::error::MarlError;
+use crate::state::{Visitor, visit_numbers};
+
 /// Lower bound of the accumulated weight before a division by it.
 const MINIMAL_WEIGHT: f64 = 1e-5;
 /// Lower bound of the variance, in squared units of the return.
@@ -61,6 +64,14 @@ impl ValueNormalizer {
     #[must_use]
     pub fn state(&self) -> [f64; 3] {
         [self.mean, self.square, self.weight]
+    }
+
+    /// Visits the state as the array `name`.
+    pub(crate) fn visit(&mut self, name: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        let mut state = self.state().to_vec();
+        visit_numbers(visitor, name, &mut state)?;
+        self.restore([state[0], state[1], state[2]]);
+        Ok(())
     }
 
     /// Restores a stored state.

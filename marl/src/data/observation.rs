@@ -2,12 +2,13 @@
 
 use std::borrow::Cow;
 
-use policy::{NamedArrays, PolicySnapshot};
+use policy::PolicySnapshot;
 use rayon::prelude::*;
 
 use crate::data::batch::{Batch, Problem};
 use crate::data::running::RunningMoments;
 use crate::error::MarlError;
+use crate::state::{State, Visitor};
 
 /// How the learner scales observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,33 +69,20 @@ impl ObservationMoments {
         }
         policies
     }
-
-    /// `observation/agent_I.NAME`.
-    #[must_use]
-    pub fn arrays(&self) -> NamedArrays {
-        let agents = self.agents.iter().enumerate();
-        agents.flat_map(|(index, moments)| moments.arrays(&prefix(index))).collect()
-    }
-
-    /// Restores stored statistics.
-    ///
-    /// # Errors
-    /// Names an array that is missing, unknown or of another shape.
-    pub fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        let known = self.arrays();
-        let mut stored = arrays.keys().filter(|name| name.starts_with("observation/"));
-        if let Some(name) = stored.find(|name| !known.contains_key(*name)) {
-            return Err(MarlError::Restore(format!(
-                "{name} does not belong to an agent of this run"
-            )));
-        }
-        let mut agents = self.agents.iter_mut().enumerate();
-        agents.try_for_each(|(index, moments)| moments.restore(&prefix(index), arrays))
-    }
 }
 
-fn prefix(agent: usize) -> String {
-    format!("observation/agent_{agent}.")
+impl State for ObservationMoments {
+    fn prefixes(&self) -> &'static [&'static str] {
+        &["observation/"]
+    }
+
+    /// Visits `observation/agent_I.NAME`.
+    fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        let mut agents = self.agents.iter_mut().enumerate();
+        agents.try_for_each(|(index, moments)| {
+            moments.visit(&format!("observation/agent_{index}."), visitor)
+        })
+    }
 }
 
 #[cfg(test)]
@@ -141,7 +129,7 @@ mod tests {
         let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
         plain.take_in(&batch);
         assert!(matches!(plain.seen(&batch), Cow::Borrowed(_)));
-        assert!(plain.arrays().is_empty());
+        assert!(plain.arrays().unwrap().is_empty());
     }
 
     #[test]
@@ -157,12 +145,13 @@ mod tests {
 
     #[test]
     fn stored_statistics_are_restored_and_rejected_without_scaling() {
-        let (known, problem) = (known(), probe::problem());
+        let (mut known, problem) = (known(), probe::problem());
+        let arrays = known.arrays().unwrap();
         let mut other = ObservationMoments::new(ObservationScale::Running, &problem);
-        other.restore(&known.arrays()).unwrap();
-        assert_eq!(other.arrays(), known.arrays());
+        other.restore(&arrays).unwrap();
+        assert_eq!(other.arrays().unwrap(), arrays);
         let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
-        let error = plain.restore(&known.arrays()).unwrap_err().to_string();
+        let error = plain.restore(&arrays).unwrap_err().to_string();
         assert!(error.contains("observation/agent_0"), "{error}");
     }
 }

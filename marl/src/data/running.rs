@@ -2,9 +2,9 @@
 
 use libm::sqrt;
 use policy::Standardisation;
-use policy::arrays::{Array, NamedArrays};
 
 use crate::error::MarlError;
+use crate::state::{Visitor, visit_number, visit_numbers};
 
 /// A standard deviation of at most this, in units of the feature, counts as 0: rounding alone can cause it.
 const SMALLEST_DEVIATION: f64 = 1e-6;
@@ -58,35 +58,22 @@ impl RunningMoments {
         Standardisation { mean, inverse }
     }
 
-    /// `PREFIX` + `count`, `mean`, `squares`.
-    pub(crate) fn arrays(&self, prefix: &str) -> NamedArrays {
-        let real = |name: &str, data: &[f64]| {
-            (format!("{prefix}{name}"), Array::F64 { shape: vec![data.len()], data: data.to_vec() })
-        };
-        let (mean, squares) = (real("mean", &self.mean), real("squares", &self.squares));
-        NamedArrays::from([real("count", &[self.count]), mean, squares])
-    }
-
-    /// Restores stored moments.
-    ///
-    /// # Errors
-    /// Names an array that is missing or of another shape.
-    pub(crate) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        let real = |name: &str, length: usize| match arrays.get(&format!("{prefix}{name}")) {
-            Some(Array::F64 { data, .. }) if data.len() == length => Ok(data.clone()),
-            _ => Err(MarlError::Restore(format!("{prefix}{name} is not {length} f64 numbers"))),
-        };
-        let features = self.mean.len();
-        let (count, mean) = (real("count", 1)?, real("mean", features)?);
-        self.squares = real("squares", features)?;
-        (self.count, self.mean) = (count[0], mean);
-        Ok(())
+    /// Visits `PREFIX` + `count`, `mean`, `squares`.
+    pub(crate) fn visit(
+        &mut self,
+        prefix: &str,
+        visitor: &mut dyn Visitor,
+    ) -> Result<(), MarlError> {
+        visit_number(visitor, &format!("{prefix}count"), &mut self.count)?;
+        visit_numbers(visitor, &format!("{prefix}mean"), &mut self.mean)?;
+        visit_numbers(visitor, &format!("{prefix}squares"), &mut self.squares)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::state::{restored, saved};
 
     /// Two features. The second never varies.
     fn moments(iterations: &[&[f32]]) -> RunningMoments {
@@ -114,10 +101,12 @@ mod tests {
 
     #[test]
     fn stored_moments_are_restored_and_other_sizes_rejected_by_name() {
-        let (known, mut other) = (moments(&[&[1.0, 0.5, 3.0, 0.5]]), RunningMoments::new(2));
-        other.restore("a.", &known.arrays("a.")).unwrap();
+        let (mut known, mut other) = (moments(&[&[1.0, 0.5, 3.0, 0.5]]), RunningMoments::new(2));
+        let arrays = saved("", |visitor| known.visit("a.", visitor)).unwrap();
+        restored(&arrays, |visitor| other.visit("a.", visitor)).unwrap();
         assert_eq!(other, known);
-        let error = RunningMoments::new(3).restore("a.", &known.arrays("a.")).unwrap_err();
+        let mut wider = RunningMoments::new(3);
+        let error = restored(&arrays, |visitor| wider.visit("a.", visitor)).unwrap_err();
         assert!(error.to_string().contains("a.mean"), "{error}");
     }
 }

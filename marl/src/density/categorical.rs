@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 
 use libm::log;
-use policy::arrays::{Array, NamedArrays};
 
 use super::moments::Moments;
-use super::stored;
 use crate::density::{Density, DensityContext, Observations};
 use crate::error::MarlError;
+use crate::state::{Elements, Shape, Visitor};
 
 /// Laplace smoothing: every value, and all unseen values together, count once more. An unseen value thus has a
 /// probability, and log-probabilities are finite.
@@ -78,30 +77,16 @@ impl Density for Categorical {
         self.moments.features()
     }
 
-    /// The moments, and `counts_I` of signal feature `I`: ordered values and counts, `[K, 2]`.
-    fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.moments.arrays(prefix);
-        for (i, table) in self.counts.iter().enumerate() {
-            let data = table.iter().flat_map(|(&value, &count)| [i64::from(value), count]);
-            let array = Array::I64 { shape: vec![table.len(), 2], data: data.collect() };
-            arrays.insert(format!("{prefix}counts_{i}"), array);
+    /// Visits the moments, and `counts_I` of signal feature `I`: ordered values and counts, `[K, 2]`.
+    fn visit(&mut self, prefix: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        self.moments.visit(prefix, visitor)?;
+        for (i, table) in self.counts.iter_mut().enumerate() {
+            let pairs = table.iter().flat_map(|(&value, &count)| [i64::from(value), count]);
+            let (name, mut pairs) = (format!("{prefix}counts_{i}"), pairs.collect::<Vec<i64>>());
+            visitor.array(&name, Shape::Rows(&[2]), Elements::I64(&mut pairs))?;
+            *table = pairs.chunks_exact(2).map(|pair| (pair[0] as u32, pair[1])).collect();
         }
-        Ok(arrays)
-    }
-
-    fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        let table = |i: usize| {
-            let name = format!("{prefix}counts_{i}");
-            let numbers = stored::integers(arrays, &name, &[None, Some(2)])?;
-            let pairs = numbers.chunks_exact(2).map(|pair| (pair[0] as u32, pair[1]));
-            Ok(pairs.collect())
-        };
-        let counts = (0..self.counts.len())
-            .map(table)
-            .collect::<Result<Vec<BTreeMap<_, _>>, MarlError>>()?;
-        self.moments.restore(prefix, arrays)?;
-        self.rows = counts.first().map_or(0, |table| table.values().sum());
-        self.counts = counts;
+        self.rows = self.counts.first().map_or(0, |table| table.values().sum());
         Ok(())
     }
 }

@@ -1,12 +1,12 @@
 //! An independent Gaussian per observation feature, as in the paper's experiments.
 
 use libm::log;
-use policy::arrays::NamedArrays;
 
 use super::moments::Moments;
 use crate::density::{Density, DensityContext, Observations};
 use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
+use crate::state::Visitor;
 
 /// Mean and standard deviation of every signal feature that varies.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,12 +48,8 @@ impl Density for DiagonalGaussian {
         self.0.features()
     }
 
-    fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError> {
-        Ok(self.0.arrays(prefix))
-    }
-
-    fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.0.restore(prefix, arrays)
+    fn visit(&mut self, prefix: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        self.0.visit(prefix, visitor)
     }
 }
 
@@ -135,16 +131,5 @@ mod tests {
             assert!((density.0.mean[i] - both.0.mean[i]).abs() < 1e-9);
             assert!((density.0.sigma[i] - both.0.sigma[i]).abs() < 1e-9);
         }
-    }
-
-    #[test]
-    fn a_restored_density_equals_the_stored_one() {
-        let density = fitted();
-        let kept = density.arrays("density/agent_0.").unwrap();
-        let mut other = unfitted();
-        other.restore("density/agent_0.", &kept).unwrap();
-        assert_eq!(other, density);
-        let error = other.restore("density/agent_1.", &kept).unwrap_err();
-        assert!(error.to_string().contains("density/agent_1.mean"), "{error}");
     }
 }

@@ -2,11 +2,10 @@
 //! densities.
 
 use libm::{log, sqrt};
-use policy::arrays::{Array, NamedArrays};
 
-use super::stored;
 use crate::density::Observations;
 use crate::error::MarlError;
+use crate::state::{Elements, Shape, Visitor, visit_numbers};
 
 /// Moments of the signal features. A feature with a standard deviation below the mask is left out. Those of the others
 /// are at least the floor.
@@ -86,27 +85,18 @@ impl Moments {
         (counted, self.signal.len() - counted)
     }
 
-    pub(super) fn arrays(&self, prefix: &str) -> NamedArrays {
-        let shape = vec![self.signal.len()];
-        let real = |name: &str, data: &[f64]| {
-            (format!("{prefix}{name}"), Array::F64 { shape: shape.clone(), data: data.to_vec() })
-        };
-        let data = self.active.iter().map(|&a| i64::from(a)).collect();
-        NamedArrays::from([
-            real("mean", &self.mean),
-            real("variance", &self.variance),
-            real("sigma", &self.sigma),
-            (format!("{prefix}active"), Array::I64 { shape: shape.clone(), data }),
-        ])
-    }
-
-    pub(super) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        let shape = [Some(self.signal.len())];
-        let real = |name: &str| stored::reals(arrays, &format!("{prefix}{name}"), &shape);
-        let (mean, variance, sigma) = (real("mean")?, real("variance")?, real("sigma")?);
-        let active = stored::integers(arrays, &format!("{prefix}active"), &shape)?;
+    pub(super) fn visit(
+        &mut self,
+        prefix: &str,
+        visitor: &mut dyn Visitor,
+    ) -> Result<(), MarlError> {
+        visit_numbers(visitor, &format!("{prefix}mean"), &mut self.mean)?;
+        visit_numbers(visitor, &format!("{prefix}variance"), &mut self.variance)?;
+        visit_numbers(visitor, &format!("{prefix}sigma"), &mut self.sigma)?;
+        let mut active: Vec<i64> = self.active.iter().map(|&a| i64::from(a)).collect();
+        let (name, shape) = (format!("{prefix}active"), [active.len()]);
+        visitor.array(&name, Shape::Fixed(&shape), Elements::I64(&mut active))?;
         self.active = active.into_iter().map(|a| a == 1).collect();
-        (self.mean, self.variance, self.sigma) = (mean, variance, sigma);
         Ok(())
     }
 }

@@ -1,11 +1,13 @@
 //! Properties of all densities, and the bound of Eq. (2) where the true density is known.
 
+use policy::NamedArrays;
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use rand::RngCore;
 
 use super::*;
 use crate::distribution::gaussian::entropy;
 use crate::probe;
+use crate::state::{restored, saved};
 use crate::surprise::entropy_bound;
 
 const KINDS: [DensityKind; 3] =
@@ -29,6 +31,14 @@ fn fit(density: &mut dyn Density, data: &[f32], width: usize, iteration: u64) ->
     let observations = Observations { data, width };
     density.fit(observations, at(iteration)).unwrap();
     density.log_prob(observations, at(iteration)).unwrap()
+}
+
+fn arrays(density: &mut dyn Density) -> NamedArrays {
+    saved("", |visitor| density.visit("density/", visitor)).unwrap()
+}
+
+fn restore(density: &mut dyn Density, arrays: &NamedArrays) -> Result<(), MarlError> {
+    restored(arrays, |visitor| density.visit("density/", visitor)).map(drop)
 }
 
 /// The entropy bound of a density on the rows it is fitted on, nats.
@@ -119,14 +129,13 @@ fn a_restored_density_continues_bit_for_bit_whatever_its_previous_state() {
         let (mut kept, mut other) = (density(&config(kind), 2), density(&config(kind), 2));
         fit(kept.as_mut(), &first, 2, 0);
         fit(other.as_mut(), &second, 2, 5);
-        other.restore("density/", &kept.arrays("density/").unwrap()).unwrap();
+        restore(other.as_mut(), &arrays(kept.as_mut())).unwrap();
         let queries = Observations { data: &second, width: 2 };
         assert_eq!(kept.log_prob(queries, at(1)).unwrap(), other.log_prob(queries, at(1)).unwrap());
         let (mine, yours) = (fit(kept.as_mut(), &second, 2, 1), fit(other.as_mut(), &second, 2, 1));
         assert_eq!(mine, yours, "{kind:?}");
-        assert_eq!(kept.arrays("").unwrap(), other.arrays("").unwrap(), "{kind:?}");
-        let lacking = NamedArrays::new();
-        let error = other.restore("density/", &lacking).unwrap_err().to_string();
+        assert_eq!(arrays(kept.as_mut()), arrays(other.as_mut()), "{kind:?}");
+        let error = restore(other.as_mut(), &NamedArrays::new()).unwrap_err().to_string();
         assert!(error.contains("density/"), "{kind:?} {error}");
     }
 }

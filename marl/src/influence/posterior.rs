@@ -4,7 +4,6 @@
 use std::ops::Range;
 
 use candle_core::{DType, Device, Tensor, Var};
-use policy::arrays::NamedArrays;
 use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
@@ -21,6 +20,7 @@ use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
 use crate::rounding::round;
 use crate::shape::assert_shape;
+use crate::state::{Visitor, visit_parameters};
 
 /// Sizes of one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -186,7 +186,7 @@ impl Posterior {
         data.assert_shapes(self.shape);
         let (mut reached, mut counted) = (self.log_likelihood(data, held_out)?, None);
         for epoch in 0..self.config.epochs {
-            let before = self.parameters.to_arrays("")?;
+            let before = self.parameters.values()?;
             let (mut likelihood, draw) = (0.0, draw.step(epoch as u32));
             for part in minibatches(trained.len(), self.config.minibatches, seed, draw) {
                 let part: Vec<usize> = part.into_iter().map(|place| trained[place]).collect();
@@ -194,7 +194,7 @@ impl Posterior {
             }
             let found = self.log_likelihood(data, held_out)?;
             if !held_out.is_empty() && found <= reached {
-                self.parameters.load("", &before)?;
+                self.parameters.set(before)?;
                 break;
             }
             (reached, counted) = (found, Some(likelihood));
@@ -269,23 +269,14 @@ impl Posterior {
         self.adam.skipped()
     }
 
-    /// `weights/posterior_I.*` and `optimizer/posterior_I.*`.
-    ///
-    /// # Errors
-    /// If a tensor operation fails.
-    pub fn arrays(&self, agent: usize) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.parameters.to_arrays(&format!("weights/posterior_{agent}."))?;
-        arrays.append(&mut self.adam.arrays(&format!("optimizer/posterior_{agent}.")));
-        Ok(arrays)
-    }
-
-    /// Restores the output of [`Posterior::arrays`].
-    ///
-    /// # Errors
-    /// Names an array that is missing or of another shape or type.
-    pub fn restore(&mut self, agent: usize, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.parameters.load(&format!("weights/posterior_{agent}."), arrays)?;
-        self.adam.restore(&format!("optimizer/posterior_{agent}."), arrays)
+    /// Visits `weights/posterior_I.*` and `optimizer/posterior_I.*`.
+    pub(crate) fn visit(
+        &mut self,
+        agent: usize,
+        visitor: &mut dyn Visitor,
+    ) -> Result<(), MarlError> {
+        visit_parameters(visitor, &format!("weights/posterior_{agent}."), &self.parameters)?;
+        self.adam.visit(&format!("optimizer/posterior_{agent}."), visitor)
     }
 }
 

@@ -1,14 +1,14 @@
 //! Adam with clipping by global norm and a state that can be stored. As in PyTorch, epsilon is added after the square
 //! root.
 
-use candle_core::{Device, Tensor, Var};
+use candle_core::Var;
 use libm::{pow, sqrt};
-use policy::arrays::{Array, NamedArrays};
 use policy::parameters::{Parameters, TensorSpan};
 
 use crate::error::MarlError;
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::learning_rate::adapted;
+use crate::state::{Visitor, visit_count, visit_number, visit_spans};
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
@@ -101,14 +101,14 @@ impl Adam {
             root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
             epsilon: self.config.epsilon,
         };
+        let mut values = parameters.values()?;
         let moments = self.first.iter_mut().zip(&mut self.second);
-        for ((var, gradient), (first, second)) in
-            parameters.vars().iter().zip(&gradients.0).zip(moments)
+        for ((values, gradient), (first, second)) in
+            values.iter_mut().zip(&gradients.0).zip(moments)
         {
-            let mut values = var.as_tensor().flatten_all()?.to_vec1()?;
-            constants.apply(&mut values, gradient, first, second);
-            var.set(&Tensor::from_vec(values, var.shape(), &Device::Cpu)?)?;
+            constants.apply(values, gradient, first, second);
         }
+        parameters.set(values)?;
         Ok(norm)
     }
 
@@ -118,39 +118,24 @@ impl Adam {
         self.skipped
     }
 
-    /// State to store: `PREFIXm.NAME`, `PREFIXv.NAME`, `PREFIXsteps`, `PREFIXskipped`, `PREFIXadapted`.
-    #[must_use]
-    pub fn arrays(&self, prefix: &str) -> NamedArrays {
-        let mut arrays = NamedArrays::new();
-        for span in &self.spans {
-            for (kind, moment) in [("m", &self.first), ("v", &self.second)] {
-                let (shape, range) = (span.shape.clone(), span.range.clone());
-                let array = Array::F32 { shape, data: moment[span.var][range].to_vec() };
-                arrays.insert(format!("{prefix}{kind}.{}", span.name), array);
+    /// Visits `PREFIXm.NAME`, `PREFIXv.NAME`, `PREFIXsteps`, `PREFIXskipped`, `PREFIXadapted`.
+    pub(crate) fn visit(
+        &mut self,
+        prefix: &str,
+        visitor: &mut dyn Visitor,
+    ) -> Result<(), MarlError> {
+        visit_spans(visitor, &format!("{prefix}m."), &self.spans, &mut self.first)?;
+        visit_spans(visitor, &format!("{prefix}v."), &self.spans, &mut self.second)?;
+        visit_count(visitor, &format!("{prefix}steps"), &mut self.steps)?;
+        visit_count(visitor, &format!("{prefix}skipped"), &mut self.skipped)?;
+        let name = format!("{prefix}adapted");
+        visit_number(visitor, &name, &mut self.adapted)?;
+        match self.adapted {
+            share if share > 0.0 && share <= 1.0 => Ok(()),
+            share => {
+                Err(MarlError::Restore(format!("{name} is {share}, expected above 0, at most 1")))
             }
         }
-        for (name, count) in [("steps", self.steps), ("skipped", self.skipped)] {
-            let array = Array::I64 { shape: vec![1], data: vec![count] };
-            arrays.insert(format!("{prefix}{name}"), array);
-        }
-        let share = Array::F64 { shape: vec![1], data: vec![self.adapted] };
-        arrays.insert(format!("{prefix}adapted"), share);
-        arrays
-    }
-
-    /// Restores a stored state.
-    ///
-    /// # Errors
-    /// Names the array that is missing or of another shape or type.
-    pub fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        for span in &self.spans {
-            restore_moment(&mut self.first[span.var], arrays, &format!("{prefix}m."), span)?;
-            restore_moment(&mut self.second[span.var], arrays, &format!("{prefix}v."), span)?;
-        }
-        self.steps = stored_count(arrays, &format!("{prefix}steps"))?;
-        self.skipped = stored_count(arrays, &format!("{prefix}skipped"))?;
-        self.adapted = stored_share(arrays, &format!("{prefix}adapted"))?;
-        Ok(())
     }
 }
 
@@ -184,48 +169,13 @@ impl StepConstants {
     }
 }
 
-/// Restores a moment of a parameter.
-fn restore_moment(
-    moment: &mut [f32],
-    arrays: &NamedArrays,
-    prefix: &str,
-    span: &TensorSpan,
-) -> Result<(), MarlError> {
-    let name = format!("{prefix}{}", span.name);
-    match arrays.get(&name) {
-        Some(Array::F32 { shape, data }) if *shape == span.shape => {
-            moment[span.range.clone()].copy_from_slice(data);
-            Ok(())
-        }
-        Some(_) => {
-            let shape = &span.shape;
-            Err(MarlError::Restore(format!("{name} is not an f32 array of shape {shape:?}")))
-        }
-        None => Err(MarlError::Restore(format!("{name} is missing"))),
-    }
-}
-
-fn stored_count(arrays: &NamedArrays, name: &str) -> Result<i64, MarlError> {
-    match arrays.get(name) {
-        Some(Array::I64 { data, .. }) if data.len() == 1 && data[0] >= 0 => Ok(data[0]),
-        Some(_) => Err(MarlError::Restore(format!("{name} is not a single count"))),
-        None => Err(MarlError::Restore(format!("{name} is missing"))),
-    }
-}
-
-fn stored_share(arrays: &NamedArrays, name: &str) -> Result<f64, MarlError> {
-    match arrays.get(name) {
-        Some(Array::F64 { data, .. }) if data.len() == 1 && data[0] > 0.0 && data[0] <= 1.0 => {
-            Ok(data[0])
-        }
-        Some(_) => Err(MarlError::Restore(format!("{name} is not a single number above 0"))),
-        None => Err(MarlError::Restore(format!("{name} is missing"))),
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use candle_core::{Device, Tensor};
+    use policy::arrays::Array;
+
     use super::*;
+    use crate::state::{restored, saved};
 
     const CONFIG: AdamConfig =
         AdamConfig { learning_rate: 0.1, epsilon: 1e-8, max_gradient_norm: 100.0 };
@@ -297,11 +247,19 @@ mod tests {
     }
 
     #[test]
-    fn moments_of_another_type_are_rejected_by_name() {
+    fn moments_of_another_type_and_invalid_counts_are_rejected_by_name() {
         let mut adam = Adam::new(CONFIG, &zeros());
-        let mut stored = adam.arrays("optimizer/x.");
-        stored.insert("optimizer/x.m.a".to_owned(), Array::F64 { shape: vec![1], data: vec![0.0] });
-        let error = adam.restore("optimizer/x.", &stored).unwrap_err();
-        assert!(error.to_string().contains("optimizer/x.m.a"), "{error}");
+        let stored = saved("", |visitor| adam.visit("x.", visitor)).unwrap();
+        for (name, wrong, expected) in [
+            ("x.m.a", Array::F64 { shape: vec![1], data: vec![0.0] }, "expected [1] F32"),
+            ("x.steps", Array::I64 { shape: vec![1], data: vec![-1] }, "x.steps is -1"),
+            ("x.adapted", Array::F64 { shape: vec![1], data: vec![0.0] }, "x.adapted is 0"),
+        ] {
+            let mut arrays = stored.clone();
+            arrays.insert(name.to_owned(), wrong);
+            let error = restored(&arrays, |visitor| adam.visit("x.", visitor)).unwrap_err();
+            assert!(error.to_string().contains(name), "{error}");
+            assert!(error.to_string().contains(expected), "{error}");
+        }
     }
 }

@@ -4,15 +4,17 @@ use policy::{NamedArrays, PolicySnapshot};
 
 use crate::data::batch::{Batch, Rewards};
 use crate::error::MarlError;
+use crate::state::State;
 
 /// Named metrics of an update, in a fixed order.
 pub type Report = Vec<(String, f64)>;
 
 /// Prefixes of the names of an algorithm's arrays.
-pub const PREFIXES: [&str; 5] = ["weights/", "optimizer/", "normalizer/", "memory/", "replay/"];
+pub(crate) const PREFIXES: [&str; 5] =
+    ["weights/", "optimizer/", "normalizer/", "memory/", "replay/"];
 
-/// A learning rule, which updates policies from rollout data.
-pub trait Algorithm: Send {
+/// A learning rule, which updates policies from rollout data. Its state is that of the next update.
+pub trait Algorithm: State + Send {
     /// Sets the fraction of the configured learning rates of actors and critics for the next updates. It is not part of
     /// the stored state, so the caller sets it before every [`Algorithm::update`].
     fn scale_learning_rates(&mut self, share: f64);
@@ -34,34 +36,11 @@ pub trait Algorithm: Send {
     /// If a tensor operation fails.
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError>;
 
-    /// The complete state of the next update, under [`PREFIXES`].
+    /// The arrays of its state under `weights/`.
     ///
     /// # Errors
     /// If a tensor operation fails.
-    fn arrays(&self) -> Result<NamedArrays, MarlError>;
-
-    /// The part of [`Algorithm::arrays`] under `weights/`.
-    ///
-    /// # Errors
-    /// If a tensor operation fails.
-    fn weights(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.arrays()?;
-        arrays.retain(|name, _| name.starts_with("weights/"));
-        Ok(arrays)
-    }
-
-    /// Restores the output of [`Algorithm::arrays`]. Arrays under other prefixes are ignored.
-    ///
-    /// # Errors
-    /// Names an array that is missing, unknown, or of another shape or type.
-    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError>;
-}
-
-/// Rejects stored arrays of another algorithm.
-pub(crate) fn reject_unknown(stored: &NamedArrays, known: &NamedArrays) -> Result<(), MarlError> {
-    let own = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
-    match stored.keys().filter(own).find(|name| !known.contains_key(*name)) {
-        None => Ok(()),
-        Some(name) => Err(MarlError::Restore(format!("{name} does not belong to this run"))),
+    fn weights(&mut self) -> Result<NamedArrays, MarlError> {
+        self.arrays_under("weights/")
     }
 }

@@ -8,15 +8,16 @@ mod q;
 mod replay;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{NamedArrays, PolicyConfig, PolicySnapshot};
+use policy::{PolicyConfig, PolicySnapshot};
 use rayon::prelude::*;
 
 use crate::config::{Config, MaddpgConfig};
 use crate::data::batch::{Batch, Problem, Rewards, check_rewards};
 use crate::error::MarlError;
-use crate::rules::algorithm::{Algorithm, Report, reject_unknown};
+use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
 use crate::rules::maddpg::agent::{Agent, Figures};
 use crate::rules::maddpg::replay::{Horizon, Replay};
+use crate::state::{State, Visitor};
 
 /// MADDPG with one action value per agent.
 pub(crate) struct Maddpg {
@@ -132,28 +133,15 @@ impl Algorithm for Maddpg {
         };
         Ok(PolicySnapshot { agents })
     }
+}
 
-    fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.weights()?;
-        arrays.extend(self.agents.iter().flat_map(Agent::optimizers));
-        arrays.append(&mut self.replay.arrays());
-        Ok(arrays)
+impl State for Maddpg {
+    fn prefixes(&self) -> &'static [&'static str] {
+        &PREFIXES
     }
 
-    /// Does not copy the replay.
-    fn weights(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = NamedArrays::new();
-        for agent in &self.agents {
-            arrays.append(&mut agent.weights()?);
-        }
-        Ok(arrays)
-    }
-
-    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        reject_unknown(arrays, &self.arrays()?)?;
-        for agent in &mut self.agents {
-            agent.restore(arrays)?;
-        }
-        self.replay.restore(arrays)
+    fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        self.agents.iter_mut().try_for_each(|agent| agent.visit(visitor))?;
+        self.replay.visit(visitor)
     }
 }

@@ -11,7 +11,7 @@ mod memory;
 
 use std::sync::Arc;
 
-use policy::{Head, NamedArrays, PolicyConfig, PolicySnapshot, RunSeed};
+use policy::{Head, PolicyConfig, PolicySnapshot, RunSeed};
 use rayon::prelude::*;
 use tracing::trace_span;
 
@@ -25,10 +25,11 @@ use crate::objective::actor_loss::Figures;
 use crate::objective::advantage::{Horizon, advantage};
 use crate::objective::surrogate::normalized_advantage;
 use crate::rounding::rounded;
-use crate::rules::algorithm::{Algorithm, Report, reject_unknown};
+use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
 use crate::rules::on_policy::agent::Agent;
 use crate::rules::on_policy::ascent::{AgentInputs, PolicyChange, Trained};
 use crate::rules::on_policy::experience::{Experience, Influence};
+use crate::state::{State, Visitor};
 
 /// A rule's update of the policies. The rest of an update is the same for all on-policy rules.
 pub(crate) trait PolicyUpdate: Send + Sync {
@@ -96,13 +97,15 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
         self.team.snapshot()
     }
+}
 
-    fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        self.team.arrays()
+impl<R: PolicyUpdate> State for OnPolicy<R> {
+    fn prefixes(&self) -> &'static [&'static str] {
+        &PREFIXES
     }
 
-    fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        self.team.restore(arrays)
+    fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        self.team.visit(visitor)
     }
 }
 
@@ -248,25 +251,13 @@ impl Team {
         }
     }
 
-    pub(crate) fn arrays(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.critic.arrays()?;
-        for (index, agent) in self.agents.iter().enumerate() {
-            if let Some(owner) = self.owner(index) {
-                arrays.append(&mut agent.network_arrays(&owner)?);
-            }
-            arrays.append(&mut agent.posterior_arrays(index)?);
-        }
-        Ok(arrays)
-    }
-
-    pub(crate) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        reject_unknown(arrays, &self.arrays()?)?;
-        self.critic.restore(arrays)?;
+    fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        self.critic.visit(visitor)?;
         for index in 0..self.agents.len() {
             if let Some(owner) = self.owner(index) {
-                self.agents[index].restore_network(&owner, arrays)?;
+                self.agents[index].visit_network(&owner, visitor)?;
             }
-            self.agents[index].restore_posterior(index, arrays)?;
+            self.agents[index].visit_posterior(index, visitor)?;
         }
         Ok(())
     }

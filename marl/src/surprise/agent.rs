@@ -1,12 +1,12 @@
 //! One agent's surprise: its density and the scores that are added to its reward.
 
 use libm::sqrt;
-use policy::arrays::{Array, NamedArrays};
 
 use crate::config::{Constant, Fit, Reduce, SurpriseConfig};
 use crate::density::{Density, DensityContext, Observations};
 use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
+use crate::state::{Visitor, visit_count, visit_number};
 use crate::surprise::entropy_bound;
 
 /// Conversion of log-densities to scores.
@@ -125,28 +125,15 @@ impl AgentSurprise {
         self.density.features()
     }
 
-    pub(super) fn arrays(&self, prefix: &str) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.density.arrays(prefix)?;
-        let centre = Array::F64 { shape: vec![1], data: vec![self.centre] };
-        let fits = Array::I64 { shape: vec![1], data: vec![self.fits] };
-        arrays.insert(format!("{prefix}centre"), centre);
-        arrays.insert(format!("{prefix}fits"), fits);
-        Ok(arrays)
-    }
-
-    pub(super) fn restore(&mut self, prefix: &str, arrays: &NamedArrays) -> Result<(), MarlError> {
-        let missing = |name: &str| MarlError::Restore(format!("{prefix}{name} is not one number"));
-        let centre = match arrays.get(&format!("{prefix}centre")) {
-            Some(Array::F64 { data, .. }) if data.len() == 1 => data[0],
-            _ => return Err(missing("centre")),
-        };
-        let fits = match arrays.get(&format!("{prefix}fits")) {
-            Some(Array::I64 { data, .. }) if data.len() == 1 => data[0],
-            _ => return Err(missing("fits")),
-        };
-        self.density.restore(prefix, arrays)?;
-        (self.centre, self.fits) = (centre, fits);
-        Ok(())
+    /// Visits the density's arrays, `PREFIXcentre` and `PREFIXfits`.
+    pub(super) fn visit(
+        &mut self,
+        prefix: &str,
+        visitor: &mut dyn Visitor,
+    ) -> Result<(), MarlError> {
+        self.density.visit(prefix, visitor)?;
+        visit_number(visitor, &format!("{prefix}centre"), &mut self.centre)?;
+        visit_count(visitor, &format!("{prefix}fits"), &mut self.fits)
     }
 
     /// Log-densities of rows with one feature, nats.
@@ -173,6 +160,7 @@ mod tests {
     use crate::config::DensityKind;
     use crate::density::build;
     use crate::probe;
+    use crate::state::{restored, saved};
 
     const HERE: [f32; 8] = [1.0, 0.0, 3.0, 1.0, 5.0, 0.0, 7.0, 1.0];
     const THERE: [f32; 8] = [2.0, 0.0, 2.0, 0.5, 9.0, 0.0, 7.0, 1.0];
@@ -214,7 +202,8 @@ mod tests {
         };
         let (mut kept, mut other) = (agent(), agent());
         refit(&mut kept, &HERE);
-        other.restore("a.", &kept.arrays("a.").unwrap()).unwrap();
+        let arrays = saved("", |visitor| kept.visit("a.", visitor)).unwrap();
+        restored(&arrays, |visitor| other.visit("a.", visitor)).unwrap();
         refit(&mut kept, &THERE);
         refit(&mut other, &THERE);
         assert_eq!(kept.scores, other.scores);

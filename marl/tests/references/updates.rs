@@ -52,7 +52,7 @@ const MADDPG: Case = Case {
 };
 
 /// The file's initial arrays in the algorithm's types. Arrays that the file does not contain are the algorithm's.
-fn start(reference: &Reference, algorithm: &dyn Algorithm) -> NamedArrays {
+fn start(reference: &Reference, algorithm: &mut dyn Algorithm) -> NamedArrays {
     let mut arrays = algorithm.arrays().unwrap();
     for (name, array) in reference.under("start/") {
         if name.starts_with("memory/") {
@@ -78,7 +78,8 @@ fn updated(reference: &Reference, case: Case) -> (NamedArrays, Report) {
     let mut config = config(reference, case.rule.0, case.rule.1);
     config.critic.core = case.critic;
     let mut algorithm = build(&config, &policy, &problem, case.seed).unwrap();
-    algorithm.restore(&start(reference, algorithm.as_ref())).unwrap();
+    let start = start(reference, algorithm.as_mut());
+    algorithm.restore(&start).unwrap();
     let rewards: Vec<Vec<f32>> =
         (0..AGENTS).map(|agent| reference.single(&format!("batch/rewards_{agent}"))).collect();
     let report = algorithm.update(&batch(reference), &rewards, 0).unwrap();

@@ -4,6 +4,7 @@ use std::io;
 use std::path::Path;
 use std::time::Instant;
 
+use marl::State as _;
 use policy::arrays::{Array, NamedArrays};
 
 use crate::checkpoint::{self, Checkpoint, RunSettings, Saved, Step};
@@ -91,10 +92,10 @@ impl Trainer {
     }
 
     /// The state that the next iteration depends on, and the latest evaluation.
-    fn arrays(&self) -> Result<NamedArrays, LearnerError> {
+    fn arrays(&mut self) -> Result<NamedArrays, LearnerError> {
         let mut arrays = self.algorithm.arrays()?;
         arrays.extend(self.surprise.arrays()?);
-        arrays.extend(self.observations.arrays());
+        arrays.extend(self.observations.arrays()?);
         arrays.extend(self.environments.arrays());
         arrays.extend(self.evaluations.arrays());
         for (name, count) in [("iteration", self.iteration), ("env_steps", self.env_steps())] {
@@ -108,18 +109,12 @@ impl Trainer {
     pub(crate) fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), LearnerError> {
         let arrays = &checkpoint.arrays;
         self.iteration = checkpoint::fields::one_count(arrays, "counters/iteration")?;
-        self.algorithm.restore(&group(arrays, &marl::algorithm::PREFIXES))?;
-        self.surprise.restore(&group(arrays, &["density/"]))?;
+        self.algorithm.restore(arrays)?;
+        self.surprise.restore(arrays)?;
         self.observations.restore(arrays)?;
         self.environments.restore(arrays, self.iteration)?;
         self.evaluations.restore(arrays)?;
         self.policy = super::policy_bytes(self.algorithm.as_ref(), &self.observations)?;
         Ok(())
     }
-}
-
-fn group(arrays: &NamedArrays, prefixes: &[&str]) -> NamedArrays {
-    let wanted = |name: &str| prefixes.iter().any(|prefix| name.starts_with(prefix));
-    let chosen = arrays.iter().filter(|(name, _)| wanted(name));
-    chosen.map(|(name, array)| (name.clone(), array.clone())).collect()
 }

@@ -2,7 +2,7 @@
 
 use candle_core::Tensor;
 use policy::RunSeed;
-use policy::arrays::NamedArrays;
+use policy::arrays::{Array, NamedArrays};
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use rand::RngCore;
 
@@ -13,6 +13,7 @@ use crate::data::batch::Final;
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::tests::meets_finite_differences;
 use crate::probe;
+use crate::state::{restored, saved};
 
 const INPUTS: usize = 3;
 const VALUES: usize = 2;
@@ -74,6 +75,14 @@ fn with_memory() -> Critic {
 
 fn carried(critic: &Critic) -> &[f32] {
     &critic.memory.as_ref().unwrap().carried
+}
+
+fn arrays(critic: &mut Critic) -> NamedArrays {
+    saved("", |visitor| critic.visit(visitor)).unwrap()
+}
+
+fn restore(critic: &mut Critic, arrays: &NamedArrays) -> Result<(), MarlError> {
+    restored(arrays, |visitor| critic.visit(visitor)).map(drop)
 }
 
 /// The values of one row, `[V]`.
@@ -198,7 +207,7 @@ fn one_step_is_a_gru_step_between_the_layers_and_the_values() {
     let norms = ["norm", "layers.0.norm", "gru_norm"];
     reset_norms(&mut critic, &norms);
     let (batch, start) = (rollout(1, STEPS, &[]), carried(&critic)[..WIDTH].to_vec());
-    let arrays = critic.arrays().unwrap();
+    let arrays = arrays(&mut critic);
     let x: Vec<f64> = batch.state[..INPUTS].iter().map(|&x| f64::from(x)).collect();
     let h: Vec<f64> = start.iter().map(|&h| f64::from(h)).collect();
     let y = affine(&arrays, "layers.0.linear.weight", "layers.0.linear.bias", &normalised(&x));
@@ -231,7 +240,7 @@ fn shifted(critic: &Critic, by: f64) -> Tensor {
 }
 
 fn reset_norms(critic: &mut Critic, names: &[&str]) {
-    let mut arrays = critic.arrays().unwrap();
+    let mut arrays = arrays(critic);
     for name in names {
         for (part, value) in [("weight", 1.0), ("bias", 0.0)] {
             let array = arrays.get_mut(&format!("weights/critic.{name}.{part}")).unwrap();
@@ -239,7 +248,7 @@ fn reset_norms(critic: &mut Critic, names: &[&str]) {
             data.fill(value);
         }
     }
-    critic.restore(&arrays).unwrap();
+    restore(critic, &arrays).unwrap();
 }
 
 /// Loss and gradient on some chunks.
@@ -279,20 +288,22 @@ fn a_state_that_is_not_finite_is_forgotten_after_the_rollout() {
 #[test]
 fn states_of_another_number_of_environments_or_units_are_refused() {
     let mut critic = with_memory();
-    let mut arrays = critic.arrays().unwrap();
+    let mut arrays = arrays(&mut critic);
     let name = "memory/critic.hidden".to_owned();
     let two = Array::F32 { shape: vec![2, WIDTH], data: vec![0.5; 2 * WIDTH] };
     arrays.insert(name.clone(), two);
-    critic.restore(&arrays).unwrap();
+    restore(&mut critic, &arrays).unwrap();
     let batch = rollout(1, STEPS, &[]);
     let error = critic.values(&batch, &inputs(&batch)).unwrap_err().to_string();
     assert_eq!(error, "batch: 3 environments; the critic has states of 2");
     let wide = Array::F32 { shape: vec![3, 4], data: vec![0.5; 12] };
-    for wrong in [Some(wide), None] {
+    let of_four = "stored state: memory/critic.hidden has shape [3, 4] F32, expected [any, 5] F32";
+    let lacking = "stored state: memory/critic.hidden is missing";
+    for (wrong, expected) in [(Some(wide), of_four), (None, lacking)] {
         arrays.remove(&name);
         arrays.extend(wrong.map(|array| (name.clone(), array)));
-        let error = critic.restore(&arrays).unwrap_err().to_string();
-        assert_eq!(error, "stored state: memory/critic.hidden is not f32 states of 5 numbers");
+        let error = restore(&mut critic, &arrays).unwrap_err().to_string();
+        assert_eq!(error, expected);
     }
 }
 
@@ -356,17 +367,17 @@ fn a_restored_critic_continues_bit_for_bit_with_its_memory() {
         values
     };
     step(&mut kept, 0);
-    let stored = kept.arrays().unwrap();
+    let stored = arrays(&mut kept);
     let mut other = critic(&config);
     step(&mut other, 7);
-    other.restore(&stored).unwrap();
+    restore(&mut other, &stored).unwrap();
     assert_eq!(step(&mut kept, 1), step(&mut other, 1));
-    assert_eq!(kept.arrays().unwrap(), other.arrays().unwrap());
+    assert_eq!(arrays(&mut kept), arrays(&mut other));
     let forgetful = Array::F32 { shape: vec![0, WIDTH], data: vec![] };
     let mut without = stored;
     without.insert("memory/critic.hidden".to_owned(), forgetful);
     let mut other = critic(&config);
-    other.restore(&without).unwrap();
+    restore(&mut other, &without).unwrap();
     step(&mut other, 1);
-    assert_ne!(kept.arrays().unwrap(), other.arrays().unwrap());
+    assert_ne!(arrays(&mut kept), arrays(&mut other));
 }

@@ -1,10 +1,12 @@
 //! Posteriors of actions with mutual information known in closed form.
 
+use policy::NamedArrays;
 use policy::randomness::standard_normal;
 
 use super::*;
 use crate::config::{CountedState, Divergence, Estimator, QTraining};
 use crate::influence::mutual_information;
+use crate::state::{restored, saved};
 
 const ROWS: usize = 20_000;
 const SIGMA: f64 = 0.3;
@@ -125,6 +127,10 @@ fn the_information_of_choices_that_mostly_agree_is_estimated_to_a_fiftieth_of_a_
     assert!((found - truth).abs() < 0.02, "{found}, truth {truth}");
 }
 
+fn arrays(posterior: &mut Posterior) -> NamedArrays {
+    saved("", |visitor| posterior.visit(0, visitor)).unwrap()
+}
+
 #[test]
 fn a_restored_posterior_continues_like_the_stored_one() {
     let (action, others) = actions(0.8);
@@ -138,10 +144,10 @@ fn a_restored_posterior_continues_like_the_stored_one() {
     };
     let (mut kept, mut other) = (posterior(), posterior());
     fit(&mut kept, 0);
-    other.restore(0, &kept.arrays(0).unwrap()).unwrap();
+    restored(&arrays(&mut kept), |visitor| other.visit(0, visitor)).unwrap();
     fit(&mut kept, 1);
     fit(&mut other, 1);
-    assert_eq!(kept.arrays(0).unwrap(), other.arrays(0).unwrap());
+    assert_eq!(arrays(&mut kept), arrays(&mut other));
 }
 
 #[test]

@@ -3,9 +3,7 @@
 use candle_core::{DType, Device, Tensor};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{
-    ActorNetwork, ActorPolicy, Distribution, Head, NamedArrays, PolicyConfig, SequenceInput,
-};
+use policy::{ActorNetwork, ActorPolicy, Distribution, Head, PolicyConfig, SequenceInput};
 
 use crate::config::Config;
 use crate::critic::StateScale;
@@ -16,6 +14,7 @@ use crate::optimisation::layers::rows;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::rules::maddpg::q::ActionValue;
 use crate::rules::maddpg::replay::Sample;
+use crate::state::{Visitor, visit_parameters};
 
 /// An agent in training.
 pub(super) struct Agent {
@@ -186,50 +185,29 @@ impl Agent {
         self.value_adam.scale_learning_rate(share);
     }
 
-    /// All stored parameters with their names and optimisers.
-    fn stored(&self) -> [(String, &Parameters, Option<&Adam>); 4] {
+    /// Visits `weights/*_I.*` of all four networks and `optimizer/*_I.*` of those that are trained.
+    pub(super) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
         let i = self.index;
-        [
-            (format!("agent_{i}."), self.actor.parameters(), Some(&self.actor_adam)),
-            (format!("q_{i}."), &self.value.parameters, Some(&self.value_adam)),
-            (format!("target_agent_{i}."), self.target_actor.parameters(), None),
-            (format!("target_q_{i}."), &self.target_value.parameters, None),
-        ]
-    }
-
-    pub(super) fn weights(&self) -> Result<NamedArrays, MarlError> {
-        let mut arrays = NamedArrays::new();
-        for (name, parameters, _) in self.stored() {
-            arrays.append(&mut parameters.to_arrays(&format!("weights/{name}"))?);
+        for (name, parameters) in [
+            ("agent", self.actor.parameters()),
+            ("q", &self.value.parameters),
+            ("target_agent", self.target_actor.parameters()),
+            ("target_q", &self.target_value.parameters),
+        ] {
+            visit_parameters(visitor, &format!("weights/{name}_{i}."), parameters)?;
         }
-        Ok(arrays)
-    }
-
-    pub(super) fn optimizers(&self) -> NamedArrays {
-        let own = self.stored().into_iter().filter_map(|(name, _, adam)| Some((name, adam?)));
-        own.flat_map(|(name, adam)| adam.arrays(&format!("optimizer/{name}"))).collect()
-    }
-
-    pub(super) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
-        for (name, parameters, _) in self.stored() {
-            parameters.load(&format!("weights/{name}"), arrays)?;
-        }
-        let i = self.index;
-        self.actor_adam.restore(&format!("optimizer/agent_{i}."), arrays)?;
-        self.value_adam.restore(&format!("optimizer/q_{i}."), arrays)
+        self.actor_adam.visit(&format!("optimizer/agent_{i}."), visitor)?;
+        self.value_adam.visit(&format!("optimizer/q_{i}."), visitor)
     }
 }
 
 /// Polyak averaging: `target' = (1 - share) target + share source`, parameter by parameter.
 fn polyak_update(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
-    let share = share as f32;
-    for (target, source) in target.vars().iter().zip(source.vars()) {
-        let slow = target.as_tensor().flatten_all()?.to_vec1::<f32>()?;
-        let fast = source.as_tensor().flatten_all()?.to_vec1::<f32>()?;
-        let moved = slow.iter().zip(fast).map(|(slow, fast)| (1.0 - share) * slow + share * fast);
-        target.set(&Tensor::from_vec(moved.collect(), target.shape(), &Device::Cpu)?)?;
+    let (share, mut slow, fast) = (share as f32, target.values()?, source.values()?);
+    for (slow, fast) in slow.iter_mut().flatten().zip(fast.iter().flatten()) {
+        *slow = (1.0 - share) * *slow + share * fast;
     }
-    Ok(())
+    Ok(target.set(slow)?)
 }
 
 #[cfg(test)]
@@ -263,6 +241,6 @@ mod tests {
         polyak_update(&slow, &fast, 0.25).unwrap();
         assert_eq!(slow.vars()[0].as_tensor().to_vec1::<f32>().unwrap(), [2.0, -1.0]);
         polyak_update(&slow, &fast, 1.0).unwrap();
-        assert_eq!(slow.to_arrays("").unwrap(), fast.to_arrays("").unwrap());
+        assert_eq!(slow.values().unwrap(), fast.values().unwrap());
     }
 }

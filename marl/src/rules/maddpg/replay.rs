@@ -7,12 +7,12 @@
 
 use std::collections::BTreeMap;
 
-use policy::arrays::{Array, NamedArrays};
 use rand::RngCore;
 
 use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
 use crate::optimisation::minibatch::below;
+use crate::state::{Elements, Shape, Visitor};
 
 /// The episode continues after the step.
 const CONTINUES: u8 = 0;
@@ -250,57 +250,35 @@ impl Replay {
         sample
     }
 
-    /// `replay/*`: the ring buffer as stored, and the final states with their rows.
-    pub(super) fn arrays(&self) -> NamedArrays {
-        let (width, seen, finals) = (self.columns.width(), self.columns.seen(), &self.finals);
-        let counts = vec![self.steps as i64, self.environments as i64];
-        let after = finals.keys().map(|&row| row as i64).collect();
-        let kept = finals.values().flatten().copied().collect();
-        let arrays = [
-            ("counts", Array::I64 { shape: vec![2], data: counts }),
-            ("ends", Array::U8 { shape: vec![self.len()], data: self.ends.clone() }),
-            ("final_rows", Array::I64 { shape: vec![finals.len()], data: after }),
-            ("finals", Array::F32 { shape: vec![finals.len(), seen], data: kept }),
-            ("rows", Array::F32 { shape: vec![self.len(), width], data: self.rows.clone() }),
-        ];
-        arrays.into_iter().map(|(name, array)| (format!("replay/{name}"), array)).collect()
-    }
-
-    /// Restores the output of [`Replay::arrays`].
-    pub(super) fn restore(&mut self, arrays: &NamedArrays) -> Result<(), MarlError> {
+    /// Visits `replay/*`: the ring buffer as stored, and the final states with their rows.
+    pub(super) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
         let (width, seen) = (self.columns.width(), self.columns.seen());
-        let invalid = |name: &str| {
-            MarlError::Restore(format!("replay/{name} is missing or of another shape or type"))
-        };
-        let get =
-            |name: &'static str| arrays.get(&format!("replay/{name}")).ok_or_else(|| invalid(name));
-        let (Array::I64 { data: counts, .. }, Array::U8 { data: ends, .. }) =
-            (get("counts")?, get("ends")?)
-        else {
-            return Err(invalid("counts"));
-        };
-        let (Array::I64 { data: after, .. }, Array::F32 { data: finals, .. }) =
-            (get("final_rows")?, get("finals")?)
-        else {
-            return Err(invalid("finals"));
-        };
-        let Array::F32 { data: rows, .. } = get("rows")? else { return Err(invalid("rows")) };
-        let fits = rows.len() == ends.len() * width && finals.len() == after.len() * seen;
-        if !fits || counts.len() != 2 || counts.iter().any(|&count| count < 0) {
-            return Err(invalid("rows"));
-        }
+        let mut counts = vec![self.steps as i64, self.environments as i64];
+        let mut after: Vec<i64> = self.finals.keys().map(|&row| row as i64).collect();
+        let mut finals: Vec<f32> = self.finals.values().flatten().copied().collect();
+        visitor.array("replay/counts", Shape::Fixed(&[2]), Elements::I64(&mut counts))?;
+        visitor.array("replay/ends", Shape::Rows(&[]), Elements::U8(&mut self.ends))?;
+        visitor.array("replay/final_rows", Shape::Rows(&[]), Elements::I64(&mut after))?;
+        visitor.array("replay/finals", Shape::Rows(&[seen]), Elements::F32(&mut finals))?;
+        visitor.array("replay/rows", Shape::Rows(&[width]), Elements::F32(&mut self.rows))?;
         (self.steps, self.environments) = (counts[0] as u64, counts[1] as usize);
-        let kept = (self.rows_added() as usize).min(match self.environments {
-            0 => 0,
-            _ => self.row_capacity(),
-        });
-        if kept != ends.len() {
-            return Err(invalid("ends"));
-        }
-        (self.rows, self.ends) = (rows.clone(), ends.clone());
         let pairs = after.iter().zip(finals.chunks_exact(seen));
         self.finals = pairs.map(|(&row, next)| (row as u64, next.to_vec())).collect();
-        Ok(())
+        let kept = match counts[..] {
+            [steps, environments] if steps < 0 || environments < 0 => None,
+            [_, 0] => Some(0),
+            _ => Some((self.rows_added() as usize).min(self.row_capacity())),
+        };
+        let lengths = [self.rows.len() / width, self.ends.len()].map(Some);
+        if lengths == [kept; 2] && after.len() == finals.len() / seen {
+            return Ok(());
+        }
+        let (rows, ends, finals) = (self.rows.len() / width, self.ends.len(), finals.len() / seen);
+        Err(MarlError::Restore(format!(
+            "replay/counts is {counts:?}, with {rows} replay/rows, {ends} replay/ends, {} replay/final_rows, {finals} \
+             replay/finals",
+            after.len()
+        )))
     }
 }
 

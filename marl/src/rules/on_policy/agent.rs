@@ -6,7 +6,7 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, ActorPolicy, NamedArrays, PolicyConfig};
+use policy::{ActorNetwork, ActorPolicy, PolicyConfig};
 use rayon::prelude::*;
 
 use crate::config::{Config, CountedState, Estimator, QTraining, UpdateConfig};
@@ -23,6 +23,7 @@ use crate::optimisation::shards::{self, shards};
 use crate::rules::on_policy::counted;
 use crate::rules::on_policy::experience::{Experience, Influence, mean};
 use crate::rules::on_policy::memory::Memory;
+use crate::state::{Visitor, visit_parameters};
 use crate::surprise::entropy_bound;
 
 /// A network in training. It has a posterior or a second head if the influence term has a weight and there are other
@@ -117,39 +118,27 @@ impl Agent {
         Ok(self.network.policy()?)
     }
 
-    /// The network and its optimiser, under the name of their owner.
-    pub(crate) fn network_arrays(&self, owner: &str) -> Result<NamedArrays, MarlError> {
-        let mut arrays = self.network.parameters().to_arrays(&format!("weights/{owner}."))?;
-        arrays.append(&mut self.adam.arrays(&format!("optimizer/{owner}.")));
-        Ok(arrays)
-    }
-
-    pub(crate) fn posterior_arrays(&self, index: usize) -> Result<NamedArrays, MarlError> {
-        match (&self.posterior, &self.second_head) {
-            (Some(own), _) => own.arrays(index),
-            (None, Some(own)) => Ok(own.parameters().to_arrays(&second_head(index))?),
-            (None, None) => Ok(NamedArrays::new()),
-        }
-    }
-
-    pub(crate) fn restore_network(
+    /// Visits the network and its optimiser, under the name of their owner.
+    pub(crate) fn visit_network(
         &mut self,
         owner: &str,
-        arrays: &NamedArrays,
+        visitor: &mut dyn Visitor,
     ) -> Result<(), MarlError> {
-        self.network.parameters().load(&format!("weights/{owner}."), arrays)?;
-        self.adam.restore(&format!("optimizer/{owner}."), arrays)
+        visit_parameters(visitor, &format!("weights/{owner}."), self.network.parameters())?;
+        self.adam.visit(&format!("optimizer/{owner}."), visitor)
     }
 
-    pub(crate) fn restore_posterior(
+    /// Visits the posterior or the second head of agent `index`, if it has one.
+    pub(crate) fn visit_posterior(
         &mut self,
         index: usize,
-        arrays: &NamedArrays,
+        visitor: &mut dyn Visitor,
     ) -> Result<(), MarlError> {
         if let Some(own) = &self.second_head {
-            own.parameters().load(&second_head(index), arrays)?;
+            let prefix = format!("weights/second_head_{index}.");
+            visit_parameters(visitor, &prefix, own.parameters())?;
         }
-        self.posterior.as_mut().map_or(Ok(()), |own| own.restore(index, arrays))
+        self.posterior.as_mut().map_or(Ok(()), |own| own.visit(index, visitor))
     }
 
     /// Fraction of the dimensions of `sigma` at the floor.
@@ -252,11 +241,6 @@ pub(crate) fn gather(
         })
     };
     (0..agents.len()).into_par_iter().map(one).collect()
-}
-
-/// Prefix of the stored parameters of the second head of agent `index`.
-fn second_head(index: usize) -> String {
-    format!("weights/second_head_{index}.")
 }
 
 /// Encoded actions of all agents but `agent`, joined in agent order, `[L, C, others]`: those of the same step, or with

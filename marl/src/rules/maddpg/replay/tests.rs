@@ -1,9 +1,11 @@
 //! Targets and stored transitions, computed by hand.
 
+use policy::arrays::{Array, NamedArrays};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use super::*;
 use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Final};
+use crate::state;
 
 const HALF: Horizon = Horizon { gamma: 0.5, steps: 3 };
 
@@ -92,18 +94,23 @@ fn the_oldest_rows_and_their_final_states_are_removed_and_not_sampled() {
     assert_eq!(drawn, [4.0, 5.0, 6.0, 7.0, 8.0]);
 }
 
+fn arrays(replay: &mut Replay) -> NamedArrays {
+    state::saved("", |visitor| replay.visit(visitor)).unwrap()
+}
+
 #[test]
 fn a_restored_replay_equals_the_stored_one_and_a_truncated_one_is_rejected() {
     let mut kept = Replay::new(&problem(), 5);
     kept.add(&stretch(1, 4, &[(1, TRUNCATED)])).unwrap();
     kept.add(&stretch(5, 3, &[])).unwrap();
     let mut restored = Replay::new(&problem(), 5);
-    restored.restore(&kept.arrays()).unwrap();
+    state::restored(&arrays(&mut kept), |visitor| restored.visit(visitor)).unwrap();
     for replay in [&mut kept, &mut restored] {
         replay.add(&stretch(8, 2, &[(0, TERMINATED)])).unwrap();
     }
-    assert_eq!(kept.arrays(), restored.arrays());
-    let mut arrays = kept.arrays();
+    let mut arrays = arrays(&mut kept);
+    assert_eq!(arrays, self::arrays(&mut restored));
     arrays.insert("replay/ends".to_owned(), Array::U8 { shape: vec![1], data: vec![0] });
-    assert!(restored.restore(&arrays).unwrap_err().to_string().contains("replay/"));
+    let error = state::restored(&arrays, |visitor| restored.visit(visitor)).unwrap_err();
+    assert!(error.to_string().contains("1 replay/ends"), "{error}");
 }
