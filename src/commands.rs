@@ -26,6 +26,7 @@ use std::path::PathBuf;
 
 use clap::builder::{PathBufValueParser, TypedValueParser as _};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use tracing_subscriber::filter::LevelFilter;
 
 use crate::process::home;
 use crate::process::logging::LogFormat;
@@ -139,10 +140,10 @@ impl Arguments {
 
 impl Command {
     /// The log filter of a process whose user gives none.
-    pub(crate) fn log_filter(&self) -> &'static str {
+    pub(crate) fn log_filter(&self) -> LevelFilter {
         match self {
-            Self::Learner(_) | Self::Actor(_) => "info",
-            _ => "warn",
+            Self::Learner(_) | Self::Actor(_) => LevelFilter::INFO,
+            _ => LevelFilter::WARN,
         }
     }
 

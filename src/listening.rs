@@ -4,7 +4,6 @@
 use std::net::SocketAddr;
 use std::path::Path;
 use std::str::FromStr;
-use std::sync::Arc;
 
 use anyhow::Context as _;
 use clap::Args;
@@ -43,26 +42,25 @@ pub(crate) fn demand_loopback(
 /// The address of `--listen` and the certificates that it requires.
 pub(crate) struct Listening {
     address: SocketAddr,
-    tls: Option<Arc<ServerTls>>,
+    tls: Option<ServerTls>,
 }
 
 impl Listening {
     /// Reads and checks the certificates. Without any, refuses an address that other machines can reach unless
     /// `--insecure-allow-remote` is given.
     pub(crate) fn new(address: SocketAddr, arguments: &ServerTlsArguments) -> Result<Self, Usage> {
-        let tls = arguments.files().map(ServerTls::open).transpose();
-        let tls = tls.map_err(|why| Usage::new(why.to_string()))?;
+        let tls = arguments.read()?;
         if tls.is_none() && !arguments.insecure_allow_remote {
             let permission = "give --tls-certificate, --tls-key and --tls-client-ca \
                  (`s2mia certs DIR` makes them), or pass --insecure-allow-remote to allow that";
             demand_loopback("--listen", address, permission)?;
         }
-        Ok(Self { address, tls: tls.map(Arc::new) })
+        Ok(Self { address, tls })
     }
 
     /// The certificates, if there are any.
-    pub(crate) fn tls(&self) -> Option<Arc<ServerTls>> {
-        self.tls.clone()
+    pub(crate) fn tls(&self) -> Option<&ServerTls> {
+        self.tls.as_ref()
     }
 
     /// Binds the address; returns the listener and its URL.
@@ -117,10 +115,7 @@ impl FromStr for PageAddress {
 }
 
 /// Refuses an address that other machines can reach in plain text unless that is allowed.
-pub(crate) fn check_page(
-    arguments: &PageArguments,
-    tls: Option<&Arc<ServerTls>>,
-) -> Result<(), Usage> {
+pub(crate) fn check_page(arguments: &PageArguments, tls: Option<&ServerTls>) -> Result<(), Usage> {
     let PageAddress::At(address) = arguments.page else { return Ok(()) };
     hosts(&arguments.page_host)?;
     if arguments.insecure_allow_remote_page || tls.is_some() {
@@ -137,7 +132,7 @@ pub(crate) fn check_page(
 /// The address is in use or invalid.
 pub(crate) async fn open_page(
     arguments: &PageArguments,
-    tls: Option<Arc<ServerTls>>,
+    tls: Option<ServerTls>,
 ) -> anyhow::Result<Option<Page>> {
     let PageAddress::At(address) = arguments.page else { return Ok(None) };
     let listener = TcpListener::bind(address).await.map_err(|error| {

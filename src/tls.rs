@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use security::{ClientFiles, IdentityFiles, ServerFiles};
+use security::{ClientTls, IdentityFiles, ServerTls};
 
 use crate::errors::Usage;
 
@@ -19,7 +19,7 @@ pub(crate) struct ServerTlsArguments {
     /// Private key of --tls-certificate (PEM).
     #[arg(long, value_name = "FILE", requires = "tls_certificate")]
     tls_key: Option<PathBuf>,
-    /// Certificate authority that signed the certificates of actors, viewers and admins (PEM).
+    /// Certificate authority that signed the certificates of actors and operators (PEM).
     #[arg(long, value_name = "FILE", requires = "tls_certificate")]
     tls_client_ca: Option<PathBuf>,
 }
@@ -42,43 +42,49 @@ pub(crate) struct ClientTlsArguments {
 }
 
 impl ServerTlsArguments {
-    /// The TLS files, if the arguments name them.
-    pub(crate) fn files(&self) -> Option<ServerFiles> {
-        let identity = identity(self.tls_certificate.as_ref(), self.tls_key.as_ref())?;
-        Some(ServerFiles { identity, client_authority: self.tls_client_ca.clone()? })
+    /// Reads the TLS files, if the arguments name them.
+    ///
+    /// # Errors
+    /// A file is invalid.
+    pub(crate) fn read(&self) -> Result<Option<ServerTls>, Usage> {
+        let own = identity(self.tls_certificate.as_ref(), self.tls_key.as_ref());
+        let (Some(own), Some(client_authority)) = (own, &self.tls_client_ca) else {
+            return Ok(None);
+        };
+        let tls = ServerTls::read(&own, client_authority);
+        tls.map(Some).map_err(|why| Usage::new(why.to_string()))
     }
 }
 
 impl ClientTlsArguments {
-    /// The TLS files, if the arguments name them.
-    pub(crate) fn files(&self) -> Option<ClientFiles> {
-        let identity = identity(self.tls_certificate.as_ref(), self.tls_key.as_ref())?;
-        let server_name = self.tls_server_name.clone();
-        Some(ClientFiles { authority: self.tls_ca.clone()?, identity, server_name })
+    /// Whether the arguments name TLS files.
+    pub(crate) fn are_given(&self) -> bool {
+        self.tls_ca.is_some()
+    }
+
+    /// Reads the TLS files, if the arguments name them.
+    ///
+    /// # Errors
+    /// A file is invalid.
+    pub(crate) fn read(&self) -> Result<Option<ClientTls>, Usage> {
+        let own = identity(self.tls_certificate.as_ref(), self.tls_key.as_ref());
+        let (Some(own), Some(authority)) = (own, &self.tls_ca) else { return Ok(None) };
+        let tls = ClientTls::read(&own, authority, self.tls_server_name.clone());
+        tls.map(Some).map_err(|why| Usage::new(why.to_string()))
     }
 }
 
-/// The TLS files for a request to the learner at `url`; none for plain text.
+/// Reads the TLS files for a request to the learner at `url`; none for plain text.
 ///
 /// # Errors
 /// The scheme of `url` and the arguments disagree, or a file is invalid.
-pub(crate) fn credentials(
-    url: &str,
-    tls: &ClientTlsArguments,
-) -> Result<Option<ClientFiles>, Usage> {
-    let files = tls.files();
-    match (&files, url.starts_with("https://")) {
-        (None, true) => Err(Usage::new(format!(
+pub(crate) fn credentials(url: &str, tls: &ClientTlsArguments) -> Result<Option<ClientTls>, Usage> {
+    match (tls.are_given(), url.starts_with("https://")) {
+        (false, true) => Err(Usage::new(format!(
             "{url}: https:// needs --tls-ca, --tls-certificate and --tls-key"
         ))),
-        (Some(_), false) => {
-            Err(Usage::new(format!("{url}: with --tls-ca it begins with https://")))
-        }
-        (Some(own), true) => match own.read() {
-            Ok(_) => Ok(files),
-            Err(why) => Err(Usage::new(why.to_string())),
-        },
-        (None, false) => Ok(None),
+        (true, false) => Err(Usage::new(format!("{url}: with --tls-ca it begins with https://"))),
+        (true, true) | (false, false) => tls.read(),
     }
 }
 

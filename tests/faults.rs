@@ -1,5 +1,5 @@
-//! Faults of the learner's host: its process is suspended, it runs out of file descriptors, its certificates or those of
-//! its actors expire. Each is reported in one line, the actors survive, and the run ends as an undisturbed one.
+//! Faults of the learner's host: its process is suspended, it runs out of file descriptors, a certificate
+//! expires. Each is reported in one line, the actors survive, and the run ends as an undisturbed one.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[path = "system/learners.rs"]
@@ -8,15 +8,14 @@ mod learners;
 mod waiting;
 
 use std::fs::File;
-use std::net::{Shutdown, TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use learners::{Learner, inspect};
 use security::Role;
-use security::development::{Issued, Issuer};
+use security::development::Issuer;
 use waiting::{eventually, has_begun};
 
 /// Iterations of a run that is stopped when its test has seen enough.
@@ -154,166 +153,45 @@ fn a_learner_without_free_file_descriptors_says_so_once_and_goes_on() {
     ends_as_undisturbed(&run_folder);
 }
 
-/// Certificate files in a folder.
-struct Files(PathBuf);
-
-impl Files {
-    fn of(folder: &Path, issuer: &Issuer) -> Self {
-        std::fs::write(folder.join("ca.pem"), issuer.certificate()).unwrap();
-        Self(folder.to_path_buf())
-    }
-
-    fn write(&self, name: &str, issued: &Issued) {
-        std::fs::write(self.0.join(format!("{name}.key")), &issued.key).unwrap();
-        std::fs::write(self.0.join(format!("{name}.pem")), &issued.certificate).unwrap();
-    }
-
-    fn arguments(&self, authority: &str, name: &str) -> Vec<String> {
-        let file = |name: &str| self.0.join(name).to_str().unwrap().to_owned();
-        let (certificate, key) = (format!("{name}.pem"), format!("{name}.key"));
-        [(authority, "ca.pem"), ("--tls-certificate", &certificate), ("--tls-key", &key)]
-            .iter()
-            .flat_map(|(flag, name)| [(*flag).to_owned(), file(name)])
-            .collect()
-    }
+fn files(folder: &Path, authority: &str, name: &str) -> Vec<String> {
+    let (certificate, key) = (format!("{name}.pem"), format!("{name}.key"));
+    [(authority, "ca.pem"), ("--tls-certificate", &certificate), ("--tls-key", &key)]
+        .iter()
+        .flat_map(|(flag, name)| [(*flag).to_owned(), folder.join(name).display().to_string()])
+        .collect()
 }
 
-/// Passes bytes on between an actor and its learner until it is cut.
-struct Proxy {
-    port: u16,
-    streams: Arc<Mutex<Vec<TcpStream>>>,
-}
-
-impl Proxy {
-    fn start(url: &str) -> Self {
-        let target = url.rsplit('/').next().unwrap().to_owned();
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let port = listener.local_addr().unwrap().port();
-        let streams = Arc::new(Mutex::new(Vec::new()));
-        let open = Arc::clone(&streams);
-        let accept = move || {
-            for near in listener.incoming() {
-                let (near, far) = (near.unwrap(), TcpStream::connect(&target).unwrap());
-                for (from, to) in [(&near, &far), (&far, &near)] {
-                    let (mut from, mut to) = (from.try_clone().unwrap(), to.try_clone().unwrap());
-                    open.lock().unwrap().push(from.try_clone().unwrap());
-                    spawn(move || {
-                        let _passed = std::io::copy(&mut from, &mut to);
-                        let _ended = to.shutdown(Shutdown::Write);
-                    });
-                }
-            }
-        };
-        spawn(accept);
-        Self { port, streams }
+#[test]
+fn an_actor_whose_certificate_expires_keeps_its_connection_and_gets_no_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let (lasting, short) =
+        (Issuer::new(SystemTime::now(), DAY), Issuer::new(SystemTime::now(), SHORT));
+    let (lasting, short) = (lasting.unwrap(), short.unwrap());
+    let authorities = [lasting.certificate(), short.certificate()].concat();
+    std::fs::write(path.join("ca.pem"), authorities).unwrap();
+    let server = lasting.server(&["127.0.0.1".to_owned()]).unwrap();
+    for (name, issued) in [("server", server), ("actor", short.client(&[Role::Actor]).unwrap())] {
+        std::fs::write(path.join(format!("{name}.key")), &issued.key).unwrap();
+        std::fs::write(path.join(format!("{name}.pem")), &issued.certificate).unwrap();
     }
-
-    /// Closes all connections; new ones are passed on.
-    fn cut(&self) {
-        for stream in self.streams.lock().unwrap().drain(..) {
-            let _closed = stream.shutdown(Shutdown::Both);
+    let run_folder = path.join("run");
+    let settings = [vec![ENDLESS.to_owned()], files(path, "--tls-client-ca", "server")];
+    let mut learner = Learner::start(&run_folder, &settings.concat());
+    let tls = files(path, "--tls-ca", "actor");
+    let one = Actor::start(path, "one", &learner.url, &tls);
+    has_begun(&run_folder);
+    let health =
+        [vec!["health".to_owned(), "--learner".to_owned(), learner.url.clone()], tls].concat();
+    let health = health.iter().map(String::as_str).collect::<Vec<_>>();
+    eventually(|| match s2mia(&health) {
+        asked if asked.status.success() => Err("the certificate has not expired".to_owned()),
+        asked => {
+            Ok(assert!(String::from_utf8_lossy(&asked.stderr).contains("actor.pem expired at ")))
         }
-    }
-}
-
-fn spawn(work: impl FnOnce() + Send + 'static) {
-    std::thread::Builder::new().name("proxy".into()).spawn(work).unwrap();
-}
-
-/// A learner over TLS and an actor at work, through a proxy; one of the two certificates expires soon.
-struct Guarded {
-    folder: tempfile::TempDir,
-    files: Files,
-    issuer: Issuer,
-    learner: Learner,
-    actor: Actor,
-    proxy: Proxy,
-}
-
-const NAMES: [&str; 2] = ["localhost", "127.0.0.1"];
-
-impl Guarded {
-    fn start(expiring: &str) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let mut issuer = Issuer::new(SystemTime::now(), DAY).unwrap();
-        let files = Files::of(folder.path(), &issuer);
-        let duration = |name: &str| if name == expiring { SHORT } else { DAY };
-        issuer.set_duration(duration("server"));
-        files.write("server", &issuer.server(&NAMES.map(str::to_owned)).unwrap());
-        issuer.set_duration(duration("actor"));
-        files.write("actor", &issuer.client(Role::Actor).unwrap());
-        issuer.set_duration(DAY);
-        let settings = [vec![ENDLESS.to_owned()], files.arguments("--tls-client-ca", "server")];
-        let learner = Learner::start(&folder.path().join("run"), &settings.concat());
-        let proxy = Proxy::start(&learner.url);
-        let url = format!("https://127.0.0.1:{}", proxy.port);
-        let arguments = files.arguments("--tls-ca", "actor");
-        let actor = Actor::start(folder.path(), "working", &url, &arguments);
-        has_begun(&folder.path().join("run"));
-        Self { folder, files, issuer, learner, actor, proxy }
-    }
-
-    /// Runs a command that connects to the learner with the actor's certificate.
-    fn ask(&self, command: &str) -> (bool, String) {
-        let more = self.files.arguments("--tls-ca", "actor");
-        let more = more.iter().map(String::as_str);
-        let arguments = [command, "--learner", &self.learner.url].into_iter().chain(more);
-        let output = s2mia(&arguments.collect::<Vec<_>>());
-        (output.status.success(), String::from_utf8(output.stderr).unwrap())
-    }
-
-    /// Waits until new connections are refused; the one of the actor remains.
-    fn expires(&self) {
-        eventually(|| match self.ask("health") {
-            (false, _) => Ok(()),
-            (true, _) => Err("the certificate has not expired".to_owned()),
-        });
-        goes_on(&self.folder.path().join("run"));
-        assert!(!self.actor.log().contains("session ended"), "{}", self.actor.log());
-    }
-
-    /// Stops the run and compares it with an undisturbed one.
-    fn end(mut self) {
-        stopped(&mut self.learner, vec![self.actor]);
-        ends_as_undisturbed(&self.folder.path().join("run"));
-    }
-}
-
-#[test]
-fn an_actor_whose_certificate_expires_keeps_its_connection_and_reconnects_with_a_renewed_one() {
-    let guarded = Guarded::start("actor");
-    guarded.expires();
-    let (_, told) = guarded.ask("actor");
-    assert!(told.contains("actor.pem expired at ") && told.lines().count() == 1, "{told}");
-    guarded.proxy.cut();
-    says(|| guarded.actor.log(), "actor.pem expired at ", 1);
-    guarded.files.write("actor", &guarded.issuer.client(Role::Actor).unwrap());
-    says(|| guarded.learner.log(), "actor registered", 2);
-    goes_on(&guarded.folder.path().join("run"));
-    guarded.end();
-}
-
-#[test]
-fn a_learner_whose_certificate_expires_says_so_once_and_takes_up_a_renewed_one() {
-    let guarded = Guarded::start("server");
-    guarded.expires();
-    let (_, told) = guarded.ask("actor");
-    let why = "the learner's certificate is refused: certificate expired";
-    assert!(told.contains(why) && told.lines().count() == 1, "{told}");
-    let log = || {
-        // The learner looks at its files when a connection begins.
-        guarded.ask("health");
-        guarded.learner.log()
-    };
-    says(log, "server.pem expired at ", 1);
-    assert_eq!(log().matches("server.pem expired at ").count(), 1);
-    guarded.files.write("server", &guarded.issuer.server(&NAMES.map(str::to_owned)).unwrap());
-    eventually(|| match guarded.ask("health") {
-        (true, _) => Ok(()),
-        (false, why) => Err(format!("the renewed certificate is not in use: {why}")),
     });
-    guarded.proxy.cut();
-    says(|| guarded.learner.log(), "actor registered", 2);
-    goes_on(&guarded.folder.path().join("run"));
-    guarded.end();
+    goes_on(&run_folder);
+    assert!(!one.log().contains("session ended"), "{}", one.log());
+    stopped(&mut learner, vec![one]);
+    ends_as_undisturbed(&run_folder);
 }

@@ -81,25 +81,18 @@ fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
     assert_eq!(inspect(&folder), inspect(&undisturbed));
 }
 
-/// Trains six slots an iteration with one actor process of this many threads.
-fn train_with_threads(folder: &Path, threads: &str) -> serde_json::Value {
+/// Trains six slots an iteration with one actor process of one thread.
+fn train_with_one_thread(folder: &Path) -> serde_json::Value {
     let address = free_address();
     let mut learner = Learner::start(folder, &address, &["environments.count=12"]);
-    let mut actor = actor(&format!("http://{address}"), threads);
+    let mut actor = actor(&format!("http://{address}"), "1");
     assert!(learner.end().starts_with("finished after iteration 60"));
     assert!(actor.wait().unwrap().success());
     inspect(folder)
 }
 
 #[test]
-fn an_actor_gives_the_same_results_with_one_thread_and_with_three() {
-    let runs = Runs::new();
-    let one = train_with_threads(&runs.folder("one"), "1");
-    assert_eq!(train_with_threads(&runs.folder("three"), "3"), one);
-}
-
-#[test]
-fn threads_of_several_connections_survive_a_restart_of_the_learner() {
+fn six_threads_and_a_restart_of_the_learner_give_the_results_of_one_thread() {
     let runs = Runs::new();
     let (folder, address) = (runs.folder("six"), free_address());
     let url = format!("http://{address}");
@@ -115,7 +108,7 @@ fn threads_of_several_connections_survive_a_restart_of_the_learner() {
     let mut learner = Learner::start(&folder, &address, &["environments.count=12"]);
     assert!(learner.end().starts_with("finished after iteration 60"));
     assert!(actor.wait().unwrap().success());
-    assert_eq!(inspect(&folder), train_with_threads(&runs.folder("one"), "1"));
+    assert_eq!(inspect(&folder), train_with_one_thread(&runs.folder("one")));
 }
 
 #[test]

@@ -94,7 +94,7 @@ fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
     refused(&learner.url, &own.of_client(&other, "actor"), "given with --tls-ca has not signed it");
     refused(&learner.url, &other.of_client(&own, "actor"), "another authority has signed it");
     refused(&learner.url, &elsewhere, "elsewhere");
-    refused(&learner.url, &own.of_client(&own, "viewer"), "needs the role actor");
+    refused(&learner.url, &own.of_client(&own, "operator"), "needs the role actor");
     refused(&learner.url.replace("https", "http"), &[], "requires TLS; use https://");
     refused(&plain.url.replace("http", "https"), &actors, "use an http:// URL");
     let unguarded = learner.url.replace("https", "http");
@@ -103,11 +103,11 @@ fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
         assert!(told.contains("requires TLS") && told.contains("pass --tls-ca"), "{told}");
     }
 
-    let told = learner.finish(&own.of_client(&own, "admin"));
+    let told = learner.finish(&actors);
     for words in [
         "received fatal alert",
         "invalid peer certificate",
-        "needs the role actor; the certificate carries viewer",
+        "needs the role actor; the certificate carries operator",
         "speaks plain text, but this learner requires TLS",
     ] {
         assert!(told.contains(words), "{words}: {told}");
@@ -136,31 +136,28 @@ fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
     let plain = url.replace("https", "http");
     let (status, health) = (["status", &url], ["health", "--learner", &url]);
     let of = |role| own.of_client(&own, role);
-    let (nobody, strangers) = (Vec::new(), other.of_client(&own, "viewer"));
+    let (nobody, strangers) = (Vec::new(), other.of_client(&own, "operator"));
     let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
     let stop = ["stop", url.as_str()];
-    for role in ["viewer", "actor"] {
-        let told = asked(&stop, &of(role));
-        let words = format!("needs the role admin; the certificate carries {role}");
-        assert!(told.0 == 1 && told.1.contains(&words), "{told:?}");
-    }
-    let cases: [(&[&str], &[String], i32, &str); 10] = [
-        (&["watch", &url], &of("actor"), 1, "needs the role viewer; the certificate carries actor"),
-        (&status, &of("viewer"), 0, "iteration 0"),
-        (&status, &of("admin"), 0, "iteration 0"),
-        (&["status", run], &of("viewer"), 0, "iteration 0"),
+    let needs_operator = "needs the role operator; the certificate carries actor";
+    let cases: [(&[&str], &[String], i32, &str); 11] = [
+        (&stop, &of("actor"), 1, needs_operator),
+        (&["watch", &url], &of("actor"), 1, needs_operator),
+        (&status, &of("actor"), 1, needs_operator),
+        (&status, &of("operator"), 0, "iteration 0"),
+        (&["status", run], &of("operator"), 0, "iteration 0"),
         (&health, &of("actor"), 0, "serves"),
-        (&status, &of("actor"), 1, "needs the role viewer; the certificate carries actor"),
         (&health, &strangers, 1, "does not answer"),
         (&status, &nobody, 2, needs_certificates),
         (&health, &nobody, 2, needs_certificates),
-        (&["status", &plain], &of("viewer"), 2, "begins with https://"),
+        (&["status", &plain], &of("operator"), 2, "begins with https://"),
+        (&stop, &of("operator"), 0, "stops after a checkpoint"),
     ];
     for (question, tls, code, words) in cases {
         let told = asked(question, tls);
         assert!(told.0 == code && told.1.contains(words), "{question:?}: {told:?}");
     }
-    learner.stop();
+    learner.wait();
 }
 
 /// Calls the learner with a certificate that the client does not check itself.
@@ -193,12 +190,12 @@ async fn missing_expired_and_roleless_certificates_are_rejected() {
     let authority = PathBuf::from(own.file("ca.pem"));
 
     assert!(call(&learner.url, &authority, None).await.is_err());
-    let expired = old.client(Role::Actor).unwrap();
+    let expired = old.client(&[Role::Actor]).unwrap();
     assert!(call(&learner.url, &authority, Some(expired)).await.is_err());
-    let without_role = new.nobody().unwrap();
+    let without_role = new.client(&[]).unwrap();
     let status = call(&learner.url, &authority, Some(without_role)).await.unwrap_err();
     assert_eq!(status.code(), Code::PermissionDenied, "{status:?}");
-    call(&learner.url, &authority, Some(new.client(Role::Actor).unwrap())).await.unwrap();
+    call(&learner.url, &authority, Some(new.client(&[Role::Actor]).unwrap())).await.unwrap();
 
     let told = tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
     for words in
@@ -206,44 +203,6 @@ async fn missing_expired_and_roleless_certificates_are_rejected() {
     {
         assert!(told.contains(words), "{words}: {told}");
     }
-}
-
-#[tokio::test]
-async fn changed_certificates_are_reloaded_without_a_restart_and_invalid_ones_are_not() {
-    let folder = tempfile::tempdir().unwrap();
-    let own = Certificates::make(folder.path().join("own"));
-    let other = Certificates::make(folder.path().join("other"));
-    let mut learner = Learner::start(&folder.path().join("run"), &own.of_learner());
-    let renewed = PathBuf::from(other.file("ca.pem"));
-    let issuer = Issuer::new(SystemTime::now(), Duration::from_secs(3600)).unwrap();
-    let client = || issuer.client(Role::Actor).unwrap();
-    std::fs::copy(own.file("ca.pem"), own.file("before.pem")).unwrap();
-
-    // From here on, a client of `issuer` is accepted as soon as its authority has been read.
-    std::fs::write(own.file("ca.pem"), issuer.certificate()).unwrap();
-    let before = PathBuf::from(own.file("before.pem"));
-    let url = learner.url.clone();
-    until(async || call(&url, &before, Some(client())).await.is_ok()).await;
-
-    std::fs::write(own.file("server.pem"), "half a file").unwrap();
-    until(async || {
-        call(&url, &before, Some(client())).await.unwrap();
-        learner.log().contains("the previous certificates stay in use")
-    })
-    .await;
-
-    for name in ["server.pem", "server.key"] {
-        std::fs::copy(other.file(name), own.file(name)).unwrap();
-    }
-    until(async || call(&url, &renewed, Some(client())).await.is_ok()).await;
-    assert!(call(&url, &before, Some(client())).await.is_err());
-    tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
-}
-
-/// Polls for up to half a minute.
-async fn until(happened: impl AsyncFn() -> bool) {
-    let tries = async { while !happened().await {} };
-    tokio::time::timeout(Duration::from_secs(30), tries).await.unwrap();
 }
 
 /// A server of the policies in `run`, and its URL.
@@ -258,14 +217,14 @@ fn served(run: &Path, tls: &[String]) -> (Child, String) {
 }
 
 #[tokio::test]
-async fn policies_are_served_over_tls_to_viewers() {
+async fn policies_are_served_over_tls_to_operators() {
     let folder = tempfile::tempdir().unwrap();
     let (own, run) = (Certificates::make(folder.path().join("own")), folder.path().join("run"));
     let mut learner = Learner::start(&run, &[]);
     learner.stop();
     let (mut server, url) = served(&run, &own.of_learner());
     assert!(url.starts_with("https://"));
-    for (role, may) in [("viewer", true), ("admin", true), ("actor", false)] {
+    for (role, may) in [("operator", true), ("actor", false)] {
         let read = |name: String| std::fs::read(own.file(&name)).unwrap();
         let identity = Identity::from_pem(read(format!("{role}.pem")), read(format!("{role}.key")));
         let authority = Certificate::from_pem(read("ca.pem".to_owned()));
@@ -284,7 +243,7 @@ async fn policies_are_served_over_tls_to_viewers() {
 fn keys_are_readable_by_their_owner_only_and_never_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let own = Certificates::make(folder.path().join("own"));
-    for name in ["server.key", "actor.key", "viewer.key", "admin.key"] {
+    for name in ["server.key", "actor.key", "operator.key"] {
         let mode = std::fs::metadata(own.file(name)).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, 0o600, "{name}");
     }
@@ -301,13 +260,13 @@ fn an_invalid_file_is_reported_in_one_line_with_its_name() {
     let own = Certificates::make(folder.path().join("own"));
     let long_ago = SystemTime::UNIX_EPOCH + Duration::from_secs(86_400);
     let issuer = Issuer::new(long_ago, Duration::from_secs(86_400)).unwrap();
-    let expired = issuer.client(Role::Actor).unwrap();
+    let expired = issuer.client(&[Role::Actor]).unwrap();
     std::fs::write(own.file("old.pem"), &expired.certificate).unwrap();
     std::fs::write(own.file("old.key"), &expired.key).unwrap();
     for (certificate, key, words) in [
         ("none.pem", "actor.key", "cannot read"),
         ("actor.key", "actor.key", "holds no certificate in PEM form"),
-        ("actor.pem", "viewer.key", "does not fit the certificate"),
+        ("actor.pem", "operator.key", "does not fit the certificate"),
         ("old.pem", "old.key", "expired at 1970-01-03 00:00:00 UTC"),
     ] {
         let (authority, certificate, key) =

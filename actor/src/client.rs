@@ -11,7 +11,7 @@ use proto::{
     Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, Registered,
     Registration, ReturnedLease, RunDescription, WeightsName, wire,
 };
-use security::{ClientFiles, Token};
+use security::{ClientTls, Token};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
@@ -184,20 +184,18 @@ fn endpoint(config: &Config) -> Result<Endpoint, ActorError> {
         .max_frame_size(MOST_FRAME_BYTES);
     match &config.transport {
         Transport::PlainText | Transport::PlainTextOnLoopback => Ok(endpoint),
-        Transport::Tls(files) => endpoint.tls_config(tls(files)?).map_err(wrong),
+        Transport::Tls(tls) => endpoint.tls_config(client_tls(tls)).map_err(wrong),
     }
 }
 
-/// Reads the certificates for every connection, so that renewed ones need no restart.
-fn tls(files: &ClientFiles) -> Result<ClientTlsConfig, ActorError> {
-    let own = files.read()?;
-    let tls = ClientTlsConfig::new()
-        .ca_certificate(Certificate::from_pem(own.authority))
-        .identity(Identity::from_pem(own.certificate, own.key));
-    Ok(match &files.server_name {
-        Some(name) => tls.domain_name(name),
-        None => tls,
-    })
+fn client_tls(tls: &ClientTls) -> ClientTlsConfig {
+    let config = ClientTlsConfig::new()
+        .ca_certificate(Certificate::from_pem(&tls.authority))
+        .identity(Identity::from_pem(&tls.certificate, &tls.key));
+    match &tls.server_name {
+        Some(name) => config.domain_name(name),
+        None => config,
+    }
 }
 
 impl From<Status> for ActorError {
@@ -209,18 +207,15 @@ impl From<Status> for ActorError {
 /// Replaces an error by its reason if the TLS settings of the two sides do not match.
 pub(crate) async fn explained(error: ActorError, config: &Config) -> ActorError {
     let ActorError::Refused(status) = &error else { return error };
-    let broken = matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Cancelled);
+    let broken = matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Cancelled)
+        || status.message().starts_with("h2 protocol error");
     let why = match (&config.transport, security::explain(status)) {
         (_, Some(why)) => Some(why),
-        (Transport::Tls(files), None) if broken => {
-            diagnosis::on_certificates(&config.learner, files).await
-        }
-        (Transport::Tls(_), None) => None,
-        // HTTP/2's GOAWAY for missing TLS arrives as a denial, if it arrives.
-        (_, None) if broken || status.code() == Code::PermissionDenied => {
+        (_, None) if !broken => None,
+        (Transport::Tls(tls), None) => diagnosis::on_certificates(&config.learner, tls).await,
+        (Transport::PlainText | Transport::PlainTextOnLoopback, None) => {
             diagnosis::on_plain_text(&config.learner).await
         }
-        _ => None,
     };
     match why {
         Some(why) => ActorError::Tls { url: config.learner.clone(), why },
@@ -233,8 +228,7 @@ pub(crate) fn is_transient(error: &ActorError) -> bool {
     let status = match error {
         ActorError::Refused(status) => status,
         ActorError::Environment(EnvironmentError::Away { status, .. }) => status.as_ref(),
-        // While files are being renewed, they may not match each other.
-        ActorError::Weights { .. } | ActorError::Credentials(_) => return true,
+        ActorError::Weights { .. } => return true,
         _ => return false,
     };
     !matches!(

@@ -1,7 +1,7 @@
 //! Operational settings of an actor process, which never affect results.
 
 use recording::trajectory_log::LogConfig;
-use security::{ClientFiles, Token, addresses};
+use security::{ClientTls, Token, addresses};
 use tonic::transport::Uri;
 
 use crate::error::ActorError;
@@ -30,33 +30,32 @@ pub struct Config {
 }
 
 /// Transport of the connection to the learner.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub enum Transport {
     /// Plain text, only on this machine.
     PlainTextOnLoopback,
     /// Plain text, to any machine.
     PlainText,
     /// TLS, with certificates on both sides.
-    Tls(ClientFiles),
+    Tls(ClientTls),
 }
 
 impl Config {
-    /// Checks the learner's URL, the transport and the certificates.
+    /// Checks the learner's URL and the transport.
     ///
     /// # Errors
-    /// If the URL is invalid, plain text to another machine is not allowed, or a certificate cannot be used.
+    /// If the URL is invalid, or plain text to another machine is not allowed.
     pub fn validate(&self) -> Result<(), ActorError> {
         let wrong = |why: &str| ActorError::Url { url: self.learner.clone(), why: why.to_owned() };
         addresses::check_port(&self.learner).map_err(|port| wrong(&port.to_string()))?;
         let url: Uri = self.learner.parse().map_err(|_| wrong("write http://HOST:50051"))?;
         let (scheme, host) = (url.scheme_str(), url.host().unwrap_or_default());
         match (&self.transport, scheme) {
-            (Transport::Tls(files), Some("https")) => files.read().map(drop).map_err(Into::into),
+            (Transport::Tls(_), Some("https")) | (Transport::PlainText, Some("http")) => Ok(()),
             (Transport::Tls(_), _) => Err(wrong("with --tls-ca it must start with https://")),
             (_, Some("https")) => {
                 Err(wrong("https:// needs --tls-ca, --tls-certificate and --tls-key"))
             }
-            (Transport::PlainText, Some("http")) => Ok(()),
             (Transport::PlainTextOnLoopback, Some("http")) if addresses::is_loopback(host) => {
                 Ok(())
             }
@@ -82,7 +81,7 @@ pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorEr
     }
     let local = addresses::is_loopback(parsed.host().unwrap_or_default());
     match parsed.scheme_str() {
-        Some("http") if local || *transport == Transport::PlainText => Ok(()),
+        Some("http") if local || matches!(transport, Transport::PlainText) => Ok(()),
         Some("http") => wrong(
             "it is on another machine, and the connection is plain text; start it on this machine, or pass \
              --insecure-allow-remote to learner and actor",

@@ -2,7 +2,6 @@
 
 use proto::{LeaseId, Refusal, in_words, name};
 use recording::trajectory_log::LogStartError;
-use security::SecurityError;
 use sim::{SimError, StateError};
 use thiserror::Error;
 use tonic::{Code, Status};
@@ -27,9 +26,6 @@ pub enum ActorError {
         /// The learner's URL.
         url: String,
     },
-    /// A certificate or key of this actor is invalid.
-    #[error(transparent)]
-    Credentials(#[from] SecurityError),
     /// The TLS settings do not match, or one side rejects the other's certificate.
     #[error("no session with {url}: {why}")]
     Tls {

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use security::ServerTls;
 use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 
@@ -49,8 +48,7 @@ pub async fn run(
     trainer.folder.note_token(token)?;
     trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease, audit, states);
-    let certificates = door.tls();
-    let _shown = page.map(|page| show(page, facts, certificates, &trainer, &exchange));
+    let _shown = page.map(|page| show(page, facts, &trainer, &exchange));
     let (asked, broken) = (Arc::clone(&exchange), Arc::new(AtomicBool::new(false)));
     let service_ended = Arc::clone(&broken);
     let stop = move || {
@@ -73,15 +71,9 @@ pub async fn run(
 }
 
 /// Serves the run's page until the returned task set is dropped.
-fn show(
-    page: Page,
-    facts: Facts,
-    certificates: Option<Arc<ServerTls>>,
-    trainer: &Trainer,
-    exchange: &Arc<Exchange>,
-) -> JoinSet<()> {
+fn show(page: Page, facts: Facts, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
     let (facts, exchange) = (facts.resumed_at(trainer.iteration), Arc::clone(exchange));
-    let view = RunView { facts, exchange, certificates, curves: trainer.metrics.curves() };
+    let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();
     serving.spawn(page::serve(page, Arc::new(view)));
     serving

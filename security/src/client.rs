@@ -1,77 +1,69 @@
-//! The TLS files of clients. They are read for every new connection, so that renewed files take effect with the next
-//! connection.
+//! TLS of a learner's clients.
 
-use std::path::PathBuf;
+use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
-use std::time::SystemTime;
 
 use rustls::ClientConfig;
-use rustls::pki_types::ServerName;
+use rustls::pki_types::{ServerName, UnixTime};
 use rustls::sign::SingleCertAndKey;
 
 use crate::error::SecurityError;
 use crate::files::{IdentityFiles, authorities, certified_key, provider, read, unusable};
 
-/// Certificate files of a client, and the server name that it expects.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ClientFiles {
-    /// PEM file of the authority that signed the learner's certificate.
-    pub authority: PathBuf,
-    /// The client's own certificate and key.
-    pub identity: IdentityFiles,
-    /// Name in the learner's certificate; `None`: the host in its URL.
-    pub server_name: Option<String>,
-}
-
-/// The contents of those files in PEM form, valid when they were read.
-pub struct ClientCredentials {
+/// The certificates of a client, in PEM form, which were valid when they were read.
+#[derive(Clone)]
+pub struct ClientTls {
     /// Authority of the learner's certificate.
     pub authority: Vec<u8>,
-    /// The client's certificate.
+    /// The client's certificate and its chain.
     pub certificate: Vec<u8>,
     /// Its private key: a secret.
     pub key: Vec<u8>,
+    /// Name in the learner's certificate; `None`: the host in its URL.
+    pub server_name: Option<String>,
+    config: Arc<ClientConfig>,
 }
 
-impl ClientFiles {
-    /// Reads and checks all files.
-    ///
-    /// # Errors
-    /// Names the first invalid file.
-    pub fn read(&self) -> Result<ClientCredentials, SecurityError> {
-        let credentials = ClientCredentials {
-            authority: read(&self.authority)?,
-            certificate: read(&self.identity.certificate)?,
-            key: read(&self.identity.key)?,
-        };
-        self.configure(&credentials)?;
-        Ok(credentials)
-    }
-
-    /// The TLS settings and the expected server name for a handshake with the learner on `host`.
+impl ClientTls {
+    /// Reads and checks the client's own files and the file of the authority that signed the learner's certificate.
     ///
     /// # Errors
     /// Names the first invalid file, or the invalid server name.
-    pub fn handshake(
-        &self,
-        host: &str,
-    ) -> Result<(ClientConfig, ServerName<'static>), SecurityError> {
-        let config = self.configure(&self.read()?)?;
-        let name = self.server_name.as_deref().unwrap_or(host);
-        let server = ServerName::try_from(name.to_owned())
-            .map_err(|_| SecurityError::NoName { name: name.to_owned() })?;
-        Ok((config, server))
-    }
-
-    fn configure(&self, own: &ClientCredentials) -> Result<ClientConfig, SecurityError> {
-        let now = SystemTime::now();
-        let learners = authorities(&self.authority, &own.authority, now)?;
-        let key = certified_key(&self.identity, &own.certificate, &own.key, now)?;
+    pub fn read(
+        own: &IdentityFiles,
+        authority: &Path,
+        server_name: Option<String>,
+    ) -> Result<Self, SecurityError> {
+        if let Some(name) = &server_name {
+            ServerName::try_from(name.as_str())
+                .map_err(|_| SecurityError::NoName { name: name.clone() })?;
+        }
+        let now = UnixTime::now();
+        let trusted = read(authority)?;
+        let certificate = read(&own.certificate)?;
+        let key = read(&own.key)?;
+        let learners = authorities(authority, &trusted, now)?;
+        let pair = certified_key(own, &certificate, &key, now)?;
         let config = ClientConfig::builder_with_provider(Arc::new(provider()))
             .with_protocol_versions(&[&rustls::version::TLS13])
-            .map_err(|error| unusable(&self.authority, "certificate", error.to_string()))?
+            .map_err(|error| unusable(authority, "certificate", error.to_string()))?
             .with_root_certificates(learners)
-            .with_client_cert_resolver(Arc::new(SingleCertAndKey::from(key)));
-        Ok(config)
+            .with_client_cert_resolver(Arc::new(SingleCertAndKey::from(pair)));
+        Ok(Self { authority: trusted, certificate, key, server_name, config: Arc::new(config) })
+    }
+
+    /// The TLS settings and the expected server name for a handshake with the learner on `host`; `None` if `host` is
+    /// neither a host name nor an IP address.
+    #[must_use]
+    pub fn handshake(&self, host: &str) -> Option<(Arc<ClientConfig>, ServerName<'static>)> {
+        let name = self.server_name.as_deref().unwrap_or(host).to_owned();
+        Some((Arc::clone(&self.config), ServerName::try_from(name).ok()?))
+    }
+}
+
+impl fmt::Debug for ClientTls {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("ClientTls").finish_non_exhaustive()
     }
 }

@@ -43,11 +43,6 @@ impl Issuer {
         Ok(Self { authority, from, duration })
     }
 
-    /// Makes the certificates that are signed from now on valid for `duration` after the authority's first moment.
-    pub fn set_duration(&mut self, duration: Duration) {
-        self.duration = duration;
-    }
-
     /// The authority's own certificate in PEM form.
     #[must_use]
     pub fn certificate(&self) -> String {
@@ -65,23 +60,16 @@ impl Issuer {
         self.issue(params, ExtendedKeyUsagePurpose::ServerAuth)
     }
 
-    /// A certificate that carries one role.
+    /// A client's certificate that carries these roles; without any, it permits nothing.
     ///
     /// # Errors
     /// The certificate cannot be created.
-    pub fn client(&self, role: Role) -> Result<Issued, SecurityError> {
-        let mut params = params(&format!("s2mia {role}"), self.from, self.duration);
-        let uri = role.uri().try_into().map_err(unmakeable)?;
-        params.subject_alt_names = vec![SanType::URI(uri)];
-        self.issue(params, ExtendedKeyUsagePurpose::ClientAuth)
-    }
-
-    /// A client's certificate without a role, which permits nothing.
-    ///
-    /// # Errors
-    /// The certificate cannot be created.
-    pub fn nobody(&self) -> Result<Issued, SecurityError> {
-        let params = params("s2mia client", self.from, self.duration);
+    pub fn client(&self, roles: &[Role]) -> Result<Issued, SecurityError> {
+        let mut params = params("s2mia client", self.from, self.duration);
+        for role in roles {
+            let uri = role.uri().try_into().map_err(unmakeable)?;
+            params.subject_alt_names.push(SanType::URI(uri));
+        }
         self.issue(params, ExtendedKeyUsagePurpose::ClientAuth)
     }
 

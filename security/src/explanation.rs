@@ -12,6 +12,17 @@ pub fn explain(error: &(dyn Error + 'static)) -> Option<String> {
     tls_error(error).and_then(words).or_else(|| explain(error.source()?))
 }
 
+/// Explanation, for the log of a learner, of a failed handshake with a client.
+#[must_use]
+pub fn explain_rejection(error: &io::Error) -> String {
+    match tls_error(error) {
+        Some(rustls::Error::InvalidMessage(_)) => {
+            "the peer speaks plain text, but this learner requires TLS".to_owned()
+        }
+        _ => error.to_string(),
+    }
+}
+
 fn tls_error<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> {
     // The source of an `io::Error` is not the error that it wraps.
     let inner = error.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
@@ -26,7 +37,7 @@ fn words(error: &rustls::Error) -> Option<String> {
             Some(format!("the learner's certificate is refused: {}", reason(why)))
         }
         AlertReceived(alert) => {
-            told(*alert).map(|why| format!("the learner refuses this certificate: {why}"))
+            refusal(*alert).map(|why| format!("the learner refuses this certificate: {why}"))
         }
         _ => None,
     }
@@ -41,7 +52,7 @@ fn reason(why: &CertificateError) -> String {
     }
 }
 
-fn told(alert: AlertDescription) -> Option<&'static str> {
+fn refusal(alert: AlertDescription) -> Option<&'static str> {
     match alert {
         AlertDescription::CertificateRequired => Some("it requires one and received none"),
         AlertDescription::UnknownCA | AlertDescription::DecryptError => {

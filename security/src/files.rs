@@ -1,16 +1,16 @@
 //! Reads and checks certificates, keys and authorities in PEM files.
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use rustls::crypto::{CryptoProvider, ring};
 use rustls::pki_types::pem::PemObject as _;
-use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::pki_types::{CertificateDer, PrivateKeyDer, UnixTime};
 use rustls::sign::CertifiedKey;
 use rustls::{Error, RootCertStore};
+use time::OffsetDateTime;
+use webpki::{EndEntityCert, KeyUsage};
 
 use crate::error::SecurityError;
-use crate::validity::{Moment, Validity};
 
 const CERTIFICATE: &str = "certificate";
 const PRIVATE_KEY: &str = "private key";
@@ -40,7 +40,7 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SecurityError> {
 pub(crate) fn certificates(
     path: &Path,
     pem: &[u8],
-    now: SystemTime,
+    now: UnixTime,
 ) -> Result<Vec<CertificateDer<'static>>, SecurityError> {
     let found = CertificateDer::pem_slice_iter(pem).collect::<Result<Vec<_>, _>>();
     let chain = found.ok().filter(|chain| !chain.is_empty());
@@ -49,31 +49,45 @@ pub(crate) fn certificates(
     Ok(chain)
 }
 
-/// Refuses a certificate, read from `path`, that is not valid at `now`; returns the end of its validity.
-pub(crate) fn demand_validity(
+/// Refuses a certificate, read from `path`, that is not valid at `now`. Peers would refuse it without this reason.
+fn demand_validity(
     path: &Path,
     certificate: &CertificateDer<'_>,
-    now: SystemTime,
-) -> Result<Moment, SecurityError> {
-    let validity = Validity::of(certificate)
-        .ok_or_else(|| unusable(path, CERTIFICATE, "it is damaged".to_owned()))?;
-    let (path, now) = (path.to_path_buf(), Moment::from(now));
-    if now > validity.until {
-        let (at, now) = (validity.until.to_string(), now.to_string());
-        return Err(SecurityError::Expired { path, at, now });
+    now: UnixTime,
+) -> Result<(), SecurityError> {
+    let parsed = EndEntityCert::try_from(certificate)
+        .map_err(|error| unusable(path, CERTIFICATE, error.to_string()))?;
+    // The period is checked first. There are no authorities, so the verification fails afterwards in any case.
+    let verified = parsed.verify_for_usage(&[], &[], &[], now, KeyUsage::client_auth(), None, None);
+    let path = path.to_path_buf();
+    match verified.err() {
+        Some(webpki::Error::CertExpired { not_after, .. }) => {
+            Err(SecurityError::Expired { path, at: in_utc(not_after), now: in_utc(now) })
+        }
+        Some(webpki::Error::CertNotValidYet { not_before, .. }) => {
+            Err(SecurityError::NotYetValid { path, at: in_utc(not_before), now: in_utc(now) })
+        }
+        _ => Ok(()),
     }
-    if now < validity.from {
-        let (at, now) = (validity.from.to_string(), now.to_string());
-        return Err(SecurityError::NotYetValid { path, at, now });
+}
+
+/// A time as `2001-09-09 01:46:40 UTC`.
+fn in_utc(time: UnixTime) -> String {
+    let secs = i64::try_from(time.as_secs()).ok();
+    match secs.and_then(|secs| OffsetDateTime::from_unix_timestamp(secs).ok()) {
+        Some(time) => {
+            let (hour, minute, second) = time.to_hms();
+            format!("{} {hour:02}:{minute:02}:{second:02} UTC", time.date())
+        }
+        None => format!("{} s after 1970", time.as_secs()),
     }
-    Ok(validity.until)
 }
 
 /// The authorities in `pem`, which was read from `path`.
 pub(crate) fn authorities(
     path: &Path,
     pem: &[u8],
-    now: SystemTime,
+    now: UnixTime,
 ) -> Result<RootCertStore, SecurityError> {
     let mut roots = RootCertStore::empty();
     for certificate in certificates(path, pem, now)? {
@@ -87,7 +101,7 @@ pub(crate) fn certified_key(
     files: &IdentityFiles,
     certificate_pem: &[u8],
     key_pem: &[u8],
-    now: SystemTime,
+    now: UnixTime,
 ) -> Result<CertifiedKey, SecurityError> {
     let chain = certificates(&files.certificate, certificate_pem, now)?;
     // The parser's message may quote the file, so it is not passed on.
@@ -112,35 +126,37 @@ pub(crate) fn unusable(path: &Path, what: &'static str, why: String) -> Security
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
+    use std::time::{Duration, SystemTime};
 
     use super::*;
     use crate::development::{Issued, Issuer};
     use crate::role::Role;
 
     const DAY: Duration = Duration::from_secs(86_400);
+    /// 2001-09-09 01:46:40 UTC.
+    const ISSUED: Duration = Duration::from_secs(1_000_000_000);
 
-    fn files() -> IdentityFiles {
-        IdentityFiles { certificate: "own.pem".into(), key: "own.key".into() }
+    fn issued() -> Issued {
+        let issuer = Issuer::new(SystemTime::UNIX_EPOCH + ISSUED, DAY).unwrap();
+        issuer.client(&[Role::Actor]).unwrap()
     }
 
-    fn issued(from: SystemTime) -> Issued {
-        Issuer::new(from, DAY).and_then(|issuer| issuer.client(Role::Actor)).unwrap()
-    }
-
-    fn refusal(certificate: &str, key: &str, now: SystemTime) -> String {
-        let read = certified_key(&files(), certificate.as_bytes(), key.as_bytes(), now);
-        read.map(|_| "accepted").unwrap_err().to_string()
+    fn refusal(certificate: &str, key: &str, at: Duration) -> String {
+        let files = IdentityFiles { certificate: "own.pem".into(), key: "own.key".into() };
+        let now = UnixTime::since_unix_epoch(at);
+        let read = certified_key(&files, certificate.as_bytes(), key.as_bytes(), now);
+        read.map_or_else(|error| error.to_string(), |_| "accepted".to_owned())
     }
 
     #[test]
     fn what_is_wrong_with_a_file_is_one_line_that_never_quotes_a_key() {
-        let now = SystemTime::now();
-        let (own, other) = (issued(now), issued(now));
+        let (own, other) = (issued(), issued());
         let cut = &own.key[..own.key.len() / 2];
+        let damaged = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n";
         for (certificate, key, line) in [
             ("", own.key.as_str(), "own.pem holds no certificate in PEM form"),
             (&own.key, &own.key, "own.pem holds no certificate in PEM form"),
+            (damaged, &own.key, "own.pem holds a certificate that cannot be used: BadDer"),
             (&own.certificate, "", "own.key holds no private key in PEM form"),
             (&own.certificate, cut, "own.key holds no private key in PEM form"),
             (
@@ -149,22 +165,24 @@ mod tests {
                 "the private key own.key does not fit the certificate own.pem",
             ),
         ] {
-            assert_eq!(refusal(certificate, key, now), line);
+            assert_eq!(refusal(certificate, key, ISSUED), line);
         }
-        let damaged = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n";
-        assert!(refusal(damaged, &own.key, now).contains("it is damaged"));
     }
 
     #[test]
     fn a_certificate_is_refused_before_its_first_and_after_its_last_moment() {
-        let now = SystemTime::now();
-        let own = issued(now);
-        let late = refusal(&own.certificate, &own.key, now + 2 * DAY);
-        assert!(late.starts_with("the certificate own.pem expired at "), "{late}");
-        let early = refusal(&own.certificate, &own.key, now - 2 * DAY);
-        assert!(early.starts_with("the certificate own.pem is valid from "), "{early}");
-        let (certificate, key) = (own.certificate.as_bytes(), own.key.as_bytes());
-        assert!(certified_key(&files(), certificate, key, now).is_ok());
+        let own = issued();
+        let at = |time| refusal(&own.certificate, &own.key, time);
+        assert_eq!(at(ISSUED), "accepted");
+        assert_eq!(
+            at(ISSUED + 2 * DAY),
+            "the certificate own.pem expired at 2001-09-10 01:46:40 UTC (it is 2001-09-11 01:46:40 UTC)"
+        );
+        // Clocks of two machines may differ by five minutes.
+        assert_eq!(
+            at(ISSUED - DAY),
+            "the certificate own.pem is valid from 2001-09-09 01:41:40 UTC only (it is 2001-09-08 01:46:40 UTC)"
+        );
     }
 
     #[test]

@@ -13,23 +13,20 @@ const URI_PREFIX: &str = "s2mia://role/";
 pub enum Role {
     /// Rolls out: all calls of `LearnerService`.
     Actor,
-    /// Watches: calls that change nothing.
-    Viewer,
-    /// May do everything.
-    Admin,
+    /// Watches and stops runs, uses policies: all other calls.
+    Operator,
 }
 
 impl Role {
     /// All roles.
-    pub const ALL: [Self; 3] = [Self::Actor, Self::Viewer, Self::Admin];
+    pub const ALL: [Self; 2] = [Self::Actor, Self::Operator];
 
     /// Name of the role.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Actor => "actor",
-            Self::Viewer => "viewer",
-            Self::Admin => "admin",
+            Self::Operator => "operator",
         }
     }
 
@@ -94,7 +91,7 @@ impl Standing {
     pub fn demand(&self, needed: Role) -> Result<(), Denied> {
         match self {
             Self::Unasked => Ok(()),
-            Self::Roles(held) if held.contains(&needed) || held.contains(&Role::Admin) => Ok(()),
+            Self::Roles(held) if held.contains(&needed) => Ok(()),
             Self::Roles(held) => Err(Denied { needed, held: held.clone() }),
         }
     }
@@ -105,12 +102,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_admin_may_do_what_everyone_may_and_nobody_else_more_than_their_own() {
+    fn each_role_permits_its_own_calls_only() {
         for needed in Role::ALL {
             for held in Role::ALL {
                 let allowed = Standing::Roles(vec![held]).demand(needed).is_ok();
-                assert_eq!(allowed, held == needed || held == Role::Admin, "{held} as {needed}");
+                assert_eq!(allowed, held == needed, "{held} as {needed}");
             }
+            assert!(Standing::Roles(Role::ALL.to_vec()).demand(needed).is_ok());
             assert!(Standing::Unasked.demand(needed).is_ok());
             assert!(Standing::of_chain(None).demand(needed).is_err());
         }
@@ -118,10 +116,10 @@ mod tests {
 
     #[test]
     fn a_denial_names_the_role_needed_and_those_held() {
-        let denied = Standing::Roles(vec![Role::Viewer]).demand(Role::Actor).unwrap_err();
-        let line = "this call needs the role actor; the certificate carries viewer";
+        let denied = Standing::Roles(vec![Role::Operator]).demand(Role::Actor).unwrap_err();
+        let line = "this call needs the role actor; the certificate carries operator";
         assert_eq!(denied.to_string(), line);
-        let denied = Standing::Roles(vec![]).demand(Role::Admin).unwrap_err();
+        let denied = Standing::Roles(vec![]).demand(Role::Operator).unwrap_err();
         assert!(denied.to_string().ends_with("the certificate carries no role"));
     }
 }

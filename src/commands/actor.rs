@@ -86,8 +86,8 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
 /// The actor's settings, checked; the program ends with status 2 if they are wrong.
 fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
     let patience = seconds("--max-outage-secs", arguments.max_outage_secs)?;
-    let transport = match (arguments.tls.files(), arguments.insecure_allow_remote) {
-        (Some(files), _) => Transport::Tls(files),
+    let transport = match (arguments.tls.read()?, arguments.insecure_allow_remote) {
+        (Some(tls), _) => Transport::Tls(tls),
         (None, true) => Transport::PlainText,
         (None, false) => Transport::PlainTextOnLoopback,
     };

@@ -2,7 +2,6 @@
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::Write as _;
-use std::net::IpAddr;
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
@@ -29,9 +28,6 @@ pub(crate) struct CertsArguments {
         default_value = "localhost,127.0.0.1,::1"
     )]
     pub(crate) names: Vec<String>,
-    /// Days until the certificates expire.
-    #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=3650))]
-    pub(crate) days: u32,
 }
 
 /// Only the owner may read a private key.
@@ -41,12 +37,13 @@ const PUBLIC: u32 = 0o644;
 /// Only the owner may list the folder.
 const PRIVATE_FOLDER: u32 = 0o700;
 
-const DAY: Duration = Duration::from_secs(86_400);
+/// Validity of all certificates.
+const YEAR: Duration = Duration::from_secs(365 * 86_400);
 
 /// Writes all files into a new or empty folder and prints how to use them.
 pub(super) fn run(arguments: &CertsArguments) -> anyhow::Result<()> {
     let folder = &arguments.folder;
-    let issuer = Issuer::new(SystemTime::now(), DAY * arguments.days)?;
+    let issuer = Issuer::new(SystemTime::now(), YEAR)?;
     let server = issuer
         .server(&arguments.names)
         .map_err(|error| Usage::new(format!("--names {}: {error}", arguments.names.join(","))))?;
@@ -54,9 +51,9 @@ pub(super) fn run(arguments: &CertsArguments) -> anyhow::Result<()> {
     write(&folder.join("ca.pem"), &issuer.certificate(), PUBLIC)?;
     write_pair(folder, "server", &server)?;
     for role in Role::ALL {
-        write_pair(folder, role.name(), &issuer.client(role)?)?;
+        write_pair(folder, role.name(), &issuer.client(&[role])?)?;
     }
-    output::line(instructions(folder, &arguments.names[0], arguments.days));
+    output::line(instructions(folder));
     Ok(())
 }
 
@@ -91,20 +88,15 @@ fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
     written.with_context(|| format!("cannot write {}", path.display()))
 }
 
-fn instructions(folder: &Path, name: &str, days: u32) -> String {
-    let (dir, file) = (folder.display(), |name: &str| shell::path(&folder.join(name)));
-    let [server, server_key, ca] = ["server.pem", "server.key", "ca.pem"].map(file);
+fn instructions(folder: &Path) -> String {
+    let file = |name: &str| shell::path(&folder.join(name));
+    let [ca, server, server_key] = ["ca.pem", "server.pem", "server.key"].map(file);
     let [actor, actor_key] = ["actor.pem", "actor.key"].map(file);
-    let host = match name.parse::<IpAddr>() {
-        Ok(IpAddr::V6(address)) => format!("[{address}]"),
-        _ => name.to_owned(),
-    };
     format!(
-        "{dir} holds an authority, a learner's certificate and one for each role, good for {days} \
-         days.\nThe authority's own key was not kept: to make more, make all of them anew.\n\n  \
-         s2mia learner --listen 0.0.0.0:50051 --tls-certificate {server} --tls-key {server_key} \
-         --tls-client-ca {ca}\n  s2mia actor --learner {} --tls-ca {ca} --tls-certificate {actor} \
-         --tls-key {actor_key}",
-        shell::word(&format!("https://{host}:50051"))
+        "{} holds an authority, a learner's certificate and one for each role, valid for a year.\nThe authority's own key \
+         is not stored: to add a certificate, create all again.\n\n  s2mia learner --listen 0.0.0.0:50051 \
+         --tls-certificate {server} --tls-key {server_key} --tls-client-ca {ca}\n  s2mia actor --learner \
+         https://HOST:50051 --tls-ca {ca} --tls-certificate {actor} --tls-key {actor_key}",
+        folder.display()
     )
 }

@@ -76,7 +76,7 @@ pub(super) fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
 /// Where the learner listens; `None` for the folder of a run on which none works.
 pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
     let of = &learner.of;
-    let scheme = if learner.tls.files().is_some() { "https" } else { "http" };
+    let scheme = if learner.tls.are_given() { "https" } else { "http" };
     let with_scheme = |address: &str| match address.contains("://") {
         true => address.to_owned(),
         false => format!("{scheme}://{address}"),

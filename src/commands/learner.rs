@@ -1,7 +1,6 @@
 //! `s2mia learner`: the learner of one run, for actors on any machine.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 
 use actor::Transport;
 use anyhow::Context as _;
@@ -40,8 +39,8 @@ pub(crate) struct LearnerArguments {
     /// Web page.
     #[command(flatten)]
     pub(crate) page: PageArguments,
-    /// Serve the page and /metrics over TLS with the files of --tls-certificate, to certificates with the role viewer or
-    /// admin.
+    /// Serve the page and /metrics over TLS with the files of --tls-certificate, to certificates with the role
+    /// operator.
     #[arg(long, requires = "tls_certificate", conflicts_with = "insecure_allow_remote_page")]
     pub(crate) page_tls: bool,
 }
@@ -49,7 +48,7 @@ pub(crate) struct LearnerArguments {
 /// Serves until the run is done or a stop signal; the newest state is then in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
-    let page_tls = arguments.page_tls.then(|| listening.tls()).flatten();
+    let page_tls = listening.tls().filter(|_| arguments.page_tls).map(ServerTls::for_page);
     listening::check_page(&arguments.page, page_tls.as_ref())?;
     let (runtime, (stop_sender, stop)) = (runtime()?, watch::channel(false));
     // Before the launch, which takes a moment, so that a stop is never lost.
@@ -72,7 +71,7 @@ fn plain_text(arguments: &LearnerArguments) -> Transport {
 async fn serve(
     prepared: Prepared,
     listening: Listening,
-    page_tls: Option<Arc<ServerTls>>,
+    page_tls: Option<ServerTls>,
     arguments: &LearnerArguments,
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {

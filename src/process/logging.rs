@@ -5,9 +5,10 @@ use std::sync::OnceLock;
 
 use clap::ValueEnum;
 use indicatif::MultiProgress;
+use tracing_subscriber::Layer as _;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
-use tracing_subscriber::{EnvFilter, Layer};
 
 use crate::errors::Usage;
 
@@ -32,17 +33,26 @@ pub(crate) enum LogFormat {
 ///
 /// # Errors
 /// The filter of `--log` is invalid.
-pub(crate) fn start(format: LogFormat, given: Option<&str>, default: &str) -> Result<(), Usage> {
-    let filter = match given {
-        Some(filter) => EnvFilter::try_new(filter)
-            .map_err(|error| Usage::new(format!("--log {filter}: {error}")))?,
-        None => EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default)),
+pub(crate) fn start(
+    format: LogFormat,
+    given: Option<&str>,
+    default: LevelFilter,
+) -> Result<(), Usage> {
+    let filter: Targets = match given {
+        Some(filter) => {
+            filter.parse().map_err(|error| Usage::new(format!("--log {filter}: {error}")))?
+        }
+        None => {
+            let variable = std::env::var("RUST_LOG").ok();
+            let filter = variable.and_then(|filter| filter.parse().ok());
+            filter.unwrap_or_else(|| Targets::new().with_default(default))
+        }
     };
     // A line that nobody reads must not be reported on the same stderr, which would panic.
     let lines = tracing_subscriber::fmt::layer().with_writer(|| AboveBars);
     let lines = lines.log_internal_errors(false);
     let lines = match format {
-        LogFormat::Text => lines.with_ansi(false).with_target(false).boxed(),
+        LogFormat::Text => lines.with_target(false).boxed(),
         LogFormat::Json => lines.json().flatten_event(true).boxed(),
     };
     tracing_subscriber::registry().with(lines.with_filter(filter)).init();

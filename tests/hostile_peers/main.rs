@@ -13,3 +13,16 @@ mod many_peers;
 mod resource_limits;
 mod stalled_connections;
 mod usage;
+
+use std::sync::LazyLock;
+
+use learners::{Learner, inspect};
+use serde_json::Value;
+
+/// The state in which a run ends that nobody disturbs; it is trained once.
+static UNDISTURBED: LazyLock<Value> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    Learner::start(&run, &[]).finish(&[]);
+    inspect(&run)
+});

@@ -5,6 +5,7 @@ use std::net::TcpStream;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use crate::UNDISTURBED;
 use crate::http2_frames;
 use crate::learners::{Learner, inspect};
 use crate::usage::Usage;
@@ -65,12 +66,6 @@ fn uses_little(learner: &Learner, before: Usage, connections: usize) {
     assert!(during.descriptors <= before.descriptors + connections + 16, "{before:?}, {during:?}");
 }
 
-fn undisturbed(folder: &std::path::Path) -> serde_json::Value {
-    let mut quiet = Learner::start(folder, &[]);
-    quiet.finish(&[]);
-    inspect(folder)
-}
-
 #[test]
 fn stalled_connections_are_closed_in_time_and_the_run_continues() {
     let folder = tempfile::tempdir().unwrap();
@@ -89,7 +84,7 @@ fn stalled_connections_are_closed_in_time_and_the_run_continues() {
     let log = learner.finish(&[]);
     let closed = log.lines().filter(|line| line.contains("no handshake within 10 s"));
     assert_eq!(closed.count(), 2 * EACH, "{log}");
-    assert_eq!(inspect(&attacked), undisturbed(&folder.path().join("undisturbed")));
+    assert_eq!(inspect(&attacked), *UNDISTURBED);
 }
 
 #[test]
@@ -100,7 +95,7 @@ fn stalled_connections_do_not_affect_the_weights() {
     let connections = stalled_connections(&learner.url, &first_bytes());
     learner.finish(&[]);
     drop(connections);
-    assert_eq!(inspect(&attacked), undisturbed(&folder.path().join("undisturbed")));
+    assert_eq!(inspect(&attacked), *UNDISTURBED);
 }
 
 #[test]

@@ -90,7 +90,7 @@ def wait_for(learner, holds):
 
 def test_the_secrets_hold_a_key_for_each_side_and_no_other():
     keys = {secret: {file for file in files if file.endswith(".key")} for secret, files in secrets().items()}
-    assert keys == {"learner-certificates": {"server.key", "viewer.key"}, "actor-certificates": {"actor.key"}}
+    assert keys == {"learner-certificates": {"server.key", "operator.key"}, "actor-certificates": {"actor.key"}}
 
 
 def test_no_plain_text_is_allowed():
@@ -109,8 +109,8 @@ def test_a_run_is_finished_with_the_certificates_of_the_secrets(mounted, ports, 
             for probe in probes:
                 wait_for(learner, lambda: succeeds(command(probe[1:], of, mounted, ports)))
             assert not succeeds([program(), "health", f"--learner=http://127.0.0.1:{ports[0]}"])
-            scraped = metrics(ports[1], mounted / "learner-certificates", "viewer")
-            assert 's2mia_certificate_expiry_timestamp_seconds{of="learner"}' in scraped
+            scraped = metrics(ports[1], mounted / "learner-certificates", "operator")
+            assert "s2mia_iteration" in scraped
             with pytest.raises(urllib.error.HTTPError, match="403"):
                 metrics(ports[1], mounted / "actor-certificates", "actor")
             actor = pod("actor")

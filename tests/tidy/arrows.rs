@@ -24,7 +24,7 @@ const ARROWS: [(&str, &[&str]); 10] = [
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 33] = [
+const HEAVY: [(&str, &[&str]); 31] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
@@ -35,7 +35,6 @@ const HEAVY: [(&str, &[&str]); 33] = [
     ("toml", &[ROOT, "sim"]),
     ("tracing-subscriber", &[ROOT]),
     ("candle-core", &["policy", "marl"]),
-    ("candle-nn", &["policy", "marl"]),
     ("gemm", &[]),
     ("pulp", &[]),
     ("rand_chacha", &["policy", "sim"]),
@@ -52,7 +51,6 @@ const HEAVY: [(&str, &[&str]); 33] = [
     ("base64", &["learner"]),
     ("hyper", &["learner"]),
     ("hyper-util", &["learner"]),
-    ("prometheus-client", &["learner"]),
     ("tokio", &[ROOT, "actor", "learner"]),
     ("tokio-rustls", &["actor", "learner"]),
     ("tokio-stream", &[ROOT, "actor", "learner"]),

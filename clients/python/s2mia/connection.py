@@ -70,9 +70,8 @@ def _advice(code: grpc.StatusCode, details: str) -> str:
     """What to change, if the details do not say it."""
     if code == grpc.StatusCode.UNIMPLEMENTED and not details:
         return "the server at this address does not provide this service; it may be another program"
-    # INADEQUATE_SECURITY of HTTP/2 (RFC 9113, section 7).
-    if "GOAWAY received; Error code: 12" in details:
-        return "; the server requires TLS: use https:// and tls=s2mia.Tls(ca, certificate, key)"
+    if "failed to connect" in details and "Socket closed" in details:
+        return "; if the server requires TLS, use https:// and tls=s2mia.Tls(ca, certificate, key)"
     if "WRONG_VERSION_NUMBER" in details:
         return "; the server has no TLS: use http://"
     return ""

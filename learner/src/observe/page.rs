@@ -27,8 +27,8 @@ pub struct Page {
     pub listener: TcpListener,
     /// Accepted values of the header `Host`.
     pub hosts: Hosts,
-    /// With it, only clients with the role viewer are answered, over TLS.
-    pub tls: Option<Arc<ServerTls>>,
+    /// With it, only clients with the role operator are answered, over TLS.
+    pub tls: Option<ServerTls>,
 }
 
 /// A run whose curves the page shows together with those of other runs.

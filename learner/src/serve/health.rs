@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use security::{ClientFiles, SecurityError};
+use security::ClientTls;
 use tonic::Code;
 use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 use tonic_health::pb::HealthCheckRequest;
@@ -20,9 +20,6 @@ pub enum HealthError {
         /// The reason.
         detail: String,
     },
-    /// A certificate or a key is invalid or unreadable.
-    #[error(transparent)]
-    Credentials(#[from] SecurityError),
     /// The learner cannot be reached or did not respond.
     #[error("{url} does not answer: {detail}")]
     Unreachable {
@@ -55,7 +52,7 @@ pub enum HealthError {
 /// The learner is not healthy or does not respond within `timeout`.
 pub async fn demand_serving(
     url: &str,
-    tls: Option<&ClientFiles>,
+    tls: Option<&ClientTls>,
     timeout: Duration,
 ) -> Result<(), HealthError> {
     let check = check(url, endpoint(url, tls)?);
@@ -68,7 +65,7 @@ pub async fn demand_serving(
 }
 
 /// The endpoint at `url`, with the client certificate of `tls`.
-pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint, HealthError> {
+pub(crate) fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError> {
     let invalid = |error: tonic::transport::Error| HealthError::Address {
         url: url.to_owned(),
         detail: innermost(&error),
@@ -76,15 +73,13 @@ pub(crate) fn endpoint(url: &str, tls: Option<&ClientFiles>) -> Result<Endpoint,
     security::addresses::check_port(url)
         .map_err(|port| HealthError::Address { url: url.to_owned(), detail: port.to_string() })?;
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
-    let Some(files) = tls else { return Ok(endpoint) };
-    let own = files.read()?;
-    let config = ClientTlsConfig::new()
-        .ca_certificate(Certificate::from_pem(own.authority))
-        .identity(Identity::from_pem(own.certificate, own.key));
-    let config = match &files.server_name {
-        Some(name) => config.domain_name(name),
-        None => config,
-    };
+    let Some(tls) = tls else { return Ok(endpoint) };
+    let mut config = ClientTlsConfig::new()
+        .ca_certificate(Certificate::from_pem(&tls.authority))
+        .identity(Identity::from_pem(&tls.certificate, &tls.key));
+    if let Some(name) = &tls.server_name {
+        config = config.domain_name(name);
+    }
     endpoint.tls_config(config).map_err(invalid)
 }
 
@@ -123,16 +118,16 @@ pub(crate) fn call_failed(url: &str, status: &tonic::Status) -> HealthError {
 
 /// Why a call failed: the learner's message, or the cause of a broken connection.
 fn explanation(status: &tonic::Status) -> String {
-    const TLS: &str = "pass --tls-ca, --tls-certificate and --tls-key, and use https:// in the URL";
+    const BROKEN: &str = "it closed the connection or does not speak gRPC; if it requires TLS, pass --tls-ca, \
+                          --tls-certificate and --tls-key, and use https:// in the URL";
+    if let Some(why) = security::explain(status) {
+        return why;
+    }
     let broken = status.message().starts_with("h2 protocol error");
-    let by_code = || match status.code() {
-        // The GOAWAY frame for a server that requires TLS; it may be lost in transit.
-        Code::PermissionDenied if broken => format!("it requires TLS: {TLS}"),
-        Code::Cancelled => format!("it closed the connection at once; if it requires TLS, {TLS}"),
-        _ if broken => "the server does not speak gRPC".to_owned(),
-        _ => proto::in_words(status),
-    };
-    security::explain(status).unwrap_or_else(by_code)
+    if broken || matches!(status.code(), Code::Cancelled | Code::Unknown) {
+        return BROKEN.to_owned();
+    }
+    proto::in_words(status)
 }
 
 /// The innermost cause, which is the most specific.

@@ -13,33 +13,17 @@ use crate::token::RequiredToken;
 #[derive(Debug)]
 pub struct Listener {
     pub(crate) listener: TcpListener,
-    pub(crate) authentication: Authentication,
+    /// With it, every peer needs a certificate. Without, all traffic is plain text.
+    pub(crate) tls: Option<ServerTls>,
     /// Required of every call that changes the run.
     pub(crate) token: Option<Arc<RequiredToken>>,
-}
-
-/// What a new connection must present.
-#[derive(Clone, Debug)]
-pub(crate) enum Authentication {
-    /// Nothing; all traffic is plain text.
-    None,
-    /// TLS and a client certificate that names a role.
-    Tls(Arc<ServerTls>),
 }
 
 impl Listener {
     /// A listener that requires a client certificate. The certificate's role determines the permitted calls.
     #[must_use]
-    pub fn authenticated(listener: TcpListener, tls: Arc<ServerTls>) -> Self {
-        Self { listener, authentication: Authentication::Tls(tls), token: None }
-    }
-
-    /// The certificates of the listener, with TLS.
-    pub(crate) fn tls(&self) -> Option<Arc<ServerTls>> {
-        match &self.authentication {
-            Authentication::None => None,
-            Authentication::Tls(tls) => Some(Arc::clone(tls)),
-        }
+    pub fn authenticated(listener: TcpListener, tls: ServerTls) -> Self {
+        Self { listener, tls: Some(tls), token: None }
     }
 
     /// The same listener, which also requires `token`. The learner writes it to the run folder `folder`.
@@ -53,6 +37,6 @@ impl Listener {
 /// A listener without authentication: every peer may make every call.
 impl From<TcpListener> for Listener {
     fn from(listener: TcpListener) -> Self {
-        Self { listener, authentication: Authentication::None, token: None }
+        Self { listener, tls: None, token: None }
     }
 }

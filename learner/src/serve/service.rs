@@ -31,10 +31,8 @@ mod deadline;
 mod handshake;
 mod ingest;
 mod operator;
-mod per_address;
 mod policies;
 mod registry;
-mod replayed;
 mod snapshots;
 mod storage;
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use proto::{AUTHORIZATION, Authorization};
-use security::{Role, Token};
+use security::Token;
 use tonic::Status;
 use tonic::metadata::MetadataMap;
 
@@ -15,11 +15,10 @@ pub(crate) struct RequiredToken {
 }
 
 impl RequiredToken {
-    /// Rejects a call without the token. Calls of viewers need none: they read what the page shows without one.
-    pub(crate) fn demand(&self, headers: &MetadataMap, role: Role) -> Result<(), Status> {
+    /// Rejects a call without the token.
+    pub(crate) fn demand(&self, headers: &MetadataMap) -> Result<(), Status> {
         let header = headers.get(AUTHORIZATION);
-        if role == Role::Viewer || header.is_some_and(|header| self.token.is_in(header.as_bytes()))
-        {
+        if header.is_some_and(|header| self.token.is_in(header.as_bytes())) {
             return Ok(());
         }
         let presented = if header.is_some() { "another token" } else { "no token" };
@@ -44,23 +43,19 @@ mod tests {
 
     use super::*;
 
-    fn answer(required: &RequiredToken, sent: Option<&Token>, role: Role) -> Result<(), String> {
+    fn answer(required: &RequiredToken, sent: Option<&Token>) -> Result<(), String> {
         let request = authorization(sent).call(Request::new(())).unwrap();
-        let answer = required.demand(request.metadata(), role);
-        answer.map_err(|status| status.message().to_owned())
+        required.demand(request.metadata()).map_err(|status| status.message().to_owned())
     }
 
     #[test]
-    fn calls_of_actors_and_admins_need_the_token_and_those_of_viewers_do_not() {
+    fn a_call_without_the_token_is_refused_with_the_name_of_its_file() {
         let (token, other) = (Token::random().unwrap(), Token::random().unwrap());
         let required = RequiredToken { token: token.clone(), file: "runs/a/token".into() };
-        for role in [Role::Actor, Role::Admin] {
-            assert_eq!(answer(&required, Some(&token), role), Ok(()));
-            let line = answer(&required, None, role).unwrap_err();
-            assert!(line.contains("no token") && line.contains("runs/a/token"), "{line}");
-            let line = answer(&required, Some(&other), role).unwrap_err();
-            assert!(line.contains("another token") && !line.contains(token.text()), "{line}");
-        }
-        assert_eq!(answer(&required, None, Role::Viewer), Ok(()));
+        assert_eq!(answer(&required, Some(&token)), Ok(()));
+        let line = answer(&required, None).unwrap_err();
+        assert!(line.contains("no token") && line.contains("runs/a/token"), "{line}");
+        let line = answer(&required, Some(&other)).unwrap_err();
+        assert!(line.contains("another token") && !line.contains(token.text()), "{line}");
     }
 }

@@ -77,11 +77,16 @@ fn gru_sequence(
         let input = projected.narrow(0, step * sequences, sequences)?;
         let recurrent = before.matmul(&w_hh.t()?)?.broadcast_add(b_hh)?;
         let gate = |of: &Tensor, index: usize| of.narrow(1, index * width, width);
-        let r = candle_nn::ops::sigmoid(&(gate(&input, 0)? + gate(&recurrent, 0)?)?)?;
-        let z = candle_nn::ops::sigmoid(&(gate(&input, 1)? + gate(&recurrent, 1)?)?)?;
+        let r = sigmoid(&(gate(&input, 0)? + gate(&recurrent, 0)?)?)?;
+        let z = sigmoid(&(gate(&input, 1)? + gate(&recurrent, 1)?)?)?;
         let n = (gate(&input, 2)? + (r * gate(&recurrent, 2)?)?)?.tanh()?;
         state = ((n.clone() - (&z * n)?)? + (z * before)?)?;
         states.push(state.clone());
     }
     Tensor::cat(&states, 0)
+}
+
+/// `1 / (1 + exp(-x))`, elementwise.
+pub(crate) fn sigmoid(x: &Tensor) -> Result<Tensor> {
+    (x.neg()?.exp()? + 1.0)?.recip()
 }

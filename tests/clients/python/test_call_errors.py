@@ -117,18 +117,18 @@ def test_certificates_that_do_not_match_are_named(serve, tmp_path):
     server = ["--tls-certificate", own / "server.pem", "--tls-key", own / "server.key"]
     server += ["--tls-client-ca", own / "ca.pem"]
     secured, plain = serve("secured", [*SMALL, *server]), serve("plain", SMALL)
-    tls = s2mia.Tls(own / "ca.pem", own / "admin.pem", own / "admin.key")
+    tls = s2mia.Tls(own / "ca.pem", own / "operator.pem", own / "operator.key")
     url = f"https://{plain.address}"
     for call in (s2mia.Client(url, tls=tls).status, lambda: s2mia.Learner(url, tls=tls)):
         assert failure(call).endswith("; the server has no TLS: use http://")
     address = secured.url.removeprefix("https://")
     for call in (s2mia.Client(address).status, lambda: s2mia.Learner(address)):
-        assert "; the server requires TLS: use https://" in failure(call)
-    strange = s2mia.Tls(other / "ca.pem", other / "admin.pem", other / "admin.key")
+        assert "; if the server requires TLS, use https://" in failure(call)
+    strange = s2mia.Tls(other / "ca.pem", other / "operator.pem", other / "operator.key")
     assert "handshake failed" in failure(s2mia.Client(secured.url, tls=strange).status)
     for files, message in [
-        ((own / "ca.pem", own / "admin.pem", other / "admin.key"), "are no certificate and its key"),
-        ((own / "admin.key", own / "admin.pem", own / "admin.key"), "is no valid certificate authority"),
+        ((own / "ca.pem", own / "operator.pem", other / "operator.key"), "are no certificate and its key"),
+        ((own / "operator.key", own / "operator.pem", own / "operator.key"), "is no valid certificate authority"),
     ]:
         with pytest.raises(ValueError, match=message):
             s2mia.Client(secured.url, tls=s2mia.Tls(*files))

@@ -9,7 +9,7 @@ from conftest import FEW, SMALL, command, s2mia_run
 from s2mia.connection import target
 from s2mia.learner import _problem
 
-TLS = s2mia.Tls("ca.pem", "admin.pem", "admin.key")
+TLS = s2mia.Tls("ca.pem", "operator.pem", "operator.key")
 
 
 @pytest.mark.parametrize("secs", [0.0, -1.0, 1e300, math.nan, math.inf])
@@ -72,14 +72,14 @@ def secured(serve, tmp_path):
 def test_certificates_decide_who_may_stop_a_run(secured):
     learner, tls = secured
     assert learner.url.startswith("https://")
-    with s2mia.Client(learner.url, tls=tls("viewer")) as viewer:
-        assert viewer.status().run_id == "secured"
-        with pytest.raises(ConnectionError, match="^https://.*: PERMISSION_DENIED: [^\n]*admin[^\n]*$"):
-            viewer.stop()
+    with s2mia.Client(learner.url, tls=tls("actor")) as actor:
+        with pytest.raises(ConnectionError, match="^https://.*: PERMISSION_DENIED: [^\n]*operator[^\n]*$"):
+            actor.stop()
     s2mia.Learner(learner.url, tls=tls("actor")).close()
     address = learner.url.removeprefix("https://")
-    with s2mia.Client(address, tls=tls("admin", server_name="localhost")) as admin:
-        admin.stop()
+    with s2mia.Client(address, tls=tls("operator", server_name="localhost")) as operator:
+        assert operator.status().run_id == "secured"
+        operator.stop()
     assert "stopped after iteration 0" in learner.finish()
 
 

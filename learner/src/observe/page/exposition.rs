@@ -1,13 +1,7 @@
 //! The run's figures in OpenMetrics format for Prometheus. Each scrape reads the learner's current figures.
 
 use std::collections::BTreeSet;
-use std::sync::atomic::AtomicU64;
-
-use prometheus_client::encoding::text::encode;
-use prometheus_client::metrics::counter::{ConstCounter, Counter};
-use prometheus_client::metrics::family::Family;
-use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
-use prometheus_client::registry::Registry;
+use std::fmt::Display;
 
 use super::RunView;
 use super::memory::resident_bytes;
@@ -19,13 +13,11 @@ use crate::snapshot::RunSnapshot;
 /// Content type of [`text`].
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Labels of one series.
-type Labels = Vec<(&'static str, String)>;
-
 /// All figures in OpenMetrics format.
 pub(super) fn text(view: &RunView) -> String {
-    let mut metrics = MetricSet(Registry::with_prefix("s2mia"));
+    let mut metrics = Exposition(String::new());
     let (facts, run) = (&view.facts, view.exchange.run_snapshot());
+    metrics.memory();
     metrics.run(facts);
     metrics.progress(facts, &run);
     metrics.returns(view);
@@ -33,25 +25,22 @@ pub(super) fn text(view: &RunView) -> String {
     metrics.intake(&run);
     metrics.checkpoints(facts, &run);
     metrics.faults(&run);
-    metrics.certificates(view);
-    let mut process = MetricSet(Registry::with_prefix("process"));
-    process.memory();
-    let mut text = String::new();
-    let written = prometheus_client::encoding::text::encode_registry(&mut text, &process.0);
-    written.and_then(|()| encode(&mut text, &metrics.0)).expect("writing to a string cannot fail");
-    text
+    metrics.0.push_str("# EOF\n");
+    metrics.0
 }
 
-/// The metrics under one prefix.
-struct MetricSet(Registry);
+/// The lines so far.
+struct Exposition(String);
 
-impl MetricSet {
+impl Exposition {
     fn run(&mut self, facts: &Facts) {
-        let manifest = &facts.manifest;
-        let text = |name| (name, manifest[name].as_str().unwrap_or_default().to_owned());
-        let info = Family::<Labels, Gauge>::default();
-        info.get_or_create(&["run_id", "task", "algorithm", "version"].map(text).into()).set(1);
-        self.0.register("run_info", "Constants of the run; always 1", info);
+        let label = |name| {
+            let value = facts.manifest[name].as_str().unwrap_or_default();
+            format!("{name}=\"{}\"", escaped(value))
+        };
+        let labels = ["run_id", "task", "algorithm", "version"].map(label).join(",");
+        self.family("gauge", "s2mia_run_info", "Constants of the run; always 1");
+        self.sample(&format!("s2mia_run_info{{{labels}}}"), 1);
     }
 
     fn progress(&mut self, facts: &Facts, run: &RunSnapshot) {
@@ -97,12 +86,8 @@ impl MetricSet {
         self.counter("slots_backed_up", help, status.slots_backed_up);
         let AuditCounts { agreed, disagreed, skipped } = run.audits;
         let audits = [("agreed", agreed), ("disagreed", disagreed), ("skipped", skipped)];
-        let audits = audits.map(|(result, count)| (vec![("result", result.to_owned())], count));
-        self.counters(
-            "audits",
-            "Slots and episodes computed again by another actor, by result",
-            audits,
-        );
+        let help = "Slots and episodes computed again by another actor, by result";
+        self.counters("audits", help, "result", audits);
         let still = status.leases.iter().map(|lease| lease.still_secs).fold(0.0, f64::max);
         self.gauge("lease_still_seconds", "Longest time of an open lease without progress", still);
         if let Some(secs) = run.slot_secs {
@@ -113,15 +98,14 @@ impl MetricSet {
 
     /// Messages received from actors.
     fn intake(&mut self, run: &RunSnapshot) {
-        let chunks = [(vec![("result", "accepted".to_owned())], run.chunks_accepted)];
-        self.counters("chunks", "Chunks of trajectories", chunks);
+        let chunks = [("accepted", run.chunks_accepted)];
+        self.counters("chunks", "Chunks of trajectories", "result", chunks);
         let help = "Size of all received messages with results";
         self.counter("ingest_bytes", help, run.bytes_received);
         let help = "Steps that trajectory logs lost";
         self.counter("log_dropped", help, run.log_steps_lost);
-        let refusals = run.refusals.iter();
-        let refusals = refusals.map(|(reason, count)| (vec![("reason", reason.clone())], *count));
-        self.counters("messages_refused", "Refused messages by reason", refusals);
+        let refusals = run.refusals.iter().map(|(reason, count)| (reason.as_str(), *count));
+        self.counters("messages_refused", "Refused messages by reason", "reason", refusals);
         let help = "Actors without a fingerprint whose results count: with any, the run is not exactly repeatable";
         self.counter("foreign_actors", help, run.foreign_actors);
         self.gauge("weights_bytes", "Size of the newest weights", run.weights_bytes as f64);
@@ -151,53 +135,85 @@ impl MetricSet {
         self.counter("nonfinite_updates", help, run.updates_skipped);
     }
 
-    /// Ends of validity; none without TLS.
-    fn certificates(&mut self, view: &RunView) {
-        let Some(tls) = &view.certificates else { return };
-        let ends = [("learner", tls.expires()), ("clients", tls.clients_expire())];
-        let ends = ends.into_iter().filter_map(|(of, at)| Some((of, at? as f64)));
-        let help = "When the certificate of the learner, and the first one of its connected clients, expires";
-        self.gauges("certificate_expiry_timestamp_seconds", help, "of", ends);
-    }
-
     fn memory(&mut self) {
         if let Some(bytes) = resident_bytes() {
-            self.gauge("resident_memory_bytes", "Resident memory of the learner", bytes as f64);
+            let name = "process_resident_memory_bytes";
+            self.family("gauge", name, "Resident memory of the learner");
+            self.sample(name, bytes);
         }
     }
 
     fn gauge(&mut self, name: &str, help: &str, value: f64) {
-        self.0.register(name, help, ConstGauge::new(value));
+        let name = format!("s2mia_{name}");
+        self.family("gauge", &name, help);
+        self.sample(&name, value);
     }
 
     fn counter(&mut self, name: &str, help: &str, value: u64) {
-        self.0.register(name, help, ConstCounter::new(value));
+        let name = format!("s2mia_{name}");
+        self.family("counter", &name, help);
+        self.sample(&format!("{name}_total"), value);
     }
 
-    fn gauges(
+    fn gauges<'a>(
         &mut self,
         name: &str,
         help: &str,
-        label: &'static str,
-        values: impl IntoIterator<Item = (&'static str, f64)>,
+        label: &str,
+        values: impl IntoIterator<Item = (&'a str, f64)>,
     ) {
-        let family = Family::<Labels, Gauge<f64, AtomicU64>>::default();
+        let name = format!("s2mia_{name}");
+        self.family("gauge", &name, help);
         for (of, value) in values {
-            family.get_or_create(&vec![(label, of.to_owned())]).set(value);
+            self.sample(&format!("{name}{{{label}=\"{}\"}}", escaped(of)), value);
         }
-        self.0.register(name, help, family);
     }
 
-    fn counters(
+    fn counters<'a>(
         &mut self,
         name: &str,
         help: &str,
-        values: impl IntoIterator<Item = (Labels, u64)>,
+        label: &str,
+        values: impl IntoIterator<Item = (&'a str, u64)>,
     ) {
-        let family = Family::<Labels, Counter>::default();
-        for (labels, value) in values {
-            family.get_or_create(&labels).inc_by(value);
+        let name = format!("s2mia_{name}");
+        self.family("counter", &name, help);
+        for (of, value) in values {
+            self.sample(&format!("{name}_total{{{label}=\"{}\"}}", escaped(of)), value);
         }
-        self.0.register(name, help, family);
+    }
+
+    /// The lines that precede the samples of a metric.
+    fn family(&mut self, kind: &str, name: &str, help: &str) {
+        self.0.push_str(&format!("# HELP {name} {help}.\n# TYPE {name} {kind}\n"));
+    }
+
+    fn sample(&mut self, series: &str, value: impl Display) {
+        self.0.push_str(&format!("{series} {value}\n"));
+    }
+}
+
+/// The value of a label.
+fn escaped(value: &str) -> String {
+    value.replace('\\', r"\\").replace('"', "\\\"").replace('\n', r"\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_have_the_form_of_open_metrics() {
+        let mut metrics = Exposition(String::new());
+        metrics.gauge("iteration", "Finished iterations", 3.0);
+        metrics.counters("chunks", "Chunks", "result", [("a \"b\"\\\n", 4)]);
+        let expected = r#"# HELP s2mia_iteration Finished iterations.
+# TYPE s2mia_iteration gauge
+s2mia_iteration 3
+# HELP s2mia_chunks Chunks.
+# TYPE s2mia_chunks counter
+s2mia_chunks_total{result="a \"b\"\\\n"} 4
+"#;
+        assert_eq!(metrics.0, expected);
     }
 }

@@ -1,9 +1,9 @@
 //! The page's HTTP server: read-only, one request per connection, and a timeout of seconds. With TLS it answers only
-//! clients with the role viewer.
+//! clients with the role operator.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
@@ -94,7 +94,7 @@ fn checked(routes: Router, hosts: Hosts) -> Router {
 
 type Shared = State<Arc<RunView>>;
 
-async fn accept(listener: TcpListener, tls: Option<Arc<ServerTls>>, routes: &Router) {
+async fn accept(listener: TcpListener, tls: Option<ServerTls>, routes: &Router) {
     let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     let mut accepting = Accepting::new(listener, "page");
     let mut open = JoinSet::new();
@@ -125,14 +125,12 @@ async fn answer(stream: impl AsyncRead + AsyncWrite + Unpin, routes: Router) {
     let _result = served.await;
 }
 
-/// Performs the handshake, then serves one request of a client that is a viewer; others get the reason.
-async fn answer_over_tls(stream: TcpStream, peer: SocketAddr, tls: Arc<ServerTls>, routes: Router) {
-    let config = tokio::task::spawn_blocking(move || tls.page_config(Instant::now())).await;
-    let Ok(config) = config else { return };
-    match TlsAcceptor::from(config).accept(stream).await {
+/// Performs the handshake, then serves one request of a client that is an operator; others get the reason.
+async fn answer_over_tls(stream: TcpStream, peer: SocketAddr, tls: ServerTls, routes: Router) {
+    match TlsAcceptor::from(tls.config()).accept(stream).await {
         Ok(stream) => {
             let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
-            match standing.demand(Role::Viewer) {
+            match standing.demand(Role::Operator) {
                 Ok(()) => answer(stream, routes).await,
                 Err(denied) => {
                     let refusal = (StatusCode::FORBIDDEN, format!("{denied}\n"));

@@ -2,7 +2,6 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use security::ServerTls;
 use serde_json::Value;
 
 use crate::exchange::Exchange;
@@ -51,8 +50,6 @@ impl Facts {
 pub(crate) struct RunView {
     pub(crate) facts: Facts,
     pub(crate) exchange: Arc<Exchange>,
-    /// The certificates of the gRPC service, with TLS.
-    pub(crate) certificates: Option<Arc<ServerTls>>,
     /// Locked for one lookup or one copy, so that the trainer, which adds to them, never waits for a response.
     pub(crate) curves: Arc<Mutex<Curves>>,
 }

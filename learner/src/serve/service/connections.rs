@@ -9,7 +9,7 @@ use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use proto::Refusal;
-use security::{ClientExpiry, Role, Standing};
+use security::{Role, ServerTls, Standing};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::sync::{Semaphore, mpsc, oneshot};
@@ -18,19 +18,16 @@ use tonic::transport::server::Connected;
 use tonic::{Request, Status};
 
 use super::handshake::{Accepted, ByteStream, accept_handshake};
-use super::per_address::{self, PerAddressLimit};
-use super::registry::{Admission, Registry};
+use super::registry::{Admission, OF_ONE_ADDRESS, Registry};
 use crate::accepting::Accepting;
 use crate::exchange::Caller;
-use crate::listener::{Authentication, Listener};
+use crate::listener::Listener;
 use crate::slots::ConnectionId;
 use crate::token::RequiredToken;
 
 /// Most concurrent result streams of one connection. Four threads of an actor share one, each works on at most two leases
 /// at a time.
 pub(super) const MOST_PUSHES: usize = 8;
-/// Most connections of one address, so that one machine cannot use up all connections.
-const MOST_OF_ONE_ADDRESS: usize = 512;
 /// Time between two warnings that connections are closed for new ones.
 const WARNING_PAUSE: Duration = Duration::from_secs(10);
 
@@ -45,51 +42,61 @@ pub(super) struct Peer {
     pushes: Arc<Semaphore>,
 }
 
+/// The peer of a request.
+fn peer<T>(request: &Request<T>) -> &Peer {
+    request.extensions().get().expect("tonic adds the peer of its connection to each request")
+}
+
 /// Marks the request's connection as one with an actor.
 ///
 /// # Errors
 /// Too many connections have actors, or the connection has closed.
 pub(super) fn note_actor<T>(request: &Request<T>) -> Result<(), Refusal> {
-    let peer: Option<&Peer> = request.extensions().get();
-    peer.map_or(Ok(()), |peer| peer.registry.note_actor(peer.connection))
+    let peer = peer(request);
+    peer.registry.note_actor(peer.connection)
 }
 
 /// Permits for the result streams of the request's connection.
 pub(super) fn pushes<T>(request: &Request<T>) -> Arc<Semaphore> {
-    let peer: Option<&Peer> = request.extensions().get();
-    peer.map_or_else(|| Arc::new(Semaphore::new(1)), |peer| Arc::clone(&peer.pushes))
-}
-
-/// The connection of a request.
-pub(super) fn of<T>(request: &Request<T>) -> ConnectionId {
-    request.extensions().get().map_or(ConnectionId(0), |peer: &Peer| peer.connection)
+    Arc::clone(&peer(request).pushes)
 }
 
 /// The caller, for the log.
 pub(super) fn caller<T>(request: &Request<T>, call: &'static str) -> Caller {
-    let peer: Option<&Peer> = request.extensions().get();
-    Caller { connection: of(request), peer: peer.map(|peer| peer.address), call }
+    let peer = peer(request);
+    Caller { connection: peer.connection, peer: Some(peer.address), call }
 }
 
-/// An interceptor that rejects calls of peers without this role.
+/// An interceptor that rejects calls of peers without this role, or without the token that the learner requires.
 pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, Status> + Clone {
-    move |request| demand(&request, role).map(|()| request)
+    move |request| {
+        demand(&request, role)?;
+        demand_token(&request)?;
+        Ok(request)
+    }
 }
 
-/// Rejects a call if its peer does not have this role, or if it lacks the token that the role needs.
+/// Rejects a call if its peer does not have this role.
 pub(super) fn demand<T>(request: &Request<T>, role: Role) -> Result<(), Status> {
-    let peer: Option<&Peer> = request.extensions().get();
-    // A call without a peer did not come over a socket.
-    let Some(peer) = peer else { return Ok(()) };
-    let allowed = peer.standing.demand(role);
-    let allowed = allowed.map_err(|denied| Status::permission_denied(denied.to_string()));
-    let token = peer.token.as_ref();
-    let allowed =
-        allowed.and_then(|()| token.map_or(Ok(()), |token| token.demand(request.metadata(), role)));
-    allowed.inspect_err(|denied| {
-        let why = denied.message();
-        tracing::warn!(peer = %peer.address, "call rejected: {why}; the connection stays open");
-    })
+    let peer = peer(request);
+    let denied = peer.standing.demand(role);
+    denied.map_err(|denied| peer.rejected(Status::permission_denied(denied.to_string())))
+}
+
+/// Rejects a call without the token, if the learner requires one.
+pub(super) fn demand_token<T>(request: &Request<T>) -> Result<(), Status> {
+    let peer = peer(request);
+    let Some(token) = &peer.token else { return Ok(()) };
+    token.demand(request.metadata()).map_err(|status| peer.rejected(status))
+}
+
+impl Peer {
+    /// Logs why a call of this peer is rejected.
+    fn rejected(&self, why: Status) -> Status {
+        let message = why.message();
+        tracing::warn!(peer = %self.address, "call rejected: {message}; the connection stays open");
+        why
+    }
 }
 
 /// Called with the id of each closed connection.
@@ -106,7 +113,6 @@ pub(super) fn accept(
     let (sender, stream) = mpsc::channel(1);
     tokio::spawn(async move {
         let registry = Registry::new(most_with_actors);
-        let limit = PerAddressLimit::new(MOST_OF_ONE_ADDRESS);
         let mut accepting = Accepting::new(listener.listener, "actors and clients");
         let (mut last, mut quiet_until) = (0, Instant::now());
         loop {
@@ -118,15 +124,15 @@ pub(super) fn accept(
                 // The peer has closed it already.
                 continue;
             }
-            let Some(permit) = limit.acquire(address.ip()) else {
-                let most = MOST_OF_ONE_ADDRESS;
-                tracing::warn!(peer = %address, "connection closed: its address already has {most} connections");
+            let id = ConnectionId(last + 1);
+            let Some(Admission { closed, evicted }) = registry.admit(id, address.ip()) else {
+                tracing::warn!(
+                    peer = %address,
+                    "connection closed: its address already has {OF_ONE_ADDRESS} connections"
+                );
                 continue;
             };
             last += 1;
-            let id = ConnectionId(last);
-            let on_close = Arc::clone(&on_close);
-            let Admission { closed, evicted } = registry.admit(id);
             if evicted.is_some() && quiet_until <= Instant::now() {
                 quiet_until = Instant::now() + WARNING_PAUSE;
                 tracing::warn!(peer = %address, "too many connections without an actor; the oldest is closed to \
@@ -134,14 +140,13 @@ pub(super) fn accept(
             }
             let open = Open {
                 id,
-                on_close,
+                on_close: Arc::clone(&on_close),
                 closed,
                 must_close: false,
                 registry: Arc::clone(&registry),
-                _permit: permit,
             };
             // A separate task, so that a slow handshake does not delay other connections.
-            let required = (listener.authentication.clone(), listener.token.clone());
+            let required = (listener.tls.clone(), listener.token.clone());
             tokio::spawn(admit(io, address, required, open, sender.clone()));
         }
     });
@@ -152,16 +157,16 @@ pub(super) fn accept(
 async fn admit(
     io: TcpStream,
     address: SocketAddr,
-    (authentication, token): (Authentication, Option<Arc<RequiredToken>>),
+    (tls, token): (Option<ServerTls>, Option<Arc<RequiredToken>>),
     mut open: Open,
     server: mpsc::Sender<io::Result<Connection>>,
 ) {
     let accepted = tokio::select! {
         () = server.closed() => return,
         _ = &mut open.closed => return,
-        accepted = accept_handshake(io, address, &authentication) => accepted,
+        accepted = accept_handshake(io, address, tls.as_ref()) => accepted,
     };
-    if let Some(Accepted { stream, standing, expiry }) = accepted {
+    if let Some(Accepted { stream, standing }) = accepted {
         // Sending fails if the server has ended; the connection is then dropped.
         let _sent = server
             .send(Ok(Connection {
@@ -175,7 +180,6 @@ async fn admit(
                     pushes: Arc::new(Semaphore::new(MOST_PUSHES)),
                 },
                 open,
-                _expiry: expiry,
             }))
             .await;
     }
@@ -186,7 +190,6 @@ pub(super) struct Connection {
     io: Box<dyn ByteStream>,
     peer: Peer,
     open: Open,
-    _expiry: Option<ClientExpiry>,
 }
 
 /// The bookkeeping of an open connection; dropping it reports the connection as closed.
@@ -197,7 +200,6 @@ struct Open {
     closed: oneshot::Receiver<()>,
     must_close: bool,
     registry: Arc<Registry>,
-    _permit: per_address::Permit,
 }
 
 impl Drop for Open {

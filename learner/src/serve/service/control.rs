@@ -10,7 +10,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use crate::exchange::Exchange;
-use crate::service::connections::{caller, demand};
+use crate::service::connections::{caller, demand, demand_token};
 
 /// Lines buffered per watcher; the exchange keeps the others.
 const LINES_AHEAD: usize = 16;
@@ -27,7 +27,7 @@ impl ControlService for Control {
         &self,
         request: Request<wire::GetStatusRequest>,
     ) -> Result<Response<wire::GetStatusResponse>, Status> {
-        demand(&request, Role::Viewer)?;
+        demand(&request, Role::Operator)?;
         Ok(Response::new(self.exchange.status().to_wire()))
     }
 
@@ -37,7 +37,7 @@ impl ControlService for Control {
         &self,
         request: Request<wire::WatchRunRequest>,
     ) -> Result<Response<Self::WatchRunStream>, Status> {
-        demand(&request, Role::Viewer)?;
+        demand(&request, Role::Operator)?;
         // A full channel means a slow watcher; it misses lines that the exchange no longer keeps.
         let (sender, stream) = mpsc::channel(LINES_AHEAD);
         let caller = caller(&request, "watch_run");
@@ -51,7 +51,8 @@ impl ControlService for Control {
         &self,
         request: Request<wire::StopRequest>,
     ) -> Result<Response<wire::StopResponse>, Status> {
-        demand(&request, Role::Admin)?;
+        demand(&request, Role::Operator)?;
+        demand_token(&request)?;
         self.exchange.request_stop();
         tracing::info!("{}: the run stops after a checkpoint", caller(&request, "stop"));
         Ok(Response::new(wire::StopResponse {}))

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use proto::wire::control_service_client::ControlServiceClient;
 use proto::{Authorization, RunLine, Status, wire};
-use security::{ClientFiles, Token};
+use security::{ClientTls, Token};
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 use tonic::{Response, Streaming};
@@ -34,10 +34,10 @@ impl Operator {
     /// Connects to the learner at `url`, over TLS with `tls`; each call carries `token`. Each response may take `timeout`.
     ///
     /// # Errors
-    /// The URL or a certificate is invalid, or the learner does not respond.
+    /// The URL is invalid, or the learner does not respond.
     pub async fn connect(
         url: &str,
-        tls: Option<&ClientFiles>,
+        tls: Option<&ClientTls>,
         token: Option<&Token>,
         timeout: Duration,
     ) -> Result<Self, HealthError> {

@@ -61,7 +61,7 @@ pub async fn serve_policies(
     reporter.set_serving::<PolicyServiceServer<Policies>>().await;
     let serving = server()
         .layer(bodies::limits(0))
-        .add_service(InterceptedService::new(policies, connections::needs(Role::Viewer)))
+        .add_service(InterceptedService::new(policies, connections::needs(Role::Operator)))
         .add_service(health)
         .add_service(reflection(&SERVICES).build_v1().expect(COMPILED))
         .add_service(reflection(&SERVICES).build_v1alpha().expect(COMPILED))

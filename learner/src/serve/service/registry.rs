@@ -1,7 +1,8 @@
-//! The open connections. Connections with actors have one limit. Those without (probes, viewers, unregistered peers)
-//! have another; when it is reached, the oldest of them is closed to admit a new one.
+//! The open connections. Connections with actors have one limit. Those without (probes, operators, unregistered peers)
+//! have another; when it is reached, the oldest of them is closed to admit a new one. So have those of one address.
 
 use std::collections::BTreeMap;
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use proto::{Reason, Refusal};
@@ -11,6 +12,8 @@ use crate::slots::ConnectionId;
 
 /// Most connections without an actor.
 const WITHOUT_ACTOR: usize = 256;
+/// Most connections of one address, so that one machine cannot use up all connections.
+pub(super) const OF_ONE_ADDRESS: usize = 512;
 
 /// The open connections of one listener.
 #[derive(Debug)]
@@ -21,6 +24,8 @@ pub(super) struct Registry {
 
 #[derive(Debug)]
 struct Open {
+    /// An IPv4-mapped IPv6 address counts as the IPv4 address.
+    address: IpAddr,
     has_actor: bool,
     /// Dropped to close the connection.
     _close: oneshot::Sender<()>,
@@ -40,17 +45,22 @@ impl Registry {
         Arc::new(Self { most_with_actors, open: Mutex::default() })
     }
 
-    /// Adds a new connection.
-    pub(super) fn admit(&self, id: ConnectionId) -> Admission {
+    /// Adds a new connection of `address`; `None` if the address already has too many.
+    pub(super) fn admit(&self, id: ConnectionId, address: IpAddr) -> Option<Admission> {
         let (close, closed) = oneshot::channel();
+        let address = address.to_canonical();
         let mut open = self.lock();
+        let of_address = open.values().filter(|open| open.address == address).count();
+        if of_address >= OF_ONE_ADDRESS {
+            return None;
+        }
         let mut without = open.iter().filter(|(_, open)| !open.has_actor).map(|(id, _)| *id);
         let oldest = without.next();
         let full = without.count() + 1 >= WITHOUT_ACTOR;
         let evicted = oldest.filter(|_| full);
         evicted.map(|id| open.remove(&id));
-        open.insert(id, Open { has_actor: false, _close: close });
-        Admission { closed, evicted }
+        open.insert(id, Open { address, has_actor: false, _close: close });
+        Some(Admission { closed, evicted })
     }
 
     /// Marks the connection as one with an actor.
@@ -87,19 +97,42 @@ impl Registry {
 mod tests {
     use super::*;
 
+    fn address(last: u8) -> IpAddr {
+        IpAddr::from([10, 0, 0, last])
+    }
+
+    fn admit(registry: &Registry, id: u64) -> Admission {
+        registry.admit(ConnectionId(id), address(1)).unwrap()
+    }
+
+    #[test]
+    fn an_address_at_its_limit_gets_a_place_after_one_is_free_and_others_are_unaffected() {
+        let registry = Registry::new(OF_ONE_ADDRESS);
+        let mut admitted = Vec::new();
+        for id in 0..OF_ONE_ADDRESS as u64 {
+            admitted.push(admit(&registry, id));
+            registry.note_actor(ConnectionId(id)).unwrap();
+        }
+        let mapped = "::ffff:10.0.0.1".parse().unwrap();
+        assert!(registry.admit(ConnectionId(1000), mapped).is_none());
+        assert!(registry.admit(ConnectionId(1001), address(2)).is_some());
+        registry.remove(ConnectionId(7));
+        assert!(registry.admit(ConnectionId(1002), mapped).is_some());
+    }
+
     #[test]
     fn the_oldest_connection_without_an_actor_is_closed_and_those_with_actors_stay() {
         let registry = Registry::new(2);
         let mut admitted = Vec::new();
         for id in 0..WITHOUT_ACTOR as u64 {
-            let admission = registry.admit(ConnectionId(id));
+            let admission = admit(&registry, id);
             assert_eq!(admission.evicted, None);
             admitted.push(admission);
         }
         registry.note_actor(ConnectionId(0)).unwrap();
         // Connection 0 no longer counts as one without an actor.
-        admitted.push(registry.admit(ConnectionId(1000)));
-        let next = registry.admit(ConnectionId(1001));
+        admitted.push(admit(&registry, 1000));
+        let next = admit(&registry, 1001);
         assert_eq!(next.evicted, Some(ConnectionId(1)));
         assert!(
             admitted[1].closed.try_recv().is_err_and(|e| e == oneshot::error::TryRecvError::Closed)
@@ -110,7 +143,7 @@ mod tests {
     #[test]
     fn actors_beyond_the_limit_are_rejected_until_one_disconnects() {
         let registry = Registry::new(1);
-        let _admitted = [1, 2].map(|id| registry.admit(ConnectionId(id)));
+        let _admitted = [1, 2].map(|id| admit(&registry, id));
         registry.note_actor(ConnectionId(1)).unwrap();
         registry.note_actor(ConnectionId(1)).unwrap();
         let refusal = registry.note_actor(ConnectionId(2)).unwrap_err();
