@@ -76,7 +76,7 @@ fn iteration(run: &Path) -> u64 {
     metrics.lines().filter(kind).count() as u64
 }
 
-fn goes_on(run: &Path) {
+fn continues(run: &Path) {
     let before = iteration(run);
     eventually(|| match iteration(run) {
         now if now > before + 1 => Ok(()),
@@ -116,13 +116,13 @@ fn a_learner_that_is_suspended_for_twenty_seconds_keeps_its_actors_and_its_resul
     // Longer than leases, calls and heartbeats may take.
     std::thread::sleep(Duration::from_secs(20));
     run("kill", &["-CONT", &id]);
-    goes_on(&run_folder);
+    continues(&run_folder);
     stopped(&mut learner, actors.into());
     ends_as_undisturbed(&run_folder);
 }
 
 #[test]
-fn a_learner_without_free_file_descriptors_says_so_once_and_goes_on() {
+fn a_learner_without_free_file_descriptors_reports_it_once_and_continues() {
     let folder = tempfile::tempdir().unwrap();
     let run_folder = folder.path().join("run");
     let settings = [ENDLESS, "checkpoint.every=1"].map(str::to_owned);
@@ -141,11 +141,11 @@ fn a_learner_without_free_file_descriptors_says_so_once_and_goes_on() {
     says(|| learner.log(), "checkpoint failed", 1);
     // The learner tries to accept at least this long.
     assert!(!s2mia(&["health", "--learner", &learner.url, "--timeout-secs", "1"]).status.success());
-    goes_on(&run_folder);
+    continues(&run_folder);
     limit("1024");
     drop(peers);
     says(|| learner.log(), "accepting connections again", 1);
-    goes_on(&run_folder);
+    continues(&run_folder);
     assert!(s2mia(&["health", "--learner", &learner.url]).status.success());
     let log = stopped(&mut learner, actors);
     let lines = log.matches("cannot accept connections").count();
@@ -190,7 +190,7 @@ fn an_actor_whose_certificate_expires_keeps_its_connection_and_gets_no_new_one()
             Ok(assert!(String::from_utf8_lossy(&asked.stderr).contains("actor.pem expired at ")))
         }
     });
-    goes_on(&run_folder);
+    continues(&run_folder);
     assert!(!one.log().contains("session ended"), "{}", one.log());
     stopped(&mut learner, vec![one]);
     ends_as_undisturbed(&run_folder);

@@ -23,8 +23,8 @@ use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 
 fn s2mia(arguments: &[&str]) -> (i32, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap();
-    let told = [output.stdout, output.stderr].concat();
-    (output.status.code().unwrap(), String::from_utf8(told).unwrap())
+    let text = [output.stdout, output.stderr].concat();
+    (output.status.code().unwrap(), String::from_utf8(text).unwrap())
 }
 
 /// A folder of files created by `s2mia certs`.
@@ -32,8 +32,8 @@ struct Certificates(PathBuf);
 
 impl Certificates {
     fn make(folder: PathBuf) -> Self {
-        let (code, told) = s2mia(&["certs", folder.to_str().unwrap()]);
-        assert_eq!(code, 0, "{told}");
+        let (code, text) = s2mia(&["certs", folder.to_str().unwrap()]);
+        assert_eq!(code, 0, "{text}");
         Self(folder)
     }
 
@@ -74,9 +74,9 @@ fn actor(url: &str, tls: &[String]) -> (i32, String) {
 
 /// Checks that an actor exits at once with one line that contains `words`.
 fn refused(url: &str, tls: &[String], words: &str) {
-    let (code, told) = actor(url, tls);
-    assert_ne!(code, 0, "{told}");
-    assert!(told.contains(words) && told.lines().count() == 1, "{words}: {told}");
+    let (code, text) = actor(url, tls);
+    assert_ne!(code, 0, "{text}");
+    assert!(text.contains(words) && text.lines().count() == 1, "{words}: {text}");
 }
 
 #[test]
@@ -99,30 +99,30 @@ fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
     refused(&plain.url.replace("http", "https"), &actors, "use an http:// URL");
     let unguarded = learner.url.replace("https", "http");
     for question in [&["status", unguarded.as_str()][..], &["health", "--learner", &unguarded]] {
-        let (_, told) = s2mia(question);
-        assert!(told.contains("requires TLS") && told.contains("pass --tls-ca"), "{told}");
+        let (_, text) = s2mia(question);
+        assert!(text.contains("requires TLS") && text.contains("pass --tls-ca"), "{text}");
     }
 
-    let told = learner.finish(&actors);
+    let text = learner.finish(&actors);
     for words in [
         "received fatal alert",
         "invalid peer certificate",
         "needs the role actor; the certificate carries operator",
         "speaks plain text, but this learner requires TLS",
     ] {
-        assert!(told.contains(words), "{words}: {told}");
+        assert!(text.contains(words), "{words}: {text}");
     }
-    let told = plain.finish(&[]);
-    assert!(told.contains("speaks TLS, but this learner serves plain text"), "{told}");
+    let text = plain.finish(&[]);
+    assert!(text.contains("speaks TLS, but this learner serves plain text"), "{text}");
     assert_eq!(inspect(&guarded), inspect(&open));
 }
 
 /// Runs `s2mia`; returns its exit status and its one line of output.
 fn asked(question: &[&str], tls: &[String]) -> (i32, String) {
     let more = tls.iter().map(String::as_str);
-    let (code, told) = s2mia(&question.iter().copied().chain(more).collect::<Vec<_>>());
-    assert!(code == 0 || told.lines().count() == 1, "{told}");
-    (code, told)
+    let (code, text) = s2mia(&question.iter().copied().chain(more).collect::<Vec<_>>());
+    assert!(code == 0 || text.lines().count() == 1, "{text}");
+    (code, text)
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
     let plain = url.replace("https", "http");
     let (status, health) = (["status", &url], ["health", "--learner", &url]);
     let of = |role| own.of_client(&own, role);
-    let (nobody, strangers) = (Vec::new(), other.of_client(&own, "operator"));
+    let (no_files, strangers) = (Vec::new(), other.of_client(&own, "operator"));
     let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
     let stop = ["stop", url.as_str()];
     let needs_operator = "needs the role operator; the certificate carries actor";
@@ -148,14 +148,14 @@ fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
         (&["status", run], &of("operator"), 0, "iteration 0"),
         (&health, &of("actor"), 0, "serves"),
         (&health, &strangers, 1, "does not answer"),
-        (&status, &nobody, 2, needs_certificates),
-        (&health, &nobody, 2, needs_certificates),
+        (&status, &no_files, 2, needs_certificates),
+        (&health, &no_files, 2, needs_certificates),
         (&["status", &plain], &of("operator"), 2, "begins with https://"),
         (&stop, &of("operator"), 0, "stops after a checkpoint"),
     ];
     for (question, tls, code, words) in cases {
-        let told = asked(question, tls);
-        assert!(told.0 == code && told.1.contains(words), "{question:?}: {told:?}");
+        let text = asked(question, tls);
+        assert!(text.0 == code && text.1.contains(words), "{question:?}: {text:?}");
     }
     learner.wait();
 }
@@ -197,11 +197,11 @@ async fn missing_expired_and_roleless_certificates_are_rejected() {
     assert_eq!(status.code(), Code::PermissionDenied, "{status:?}");
     call(&learner.url, &authority, Some(new.client(&[Role::Actor]).unwrap())).await.unwrap();
 
-    let told = tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
+    let text = tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
     for words in
         ["peer sent no certificates", "certificate expired", "the certificate carries no role"]
     {
-        assert!(told.contains(words), "{words}: {told}");
+        assert!(text.contains(words), "{words}: {text}");
     }
 }
 
@@ -231,9 +231,9 @@ async fn policies_are_served_over_tls_to_operators() {
         let tls = ClientTlsConfig::new().ca_certificate(authority).identity(identity);
         let channel = Endpoint::from_shared(url.clone()).unwrap().tls_config(tls).unwrap();
         let mut client = PolicyServiceClient::new(channel.connect().await.unwrap());
-        let told = client.describe_policy(DescribePolicyRequest {}).await;
-        let denied = told.as_ref().is_err_and(|status| status.code() == Code::PermissionDenied);
-        assert!(told.is_ok() == may && denied != may, "{role}: {told:?}");
+        let text = client.describe_policy(DescribePolicyRequest {}).await;
+        let denied = text.as_ref().is_err_and(|status| status.code() == Code::PermissionDenied);
+        assert!(text.is_ok() == may && denied != may, "{role}: {text:?}");
     }
     server.kill().unwrap();
     server.wait().unwrap();
@@ -248,9 +248,9 @@ fn keys_are_readable_by_their_owner_only_and_never_overwritten() {
         assert_eq!(mode & 0o777, 0o600, "{name}");
     }
     let before = std::fs::read(own.file("actor.key")).unwrap();
-    let (code, told) = s2mia(&["certs", own.0.to_str().unwrap()]);
+    let (code, text) = s2mia(&["certs", own.0.to_str().unwrap()]);
     assert_eq!(code, 2);
-    assert!(told.contains("nothing is overwritten") && told.lines().count() == 1, "{told}");
+    assert!(text.contains("nothing is overwritten") && text.lines().count() == 1, "{text}");
     assert_eq!(std::fs::read(own.file("actor.key")).unwrap(), before);
 }
 
@@ -275,9 +275,9 @@ fn an_invalid_file_is_reported_in_one_line_with_its_name() {
         let learner = [&["learner", "--tls-client-ca", &authority], files.as_slice()].concat();
         let url = ["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority];
         for arguments in [learner, [url.as_slice(), &files].concat()] {
-            let (code, told) = s2mia(&arguments);
-            assert_eq!(code, 2, "{told}");
-            assert!(told.contains(words) && told.lines().count() == 1, "{words}: {told}");
+            let (code, text) = s2mia(&arguments);
+            assert_eq!(code, 2, "{text}");
+            assert!(text.contains(words) && text.lines().count() == 1, "{words}: {text}");
         }
     }
 }

@@ -19,7 +19,7 @@ use std::sync::LazyLock;
 use learners::{Learner, inspect};
 use serde_json::Value;
 
-/// The state in which a run ends that nobody disturbs; it is trained once.
+/// The state in which a run ends without disturbance; it is trained once.
 static UNDISTURBED: LazyLock<Value> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");

@@ -3,11 +3,16 @@
 use std::time::Duration;
 
 use security::ClientTls;
-use tonic::Code;
-use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+use tonic::{Code, Response, Status};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
+
+/// Interval of keepalive pings, so that a watcher notices an unreachable learner.
+const KEEPALIVE: Duration = Duration::from_secs(30);
+/// Time after which a connection is closed that does not answer a ping.
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Why a learner is not healthy, or why a call to it failed.
 #[derive(Debug, thiserror::Error)]
@@ -46,26 +51,27 @@ pub enum HealthError {
     },
 }
 
-/// Checks once that the learner at `url` reports `SERVING`, over TLS with `tls`.
+/// Checks once that the learner at `url` reports `SERVING`, over TLS with `tls`. Each of the two answers may take `timeout`.
 ///
 /// # Errors
-/// The learner is not healthy or does not respond within `timeout`.
+/// The learner is not healthy or does not respond.
 pub async fn demand_serving(
     url: &str,
     tls: Option<&ClientTls>,
     timeout: Duration,
 ) -> Result<(), HealthError> {
-    let check = check(url, endpoint(url, tls)?);
-    let status =
-        tokio::time::timeout(timeout, check).await.map_err(|_| timed_out(url, timeout))??;
-    match status {
+    let channel = connect(url, tls, timeout).await?;
+    // The empty name means the whole server.
+    let request = HealthCheckRequest { service: String::new() };
+    let answer = answered(url, timeout, HealthClient::new(channel).check(request)).await?;
+    match answer.status() {
         ServingStatus::Serving => Ok(()),
         other => Err(HealthError::NotServing { url: url.to_owned(), status: other.as_str_name() }),
     }
 }
 
 /// The endpoint at `url`, with the client certificate of `tls`.
-pub(crate) fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError> {
+fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError> {
     let invalid = |error: tonic::transport::Error| HealthError::Address {
         url: url.to_owned(),
         detail: innermost(&error),
@@ -83,28 +89,44 @@ pub(crate) fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, H
     endpoint.tls_config(config).map_err(invalid)
 }
 
-async fn check(url: &str, endpoint: Endpoint) -> Result<ServingStatus, HealthError> {
-    let channel = endpoint.connect().await.map_err(|error| connect_failed(url, &error))?;
-    // The empty name means the whole server.
-    let request = HealthCheckRequest { service: String::new() };
-    let answer = HealthClient::new(channel).check(request).await;
-    Ok(answer.map_err(|status| call_failed(url, &status))?.into_inner().status())
+/// Connects to the server at `url` within `timeout`, over TLS with `tls`.
+pub(crate) async fn connect(
+    url: &str,
+    tls: Option<&ClientTls>,
+    timeout: Duration,
+) -> Result<Channel, HealthError> {
+    let endpoint = endpoint(url, tls)?
+        .http2_keep_alive_interval(KEEPALIVE)
+        .keep_alive_timeout(KEEPALIVE_TIMEOUT)
+        .keep_alive_while_idle(true);
+    match tokio::time::timeout(timeout, endpoint.connect()).await {
+        Ok(connected) => connected.map_err(|error| {
+            let detail = security::explain(&error).unwrap_or_else(|| innermost(&error));
+            HealthError::Unreachable { url: url.to_owned(), detail }
+        }),
+        Err(_) => Err(timed_out(url, timeout)),
+    }
 }
 
-/// The error for a call without a response within `timeout`.
-pub(crate) fn timed_out(url: &str, timeout: Duration) -> HealthError {
+/// The answer to a call, which may take `timeout`.
+pub(crate) async fn answered<T>(
+    url: &str,
+    timeout: Duration,
+    answer: impl Future<Output = Result<Response<T>, Status>>,
+) -> Result<T, HealthError> {
+    match tokio::time::timeout(timeout, answer).await {
+        Ok(answer) => answer.map(Response::into_inner).map_err(|status| call_failed(url, &status)),
+        Err(_) => Err(timed_out(url, timeout)),
+    }
+}
+
+fn timed_out(url: &str, timeout: Duration) -> HealthError {
     let detail = format!("no response within {} s", timeout.as_secs_f64());
     HealthError::Unreachable { url: url.to_owned(), detail }
 }
 
-/// The error for a failed connection attempt.
-pub(crate) fn connect_failed(url: &str, error: &(dyn std::error::Error + 'static)) -> HealthError {
-    let detail = security::explain(error).unwrap_or_else(|| innermost(error));
-    HealthError::Unreachable { url: url.to_owned(), detail }
-}
-
 /// The error for a failed call: rejected by the learner at `url`, or lost in transit.
-pub(crate) fn call_failed(url: &str, status: &tonic::Status) -> HealthError {
+pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
     let (url, detail) = (url.to_owned(), explanation(status));
     match status.code() {
         Code::InvalidArgument
@@ -117,7 +139,7 @@ pub(crate) fn call_failed(url: &str, status: &tonic::Status) -> HealthError {
 }
 
 /// Why a call failed: the learner's message, or the cause of a broken connection.
-fn explanation(status: &tonic::Status) -> String {
+fn explanation(status: &Status) -> String {
     const BROKEN: &str = "it closed the connection or does not speak gRPC; if it requires TLS, pass --tls-ca, \
                           --tls-certificate and --tls-key, and use https:// in the URL";
     if let Some(why) = security::explain(status) {

@@ -5,15 +5,12 @@ use std::time::Duration;
 use proto::wire::control_service_client::ControlServiceClient;
 use proto::{Authorization, RunLine, Status, wire};
 use security::{ClientTls, Token};
+use tonic::Streaming;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
-use tonic::{Response, Streaming};
 
-use crate::health::{self, HealthError, call_failed, connect_failed, timed_out};
+use crate::health::{HealthError, answered, call_failed, connect};
 use crate::token::authorization;
-
-/// Interval of keepalive pings, so that a watcher notices an unreachable learner.
-const KEEPALIVE: Duration = Duration::from_secs(30);
 
 /// A connection to the control service of a learner.
 #[derive(Clone, Debug)]
@@ -41,14 +38,7 @@ impl Operator {
         token: Option<&Token>,
         timeout: Duration,
     ) -> Result<Self, HealthError> {
-        let endpoint = health::endpoint(url, tls)?
-            .http2_keep_alive_interval(KEEPALIVE)
-            .keep_alive_timeout(super::KEEPALIVE_TIMEOUT)
-            .keep_alive_while_idle(true);
-        let connected = tokio::time::timeout(timeout, endpoint.connect()).await;
-        let channel = connected
-            .map_err(|_| timed_out(url, timeout))?
-            .map_err(|error| connect_failed(url, &error))?;
+        let channel = connect(url, tls, timeout).await?;
         let service = ControlServiceClient::with_interceptor(channel, authorization(token));
         Ok(Self { url: url.to_owned(), timeout, service })
     }
@@ -93,14 +83,4 @@ impl WatchedLines {
             .transpose()
             .map_err(|wrong| call_failed(&self.url, &wrong.into()))
     }
-}
-
-async fn answered<T>(
-    url: &str,
-    timeout: Duration,
-    answer: impl Future<Output = Result<Response<T>, tonic::Status>>,
-) -> Result<T, HealthError> {
-    let answer = tokio::time::timeout(timeout, answer).await;
-    let answer = answer.map_err(|_| timed_out(url, timeout))?;
-    answer.map(Response::into_inner).map_err(|status| call_failed(url, &status))
 }
