@@ -113,11 +113,16 @@ fn every_combination() -> Vec<Cell> {
 
 const SIX: &str = "run.iterations=6";
 
-fn start(folder: &Path, more: &[&str]) -> Child {
+fn command(folder: &Path, more: &[&str]) -> Command {
     let dir = format!("run.dir={}", folder.display());
     let arguments = [&["train"], &tiny(more)[..], &[dir.as_str()], more].concat();
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+fn start(folder: &Path, more: &[&str]) -> Child {
+    command(folder, more).spawn().unwrap()
 }
 
 /// Process ids of the run's actors, once all are started.
@@ -162,8 +167,9 @@ fn play(folder: &Path, (rule, disturbance, count, threads): Cell) {
             assert!(run.wait().unwrap().success());
         }
         LearnerDies(point) => {
-            let mut run = start(folder, &[&settings[..], &["--die-at", point]].concat());
-            assert!(!run.wait().unwrap().success(), "{point} was never reached");
+            let mut run = command(folder, &settings);
+            let ended = run.env("S2MIA_FAIL_AT", point).status().unwrap();
+            assert!(!ended.success(), "{point} was never reached");
             resume();
         }
         Stopped => {

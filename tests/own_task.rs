@@ -128,34 +128,6 @@ fn a_motor_in_another_unit_gives_the_same_weights() {
 }
 
 #[test]
-fn a_run_whose_actions_were_controls_is_refused_and_one_with_the_same_bits_is_not() {
-    let runs = Runs::new();
-    let task = example(&runs);
-    let model = task.with_file_name("hopper.xml");
-    let strong = std::fs::read_to_string(&model).unwrap();
-    let wide = strong.replace("gear=\"80\"", "gear=\"1\" ctrlrange=\"-80 80\"");
-    let named = format!("task={}", text(&task));
-    let runs = [("strong", strong), ("wide", wide)].map(|(name, motors)| {
-        std::fs::write(&model, motors).unwrap();
-        let folder = runs.folder(name);
-        train(&folder, &[&named, "run.iterations=1", "run.actors=1"]);
-        let manifest = folder.join("manifest.json");
-        let mut recorded: serde_json::Value =
-            serde_json::from_slice(&std::fs::read(&manifest).unwrap()).unwrap();
-        assert_eq!(recorded.as_object_mut().unwrap().remove("action_unit").unwrap(), "half_range");
-        // Early versions wrote neither hashes of manifests nor starts.
-        recorded.as_object_mut().unwrap().remove("manifest_sha256").unwrap();
-        std::fs::remove_file(folder.join("starts.jsonl")).unwrap();
-        std::fs::write(&manifest, recorded.to_string()).unwrap();
-        folder
-    });
-    succeeded(&["eval", text(&runs[0]), "--episodes", "1"]);
-    for command in [&["eval", text(&runs[1])][..], &["train", "--resume", text(&runs[1])]] {
-        assert!(refusal(command).contains("the run is of an earlier version, whose actions were"));
-    }
-}
-
-#[test]
 fn a_check_warns_of_a_motor_that_cannot_be_explored() {
     let runs = Runs::new();
     let task = example(&runs);

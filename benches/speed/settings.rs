@@ -106,10 +106,8 @@ impl Settings {
             config_sha256: Digest([0; 32]),
             build: "test".to_owned(),
             rollout_fingerprint: rollout::rollout_fingerprint(),
-            learner_fingerprint: Digest([0; 32]),
             manifest: serde_json::json!({}),
             resume: false,
-            fault: None,
         })
     }
 }

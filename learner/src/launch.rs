@@ -16,11 +16,10 @@ use crate::end_states::StateReader;
 use crate::environments::Environments;
 use crate::error::LearnerError;
 use crate::evaluation::Evaluations;
-use crate::fault::Fault;
 use crate::metrics::Metrics;
-use crate::provenance::Provenance;
 use crate::run_folder::{RunFolder, RunFolderError};
 use crate::sample::random_number;
+use crate::train::provenance::Provenance;
 use crate::trainer::{Trainer, policy_bytes};
 
 /// What a run is started with.
@@ -58,14 +57,10 @@ pub struct Launch {
     pub rollout_fingerprint: Digest,
     /// Version and commit of the program.
     pub build: String,
-    /// The learner's numeric fingerprint.
-    pub learner_fingerprint: Digest,
     /// An object with more fields for the run folder's manifest.
     pub manifest: Value,
     /// Whether to go on with the run in the folder.
     pub resume: bool,
-    /// Where to die, to test what comes after.
-    pub fault: Option<Fault>,
 }
 
 impl Launch {
@@ -133,7 +128,6 @@ impl Launch {
             "environment": self.environment.task,
             "config_sha256": self.config_sha256.to_string(),
             "rollout_fingerprint": self.rollout_fingerprint.to_string(),
-            "learner_fingerprint": self.learner_fingerprint.to_string(),
             "checkpoint_schema": checkpoint::SCHEMA,
             "protocol_version": PROTOCOL_VERSION,
         });
@@ -254,7 +248,6 @@ fn build(
         saved: None,
         failed_saves: 0,
         pool,
-        fault: launch.fault,
         config: launch.config,
     })
 }

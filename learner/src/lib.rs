@@ -1,8 +1,8 @@
 //! The learner: it leases slots of environment steps to actors, trains on the results, and writes the run folder.
 //!
 //! The modules follow the data. [`service`] receives messages. [`exchange`] passes them to the table of [`slots`]
-//! and complete slots to the [`trainer`], whose loop shows the whole data flow. [`checkpoint`] and [`provenance`]
-//! write to disk. [`snapshot`], [`metrics`] and [`page`] report. The learner never steps a world.
+//! and complete slots to the [`trainer`], whose loop shows the whole data flow. [`checkpoint`] writes
+//! to disk. [`snapshot`], [`metrics`] and [`page`] report. The learner never steps a world.
 
 pub mod config;
 pub mod error;
@@ -21,7 +21,6 @@ pub use config::{
 pub use error::LearnerError;
 pub use event::{Event, IterationReport, Stage};
 pub use exchange::Exchange;
-pub use fault::Fault;
 pub use launch::Launch;
 pub use lease::{canary, end_states, exchange, published, sample, slots};
 pub use listener::Listener;
@@ -31,6 +30,6 @@ pub use run::run;
 use serve::{accepting, team, token};
 pub use serve::{health, listener, service};
 pub use snapshot::RunSnapshot;
-pub use store::{checkpoint, durable, json_lines, plain_file, provenance, run_folder};
-pub use train::{assemble, environments, evaluation, fault, trainer};
+pub use store::{checkpoint, durable, json_lines, plain_file, run_folder};
+pub use train::{assemble, environments, evaluation, trainer};
 pub use trainer::Summary;

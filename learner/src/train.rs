@@ -1,7 +1,8 @@
-//! Training: the training loop, the batch of an iteration, the states of environments, and evaluations.
+//! Training: the training loop, the batch of an iteration, the states of environments, evaluations, and provenance.
 
 pub mod assemble;
 pub mod environments;
 pub mod evaluation;
-pub mod fault;
+mod fail_points;
+pub(crate) mod provenance;
 pub mod trainer;

@@ -14,7 +14,6 @@ pub mod error;
 pub mod influence;
 pub mod objective;
 pub mod optimisation;
-pub mod probe;
 mod rounding;
 pub mod rules;
 mod shape;
@@ -28,8 +27,18 @@ pub use data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem,
 pub use data::observation::{ObservationMoments, ObservationScale};
 pub use error::MarlError;
 pub use optimisation::learning_rate::LearningRateDecay;
-pub use probe::probe;
 pub use rules::algorithm::{Algorithm, Report};
 pub use rules::build;
 pub use state::State;
 pub use surprise::Surprise;
+
+#[cfg(test)]
+extern crate self as marl;
+
+#[cfg(test)]
+#[path = "../tests/fixture/base.rs"]
+mod base;
+
+#[cfg(test)]
+#[path = "../tests/fixture/sample.rs"]
+mod sample;

@@ -155,7 +155,7 @@ mod tests {
 
     fn surprise(alpha: f64, agents: usize) -> Surprise {
         let constant = Constant::Density;
-        let config = SurpriseConfig { alpha, constant, ..crate::probe::surprise() };
+        let config = SurpriseConfig { alpha, constant, ..crate::sample::surprise() };
         let shape = AgentShape {
             observation: 1,
             action: 1,

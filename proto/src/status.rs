@@ -4,7 +4,7 @@ use crate::name::printable;
 use crate::{ActorId, Incarnation, LeaseId, wire};
 
 /// Status of a run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Status {
     /// Human-readable name of the run.
     pub run_id: String,

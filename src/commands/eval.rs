@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::evaluation::Spread;
+use learner::event::Spread;
 use proto::ActionChoice;
 use rollout::{Episode, PlayedStep};
 use serde_json::json;

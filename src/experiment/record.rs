@@ -265,7 +265,8 @@ mod tests {
     /// The curve and the folder of a finished run.
     fn finish(run: &mut PlannedRun, folder: &Path) -> Curve {
         run.folder = folder.to_path_buf();
-        std::fs::write(folder.join("manifest.json"), "{\"git_commit\": \"abc\"}").unwrap();
+        let run_folder = RunFolder::claim_new(folder).unwrap();
+        run_folder.begin("", &serde_json::json!({"git_commit": "abc"})).unwrap();
         let lines = "{\"weights_sha256\": \"12\"}\n{\"weights_sha256\": \"34\"}\n";
         std::fs::write(folder.join(PROVENANCE), lines).unwrap();
         let returns = vec![(0.0, -1.5), (4000.0, 2.0), (8000.0, 3.25)];

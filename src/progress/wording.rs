@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use learner::evaluation::Spread;
+use learner::event::Spread;
 use learner::{Event, IterationReport};
 
 use crate::figures::chart;

@@ -11,10 +11,10 @@ use proto::Digest;
 use serde_json::json;
 
 use crate::config::run_config::RunConfig;
-use crate::config::run_settings::{ACTION_UNIT, settings_of_run};
+use crate::config::run_settings::settings_of_run;
 use crate::config::{ConfigError, Request, blame, effect, keys, layers};
 use crate::errors::Usage;
-use crate::run::fingerprints::{BUILD, Fingerprints};
+use crate::run::fingerprints::{self, BUILD};
 use crate::run::new_folder::{NewFolder, Others};
 use crate::run::offered::Offered;
 use crate::run::run_path::demand_resumable;
@@ -52,9 +52,6 @@ pub(crate) struct ResumeArguments {
     /// Resume the run in this folder from its newest valid checkpoint.
     #[arg(long, value_name = "RUN")]
     pub(crate) resume: Option<PathBuf>,
-    /// Exit without cleanup at POINT@ITERATION, such as after-publish@3. Tests of crash recovery use it.
-    #[arg(long, value_name = "POINT@ITERATION", hide = true)]
-    pub(crate) die_at: Option<learner::Fault>,
     /// Start a new run in run.dir although the folder contains other files.
     #[arg(long, conflicts_with = "resume")]
     pub(crate) force: bool,
@@ -82,7 +79,7 @@ pub(crate) fn prepare(
     let mut config = configure(settings, resumed.resume.as_deref())?;
     let offered = Offered::of(&config, transport)?;
     effect::demand(&config, Some(&offered.spec))?;
-    let fingerprints = Fingerprints::measure();
+    let fingerprint = rollout::rollout_fingerprint();
     let others = if resumed.force { Others::Accepted } else { Others::Refused };
     let (folder, new) = match &resumed.resume {
         Some(folder) => {
@@ -98,16 +95,14 @@ pub(crate) fn prepare(
     RunFolder::demand_free(&folder)?;
     config.resolved.set_text(keys::FILLED_IN, &offered.description, keys::URL);
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
-    let mut launch = launch(&config, offered, &folder, &fingerprints);
+    let mut launch = launch(&config, offered, &folder, fingerprint);
     if let Some(folder) = &resumed.resume {
-        launch.config_sha256 = Digest(config.resolved.sha256_as(&recorded_hash(folder)));
-        fingerprints.demand_those_of(folder, launch.config_sha256)?;
+        fingerprints::demand_those_of(folder, fingerprint, launch.config_sha256)?;
     }
     launch.resume = resumed.resume.is_some();
     if !launch.resume {
         message_sizes::fit(&mut config, &mut launch)?;
     }
-    launch.fault = resumed.die_at;
     suits_environment(&config, &launch)?;
     Ok(Prepared { config, folder, launch, new })
 }
@@ -120,14 +115,6 @@ fn suits_environment(config: &RunConfig, launch: &Launch) -> anyhow::Result<()> 
             Some(refused) => refused.into(),
             None => Usage::new(detail).into(),
         }
-    })
-}
-
-/// The hash of the settings that the run's manifest records, or its newest checkpoint without one; empty without either.
-fn recorded_hash(folder: &Path) -> String {
-    RunFolder::recorded_config_sha256(folder).unwrap_or_else(|| {
-        let newest = learner::checkpoint::load_newest(folder);
-        newest.map_or_else(|_| String::new(), |loaded| loaded.manifest.config_sha256)
     })
 }
 
@@ -180,12 +167,7 @@ fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigErr
 }
 
 /// The start of a new run of `config`.
-fn launch(
-    config: &RunConfig,
-    offered: Offered,
-    folder: &Path,
-    fingerprints: &Fingerprints,
-) -> Launch {
+fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Digest) -> Launch {
     Launch {
         config: config.learner.clone(),
         training: config.training.clone(),
@@ -203,10 +185,8 @@ fn launch(
         config_toml: config.resolved.to_toml(),
         config_sha256: Digest(config.resolved.sha256()),
         build: BUILD.to_owned(),
-        rollout_fingerprint: fingerprints.rollout,
-        learner_fingerprint: fingerprints.learner,
+        rollout_fingerprint: fingerprint,
         resume: false,
-        fault: None,
     }
 }
 
@@ -238,6 +218,5 @@ fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
         "algorithm": config.resolved.text("algorithm"),
         "preset": config.resolved.text("preset"),
         "seed": config.run.seed,
-        (ACTION_UNIT.0): ACTION_UNIT.1,
     })
 }

@@ -50,10 +50,10 @@ def test_a_seed_that_is_killed_before_its_first_checkpoint_finishes_when_its_pod
     (tmp_path / "s2mia-job").symlink_to(JOB)
     small = [setting for setting in TINY if "=" in setting and not setting.startswith("run.seed")]
     settings = "\n".join(f'export S2MIA__{key.upper().replace(".", "__")}="{value}"' for key, value in (one.split("=") for one in small))
-    environment = path_with(tmp_path, "s2mia", f'{settings}\nexec {program()} "$@" $FAULT')
+    environment = path_with(tmp_path, "s2mia", f'{settings}\nexec {program()} "$@"')
     environment["JOB_COMPLETION_INDEX"] = "3"
     start = ["/bin/sh", "-c", script.replace("/runs/", f"{tmp_path}/").replace(" run.env_steps=10000000", "")]
-    assert subprocess.run(start, env={**environment, "FAULT": f"--die-at={KILLED_AT}"}).returncode not in (0, 2)
+    assert subprocess.run(start, env={**environment, "S2MIA_FAIL_AT": KILLED_AT}).returncode not in (0, 2)
     run = tmp_path / "seed-3"
     assert (run / "manifest.json").exists() and not list(run.glob("checkpoints/*"))
     for _ in range(2):

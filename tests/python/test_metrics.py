@@ -49,5 +49,5 @@ def test_provenance_ends_with_the_weights_of_the_checkpoint(run, inspected):
 def test_the_run_keeps_its_settings_and_its_manifest(run):
     assert 'task = "halfcheetah-6x1"' in (run / "config.toml").read_text()
     manifest = json.loads((run / "manifest.json").read_text())
-    for key in ("seed", "config_sha256", "rollout_fingerprint", "learner_fingerprint"):
+    for key in ("seed", "config_sha256", "rollout_fingerprint"):
         assert key in manifest

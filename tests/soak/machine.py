@@ -44,11 +44,13 @@ class Learner:
         listen = ["--listen", f"{host}:{port}", *([] if host == "127.0.0.1" else ["--insecure-allow-remote"])]
         self.command = [program, "learner", *listen, *settings, f"run.dir={self.run}"]
         self.held: list[socket.socket] = []
-        self.start([])
+        self.start()
 
-    def start(self, more: list[str]) -> None:
+    def start(self, fail_at: str = "") -> None:
+        """Starts it; it fails at this point, if one is given."""
         self.started = time.monotonic()
-        self.process = subprocess.Popen([*self.command, *more], stdout=self.log, stderr=self.log)
+        environment = {**os.environ, "S2MIA_FAIL_AT": fail_at}
+        self.process = subprocess.Popen(self.command, env=environment, stdout=self.log, stderr=self.log)
 
     def finished(self) -> bool:
         """Whether it came to the run's last iteration."""

@@ -1,6 +1,6 @@
 """Disturbs one run for an hour by a seeded schedule of faults, then checks that nothing of it can be seen.
 
-    cargo build --release && python3 tests/soak/soak.py --minutes 60
+    cargo build --release --features fail_points && python3 tests/soak/soak.py --minutes 60
 
 Needs Linux and Python 3.11. Actors come, leave, die, freeze and are cut off; the learner is killed, killed at named
 points, stopped, suspended, and given full disks and rubbish. Where network namespaces can be made (link.py), some
@@ -44,7 +44,7 @@ SETTINGS = [
     "lease.heartbeat_secs=0.5",
 ]
 DEATHS = ["after-collect", "mid-update", "after-publish", "mid-checkpoint"]
-FULL_DISKS = ["disk-make-folder", "disk-write-file", "disk-flush-files", "disk-rename", "disk-remove-old"]
+FULL_DISKS = ["MakeFolder", "WriteFile", "FlushFiles", "Rename", "RemoveOld"]
 FULL = "no storage space"
 MOST_ACTORS = 4
 # A process that is younger than this may not handle signals yet.
@@ -182,7 +182,7 @@ class Soak:
         if point in DEATHS:
             self.good_ends.add(-signal.SIGABRT)
         self.count(f"fault laid, {point}", lambda: None)
-        self.learner.start(["--die-at", f"{point}@{iteration}"])
+        self.learner.start(f"{point}@{iteration}")
 
     def sample(self, now: float) -> None:
         """Memory and open files of the learner's newest life, once it is warm."""

@@ -1,4 +1,4 @@
-"""Power loss at every moment of a run: `cargo build && python3 tests/tools/power_loss.py [--whole]`.
+"""Power loss at every moment of a run: `cargo build --features fail_points && python3 tests/tools/power_loss.py [--whole]`.
 
 strace records a run that is killed once and resumed. After each of its writes, a power loss may leave any part of what was not flushed.
 The folders that it can leave are made, and the run in each is resumed. It must end with the hashes of an undisturbed run, with every
@@ -60,10 +60,12 @@ def states(root: pathlib.Path, folder: pathlib.Path) -> list[State]:
     """All different folders that a power loss during a run, which dies once and is resumed, may leave of `root`."""
     root.mkdir()
     run = f"run.dir={root / RUN}"
-    _, first = record([PROGRAM, "train", *SETTINGS, run, "--die-at", "mid-checkpoint@2"], folder / "first")
+    dies = ["env", "S2MIA_FAIL_AT=mid-checkpoint@2", PROGRAM]
+    status, first = record([*dies, "train", *SETTINGS, run], folder / "first")
     if not first:
         print("power_loss.py not run: strace may not trace here")
         raise SystemExit(UNREACHABLE)
+    assert status != 0, "the first run did not die: cargo build --features fail_points"
     status, second = record([PROGRAM, "train", "--resume", str(root / RUN)], folder / "second")
     assert status == 0, f"the recorded resume ended with {status}"
     disk, found, promised = Disk(root), {}, 0

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::evaluation::Spread;
+use serde::Serialize;
 
 /// An event of a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,9 +55,10 @@ pub enum Event {
 }
 
 /// The trainer's current activity.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Stage {
     /// Waiting for rollouts.
+    #[default]
     Collect,
     /// Updating densities, policies and critics.
     Update,
@@ -80,8 +81,8 @@ impl Stage {
     }
 }
 
-/// The figures of one iteration.
-#[derive(Clone, Debug, PartialEq)]
+/// The figures of one iteration, with the names that they have in `metrics.jsonl`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct IterationReport {
     /// Finished iterations, this one included.
     pub iteration: u64,
@@ -105,6 +106,7 @@ pub struct IterationReport {
     /// Slots and episodes leased again since the learner started.
     pub leases_reissued: u64,
     /// Figures of the densities and the algorithm.
+    #[serde(skip)]
     pub metrics: Vec<(String, f64)>,
 }
 
@@ -113,5 +115,46 @@ impl IterationReport {
     #[must_use]
     pub fn env_steps_per_sec(&self) -> f64 {
         self.env_steps as f64 / self.iteration as f64 / self.iteration_secs
+    }
+}
+
+/// Statistics of the extrinsic returns of one evaluation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// Mean return.
+    pub mean: f64,
+    /// Population standard deviation: divided by the number of episodes.
+    pub standard_deviation: f64,
+    /// Smallest return.
+    pub minimum: f64,
+    /// Largest return.
+    pub maximum: f64,
+}
+
+impl Spread {
+    /// The statistics of the extrinsic returns of at least one episode.
+    #[must_use]
+    pub fn of(returns: impl ExactSizeIterator<Item = f64> + Clone) -> Self {
+        let count = returns.len() as f64;
+        let mean = returns.clone().sum::<f64>() / count;
+        let square = |value: f64| (value - mean) * (value - mean);
+        let variance = returns.clone().map(square).sum::<f64>() / count;
+        Self {
+            mean,
+            standard_deviation: variance.sqrt(),
+            minimum: returns.clone().fold(f64::INFINITY, f64::min),
+            maximum: returns.fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_statistics_of_two_episodes_match_a_hand_calculation() {
+        let spread = Spread { mean: 3.0, standard_deviation: 2.0, minimum: 1.0, maximum: 5.0 };
+        assert_eq!(Spread::of([1.0, 5.0].into_iter()), spread);
     }
 }

@@ -19,8 +19,7 @@ pub use self::curves::{Curve, Curves};
 use self::event_file::EventFile;
 use crate::config::MetricsConfig;
 use crate::durable::FileError;
-use crate::evaluation::Spread;
-use crate::event::IterationReport;
+use crate::event::{IterationReport, Spread};
 use crate::json_lines::{JsonLines, iterations};
 use crate::run_folder::{METRICS, TENSORBOARD};
 
@@ -67,20 +66,9 @@ impl Metrics {
     /// # Errors
     /// The file cannot be written.
     pub fn iteration(&mut self, report: &IterationReport) -> Result<(), FileError> {
-        let mut line = json!({
-            "kind": "iteration",
-            "iteration": report.iteration,
-            "env_steps": report.env_steps,
-            "episode_return": report.episode_return,
-            "env_steps_per_sec": report.env_steps_per_sec(),
-            "iteration_secs": report.iteration_secs,
-            "rollout_secs": report.rollout_secs,
-            "update_secs": report.update_secs,
-            "density_secs": report.density_secs,
-            "actors": report.actors,
-            "messages_refused": report.messages_refused,
-            "leases_reissued": report.leases_reissued,
-        });
+        let mut line = json!(report);
+        line["kind"] = "iteration".into();
+        line["env_steps_per_sec"] = json!(report.env_steps_per_sec());
         for (name, value) in &report.metrics {
             // JSON cannot represent non-finite numbers; they become null.
             line[name] = json!(value);
@@ -99,16 +87,12 @@ impl Metrics {
         spread: &Spread,
         episodes: usize,
     ) -> Result<(), FileError> {
-        self.append(&json!({
-            "kind": "evaluation",
-            "iteration": iteration,
-            "env_steps": env_steps,
-            "mean": spread.mean,
-            "standard_deviation": spread.standard_deviation,
-            "minimum": spread.minimum,
-            "maximum": spread.maximum,
-            "episodes": episodes,
-        }))
+        let mut line = json!(spread);
+        line["kind"] = "evaluation".into();
+        line["iteration"] = iteration.into();
+        line["env_steps"] = env_steps.into();
+        line["episodes"] = episodes.into();
+        self.append(&line)
     }
 
     fn append(&mut self, line: &Value) -> Result<(), FileError> {

@@ -14,7 +14,7 @@ use crate::slots::AuditCounts;
 const KEPT_LINES: usize = 256;
 
 /// The figures of a run. Counts start with the learner's process.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct RunSnapshot {
     /// Figures that the control service reports, open leases included.
     pub status: Status,
@@ -85,45 +85,8 @@ impl RunSnapshot {
     /// A run whose trainer has not started.
     #[must_use]
     pub fn new(run_id: String, incarnation: Incarnation) -> Self {
-        let status = Status {
-            run_id,
-            incarnation,
-            iteration: 0,
-            env_steps: 0,
-            slots: 0,
-            complete_slots: 0,
-            actors: 0,
-            env_steps_per_sec: None,
-            messages_refused: 0,
-            leases_reissued: 0,
-            storage_degraded: false,
-            leases: Vec::new(),
-            slots_backed_up: 0,
-            audits_agreed: 0,
-        };
-        Self {
-            status,
-            stage: Stage::Collect,
-            waiting: None,
-            steps_collected: 0,
-            chunks_accepted: 0,
-            bytes_received: 0,
-            log_steps_lost: 0,
-            weights_bytes: 0,
-            held_slots: 0,
-            audits: AuditCounts::default(),
-            slot_secs: None,
-            foreign_actors: 0,
-            refusals: BTreeMap::new(),
-            report: None,
-            evaluation: None,
-            checkpoint: None,
-            checkpoint_failures: 0,
-            environment_faults: 0,
-            updates_skipped: 0,
-            film: None,
-            lines: VecDeque::new(),
-        }
+        let status = Status { run_id, incarnation, ..Status::default() };
+        Self { status, ..Self::default() }
     }
 
     /// Lines of iterations after `iteration`, and the run's last line in any case.
@@ -215,7 +178,7 @@ fn count(report: &IterationReport, name: &str) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluation::Spread;
+    use crate::event::Spread;
 
     fn run() -> RunSnapshot {
         RunSnapshot::new("a run".to_owned(), Incarnation(1))

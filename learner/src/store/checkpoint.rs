@@ -2,8 +2,8 @@
 //! file with its size and hash.
 //!
 //! A checkpoint is written beside its place, flushed, and renamed, so that a crash at any step leaves
-//! the one before it untouched. Loading verifies everything and goes back to the newest checkpoint
-//! that is whole; what it passed over is returned, to be told loudly.
+//! the one before it untouched. Loading verifies everything and returns the newest checkpoint
+//! that is whole, and the newer ones that are not.
 
 pub(crate) mod fields;
 mod kept;
@@ -261,9 +261,10 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
         }
     }
     let folder = folder.to_path_buf();
-    match skipped.is_empty() {
-        true => Err(CheckpointError::None { folder }),
-        false => Err(CheckpointError::NoneUsable { folder, skipped }),
+    if skipped.is_empty() {
+        Err(CheckpointError::None { folder })
+    } else {
+        Err(CheckpointError::NoneUsable { folder, skipped })
     }
 }
 

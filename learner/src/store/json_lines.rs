@@ -74,7 +74,7 @@ impl JsonLines {
         }
     }
 
-    /// Adds one line. If the file cannot be written, that is told, and the line waits.
+    /// Adds one line. If the file cannot be written, that is logged, and the line waits.
     ///
     /// # Errors
     /// Names the file if 16 MiB wait already.
@@ -82,7 +82,7 @@ impl JsonLines {
         self.waiting.extend_from_slice(format!("{value}\n").as_bytes());
         match self.write_waiting() {
             Err(error) if self.waiting.len() <= MOST_WAITING => {
-                let then = "the line waits, and training goes on";
+                let then = "the line waits; training continues";
                 tracing::error!(waiting_bytes = self.waiting.len(), "{error}; {then}");
                 Ok(())
             }
@@ -94,7 +94,7 @@ impl JsonLines {
         if !durable::leads_to(&self.path, &self.file) {
             let path = self.path.display();
             tracing::error!(
-                "{path} was removed or replaced; the run goes on in the file that has this name now"
+                "{path} was removed or replaced; the run continues in the file that has this name now"
             );
             self.file = opened(&self.path)?;
         }

@@ -125,10 +125,10 @@ impl RunFolder {
         let folder = Self::lock(path)?;
         // A process that was killed may have made the folder without waiting for the disk.
         durable::sync_name(path)?;
-        match Self::holds_run(path) {
-            true => Err(RunFolderError::Taken { path: path.to_path_buf() }),
-            false => Ok(folder),
+        if Self::holds_run(path) {
+            return Err(RunFolderError::Taken { path: path.to_path_buf() });
         }
+        Ok(folder)
     }
 
     /// Claims the folder of a run that was started before with the same semantic settings.
@@ -234,10 +234,10 @@ impl RunFolder {
     /// Names the folder and the learner's process, or a file that cannot be read.
     pub fn demand_free(path: &Path) -> Result<(), RunFolderError> {
         place::demand_plain(path)?;
-        match Self::is_locked(path)? {
-            true => Err(RunFolderError::in_use(path)),
-            false => Ok(()),
+        if Self::is_locked(path)? {
+            return Err(RunFolderError::in_use(path));
         }
+        Ok(())
     }
 
     fn is_locked(path: &Path) -> Result<bool, RunFolderError> {

@@ -32,19 +32,6 @@ pub struct Evaluated {
     pub policy: Bytes,
 }
 
-/// Statistics of the extrinsic returns of one evaluation.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spread {
-    /// Mean return.
-    pub mean: f64,
-    /// Population standard deviation: divided by the number of episodes.
-    pub standard_deviation: f64,
-    /// Smallest return.
-    pub minimum: f64,
-    /// Largest return.
-    pub maximum: f64,
-}
-
 impl Evaluations {
     /// The evaluations of a run of `last_iteration` iterations. `measured` are the iterations whose results are
     /// already in the metrics.
@@ -123,23 +110,6 @@ impl Evaluations {
     }
 }
 
-impl Spread {
-    /// The statistics of the extrinsic returns of at least one episode.
-    #[must_use]
-    pub fn of(returns: impl ExactSizeIterator<Item = f64> + Clone) -> Self {
-        let count = returns.len() as f64;
-        let mean = returns.clone().sum::<f64>() / count;
-        let square = |value: f64| (value - mean) * (value - mean);
-        let variance = returns.clone().map(square).sum::<f64>() / count;
-        Self {
-            mean,
-            standard_deviation: variance.sqrt(),
-            minimum: returns.clone().fold(f64::INFINITY, f64::min),
-            maximum: returns.fold(f64::NEG_INFINITY, f64::max),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -174,11 +144,5 @@ mod tests {
         after.end(13);
         assert_eq!(after.outstanding(), None);
         assert_eq!(after.arrays(), before.arrays());
-    }
-
-    #[test]
-    fn the_statistics_of_two_episodes_match_a_hand_calculation() {
-        let spread = Spread { mean: 3.0, standard_deviation: 2.0, minimum: 1.0, maximum: 5.0 };
-        assert_eq!(Spread::of([1.0, 5.0].into_iter()), spread);
     }
 }

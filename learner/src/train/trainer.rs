@@ -28,10 +28,10 @@ use crate::error::LearnerError;
 use crate::evaluation::{Evaluated, Evaluations};
 use crate::event::{Event, IterationReport, Stage};
 use crate::exchange::{Exchange, SlotRollout};
-use crate::fault::{self, Fault, Point};
 use crate::metrics::Metrics;
-use crate::provenance::{Origin, Provenance};
 use crate::run_folder::RunFolder;
+use crate::train::fail_points;
+use crate::train::provenance::{Origin, Provenance};
 use crate::trainer::collect::{Collected, ProgressMonitor};
 use crate::trainer::divergence::Divergence;
 
@@ -81,7 +81,6 @@ pub struct Trainer {
     pub(crate) saved: Option<Saved>,
     pub(crate) failed_saves: u32,
     pub(crate) pool: ThreadPool,
-    pub(crate) fault: Option<Fault>,
 }
 
 /// Connections of a trainer to the rest of the learner.
@@ -143,11 +142,6 @@ impl Trainer {
         Ok(running)
     }
 
-    /// Aborts the process if a test injects a fault at `point`.
-    pub(crate) fn fault_at(&self, point: Point) {
-        fault::at(self.fault, point, self.iteration);
-    }
-
     fn steps_after(&self, iteration: u64) -> u64 {
         iteration * self.config.environments.steps_per_iteration()
     }
@@ -173,14 +167,14 @@ impl RunningTrainer {
             let collected = self.collect()?;
             let Some(collected) = collected else { break };
             self.enter(Stage::Update);
-            self.trainer.fault_at(Point::AfterCollect);
+            fail_points::abort_at("after-collect", self.trainer.iteration);
             let batch = assemble(&self.trainer.layout, &collected.rollouts);
             self.trainer.environments.advance(&batch, &collected.rollouts);
             let update = self.trainer.update(&batch)?;
             self.trainer.iteration += 1;
             self.publish()?;
             self.lease();
-            self.trainer.fault_at(Point::AfterPublish);
+            fail_points::abort_at("after-publish", self.trainer.iteration);
             self.record(&collected, &update)?;
             self.evaluate_if_due()?;
             self.save_if_due()?;
@@ -337,7 +331,7 @@ impl Trainer {
     /// policies and critics (Eq. 10). All arithmetic runs in the run's thread pool.
     fn update(&mut self, batch: &Batch) -> Result<Update, LearnerError> {
         let begin = Instant::now();
-        self.fault_at(Point::MidUpdate);
+        fail_points::abort_soon_at("mid-update", self.iteration);
         let Self { pool, observations, surprise, algorithm, iteration, .. } = self;
         let seen = observations.seen(batch);
         let refit = || {

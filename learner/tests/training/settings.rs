@@ -31,10 +31,8 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         config_sha256: Digest([1; 32]),
         build: "test".to_owned(),
         rollout_fingerprint: Digest([2; 32]),
-        learner_fingerprint: Digest([3; 32]),
         manifest: json!({"program": "test"}),
         resume: false,
-        fault: None,
     }
 }
 

@@ -149,13 +149,13 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::data::batch::ActionKind;
-    use crate::probe;
+    use crate::sample;
 
     /// Error message for actions of this kind.
     fn refusal(kind: ActionKind, change: impl Fn(&mut InfluenceConfig)) -> Option<String> {
-        let mut config: Config = probe::config();
+        let mut config: Config = sample::config();
         change(&mut config.influence);
-        let mut problem = probe::problem();
+        let mut problem = sample::problem();
         problem.agents.iter_mut().for_each(|agent| agent.kind = kind);
         let found = config.validate().and_then(|()| config.suits_agents(&problem));
         found.err().map(|error| error.to_string())

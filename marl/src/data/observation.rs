@@ -90,19 +90,19 @@ mod tests {
     use policy::{RunSeed, Scratch};
 
     use super::*;
-    use crate::probe;
+    use crate::sample;
 
     fn known() -> ObservationMoments {
-        let mut known = ObservationMoments::new(ObservationScale::Running, &probe::problem());
-        known.take_in(&probe::batch());
+        let mut known = ObservationMoments::new(ObservationScale::Running, &sample::problem());
+        known.take_in(&sample::batch());
         known
     }
 
     #[test]
     fn actors_and_learner_scale_observations_equally() {
-        let (config, policy, batch) = (probe::config(), probe::policy(), probe::batch());
+        let (config, policy, batch) = (sample::config(), sample::policy(), sample::batch());
         let algorithm =
-            crate::build(&config, &policy, &probe::problem(), RunSeed(0)).unwrap().snapshot();
+            crate::build(&config, &policy, &sample::problem(), RunSeed(0)).unwrap().snapshot();
         let (plain, known) = (algorithm.unwrap(), known());
         let (scaled, seen) = (known.snapshot(plain.clone()), known.seen(&batch));
         let scaled = PolicySnapshot::from_bytes(&scaled.to_bytes().unwrap()).unwrap();
@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn unscaled_observations_are_not_copied() {
-        let (batch, problem) = (probe::batch(), probe::problem());
+        let (batch, problem) = (sample::batch(), sample::problem());
         let mut plain = ObservationMoments::new(ObservationScale::AsShown, &problem);
         plain.take_in(&batch);
         assert!(matches!(plain.seen(&batch), Cow::Borrowed(_)));
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn final_observations_are_scaled_like_others() {
-        let (mut batch, known) = (probe::batch(), known());
+        let (mut batch, known) = (sample::batch(), known());
         let first = batch.agents[1].observation[..batch.finals[0].observation[1].len()].to_vec();
         batch.finals[0].observation[1].clone_from(&first);
         let seen = known.seen(&batch);
@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn stored_statistics_are_restored_and_rejected_without_scaling() {
-        let (mut known, problem) = (known(), probe::problem());
+        let (mut known, problem) = (known(), sample::problem());
         let arrays = known.arrays().unwrap();
         let mut other = ObservationMoments::new(ObservationScale::Running, &problem);
         other.restore(&arrays).unwrap();

@@ -6,7 +6,7 @@ use rand::RngCore;
 
 use super::*;
 use crate::distribution::gaussian::entropy;
-use crate::probe;
+use crate::sample;
 use crate::state::{restored, saved};
 use crate::surprise::entropy_bound;
 
@@ -15,7 +15,7 @@ const KINDS: [DensityKind; 3] =
 const ROWS: usize = 4000;
 
 fn config(density: DensityKind) -> SurpriseConfig {
-    SurpriseConfig { density, ..probe::surprise() }
+    SurpriseConfig { density, ..sample::surprise() }
 }
 
 fn at(iteration: u64) -> DensityContext {

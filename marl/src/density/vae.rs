@@ -309,12 +309,12 @@ fn picked<V: Copy>(from: &[V], part: &[usize], width: usize) -> Vec<V> {
 mod tests {
     use super::*;
     use crate::optimisation::tests::meets_finite_differences;
-    use crate::probe;
+    use crate::sample;
 
     #[test]
     fn the_gradient_matches_finite_differences() {
         let moments = Moments::new(vec![0, 1], 0.01, 1e-4);
-        let mut vae = Vae::new(&probe::surprise().vae, moments, (RunSeed(1), 0)).unwrap();
+        let mut vae = Vae::new(&sample::surprise().vae, moments, (RunSeed(1), 0)).unwrap();
         let data = [0.3, -1.0, 2.0, 0.4, -0.7, 1.5];
         let (observations, context) = (
             Observations { data: &data, width: 2 },

@@ -7,8 +7,8 @@ use policy::{CoreKind, NamedArrays, PolicyConfig, RunSeed};
 use super::*;
 use crate::config::{DensityKind, Sharing};
 use crate::data::batch::{Batch, Final, Rewards};
-use crate::probe;
 use crate::rules::algorithm::Report;
+use crate::sample;
 use crate::surprise::Surprise;
 
 const RULES: [(Rule, Sharing); 3] = [
@@ -18,13 +18,13 @@ const RULES: [(Rule, Sharing); 3] = [
 ];
 
 fn config((rule, sharing): (Rule, Sharing)) -> Config {
-    let mut config = probe::config();
+    let mut config = sample::config();
     (config.update.rule, config.update.parameters) = (rule, sharing);
     config
 }
 
 fn algorithm(config: &Config) -> Box<dyn Algorithm> {
-    build(config, &probe::policy(), &probe::problem(), RunSeed(0)).unwrap()
+    build(config, &sample::policy(), &sample::problem(), RunSeed(0)).unwrap()
 }
 
 fn plain(batch: &Batch) -> Rewards {
@@ -50,9 +50,9 @@ fn named(report: &Report, name: &str) -> f64 {
     found.unwrap_or_else(|| panic!("{name} is not among {report:?}")).1
 }
 
-/// The first `environments` environments of the probe's batch.
+/// The first `environments` environments of the sample's batch.
 fn narrowed(environments: usize) -> Batch {
-    let whole = probe::batch();
+    let whole = sample::batch();
     let of = |data: &[f32], rows: usize| -> Vec<f32> {
         let width = data.len() / rows / whole.environments;
         let row = |row| &data[row * whole.environments * width..][..environments * width];
@@ -63,7 +63,7 @@ fn narrowed(environments: usize) -> Batch {
         observation: of(&agent.observation, steps),
         action: of(&agent.action, steps),
         log_prob: of(&agent.log_prob, steps),
-        hidden: of(&agent.hidden, steps / probe::policy().backpropagation_steps),
+        hidden: of(&agent.hidden, steps / sample::policy().backpropagation_steps),
     });
     Batch {
         agents: agents.collect(),
@@ -82,7 +82,7 @@ fn updates_with_nan_or_overflowing_rewards_are_skipped_and_counted() {
     for rule in RULES {
         for wrong in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX] {
             let mut algorithm = algorithm(&config(rule));
-            let (batch, before) = (probe::batch(), algorithm.arrays().unwrap());
+            let (batch, before) = (sample::batch(), algorithm.arrays().unwrap());
             let mut rewards = plain(&batch);
             rewards[1][30..60].fill(wrong);
             let report = algorithm.update(&batch, &rewards, 0).unwrap();
@@ -99,7 +99,7 @@ fn updates_with_nan_or_overflowing_rewards_are_skipped_and_counted() {
 fn huge_rewards_give_a_finite_update() {
     for rule in RULES {
         let mut algorithm = algorithm(&config(rule));
-        let batch = probe::batch();
+        let batch = sample::batch();
         let rewards = vec![batch.reward.iter().map(|reward| 1e30 * reward).collect(); 2];
         for iteration in 0..3 {
             let report = algorithm.update(&batch, &rewards, iteration).unwrap();
@@ -112,7 +112,7 @@ fn huge_rewards_give_a_finite_update() {
 
 #[test]
 fn equal_advantages_change_no_policy_and_are_counted() {
-    let mut batch = probe::batch();
+    let mut batch = sample::batch();
     batch.state.fill(0.5);
     batch.finals.iter_mut().for_each(|last| last.state.fill(0.5));
     for rule in RULES {
@@ -136,13 +136,13 @@ fn equal_advantages_change_no_policy_and_are_counted() {
 #[test]
 fn constant_features_give_a_finite_update() {
     for still in 1..=19 {
-        let mut batch = probe::batch();
+        let mut batch = sample::batch();
         for agent in &mut batch.agents {
             let rows = agent.observation.chunks_exact_mut(19);
             rows.for_each(|row| row[..still].fill(3.0));
         }
-        let config = probe::config();
-        let mut surprise = Surprise::new(&config.surprise, &probe::problem(), RunSeed(0)).unwrap();
+        let config = sample::config();
+        let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
         surprise.refit(&batch, 0).unwrap();
         let mut algorithm = algorithm(&config);
         let report = algorithm.update(&batch, &surprise.relabel(&batch), 0).unwrap();
@@ -180,13 +180,13 @@ fn one_step_suffices_for_every_density_and_an_update() {
     batch.reward.truncate(1);
     (batch.terminated, batch.truncated) = (vec![true], vec![false]);
     batch.finals[0] = Final { step: 0, ..batch.finals[0].clone() };
-    let policy = PolicyConfig { backpropagation_steps: 1, ..probe::policy() };
+    let policy = PolicyConfig { backpropagation_steps: 1, ..sample::policy() };
     for density in [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae] {
-        let mut config = probe::config();
+        let mut config = sample::config();
         config.surprise.density = density;
-        let mut surprise = Surprise::new(&config.surprise, &probe::problem(), RunSeed(0)).unwrap();
+        let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
         surprise.refit(&batch, 0).unwrap();
-        let mut algorithm = build(&config, &policy, &probe::problem(), RunSeed(0)).unwrap();
+        let mut algorithm = build(&config, &policy, &sample::problem(), RunSeed(0)).unwrap();
         let report = algorithm.update(&batch, &surprise.relabel(&batch), 0).unwrap();
         assert_eq!(named(&report, "losses/update_skipped"), 0.0, "{density:?}");
         assert!(finite(algorithm.as_mut()), "{density:?}");
@@ -195,7 +195,7 @@ fn one_step_suffices_for_every_density_and_an_update() {
 
 #[test]
 fn an_agent_with_overflowing_observations_skips_only_its_own_steps() {
-    let mut batch = probe::batch();
+    let mut batch = sample::batch();
     batch.agents[1].observation[38..57].fill(f32::MAX);
     for rule in &RULES[..2] {
         let mut config = config(*rule);
@@ -220,7 +220,7 @@ fn an_agent_with_overflowing_observations_skips_only_its_own_steps() {
 
 #[test]
 fn an_update_with_a_state_that_overflows_the_critic_is_skipped() {
-    let mut batch = probe::batch();
+    let mut batch = sample::batch();
     batch.state[34..51].fill(f32::MAX);
     for rule in RULES {
         let mut algorithm = algorithm(&config(rule));
@@ -237,7 +237,7 @@ fn extreme_ratios_and_factors_are_clamped_and_counted() {
         let mut config = config(rule);
         (config.update.learning_rate, config.update.epochs) = (100.0, 6);
         let mut algorithm = algorithm(&config);
-        let batch = probe::batch();
+        let batch = sample::batch();
         let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
         assert!(named(&report, "agent0/ratio_held") > 0.1, "{rule:?} {report:?}");
         if rule.0 == Rule::Happo {
@@ -250,7 +250,7 @@ fn extreme_ratios_and_factors_are_clamped_and_counted() {
 
 #[test]
 fn a_collapsing_sigma_stops_at_its_floor_is_counted_and_can_grow_again() {
-    let mut batch = probe::batch();
+    let mut batch = sample::batch();
     let pays = |row: usize| {
         -batch
             .agents
@@ -282,10 +282,10 @@ fn a_collapsing_sigma_stops_at_its_floor_is_counted_and_can_grow_again() {
 fn maddpg() -> (Box<dyn Algorithm>, Batch) {
     let mut config = config((Rule::Maddpg, Sharing::Separate));
     (config.surprise.alpha, config.influence.lambda) = (0.0, 0.0);
-    let policy = PolicyConfig { core: CoreKind::Mlp, ..probe::policy() };
-    let mut batch = probe::batch();
+    let policy = PolicyConfig { core: CoreKind::Mlp, ..sample::policy() };
+    let mut batch = sample::batch();
     batch.agents.iter_mut().for_each(|agent| agent.hidden.clear());
-    (build(&config, &policy, &probe::problem(), RunSeed(0)).unwrap(), batch)
+    (build(&config, &policy, &sample::problem(), RunSeed(0)).unwrap(), batch)
 }
 
 #[test]

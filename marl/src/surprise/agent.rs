@@ -159,14 +159,14 @@ mod tests {
     use super::*;
     use crate::config::DensityKind;
     use crate::density::build;
-    use crate::probe;
+    use crate::sample;
     use crate::state::{restored, saved};
 
     const HERE: [f32; 8] = [1.0, 0.0, 3.0, 1.0, 5.0, 0.0, 7.0, 1.0];
     const THERE: [f32; 8] = [2.0, 0.0, 2.0, 0.5, 9.0, 0.0, 7.0, 1.0];
 
     fn config() -> SurpriseConfig {
-        SurpriseConfig { alpha: 1.0, constant: Constant::Density, ..probe::surprise() }
+        SurpriseConfig { alpha: 1.0, constant: Constant::Density, ..sample::surprise() }
     }
 
     /// Scores of the last of `batches` `[R, 2]`, after a refit on each in order.

@@ -83,7 +83,9 @@ impl Manifest {
         let schema = value.get("schema").and_then(serde_json::Value::as_u64);
         if schema != Some(u64::from(SCHEMA)) {
             let found = schema.map_or("none".to_owned(), |schema| schema.to_string());
-            return Err(format!("manifest.json has schema {found}, this program reads {SCHEMA}"));
+            return Err(format!(
+                "manifest.json has schema {found}, this program reads {SCHEMA}: it was made by another version; train again"
+            ));
         }
         let manifest: Self = serde_json::from_value(value).map_err(unreadable)?;
         if manifest.own_sha256() != manifest.manifest_sha256 || manifest.to_bytes() != bytes {

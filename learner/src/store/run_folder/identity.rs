@@ -1,4 +1,4 @@
-//! Whether a run folder is still the folder that this process locked: somebody may rename, delete or replace it.
+//! Whether a run folder is still the folder that this process locked: it may have been renamed, deleted or replaced.
 
 use super::{LOCK, MANIFEST, RunFolder, RunFolderError};
 use crate::durable;

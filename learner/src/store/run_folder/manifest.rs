@@ -35,11 +35,6 @@ pub(super) fn read(path: &Path) -> Result<Value, RunFolderError> {
             manifest[MANIFEST_SHA256] = Value::String(recorded);
             Ok(manifest)
         }
-        // Earlier versions wrote neither hashes nor starts.
-        None if !path.with_file_name(super::STARTS).exists() => {
-            manifest.as_object_mut().map(|object| object.remove(MANIFEST_SHA256));
-            Ok(manifest)
-        }
         _ => Err(damaged("its content does not have its SHA-256".to_owned())),
     }
 }
@@ -55,7 +50,6 @@ mod tests {
     fn a_flipped_bit_in_any_byte_but_a_blank_is_damage() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("manifest.json");
-        std::fs::write(folder.path().join("starts.jsonl"), "{}\n").unwrap();
         write(&path, json!({"config_sha256": "aa", "seed": 7})).unwrap();
         let good = std::fs::read(&path).unwrap();
         assert_eq!(read(&path).unwrap()["config_sha256"], "aa");

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use proto::WeightsName;
 
 use crate::error::LearnerError;
-use crate::evaluation::Spread;
+use crate::event::Spread;
 use crate::event::{Event, Stage};
 use crate::exchange::{EvaluationOutcome, SlotRollout, Wake};
 use crate::snapshot::RunSnapshot;

@@ -11,7 +11,7 @@ use crate::checkpoint::{self, Checkpoint, RunSettings, Saved, Step};
 use crate::error::LearnerError;
 use crate::event::{Event, Stage};
 use crate::exchange::Storage;
-use crate::fault::{self, Point};
+use crate::train::fail_points;
 use crate::trainer::{RunningTrainer, Trainer};
 
 impl RunningTrainer {
@@ -83,10 +83,10 @@ impl Trainer {
         let settings = RunSettings { sha256: &sha256, toml: &self.settings_toml };
         let mut before = |step, _: &Path| {
             if step == Step::Rename {
-                self.fault_at(Point::MidCheckpoint);
+                fail_points::abort_at("mid-checkpoint", self.iteration);
             }
             self.folder.demand_in_place().map_err(io::Error::other)?;
-            fault::on_disk(self.fault, step, self.iteration)
+            fail_points::fail_at(step, self.iteration)
         };
         Ok(checkpoint::save(folder, &checkpoint, settings, keep, &mut before)?)
     }

@@ -12,7 +12,7 @@ use crate::critic::{FitData, Values};
 use crate::data::batch::Final;
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::tests::meets_finite_differences;
-use crate::probe;
+use crate::sample;
 use crate::state::{restored, saved};
 
 const INPUTS: usize = 3;
@@ -25,7 +25,7 @@ const CHUNK: usize = 3;
 const ENDS: [(usize, usize); 3] = [(1, 0), (2, 1), (5, 2)];
 
 fn config() -> CriticConfig {
-    let usual = probe::config().critic;
+    let usual = sample::config().critic;
     CriticConfig { core: CriticCore::Gru, width: WIDTH, layers: 1, ..usual }
 }
 

@@ -214,7 +214,7 @@ fn polyak_update(target: &Parameters, source: &Parameters, share: f64) -> Result
 mod tests {
     use super::*;
     use crate::config::StateNorm;
-    use crate::probe;
+    use crate::sample;
 
     fn parameters(values: [f32; 2]) -> Parameters {
         let mut parameters = Parameters::new();
@@ -224,10 +224,10 @@ mod tests {
 
     #[test]
     fn action_values_scale_states_with_feature_z() {
-        let (problem, mut config) = (probe::problem(), probe::config());
+        let (problem, mut config) = (sample::problem(), sample::config());
         let seen = |norm, config: &mut Config| {
             config.critic.state_norm = norm;
-            let agent = Agent::new(config, &probe::policy(), &problem, RunSeed(0), 0).unwrap();
+            let agent = Agent::new(config, &sample::policy(), &problem, RunSeed(0), 0).unwrap();
             let action = Tensor::new(&[[9.0_f32]], &Device::Cpu).unwrap();
             agent.joint_input(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
         };

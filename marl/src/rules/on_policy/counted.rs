@@ -52,9 +52,9 @@ mod tests {
     use super::*;
     use crate::config::{Config, Divergence, Estimator};
     use crate::data::batch::{AgentBatch, AgentShape, Final, Problem};
-    use crate::probe;
     use crate::rules::algorithm::Report;
     use crate::rules::build;
+    use crate::sample;
 
     const STEPS: usize = 20;
     const ENVIRONMENTS: usize = 300;
@@ -128,7 +128,7 @@ mod tests {
     }
 
     fn counting(state: CountedState) -> Config {
-        let mut config = probe::config();
+        let mut config = sample::config();
         config.influence.estimator = Estimator::Count;
         config.influence.counted_state = state;
         config
@@ -139,7 +139,7 @@ mod tests {
             core: CoreKind::Mlp,
             backpropagation_steps: 1,
             width: 8,
-            ..probe::policy()
+            ..sample::policy()
         };
         let mut algorithm = build(config, &policy, &problem(), RunSeed(0)).unwrap();
         algorithm.update(batch, &vec![batch.reward.clone(); 2], 0).unwrap()

@@ -66,13 +66,13 @@ mod tests {
     use crate::data::sequence::Layout;
     use crate::influence::mutual_information;
     use crate::optimisation::tests::meets_finite_differences;
-    use crate::probe;
+    use crate::sample;
     use crate::state::saved;
 
     /// Two agents with their rollout data and influence.
     fn prepared(q_training: QTraining) -> (Vec<Agent>, Vec<Experience>, Vec<Influence>) {
         let (problem, policy, batch, mut config) =
-            (probe::problem(), probe::policy(), probe::batch(), probe::config());
+            (sample::problem(), sample::policy(), sample::batch(), sample::config());
         config.influence.q_training = q_training;
         let agent = |index| Agent::new(&config, &policy, &problem, RunSeed(0), index).unwrap();
         let mut agents = vec![agent(0), agent(1)];

@@ -12,7 +12,7 @@ use crate::data::sequence::{Layout, Sequences};
 use crate::distribution::HeadRows;
 use crate::objective::surrogate::sequential_factor;
 use crate::optimisation::minibatch::minibatches;
-use crate::probe;
+use crate::sample;
 
 const STEPS: usize = 20;
 const ENVIRONMENTS: usize = 7;
@@ -28,7 +28,7 @@ fn policy(core: CoreKind) -> PolicyConfig {
         backpropagation_steps: CHUNK,
         layers: 2,
         head_gain: 1.0,
-        ..probe::policy()
+        ..sample::policy()
     }
 }
 
@@ -42,7 +42,8 @@ fn policies() -> [PolicyConfig; 5] {
 }
 
 fn agents(policy: &PolicyConfig) -> Vec<Agent> {
-    let agent = |index| Agent::new(&probe::config(), policy, &probe::problem(), RunSeed(3), index);
+    let agent =
+        |index| Agent::new(&sample::config(), policy, &sample::problem(), RunSeed(3), index);
     (0..2).map(|index| agent(index).unwrap()).collect()
 }
 
@@ -119,7 +120,7 @@ fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64
 fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
     for core in CORES {
         let agents = agents(&policy(core));
-        let batch = played(&agents, &probe::problem());
+        let batch = played(&agents, &sample::problem());
         for (index, agent) in agents.iter().enumerate() {
             let (whole, chunks) =
                 (unrolled(agent, &batch, index, STEPS), unrolled(agent, &batch, index, CHUNK));
@@ -137,7 +138,7 @@ fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
 fn outputs_by_shards_equal_those_of_one_pass() {
     for policy in policies() {
         let agents = agents(&policy);
-        let batch = played(&agents, &probe::problem());
+        let batch = played(&agents, &sample::problem());
         let (agent, layout) = (&agents[0], Layout::of(&batch, CHUNK));
         assert!(layout.rows() >= 128, "{} rows are one shard", layout.rows());
         let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
@@ -167,7 +168,7 @@ fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize
 fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
     for policy in policies() {
         let mut agents = agents(&policy);
-        let experience = &experience(&agents, &played(&agents, &probe::problem()))[0];
+        let experience = &experience(&agents, &played(&agents, &sample::problem()))[0];
         let agent = &mut agents[0];
         agent.memory.refresh_states(&agent.network, &experience.sequences, 1).unwrap();
         let layout = experience.sequences.layout;
@@ -185,7 +186,7 @@ fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
 fn an_unchanged_policy_leaves_the_factor_at_one() {
     for policy in policies() {
         let mut agents = agents(&policy);
-        let experience = experience(&agents, &played(&agents, &probe::problem()));
+        let experience = experience(&agents, &played(&agents, &sample::problem()));
         let mut factor = vec![1.0; experience[0].log_prob.len()];
         for (agent, experience) in agents.iter_mut().zip(&experience) {
             agent.memory.refresh_states(&agent.network, &experience.sequences, 1).unwrap();
@@ -214,7 +215,7 @@ fn max_difference(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32
 /// One agent, its rollout data, and its true states.
 fn agent_with_states(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
     let mut agents = agents(policy);
-    let batch = played(&agents, &probe::problem());
+    let batch = played(&agents, &sample::problem());
     let layout = Layout::of(&batch, CHUNK);
     let sequences = Sequences::of(&batch, 0, layout, agents[0].hidden_size());
     let had = sequences.hidden.clone();

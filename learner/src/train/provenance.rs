@@ -1,5 +1,5 @@
-//! `provenance.jsonl`: one line per iteration that says who computed what the new weights are made
-//! of, and their hashes. It is a record of what happened and never read back into a run.
+//! `provenance.jsonl`: one line per iteration with the slots of its rollouts, the actors that computed them, and the
+//! hashes of the new weights. It is never read back into a run.
 
 use std::path::Path;
 
@@ -14,33 +14,33 @@ use crate::run_folder::PROVENANCE;
 
 /// The provenance of a run, open for more.
 #[derive(Debug)]
-pub struct Provenance {
+pub(crate) struct Provenance {
     lines: JsonLines,
 }
 
 /// Where one iteration's weights come from.
 #[derive(Debug)]
-pub struct Origin<'a> {
+pub(crate) struct Origin<'a> {
     /// Finished iterations, this one included.
-    pub iteration: u64,
+    pub(crate) iteration: u64,
     /// The weights with which actors rolled out.
-    pub behaviour: WeightsName,
+    pub(crate) behaviour: WeightsName,
     /// What they rolled out.
-    pub rollouts: &'a [SlotRollout],
+    pub(crate) rollouts: &'a [SlotRollout],
     /// The densities fitted on it, `theta_k`.
-    pub density: &'a NamedArrays,
+    pub(crate) density: &'a NamedArrays,
     /// Hash of the new weights, hexadecimal.
-    pub weights_sha256: &'a str,
+    pub(crate) weights_sha256: &'a str,
     /// The algorithm's figures; the places of the agents in the sweep are taken from them.
-    pub report: &'a [(String, f64)],
+    pub(crate) report: &'a [(String, f64)],
 }
 
 impl Provenance {
-    /// Opens the provenance of a run that goes on after `iteration`; later lines are dropped.
+    /// Opens the provenance of a run that resumes after `iteration`; later lines are dropped.
     ///
     /// # Errors
     /// Names the file if it cannot be read or written.
-    pub fn open(run_folder: &Path, iteration: u64) -> Result<Self, FileError> {
+    pub(crate) fn open(run_folder: &Path, iteration: u64) -> Result<Self, FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(PROVENANCE), iteration)?;
         lines.warn_of_gaps(&kept, iteration);
         Ok(Self { lines })
@@ -50,7 +50,7 @@ impl Provenance {
     ///
     /// # Errors
     /// Names the file if it cannot be written.
-    pub fn iteration(&mut self, origin: &Origin<'_>) -> Result<(), FileError> {
+    pub(crate) fn iteration(&mut self, origin: &Origin<'_>) -> Result<(), FileError> {
         self.lines.append(&json!({
             "iteration": origin.iteration,
             "behaviour": {
@@ -68,7 +68,7 @@ impl Provenance {
     ///
     /// # Errors
     /// Names the file if it cannot be flushed.
-    pub fn sync(&mut self) -> Result<(), FileError> {
+    pub(crate) fn sync(&mut self) -> Result<(), FileError> {
         self.lines.sync()
     }
 }
