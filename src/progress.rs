@@ -44,10 +44,10 @@ impl Progress {
         match event {
             Event::Iteration(_) => self.iteration(),
             Event::Collecting { env_steps, .. } => self.collecting(*env_steps),
-            Event::Waiting { .. } | Event::Evaluation { .. } => {
+            Event::Waiting { .. } | Event::Evaluation(_) => {
                 self.line(&wording::notice(event).unwrap_or_default());
             }
-            Event::Stage(_) | Event::Checkpoint { .. } | Event::CheckpointFailed { .. } => {}
+            Event::Stage(_) | Event::Checkpoint(_) | Event::CheckpointFailed { .. } => {}
         }
         if self.recent.is_complete() {
             self.clear();

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use learner::event::Spread;
+use learner::event::{EvaluationReport, Spread};
 use learner::{Event, IterationReport};
 
 use crate::figures::chart;
@@ -117,7 +117,7 @@ impl RecentIterations {
 /// The line of an event that is printed at once.
 pub(super) fn notice(event: &Event) -> Option<String> {
     match event {
-        Event::Evaluation { env_steps, spread, episodes, .. } => {
+        Event::Evaluation(EvaluationReport { env_steps, spread, episodes, .. }) => {
             let Spread { mean, standard_deviation, minimum, maximum } = spread;
             Some(format!(
                 "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} \
@@ -186,9 +186,9 @@ mod tests {
     fn an_evaluation_is_told_with_its_spread() {
         let spread =
             Spread { mean: 812.44, standard_deviation: 33.1, minimum: 760.0, maximum: 866.0 };
-        let event = Event::Evaluation { iteration: 25, env_steps: 100_000, spread, episodes: 10 };
+        let report = EvaluationReport { iteration: 25, env_steps: 100_000, spread, episodes: 10 };
         assert_eq!(
-            notice(&event).as_deref(),
+            notice(&Event::Evaluation(report)).as_deref(),
             Some("evaluation at 100,000 steps: return 812.4 ± 33.1 (760.0 to 866.0, 10 episodes)")
         );
     }

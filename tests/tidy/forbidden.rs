@@ -75,7 +75,7 @@ const PLACES: [(&str, &[&str], &str); 2] = [
             "learner/src/store/json_lines",
             "learner/src/store/plain_file",
             "learner/src/observe/metrics",
-            "learner/src/observe/page/memory",
+            "learner/src/observe/page/exposition",
             "learner/src/store/run_folder",
             "recording/src/mcap_file",
             "recording/src/record.rs",

@@ -1,7 +1,5 @@
 //! Events of a run, for its observers.
 
-use std::path::PathBuf;
-
 use serde::Serialize;
 
 /// An event of a run.
@@ -19,27 +17,9 @@ pub enum Event {
         env_steps: u64,
     },
     /// An evaluation is finished.
-    Evaluation {
-        /// Finished iterations of the evaluated policies.
-        iteration: u64,
-        /// Environment steps of these iterations.
-        env_steps: u64,
-        /// Statistics of the extrinsic returns.
-        spread: Spread,
-        /// Number of episodes.
-        episodes: usize,
-    },
+    Evaluation(EvaluationReport),
     /// A checkpoint has been written.
-    Checkpoint {
-        /// Directory of the checkpoint.
-        path: PathBuf,
-        /// Iteration of the checkpoint.
-        iteration: u64,
-        /// Duration of writing it, seconds.
-        secs: f64,
-        /// Size of its files.
-        bytes: u64,
-    },
+    Checkpoint(WrittenCheckpoint),
     /// A checkpoint could not be written; it is retried after the next iteration.
     CheckpointFailed {
         /// Consecutive failures.
@@ -52,6 +32,31 @@ pub enum Event {
         /// Why no results arrive.
         reason: String,
     },
+}
+
+/// A finished evaluation, with the names that its figures have in `metrics.jsonl`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct EvaluationReport {
+    /// Finished iterations of the evaluated policies.
+    pub iteration: u64,
+    /// Environment steps of these iterations.
+    pub env_steps: u64,
+    /// Statistics of the extrinsic returns.
+    #[serde(flatten)]
+    pub spread: Spread,
+    /// Number of episodes.
+    pub episodes: usize,
+}
+
+/// A checkpoint on disk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WrittenCheckpoint {
+    /// Iteration of the checkpoint.
+    pub iteration: u64,
+    /// Duration of writing it, seconds.
+    pub secs: f64,
+    /// Size of its files, bytes.
+    pub bytes: u64,
 }
 
 /// The trainer's current activity.

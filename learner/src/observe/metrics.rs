@@ -19,7 +19,7 @@ pub use self::curves::{Curve, Curves};
 use self::event_file::EventFile;
 use crate::config::MetricsConfig;
 use crate::durable::FileError;
-use crate::event::{IterationReport, Spread};
+use crate::event::{EvaluationReport, IterationReport};
 use crate::json_lines::{JsonLines, iterations};
 use crate::run_folder::{METRICS, TENSORBOARD};
 
@@ -76,22 +76,13 @@ impl Metrics {
         self.append(&line)
     }
 
-    /// Adds an evaluation of the policies after `iteration` iterations.
+    /// Adds an evaluation.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn evaluation(
-        &mut self,
-        iteration: u64,
-        env_steps: u64,
-        spread: &Spread,
-        episodes: usize,
-    ) -> Result<(), FileError> {
-        let mut line = json!(spread);
+    pub fn evaluation(&mut self, report: &EvaluationReport) -> Result<(), FileError> {
+        let mut line = json!(report);
         line["kind"] = "evaluation".into();
-        line["iteration"] = iteration.into();
-        line["env_steps"] = env_steps.into();
-        line["episodes"] = episodes.into();
         self.append(&line)
     }
 
@@ -123,6 +114,7 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::event::Spread;
 
     const ALL: MetricsConfig = MetricsConfig { tensorboard: true };
 
@@ -165,7 +157,9 @@ mod tests {
         assert!(measured.is_empty());
         let spread = Spread { mean: 1.0, standard_deviation: 0.0, minimum: 1.0, maximum: 1.0 };
         for iteration in [0, 2, 4] {
-            metrics.evaluation(iteration, iteration * 40, &spread, 10).unwrap();
+            let env_steps = iteration * 40;
+            let evaluation = EvaluationReport { iteration, env_steps, spread, episodes: 10 };
+            metrics.evaluation(&evaluation).unwrap();
             metrics.iteration(&report(iteration + 1)).unwrap();
         }
         let (_, measured) = Metrics::open(folder.path(), &ALL, 3).unwrap();

@@ -4,21 +4,21 @@
 mod answers;
 mod exposition;
 mod hosts;
-mod memory;
 mod server;
-mod view;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use security::ServerTls;
+use serde_json::Value;
 use tokio::net::TcpListener;
 
+use crate::exchange::Exchange;
+use crate::launch::Launch;
 use crate::metrics::Curves;
 
 pub use hosts::{Hosts, NotAHost};
 pub(crate) use server::serve;
 pub use server::serve_overlay;
-pub(crate) use view::{Facts, RunView};
 
 /// The listening socket of the page and the accepted host names.
 #[derive(Debug)]
@@ -51,4 +51,57 @@ pub struct Overlay {
     pub version: u64,
     /// The runs, always in the same order.
     pub runs: Vec<OverlaidRun>,
+}
+
+/// Constants of a run.
+#[derive(Clone, Debug)]
+pub(crate) struct Facts {
+    /// The manifest in the run folder.
+    manifest: Value,
+    /// Iterations of the whole run.
+    iterations: u64,
+    /// Environment steps of the whole run.
+    env_steps: u64,
+    /// Iterations from one checkpoint to the next.
+    checkpoint_every: u64,
+    /// Uses of each environment step in the optimiser steps of an agent.
+    sample_reuse: f64,
+    /// Iterations that were finished when this learner started.
+    resumed_at: u64,
+}
+
+impl Facts {
+    /// The constants of a run that is about to start.
+    pub(crate) fn of(launch: &Launch) -> Self {
+        let steps = launch.config.environments.steps_per_iteration();
+        Self {
+            manifest: launch.manifest(),
+            iterations: launch.iterations,
+            env_steps: launch.iterations.saturating_mul(steps),
+            checkpoint_every: launch.config.checkpoint.every,
+            sample_reuse: launch.training.sample_reuse(),
+            resumed_at: 0,
+        }
+    }
+
+    /// The same for a run that is resumed after `iteration`.
+    pub(crate) fn resumed_at(self, iteration: u64) -> Self {
+        Self { resumed_at: iteration, ..self }
+    }
+}
+
+/// Everything that the page shows.
+#[derive(Debug)]
+pub(crate) struct RunView {
+    pub(crate) facts: Facts,
+    pub(crate) exchange: Arc<Exchange>,
+    /// Locked for one lookup or one copy, so that the trainer, which adds to them, never waits for a response.
+    pub(crate) curves: Arc<Mutex<Curves>>,
+}
+
+impl RunView {
+    /// The curves. Clone them before any longer work.
+    fn curves(&self) -> MutexGuard<'_, Curves> {
+        self.curves.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }

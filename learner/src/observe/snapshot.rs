@@ -7,7 +7,7 @@ use proto::{
     EvaluationResult, EvaluationSummary, Film, Incarnation, PolicyVersion, RunEnd, RunLine, Status,
 };
 
-use crate::event::{Event, IterationReport, Stage};
+use crate::event::{Event, IterationReport, Stage, WrittenCheckpoint};
 use crate::slots::AuditCounts;
 
 /// Lines kept for watchers that are slow or connect late; the oldest is dropped.
@@ -59,17 +59,6 @@ pub struct RunSnapshot {
     lines: VecDeque<RunLine>,
 }
 
-/// A checkpoint on disk.
-#[derive(Clone, Copy, Debug)]
-pub struct WrittenCheckpoint {
-    /// Iteration of the checkpoint.
-    pub iteration: u64,
-    /// Duration of writing it, seconds.
-    pub secs: f64,
-    /// Size of its files, bytes.
-    pub bytes: u64,
-}
-
 /// A film of an evaluation episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilmedEpisode {
@@ -116,17 +105,14 @@ impl RunSnapshot {
             Event::Iteration(report) => self.iteration(report),
             Event::Collecting { .. } => self.waiting = None,
             Event::Waiting { reason, .. } => self.waiting = Some(reason.clone()),
-            Event::Checkpoint { iteration, secs, bytes, .. } => {
-                let (iteration, secs, bytes) = (*iteration, *secs, *bytes);
-                self.checkpoint = Some(WrittenCheckpoint { iteration, secs, bytes });
-            }
+            Event::Checkpoint(written) => self.checkpoint = Some(*written),
             Event::CheckpointFailed { .. } => self.checkpoint_failures += 1,
-            Event::Evaluation { iteration, spread, episodes, .. } => {
+            Event::Evaluation(report) => {
                 self.evaluation = Some(EvaluationSummary {
-                    iteration: *iteration,
-                    mean: spread.mean,
-                    standard_deviation: spread.standard_deviation,
-                    episodes: *episodes as u32,
+                    iteration: report.iteration,
+                    mean: report.spread.mean,
+                    standard_deviation: report.spread.standard_deviation,
+                    episodes: report.episodes as u32,
                 });
             }
         }
@@ -178,7 +164,7 @@ fn count(report: &IterationReport, name: &str) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::Spread;
+    use crate::event::{EvaluationReport, Spread};
 
     fn run() -> RunSnapshot {
         RunSnapshot::new("a run".to_owned(), Incarnation(1))
@@ -203,7 +189,8 @@ mod tests {
 
     fn evaluation(iteration: u64) -> Event {
         let spread = Spread { mean: 10.0, standard_deviation: 1.0, minimum: 9.0, maximum: 11.0 };
-        Event::Evaluation { iteration, env_steps: iteration * 4000, spread, episodes: 2 }
+        let env_steps = iteration * 4000;
+        Event::Evaluation(EvaluationReport { iteration, env_steps, spread, episodes: 2 })
     }
 
     fn iterations(lines: &[RunLine]) -> Vec<u64> {

@@ -261,7 +261,7 @@ fn evaluations_are_reported_once_at_the_start_the_multiples_and_the_end() {
     assert_eq!(evaluation["episodes"], 3);
     assert!(evaluation["minimum"].as_f64() <= evaluation["mean"].as_f64());
     assert!(evaluation["mean"].as_f64() <= evaluation["maximum"].as_f64());
-    let reported = events.iter().filter(|event| matches!(event, Event::Evaluation { .. })).count();
+    let reported = events.iter().filter(|event| matches!(event, Event::Evaluation(_))).count();
     assert_eq!(reported, 4);
 }
 

@@ -3,9 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Display;
 
-use super::RunView;
-use super::memory::resident_bytes;
-use super::view::Facts;
+use super::{Facts, RunView};
 use crate::event::Stage;
 use crate::slots::AuditCounts;
 use crate::snapshot::RunSnapshot;
@@ -216,4 +214,12 @@ s2mia_chunks_total{result="a \"b\"\\\n"} 4
 "#;
         assert_eq!(metrics.0, expected);
     }
+}
+
+/// Resident memory of this process, bytes; `None` without `/proc`.
+fn resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kibibytes << 10)
 }

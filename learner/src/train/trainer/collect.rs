@@ -5,8 +5,7 @@ use std::time::{Duration, Instant};
 use proto::WeightsName;
 
 use crate::error::LearnerError;
-use crate::event::Spread;
-use crate::event::{Event, Stage};
+use crate::event::{EvaluationReport, Event, Spread, Stage};
 use crate::exchange::{EvaluationOutcome, SlotRollout, Wake};
 use crate::snapshot::RunSnapshot;
 use crate::trainer::RunningTrainer;
@@ -70,13 +69,17 @@ impl RunningTrainer {
     }
 
     fn take_evaluation(&mut self, outcome: &EvaluationOutcome) -> Result<(), LearnerError> {
-        let (iteration, episodes) = (outcome.iteration, outcome.episodes.len());
-        let env_steps = self.trainer.steps_after(iteration);
+        let iteration = outcome.iteration;
         let returns = outcome.episodes.iter().map(|episode| episode.extrinsic_return);
-        let spread = Spread::of(returns);
-        self.trainer.metrics.evaluation(iteration, env_steps, &spread, episodes)?;
+        let report = EvaluationReport {
+            iteration,
+            env_steps: self.trainer.steps_after(iteration),
+            spread: Spread::of(returns),
+            episodes: outcome.episodes.len(),
+        };
+        self.trainer.metrics.evaluation(&report)?;
         self.trainer.evaluations.end(iteration);
-        self.tell(&Event::Evaluation { iteration, env_steps, spread, episodes });
+        self.tell(&Event::Evaluation(report));
         Ok(())
     }
 

@@ -9,7 +9,7 @@ use policy::arrays::{Array, NamedArrays};
 
 use crate::checkpoint::{self, Checkpoint, RunSettings, Saved, Step};
 use crate::error::LearnerError;
-use crate::event::{Event, Stage};
+use crate::event::{Event, Stage, WrittenCheckpoint};
 use crate::exchange::Storage;
 use crate::train::fail_points;
 use crate::trainer::{RunningTrainer, Trainer};
@@ -57,12 +57,11 @@ impl RunningTrainer {
         let begin = Instant::now();
         let saved = self.trainer.save()?;
         self.trainer.saved = Some(saved.clone());
-        self.tell(&Event::Checkpoint {
-            path: saved.path.clone(),
+        self.tell(&Event::Checkpoint(WrittenCheckpoint {
             iteration,
             secs: begin.elapsed().as_secs_f64(),
             bytes: checkpoint::size(&saved.path),
-        });
+        }));
         Ok(saved)
     }
 }
