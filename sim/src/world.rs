@@ -4,14 +4,6 @@ pub(crate) mod contact_forces;
 mod contact_law;
 mod diagnostics;
 mod hinge_drives;
-#[cfg(test)]
-mod loaded;
-#[cfg(test)]
-mod one_document;
-#[cfg(test)]
-mod other_roots;
-#[cfg(test)]
-mod refused;
 
 use std::sync::Arc;
 

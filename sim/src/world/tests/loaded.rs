@@ -1,46 +1,22 @@
 //! Tests of robots that are loaded from MJCF models: masses and joints against MuJoCo's, one motion with a closed form
 //! for each kind of element.
 
-use std::sync::Arc;
-
-use super::World;
-use crate::robot::{JointPlan, ModelFiles, Robot};
-
-/// Physics step of the models below, s.
-const STEP: f32 = 0.001;
-
-/// A robot of a document without files. Its environment step is one physics step.
-pub(super) fn robot(mjcf: &str) -> Result<Robot, String> {
-    let files = ModelFiles::collect("robot.xml", |path| match path {
-        "robot.xml" => Ok(mjcf.as_bytes().to_vec()),
-        "parts/trough.obj" => Ok(reference()["files"][path].as_str().unwrap().into()),
-        path => Err(format!("{path} does not exist")),
-    });
-    let robot = files.and_then(|files| Robot::from_model("loaded", &files, 1));
-    robot.map_err(|error| error.to_string())
-}
+use super::{
+    LOPSIDED, STEP, World, assert_continues_bit_for_bit, document, motion, reference, robot, world_of,
+};
+use crate::robot::JointPlan;
 
 /// A world with a floor, a step of a millisecond, and these bodies and actuators.
 fn world(bodies: &str, actuators: &str) -> World {
-    World::new(Arc::new(robot(&document(bodies, actuators)).unwrap()))
-}
-
-pub(super) fn document(bodies: &str, actuators: &str) -> String {
-    format!(
-        "<mujoco><compiler angle=\"radian\"/><option timestep=\"{STEP}\"/><worldbody>\n\
-         <geom type=\"plane\" size=\"1 1 1\"/>\n{bodies}\n</worldbody>\n\
-         <actuator>{actuators}</actuator></mujoco>"
-    )
-}
-
-fn reference() -> serde_json::Value {
-    serde_json::from_str(include_str!("../../tests/data/mujoco-models.json")).unwrap()
+    world_of(&document(bodies, actuators))
 }
 
 fn coordinates(world: &World) -> Vec<f32> {
-    let mut out = vec![0.0; world.robot().coordinate_names().len()];
-    world.coordinates(&mut out);
-    out
+    motion(world).0
+}
+
+fn velocities(world: &World) -> Vec<f32> {
+    motion(world).1
 }
 
 fn hold(world: &mut World, controls: &[f32], secs: f32) {
@@ -63,7 +39,7 @@ fn assert_near(what: &str, got: &[f32], expected: &[f32], tolerance: f32) {
 fn masses_centres_inertias_and_joints_are_equal_to_mujocos() {
     let reference = reference();
     for (name, model) in reference["models"].as_object().unwrap() {
-        let world = World::new(Arc::new(robot(model["mjcf"].as_str().unwrap()).unwrap()));
+        let world = world_of(model["mjcf"].as_str().unwrap());
         let poses = world.link_poses();
         let links = &world.robot().blueprint().links;
         for expected in model["links"].as_array().unwrap() {
@@ -112,7 +88,7 @@ fn shapes_of_every_kind_come_to_rest_on_the_floor_at_their_heights() {
         let body = format!("<body pos=\"0 0 0.12\"><freejoint/><geom {shape}/></body>");
         let asset = format!("<mujoco><asset><mesh name=\"slab\" vertex=\"{corners}\"/></asset>");
         let mjcf = document(&body, "").replace("<mujoco>", &asset);
-        let mut world = World::new(Arc::new(robot(&mjcf).unwrap()));
+        let mut world = world_of(&mjcf);
         hold(&mut world, &[], 1.5);
         let at = coordinates(&world);
         assert_near(shape, &at[2..3], &[height], 2e-3);
@@ -143,9 +119,7 @@ fn a_velocity_actuator_reaches_the_speed_at_which_damping_balances_it() {
         <geom type=\"cylinder\" size=\"0.1 0.02\" mass=\"1\"/></body>";
     let mut world = world(wheel, "<velocity joint=\"j\" kv=\"3\" ctrlrange=\"-2 2\"/>");
     hold(&mut world, &[2.0], 1.0);
-    let mut speed = [0.0];
-    world.velocities(&mut speed);
-    assert_near("speed", &speed, &[1.5], 1e-3);
+    assert_near("speed", &velocities(&world), &[1.5], 1e-3);
 }
 
 #[test]
@@ -158,9 +132,7 @@ fn a_force_range_limits_a_servo_and_a_torque_range_its_joint() {
         );
         let mut world = world(&wheel, actuator);
         hold(&mut world, &[1.0], 0.2);
-        let mut speed = [0.0];
-        world.velocities(&mut speed);
-        assert_near(actuator, &speed, &[1.0], 1e-3);
+        assert_near(actuator, &velocities(&world), &[1.0], 1e-3);
     };
     accelerated(
         "",
@@ -176,9 +148,7 @@ fn a_force_range_limits_a_servo_and_a_torque_range_its_joint() {
         <geom type=\"cylinder\" size=\"0.1 0.02\" mass=\"2\"/></body>";
     let mut both = world(wheel, &half.repeat(2));
     hold(&mut both, &[1.0, 1.0], 0.2);
-    let mut speed = [0.0];
-    both.velocities(&mut speed);
-    assert_near("two motors", &speed, &[1.0], 1e-3);
+    assert_near("two motors", &velocities(&both), &[1.0], 1e-3);
 }
 
 #[test]
@@ -235,12 +205,6 @@ fn several_hinges_of_a_body_rotate_it_one_after_the_other() {
     assert_near("x axis", &crate::scene::rotated(turn, [1.0, 0.0, 0.0]), &[0.0, 1.0, 0.0], 1e-6);
 }
 
-/// A free body whose mass centre is far from its origin, with an arm.
-pub(super) const LOPSIDED: &str = "<body pos=\"0 0 40\"><freejoint name=\"root\"/>\
-    <geom type=\"box\" size=\"0.1 0.2 0.3\" pos=\"0.4 0.1 0\"/>\
-    <body pos=\"-0.2 0 0\"><joint name=\"j\" axis=\"1 1 0\" damping=\"0.1\"/>\
-    <geom type=\"capsule\" size=\"0.05\" fromto=\"0 0 0 -0.3 0.3 0\"/></body></body>";
-
 #[test]
 fn the_mass_centre_of_an_off_centre_free_robot_follows_a_parabola() {
     let mut world = world(LOPSIDED, "");
@@ -255,32 +219,16 @@ fn the_mass_centre_of_an_off_centre_free_robot_follows_a_parabola() {
     let speed: [f32; 3] = std::array::from_fn(|axis| (first[axis] - start[axis]) / STEP);
     let expected = [start[0] + speed[0], start[1] + speed[1], start[2] + speed[2] - 9.81 / 2.0];
     assert_near("centre", &end, &expected, 0.03);
-    let mut motion = [0.0; 7];
-    world.velocities(&mut motion);
+    let motion = velocities(&world);
     assert!(motion[3..6].iter().any(|speed| speed.abs() > 1.0), "{motion:?}");
 }
 
 #[test]
 fn an_off_centre_free_robot_continues_from_its_numbers_bit_for_bit() {
-    let mut world = world(LOPSIDED, "");
-    let numbers = |world: &World| {
-        let mut motion = vec![0.0; 7];
-        world.velocities(&mut motion);
-        (coordinates(world), motion)
-    };
     let at = [1.0, -2.0, 4.0, 0.5, 0.5, -0.5, 0.5, 0.3];
-    let motion = [0.1, 0.2, -0.3, 1.0, 2.0, -1.0, 0.5];
-    world.rebuild(&at, &motion);
-    assert_eq!(numbers(&world), (at.to_vec(), motion.to_vec()));
-    hold(&mut world, &[], 0.1);
-    let (at, motion) = numbers(&world);
-    let mut second = World::new(Arc::new(robot(&document(LOPSIDED, "")).unwrap()));
-    world.rebuild(&at, &motion);
-    second.rebuild(&at, &motion);
-    for _ in 0..100 {
-        assert!(world.step(&[]) && second.step(&[]));
-        assert_eq!(numbers(&world), numbers(&second));
-    }
+    let speeds = [0.1, 0.2, -0.3, 1.0, 2.0, -1.0, 0.5];
+    let worlds = [world(LOPSIDED, ""), world(LOPSIDED, "")];
+    assert_continues_bit_for_bit(worlds, &at, &speeds, &[]);
 }
 
 #[test]
@@ -292,7 +240,7 @@ fn a_frictionless_shape_slides_on_and_masks_decide_what_touches_the_floor() {
         let floor =
             "<geom type=\"plane\" size=\"1 1 1\" condim=\"1\" contype=\"2\" conaffinity=\"4\"/>";
         let mjcf = document(&body, "").replace("<geom type=\"plane\" size=\"1 1 1\"/>", floor);
-        let mut world = World::new(Arc::new(robot(&mjcf).unwrap()));
+        let mut world = world_of(&mjcf);
         let at = world.robot().rest().to_vec();
         world.rebuild(&at, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         hold(&mut world, &[], 0.5);

@@ -1,6 +1,6 @@
 //! Tests of models that cannot be built: the error names the element and its line.
 
-use super::loaded::{LOPSIDED, document, robot};
+use super::{LOPSIDED, document, robot};
 
 fn bodies(body: &str) -> String {
     document(&format!("<body name=\"b\">{body}</body>"), "")

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::trough;
 use crate::robot::{Blueprint, LinkPlan, ModelFiles, Robot, ShapePlan};
 use crate::scene::Shape;
 
@@ -52,12 +53,6 @@ const ASSETS: &str = r#"<mujoco>
 const WEDGE: &str = "v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 3\nv 0.3 0.2 0.5\nv 0.1 0.1 0.1\n\
     f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n";
 
-fn trough() -> String {
-    let data: serde_json::Value =
-        serde_json::from_str(include_str!("../../tests/data/mujoco-models.json")).unwrap();
-    data["files"]["parts/trough.obj"].as_str().unwrap().to_owned()
-}
-
 fn files(document: &str) -> BTreeMap<&'static str, String> {
     BTreeMap::from([
         ("robot.xml", document.to_owned()),
@@ -69,16 +64,18 @@ fn files(document: &str) -> BTreeMap<&'static str, String> {
     ])
 }
 
+/// Reads a file of `files`.
+fn read(files: &BTreeMap<&'static str, String>, path: &str) -> Result<Vec<u8>, String> {
+    let text = files.get(path).ok_or_else(|| format!("{path} does not exist"))?;
+    Ok(text.as_bytes().to_vec())
+}
+
 /// The robot of the files, that of the one document, and the document.
 fn both(document: &str) -> (Robot, Robot, String) {
     let files = files(document);
-    let read = |path: &str| match files.get(path) {
-        Some(text) => Ok(text.as_bytes().to_vec()),
-        None => Err(format!("{path} does not exist")),
-    };
-    let model = ModelFiles::collect("robot.xml", read).unwrap();
+    let model = ModelFiles::collect("robot.xml", |path| read(&files, path)).unwrap();
     let direct = Robot::from_model("direct", &model, 1).unwrap();
-    let text = ModelFiles::one_document("robot.xml", read).unwrap();
+    let text = ModelFiles::one_document("robot.xml", |path| read(&files, path)).unwrap();
     let alone = ModelFiles {
         document: "flat.xml".to_owned(),
         files: BTreeMap::from([("flat.xml".to_owned(), text.clone().into_bytes())]),
@@ -229,11 +226,8 @@ fn a_file_that_cannot_be_used_is_named_with_its_element() {
         ("meshdir=\"meshes\"", "meshdir=\"parts\"", "parts/wedge.obj does not exist"),
     ] {
         let files = files(&WALKER.replace(from, to));
-        let read = |path: &str| match files.get(path) {
-            Some(text) => Ok(text.as_bytes().to_vec()),
-            None => Err(format!("{path} does not exist")),
-        };
-        let error = ModelFiles::one_document("robot.xml", read).unwrap_err().to_string();
+        let error = ModelFiles::one_document("robot.xml", |path| read(&files, path));
+        let error = error.unwrap_err().to_string();
         assert!(error.contains(expected) && !error.contains('\n'), "{error}\nnot {expected}");
     }
 }

@@ -1,0 +1,85 @@
+//! Tests of worlds of models that no task ships: MJCF elements, one document of several files, other roots, refused
+//! models.
+
+mod loaded;
+mod one_document;
+mod other_roots;
+mod refused;
+
+use std::sync::Arc;
+
+use super::World;
+use crate::robot::{ModelFiles, Robot};
+
+/// Physics step of the models of [`document`], s.
+const STEP: f32 = 0.001;
+
+/// A free body whose mass centre is far from its origin, with an arm.
+const LOPSIDED: &str = "<body pos=\"0 0 40\"><freejoint name=\"root\"/>\
+    <geom type=\"box\" size=\"0.1 0.2 0.3\" pos=\"0.4 0.1 0\"/>\
+    <body pos=\"-0.2 0 0\"><joint name=\"j\" axis=\"1 1 0\" damping=\"0.1\"/>\
+    <geom type=\"capsule\" size=\"0.05\" fromto=\"0 0 0 -0.3 0.3 0\"/></body></body>";
+
+/// A document with a floor, a step of a millisecond, and these bodies and actuators.
+fn document(bodies: &str, actuators: &str) -> String {
+    format!(
+        "<mujoco><compiler angle=\"radian\"/><option timestep=\"{STEP}\"/><worldbody>\n\
+         <geom type=\"plane\" size=\"1 1 1\"/>\n{bodies}\n</worldbody>\n\
+         <actuator>{actuators}</actuator></mujoco>"
+    )
+}
+
+/// A robot of a document without files. Its environment step is one physics step.
+fn robot(mjcf: &str) -> Result<Robot, String> {
+    let files = ModelFiles::collect("robot.xml", |path| match path {
+        "robot.xml" => Ok(mjcf.as_bytes().to_vec()),
+        "parts/trough.obj" => Ok(trough().into_bytes()),
+        path => Err(format!("{path} does not exist")),
+    });
+    let robot = files.and_then(|files| Robot::from_model("loaded", &files, 1));
+    robot.map_err(|error| error.to_string())
+}
+
+fn world_of(mjcf: &str) -> World {
+    World::new(Arc::new(robot(mjcf).unwrap()))
+}
+
+/// Models and their properties in MuJoCo.
+fn reference() -> serde_json::Value {
+    serde_json::from_str(include_str!("../../tests/data/mujoco-models.json")).unwrap()
+}
+
+/// The mesh file of these models.
+fn trough() -> String {
+    reference()["files"]["parts/trough.obj"].as_str().unwrap().to_owned()
+}
+
+/// Coordinates and velocities.
+fn motion(world: &World) -> (Vec<f32>, Vec<f32>) {
+    let mut at = vec![0.0; world.robot().coordinate_names().len()];
+    let mut velocities = vec![0.0; world.robot().velocity_names().len()];
+    world.coordinates(&mut at);
+    world.velocities(&mut velocities);
+    (at, velocities)
+}
+
+/// A rebuilt world has these numbers, and after some steps, a rebuilt second one continues as the first.
+fn assert_continues_bit_for_bit(
+    [mut first, mut second]: [World; 2],
+    at: &[f32],
+    speeds: &[f32],
+    controls: &[f32],
+) {
+    first.rebuild(at, speeds);
+    assert_eq!(motion(&first), (at.to_vec(), speeds.to_vec()));
+    for _ in 0..100 {
+        assert!(first.step(controls));
+    }
+    let (at, speeds) = motion(&first);
+    first.rebuild(&at, &speeds);
+    second.rebuild(&at, &speeds);
+    for _ in 0..100 {
+        assert!(first.step(controls) && second.step(controls));
+        assert_eq!(motion(&first), motion(&second));
+    }
+}
