@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use policy::ActorPolicy;
+use proto::{AgentSpec, EnvironmentSpec};
 use serde_json::json;
-use sim::{AgentDescription, Description, EnvironmentBatch, Robot};
+use sim::{EnvironmentBatch, Robot};
 
 use crate::process::output;
 use crate::process::target::{self, Existing};
@@ -62,7 +63,7 @@ fn is_exported(name: &str) -> bool {
 }
 
 /// Metadata of all agents' models: the run, the duration of a step, and who scales observations.
-fn common(trained: &Trained, task: &Description) -> BTreeMap<String, String> {
+fn common(trained: &Trained, task: &EnvironmentSpec) -> BTreeMap<String, String> {
     let mut about = checkpointed::metadata(trained, &task.task);
     let scaling = trained.config.resolved.text("observation.norm");
     about.insert("observation_scaling".to_owned(), scaling.to_owned());
@@ -72,7 +73,7 @@ fn common(trained: &Trained, task: &Description) -> BTreeMap<String, String> {
 
 /// Metadata of one agent's model: the meaning of each input and output, and the limits of the action and, for a simulated
 /// robot, of the controls to which it is mapped.
-fn about_agent(agent: &AgentDescription, robot: Option<&Robot>) -> BTreeMap<String, String> {
+fn about_agent(agent: &AgentSpec, robot: Option<&Robot>) -> BTreeMap<String, String> {
     let features: Vec<&String> = agent.observation.iter().map(|feature| &feature.name).collect();
     let limits = match agent.action.choices {
         Some(choices) => vec![("action_choices", choices.to_string())],

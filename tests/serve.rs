@@ -188,7 +188,7 @@ async fn the_service_describes_its_agents_and_weights() {
     assert_eq!(described.weights.digest.0, policy::digest(&bytes));
     assert_eq!(described.weights.version.0, inspect(folder)["iteration"]);
     assert_eq!(described.run_id, "trained");
-    let environment = rollout::environment_spec(world(folder).description());
+    let environment = world(folder).description().clone();
     let agents = described.agents.iter().map(|agent| agent.agent.clone()).collect::<Vec<_>>();
     assert_eq!((described.task, agents), (environment.task, environment.agents));
     let kinds = described.agents.iter().map(|agent| (agent.hidden_size, agent.distribution));

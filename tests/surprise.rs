@@ -63,7 +63,7 @@ fn paid(environments: &mut dyn EnvironmentBatch, space: &str) -> Vec<Vec<f32>> {
     table.insert("alpha".into(), 0.01.into());
     table.insert("space".into(), space.into());
     let config: SurpriseConfig = surprise.try_into().unwrap();
-    let problem = problem(&rollout::environment_spec(environments.description()));
+    let problem = problem(environments.description());
     let mut surprise = Surprise::new(&config, &problem, RunSeed(1)).unwrap();
     let batch = shaken(environments);
     surprise.refit(&batch, 0).unwrap();

@@ -16,5 +16,5 @@ mod stepping;
 
 pub use config::{Config, Transport};
 pub use error::{ActorError, EnvironmentError, causes};
-pub use outside::{EnvironmentService, OutsideEnvironments, StateHeader, States};
+pub use outside::{EnvironmentService, OutsideEnvironments, States};
 pub use run::run;

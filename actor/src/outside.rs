@@ -1,27 +1,23 @@
 //! Environments of another program, behind the interface of simulated ones. This module counts episodes and steps,
-//! truncates episodes at their limits, and restores an episode in the next slot. `actions.rs` maps actions.
+//! truncates episodes at their limits, and restores an episode in the next slot.
 //!
 //! An encoded state starts with the episode's index (u64), step (u32) and limit (u32), little-endian. The saved state
 //! of the program follows. If the program does not save states, the episode's key (32 bytes) and its actions so far
 //! (f32 `[step, A]`) follow, from which the episode is replayed.
 
-mod actions;
 mod header;
 
 use std::cell::RefCell;
 use std::ops::Range;
 
-use proto::{ActionSpec, EnvironmentSpec, View};
-use rollout::description;
+use proto::{ActionSpec, AgentSpec, EnvironmentSpec, EpisodePosition, View};
 use sim::{
-    Description, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise,
+    ActionScale, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise,
 };
 
 use crate::client::{EnvironmentClient, Play};
 use crate::error::{ActorError, EnvironmentError};
-use crate::outside::actions::OwnActions;
-pub use crate::outside::header::StateHeader;
-use crate::outside::header::{HEADER_BYTES, KEY_BYTES, history};
+use crate::outside::header::{HEADER_BYTES, KEY_BYTES, header, history, read_header};
 
 /// How an episode is restored in another slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,20 +87,20 @@ impl EnvironmentService {
 
     /// A function that decodes the states of these environments as far as the program is not needed: the header, and the
     /// history of an episode that is replayed.
-    pub fn state_decoder(&self) -> impl Fn(&[u8]) -> Result<StateHeader, SimError> + use<> {
+    pub fn state_decoder(&self) -> impl Fn(&[u8]) -> Result<EpisodePosition, SimError> + use<> {
         let (states, longest) = (self.states, self.spec.episode_steps);
         let most = self.spec.max_state_bytes as usize;
-        let width = self.offered.agents.iter().map(|agent| agent.action.size as usize).sum();
+        let width = width(&self.offered);
         move |state| {
             if state.len() > most {
                 let why = format!("it has {} bytes; a state has at most {most}", state.len());
                 return Err(StateError::External(why).into());
             }
-            let (header, rest) = StateHeader::read(state, longest)?;
+            let (position, rest) = read_header(state, longest)?;
             if states == States::Replayed {
-                history(&header, rest, width)?;
+                history(position.step, rest, width)?;
             }
-            Ok(header)
+            Ok(position)
         }
     }
 
@@ -114,17 +110,15 @@ impl EnvironmentService {
     pub fn environments(&self, count: usize) -> OutsideEnvironments {
         let rows = self.offered.agents.iter().map(|agent| vec![0.0; agent.observation.len()]);
         let episode = Episode {
-            index: 0,
-            step: 0,
-            limit: self.spec.episode_steps,
+            position: EpisodePosition { episode: 0, step: 0, limit: self.spec.episode_steps },
             key: [0; KEY_BYTES],
             actions: Vec::new(),
             observations: rows.collect(),
             state: vec![0.0; self.offered.state.len()],
         };
         OutsideEnvironments {
-            description: description(&self.spec),
-            actions: OwnActions::of(&self.offered),
+            spec: self.spec.clone(),
+            offered: self.offered.clone(),
             states: self.states,
             scale: if self.spec.feature_z { standardise } else { |_| {} },
             play: RefCell::new(self.client.play(&self.offered)),
@@ -138,8 +132,9 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
     let (kind, more) = match states {
         States::Saved => (offered.state_kind.as_str(), u64::from(offered.max_state_bytes)),
         States::Replayed => {
-            let numbers: u64 = offered.agents.iter().map(|a| u64::from(a.action.size)).sum();
-            let actions = numbers.checked_mul(offered.episode_steps.into())?.checked_mul(4)?;
+            let actions = (width(offered) as u64)
+                .checked_mul(offered.episode_steps.into())?
+                .checked_mul(4)?;
             (offered.task.as_str(), actions.checked_add(KEY_BYTES as u64)?)
         }
     };
@@ -160,11 +155,35 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
     })
 }
 
+/// Numbers of the joint action, `A`.
+fn width(offered: &EnvironmentSpec) -> usize {
+    offered.agents.iter().map(|agent| agent.action.size).sum()
+}
+
+/// Splits joint actions `[n, A]`, in units of half a range, into `[n, act]` for each agent, in the program's units.
+fn by_agent(offered: &EnvironmentSpec, actions: &[f32]) -> Vec<Vec<f32>> {
+    let width = width(offered);
+    let mut from = 0;
+    let agent = |agent: &AgentSpec| {
+        let ActionSpec { size, low, high, choices } = agent.action;
+        let columns = from..from + size;
+        from += size;
+        let own = |number: &f32| match choices {
+            None => ActionScale::to([low, high]).apply(*number),
+            Some(_) => *number,
+        };
+        actions.chunks_exact(width).flat_map(|row| &row[columns.clone()]).map(own).collect()
+    };
+    offered.agents.iter().map(agent).collect()
+}
+
 /// Environments of a slot, stepped by another program.
 #[derive(Debug)]
 pub struct OutsideEnvironments {
-    description: Description,
-    actions: OwnActions,
+    /// Description for the run.
+    spec: EnvironmentSpec,
+    /// Description by the program.
+    offered: EnvironmentSpec,
     states: States,
     /// Scales an observation.
     scale: fn(&mut [f32]),
@@ -176,9 +195,7 @@ pub struct OutsideEnvironments {
 /// Current episode of an environment.
 #[derive(Clone, Debug)]
 struct Episode {
-    index: u64,
-    step: u32,
-    limit: u32,
+    position: EpisodePosition,
     key: [u8; KEY_BYTES],
     /// Actions so far, `[step, A]`, in units of half a range; kept only if episodes are replayed.
     actions: Vec<f32>,
@@ -207,8 +224,8 @@ impl Episode {
 }
 
 impl EnvironmentBatch for OutsideEnvironments {
-    fn description(&self) -> &Description {
-        &self.description
+    fn description(&self) -> &EnvironmentSpec {
+        &self.spec
     }
 
     fn count(&self) -> usize {
@@ -224,9 +241,10 @@ impl EnvironmentBatch for OutsideEnvironments {
     ) -> Result<(), SimError> {
         let view = self.play.get_mut().reset(environment as u32, key);
         let view = view.map_err(|error| error.at("after a reset"))?;
-        let limit = limit.clamp(1, self.description.episode_steps);
+        let limit = limit.clamp(1, self.spec.episode_steps);
         let now = &mut self.episodes[environment];
-        (now.index, now.step, now.limit, now.key) = (episode, 0, limit, key);
+        now.position = EpisodePosition { episode, step: 0, limit };
+        now.key = key;
         now.actions.clear();
         now.read_row(&view, 0, self.scale);
         Ok(())
@@ -249,12 +267,8 @@ impl EnvironmentBatch for OutsideEnvironments {
         self.encode_range(0..self.count())
     }
 
-    fn episode(&self, environment: usize) -> u64 {
-        self.episodes[environment].index
-    }
-
-    fn episode_step(&self, environment: usize) -> u32 {
-        self.episodes[environment].step
+    fn position(&self, environment: usize) -> EpisodePosition {
+        self.episodes[environment].position
     }
 
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
@@ -275,21 +289,20 @@ impl OutsideEnvironments {
     /// Restores encoded states.
     fn restore_states(&mut self, states: &[(usize, &[u8])]) -> Result<(), SimError> {
         let read = |&(environment, state): &(usize, _)| {
-            let (header, rest) = StateHeader::read(state, self.description.episode_steps)?;
-            Ok((environment, header, rest))
+            let (position, rest) = read_header(state, self.spec.episode_steps)?;
+            Ok((environment, position, rest))
         };
         let states = states.iter().map(read).collect::<Result<Vec<_>, SimError>>()?;
         match self.states {
             States::Saved => self.restore_saved(&states)?,
             States::Replayed => {
-                for (environment, header, past) in &states {
-                    self.replay(*environment, header, past)?;
+                for (environment, position, past) in &states {
+                    self.replay(*environment, *position, past)?;
                 }
             }
         }
-        for (environment, header, _) in states {
-            let now = &mut self.episodes[environment];
-            (now.index, now.step, now.limit) = (header.episode, header.step, header.limit);
+        for (environment, position, _) in states {
+            self.episodes[environment].position = position;
         }
         Ok(())
     }
@@ -302,19 +315,21 @@ impl OutsideEnvironments {
         outcome: &mut [Outcome],
     ) -> Result<(), SimError> {
         let numbers = environments.iter().map(|environment| *environment as u32).collect();
-        let actions_by_agent = self.actions.by_agent(actions);
+        let actions_by_agent = by_agent(&self.offered, actions);
         let answer = self.play.get_mut().step(numbers, actions_by_agent);
         let steps = answer.map_err(|error| error.at(&self.place(environments)))?;
-        let width = self.actions.width();
+        let width = width(&self.offered);
         for (row, &environment) in environments.iter().enumerate() {
             let now = &mut self.episodes[environment];
             now.read_row(&steps.view, row, self.scale);
             if self.states == States::Replayed {
                 now.actions.extend_from_slice(&actions[row * width..][..width]);
             }
-            now.step = now.step.saturating_add(1);
+            let position = &mut now.position;
+            position.step = position.step.saturating_add(1);
             let terminated = steps.terminated[row];
-            let truncated = steps.truncated[row] || (!terminated && now.step >= now.limit);
+            let truncated =
+                steps.truncated[row] || (!terminated && position.step >= position.limit);
             outcome[row] =
                 Outcome { reward: steps.reward[row], terminated, truncated, fault: false };
         }
@@ -323,7 +338,8 @@ impl OutsideEnvironments {
 
     /// The step of their episodes that these environments take, for errors.
     fn place(&self, environments: &[usize]) -> String {
-        let steps = environments.iter().map(|environment| self.episodes[*environment].step);
+        let steps =
+            environments.iter().map(|environment| self.episodes[*environment].position.step);
         let (first, last) =
             steps.fold((u32::MAX, 0), |(first, last), step| (first.min(step), last.max(step)));
         match first == last {
@@ -333,7 +349,10 @@ impl OutsideEnvironments {
     }
 
     /// Restores states that the program saved; the header of each is already read.
-    fn restore_saved(&mut self, states: &[(usize, StateHeader, &[u8])]) -> Result<(), SimError> {
+    fn restore_saved(
+        &mut self,
+        states: &[(usize, EpisodePosition, &[u8])],
+    ) -> Result<(), SimError> {
         let saved = |&(environment, _, state): &(usize, _, _)| (environment as u32, state);
         let saved = states.iter().map(saved).collect::<Vec<_>>();
         let views = self.play.get_mut().restore(&saved)?;
@@ -353,10 +372,7 @@ impl OutsideEnvironments {
             }
             States::Replayed => episodes.iter().map(Episode::history).collect(),
         };
-        let encoded = |(now, rest): (&Episode, Vec<u8>)| {
-            let header = StateHeader { episode: now.index, step: now.step, limit: now.limit };
-            [header.write(), rest].concat()
-        };
+        let encoded = |(now, rest): (&Episode, Vec<u8>)| [header(now.position), rest].concat();
         Ok(episodes.iter().zip(rest).map(encoded).collect())
     }
 
@@ -364,20 +380,20 @@ impl OutsideEnvironments {
     fn replay(
         &mut self,
         environment: usize,
-        header: &StateHeader,
+        position: EpisodePosition,
         past: &[u8],
     ) -> Result<(), SimError> {
-        let width = self.actions.width();
-        let (key, actions) = history(header, past, width)?;
-        self.reset(environment, header.episode, header.limit, key)?;
+        let EpisodePosition { episode, step: steps, limit } = position;
+        let width = width(&self.offered);
+        let (key, actions) = history(steps, past, width)?;
+        self.reset(environment, episode, limit, key)?;
         for (step, action) in actions.chunks_exact(width).enumerate() {
             let mut outcome = [Outcome::default()];
             self.step_some(&[environment], action, &mut outcome)?;
             if outcome[0].terminated || outcome[0].truncated {
                 let why = format!(
-                    "its replay ends after step {} of {}; the environment must be deterministic",
-                    step + 1,
-                    header.step
+                    "its replay ends after step {} of {steps}; the environment must be deterministic",
+                    step + 1
                 );
                 return Err(StateError::External(why).into());
             }

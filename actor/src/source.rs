@@ -1,7 +1,6 @@
 //! Source of an actor's environments: the simulator or an external program.
 
 use proto::{EnvironmentSpec, RunDescription};
-use rollout::environment_spec;
 use sim::{EnvironmentBatch, ObservationNorm, SimError, TaskConfig};
 
 use crate::config::Config;
@@ -49,7 +48,7 @@ impl Source {
     /// Specification for the registration.
     pub(crate) fn spec(&self) -> Result<EnvironmentSpec, ActorError> {
         match self {
-            Self::Simulator(task) => Ok(environment_spec(simulated(task, 1)?.description())),
+            Self::Simulator(task) => Ok(simulated(task, 1)?.description().clone()),
             Self::Service(service) => Ok(service.spec().clone()),
         }
     }

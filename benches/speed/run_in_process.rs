@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::thread::{Builder, scope};
 use std::time::{Duration, Instant};
 
-use learner::assemble::{Layout, assemble};
+use learner::assemble::assemble;
 use learner::environments::Environments;
 use learner::exchange::SlotRollout;
 use learner::slots::ConnectionId;
@@ -34,10 +34,8 @@ pub(crate) fn by_calls(
     iterations: usize,
 ) -> anyhow::Result<Vec<Iteration>> {
     let (_trainer, run) = launch::prepare(settings.launch(folder, iterations)?)?;
-    let layout = Layout::of(&run, settings.learner.environments.count);
-    let phase = settings.learner.environments.phase;
-    let mut environments =
-        Environments::fresh(layout.clone(), run.environment.episode_steps, phase);
+    let config = &settings.learner.environments;
+    let mut environments = Environments::fresh(&run, config.count, config.phase);
     let mut updates = Updates::new(settings, &settings.problem()?, ACTORS)?;
     let mut worlds: Vec<_> =
         (0..ACTORS).map(|_| settings.world(per_slot(settings))).collect::<Result<_, _>>()?;
@@ -47,7 +45,7 @@ pub(crate) fn by_calls(
         let policy = updates.snapshot()?;
         let slots = environments.work(iteration, per_slot(settings));
         let (rollouts, rolled) = once(|| roll_out_all(&run, &slots, &policy, &mut worlds));
-        let batch = assemble(&layout, &rollouts);
+        let batch = assemble(&run, &rollouts);
         let updated = updates.run(&batch)?.whole.wall;
         environments.advance(&batch, &rollouts);
         let whole = begin.elapsed().as_secs_f64();

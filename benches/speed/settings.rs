@@ -5,7 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, ensure};
 use learner::Launch;
-use learner::end_states::{Position, StateReader};
+use learner::end_states::StateReader;
 use marl::{ObservationScale, Problem};
 use policy::RunSeed;
 use proto::Digest;
@@ -71,14 +71,14 @@ impl Settings {
     /// The task's sizes for a learning rule.
     pub(crate) fn problem(&self) -> anyhow::Result<Problem> {
         let world = self.world(1)?;
-        Ok(learner::assemble::problem(&rollout::environment_spec(world.description())))
+        Ok(learner::assemble::problem(world.description()))
     }
 
     /// The decoder of the task's states.
     pub(crate) fn decoder(&self) -> anyhow::Result<StateReader> {
         let decoder = sim::StateDecoder::new(&self.task)?;
         Ok(StateReader::new(move |state| match decoder.decode(state) {
-            Ok(sim::State { episode, step, limit, .. }) => Ok(Position { episode, step, limit }),
+            Ok(state) => Ok(state.position),
             Err(error) => Err(error.to_string()),
         }))
     }
@@ -94,7 +94,7 @@ impl Settings {
             training: self.training.clone(),
             observations: ObservationScale::AsShown,
             policy: self.policy.clone(),
-            environment: rollout::environment_spec(world.description()),
+            environment: world.description().clone(),
             task_settings: serde_json::to_string(&self.task)?,
             states: self.decoder()?,
             divergence_remedy: String::new(),

@@ -1,6 +1,7 @@
 //! The number of actor cores that suits a learner, from the costs of rollouts and update on one core. Rollouts end
 //! before the update begins, so with as many actor cores as the ratio of the costs, each side works half of the time.
 
+use learner::environments::Environments;
 use marl::Problem;
 
 use crate::Effort;
@@ -45,10 +46,8 @@ fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<Row> {
 fn slot_secs(settings: &Settings, problem: &Problem, effort: Effort) -> anyhow::Result<f64> {
     let folder = tempfile::tempdir()?;
     let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
-    let layout = learner::assemble::Layout::of(&run, settings.learner.environments.per_slot);
-    let phase = settings.learner.environments.phase;
-    let limit = run.environment.episode_steps;
-    let fresh = learner::environments::Environments::fresh(layout, limit, phase);
+    let config = &settings.learner.environments;
+    let fresh = Environments::fresh(&run, config.per_slot, config.phase);
     let (work, policy) = (
         fresh.work(0, settings.learner.environments.per_slot).remove(0),
         Updates::new(settings, problem, 1)?.snapshot()?,

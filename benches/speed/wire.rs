@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::{Child, Stdio};
 
+use learner::environments::Environments;
 use policy::PolicySnapshot;
 use prost::Message as _;
 use proto::wire::push_trajectory_request::Content;
@@ -106,12 +107,9 @@ fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
     let folder = tempfile::tempdir()?;
     let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
     let snapshot = Updates::new(settings, &settings.problem()?, 1)?.snapshot()?;
-    let layout = learner::assemble::Layout::of(&run, settings.learner.environments.per_slot);
-    let phase = settings.learner.environments.phase;
-    let work =
-        learner::environments::Environments::fresh(layout, run.environment.episode_steps, phase)
-            .work(0, settings.learner.environments.per_slot)
-            .remove(0);
+    let config = &settings.learner.environments;
+    let fresh = Environments::fresh(&run, config.per_slot, config.phase);
+    let work = fresh.work(0, config.per_slot).remove(0);
     let mut world = settings.world(settings.learner.environments.per_slot)?;
     let chunks = roll_out(&run, &work, &snapshot, &mut *world);
     let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };

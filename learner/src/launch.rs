@@ -9,7 +9,7 @@ use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescripti
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 
-use crate::assemble::{Layout, problem};
+use crate::assemble::problem;
 use crate::checkpoint::{self, CheckpointError, Loaded};
 use crate::config::Config;
 use crate::end_states::StateReader;
@@ -216,15 +216,10 @@ fn build(
         pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
     let observations = ObservationMoments::new(launch.observations, &problem);
     let environments = &launch.config.environments;
-    let layout = Layout::of(description, environments.count);
     let (metrics, measured) = Metrics::open(folder.path(), &launch.config.metrics, iteration)?;
     Ok(Trainer {
         surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
-        environments: Environments::fresh(
-            layout.clone(),
-            launch.environment.episode_steps,
-            environments.phase,
-        ),
+        environments: Environments::fresh(description, environments.count, environments.phase),
         evaluations: Evaluations::new(
             launch.config.evaluation.clone(),
             environments.steps_per_iteration(),
@@ -236,7 +231,6 @@ fn build(
         config_sha256: launch.config_sha256,
         settings_toml: launch.config_toml,
         last_iteration: launch.iterations,
-        layout,
         policy: policy_bytes(algorithm.as_ref(), &observations)?,
         observations,
         algorithm,

@@ -1,6 +1,6 @@
-//! Description of an environment, which must be equal on both sides.
+//! Description of an environment, which must be equal on both sides, and the position in an episode.
 
-use std::fmt::{Debug, Display};
+use std::fmt::{self, Debug, Display, Formatter};
 
 use prost::Message as _;
 
@@ -44,19 +44,20 @@ pub struct AgentSpec {
     /// Layout of its observation, `[obs]`.
     pub observation: Vec<FeatureSpec>,
     /// Indices in the global state of the observed features, unscaled; empty if the state lacks any of them.
-    pub seen: Vec<u32>,
-    /// Indices in the global state of features near the agent; likewise.
-    pub near: Vec<u32>,
+    pub seen: Vec<usize>,
+    /// Indices in the global state of the features that `k_nearest` would show; empty in the same case.
+    pub near: Vec<usize>,
     /// Its action.
     pub action: ActionSpec,
 }
 
 /// An agent's action, `[size]`: continuous, clamped by the world to `low..=high`, or one choice. In runs a continuous
-/// action is in units of half a range, -1 to 1; the range of a program that provides an environment is in its own unit.
+/// action is in units of half a range: -1 and 1 are the limits of each number's own range, and 0 is its middle. The range
+/// of a program that provides an environment is in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActionSpec {
     /// Number of dimensions.
-    pub size: u32,
+    pub size: usize,
     /// Smallest value that has an effect.
     pub low: f32,
     /// Largest value that has an effect.
@@ -69,9 +70,9 @@ pub struct ActionSpec {
 /// One feature of an observation or state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FeatureSpec {
-    /// Human-readable name.
+    /// Human-readable name, such as `rootz.position`, `bthigh.velocity` or `id.0`.
     pub name: String,
-    /// Its role.
+    /// Kind of information. Densities use it to exclude features.
     pub role: FeatureRole,
 }
 
@@ -82,10 +83,29 @@ pub enum FeatureRole {
     Signal,
     /// Part of the agent's one-hot identity.
     Identity,
-    /// A copy of another feature of the same vector.
+    /// A copy of an earlier feature of the same vector.
     Duplicate,
     /// Constant.
     Constant,
+}
+
+/// Position of an environment in its episode, which every encoded state contains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EpisodePosition {
+    /// Index of the episode in its environment.
+    pub episode: u64,
+    /// Steps taken in the episode.
+    pub step: u32,
+    /// Steps after which the episode is truncated.
+    pub limit: u32,
+}
+
+/// `step 3 of 50 of episode 7`
+impl Display for EpisodePosition {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let Self { episode, step, limit } = self;
+        write!(f, "step {step} of {limit} of episode {episode}")
+    }
 }
 
 /// The first difference between two descriptions.
@@ -157,7 +177,7 @@ impl EnvironmentSpec {
         for (i, agent) in spec.agents.iter().enumerate() {
             let field = format!("environment.agents[{i}]");
             positive(agent.observation.len() as u64, &format!("{field}.observation"))?;
-            positive(agent.action.size.into(), &format!("{field}.action.size"))?;
+            positive(agent.action.size as u64, &format!("{field}.action.size"))?;
             agent.action.check_range(&format!("{field}.action.high"))?;
         }
         if spec.feature_z {
@@ -208,13 +228,14 @@ impl EnvironmentSpec {
 impl AgentSpec {
     pub(crate) fn to_wire(&self) -> wire::AgentSpec {
         let ActionSpec { size, low, high, choices } = self.action;
-        let choices = choices.unwrap_or(0);
+        let (size, choices) = (size as u32, choices.unwrap_or(0));
+        let indices = |places: &[usize]| places.iter().map(|&place| place as u32).collect();
         wire::AgentSpec {
             name: self.name.clone(),
             joints: self.joints.clone(),
             observation: self.observation.iter().map(FeatureSpec::to_wire).collect(),
-            seen: self.seen.clone(),
-            near: self.near.clone(),
+            seen: indices(&self.seen),
+            near: indices(&self.near),
             action: Some(wire::ActionSpec { size, low, high, choices }),
         }
     }
@@ -229,7 +250,7 @@ impl AgentSpec {
 
     /// Checks its indices into a global state of `state` features.
     fn check_indices(&self, state: usize, field: &str) -> Result<(), Refusal> {
-        match self.seen.iter().chain(&self.near).find(|index| **index as usize >= state) {
+        match self.seen.iter().chain(&self.near).find(|index| **index >= state) {
             None => Ok(()),
             Some(index) => {
                 let detail = format!("index {index} in a global state of {state} features");
@@ -240,21 +261,37 @@ impl AgentSpec {
 
     pub(crate) fn from_wire(wire: wire::AgentSpec, field: &str) -> Result<Self, Refusal> {
         let action = required(wire.action, &format!("{field}.action"))?;
+        let indices = |places: Vec<u32>| places.into_iter().map(|place| place as usize).collect();
         Ok(Self {
             name: wire.name,
             joints: wire.joints,
             observation: features(wire.observation, &format!("{field}.observation"))?,
-            seen: wire.seen,
-            near: wire.near,
+            seen: indices(wire.seen),
+            near: indices(wire.near),
             action: ActionSpec::from_wire(action),
         })
     }
 }
 
 impl ActionSpec {
+    /// A continuous action with `size` numbers, in units of half a range.
+    #[must_use]
+    pub const fn continuous(size: usize) -> Self {
+        Self { size, low: -1.0, high: 1.0, choices: None }
+    }
+
+    /// The unit of the action's numbers in runs, as files state it.
+    #[must_use]
+    pub fn unit(&self) -> &'static str {
+        match self.choices {
+            None => "half_range",
+            Some(_) => "choice",
+        }
+    }
+
     fn from_wire(wire: wire::ActionSpec) -> Self {
         let choices = Some(wire.choices).filter(|choices| *choices > 0);
-        Self { size: wire.size, low: wire.low, high: wire.high, choices }
+        Self { size: wire.size as usize, low: wire.low, high: wire.high, choices }
     }
 
     /// Checks its range.

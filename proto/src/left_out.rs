@@ -107,7 +107,7 @@ struct Copies<'a> {
     /// Features of the source.
     width: usize,
     /// Features of the source that are copied.
-    places: Cow<'a, [u32]>,
+    places: Cow<'a, [usize]>,
     constants: Vec<[u8; 4]>,
 }
 
@@ -143,7 +143,7 @@ impl<'a> Copies<'a> {
         }
         let identities = roles(own).enumerate().filter(|(_, role)| *role == FeatureRole::Identity);
         let identities = identities.map(|(place, _)| place).collect::<Vec<_>>();
-        let mut places = (0..own.len() as u32).collect::<Vec<_>>();
+        let mut places = (0..own.len()).collect::<Vec<_>>();
         if let (Some(one), Some(other)) = (identities.first(), identities.get(agent)) {
             places.swap(*one, *other);
         }
@@ -155,7 +155,7 @@ impl<'a> Copies<'a> {
         let size = self.places.len() + self.constants.len();
         let mut data = Vec::with_capacity(source.len() / self.width * size);
         for row in source.as_chunks::<4>().0.chunks_exact(self.width) {
-            data.extend(self.places.iter().map(|place| row[*place as usize]));
+            data.extend(self.places.iter().map(|place| row[*place]));
             data.extend_from_slice(&self.constants);
         }
         tensor::encoded(&[rows, &[size]].concat(), data.into_flattened())

@@ -40,7 +40,7 @@ pub use calls::{
 };
 pub use digest::Digest;
 pub use environment::{
-    ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
+    ActionSpec, AgentSpec, Difference, EnvironmentSpec, EpisodePosition, FeatureRole, FeatureSpec,
 };
 pub use episodes::{Episodes, rollout_episode_id};
 pub use film::{Film, MAX_CAPSULES, MAX_FRAMES};

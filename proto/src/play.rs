@@ -103,7 +103,7 @@ impl PlayRequest {
             Request::Save(save) => Self::Save { environment: save.environment },
             Request::Step(step) => {
                 let sizes = spec.agents.iter();
-                let sizes = sizes.map(|agent| (agent.name.as_str(), agent.action.size as usize));
+                let sizes = sizes.map(|agent| (agent.name.as_str(), agent.action.size));
                 let count = step.environments.len();
                 let actions = columns(&step.actions, count, sizes, "step.actions")?;
                 Self::Step { environments: step.environments.clone(), actions }

@@ -94,7 +94,7 @@ impl RunDescription {
         let [mut observed, mut acted] = [self.environment.state.len() as u64, 2];
         for agent in &self.environment.agents {
             observed = observed.checked_add(agent.observation.len() as u64)?;
-            acted = acted.checked_add(u64::from(agent.action.size) + 1)?;
+            acted = acted.checked_add(agent.action.size as u64 + 1)?;
         }
         // Observations and states are in the rows and again in the final steps.
         let floats = observed.checked_mul(2)?.checked_add(acted)?;

@@ -30,7 +30,7 @@ impl<'a> Sizes<'a> {
     }
 
     pub(crate) fn action(&self, agent: usize) -> usize {
-        self.run.environment.agents[agent].action.size as usize
+        self.run.environment.agents[agent].action.size
     }
 
     pub(crate) fn hidden(&self, agent: usize) -> usize {

@@ -9,8 +9,9 @@ use std::io::{Seek, Write};
 
 use prost::Message;
 use proto::trajectory_log::{DESCRIPTORS, Share, ShareEnd};
+use proto::{EnvironmentSpec, FeatureSpec};
 use serde_json::json;
-use sim::{Description, Feature, LinkShape, Pose};
+use sim::{LinkShape, Pose};
 
 use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile, Schema};
@@ -31,7 +32,7 @@ impl ShareChannels {
     /// robot, empty without one.
     pub(crate) fn create(
         file: &mut McapFile<impl Write + Seek>,
-        description: &Description,
+        description: &EnvironmentSpec,
         shapes: &[LinkShape],
     ) -> Result<Self, RecordError> {
         let mut agents = Vec::new();
@@ -106,7 +107,7 @@ impl ShareChannels {
 }
 
 /// Names of features as a JSON array.
-fn names(features: &[Feature]) -> String {
+fn names(features: &[FeatureSpec]) -> String {
     json!(features.iter().map(|feature| &feature.name).collect::<Vec<_>>()).to_string()
 }
 

@@ -27,7 +27,7 @@ impl WorldSnapshot {
         let description = world.description();
         let mut state = vec![0.0; description.state.len()];
         world.state(0, &mut state);
-        let observe = |(agent, shape): (usize, &sim::AgentDescription)| {
+        let observe = |(agent, shape): (usize, &proto::AgentSpec)| {
             let mut row = vec![0.0; shape.observation.len()];
             world.observation(0, agent, &mut row);
             row

@@ -81,7 +81,7 @@ impl ChunkBuilder {
         let description = world.description();
         let mut state = vec![0.0; description.state.len()];
         world.state(environment, &mut state);
-        let observe = |(agent, shape): (usize, &sim::AgentDescription)| {
+        let observe = |(agent, shape): (usize, &proto::AgentSpec)| {
             let mut row = vec![0.0; shape.observation.len()];
             world.observation(environment, agent, &mut row);
             row

@@ -8,10 +8,10 @@ mod acting;
 mod chunk;
 mod evaluation;
 mod film;
-mod identity;
+mod fingerprint;
 mod slot;
 
 pub use evaluation::{Episode, EvaluationEpisode, PlayedStep, play_episode, play_on};
 pub use film::{Camera, FILMED};
-pub use identity::{description, environment_spec, rollout_fingerprint};
+pub use fingerprint::rollout_fingerprint;
 pub use slot::roll_out;

@@ -127,7 +127,7 @@ impl<'a> Slot<'a> {
             );
         }
         let (episode, limit) =
-            (self.world.episode(position) + 1, self.run.environment.episode_steps);
+            (self.world.position(position).episode + 1, self.run.environment.episode_steps);
         reset(self.run, self.world, (position, index), episode, limit)?;
         self.agents.reset_hidden(position);
         Ok(())

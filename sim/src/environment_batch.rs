@@ -1,6 +1,7 @@
 //! The interface of vectorised environments, which `sim` or another program steps.
 
-use crate::description::Description;
+use proto::{EnvironmentSpec, EpisodePosition};
+
 use crate::error::SimError;
 use crate::robot::Robot;
 use crate::scene::Pose;
@@ -11,7 +12,7 @@ use crate::world::World;
 /// the actions. Environments outside this process fail with [`SimError::External`].
 pub trait EnvironmentBatch: Send {
     /// Description of the task.
-    fn description(&self) -> &Description;
+    fn description(&self) -> &EnvironmentSpec;
 
     /// Number of environments `E`.
     fn count(&self) -> usize;
@@ -57,11 +58,8 @@ pub trait EnvironmentBatch: Send {
         (0..self.count()).map(|environment| self.encode(environment)).collect()
     }
 
-    /// Index of the environment's episode.
-    fn episode(&self, environment: usize) -> u64;
-
-    /// Steps taken in the environment's episode.
-    fn episode_step(&self, environment: usize) -> u32;
+    /// Position of an environment in its episode.
+    fn position(&self, environment: usize) -> EpisodePosition;
 
     /// Steps every environment. `actions` is `[E, A]`; a row has the actions of all agents in agent order. `outcome` is
     /// `[E]`. A finished episode is not reset, so that the caller can read its last observation and state.

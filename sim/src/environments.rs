@@ -4,11 +4,11 @@ mod describe;
 
 use std::sync::Arc;
 
+use proto::{EnvironmentSpec, EpisodePosition};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{ContactForces, ObservationConfig, TaskConfig};
-use crate::description::Description;
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::error::{ActionError, SimError, StateError};
 use crate::observation::Observation;
@@ -25,7 +25,7 @@ use describe::Driven;
 pub(crate) struct RobotEnvironments {
     rules: Rules,
     robot: Arc<Robot>,
-    description: Description,
+    description: EnvironmentSpec,
     bounds: StateBounds,
     observation: Observation,
     contact_forces: ContactForces,
@@ -42,9 +42,7 @@ pub(crate) struct RobotEnvironments {
 
 struct Environment {
     world: World,
-    episode: u64,
-    step: u32,
-    limit: u32,
+    position: EpisodePosition,
     /// Motion after the last valid step.
     now: Numbers,
     /// Global state of `now`, `[S]`.
@@ -97,9 +95,7 @@ impl RobotEnvironments {
         };
         let fresh = |_| Environment {
             world: World::new(Arc::clone(&robot)),
-            episode: 0,
-            step: 0,
-            limit: task.episode_steps,
+            position: EpisodePosition { episode: 0, step: 0, limit: task.episode_steps },
             now: rest.clone(),
             seen: vec![0.0; description.state.len()],
         };
@@ -122,7 +118,7 @@ impl RobotEnvironments {
 }
 
 impl EnvironmentBatch for RobotEnvironments {
-    fn description(&self) -> &Description {
+    fn description(&self) -> &EnvironmentSpec {
         &self.description
     }
 
@@ -141,10 +137,9 @@ impl EnvironmentBatch for RobotEnvironments {
         limit: u32,
         key: [u8; 32],
     ) -> Result<(), SimError> {
+        let limit = limit.clamp(1, self.description.episode_steps);
         let mut state = State {
-            episode,
-            step: 0,
-            limit: limit.clamp(1, self.description.episode_steps),
+            position: EpisodePosition { episode, step: 0, limit },
             coordinates: self.robot.rest().to_vec(),
             velocities: vec![0.0; self.bounds.velocities],
             contact_forces: vec![0.0; self.bounds.contact_forces],
@@ -164,9 +159,7 @@ impl EnvironmentBatch for RobotEnvironments {
     fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
         let environment = &self.environments[environment];
         let state = State {
-            episode: environment.episode,
-            step: environment.step,
-            limit: environment.limit,
+            position: environment.position,
             coordinates: environment.now.coordinates.clone(),
             velocities: environment.now.velocities.clone(),
             contact_forces: environment.now.contact_forces.clone(),
@@ -175,12 +168,8 @@ impl EnvironmentBatch for RobotEnvironments {
         Ok(state.to_bytes(&self.bounds.kind))
     }
 
-    fn episode(&self, environment: usize) -> u64 {
-        self.environments[environment].episode
-    }
-
-    fn episode_step(&self, environment: usize) -> u32 {
-        self.environments[environment].step
+    fn position(&self, environment: usize) -> EpisodePosition {
+        self.environments[environment].position
     }
 
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
@@ -235,9 +224,7 @@ impl RobotEnvironments {
         let state = State::from_bytes(bytes, &self.bounds)?;
         let environment = &mut self.environments[index];
         environment.world.rebuild(&state.coordinates, &state.velocities);
-        environment.episode = state.episode;
-        environment.step = state.step;
-        environment.limit = state.limit;
+        environment.position = state.position;
         environment.now = Numbers {
             coordinates: state.coordinates,
             velocities: state.velocities,
@@ -254,7 +241,7 @@ impl RobotEnvironments {
             self.controls[driven.motor] = *asked;
         }
         let environment = &mut self.environments[index];
-        environment.step = environment.step.saturating_add(1);
+        environment.position.step = environment.position.step.saturating_add(1);
         let whole = environment.world.step(&self.controls);
         environment.world.coordinates(&mut self.next.coordinates);
         environment.world.velocities(&mut self.next.velocities);
@@ -289,6 +276,7 @@ impl RobotEnvironments {
         let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
         let (control, last_control) = (self.asked.as_slice(), self.next.actions.as_slice());
         let dt_secs = self.description.dt_secs as f32;
+        let EpisodePosition { step, limit, .. } = environment.position;
         let terminated = self.rules.terminated(&after);
         Outcome {
             reward: self.rules.reward(&Transition {
@@ -299,7 +287,7 @@ impl RobotEnvironments {
                 dt_secs,
             }),
             terminated,
-            truncated: !terminated && environment.step >= environment.limit,
+            truncated: !terminated && step >= limit,
             fault: false,
         }
     }

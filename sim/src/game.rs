@@ -1,10 +1,10 @@
 //! Games: tasks without physics, whose states are a few numbers and whose optima are known.
 
+use proto::{ActionSpec, AgentSpec, EnvironmentSpec, EpisodePosition, FeatureRole, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{ObservationMode, ObservationNorm, TaskConfig};
-use crate::description::{ActionRange, AgentDescription, Description, Feature, FeatureRole};
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::error::{ActionError, SimError, StateError};
 use crate::state::{STATE_VERSION, State, StateBounds};
@@ -24,16 +24,16 @@ pub(crate) trait Game: Clone + Send {
     /// Name of the encoding of its states.
     const STATE_KIND: &'static str;
     /// The action of every agent.
-    const ACTION: ActionRange;
+    const ACTION: ActionSpec;
 
     /// Features of an agent's observation.
-    fn observed(agent: usize) -> Vec<Feature>;
+    fn observed(agent: usize) -> Vec<FeatureSpec>;
 
     /// Indices in the global state of the observed features; empty if the state lacks any of them.
     fn seen(agent: usize) -> Vec<usize>;
 
     /// Features of the global state.
-    fn global() -> Vec<Feature>;
+    fn global() -> Vec<FeatureSpec>;
 
     /// Draws the start of an episode.
     fn start(rng: &mut ChaCha8Rng) -> Self;
@@ -65,7 +65,7 @@ const AGENTS: usize = 2;
 
 /// The games of a slot.
 pub(crate) struct GameEnvironments<G> {
-    description: Description,
+    description: EnvironmentSpec,
     bounds: StateBounds,
     episodes: Vec<Episode<G>>,
 }
@@ -73,9 +73,7 @@ pub(crate) struct GameEnvironments<G> {
 /// Complete state of an environment.
 #[derive(Clone)]
 struct Episode<G> {
-    index: u64,
-    step: u32,
-    limit: u32,
+    position: EpisodePosition,
     game: G,
 }
 
@@ -91,7 +89,8 @@ impl<G: Game> GameEnvironments<G> {
         }
         let bounds = bounds::<G>();
         let game = G::from_numbers(&vec![0.0; bounds.coordinates.len()])?;
-        let episode = Episode { index: 0, step: 0, limit: EPISODE_STEPS, game };
+        let position = EpisodePosition { episode: 0, step: 0, limit: EPISODE_STEPS };
+        let episode = Episode { position, game };
         Ok(Self { description: describe::<G>(&bounds), bounds, episodes: vec![episode; count] })
     }
 
@@ -116,7 +115,7 @@ impl<G: Game> GameEnvironments<G> {
 }
 
 impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
-    fn description(&self) -> &Description {
+    fn description(&self) -> &EnvironmentSpec {
         &self.description
     }
 
@@ -135,26 +134,24 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
         limit: u32,
         key: [u8; 32],
     ) -> Result<(), SimError> {
-        let (index, limit) = (episode, limit.clamp(1, EPISODE_STEPS));
+        let limit = limit.clamp(1, EPISODE_STEPS);
         let game = G::start(&mut ChaCha8Rng::from_seed(key));
-        self.episodes[environment] = Episode { index, step: 0, limit, game };
+        let position = EpisodePosition { episode, step: 0, limit };
+        self.episodes[environment] = Episode { position, game };
         Ok(())
     }
 
     fn restore(&mut self, environment: usize, bytes: &[u8]) -> Result<(), SimError> {
         let state = State::from_bytes(bytes, &self.bounds)?;
         let game = G::from_numbers(&state.coordinates)?;
-        let (index, step, limit) = (state.episode, state.step, state.limit);
-        self.episodes[environment] = Episode { index, step, limit, game };
+        self.episodes[environment] = Episode { position: state.position, game };
         Ok(())
     }
 
     fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
         let episode = &self.episodes[environment];
         let state = State {
-            episode: episode.index,
-            step: episode.step,
-            limit: episode.limit,
+            position: episode.position,
             coordinates: episode.game.numbers(),
             velocities: Vec::new(),
             contact_forces: Vec::new(),
@@ -163,12 +160,8 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
         Ok(state.to_bytes(&self.bounds.kind))
     }
 
-    fn episode(&self, environment: usize) -> u64 {
-        self.episodes[environment].index
-    }
-
-    fn episode_step(&self, environment: usize) -> u32 {
-        self.episodes[environment].step
+    fn position(&self, environment: usize) -> EpisodePosition {
+        self.episodes[environment].position
     }
 
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
@@ -176,9 +169,10 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
         self.check(actions)?;
         let rows = self.episodes.iter_mut().zip(actions.chunks_exact(AGENTS));
         for ((episode, actions), outcome) in rows.zip(outcome) {
-            let reward = episode.game.step(episode.step, actions);
-            episode.step = episode.step.saturating_add(1);
-            let truncated = episode.step >= episode.limit;
+            let position = &mut episode.position;
+            let reward = episode.game.step(position.step, actions);
+            position.step = position.step.saturating_add(1);
+            let truncated = position.step >= position.limit;
             *outcome = Outcome { reward, truncated, ..Outcome::default() };
         }
         Ok(())
@@ -188,14 +182,14 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
         assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
         let episode = &self.episodes[environment];
         out.fill(0.0);
-        episode.game.observe(episode.step, agent, out);
+        episode.game.observe(episode.position.step, agent, out);
     }
 
     fn state(&self, environment: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.state.len(), "state");
         let episode = &self.episodes[environment];
         out.fill(0.0);
-        episode.game.state(episode.step, out);
+        episode.game.state(episode.position.step, out);
     }
 }
 
@@ -205,8 +199,8 @@ fn at<T: Copy>(numbers: &[T], step: u32) -> T {
 }
 
 /// Features `name.0`, `name.1` and so on.
-fn features(name: &str, count: usize, role: FeatureRole) -> Vec<Feature> {
-    (0..count).map(|k| Feature { name: format!("{name}.{k}"), role }).collect()
+fn features(name: &str, count: usize, role: FeatureRole) -> Vec<FeatureSpec> {
+    (0..count).map(|k| FeatureSpec { name: format!("{name}.{k}"), role }).collect()
 }
 
 fn bounds<G: Game>() -> StateBounds {
@@ -222,8 +216,8 @@ fn bounds<G: Game>() -> StateBounds {
     }
 }
 
-fn describe<G: Game>(bounds: &StateBounds) -> Description {
-    let agent = |index: usize| AgentDescription {
+fn describe<G: Game>(bounds: &StateBounds) -> EnvironmentSpec {
+    let agent = |index: usize| AgentSpec {
         name: format!("agent_{index}"),
         joints: Vec::new(),
         observation: G::observed(index),
@@ -231,7 +225,7 @@ fn describe<G: Game>(bounds: &StateBounds) -> Description {
         near: G::seen(index),
         action: G::ACTION,
     };
-    Description {
+    EnvironmentSpec {
         task: G::NAME.to_owned(),
         agents: (0..AGENTS).map(agent).collect(),
         dt_secs: STEP_SECS,
@@ -240,5 +234,6 @@ fn describe<G: Game>(bounds: &StateBounds) -> Description {
         state_version: STATE_VERSION,
         max_state_bytes: bounds.bytes() as u32,
         state: G::global(),
+        feature_z: false,
     }
 }

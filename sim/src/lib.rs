@@ -5,8 +5,8 @@
 //! depends only on the
 //! encoded state and the actions: `reset` and `restore` both call the one function that rebuilds a world from bytes.
 
+mod action_scale;
 mod config;
-mod description;
 mod environment_batch;
 mod environments;
 mod error;
@@ -24,12 +24,10 @@ mod state_decoder;
 mod task;
 mod world;
 
+pub use action_scale::ActionScale;
 pub use config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
     RootView, TaskConfig, TaskDefinition,
-};
-pub use description::{
-    ActionRange, ActionScale, AgentDescription, Description, Feature, FeatureRole,
 };
 pub use environment_batch::{EnvironmentBatch, Outcome};
 pub use error::{ActionError, SimError, StateError};

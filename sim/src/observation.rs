@@ -8,8 +8,9 @@
 //! and 0. They vary with the state, and because they determine `m` and `s`, no information is lost. They are still
 //! declared as `Identity`, so densities exclude them.
 
+use proto::{FeatureRole, FeatureSpec};
+
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
-use crate::description::{Feature, FeatureRole};
 use crate::robot::Robot;
 use crate::world::contact_forces::{PER_BODY, WORLD};
 
@@ -36,14 +37,14 @@ enum View {
 }
 
 /// Contact-force features of the global state; empty if they are absent.
-pub(crate) fn contact_features(robot: &Robot, forces: ContactForces) -> Vec<Feature> {
+pub(crate) fn contact_features(robot: &Robot, forces: ContactForces) -> Vec<FeatureSpec> {
     if forces == ContactForces::Absent {
         return Vec::new();
     }
     let of_body = |(index, body): (usize, &String)| {
         let feels = forces == ContactForces::Real && index != WORLD;
         let role = if feels { FeatureRole::Signal } else { FeatureRole::Constant };
-        CONTACT_NAMES.map(|part| Feature { name: contact_name(body, part), role })
+        CONTACT_NAMES.map(|part| FeatureSpec { name: contact_name(body, part), role })
     };
     robot.bodies().iter().enumerate().flat_map(of_body).collect()
 }
@@ -58,7 +59,7 @@ impl Observation {
         config: &ObservationConfig,
         robot: &Robot,
         agents: &[Vec<&str>],
-        state: &[Feature],
+        state: &[FeatureSpec],
     ) -> Self {
         let view = match config.mode {
             ObservationMode::FullId => View::Whole,
@@ -70,15 +71,16 @@ impl Observation {
     }
 
     /// Features of an agent's observation, given those of the global state.
-    pub(crate) fn features(&self, agent: usize, state: &[Feature]) -> Vec<Feature> {
+    pub(crate) fn features(&self, agent: usize, state: &[FeatureSpec]) -> Vec<FeatureSpec> {
         match &self.view {
             View::Whole => {
                 let number = (0..self.agents)
-                    .map(|k| Feature { name: format!("id.{k}"), role: FeatureRole::Identity });
+                    .map(|k| FeatureSpec { name: format!("id.{k}"), role: FeatureRole::Identity });
                 state.iter().cloned().chain(number).collect()
             }
             View::Places(agents) => {
-                let padding = || Feature { name: "padding".into(), role: FeatureRole::Constant };
+                let padding =
+                    || FeatureSpec { name: "padding".into(), role: FeatureRole::Constant };
                 let feature =
                     |place: &Option<usize>| place.map_or_else(padding, |at| state[at].clone());
                 agents[agent].iter().map(feature).collect()
@@ -125,7 +127,7 @@ pub(crate) fn near(
     config: &ObservationConfig,
     robot: &Robot,
     own: &[&str],
-    state: &[Feature],
+    state: &[FeatureSpec],
 ) -> Vec<usize> {
     let neighbourhood = robot.neighbourhood();
     let levels = neighbourhood.levels(own, config.nearest);

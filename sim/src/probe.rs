@@ -1,10 +1,11 @@
 //! The simulator's part of the numeric fingerprint. Programs with equal probes produce equal episodes.
 
+use proto::ActionSpec;
+
 use crate::config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
     RootView, TaskConfig, TaskDefinition,
 };
-use crate::description::ActionRange;
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::simulation::environments;
 use crate::task::task_names;
@@ -68,7 +69,7 @@ fn trace(
 fn actions(environments: &dyn EnvironmentBatch, step: usize) -> Vec<f32> {
     let ranges = environments.description().agents.iter().map(|agent| &agent.action);
     let ranges = ranges.flat_map(|range| std::iter::repeat_n(range, range.size));
-    let action = |(index, range): (usize, &ActionRange)| match range.choices {
+    let action = |(index, range): (usize, &ActionSpec)| match range.choices {
         Some(choices) => ((step + index) % choices as usize) as f32,
         None => {
             let phase = ((3 * step + 5 * index) % 32) as f32 / 16.0;

@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
+use proto::EnvironmentSpec;
 use rapier3d::math::Pose as Transform;
-
-use crate::description::Description;
 
 /// Most capsules side by side in the drawing of a box.
 const MOST_BESIDE: f32 = 5.0;
@@ -145,7 +144,7 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
 /// Agent that controls the joint of each link, or `None`. The root has no hinge and every other link has exactly one,
 /// so links and hinges are in the same order.
 #[must_use]
-pub fn drivers(description: &Description, pose: &Pose) -> Vec<Option<usize>> {
+pub fn drivers(description: &EnvironmentSpec, pose: &Pose) -> Vec<Option<usize>> {
     let driver = |joint: &str| {
         description.agents.iter().position(|agent| agent.joints.iter().any(|name| name == joint))
     };

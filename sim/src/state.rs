@@ -4,6 +4,8 @@
 //! coordinates f32 `[nq]`, velocities f32 `[nv]`, contact forces f32 `[nc]`,
 //! last actions f32 `[na]`.
 
+use proto::EpisodePosition;
+
 use crate::error::StateError;
 
 const MARK: &[u8; 4] = b"s2st";
@@ -21,12 +23,8 @@ const LARGEST_ACTION: f32 = 1e9;
 /// Complete state from which an environment continues.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
-    /// Index of the episode in its environment.
-    pub episode: u64,
-    /// Steps already taken in the episode.
-    pub step: u32,
-    /// Steps after which the episode is truncated.
-    pub limit: u32,
+    /// Position in the episode.
+    pub position: EpisodePosition,
     /// Generalised coordinates relative to the model's rest pose `[nq]`, m and rad, in the order of
     /// [`crate::Robot::coordinate_names`].
     pub coordinates: Vec<f32>,
@@ -62,15 +60,16 @@ pub struct StateBounds {
 impl State {
     /// Encodes the state.
     pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
+        let EpisodePosition { episode, step, limit } = self.position;
         let motion = || self.coordinates.iter().chain(&self.velocities);
         let numbers = || motion().chain(&self.contact_forces).chain(&self.actions);
         let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * numbers().count());
         bytes.extend_from_slice(MARK);
         bytes.extend_from_slice(&STATE_VERSION.to_le_bytes());
         bytes.extend_from_slice(&fnv1a(kind).to_le_bytes());
-        bytes.extend_from_slice(&self.episode.to_le_bytes());
-        bytes.extend_from_slice(&self.step.to_le_bytes());
-        bytes.extend_from_slice(&self.limit.to_le_bytes());
+        bytes.extend_from_slice(&episode.to_le_bytes());
+        bytes.extend_from_slice(&step.to_le_bytes());
+        bytes.extend_from_slice(&limit.to_le_bytes());
         for value in numbers() {
             bytes.extend_from_slice(&value.to_le_bytes());
         }
@@ -91,15 +90,17 @@ impl State {
         let (velocities, rest) = rest.split_at(bounds.velocities);
         let (contact_forces, actions) = rest.split_at(bounds.contact_forces);
         let state = Self {
-            episode: u64::from_le_bytes(array(&bytes[12..20])),
-            step: u32::from_le_bytes(array(&bytes[20..24])),
-            limit: u32::from_le_bytes(array(&bytes[24..28])),
+            position: EpisodePosition {
+                episode: u64::from_le_bytes(array(&bytes[12..20])),
+                step: u32::from_le_bytes(array(&bytes[20..24])),
+                limit: u32::from_le_bytes(array(&bytes[24..28])),
+            },
             coordinates: coordinates.to_vec(),
             velocities: velocities.to_vec(),
             contact_forces: contact_forces.to_vec(),
             actions: actions.to_vec(),
         };
-        bounds.check_episode(state.step, state.limit)?;
+        bounds.check_position(state.position)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
         check_all("contact force", &state.contact_forces, LARGEST_CONTACT_FORCE)?;
         check_all("action", &state.actions, LARGEST_ACTION)?;
@@ -149,7 +150,8 @@ impl StateBounds {
         Ok(())
     }
 
-    fn check_episode(&self, step: u32, limit: u32) -> Result<(), StateError> {
+    fn check_position(&self, position: EpisodePosition) -> Result<(), StateError> {
+        let EpisodePosition { step, limit, .. } = position;
         if limit == 0 || limit > self.longest {
             return Err(StateError::Limit { limit, longest: self.longest });
         }

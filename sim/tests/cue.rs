@@ -160,7 +160,8 @@ fn a_restored_game_continues_bit_for_bit_and_is_truncated_at_its_limit() {
         assert_eq!(observe(&*straight, 1, 0), observe(&*cut, 1, 0));
         assert_eq!(outcomes[0][0].truncated, step == 49);
     }
-    assert_eq!((straight.episode(0), straight.episode_step(0)), (7, 50));
+    let position = straight.position(0);
+    assert_eq!((position.episode, position.step), (7, 50));
 }
 
 #[test]
@@ -171,7 +172,7 @@ fn an_action_that_is_not_a_choice_is_rejected_without_a_step() {
         let expected =
             format!("the action of agent 1 in environment 0 is {wrong}, not one of 3 choices");
         assert_eq!(error.to_string(), expected);
-        assert_eq!((place_of(&*game), game.episode_step(0)), (2, 0));
+        assert_eq!((place_of(&*game), game.position(0).step), (2, 0));
     }
 }
 

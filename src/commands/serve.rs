@@ -84,7 +84,7 @@ impl ServedRun {
         let loaded = checkpointed::load(folder)?;
         let config = config_of_run(folder)?;
         let stage = Stage::of(&config)?;
-        let environment = rollout::environment_spec(stage.environment.description());
+        let environment = stage.environment.description().clone();
         let hidden = |_: &AgentSpec| config.policy.hidden_size() as u32;
         let hidden_sizes: Vec<u32> = environment.agents.iter().map(hidden).collect();
         let newest = Arc::new(policies(loaded, &environment, &hidden_sizes)?);

@@ -236,7 +236,7 @@ impl Trial {
 /// Actions of all agents, uniform in their ranges, `[A]`.
 fn random_action(world: &dyn EnvironmentBatch, episode: u32, step: u32) -> Vec<f32> {
     let agents = (0..).zip(&world.description().agents);
-    let draw = |(number, agent): (u32, &sim::AgentDescription)| {
+    let draw = |(number, agent): (u32, &proto::AgentSpec)| {
         let key = Draw::of_action(0, episode, step, number);
         let mut rng = Key::of(SEED, key).generator();
         let range = agent.action.low..agent.action.high;

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
+use proto::EnvironmentSpec;
 use serde_json::json;
-use sim::{Description, EnvironmentBatch};
+use sim::EnvironmentBatch;
 
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
@@ -39,7 +40,7 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
         target::demand_free("--picture", pictures, arguments.force.existing())?;
         return worlds.iter_mut().try_for_each(|world| draw(&mut **world, folder));
     }
-    let tasks: Vec<&Description> = worlds.iter().map(|world| world.description()).collect();
+    let tasks: Vec<&EnvironmentSpec> = worlds.iter().map(|world| world.description()).collect();
     if arguments.json {
         output::line(serde_json::Value::from(
             tasks.iter().map(|task| as_json(task)).collect::<Vec<_>>(),
@@ -59,7 +60,7 @@ fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
 }
 
 /// The file of a task's picture.
-fn picture(folder: &Path, task: &Description) -> PathBuf {
+fn picture(folder: &Path, task: &EnvironmentSpec) -> PathBuf {
     folder.join(format!("{}.png", task.task))
 }
 
@@ -78,7 +79,7 @@ fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
 }
 
 /// Agents and sizes of a task.
-pub(super) fn as_table(task: &Description) -> String {
+pub(super) fn as_table(task: &EnvironmentSpec) -> String {
     let mut text = format!(
         "{}: {} agents, state {}, {} steps of {} s\n",
         task.task,
@@ -99,7 +100,7 @@ pub(super) fn as_table(task: &Description) -> String {
     text
 }
 
-fn as_json(task: &Description) -> serde_json::Value {
+fn as_json(task: &EnvironmentSpec) -> serde_json::Value {
     let agents: Vec<serde_json::Value> = task
         .agents
         .iter()

@@ -94,7 +94,7 @@ impl<'a> Run<'a> {
     fn simulated(&self) -> Option<&(EnvironmentSpec, bool)> {
         let built = || {
             let world = sim::environments(&self.plain(), 1).ok()?;
-            Some((rollout::environment_spec(world.description()), world.robot().is_some()))
+            Some((world.description().clone(), world.robot().is_some()))
         };
         self.simulated.get_or_init(built).as_ref()
     }

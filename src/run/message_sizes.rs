@@ -146,7 +146,7 @@ mod tests {
     fn run(observed: usize) -> RunDescription {
         let task = config(&["halfcheetah-2x3"]).task;
         let world = sim::environments(&task, 1).unwrap();
-        let mut environment = rollout::environment_spec(world.description());
+        let mut environment = world.description().clone();
         for agent in &mut environment.agents {
             agent.observation = vec![agent.observation[0].clone(); observed];
         }

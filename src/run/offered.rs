@@ -1,10 +1,10 @@
 //! The environment of a run: the simulator's, or one that an external program offers.
 
-use actor::{EnvironmentService, StateHeader, Transport};
+use actor::{EnvironmentService, Transport};
 use anyhow::Context as _;
-use learner::end_states::{Position, StateReader};
+use learner::end_states::StateReader;
 use proto::EnvironmentSpec;
-use sim::{EnvironmentBatch, State};
+use sim::EnvironmentBatch;
 use tokio::runtime::Runtime;
 
 use crate::config::ConfigError;
@@ -60,10 +60,10 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     hints.iter().for_each(|hint| tracing::warn!("{hint}"));
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;
-    let spec = rollout::environment_spec(world.description());
+    let spec = world.description().clone();
     let decoder = sim::StateDecoder::new(&config.task).context("cannot build the task")?;
     let decoder = StateReader::new(move |state| match decoder.decode(state) {
-        Ok(State { episode, step, limit, .. }) => Ok(Position { episode, step, limit }),
+        Ok(state) => Ok(state.position),
         Err(error) => Err(error.to_string()),
     });
     Ok(Offered { spec, task_settings, description: String::new(), decoder, states: "encoded" })
@@ -86,10 +86,7 @@ fn offered_by(service: &EnvironmentService) -> Offered {
     let (spec, states) = (service.spec().clone(), service.states().name());
     let description = spec.digest().to_string();
     let decode = service.state_decoder();
-    let decoder = StateReader::new(move |state| match decode(state) {
-        Ok(StateHeader { episode, step, limit }) => Ok(Position { episode, step, limit }),
-        Err(error) => Err(error.to_string()),
-    });
+    let decoder = StateReader::new(move |state| decode(state).map_err(|error| error.to_string()));
     Offered { spec, task_settings: String::new(), description, decoder, states }
 }
 

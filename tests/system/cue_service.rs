@@ -80,7 +80,7 @@ fn environment() -> Box<dyn EnvironmentBatch> {
 }
 
 fn spec() -> EnvironmentSpec {
-    rollout::environment_spec(environment().description())
+    environment().description().clone()
 }
 
 #[tonic::async_trait]

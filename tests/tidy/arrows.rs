@@ -11,7 +11,7 @@ use crate::repository::{LIBRARIES, read};
 const ARROWS: [(&str, &[&str]); 10] = [
     ("proto", &[]),
     ("security", &[]),
-    ("sim", &[]),
+    ("sim", &["proto"]),
     ("kernels", &[]),
     ("policy", &["kernels"]),
     ("marl", &["policy"]),

@@ -5,30 +5,12 @@ use std::fmt;
 use std::sync::Arc;
 
 use proto::{
-    EnvironmentStart, Reason, Refusal, RolloutWork, RunDescription, Start, TrajectoryChunk,
+    EnvironmentStart, EpisodePosition, Reason, Refusal, RolloutWork, RunDescription, Start,
+    TrajectoryChunk,
 };
 
-/// Position of an environment in its episode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Position {
-    /// Index of the episode in its environment.
-    pub episode: u64,
-    /// Steps taken in the episode.
-    pub step: u32,
-    /// Steps after which the episode is truncated.
-    pub limit: u32,
-}
-
-/// `step 3 of 50 of episode 7`
-impl fmt::Display for Position {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { episode, step, limit } = self;
-        write!(f, "step {step} of {limit} of episode {episode}")
-    }
-}
-
 /// Decodes an encoded state; an error says why it is invalid.
-type Decode = dyn Fn(&[u8]) -> Result<Position, String> + Send + Sync;
+type Decode = dyn Fn(&[u8]) -> Result<EpisodePosition, String> + Send + Sync;
 
 /// Decodes the states of the run's environments, as far as they can be decoded without the environment. The learner itself
 /// knows no encoding.
@@ -44,7 +26,9 @@ impl fmt::Debug for StateReader {
 impl StateReader {
     /// A decoder that calls `decode`, whose error says why a state is invalid.
     #[must_use]
-    pub fn new(decode: impl Fn(&[u8]) -> Result<Position, String> + Send + Sync + 'static) -> Self {
+    pub fn new(
+        decode: impl Fn(&[u8]) -> Result<EpisodePosition, String> + Send + Sync + 'static,
+    ) -> Self {
         Self(Arc::new(decode))
     }
 
@@ -52,12 +36,12 @@ impl StateReader {
     ///
     /// # Errors
     /// Says why the state is invalid.
-    pub fn decode(&self, state: &[u8]) -> Result<Position, String> {
+    pub fn decode(&self, state: &[u8]) -> Result<EpisodePosition, String> {
         (self.0)(state)
     }
 
     /// Checks that a state can be decoded and has this position.
-    pub(crate) fn check(&self, state: &[u8], expected: Position) -> Result<(), String> {
+    pub(crate) fn check(&self, state: &[u8], expected: EpisodePosition) -> Result<(), String> {
         let found = self.decode(state)?;
         match found == expected {
             true => Ok(()),
@@ -83,17 +67,17 @@ impl StateReader {
         Ok(())
     }
 
-    /// Position of an environment after a slot; `None` if its start state cannot be decoded.
-    fn position_after(&self, course: &Course, run: &RunDescription) -> Option<Position> {
+    /// EpisodePosition of an environment after a slot; `None` if its start state cannot be decoded.
+    fn position_after(&self, course: &Course, run: &RunDescription) -> Option<EpisodePosition> {
         let start = match &course.start {
             Start::Fresh { episode, limit } => {
-                Position { episode: *episode, step: 0, limit: *limit }
+                EpisodePosition { episode: *episode, step: 0, limit: *limit }
             }
             Start::Continue { state, .. } => self.decode(state).ok()?,
         };
         Some(match course.ended {
-            0 => Position { step: start.step.saturating_add(course.steps), ..start },
-            ended => Position {
+            0 => EpisodePosition { step: start.step.saturating_add(course.steps), ..start },
+            ended => EpisodePosition {
                 episode: start.episode.saturating_add(ended),
                 step: course.steps,
                 limit: run.environment.episode_steps,

@@ -40,7 +40,7 @@ impl Published {
         let found = policy.agents.iter().map(sizes).collect::<Vec<_>>();
         let expected = agents.iter().zip(hidden_sizes).map(|(agent, hidden)| {
             let choices = agent.action.choices.map(|choices| choices as usize);
-            (agent.observation.len(), agent.action.size as usize, choices, *hidden as usize)
+            (agent.observation.len(), agent.action.size, choices, *hidden as usize)
         });
         let expected = expected.collect::<Vec<_>>();
         if found != expected {

@@ -4,67 +4,19 @@
 use std::ops::Range;
 
 use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
-use proto::{EnvironmentSpec, FeatureRole, FinalStep, RunDescription, TrajectoryChunk};
+use proto::{AgentSpec, EnvironmentSpec, FeatureRole, FinalStep, RunDescription, TrajectoryChunk};
 
 use crate::exchange::SlotRollout;
-
-/// Sizes of an iteration's batch.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Layout {
-    /// `B`, number of environments.
-    pub environments: usize,
-    /// `T`, steps of each environment.
-    pub steps: usize,
-    /// Steps between two stored recurrent states.
-    pub hidden_every: usize,
-    /// Features of the global state.
-    pub state: usize,
-    /// Sizes of each agent.
-    pub agents: Vec<AgentLayout>,
-}
-
-/// Sizes of one agent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct AgentLayout {
-    /// Features of the agent's observation.
-    pub observation: usize,
-    /// Dimensions of the agent's action.
-    pub action: usize,
-    /// Units of the agent's recurrent state; 0 without one.
-    pub hidden: usize,
-}
-
-impl Layout {
-    /// The sizes in `run`, for a batch of `environments`.
-    #[must_use]
-    pub fn of(run: &RunDescription, environments: usize) -> Self {
-        let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
-        Self {
-            environments,
-            steps: run.slot_steps as usize,
-            hidden_every: run.hidden_every as usize,
-            state: run.environment.state.len(),
-            agents: agents
-                .map(|(agent, hidden)| AgentLayout {
-                    observation: agent.observation.len(),
-                    action: agent.action.size as usize,
-                    hidden: *hidden as usize,
-                })
-                .collect(),
-        }
-    }
-}
 
 /// The environment as the algorithm sees it: sizes, kinds of actions, and which features carry a signal.
 #[must_use]
 pub fn problem(environment: &EnvironmentSpec) -> Problem {
     let is_signal = |place: &usize| environment.state[*place].role == FeatureRole::Signal;
-    let signals = |places: &[u32]| -> Vec<usize> {
-        places.iter().map(|&place| place as usize).filter(is_signal).collect()
-    };
-    let shape = |agent: &proto::AgentSpec| AgentShape {
+    let signals =
+        |places: &[usize]| -> Vec<usize> { places.iter().copied().filter(is_signal).collect() };
+    let shape = |agent: &AgentSpec| AgentShape {
         observation: agent.observation.len(),
-        action: agent.action.size as usize,
+        action: agent.action.size,
         action_range: (agent.action.low, agent.action.high),
         kind: match agent.action.choices {
             None => ActionKind::Continuous,
@@ -89,40 +41,40 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
 /// If `rollouts` are not exactly the iteration's slots with all their steps. Actors cannot cause this, because their
 /// messages were checked on arrival.
 #[must_use]
-pub fn assemble(layout: &Layout, rollouts: &[SlotRollout]) -> Batch {
+pub fn assemble(run: &RunDescription, rollouts: &[SlotRollout]) -> Batch {
     let slots = rollouts.iter().map(|rollout| rollout.slot as usize);
     assert!(slots.eq(0..rollouts.len()), "rollouts are not all slots in order");
-    let mut batch = empty(layout);
+    let mut batch = empty(run, rollouts.iter().map(SlotRollout::environments).sum());
     let mut first_environment = 0;
     for rollout @ SlotRollout { slot, chunks, .. } in rollouts {
         let (mut steps, environments) = (0, rollout.environments());
         for chunk in chunks {
             assert_eq!(chunk.first_step as usize, steps, "slot {slot}: first step of a chunk");
-            place(layout, first_environment..first_environment + environments, chunk, &mut batch);
+            place(run, first_environment..first_environment + environments, chunk, &mut batch);
             steps += chunk.steps as usize;
         }
-        assert_eq!(steps, layout.steps, "slot {slot}: steps");
+        assert_eq!(steps, batch.steps, "slot {slot}: steps");
         first_environment += environments;
     }
-    assert_eq!(first_environment, layout.environments, "environments of all slots");
     batch.finals.sort_by_key(|last| (last.step, last.environment));
     batch
 }
 
-fn empty(layout: &Layout) -> Batch {
-    let environments = layout.environments;
-    let rows = layout.steps * environments;
-    let agent = |shape: &AgentLayout| AgentBatch {
-        observation: vec![0.0; rows * shape.observation],
-        action: vec![0.0; rows * shape.action],
+fn empty(run: &RunDescription, environments: usize) -> Batch {
+    let steps = run.slot_steps as usize;
+    let rows = steps * environments;
+    let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
+    let agent = |(agent, hidden): (&AgentSpec, &u32)| AgentBatch {
+        observation: vec![0.0; rows * agent.observation.len()],
+        action: vec![0.0; rows * agent.action.size],
         log_prob: vec![0.0; rows],
-        hidden: vec![0.0; rows / layout.hidden_every * shape.hidden],
+        hidden: vec![0.0; rows / run.hidden_every as usize * *hidden as usize],
     };
     Batch {
-        steps: layout.steps,
+        steps,
         environments,
-        agents: layout.agents.iter().map(agent).collect(),
-        state: vec![0.0; rows * layout.state],
+        agents: agents.map(agent).collect(),
+        state: vec![0.0; rows * run.environment.state.len()],
         reward: vec![0.0; rows],
         terminated: vec![false; rows],
         truncated: vec![false; rows],
@@ -131,25 +83,31 @@ fn empty(layout: &Layout) -> Batch {
 }
 
 /// Copies one chunk of a slot with these `environments` into the batch.
-fn place(layout: &Layout, environments: Range<usize>, chunk: &TrajectoryChunk, batch: &mut Batch) {
+fn place(
+    run: &RunDescription,
+    environments: Range<usize>,
+    chunk: &TrajectoryChunk,
+    batch: &mut Batch,
+) {
     let window = Window {
         first: chunk.first_step as usize,
         steps: chunk.steps as usize,
         first_environment: environments.start,
         per_slot: environments.len(),
-        environments: layout.environments,
+        environments: batch.environments,
     };
-    window.copy(&chunk.state, &mut batch.state, layout.state);
+    window.copy(&chunk.state, &mut batch.state, run.environment.state.len());
     window.copy(&chunk.reward, &mut batch.reward, 1);
     window.copy(&chunk.terminated, &mut batch.terminated, 1);
     window.copy(&chunk.truncated, &mut batch.truncated, 1);
-    let every = layout.hidden_every;
+    let every = run.hidden_every as usize;
     let stored = Window { first: window.first / every, steps: window.steps / every, ..window };
-    for ((from, to), shape) in chunk.agents.iter().zip(&mut batch.agents).zip(&layout.agents) {
-        window.copy(&from.observation, &mut to.observation, shape.observation);
-        window.copy(&from.action, &mut to.action, shape.action);
+    for (i, (from, to)) in chunk.agents.iter().zip(&mut batch.agents).enumerate() {
+        let agent = &run.environment.agents[i];
+        window.copy(&from.observation, &mut to.observation, agent.observation.len());
+        window.copy(&from.action, &mut to.action, agent.action.size);
         window.copy(&from.log_prob, &mut to.log_prob, 1);
-        stored.copy(&from.hidden, &mut to.hidden, shape.hidden);
+        stored.copy(&from.hidden, &mut to.hidden, run.hidden_sizes[i] as usize);
     }
     batch.finals.extend(chunk.finals.iter().map(|last| window.last(last)));
 }
@@ -194,4 +152,4 @@ impl Window {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

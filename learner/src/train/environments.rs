@@ -5,12 +5,11 @@ use std::collections::VecDeque;
 
 use marl::Batch;
 use policy::arrays::{Array, NamedArrays};
-use proto::{EnvironmentStart, RolloutWork, Start};
+use proto::{EnvironmentStart, EpisodePosition, RolloutWork, RunDescription, Start};
 
-use crate::assemble::Layout;
 use crate::checkpoint::{CheckpointError, fields};
 use crate::config::Phase;
-use crate::end_states::{Position, StateReader};
+use crate::end_states::StateReader;
 use crate::exchange::SlotRollout;
 
 /// Finished episodes in the reported mean return.
@@ -22,7 +21,8 @@ const BEGUN_AGAIN: &str = "environments/begun_again";
 /// State of all environments, in the order of their global index.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Environments {
-    layout: Layout,
+    /// `H` of each agent, 0 without a recurrent state.
+    hidden_sizes: Vec<usize>,
     limits: Vec<Limit>,
     starts: Vec<Start>,
     episode_return: Vec<f64>,
@@ -43,17 +43,17 @@ struct Limit {
 }
 
 impl Environments {
-    /// The state before the first iteration. With `Phase::Staggered`, the first episode of environment `e` of `E` is
+    /// The state of `count` environments of `run` before the first iteration. With `Phase::Staggered`, the first episode of environment `e` of `E` is
     /// truncated after `episode_steps * (e + 1) / E` steps, at least one.
     #[must_use]
-    pub fn fresh(layout: Layout, episode_steps: u32, phase: Phase) -> Self {
-        let count = layout.environments;
+    pub fn fresh(run: &RunDescription, count: usize, phase: Phase) -> Self {
+        let episode_steps = run.environment.episode_steps;
         let limits: Vec<Limit> =
             (0..count).map(|e| limit(e, count, episode_steps, phase)).collect();
         let start = |limit: &Limit| Start::Fresh { episode: 0, limit: limit.steps };
         Self {
             starts: limits.iter().map(start).collect(),
-            layout,
+            hidden_sizes: run.hidden_sizes.iter().map(|size| *size as usize).collect(),
             limits,
             episode_return: vec![0.0; count],
             episode_length: vec![0; count],
@@ -111,7 +111,7 @@ impl Environments {
     pub fn invalid(&self, states: &StateReader) -> Vec<(u32, String)> {
         let check = |(environment, start): (usize, &Start)| {
             let Start::Continue { state, .. } = start else { return None };
-            let position = Position {
+            let position = EpisodePosition {
                 episode: self.finished[environment],
                 step: u32::try_from(self.episode_length[environment]).unwrap_or(u32::MAX),
                 limit: u32::try_from(self.limit(environment)).unwrap_or(u32::MAX),
@@ -125,6 +125,7 @@ impl Environments {
     /// Advances to the end of an iteration with its rewards and the end states of its slots. `batch` is assembled from
     /// `rollouts`.
     pub fn advance(&mut self, batch: &Batch, rollouts: &[SlotRollout]) {
+        assert_eq!(batch.environments, self.starts.len(), "environments of all slots");
         self.faults = 0;
         for row in 0..batch.rows() {
             let environment = row % batch.environments;
@@ -170,16 +171,18 @@ impl Environments {
     fn continuations(&self, rollout: &SlotRollout) -> Vec<Start> {
         let end = rollout.chunks.last().and_then(|chunk| chunk.end.as_ref());
         let end = end.expect("an assembled rollout has end states");
-        let row = |position: usize| -> Vec<Vec<f32>> {
-            let agents = end.recurrent.iter().zip(&self.layout.agents);
-            agents
-                .map(|(all, agent)| all[position * agent.hidden..][..agent.hidden].to_vec())
-                .collect()
-        };
         let states = end.environments.iter().enumerate();
         states
-            .map(|(p, state)| Start::Continue { state: state.clone(), recurrent: row(p) })
+            .map(|(p, state)| Start::Continue {
+                state: state.clone(),
+                recurrent: self.recurrent_of(p, end.recurrent.iter().map(Vec::as_slice)),
+            })
             .collect()
+    }
+
+    /// Recurrent states of environment `e`, `[H]` for each agent; `all` is `[E, H]` for each agent.
+    fn recurrent_of<'a>(&self, e: usize, all: impl Iterator<Item = &'a [f32]>) -> Vec<Vec<f32>> {
+        all.zip(&self.hidden_sizes).map(|(all, size)| all[e * size..][..*size].to_vec()).collect()
     }
 
     /// Mean extrinsic return of the last 20 finished episodes that were not shortened; `None` before the first.
@@ -220,16 +223,16 @@ impl Environments {
     /// Adds `environments/recurrent_I`, `[B, H]`, of every agent `I` with a recurrent state. Before the first iteration
     /// there are none.
     fn add_recurrent(&self, arrays: &mut NamedArrays) {
-        for (index, agent) in self.layout.agents.iter().enumerate() {
+        for (index, size) in self.hidden_sizes.iter().enumerate() {
             let mut data = Vec::new();
             for start in &self.starts {
                 match start {
                     Start::Continue { recurrent, .. } => data.extend_from_slice(&recurrent[index]),
-                    Start::Fresh { .. } => data.resize(data.len() + agent.hidden, 0.0),
+                    Start::Fresh { .. } => data.resize(data.len() + size, 0.0),
                 }
             }
             if !data.is_empty() && !self.is_new() {
-                let shape = vec![self.starts.len(), agent.hidden];
+                let shape = vec![self.starts.len(), *size];
                 arrays.insert(recurrent_name(index), Array::F32 { shape, data });
             }
         }
@@ -276,16 +279,12 @@ impl Environments {
     fn read_starts(&self, arrays: &NamedArrays) -> Result<Vec<Start>, CheckpointError> {
         let count = self.starts.len();
         let mut recurrent = Vec::new();
-        for (index, agent) in self.layout.agents.iter().enumerate() {
-            recurrent.push(match agent.hidden {
+        for (index, size) in self.hidden_sizes.iter().enumerate() {
+            recurrent.push(match size {
                 0 => &[][..],
-                units => fields::f32s(arrays, &recurrent_name(index), count * units)?,
+                size => fields::f32s(arrays, &recurrent_name(index), count * size)?,
             });
         }
-        let row = |e: usize| -> Vec<Vec<f32>> {
-            let agents = recurrent.iter().zip(&self.layout.agents);
-            agents.map(|(all, agent)| all[e * agent.hidden..][..agent.hidden].to_vec()).collect()
-        };
         let begun_again = match arrays.contains_key(BEGUN_AGAIN) {
             true => fields::counts(arrays, BEGUN_AGAIN, count)?,
             false => vec![0; count],
@@ -295,7 +294,10 @@ impl Environments {
                 return Ok(Start::Fresh { episode: self.finished[e], limit: self.episode_steps });
             }
             let state = fields::bytes(arrays, &state_name(e))?.to_vec();
-            Ok(Start::Continue { state, recurrent: row(e) })
+            Ok(Start::Continue {
+                state,
+                recurrent: self.recurrent_of(e, recurrent.iter().copied()),
+            })
         };
         (0..count).map(read).collect()
     }

@@ -19,7 +19,7 @@ use policy::arrays::NamedArrays;
 use proto::{Digest, PolicyVersion, WeightsName};
 use rayon::ThreadPool;
 
-use crate::assemble::{Layout, assemble};
+use crate::assemble::assemble;
 use crate::checkpoint::{self, Saved};
 use crate::config::Config;
 use crate::end_states::StateReader;
@@ -62,7 +62,6 @@ pub struct Trainer {
     /// The run's resolved settings.
     pub(crate) settings_toml: String,
     pub(crate) last_iteration: u64,
-    pub(crate) layout: Layout,
     pub(crate) observations: ObservationMoments,
     pub(crate) algorithm: Box<dyn Algorithm>,
     pub(crate) decay: LearningRateDecay,
@@ -168,7 +167,7 @@ impl RunningTrainer {
             let Some(collected) = collected else { break };
             self.enter(Stage::Update);
             fail_points::abort_at("after-collect", self.trainer.iteration);
-            let batch = assemble(&self.trainer.layout, &collected.rollouts);
+            let batch = assemble(self.outside.exchange.run(), &collected.rollouts);
             self.trainer.environments.advance(&batch, &collected.rollouts);
             let update = self.trainer.update(&batch)?;
             self.trainer.iteration += 1;

@@ -1,14 +1,14 @@
 //! A toy environment for two agents, and its rollouts. Two points move on one line each; each agent pushes one of them
 //! to its target.
 
-use learner::end_states::{Position, StateReader};
+use learner::end_states::StateReader;
 use policy::{
     ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator, standard_normal,
 };
 use proto::{
-    ActionSpec, AgentChunk, AgentSpec, EnvironmentSpec, EnvironmentStart, EvaluationResult,
-    EvaluationWork, FeatureRole, FeatureSpec, FinalStep, RolloutWork, RunDescription, SlotEnd,
-    Start, TrajectoryChunk,
+    ActionSpec, AgentChunk, AgentSpec, EnvironmentSpec, EnvironmentStart, EpisodePosition,
+    EvaluationResult, EvaluationWork, FeatureRole, FeatureSpec, FinalStep, RolloutWork,
+    RunDescription, SlotEnd, Start, TrajectoryChunk,
 };
 
 /// Steps until an episode is truncated.
@@ -29,7 +29,7 @@ pub(crate) fn environment() -> EnvironmentSpec {
             feature("self", FeatureRole::Identity),
         ],
         seen: vec![0, 1],
-        near: vec![index as u32],
+        near: vec![index],
         action: ActionSpec { size: 1, low: -1.0, high: 1.0, choices: None },
     };
     EnvironmentSpec {
@@ -52,7 +52,7 @@ pub(crate) fn states() -> StateReader {
             return Err(format!("it has {} bytes; a state of the toy has 32", state.len()));
         }
         let World { episode, step, limit, .. } = World::decode(state);
-        Ok(Position { episode, step, limit })
+        Ok(EpisodePosition { episode, step, limit })
     })
 }
 

@@ -61,7 +61,10 @@ fn a_run_whose_messages_could_not_be_sent_is_refused_by_name() {
     assert_eq!(refused(|run| run.hidden_every = 3), "run.hidden_every");
     assert_eq!(refused(|run| run.environments_per_slot = 0), "run.environments_per_slot");
     assert_eq!(refused(|run| run.environments_per_slot = u32::MAX), "run.chunk_steps");
-    assert_eq!(refused(|run| run.environment.agents[0].action.size = u32::MAX), "run.chunk_steps");
+    assert_eq!(
+        refused(|run| run.environment.agents[0].action.size = u32::MAX as usize),
+        "run.chunk_steps"
+    );
     assert_eq!(refused(|run| run.hidden_sizes.clear()), "run.hidden_sizes");
     assert_eq!(refused(|run| run.heartbeat_secs = f64::NAN), "run.heartbeat_secs");
     assert_eq!(refused(|run| run.heartbeat_secs = 1e300), "run.heartbeat_secs");

@@ -10,7 +10,7 @@ fn features(count: usize, role: FeatureRole) -> Vec<FeatureSpec> {
     (0..count).map(|i| FeatureSpec { name: format!("feature_{i}"), role }).collect()
 }
 
-fn agent(name: &str, observation: usize, action: u32) -> AgentSpec {
+fn agent(name: &str, observation: usize, action: usize) -> AgentSpec {
     AgentSpec {
         name: name.to_owned(),
         joints: vec![format!("{name}.hip"), format!("{name}.knee")],

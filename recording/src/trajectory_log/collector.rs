@@ -3,7 +3,8 @@
 use policy::RunSeed;
 use proto::trajectory_log::{Kind, Share, ShareEnd};
 use proto::{
-    Episodes, Lease, RolloutWork, RunDescription, TrajectoryChunk, WeightsName, rollout_episode_id,
+    EpisodePosition, Episodes, Lease, RolloutWork, RunDescription, TrajectoryChunk, WeightsName,
+    rollout_episode_id,
 };
 use rollout::{EvaluationEpisode, PlayedStep};
 use sim::{EnvironmentBatch, Pose, SimError};
@@ -73,7 +74,7 @@ impl<'a> RolloutCollector<'a> {
     /// Collects poses before step `step` of the slot and starts shares.
     pub fn collect(&mut self, step: u32, world: &dyn EnvironmentBatch) {
         for position in 0..self.open.len() {
-            if step == 0 || world.episode_step(position) == 0 {
+            if step == 0 || world.position(position).step == 0 {
                 self.open[position] = self.begin(step, position, world);
             }
             if let Some(index) = self.open[position] {
@@ -90,13 +91,13 @@ impl<'a> RolloutCollector<'a> {
         world: &dyn EnvironmentBatch,
     ) -> Option<usize> {
         let environment = self.work.environments[position].environment;
-        let episode = world.episode(position);
+        let EpisodePosition { episode, step: first_step, .. } = world.position(position);
         if !self.episodes.include_rollout(environment, episode) {
             return None;
         }
         let head = Share {
             episode_id: rollout_episode_id(environment, episode),
-            first_step: world.episode_step(position),
+            first_step,
             environment,
             episode,
             environment_state: world.encode(position).ok()?,

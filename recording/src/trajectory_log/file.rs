@@ -5,9 +5,8 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::PathBuf;
 
-use proto::{Episodes, RunDescription};
-use rollout::description;
-use sim::{Description, EnvironmentBatch, LinkShape, Robot, TaskConfig};
+use proto::{EnvironmentSpec, Episodes, RunDescription};
+use sim::{EnvironmentBatch, LinkShape, Robot, TaskConfig};
 
 use super::names::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
 use crate::channels::ShareChannels;
@@ -22,7 +21,7 @@ pub(crate) struct Origin {
     words: BTreeMap<String, String>,
     settings_toml: String,
     task_settings: String,
-    description: Description,
+    description: EnvironmentSpec,
     /// Shapes of the robot; empty without one.
     shapes: Vec<LinkShape>,
 }
@@ -51,7 +50,7 @@ impl Origin {
             words: words.map(|(name, value)| (name.to_owned(), value)).into(),
             settings_toml: run.settings_toml.clone(),
             task_settings: run.task_settings.clone(),
-            description: description(&run.environment),
+            description: run.environment.clone(),
             shapes: sim::environments(task, 1).map(|world| shapes(&*world)).unwrap_or_default(),
         }
     }

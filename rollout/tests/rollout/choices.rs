@@ -25,7 +25,7 @@ fn policy() -> PolicySnapshot {
 }
 
 fn run() -> RunDescription {
-    RunDescription { environment: rollout::environment_spec(world().description()), ..work::run() }
+    RunDescription { environment: world().description().clone(), ..work::run() }
 }
 
 fn roll(world: &mut dyn EnvironmentBatch) -> Vec<TrajectoryChunk> {

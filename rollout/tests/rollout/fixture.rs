@@ -36,7 +36,7 @@ pub(crate) fn policy() -> PolicySnapshot {
     policy_for(world().description())
 }
 
-pub(crate) fn policy_for(description: &sim::Description) -> PolicySnapshot {
+pub(crate) fn policy_for(description: &proto::EnvironmentSpec) -> PolicySnapshot {
     let config = PolicyConfig {
         core: CoreKind::Gru,
         input_norm: InputNorm::LayerNorm,
@@ -52,7 +52,7 @@ pub(crate) fn policy_for(description: &sim::Description) -> PolicySnapshot {
         sigma_floor: 0.05,
         head_gain: 1.0,
     };
-    let agent = |(index, shape): (usize, &sim::AgentDescription)| {
+    let agent = |(index, shape): (usize, &proto::AgentSpec)| {
         let mut rng = generator(RunSeed(5), Draw::of(Purpose::Initialisation).agent(index as u32));
         let (observation, action) = (shape.observation.len(), shape.action.size);
         let head = match shape.action.choices {

@@ -22,7 +22,7 @@ pub(crate) fn run_of(task: &TaskConfig) -> RunDescription {
         incarnation: Incarnation(1),
         seed: 3,
         task_settings: serde_json::to_string(task).unwrap(),
-        environment: rollout::environment_spec(world.description()),
+        environment: world.description().clone(),
         environments_per_slot: ENVIRONMENTS as u32,
         slot_steps: STEPS,
         chunk_steps: CHUNK,

@@ -1,7 +1,9 @@
 //! Builds a task's description from the task and its partition, and maps actions to controls.
 
+use proto::{ActionSpec, AgentSpec, EnvironmentSpec};
+
+use crate::action_scale::ActionScale;
 use crate::config::ObservationConfig;
-use crate::description::{ActionRange, ActionScale, AgentDescription, Description};
 use crate::observation::{self, Observation, contact_features};
 use crate::robot::Robot;
 use crate::state::{STATE_VERSION, StateBounds};
@@ -12,7 +14,7 @@ pub(super) fn describe(
     agents: &[Vec<usize>],
     config: &ObservationConfig,
     bounds: &StateBounds,
-) -> (Description, Observation) {
+) -> (EnvironmentSpec, Observation) {
     let robot = &task.robot;
     let mut state = task.rules.state_features(robot);
     state.extend(contact_features(robot, config.contact_forces));
@@ -20,15 +22,15 @@ pub(super) fn describe(
     let driven: Vec<Vec<&str>> =
         agents.iter().map(|motors| motors.iter().map(|&motor| joints[motor]).collect()).collect();
     let observation = Observation::new(config, robot, &driven, &state);
-    let agents = agents.iter().enumerate().map(|(index, motors)| AgentDescription {
+    let agents = agents.iter().enumerate().map(|(index, motors)| AgentSpec {
         name: format!("agent_{index}"),
         joints: motors.iter().map(|&motor| joints[motor].to_owned()).collect(),
         observation: observation.features(index, &state),
         seen: observation.seen(index, state.len()),
         near: observation::near(config, robot, &driven[index], &state),
-        action: ActionRange::continuous(motors.len()),
+        action: ActionSpec::continuous(motors.len()),
     });
-    let description = Description {
+    let description = EnvironmentSpec {
         task: task.name.clone(),
         agents: agents.collect(),
         state,
@@ -37,6 +39,7 @@ pub(super) fn describe(
         state_kind: bounds.kind.clone(),
         state_version: STATE_VERSION,
         max_state_bytes: bounds.bytes() as u32,
+        feature_z: false,
     };
     (description, observation)
 }

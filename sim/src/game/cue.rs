@@ -7,10 +7,10 @@
 //! after the last, are drawn at its start and are part of its state. The cue of a step is therefore a function of the
 //! reset key and the step.
 
+use proto::{ActionSpec, FeatureRole, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 
 use super::{AGENTS, EPISODE_STEPS, Game, at, features};
-use crate::description::{ActionRange, Feature, FeatureRole};
 use crate::error::StateError;
 use crate::noise;
 
@@ -30,10 +30,10 @@ pub(crate) struct Cue {
 impl Game for Cue {
     const NAME: &'static str = "cue-2x1";
     const STATE_KIND: &'static str = "discrete/cue";
-    const ACTION: ActionRange =
-        ActionRange { size: 1, low: 0.0, high: (CUES - 1) as f32, choices: Some(CUES as u32) };
+    const ACTION: ActionSpec =
+        ActionSpec { size: 1, low: 0.0, high: (CUES - 1) as f32, choices: Some(CUES as u32) };
 
-    fn observed(_agent: usize) -> Vec<Feature> {
+    fn observed(_agent: usize) -> Vec<FeatureSpec> {
         let cue = features("cue", CUES, FeatureRole::Signal);
         [Self::global(), cue, features("id", AGENTS, FeatureRole::Identity)].concat()
     }
@@ -43,7 +43,7 @@ impl Game for Cue {
         Vec::new()
     }
 
-    fn global() -> Vec<Feature> {
+    fn global() -> Vec<FeatureSpec> {
         features("place", PLACES, FeatureRole::Signal)
     }
 

@@ -7,10 +7,10 @@
 //! Optimum: a sender that moves to the target and a receiver that repeats the position have a return of 50. Without
 //! information from the sender the best action is 0, and the expected return `1 + 49 (1 - 1/3) = 33.7`.
 
+use proto::{ActionSpec, FeatureRole, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 
 use super::{EPISODE_STEPS, Game, at};
-use crate::description::{ActionRange, Feature, FeatureRole};
 use crate::error::StateError;
 use crate::noise;
 
@@ -29,16 +29,16 @@ pub(crate) struct Signal {
     targets: Vec<f32>,
 }
 
-fn feature(name: &str) -> Feature {
-    Feature { name: name.to_owned(), role: FeatureRole::Signal }
+fn feature(name: &str) -> FeatureSpec {
+    FeatureSpec { name: name.to_owned(), role: FeatureRole::Signal }
 }
 
 impl Game for Signal {
     const NAME: &'static str = "signal-2x1";
     const STATE_KIND: &'static str = "game/signal";
-    const ACTION: ActionRange = ActionRange::continuous(1);
+    const ACTION: ActionSpec = ActionSpec::continuous(1);
 
-    fn observed(agent: usize) -> Vec<Feature> {
+    fn observed(agent: usize) -> Vec<FeatureSpec> {
         match agent {
             SENDER => vec![feature("target"), feature("leg")],
             _ => vec![feature("leg")],
@@ -52,7 +52,7 @@ impl Game for Signal {
         }
     }
 
-    fn global() -> Vec<Feature> {
+    fn global() -> Vec<FeatureSpec> {
         vec![feature("target"), feature("needed"), feature("leg")]
     }
 

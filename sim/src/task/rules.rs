@@ -1,5 +1,6 @@
 //! Start, reward, end and global state of an episode, as a task file defines them for its robot.
 
+use proto::{FeatureRole, FeatureSpec};
 use rand::RngCore;
 use rapier3d::math::{Rotation, Vector};
 
@@ -7,7 +8,6 @@ use super::Motion;
 use super::definition::{Axes, HealthyRow, Noise, StartRow, TaskFile, refused, within};
 use super::names::Names;
 use super::terms::{Transition, WeightedSum};
-use crate::description::{Feature, FeatureRole};
 use crate::error::SimError;
 use crate::noise;
 use crate::robot::Robot;
@@ -127,8 +127,8 @@ impl Rules {
     }
 
     /// Features of the global state, without contact forces: positions, then velocities.
-    pub(crate) fn state_features(&self, robot: &Robot) -> Vec<Feature> {
-        let signal = |name| Feature { name, role: FeatureRole::Signal };
+    pub(crate) fn state_features(&self, robot: &Robot) -> Vec<FeatureSpec> {
+        let signal = |name| FeatureSpec { name, role: FeatureRole::Signal };
         let positions = self.shown.iter().map(|&index| &robot.coordinate_names()[index]);
         let positions = positions.map(|name| signal(format!("{name}.position")));
         let velocities = robot.velocity_names().iter();

@@ -92,7 +92,7 @@ fn invalid_actions_are_rejected_with_agent_and_index_without_a_step() {
     let error = world.step(&[0.2; 11], &mut outcome).unwrap_err();
     assert_eq!(error.to_string(), "got 11 action values; 2 environments need 2 x 6");
     assert_eq!(world.encode(0).unwrap(), before);
-    assert_eq!(world.episode_step(0), 0);
+    assert_eq!(world.position(0).step, 0);
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! Layouts, partitions and descriptions of the HalfCheetah tasks.
 
 use crate::{config, environments, key, random_actions, seeded, step};
-use sim::{FeatureRole, SimError};
+use proto::{EpisodePosition, FeatureRole};
+use sim::SimError;
 
 const STATE: [&str; 17] = [
     "rootz.position",
@@ -124,7 +125,7 @@ fn start_noise_has_the_published_widths() {
         let state =
             sim::State::from_bytes(&world.encode(0).unwrap(), world.state_bounds().unwrap())
                 .unwrap();
-        assert_eq!((state.episode, state.step, state.limit), (episode, 0, 1000));
+        assert_eq!(state.position, EpisodePosition { episode, step: 0, limit: 1000 });
         widest = state.coordinates.iter().fold(widest, |most, q| most.max(q.abs()));
         square += state.velocities.iter().map(|v| f64::from(v * v)).sum::<f64>();
     }

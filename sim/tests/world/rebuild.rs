@@ -39,7 +39,8 @@ fn two_restores_of_the_same_bytes_continue_identically_in_any_position() {
     source.restore(0, &bytes).unwrap();
     slot.restore(2, &bytes).unwrap();
     assert_eq!(bits(&*slot, 2), bytes, "a restored state encodes to its own bytes");
-    assert_eq!((slot.episode(2), slot.episode_step(2)), (3, 137));
+    let position = slot.position(2);
+    assert_eq!((position.episode, position.step), (3, 137));
     let mut outcome = [sim::Outcome::default(); 3];
     for index in 137..900 {
         random_actions(&mut rng, &mut actions);

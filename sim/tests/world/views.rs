@@ -1,6 +1,7 @@
 //! Walker2d and Ant: observations, rewards and terminations.
 
-use sim::{EnvironmentBatch, FeatureRole, Outcome, TaskConfig};
+use proto::FeatureRole;
+use sim::{EnvironmentBatch, Outcome, TaskConfig};
 
 use crate::{coordinates, environments};
 
@@ -45,7 +46,7 @@ fn local_observations_have_the_published_sizes() {
             "mode": "k_nearest", "nearest": 1, "globals": globals, "contact_forces": forces,
         });
         let world = with(task, &changes);
-        let padded = |agent: &sim::AgentDescription| {
+        let padded = |agent: &proto::AgentSpec| {
             agent.observation.iter().filter(|feature| feature.name != "padding").count()
         };
         let longest = sizes(&*world);

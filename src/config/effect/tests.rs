@@ -178,7 +178,7 @@ fn what_only_the_simulator_has_is_refused_for_an_environment_from_outside() {
 fn an_environment_from_outside_decides_about_settings_once_it_is_known() {
     let config = resolved(&[OUTSIDE, "policy.sigma_floor=0.1", "influence.lag=1"]).unwrap();
     let world = sim::environments(&resolved(&["cue-2x1"]).unwrap().task, 1).unwrap();
-    let mut spec = rollout::environment_spec(world.description());
+    let mut spec = world.description().clone();
     let refused =
         |spec: &EnvironmentSpec| demand(&config, Some(spec)).expect_err("refused").to_string();
     assert!(refused(&spec).contains("`policy.sigma_floor`"));

@@ -1,13 +1,57 @@
 //! Tests of `assemble` with 2 slots of 2 environments, 4 steps in chunks of 2, and one agent with 1 feature, 2 action
 //! dimensions and 1 recurrent unit, stored every 2 steps.
 
-use proto::{ActorId, AgentChunk, LeaseId, SlotEnd};
+use proto::{ActionSpec, ActorId, AgentChunk, Digest, FeatureSpec, Incarnation, LeaseId, SlotEnd};
 
 use super::*;
 
-fn layout() -> Layout {
-    let agents = vec![AgentLayout { observation: 1, action: 2, hidden: 1 }];
-    Layout { environments: 4, steps: 4, hidden_every: 2, state: 1, agents }
+fn run() -> RunDescription {
+    RunDescription { slot_steps: 4, hidden_every: 2, ..run_of_one_agent(2, 1) }
+}
+
+/// A run of one agent with one feature, an action of `action` numbers and `hidden` recurrent units.
+pub(crate) fn run_of_one_agent(action: usize, hidden: u32) -> RunDescription {
+    let feature = FeatureSpec { name: "x".to_owned(), role: FeatureRole::Signal };
+    let agent = AgentSpec {
+        name: "agent_0".to_owned(),
+        joints: vec![],
+        observation: vec![feature.clone()],
+        seen: vec![],
+        near: vec![],
+        action: ActionSpec::continuous(action),
+    };
+    let environment = EnvironmentSpec {
+        task: "toy".to_owned(),
+        agents: vec![agent],
+        state: vec![feature],
+        dt_secs: 0.1,
+        episode_steps: 9,
+        state_kind: "toy".to_owned(),
+        state_version: 1,
+        max_state_bytes: 8,
+        feature_z: false,
+    };
+    RunDescription {
+        run_id: "toy".to_owned(),
+        protocol_version: proto::PROTOCOL_VERSION,
+        incarnation: Incarnation(1),
+        seed: 1,
+        task_settings: String::new(),
+        environment,
+        environments_per_slot: 2,
+        slot_steps: 3,
+        chunk_steps: 1,
+        hidden_sizes: vec![hidden],
+        hidden_every: 1,
+        rollout_fingerprint: Digest([0; 32]),
+        config_sha256: Digest([0; 32]),
+        heartbeat_secs: 1.0,
+        settings_toml: String::new(),
+        build: String::new(),
+        other_builds: false,
+        sampled_evaluations: false,
+        restores_observations: false,
+    }
 }
 
 /// A number that encodes its position: `100 * step + environment`.
@@ -62,7 +106,7 @@ fn rollout(slot: usize) -> SlotRollout {
 
 #[test]
 fn every_number_is_at_the_position_of_its_step_and_environment() {
-    let batch = assemble(&layout(), &[rollout(0), rollout(1)]);
+    let batch = assemble(&run(), &[rollout(0), rollout(1)]);
     let rows: Vec<f32> = (0..4).flat_map(|t| (0..4).map(move |e| code(t, e))).collect();
     assert_eq!((batch.steps, batch.environments), (4, 4));
     assert_eq!(batch.reward, rows);
@@ -79,7 +123,7 @@ fn every_number_is_at_the_position_of_its_step_and_environment() {
 
 #[test]
 fn finals_are_sorted_by_step_and_environment() {
-    let batch = assemble(&layout(), &[rollout(0), rollout(1)]);
+    let batch = assemble(&run(), &[rollout(0), rollout(1)]);
     let places: Vec<(usize, usize)> =
         batch.finals.iter().map(|f| (f.step, f.environment)).collect();
     assert_eq!(places, [(1, 2), (3, 0), (3, 1), (3, 2), (3, 3)]);
@@ -88,25 +132,14 @@ fn finals_are_sorted_by_step_and_environment() {
 
 #[test]
 fn the_algorithm_accepts_the_batch() {
-    let batch = assemble(&layout(), &[rollout(0), rollout(1)]);
-    let kind = ActionKind::Continuous;
-    let shape = AgentShape {
-        observation: 1,
-        action: 2,
-        action_range: (-1.0, 1.0),
-        kind,
-        surprise_features: vec![0],
-        seen: vec![],
-        near: vec![],
-    };
-    let problem = Problem { agents: vec![shape], state: 1 };
-    batch.check(&problem, 2, &[1]).unwrap();
+    let batch = assemble(&run(), &[rollout(0), rollout(1)]);
+    batch.check(&problem(&run().environment), 2, &[1]).unwrap();
 }
 
 #[test]
 #[should_panic(expected = "rollouts are not all slots in order")]
 fn slots_in_the_wrong_order_panic() {
-    let _never = assemble(&layout(), &[rollout(1), rollout(0)]);
+    let _never = assemble(&run(), &[rollout(1), rollout(0)]);
 }
 
 #[test]
@@ -114,7 +147,7 @@ fn slots_in_the_wrong_order_panic() {
 fn a_slot_with_missing_steps_panics() {
     let mut short = rollout(1);
     short.chunks.pop();
-    let _never = assemble(&layout(), &[rollout(0), short]);
+    let _never = assemble(&run(), &[rollout(0), short]);
 }
 
 #[test]
@@ -122,5 +155,5 @@ fn a_slot_with_missing_steps_panics() {
 fn an_array_of_the_wrong_length_panics() {
     let mut wrong = rollout(0);
     wrong.chunks[0].agents[0].action.pop();
-    let _never = assemble(&layout(), &[wrong, rollout(1)]);
+    let _never = assemble(&run(), &[wrong, rollout(1)]);
 }

@@ -3,12 +3,17 @@
 use proto::{ActorId, LeaseId, SlotEnd, TrajectoryChunk};
 
 use super::*;
-use crate::assemble::AgentLayout;
+use crate::assemble::tests::run_of_one_agent;
 
-/// One slot of two environments, 3 steps, one agent with 2 recurrent units.
-fn layout() -> Layout {
-    let agents = vec![AgentLayout { observation: 1, action: 1, hidden: 2 }];
-    Layout { environments: 2, steps: 3, hidden_every: 3, state: 1, agents }
+/// Two environments of one agent with 2 recurrent units, whose episodes have this many steps.
+fn fresh(episode_steps: u32, phase: Phase) -> Environments {
+    Environments::fresh(&run(episode_steps), 2, phase)
+}
+
+fn run(episode_steps: u32) -> RunDescription {
+    let mut run = run_of_one_agent(1, 2);
+    run.environment.episode_steps = episode_steps;
+    run
 }
 
 fn batch(reward: [f32; 6], done_rows: &[usize]) -> Batch {
@@ -40,8 +45,7 @@ fn rollout() -> SlotRollout {
 }
 
 fn limits(count: usize, episode_steps: u32, phase: Phase) -> Vec<u32> {
-    let layout = Layout { environments: count, ..layout() };
-    let work = Environments::fresh(layout, episode_steps, phase).work(0, 2);
+    let work = Environments::fresh(&run(episode_steps), count, phase).work(0, 2);
     let starts = work.into_iter().flat_map(|slot| slot.environments);
     let limit = |start: EnvironmentStart| match start.start {
         Start::Fresh { episode: 0, limit } => limit,
@@ -59,8 +63,7 @@ fn staggered_first_episodes_end_at_even_intervals() {
 
 #[test]
 fn environments_are_numbered_over_all_slots() {
-    let layout = Layout { environments: 6, ..layout() };
-    let work = Environments::fresh(layout, 10, Phase::Lockstep).work(7, 2);
+    let work = Environments::fresh(&run(10), 6, Phase::Lockstep).work(7, 2);
     let numbers: Vec<(u64, u32, Vec<u32>)> = work
         .iter()
         .map(|w| (w.iteration, w.slot, w.environments.iter().map(|e| e.environment).collect()))
@@ -71,7 +74,7 @@ fn environments_are_numbered_over_all_slots() {
 #[test]
 fn an_episode_truncated_before_its_limit_is_counted_as_a_fault() {
     // Limits 2 and 4: environment 0 reaches its limit with step 1; the end of environment 1 after step 0 is a fault.
-    let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);
+    let mut environments = fresh(4, Phase::Staggered);
     environments.advance(&batch([0.0; 6], &[1, 2]), &[rollout()]);
     assert_eq!(environments.faults(), 1);
     environments.advance(&batch([0.0; 6], &[]), &[rollout()]);
@@ -81,7 +84,7 @@ fn an_episode_truncated_before_its_limit_is_counted_as_a_fault() {
 #[test]
 fn a_shortened_first_episode_is_not_counted_and_the_next_one_is() {
     // Limits 2 and 4: environment 0 ends after step 1 (not counted), environment 1 continues.
-    let mut environments = Environments::fresh(layout(), 4, Phase::Staggered);
+    let mut environments = fresh(4, Phase::Staggered);
     environments.advance(&batch([1.0, 10.0, 1.0, 10.0, 3.0, 10.0], &[2]), &[rollout()]);
     assert_eq!(environments.mean_return(), None);
     // Environment 1 ends after one more step with 40; environment 0 after three more with 3 + 6.
@@ -91,7 +94,7 @@ fn a_shortened_first_episode_is_not_counted_and_the_next_one_is() {
 
 #[test]
 fn the_mean_is_that_of_the_last_twenty_episodes() {
-    let mut environments = Environments::fresh(layout(), 1, Phase::Lockstep);
+    let mut environments = fresh(1, Phase::Lockstep);
     let all = [0, 1, 2, 3, 4, 5];
     environments.advance(&batch([1000.0; 6], &all), &[rollout()]);
     for _ in 0..3 {
@@ -103,7 +106,7 @@ fn the_mean_is_that_of_the_last_twenty_episodes() {
 
 #[test]
 fn the_next_iteration_continues_from_the_end_states_of_the_slots() {
-    let mut environments = Environments::fresh(layout(), 9, Phase::Lockstep);
+    let mut environments = fresh(9, Phase::Lockstep);
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     let starts: Vec<Start> =
         environments.work(1, 2).remove(0).environments.into_iter().map(|e| e.start).collect();
@@ -114,9 +117,9 @@ fn the_next_iteration_continues_from_the_end_states_of_the_slots() {
 
 #[test]
 fn restored_environments_equal_the_originals() {
-    let mut kept = Environments::fresh(layout(), 2, Phase::Lockstep);
+    let mut kept = fresh(2, Phase::Lockstep);
     for iteration in 0..3 {
-        let mut restored = Environments::fresh(layout(), 2, Phase::Lockstep);
+        let mut restored = fresh(2, Phase::Lockstep);
         restored.restore(&kept.arrays(), iteration).unwrap();
         assert_eq!(restored, kept);
         kept.advance(&batch([0.5, 1.0, 0.25, 1.0, 2.0, 1.0], &[2, 5]), &[rollout()]);
@@ -125,26 +128,26 @@ fn restored_environments_equal_the_originals() {
 
 #[test]
 fn an_environment_that_begins_again_has_the_next_episode_and_survives_a_checkpoint() {
-    let mut environments = Environments::fresh(layout(), 9, Phase::Staggered);
+    let mut environments = fresh(9, Phase::Staggered);
     environments.begin_again(0);
-    assert_eq!(environments, Environments::fresh(layout(), 9, Phase::Staggered));
+    assert_eq!(environments, fresh(9, Phase::Staggered));
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     environments.begin_again(0);
-    let fresh = Start::Fresh { episode: 1, limit: 9 };
+    let first = Start::Fresh { episode: 1, limit: 9 };
     let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
     let starts = environments.starts_of(&[0, 1]).into_iter().map(|e| e.start);
-    assert_eq!(starts.collect::<Vec<_>>(), [fresh, second]);
-    let mut restored = Environments::fresh(layout(), 9, Phase::Staggered);
+    assert_eq!(starts.collect::<Vec<_>>(), [first, second]);
+    let mut restored = fresh(9, Phase::Staggered);
     restored.restore(&environments.arrays(), 1).unwrap();
     assert_eq!(restored, environments);
 }
 
 #[test]
 fn states_are_invalid_that_cannot_be_decoded_or_are_at_another_position() {
-    let mut environments = Environments::fresh(layout(), 9, Phase::Lockstep);
+    let mut environments = fresh(9, Phase::Lockstep);
     environments.advance(&batch([0.5; 6], &[1]), &[rollout()]);
-    let position = |episode, step| Position { episode, step, limit: 9 };
-    let positions = move |first: Position, second: Position| {
+    let position = |episode, step| EpisodePosition { episode, step, limit: 9 };
+    let positions = move |first: EpisodePosition, second: EpisodePosition| {
         StateReader::new(move |state| Ok(if state == [4] { second } else { first }))
     };
     assert_eq!(environments.invalid(&positions(position(0, 3), position(1, 2))), []);
@@ -157,7 +160,7 @@ fn states_are_invalid_that_cannot_be_decoded_or_are_at_another_position() {
 
 #[test]
 fn a_missing_or_invalid_array_is_named_in_the_error() {
-    let mut environments = Environments::fresh(layout(), 2, Phase::Lockstep);
+    let mut environments = fresh(2, Phase::Lockstep);
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     for name in environments.arrays().keys() {
         let mut arrays = environments.arrays();
