@@ -165,7 +165,11 @@ async fn episodes_with_the_service_equal_those_of_the_evaluator_bit_for_bit() {
         let (joint, total) = play(&mut acting, &mut *here, episode).await;
         let draw = Draw::of(Purpose::EvaluationReset).iteration(2).environment(episode);
         let mut expected = Vec::new();
-        let keep = |step: &rollout::PlayedStep<'_>| expected.push(step.action.to_vec());
+        let keep = |event: rollout::StepEvent<'_>| {
+            if let rollout::StepEvent::After(step) = event {
+                expected.push(step.actions.concat());
+            }
+        };
         rollout::play_episode(
             &mut *there,
             &snapshot,

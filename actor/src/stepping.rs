@@ -1,6 +1,5 @@
 //! The stepping thread, which processes one job at a time and returns its results through a queue.
 
-use std::cell::RefCell;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -12,7 +11,7 @@ use proto::{
     RunDescription, Work, wire,
 };
 use recording::trajectory_log::LogHandle;
-use rollout::{Camera, EvaluationEpisode, FILMED, play_on, roll_out};
+use rollout::{Camera, EvaluationEpisode, FILMED, StepEvent, play_episode, roll_out};
 use sim::{EnvironmentBatch, SimError};
 use tokio::sync::{Notify, mpsc};
 
@@ -144,28 +143,26 @@ impl Worlds {
         }
         let Self { run, slot, handle, .. } = self;
         let nearly = (f64::from(run.slot_steps) * NEARLY) as u32;
-        let collector =
-            handle.as_ref().map(|handle| RefCell::new(handle.rollout(&job.lease, work)));
-        let see = |step, world: &dyn EnvironmentBatch| {
-            job.progress.step.store(step, Ordering::Relaxed);
-            if step == nearly {
-                job.progress.nearly_done.notify_one();
+        let mut collector = handle.as_ref().map(|handle| handle.rollout(&job.lease, work));
+        let observe = |event: StepEvent<'_>| {
+            if let StepEvent::Before(step, _) = event {
+                job.progress.step.store(step, Ordering::Relaxed);
+                if step == nearly {
+                    job.progress.nearly_done.notify_one();
+                }
             }
-            if let Some(collector) = &collector {
-                collector.borrow_mut().collect(step, world);
+            if let Some(collector) = &mut collector {
+                collector.observe(&event);
             }
         };
         let origin = work.origin();
-        roll_out(run, work, &job.policy, slot.as_mut(), see, |chunk| {
+        roll_out(run, work, &job.policy, slot.as_mut(), observe, |chunk| {
             let (message, digest) = chunk.to_wire(run, &origin);
-            if let Some(collector) = &collector {
-                collector.borrow_mut().keep(chunk);
-            }
             let content = Content::Chunk(message);
             send(job, PushHeader::of(&job.lease, digest).to_wire(content), results)
         })?;
         if let (Some(handle), Some(collector)) = (handle, collector) {
-            handle.send_rollout(collector.into_inner());
+            handle.send(collector);
         }
         Ok(())
     }
@@ -177,28 +174,27 @@ impl Worlds {
     ) -> Result<(EvaluationResult, Option<Film>), SimError> {
         let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(self.run.seed), work);
         let key = EvaluationEpisode { seed, iteration, index }.key();
-        let world = self.evaluation.as_mut();
-        world.reset(0, 0, world.description().episode_steps, key.0)?;
         let handle = self.handle.as_ref();
-        let mut collector = handle.and_then(|handle| handle.evaluation(&job.lease, work, world));
-        let mut camera = match work.episode {
-            FILMED => Camera::before(world),
-            _ => None,
-        };
-        let mut steps = 0;
-        let choice = choice(&self.run, index);
-        let episode = play_on(world, (&job.policy, choice), &mut |step| {
-            steps += 1;
-            job.progress.step.store(steps, Ordering::Relaxed);
-            if let Some(camera) = &mut camera {
-                camera.capture(step.world);
+        let mut collector = handle.and_then(|handle| handle.evaluation(&job.lease, work));
+        let mut camera = None;
+        let start = (key, choice(&self.run, index));
+        let episode = play_episode(self.evaluation.as_mut(), &job.policy, start, |event| {
+            match &event {
+                StepEvent::Before(0, world) if index == FILMED => camera = Camera::before(*world),
+                StepEvent::Before(..) => {}
+                StepEvent::After(played) => {
+                    job.progress.step.store(played.step, Ordering::Relaxed);
+                    if let Some(camera) = &mut camera {
+                        camera.capture(played.world);
+                    }
+                }
             }
             if let Some(collector) = &mut collector {
-                collector.collect(step);
+                collector.observe(&event);
             }
         })?;
         if let (Some(handle), Some(collector)) = (handle, collector) {
-            handle.send_evaluation(collector);
+            handle.send(collector);
         }
         let result = EvaluationResult {
             episode: work.episode,

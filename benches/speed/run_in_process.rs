@@ -106,8 +106,7 @@ pub(crate) fn roll_out(
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    rollout::roll_out(run, work, policy, world, |_, _| {}, keep)
-        .expect("the lease is the learner's");
+    rollout::roll_out(run, work, policy, world, |_| {}, keep).expect("the lease is the learner's");
     chunks
 }
 
@@ -191,6 +190,5 @@ fn perform(
             Err(_) => ControlFlow::Break(()),
         }
     };
-    rollout::roll_out(run, work, &policy, world, |_, _| {}, send)
-        .expect("the lease is the learner's");
+    rollout::roll_out(run, work, &policy, world, |_| {}, send).expect("the lease is the learner's");
 }

@@ -8,7 +8,6 @@ mod error;
 mod mcap_file;
 mod record;
 mod share;
-mod step_reader;
 pub mod trajectory_log;
 
 pub use error::RecordError;

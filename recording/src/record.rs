@@ -7,11 +7,11 @@ use std::path::Path;
 
 use policy::PolicySnapshot;
 use proto::{ActionChoice, WeightsName};
-use rollout::{Episode, EvaluationEpisode, play_on};
+use rollout::{Episode, EvaluationEpisode, StepEvent, play_episode};
 use sim::EnvironmentBatch;
 
 use crate::error::RecordError;
-use crate::trajectory_log::{EvaluationCollector, LogFile, Origin};
+use crate::trajectory_log::{LogFile, Origin, ShareCollector};
 
 /// The run whose episodes are recorded.
 #[derive(Clone, Debug)]
@@ -56,14 +56,15 @@ pub fn record(
     let mut file = LogFile::begin((path.to_path_buf(), File::create(path)?), &origin)?;
     let mut summary = RecordSummary::default();
     for (index, episode) in episodes.iter().enumerate() {
-        world.reset(0, 0, world.description().episode_steps, episode.key().0)?;
-        let mut collector = EvaluationCollector::new(*episode, (run.weights, 0), world)?;
-        let acting = (run.policy, ActionChoice::Mean);
-        let played = play_on(world, acting, &mut |step| {
-            collector.collect(step);
-            on_step(index, step.step);
+        let mut collector = ShareCollector::evaluation(*episode, (run.weights, 0));
+        let start = (episode.key(), ActionChoice::Mean);
+        let played = play_episode(world, run.policy, start, |event| {
+            collector.observe(&event);
+            if let StepEvent::After(step) = event {
+                on_step(index, step.step);
+            }
         })?;
-        file.write(&collector.finish())?;
+        collector.finish()?.iter().try_for_each(|share| file.write(share))?;
         summary.episodes.push(played);
     }
     summary.messages = file.finish((0, 0))?;

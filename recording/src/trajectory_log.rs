@@ -1,16 +1,14 @@
 //! Trajectory logs: the steps of actors as MCAP files, for Foxglove, Python and replay in the simulator.
 //!
-//! A log consists of shares: the steps of one episode in one lease. The stepping thread only collects data
-//! (`collector.rs`) and sends whole leases to the log-writer thread (`writer.rs`), which splits them into shares
-//! (`cut.rs`) and writes these (`file.rs`). The writer may lose shares, which it counts, but never delays the stepping
+//! A log consists of shares: the steps of one episode in one lease. The stepping thread only collects them
+//! (`collector.rs`) and sends those of whole leases to the log-writer thread (`writer.rs`), which writes them
+//! (`file.rs`). The writer may lose shares, which it counts, but never delays the stepping
 //! thread. The other files read logs, all of them through `records.rs`, which accepts untrusted bytes.
 
 mod collector;
 mod config;
-mod cut;
 mod error;
 mod file;
-mod names;
 mod records;
 mod replay;
 mod shares;
@@ -19,7 +17,7 @@ mod source;
 mod tests;
 mod writer;
 
-pub use collector::{EvaluationCollector, RolloutCollector};
+pub use collector::ShareCollector;
 pub use config::{LogConfig, LogSettings};
 pub use error::{LogError, LogStartError};
 pub use replay::{Difference, Replayed, replay};

@@ -2,7 +2,9 @@
 
 use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
 use proto::ActionChoice;
-use sim::EnvironmentBatch;
+use sim::{EnvironmentBatch, Outcome};
+
+use crate::step_event::PlayedStep;
 
 /// Buffers of a slot's agents for `E` environments; rows are in the order of the environments.
 #[derive(Debug, Default)]
@@ -138,6 +140,24 @@ impl Agents {
             first += size.action;
         }
         &self.joint
+    }
+
+    /// Step number `step` of these agents, for observers, without log-probabilities.
+    pub(crate) fn played<'a>(
+        &'a self,
+        world: &'a dyn EnvironmentBatch,
+        outcomes: &'a [Outcome],
+        step: u32,
+    ) -> PlayedStep<'a> {
+        PlayedStep {
+            world,
+            step,
+            observation: &self.observation,
+            hidden: &self.hidden,
+            actions: &self.action,
+            log_probs: None,
+            outcomes,
+        }
     }
 
     /// Sets the recurrent states of an environment to zero.

@@ -9,24 +9,17 @@ use crate::acting::Agents;
 #[derive(Debug)]
 pub(crate) struct ChunkBuilder {
     chunk: TrajectoryChunk,
-    state: Vec<f32>,
 }
 
 impl ChunkBuilder {
     /// Starts chunk number `sequence` of a slot, at step `first_step`.
     pub(crate) fn new(sequence: u32, first_step: u32, environments: &dyn EnvironmentBatch) -> Self {
         let description = environments.description();
-        let nothing = || AgentChunk {
-            observation: Vec::new(),
-            action: Vec::new(),
-            log_prob: Vec::new(),
-            hidden: Vec::new(),
-        };
         let chunk = TrajectoryChunk {
             sequence,
             first_step,
             steps: 0,
-            agents: description.agents.iter().map(|_| nothing()).collect(),
+            agents: vec![AgentChunk::default(); description.agents.len()],
             state: Vec::new(),
             reward: Vec::new(),
             terminated: Vec::new(),
@@ -34,7 +27,7 @@ impl ChunkBuilder {
             finals: Vec::new(),
             end: None,
         };
-        Self { chunk, state: vec![0.0; description.state.len()] }
+        Self { chunk }
     }
 
     /// Adds the recurrent states before the next step.
@@ -53,9 +46,12 @@ impl ChunkBuilder {
         for (chunk, observation) in self.chunk.agents.iter_mut().zip(&agents.observation) {
             chunk.observation.extend_from_slice(observation);
         }
+        let size = environments.description().state.len();
         for environment in 0..environments.count() {
-            environments.state(environment, &mut self.state);
-            self.chunk.state.extend_from_slice(&self.state);
+            let state = &mut self.chunk.state;
+            let start = state.len();
+            state.resize(start + size, 0.0);
+            environments.state(environment, &mut state[start..]);
         }
     }
 
@@ -78,15 +74,8 @@ impl ChunkBuilder {
         environment: usize,
         world: &dyn EnvironmentBatch,
     ) {
-        let description = world.description();
-        let mut state = vec![0.0; description.state.len()];
-        world.state(environment, &mut state);
-        let observe = |(agent, shape): (usize, &proto::AgentSpec)| {
-            let mut row = vec![0.0; shape.observation.len()];
-            world.observation(environment, agent, &mut row);
-            row
-        };
-        let observation = description.agents.iter().enumerate().map(observe).collect();
+        let (state, observation) =
+            (world.state_of(environment), world.observations_of(environment));
         let environment = environment as u32;
         self.chunk.finals.push(FinalStep { step, environment, state, observation });
     }

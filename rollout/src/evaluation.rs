@@ -8,6 +8,7 @@ use proto::ActionChoice;
 use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
+use crate::step_event::StepEvent;
 
 /// One episode of the evaluation of a run's weights. Training, `eval`, `record`, `film`, `export` and the page start
 /// an episode of the same index in the same state.
@@ -51,26 +52,8 @@ pub struct Episode {
     pub steps: u32,
 }
 
-/// A step of a played episode.
-pub struct PlayedStep<'a> {
-    /// The world after the step.
-    pub world: &'a dyn EnvironmentBatch,
-    /// Joint action in agent order, `[A]`.
-    pub action: &'a [f32],
-    /// Observation of each agent before the step, `[obs]`.
-    pub observation: &'a [Vec<f32>],
-    /// Recurrent state of each agent after the step, `[H]`.
-    pub hidden: &'a [Vec<f32>],
-    /// Action of each agent, `[act]`.
-    pub actions: &'a [Vec<f32>],
-    /// Result of the step.
-    pub outcome: Outcome,
-    /// Number of steps so far, including this one.
-    pub step: u32,
-}
-
 /// Plays an episode in environment 0 from a start drawn with `key`, with actions selected by `choice`, and calls
-/// `on_step` after each step. `world` must have one environment.
+/// `on_event` before and after each step. `world` must have one environment.
 ///
 /// # Errors
 /// If an action is not finite, or an external environment fails.
@@ -78,42 +61,22 @@ pub fn play_episode(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
     (key, choice): (Key, ActionChoice),
-    mut on_step: impl FnMut(&PlayedStep<'_>),
+    mut on_event: impl FnMut(StepEvent<'_>),
 ) -> Result<Episode, SimError> {
     world.reset(0, 0, world.description().episode_steps, key.0)?;
-    play_on(world, (policy, choice), &mut on_step)
-}
-
-/// As [`play_episode`], from the current state of environment 0.
-///
-/// # Errors
-/// As [`play_episode`].
-pub fn play_on(
-    world: &mut dyn EnvironmentBatch,
-    (policy, choice): (&PolicySnapshot, ActionChoice),
-    on_step: &mut impl FnMut(&PlayedStep<'_>),
-) -> Result<Episode, SimError> {
     let mut agents = Agents::new(world, policy);
     let mut outcomes = vec![Outcome::default(); world.count()];
     let mut episode = Episode::default();
     loop {
+        on_event(StepEvent::Before(episode.steps, world));
         agents.observe(world);
         agents.forward(policy);
         agents.choose(policy, choice, episode.steps);
         world.step(agents.join(), &mut outcomes)?;
-        let outcome = outcomes[0];
-        episode.extrinsic_return += f64::from(outcome.reward);
+        episode.extrinsic_return += f64::from(outcomes[0].reward);
         episode.steps += 1;
-        on_step(&PlayedStep {
-            world,
-            action: &agents.joint,
-            observation: &agents.observation,
-            hidden: &agents.hidden,
-            actions: &agents.action,
-            outcome,
-            step: episode.steps,
-        });
-        if outcome.terminated || outcome.truncated {
+        on_event(StepEvent::After(agents.played(world, &outcomes, episode.steps)));
+        if outcomes[0].is_end() {
             return Ok(episode);
         }
     }

@@ -10,8 +10,10 @@ mod evaluation;
 mod film;
 mod fingerprint;
 mod slot;
+mod step_event;
 
-pub use evaluation::{Episode, EvaluationEpisode, PlayedStep, play_episode, play_on};
+pub use evaluation::{Episode, EvaluationEpisode, play_episode};
 pub use film::{Camera, FILMED};
 pub use fingerprint::rollout_fingerprint;
 pub use slot::roll_out;
+pub use step_event::{PlayedStep, StepEvent};

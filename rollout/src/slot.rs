@@ -8,6 +8,7 @@ use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::{Agents, Noise};
 use crate::chunk::ChunkBuilder;
+use crate::step_event::{PlayedStep, StepEvent};
 
 /// A slot during its rollout.
 struct Slot<'a> {
@@ -21,8 +22,8 @@ struct Slot<'a> {
     chunk: ChunkBuilder,
 }
 
-/// Rolls out all steps of `work` and passes each full chunk to `emit`, which can stop the rollout. Before each step,
-/// calls `see` with the step's index and the environments.
+/// Rolls out all steps of `work` and passes each full chunk to `emit`, which can stop the rollout. Calls `on_event`
+/// before and after each step.
 ///
 /// # Errors
 /// If an environment state of the lease is invalid, an action is not finite, or an external environment fails.
@@ -34,15 +35,15 @@ pub fn roll_out(
     work: &RolloutWork,
     policy: &PolicySnapshot,
     world: &mut dyn EnvironmentBatch,
-    mut see: impl FnMut(u32, &dyn EnvironmentBatch),
+    mut on_event: impl FnMut(StepEvent<'_>),
     mut emit: impl FnMut(TrajectoryChunk) -> ControlFlow<()>,
 ) -> Result<(), SimError> {
     let (opened, leased) = (world.count(), work.environments.len());
     assert_eq!(opened, leased, "{opened} environments are open, the slot has {leased}");
     let mut slot = Slot::begin(run, work, policy, world)?;
     for step in 0..run.slot_steps {
-        see(step, slot.world);
-        slot.step(step)?;
+        on_event(StepEvent::Before(step, slot.world));
+        slot.step(step, &mut on_event)?;
         if let Some(chunk) = slot.full_chunk(step)?
             && emit(chunk).is_break()
         {
@@ -86,7 +87,11 @@ impl<'a> Slot<'a> {
     }
 
     /// Observes, acts, steps, records, and resets finished episodes.
-    fn step(&mut self, step: u32) -> Result<(), SimError> {
+    fn step(
+        &mut self,
+        step: u32,
+        on_event: &mut impl FnMut(StepEvent<'_>),
+    ) -> Result<(), SimError> {
         if step.is_multiple_of(self.run.hidden_every) {
             self.chunk.store_hidden(&self.agents);
         }
@@ -98,6 +103,9 @@ impl<'a> Slot<'a> {
         self.agents.draw(self.policy, &self.indices, noise);
         self.world.step(self.agents.join(), &mut self.outcomes)?;
         self.chunk.push_step(&self.agents, &self.outcomes);
+        let played = self.agents.played(self.world, &self.outcomes, step + 1);
+        let log_probs = Some(self.agents.log_prob.as_slice());
+        on_event(StepEvent::After(PlayedStep { log_probs, ..played }));
         for position in 0..self.outcomes.len() {
             self.finish(step, position)?;
         }
@@ -108,7 +116,7 @@ impl<'a> Slot<'a> {
     /// has ended.
     fn finish(&mut self, step: u32, position: usize) -> Result<(), SimError> {
         let outcome = self.outcomes[position];
-        let done = outcome.terminated || outcome.truncated;
+        let done = outcome.is_end();
         if done || step + 1 == self.run.slot_steps {
             self.chunk.push_final(step, position, self.world);
         }

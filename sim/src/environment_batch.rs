@@ -1,6 +1,6 @@
 //! The interface of vectorised environments, which `sim` or another program steps.
 
-use proto::{EnvironmentSpec, EpisodePosition};
+use proto::{AgentSpec, EnvironmentSpec, EpisodePosition};
 
 use crate::error::SimError;
 use crate::robot::Robot;
@@ -84,6 +84,24 @@ pub trait EnvironmentBatch: Send {
     /// If `out` has a wrong length.
     fn state(&self, environment: usize, out: &mut [f32]);
 
+    /// The global state, `[S]`.
+    fn state_of(&self, environment: usize) -> Vec<f32> {
+        let mut state = vec![0.0; self.description().state.len()];
+        self.state(environment, &mut state);
+        state
+    }
+
+    /// The observation of each agent, `[obs]`.
+    fn observations_of(&self, environment: usize) -> Vec<Vec<f32>> {
+        let agents = self.description().agents.iter().enumerate();
+        let observe = |(agent, spec): (usize, &AgentSpec)| {
+            let mut row = vec![0.0; spec.observation.len()];
+            self.observation(environment, agent, &mut row);
+            row
+        };
+        agents.map(observe).collect()
+    }
+
     /// Poses of a simulated robot's links and joints; empty for games and external environments.
     fn pose(&self, _environment: usize) -> Pose {
         Pose::default()
@@ -116,4 +134,11 @@ pub struct Outcome {
     pub truncated: bool,
     /// The state became non-finite or out of bounds. The environment is back in the state before the step.
     pub fault: bool,
+}
+
+impl Outcome {
+    /// Whether the step ended the episode.
+    pub fn is_end(&self) -> bool {
+        self.terminated || self.truncated
+    }
 }

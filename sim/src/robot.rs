@@ -11,9 +11,9 @@ mod inertia;
 mod layout;
 mod mesh;
 mod model;
-mod model_files;
 mod neighbourhood;
 mod nesting;
+mod one_document;
 mod softness;
 
 use std::borrow::Cow;
@@ -26,8 +26,8 @@ pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
 pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan, ShapePlan};
 pub(crate) use convex::Convex;
 pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind, MotorMap};
-pub use model_files::ModelFiles;
 pub(crate) use neighbourhood::Neighbourhood;
+pub use one_document::one_document;
 pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
 
 /// A robot: its model and the settings that MJCF does not contain.
@@ -69,56 +69,32 @@ pub struct Robot {
 }
 
 impl Robot {
+    /// Builds a robot whose model is one document.
     pub(crate) fn build(row: RobotRow) -> Result<Self, SimError> {
-        let name = row.name.clone();
-        let refused = |reason| SimError::Model { robot: name.to_string(), reason };
-        let no_file = |path: &str| {
+        Self::of_files(row, &|path| {
             Err(format!("{path}: the model of a task is one document without other files"))
-        };
-        let mut folder = folder::Folder::new(&row.name, &no_file).map_err(refused)?;
+        })
+    }
+
+    /// Builds a robot whose model names files that `source` reads. [`Self::left_out`] lists what MuJoCo simulates in
+    /// addition.
+    pub(crate) fn of_files(
+        row: RobotRow,
+        source: &dyn Fn(&str) -> Result<Vec<u8>, String>,
+    ) -> Result<Self, SimError> {
+        let refused = |reason| SimError::Model { robot: row.name.to_string(), reason };
+        let mut folder = folder::Folder::new(&row.name, source).map_err(refused)?;
         let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
         blueprint.integration = row.integration.unwrap_or(blueprint.integration);
         blueprint.soften(&row.contacts, row.margin, &row.limits);
-        let compliance = row.contact_compliance.unwrap_or(DEFAULT_COMPLIANCE);
-        let robot = Self::assemble(name.clone(), blueprint, compliance);
-        let robot = robot.map_err(refused)?;
-        Ok(Self { frame_skip: row.frame_skip, neighbourhood: row.neighbourhood, ..robot })
-    }
-
-    /// Builds a robot from a model. `frame_skip` is the number of physics steps in an environment step.
-    ///
-    /// The integrator and the softness of contacts and limits are those of the model. [`Self::left_out`] lists what
-    /// MuJoCo simulates in addition.
-    ///
-    /// # Errors
-    /// If the model contains something that cannot be built. The message names the element and its line.
-    pub fn from_model(name: &str, model: &ModelFiles, frame_skip: u32) -> Result<Self, SimError> {
-        let refused = |reason| SimError::Model { robot: name.to_owned(), reason };
-        let source = |path: &str| {
-            let found = model.files.get(path).cloned();
-            found.ok_or_else(|| format!("the model has no file `{path}`"))
-        };
-        let mut folder = folder::Folder::new(&model.document, &source).map_err(refused)?;
-        let text = folder.document().map_err(refused)?;
-        let blueprint = model::read(&text, &mut folder).map_err(refused)?;
-        let name = Cow::Owned(name.to_owned());
-        let robot = Self::assemble(name, blueprint, DEFAULT_COMPLIANCE).map_err(refused)?;
-        Ok(Self { frame_skip, ..robot })
-    }
-
-    fn assemble(
-        name: Cow<'static, str>,
-        blueprint: Blueprint,
-        contact_compliance: f32,
-    ) -> Result<Self, String> {
-        let (template, layout) = assemble::assemble(&blueprint, contact_compliance)?;
-        let neighbourhood = Neighbourhood::default();
-        let frame_skip = 1;
+        let contact_compliance = row.contact_compliance.unwrap_or(DEFAULT_COMPLIANCE);
+        let (template, layout) =
+            assemble::assemble(&blueprint, contact_compliance).map_err(refused)?;
         Ok(Self {
-            name,
-            frame_skip,
+            name: row.name,
+            frame_skip: row.frame_skip,
             contact_compliance,
-            neighbourhood,
+            neighbourhood: row.neighbourhood,
             blueprint,
             layout,
             template,

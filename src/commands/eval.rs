@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use clap::Args;
 use learner::event::Spread;
 use proto::ActionChoice;
-use rollout::{Episode, PlayedStep};
+use rollout::{Episode, StepEvent};
 use serde_json::json;
 use sim::EnvironmentBatch;
 
@@ -68,12 +68,13 @@ fn play(
             None => ActionChoice::Mean,
         };
         let start = (trained.episode(episode).key(), choice);
-        let on_step = |step: &PlayedStep<'_>| {
+        let on_event = |event: StepEvent<'_>| {
+            let StepEvent::After(step) = event else { return };
             let done = u64::from(episode) * most + u64::from(step.step);
             let place = || format!("episode {}/{count}, step {}", episode + 1, step.step);
             progress.reach(done, u64::from(count) * most, place);
         };
-        rollout::play_episode(world, &trained.policy, start, on_step).context("the episode failed")
+        rollout::play_episode(world, &trained.policy, start, on_event).context("the episode failed")
     };
     (0..arguments.episodes).map(episode).collect()
 }

@@ -7,7 +7,7 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use proto::name;
-use sim::{ModelFiles, TaskDefinition};
+use sim::TaskDefinition;
 
 use crate::process::home;
 
@@ -144,7 +144,7 @@ fn one_document(folder: &Path, document: &str) -> Result<String, String> {
         let bytes = inside(folder, path).and_then(|file| content(&file, MODEL_FILE_BYTES));
         bytes.map_err(|error| format!("{path}: {error}"))
     };
-    let text = ModelFiles::one_document(document, read).map_err(|error| error.to_string())?;
+    let text = sim::one_document(document, read).map_err(|error| error.to_string())?;
     match text.len() as u64 {
         0..=LIMIT_BYTES => Ok(text),
         size => Err(format!(

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
 use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
+use rollout::StepEvent;
 use sim::{EnvironmentBatch, SimError};
 
 use crate::progress::WorkProgress;
@@ -37,7 +38,8 @@ pub(super) fn play(
     for agent in &policy.agents {
         agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });
     }
-    let episode = rollout::play_episode(world, policy, (start, ActionChoice::Mean), |step| {
+    let episode = rollout::play_episode(world, policy, (start, ActionChoice::Mean), |event| {
+        let StepEvent::After(step) = event else { return };
         for (index, track) in agents.iter_mut().enumerate() {
             track.observation.extend(&step.observation[index]);
             track.hidden.extend(&step.hidden[index]);

@@ -3,6 +3,7 @@
 use anyhow::Context as _;
 use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
+use rollout::StepEvent;
 use sim::{Outcome, TaskConfig};
 
 use crate::errors::Usage;
@@ -35,16 +36,17 @@ impl PlayedEpisode {
             return Err(Usage::new(why).into());
         };
         let dt_secs = world.description().dt_secs;
-        // The same draw as the episode's own, to see where it starts.
-        world.reset(0, 0, world.description().episode_steps, key.0)?;
-        let mut moments = vec![Moment::of(&*world)];
-        let mut end = Outcome::default();
+        let (mut moments, mut end) = (Vec::new(), Outcome::default());
         let start = (key, ActionChoice::Mean);
-        let episode = rollout::play_episode(&mut *world, policy, start, |step| {
-            let before = moments.last().expect("the start is there");
-            let now = Moment::after(step, before);
-            moments.push(now);
-            end = step.outcome;
+        let episode = rollout::play_episode(&mut *world, policy, start, |event| match event {
+            StepEvent::Before(0, world) => moments.push(Moment::of(world)),
+            StepEvent::Before(..) => {}
+            StepEvent::After(step) => {
+                let before = moments.last().expect("the start is there");
+                let now = Moment::after(&step, before);
+                moments.push(now);
+                end = step.outcomes[0];
+            }
         })
         .context("the episode failed")?;
         let extrinsic_return = episode.extrinsic_return;

@@ -1,33 +1,162 @@
-//! Collectors of log data, which the stepping thread calls during a lease. They only collect what is logged.
+//! Collects the shares of the logged episodes of a lease while the stepping thread plays them.
 
 use policy::RunSeed;
-use proto::trajectory_log::{Kind, Share, ShareEnd};
+use proto::trajectory_log::{AgentStep, FinalObservation, Kind, Share, ShareEnd, Step};
 use proto::{
-    EpisodePosition, Episodes, Lease, RolloutWork, RunDescription, TrajectoryChunk, WeightsName,
-    rollout_episode_id,
+    EpisodePosition, Episodes, Lease, RolloutWork, RunDescription, WeightsName, rollout_episode_id,
 };
-use rollout::{EvaluationEpisode, PlayedStep};
-use sim::{EnvironmentBatch, Pose, SimError};
+use rollout::{EvaluationEpisode, PlayedStep, StepEvent};
+use sim::{EnvironmentBatch, Outcome, Pose, SimError};
 
-use crate::share::LoggedShare;
-use crate::step_reader::StepReader;
+use crate::share::{LoggedShare, LoggedStep};
 
-/// Log data of a finished slot.
-pub(crate) struct Rollout {
-    pub(crate) begun: Vec<PartialShare>,
-    /// Chunks in order, without those before the first share.
-    pub(crate) chunks: Vec<TrajectoryChunk>,
+/// Collects the logged steps of a slot or of an evaluation episode.
+pub struct ShareCollector<'a> {
+    /// Header fields common to all shares of the lease.
+    common: Share,
+    kind: Collected<'a>,
+    /// In the order of their starts.
+    shares: Vec<LoggedShare>,
+    /// The current share of each environment; `None` if it is not logged.
+    open: Vec<Option<OpenShare>>,
+    is_whole: bool,
+    /// Why the state of an environment cannot be encoded.
+    failure: Option<SimError>,
 }
 
-/// The data of a share that the chunks do not contain.
-pub(crate) struct PartialShare {
-    pub(crate) head: Share,
-    /// Index of its environment in the slot.
-    pub(crate) position: usize,
-    /// First step of the share in the slot.
-    pub(crate) slot_step: u32,
-    /// Poses before each step.
-    pub(crate) poses: Vec<Pose>,
+enum Collected<'a> {
+    /// The selected episodes of a slot with this number of steps.
+    Slot { work: &'a RolloutWork, episodes: Episodes, steps: u32 },
+    /// A whole episode.
+    Evaluation,
+}
+
+/// A share that continues, and its environment before the current step.
+struct OpenShare {
+    /// Index of the share.
+    index: usize,
+    pose: Pose,
+    state: Vec<f32>,
+}
+
+impl<'a> ShareCollector<'a> {
+    /// Starts a collector of a slot.
+    pub(crate) fn rollout(
+        episodes: Episodes,
+        run: &RunDescription,
+        lease: &Lease,
+        work: &'a RolloutWork,
+    ) -> Self {
+        let (iteration, slot, kind) = (work.iteration, work.slot, Kind::Rollout.into());
+        let head = head(RunSeed(run.seed), lease.weights, lease.attempt);
+        let common = Share { iteration, slot, kind, ..head };
+        Self::new(common, Collected::Slot { work, episodes, steps: run.slot_steps })
+    }
+
+    /// Starts a collector of an evaluation episode of the weights, in their lease with number `attempt`.
+    pub(crate) fn evaluation(
+        episode: EvaluationEpisode,
+        (weights, attempt): (WeightsName, u32),
+    ) -> Self {
+        let common = Share {
+            episode_id: episode.id(),
+            kind: Kind::Evaluation.into(),
+            iteration: episode.iteration,
+            episode: episode.index.into(),
+            ..head(episode.seed, weights, attempt)
+        };
+        Self::new(common, Collected::Evaluation)
+    }
+
+    fn new(common: Share, kind: Collected<'a>) -> Self {
+        let (shares, open) = (Vec::new(), Vec::new());
+        Self { common, kind, shares, open, is_whole: false, failure: None }
+    }
+
+    /// Collects a step of all environments.
+    pub fn observe(&mut self, event: &StepEvent<'_>) {
+        match event {
+            StepEvent::Before(step, world) => self.before(*step, *world),
+            StepEvent::After(played) => self.after(played),
+        }
+    }
+
+    /// Starts shares, and reads what the step will change.
+    fn before(&mut self, step: u32, world: &dyn EnvironmentBatch) {
+        self.open.resize_with(world.count(), || None);
+        for environment in 0..world.count() {
+            if step == 0 || world.position(environment).step == 0 {
+                self.open[environment] = self.begin(environment, world);
+            }
+            if let Some(open) = &mut self.open[environment] {
+                open.pose = world.pose(environment);
+                open.state = world.state_of(environment);
+            }
+        }
+    }
+
+    /// Starts a share; `None` if it is not logged or its state cannot be encoded.
+    fn begin(&mut self, environment: usize, world: &dyn EnvironmentBatch) -> Option<OpenShare> {
+        let mut head = self.common.clone();
+        if let Collected::Slot { work, episodes, .. } = &self.kind {
+            let index = work.environments[environment].environment;
+            let EpisodePosition { episode, step, .. } = world.position(environment);
+            if !episodes.include_rollout(index, episode) {
+                return None;
+            }
+            head.episode_id = rollout_episode_id(index, episode);
+            (head.first_step, head.environment, head.episode) = (step, index, episode);
+        }
+        match world.encode(environment) {
+            Ok(state) => head.environment_state = state,
+            Err(error) => {
+                self.failure = Some(error);
+                return None;
+            }
+        }
+        self.shares.push(LoggedShare { head, steps: Vec::new(), end: ShareEnd::default() });
+        Some(OpenShare { index: self.shares.len() - 1, pose: Pose::default(), state: Vec::new() })
+    }
+
+    fn after(&mut self, played: &PlayedStep<'_>) {
+        self.is_whole = match self.kind {
+            Collected::Slot { steps, .. } => played.step == steps,
+            Collected::Evaluation => played.outcomes[0].is_end(),
+        };
+        for (environment, open) in self.open.iter_mut().enumerate() {
+            let Some(OpenShare { index, pose, state }) = open else { continue };
+            let share = &mut self.shares[*index];
+            let Outcome { reward, terminated, truncated, .. } = played.outcomes[environment];
+            let (state, step) = (std::mem::take(state), share.next_step());
+            share.steps.push(LoggedStep {
+                pose: std::mem::take(pose),
+                agents: agents(played, environment),
+                step: Step { step, reward, terminated, truncated, state },
+            });
+            if played.outcomes[environment].is_end() {
+                share.end = end(played.world, environment, share.steps.len());
+                *open = None;
+            } else if self.is_whole {
+                share.end = end(played.world, environment, share.steps.len());
+                match played.world.encode(environment) {
+                    Ok(state) => share.end.environment_state = state,
+                    Err(error) => self.failure = Some(error),
+                }
+            }
+        }
+    }
+
+    /// The shares; none if the slot or the episode is not finished.
+    ///
+    /// # Errors
+    /// If the state of an environment could not be encoded.
+    pub(crate) fn finish(self) -> Result<Vec<LoggedShare>, SimError> {
+        match self.failure {
+            Some(error) => Err(error),
+            None if self.is_whole => Ok(self.shares),
+            None => Ok(Vec::new()),
+        }
+    }
 }
 
 /// Header fields common to all shares of a lease.
@@ -41,132 +170,27 @@ fn head(seed: RunSeed, weights: WeightsName, attempt: u32) -> Share {
     }
 }
 
-/// Collects the log data of a slot.
-pub struct RolloutCollector<'a> {
-    episodes: Episodes,
-    work: &'a RolloutWork,
-    common: Share,
-    begun: Vec<PartialShare>,
-    /// Index of the current share of each environment; `None` if it is not logged.
-    open: Vec<Option<usize>>,
-    chunks: Vec<TrajectoryChunk>,
+/// What each agent observed and did in an environment.
+fn agents(played: &PlayedStep<'_>, environment: usize) -> Vec<AgentStep> {
+    let row = |all: &[f32]| {
+        let width = all.len() / played.outcomes.len();
+        all[environment * width..][..width].to_vec()
+    };
+    let agent = |agent: usize| AgentStep {
+        observation: row(&played.observation[agent]),
+        action: row(&played.actions[agent]),
+        log_prob: played.log_probs.map(|log_probs| log_probs[agent][environment]),
+    };
+    (0..played.actions.len()).map(agent).collect()
 }
 
-impl<'a> RolloutCollector<'a> {
-    pub(crate) fn new(
-        episodes: Episodes,
-        run: &RunDescription,
-        lease: &Lease,
-        work: &'a RolloutWork,
-    ) -> Self {
-        let (iteration, slot, kind) = (work.iteration, work.slot, Kind::Rollout.into());
-        let head = head(RunSeed(run.seed), lease.weights, lease.attempt);
-        Self {
-            episodes,
-            work,
-            common: Share { iteration, slot, kind, ..head },
-            begun: Vec::new(),
-            open: vec![None; work.environments.len()],
-            chunks: Vec::new(),
-        }
-    }
-
-    /// Collects poses before step `step` of the slot and starts shares.
-    pub fn collect(&mut self, step: u32, world: &dyn EnvironmentBatch) {
-        for position in 0..self.open.len() {
-            if step == 0 || world.position(position).step == 0 {
-                self.open[position] = self.begin(step, position, world);
-            }
-            if let Some(index) = self.open[position] {
-                self.begun[index].poses.push(world.pose(position));
-            }
-        }
-    }
-
-    /// Starts a share and returns its index; `None` if it is not logged or its state cannot be encoded.
-    fn begin(
-        &mut self,
-        slot_step: u32,
-        position: usize,
-        world: &dyn EnvironmentBatch,
-    ) -> Option<usize> {
-        let environment = self.work.environments[position].environment;
-        let EpisodePosition { episode, step: first_step, .. } = world.position(position);
-        if !self.episodes.include_rollout(environment, episode) {
-            return None;
-        }
-        let head = Share {
-            episode_id: rollout_episode_id(environment, episode),
-            first_step,
-            environment,
-            episode,
-            environment_state: world.encode(position).ok()?,
-            ..self.common.clone()
-        };
-        self.begun.push(PartialShare { head, position, slot_step, poses: Vec::new() });
-        Some(self.begun.len() - 1)
-    }
-
-    /// Stores a chunk.
-    pub fn keep(&mut self, chunk: TrajectoryChunk) {
-        if !self.begun.is_empty() {
-            self.chunks.push(chunk);
-        }
-    }
-
-    /// Returns the data, if the slot is finished and has logged shares.
-    pub(crate) fn finish(self) -> Option<Rollout> {
-        let whole = self.chunks.last().is_some_and(|chunk| chunk.end.is_some());
-        whole.then_some(Rollout { begun: self.begun, chunks: self.chunks })
-    }
-}
-
-/// Collects the log data of an evaluation episode.
-pub struct EvaluationCollector {
-    share: LoggedShare,
-    reader: StepReader,
-}
-
-impl EvaluationCollector {
-    /// Starts a collector for `world` at the start of an episode of the weights, in their lease with number `attempt`.
-    ///
-    /// # Errors
-    /// If the state cannot be encoded.
-    pub(crate) fn new(
-        episode: EvaluationEpisode,
-        (weights, attempt): (WeightsName, u32),
-        world: &dyn EnvironmentBatch,
-    ) -> Result<Self, SimError> {
-        let head = Share {
-            environment_state: world.encode(0)?,
-            ..evaluation_head(episode, weights, attempt)
-        };
-        let share = LoggedShare { head, steps: Vec::new(), end: ShareEnd::default() };
-        Ok(Self { share, reader: StepReader::new(world) })
-    }
-
-    /// Collects a step.
-    pub fn collect(&mut self, played: &PlayedStep<'_>) {
-        self.share.steps.push(self.reader.read(played));
-    }
-
-    /// Returns the share of the whole episode.
-    pub(crate) fn finish(self) -> LoggedShare {
-        LoggedShare { end: self.reader.end(), ..self.share }
-    }
-}
-
-/// Header of the share of a whole evaluation episode, without its state.
-pub(crate) fn evaluation_head(
-    episode: EvaluationEpisode,
-    weights: WeightsName,
-    attempt: u32,
-) -> Share {
-    Share {
-        episode_id: episode.id(),
-        kind: Kind::Evaluation.into(),
-        iteration: episode.iteration,
-        episode: episode.index.into(),
-        ..head(episode.seed, weights, attempt)
+/// End of a share of `steps` steps, without the environment's state.
+fn end(world: &dyn EnvironmentBatch, environment: usize, steps: usize) -> ShareEnd {
+    let observation = |observation| FinalObservation { observation };
+    ShareEnd {
+        steps: steps as u32,
+        environment_state: Vec::new(),
+        state: world.state_of(environment),
+        observations: world.observations_of(environment).into_iter().map(observation).collect(),
     }
 }

@@ -8,11 +8,19 @@ use std::path::PathBuf;
 use proto::{EnvironmentSpec, Episodes, RunDescription};
 use sim::{EnvironmentBatch, LinkShape, Robot, TaskConfig};
 
-use super::names::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
 use crate::channels::ShareChannels;
 use crate::error::RecordError;
 use crate::mcap_file::{McapFile, verify};
 use crate::share::LoggedShare;
+
+/// Name of the metadata record with the run, task and actor of a log.
+pub(super) const METADATA_NAME: &str = "s2mia.log";
+/// Name of the metadata record at the end of a log with the numbers of written and lost shares and steps.
+pub(super) const TOTALS_NAME: &str = "s2mia.log.totals";
+/// Name of the attachment with the task's settings.
+pub(super) const TASK_NAME: &str = "task.json";
+/// Name of the attachment with the run's resolved settings.
+pub(super) const SETTINGS_NAME: &str = "config.toml";
 
 /// Origin of the shares of a file.
 #[derive(Clone, Debug, PartialEq)]

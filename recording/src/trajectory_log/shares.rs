@@ -12,7 +12,7 @@ use proto::trajectory_log::{AgentStep, Share, ShareEnd, Step};
 use sim::{JointPose, LinkPose, Pose};
 
 use super::error::LogError;
-use super::names::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
+use super::file::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
 use super::{records, source};
 use crate::share::{LoggedShare, LoggedStep};
 

@@ -17,8 +17,7 @@ use proto::{
     ActionChoice, Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId,
     PolicyVersion, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
 };
-use rollout::play_on;
-use sim::EnvironmentBatch;
+use rollout::{StepEvent, play_episode};
 
 use super::shares::{ReadShares, read_shares};
 use super::source::read_bytes;
@@ -47,19 +46,15 @@ fn lease(work: Work) -> Lease {
 
 /// Rolls out a slot and logs it to `handle`; stops after `most` chunks.
 fn roll(handle: &LogHandle, work: &RolloutWork, most: usize) -> Vec<TrajectoryChunk> {
-    let collector =
-        std::cell::RefCell::new(handle.rollout(&lease(Work::Rollout(work.clone())), work));
+    let mut collector = handle.rollout(&lease(Work::Rollout(work.clone())), work);
     let mut chunks = Vec::new();
-    let see = |step, world: &dyn EnvironmentBatch| {
-        collector.borrow_mut().collect(step, world);
-    };
-    rollout::roll_out(&run(), work, &policy(), &mut *world(), see, |chunk| {
-        collector.borrow_mut().keep(chunk.clone());
+    let observe = |event: StepEvent<'_>| collector.observe(&event);
+    rollout::roll_out(&run(), work, &policy(), &mut *world(), observe, |chunk| {
         chunks.push(chunk);
         if chunks.len() == most { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })
     .unwrap();
-    handle.send_rollout(collector.into_inner());
+    handle.send(collector);
     chunks
 }
 
@@ -81,12 +76,11 @@ fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
 pub(super) fn evaluate(handle: &LogHandle, work: EvaluationWork) {
     let mut world = sim::environments(&task(), 1).unwrap();
     let key = Key::of(RunSeed(3), Draw::of(Purpose::EvaluationReset));
-    world.reset(0, 0, 25, key.0).unwrap();
     let lease = lease(Work::Evaluation(work));
-    let Some(mut collector) = handle.evaluation(&lease, work, &*world) else { return };
-    play_on(&mut *world, (&policy(), ActionChoice::Mean), &mut |step| collector.collect(step))
-        .unwrap();
-    handle.send_evaluation(collector);
+    let Some(mut collector) = handle.evaluation(&lease, work) else { return };
+    let start = (key, ActionChoice::Mean);
+    play_episode(&mut *world, &policy(), start, |event| collector.observe(&event)).unwrap();
+    handle.send(collector);
 }
 
 /// Files in a folder, sorted by name.

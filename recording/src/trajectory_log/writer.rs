@@ -8,13 +8,13 @@ use std::thread::JoinHandle;
 use policy::RunSeed;
 use proto::{Episodes, EvaluationWork, Lease, RolloutWork, RunDescription};
 use rollout::EvaluationEpisode;
-use sim::{EnvironmentBatch, TaskConfig};
+use sim::TaskConfig;
 
-use super::collector::{EvaluationCollector, Rollout, RolloutCollector};
+use super::collector::ShareCollector;
 use super::config::LogConfig;
 use super::error::LogStartError;
 use super::file::{LogFile, Origin};
-use super::{cut, source};
+use super::source;
 use crate::error::RecordError;
 use crate::share::LoggedShare;
 
@@ -42,8 +42,7 @@ pub struct LogHandle {
 }
 
 enum Command {
-    Rollout(Arc<Origin>, Box<Rollout>),
-    Evaluation(Arc<Origin>, Box<LoggedShare>),
+    Write(Arc<Origin>, Vec<LoggedShare>),
     /// Finishes the last file; later commands are ignored.
     Close,
 }
@@ -129,42 +128,33 @@ impl Log {
 
 impl LogHandle {
     /// Creates the collector of a slot.
-    pub fn rollout<'a>(&self, lease: &Lease, work: &'a RolloutWork) -> RolloutCollector<'a> {
-        RolloutCollector::new(self.episodes, &self.run, lease, work)
+    pub fn rollout<'a>(&self, lease: &Lease, work: &'a RolloutWork) -> ShareCollector<'a> {
+        ShareCollector::rollout(self.episodes, &self.run, lease, work)
     }
 
-    /// Creates the collector of an evaluation episode at its start; `None` if it is not logged.
+    /// Creates the collector of an evaluation episode; `None` if it is not logged.
     pub fn evaluation(
         &self,
         lease: &Lease,
         work: EvaluationWork,
-        world: &dyn EnvironmentBatch,
-    ) -> Option<EvaluationCollector> {
-        let held = self.episodes.include_evaluation(work.episode);
+    ) -> Option<ShareCollector<'static>> {
         let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(self.run.seed), work);
         let episode = EvaluationEpisode { seed, iteration, index };
-        let weights = (lease.weights, lease.attempt);
-        held.then(|| EvaluationCollector::new(episode, weights, world).ok()).flatten()
+        let collector = || ShareCollector::evaluation(episode, (lease.weights, lease.attempt));
+        self.episodes.include_evaluation(index).then(collector)
     }
 
-    /// Sends the data of a slot.
-    pub fn send_rollout(&self, collector: RolloutCollector<'_>) {
-        let Some(rollout) = collector.finish() else { return };
-        let steps = rollout.begun.iter().map(|share| share.poses.len()).sum();
-        let shares = rollout.begun.len();
-        self.send(Command::Rollout(Arc::clone(&self.origin), Box::new(rollout)), shares, steps);
-    }
-
-    /// Sends the data of an evaluation episode.
-    pub fn send_evaluation(&self, collector: EvaluationCollector) {
-        let share = collector.finish();
-        let steps = share.steps.len();
-        self.send(Command::Evaluation(Arc::clone(&self.origin), Box::new(share)), 1, steps);
-    }
-
-    fn send(&self, command: Command, shares: usize, steps: usize) {
-        if self.commands.try_send(command).is_err() {
-            self.lost.add(shares, steps);
+    /// Sends the shares of a lease, if it is finished.
+    pub fn send(&self, collector: ShareCollector<'_>) {
+        // The simulator encodes every state that it reaches.
+        let shares = collector.finish().unwrap_or_default();
+        if shares.is_empty() {
+            return;
+        }
+        let steps = shares.iter().map(|share| share.steps.len()).sum();
+        let count = shares.len();
+        if self.commands.try_send(Command::Write(Arc::clone(&self.origin), shares)).is_err() {
+            self.lost.add(count, steps);
         }
     }
 }
@@ -188,10 +178,9 @@ impl LogWriter {
     fn work(mut self, commands: &Receiver<Command>) {
         while let Ok(command) = commands.recv() {
             match command {
-                Command::Rollout(origin, rollout) => {
-                    cut::shares(*rollout).iter().for_each(|share| self.write(&origin, share));
+                Command::Write(origin, shares) => {
+                    shares.iter().for_each(|share| self.write(&origin, share));
                 }
-                Command::Evaluation(origin, share) => self.write(&origin, &share),
                 Command::Close => break,
             }
         }

@@ -39,7 +39,7 @@ fn roll(world: &mut dyn EnvironmentBatch) -> Vec<TrajectoryChunk> {
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    rollout::roll_out(&run(), &work, &policy(), world, |_, _| {}, emit).unwrap();
+    rollout::roll_out(&run(), &work, &policy(), world, |_| {}, emit).unwrap();
     chunks
 }
 

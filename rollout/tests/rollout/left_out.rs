@@ -22,7 +22,7 @@ fn messages(task: &TaskConfig) -> Vec<wire::TrajectoryChunk> {
         messages.push(message);
         ControlFlow::Continue(())
     };
-    rollout::roll_out(&run, &work, &policy, world.as_mut(), |_, _| {}, emit).unwrap();
+    rollout::roll_out(&run, &work, &policy, world.as_mut(), |_| {}, emit).unwrap();
     messages
 }
 

@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 
 use policy::Scratch;
 use proto::{ActionChoice, EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
+use rollout::StepEvent;
 
 use crate::fixture::{ENVIRONMENTS, HIDDEN, HIDDEN_EVERY, policy, task, world};
 use crate::work::{CHUNK, STEPS, fresh_work, run};
@@ -14,7 +15,7 @@ fn roll(work: &RolloutWork, world: &mut dyn sim::EnvironmentBatch) -> Vec<Trajec
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    rollout::roll_out(&run(), work, &policy(), world, |_, _| {}, emit).unwrap();
+    rollout::roll_out(&run(), work, &policy(), world, |_| {}, emit).unwrap();
     chunks
 }
 
@@ -117,14 +118,8 @@ fn an_invalid_state_is_rejected_without_a_step() {
     let mut work = next_work(&roll(&fresh_work(), &mut *world()));
     work.environments[0].start =
         Start::Continue { state: vec![7; 10], recurrent: vec![vec![0.0; HIDDEN]; 2] };
-    let outcome = rollout::roll_out(
-        &run(),
-        &work,
-        &policy(),
-        &mut *world(),
-        |_, _| {},
-        |_| panic!("stepped"),
-    );
+    let outcome =
+        rollout::roll_out(&run(), &work, &policy(), &mut *world(), |_| {}, |_| panic!("stepped"));
     assert!(outcome.is_err());
 }
 
@@ -136,7 +131,10 @@ fn evaluation_episodes_are_repeatable_with_mean_and_sampled_actions() {
         let key = Key::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
         let mut shown = 0;
         let (world, start) = (&mut *world, (key, choice));
-        let episode = rollout::play_episode(world, &policy(), start, |_| shown += 1).unwrap();
+        let episode = rollout::play_episode(world, &policy(), start, |event| {
+            shown += u32::from(matches!(event, StepEvent::After(_)));
+        })
+        .unwrap();
         assert_eq!(shown, episode.steps);
         episode
     };

@@ -9,7 +9,7 @@ mod refused;
 use std::sync::Arc;
 
 use super::World;
-use crate::robot::{ModelFiles, Robot};
+use crate::robot::{Neighbourhood, Robot, RobotRow, SoftnessOverride};
 
 /// Physics step of the models of [`document`], s.
 const STEP: f32 = 0.001;
@@ -29,15 +29,31 @@ fn document(bodies: &str, actuators: &str) -> String {
     )
 }
 
-/// A robot of a document without files. Its environment step is one physics step.
+/// A robot of a document. Its environment step is one physics step.
 fn robot(mjcf: &str) -> Result<Robot, String> {
-    let files = ModelFiles::collect("robot.xml", |path| match path {
-        "robot.xml" => Ok(mjcf.as_bytes().to_vec()),
+    robot_of_files(mjcf, &|path| match path {
         "parts/trough.obj" => Ok(trough().into_bytes()),
         path => Err(format!("{path} does not exist")),
-    });
-    let robot = files.and_then(|files| Robot::from_model("loaded", &files, 1));
-    robot.map_err(|error| error.to_string())
+    })
+}
+
+/// A robot of a document and the files that it names.
+fn robot_of_files(
+    mjcf: &str,
+    source: &dyn Fn(&str) -> Result<Vec<u8>, String>,
+) -> Result<Robot, String> {
+    let row = RobotRow {
+        name: "loaded".into(),
+        mjcf: mjcf.to_owned().into(),
+        frame_skip: 1,
+        neighbourhood: Neighbourhood::default(),
+        integration: None,
+        limits: SoftnessOverride::default(),
+        contacts: SoftnessOverride::default(),
+        margin: None,
+        contact_compliance: None,
+    };
+    Robot::of_files(row, source).map_err(|error| error.to_string())
 }
 
 fn world_of(mjcf: &str) -> World {

@@ -97,11 +97,11 @@ fn an_evaluation_is_logged_completely_without_log_probabilities() {
     let shares = read(&files(folder.path())[0]).1;
     assert_eq!(shares.len(), 1, "rollouts are not logged");
     let share = &shares[0];
-    assert_eq!((share.head.episode_id.as_str(), share.end.steps), ("evaluation-9-2", 25));
+    assert_eq!((share.head.episode_id.as_str(), share.end.steps), ("evaluation-9-2", 1000));
     assert!(
         share.steps.iter().all(|step| step.agents.iter().all(|agent| agent.log_prob.is_none()))
     );
-    assert!(share.steps[24].step.truncated && !share.steps[23].step.truncated);
+    assert!(share.steps[999].step.truncated && !share.steps[998].step.truncated);
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn the_simulator_replays_a_log_bit_for_bit() {
     evaluate(&handle, EvaluationWork { iteration: 4, episode: 0 });
     log.close();
     let replayed = replay(&read_bytes(&files(folder.path())[0]).unwrap(), |_, _| {}).unwrap();
-    assert_eq!((replayed.shares, replayed.steps, replayed.difference), (6, 185, None));
+    assert_eq!((replayed.shares, replayed.steps, replayed.difference), (6, 1160, None));
     assert_eq!(replayed.other_program, None);
 }
 

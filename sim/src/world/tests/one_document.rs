@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::trough;
-use crate::robot::{Blueprint, LinkPlan, ModelFiles, Robot, ShapePlan};
+use super::{robot, robot_of_files, trough};
+use crate::robot::{Blueprint, LinkPlan, Robot, ShapePlan, one_document};
 use crate::scene::Shape;
 
 /// Two legs on a trunk. Files in two folders, classes that scale and hide meshes, and masses from meshes.
@@ -73,14 +73,10 @@ fn read(files: &BTreeMap<&'static str, String>, path: &str) -> Result<Vec<u8>, S
 /// The robot of the files, that of the one document, and the document.
 fn both(document: &str) -> (Robot, Robot, String) {
     let files = files(document);
-    let model = ModelFiles::collect("robot.xml", |path| read(&files, path)).unwrap();
-    let direct = Robot::from_model("direct", &model, 1).unwrap();
-    let text = ModelFiles::one_document("robot.xml", |path| read(&files, path)).unwrap();
-    let alone = ModelFiles {
-        document: "flat.xml".to_owned(),
-        files: BTreeMap::from([("flat.xml".to_owned(), text.clone().into_bytes())]),
-    };
-    (direct, Robot::from_model("flat", &alone, 1).unwrap(), text)
+    let direct = robot_of_files(document, &|path| read(&files, path)).unwrap();
+    let text = one_document("robot.xml", |path| read(&files, path)).unwrap();
+    let flat = robot(&text).unwrap();
+    (direct, flat, text)
 }
 
 fn assert_near(what: &str, got: &[f32], expected: &[f32]) {
@@ -191,7 +187,7 @@ fn elements_of_included_files_count_where_they_are_included() {
         ("wide.xml", "more than 20000 elements"),
         ("large.xml", "large.xml has 5242880 bytes, at most 4194304"),
     ] {
-        let error = ModelFiles::one_document(document, read).unwrap_err().to_string();
+        let error = one_document(document, read).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
 }
@@ -201,7 +197,7 @@ fn a_model_that_needs_no_other_file_is_returned_unchanged() {
     let document = "<mujoco>  <asset><mesh name=\"m\" file=\"lost.stl\"/></asset><worldbody><body>\
         <joint/><geom size=\"0.1\"/></body></worldbody></mujoco>";
     let read = |_: &str| Ok(document.as_bytes().to_vec());
-    assert_eq!(ModelFiles::one_document("a.xml", read).unwrap(), document);
+    assert_eq!(one_document("a.xml", read).unwrap(), document);
 }
 
 #[test]
@@ -226,7 +222,7 @@ fn a_file_that_cannot_be_used_is_named_with_its_element() {
         ("meshdir=\"meshes\"", "meshdir=\"parts\"", "parts/wedge.obj does not exist"),
     ] {
         let files = files(&WALKER.replace(from, to));
-        let error = ModelFiles::one_document("robot.xml", |path| read(&files, path));
+        let error = one_document("robot.xml", |path| read(&files, path));
         let error = error.unwrap_err().to_string();
         assert!(error.contains(expected) && !error.contains('\n'), "{error}\nnot {expected}");
     }
