@@ -76,8 +76,8 @@ impl Settings {
 
     /// The decoder of the task's states.
     pub(crate) fn decoder(&self) -> anyhow::Result<StateReader> {
-        let decoder = sim::StateDecoder::new(&self.task)?;
-        Ok(StateReader::new(move |state| match decoder.decode(state) {
+        let bounds = self.world(1)?.state_bounds().cloned().context("the task has no states")?;
+        Ok(StateReader::new(move |state| match sim::State::from_bytes(state, &bounds) {
             Ok(state) => Ok(state.position),
             Err(error) => Err(error.to_string()),
         }))

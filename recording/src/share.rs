@@ -17,7 +17,7 @@ pub struct LoggedShare {
 /// A step of a share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoggedStep {
-    /// Pose of the robot before the step; empty for a game.
+    /// Pose of the robot before the step; empty for a game, and in a share that is read from a log.
     pub pose: Pose,
     /// Observation and action of each agent, `[N]`.
     pub agents: Vec<AgentStep>,

@@ -1,6 +1,8 @@
 //! Acting with all agents in a batch of environments: observations in, joint actions out.
 
-use policy::{Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
+use std::ops::Range;
+
+use policy::{ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
 use proto::ActionChoice;
 use sim::{EnvironmentBatch, Outcome};
 
@@ -10,7 +12,6 @@ use crate::step_event::PlayedStep;
 #[derive(Debug, Default)]
 pub(crate) struct Agents {
     environments: usize,
-    sizes: Vec<Sizes>,
     /// Observations of each agent, `[E, obs]`.
     pub(crate) observation: Vec<Vec<f32>>,
     /// Recurrent states of each agent, `[E, H]`.
@@ -26,14 +27,6 @@ pub(crate) struct Agents {
     scratch: Scratch,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Sizes {
-    observation: usize,
-    output: usize,
-    action: usize,
-    hidden: usize,
-}
-
 /// Parts of the key of a step's draws.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Noise {
@@ -46,37 +39,28 @@ impl Agents {
     /// Allocates buffers for `policy` and these environments, with zero recurrent states.
     pub(crate) fn new(environments: &dyn EnvironmentBatch, policy: &PolicySnapshot) -> Self {
         let count = environments.count();
-        let sizes: Vec<Sizes> = policy
-            .agents
-            .iter()
-            .map(|agent| Sizes {
-                observation: agent.observation_size(),
-                output: agent.output_size(),
-                action: agent.action_size(),
-                hidden: agent.hidden_size(),
-            })
-            .collect();
-        let rows = |width: fn(&Sizes) -> usize| {
-            sizes.iter().map(|size| vec![0.0; count * width(size)]).collect::<Vec<_>>()
+        let rows = |width: fn(&ActorPolicy) -> usize| -> Vec<Vec<f32>> {
+            policy.agents.iter().map(|agent| vec![0.0; count * width(agent)]).collect()
         };
+        let action = rows(ActorPolicy::action_size);
         Self {
             environments: count,
-            observation: rows(|size| size.observation),
-            hidden: rows(|size| size.hidden),
-            output: rows(|size| size.output),
-            action: rows(|size| size.action),
+            observation: rows(ActorPolicy::observation_size),
+            hidden: rows(ActorPolicy::hidden_size),
+            output: rows(ActorPolicy::output_size),
             log_prob: rows(|_| 1),
-            joint: vec![0.0; count * sizes.iter().map(|size| size.action).sum::<usize>()],
+            joint: action.concat(),
+            action,
             scratch: Scratch::default(),
-            sizes,
         }
     }
 
     /// Reads every agent's observation of every environment.
     pub(crate) fn observe(&mut self, environments: &dyn EnvironmentBatch) {
-        for (agent, (rows, size)) in self.observation.iter_mut().zip(&self.sizes).enumerate() {
-            for (environment, row) in rows.chunks_exact_mut(size.observation).enumerate() {
-                environments.observation(environment, agent, row);
+        for (agent, rows) in self.observation.iter_mut().enumerate() {
+            for environment in 0..self.environments {
+                let of_row = row(rows.len(), environment, self.environments);
+                environments.observation(environment, agent, &mut rows[of_row]);
             }
         }
     }
@@ -94,14 +78,14 @@ impl Agents {
     /// key. `indices` are the global indices of the environments, in the order of the rows.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], noise: Noise) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let Sizes { action: width, output, .. } = self.sizes[agent];
-            for (row, &environment) in indices.iter().enumerate() {
+            let (output, action) = (&self.output[agent], &mut self.action[agent]);
+            for (place, &environment) in indices.iter().enumerate() {
                 let key = Draw::of_action(noise.iteration, environment, noise.step, agent as u32);
                 let mut rng = generator(noise.seed, key);
-                let output = &self.output[agent][row * output..(row + 1) * output];
-                let action = &mut self.action[agent][row * width..(row + 1) * width];
-                policy.draw(output, &mut rng, action);
-                self.log_prob[agent][row] = policy.log_prob(output, action);
+                let output = &output[row(output.len(), place, self.environments)];
+                let of_row = row(action.len(), place, self.environments);
+                policy.draw(output, &mut rng, &mut action[of_row.clone()]);
+                self.log_prob[agent][place] = policy.log_prob(output, &action[of_row]);
             }
         }
     }
@@ -120,24 +104,23 @@ impl Agents {
     /// Sets the actions to the means or the most likely choices.
     fn select_modes(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let Sizes { action: width, output, .. } = self.sizes[agent];
-            let outputs = self.output[agent].chunks_exact(output);
-            for (action, output) in self.action[agent].chunks_exact_mut(width).zip(outputs) {
-                policy.mode(output, action);
+            let (output, action) = (&self.output[agent], &mut self.action[agent]);
+            for place in 0..self.environments {
+                let output = &output[row(output.len(), place, self.environments)];
+                let of_row = row(action.len(), place, self.environments);
+                policy.mode(output, &mut action[of_row]);
             }
         }
     }
 
     /// Builds the joint actions, `[E, A]`.
     pub(crate) fn join(&mut self) -> &[f32] {
-        let total = self.joint.len() / self.environments;
-        let mut first = 0;
-        for (agent, size) in self.sizes.iter().enumerate() {
-            for (row, action) in self.action[agent].chunks_exact(size.action).enumerate() {
-                let from = row * total + first;
-                self.joint[from..from + size.action].copy_from_slice(action);
+        self.joint.clear();
+        for place in 0..self.environments {
+            for action in &self.action {
+                let of_row = row(action.len(), place, self.environments);
+                self.joint.extend_from_slice(&action[of_row]);
             }
-            first += size.action;
         }
         &self.joint
     }
@@ -162,15 +145,23 @@ impl Agents {
 
     /// Sets the recurrent states of an environment to zero.
     pub(crate) fn reset_hidden(&mut self, environment: usize) {
-        for (hidden, size) in self.hidden.iter_mut().zip(&self.sizes) {
-            hidden[environment * size.hidden..(environment + 1) * size.hidden].fill(0.0);
+        for hidden in &mut self.hidden {
+            let of_row = row(hidden.len(), environment, self.environments);
+            hidden[of_row].fill(0.0);
         }
     }
 
     /// Sets the recurrent states of an environment, `[H]` for each agent.
     pub(crate) fn set_hidden(&mut self, environment: usize, recurrent: &[Vec<f32>]) {
-        for ((hidden, size), own) in self.hidden.iter_mut().zip(&self.sizes).zip(recurrent) {
-            hidden[environment * size.hidden..(environment + 1) * size.hidden].copy_from_slice(own);
+        for (hidden, own) in self.hidden.iter_mut().zip(recurrent) {
+            let of_row = row(hidden.len(), environment, self.environments);
+            hidden[of_row].copy_from_slice(own);
         }
     }
+}
+
+/// Row `index` of `count` rows of `all` numbers together.
+fn row(all: usize, index: usize, count: usize) -> Range<usize> {
+    let width = all / count;
+    index * width..(index + 1) * width
 }

@@ -6,7 +6,7 @@ use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{ObservationMode, ObservationNorm, TaskConfig};
 use crate::environment_batch::{EnvironmentBatch, Outcome};
-use crate::error::{ActionError, SimError, StateError};
+use crate::error::{ActionError, SimError};
 use crate::state::{STATE_VERSION, State, StateBounds};
 
 pub(crate) mod cue;
@@ -23,6 +23,8 @@ pub(crate) trait Game: Clone + Send {
     const NAME: &'static str;
     /// Name of the encoding of its states.
     const STATE_KIND: &'static str;
+    /// Whether all its numbers are whole.
+    const IS_WHOLE: bool;
     /// The action of every agent.
     const ACTION: ActionSpec;
 
@@ -42,7 +44,7 @@ pub(crate) trait Game: Clone + Send {
     fn bounds() -> Vec<[f32; 2]>;
 
     /// The game with these numbers, which are within bounds.
-    fn from_numbers(numbers: &[f32]) -> Result<Self, StateError>;
+    fn from_numbers(numbers: &[f32]) -> Self;
 
     /// The numbers that define the game.
     fn numbers(&self) -> Vec<f32>;
@@ -88,7 +90,7 @@ impl<G: Game> GameEnvironments<G> {
             return Err(SimError::NoEnvironments);
         }
         let bounds = bounds::<G>();
-        let game = G::from_numbers(&vec![0.0; bounds.coordinates.len()])?;
+        let game = G::from_numbers(&vec![0.0; bounds.coordinates.len()]);
         let position = EpisodePosition { episode: 0, step: 0, limit: EPISODE_STEPS };
         let episode = Episode { position, game };
         Ok(Self { description: describe::<G>(&bounds), bounds, episodes: vec![episode; count] })
@@ -143,7 +145,7 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
 
     fn restore(&mut self, environment: usize, bytes: &[u8]) -> Result<(), SimError> {
         let state = State::from_bytes(bytes, &self.bounds)?;
-        let game = G::from_numbers(&state.coordinates)?;
+        let game = G::from_numbers(&state.coordinates);
         self.episodes[environment] = Episode { position: state.position, game };
         Ok(())
     }
@@ -208,6 +210,7 @@ fn bounds<G: Game>() -> StateBounds {
         kind: G::STATE_KIND.to_owned(),
         longest: EPISODE_STEPS,
         coordinates: G::bounds(),
+        is_whole: G::IS_WHOLE,
         velocities: 0,
         fastest: 0.0,
         contact_forces: 0,

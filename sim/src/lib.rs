@@ -20,7 +20,6 @@ mod scene;
 mod simulation;
 pub mod spelling;
 mod state;
-mod state_decoder;
 mod task;
 mod world;
 
@@ -37,6 +36,5 @@ pub use robot::{Robot, one_document};
 pub use scene::{Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, drivers, rotated};
 pub use simulation::environments;
 pub use state::{State, StateBounds};
-pub use state_decoder::StateDecoder;
 pub use task::task_names;
 pub use world::World;

@@ -16,7 +16,7 @@ mod nesting;
 mod one_document;
 mod softness;
 
-use std::borrow::Cow;
+use serde::Deserialize;
 
 use crate::error::SimError;
 use crate::scene::{LinkShape, parts};
@@ -34,20 +34,26 @@ pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
 #[derive(Debug)]
 pub(crate) struct RobotRow {
     /// Name of the robot; its states have the kind `rapier/NAME`.
-    pub(crate) name: Cow<'static, str>,
+    pub(crate) name: String,
     /// MJCF document of the model.
-    pub(crate) mjcf: Cow<'static, str>,
+    pub(crate) mjcf: String,
     /// Physics steps in an environment step.
     pub(crate) frame_skip: u32,
     /// Neighbouring joints, for agents with local observations.
     pub(crate) neighbourhood: Neighbourhood,
-    /// MuJoCo's integrator, in place of the model's.
+    pub(crate) physics: Physics,
+}
+
+/// MuJoCo's parameters in place of the model's; absent ones are the model's.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Physics {
     pub(crate) integration: Option<Integration>,
-    /// MuJoCo's softness of the joint limits, in place of the model's.
+    /// Softness of the joint limits.
     pub(crate) limits: SoftnessOverride,
-    /// MuJoCo's softness of the contacts, in place of the model's.
+    /// Softness of the contacts.
     pub(crate) contacts: SoftnessOverride,
-    /// Distance at which contacts become active, in place of the model's, m.
+    /// Distance at which contacts become active, m.
     pub(crate) margin: Option<f32>,
     /// Part of the contacts' compliance that the engine's solver applies, in units of their inverse mass.
     /// [`ContactLaw`](crate::world::ContactLaw) applies the rest, from the impulses of the last step.
@@ -59,7 +65,7 @@ const DEFAULT_COMPLIANCE: f32 = 0.1;
 
 /// A robot from which worlds are created. Immutable and shared.
 pub struct Robot {
-    name: Cow<'static, str>,
+    name: String,
     frame_skip: u32,
     contact_compliance: f32,
     neighbourhood: Neighbourhood,
@@ -82,12 +88,13 @@ impl Robot {
         row: RobotRow,
         source: &dyn Fn(&str) -> Result<Vec<u8>, String>,
     ) -> Result<Self, SimError> {
-        let refused = |reason| SimError::Model { robot: row.name.to_string(), reason };
+        let refused = |reason| SimError::Model { robot: row.name.clone(), reason };
         let mut folder = folder::Folder::new(&row.name, source).map_err(refused)?;
         let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
-        blueprint.integration = row.integration.unwrap_or(blueprint.integration);
-        blueprint.soften(&row.contacts, row.margin, &row.limits);
-        let contact_compliance = row.contact_compliance.unwrap_or(DEFAULT_COMPLIANCE);
+        let Physics { integration, limits, contacts, margin, contact_compliance } = row.physics;
+        blueprint.integration = integration.unwrap_or(blueprint.integration);
+        blueprint.soften(&contacts, margin, &limits);
+        let contact_compliance = contact_compliance.unwrap_or(DEFAULT_COMPLIANCE);
         let (template, layout) =
             assemble::assemble(&blueprint, contact_compliance).map_err(refused)?;
         Ok(Self {
@@ -228,6 +235,7 @@ impl Robot {
             kind: self.state_kind(),
             longest,
             coordinates: self.layout.coordinate_bounds.clone(),
+            is_whole: false,
             velocities: self.layout.velocity_names.len(),
             fastest: layout::FASTEST,
             contact_forces: 0,

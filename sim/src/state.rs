@@ -45,6 +45,8 @@ pub struct StateBounds {
     pub longest: u32,
     /// Lowest and highest value of each coordinate, `[nq]`.
     pub coordinates: Vec<[f32; 2]>,
+    /// Whether all coordinates are whole numbers.
+    pub is_whole: bool,
     /// Number of velocities `nv`.
     pub velocities: usize,
     /// Largest velocity, m/s or rad/s.
@@ -124,6 +126,9 @@ impl StateBounds {
         for (index, (&value, &[low, high])) in coordinates.iter().zip(&self.coordinates).enumerate()
         {
             check_number("coordinate", index, value, low, high)?;
+            if self.is_whole && value.fract() != 0.0 {
+                return Err(StateError::Fraction { field: "coordinate", index, value });
+            }
         }
         for (index, &value) in velocities.iter().enumerate() {
             check_number("velocity", index, value, -self.fastest, self.fastest)?;

@@ -264,9 +264,10 @@ fn check_neighbourhood(
         state.index("neighbourhood.globals", name)?;
     }
     let bodies = Names::new("body", robot.bodies());
-    for (joint, touching) in &robot.neighbourhood().touching {
-        state.index("neighbourhood.touching.joint", &format!("{joint}.position"))?;
-        touching
+    for row in &robot.neighbourhood().touching {
+        let coordinate = format!("{}.position", row.joint);
+        state.index("neighbourhood.touching.joint", &coordinate)?;
+        row.bodies
             .iter()
             .try_for_each(|body| bodies.index("neighbourhood.touching.bodies", body).map(|_| ()))?;
     }

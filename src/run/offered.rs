@@ -4,7 +4,7 @@ use actor::{EnvironmentService, Transport};
 use anyhow::Context as _;
 use learner::end_states::StateReader;
 use proto::EnvironmentSpec;
-use sim::EnvironmentBatch;
+use sim::{EnvironmentBatch, State};
 use tokio::runtime::Runtime;
 
 use crate::config::ConfigError;
@@ -61,8 +61,9 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;
     let spec = world.description().clone();
-    let decoder = sim::StateDecoder::new(&config.task).context("cannot build the task")?;
-    let decoder = StateReader::new(move |state| match decoder.decode(state) {
+    let bounds = world.state_bounds().cloned();
+    let bounds = bounds.expect("robots and games have bounds of their states");
+    let decoder = StateReader::new(move |state| match State::from_bytes(state, &bounds) {
         Ok(state) => Ok(state.position),
         Err(error) => Err(error.to_string()),
     });

@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 use std::io::{Read as _, Seek as _};
 use std::path::Path;
 
-use foxglove::messages::{FrameTransforms, JointStates};
 use mcap::records::{Record, op};
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use prost::Message;
 use proto::trajectory_log::{AgentStep, Share, ShareEnd, Step};
-use sim::{JointPose, LinkPose, Pose};
+use sim::Pose;
 
 use super::error::LogError;
 use super::file::{METADATA_NAME, SETTINGS_NAME, TASK_NAME, TOTALS_NAME};
@@ -113,8 +112,6 @@ enum Role {
     Agent(usize),
     Step,
     ShareEnd,
-    Transforms,
-    Joints,
     Other,
 }
 
@@ -125,8 +122,6 @@ impl Role {
             "/share" => (Self::Share, "s2mia.log.v1.Share"),
             "/step" => (Self::Step, "s2mia.log.v1.Step"),
             "/share_end" => (Self::ShareEnd, "s2mia.log.v1.ShareEnd"),
-            "/tf" => (Self::Transforms, "foxglove.FrameTransforms"),
-            "/joint_states" => (Self::Joints, "foxglove.JointStates"),
             _ => match topic.strip_prefix("/agents/").map(str::parse) {
                 Some(Ok(agent)) => (Self::Agent(agent), "s2mia.log.v1.AgentStep"),
                 _ => (Self::Other, ""),
@@ -143,7 +138,6 @@ struct Assembler {
     roles: BTreeMap<u16, Role>,
     agents: usize,
     open: Option<LoggedShare>,
-    pose: Pose,
     acted: Vec<AgentStep>,
     torn_steps: u64,
 }
@@ -181,8 +175,6 @@ impl Assembler {
         let unknown = || LogError::Damaged("a message has an unknown channel".to_owned());
         match self.roles.get(&channel).copied().ok_or_else(unknown)? {
             Role::Share => self.begin(Share::decode(data)?),
-            Role::Transforms => self.pose.links = links(&FrameTransforms::decode(data)?),
-            Role::Joints => self.pose.joints = joints(&JointStates::decode(data)?),
             Role::Agent(index) if index == self.acted.len() => {
                 self.acted.push(AgentStep::decode(data)?);
             }
@@ -201,11 +193,11 @@ impl Assembler {
     }
 
     fn step(&mut self, step: Step) {
-        let (pose, agents) = (std::mem::take(&mut self.pose), std::mem::take(&mut self.acted));
+        let agents = std::mem::take(&mut self.acted);
         let all = agents.len() == self.agents;
         match &mut self.open {
             Some(share) if all && step.step == share.next_step() => {
-                share.steps.push(LoggedStep { pose, agents, step });
+                share.steps.push(LoggedStep { pose: Pose::default(), agents, step });
             }
             _ => {
                 self.torn_steps += 1 + self.open_steps();
@@ -250,26 +242,4 @@ impl From<prost::DecodeError> for LogError {
     fn from(error: prost::DecodeError) -> Self {
         Self::Damaged(format!("a message does not match its schema: {error}"))
     }
-}
-
-fn links(message: &FrameTransforms) -> Vec<LinkPose> {
-    let link = |frame: &foxglove::messages::FrameTransform| {
-        let (at, turn) =
-            (frame.translation.unwrap_or_default(), frame.rotation.unwrap_or_default());
-        LinkPose {
-            name: frame.child_frame_id.clone(),
-            position: [at.x as f32, at.y as f32, at.z as f32],
-            quaternion: [turn.x as f32, turn.y as f32, turn.z as f32, turn.w as f32],
-        }
-    };
-    message.transforms.iter().map(link).collect()
-}
-
-fn joints(message: &JointStates) -> Vec<JointPose> {
-    let joint = |state: &foxglove::messages::JointState| JointPose {
-        name: state.name.clone(),
-        position: state.position.unwrap_or_default() as f32,
-        velocity: state.velocity.unwrap_or_default() as f32,
-    };
-    message.joints.iter().map(joint).collect()
 }

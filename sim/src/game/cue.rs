@@ -11,7 +11,6 @@ use proto::{ActionSpec, FeatureRole, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 
 use super::{AGENTS, EPISODE_STEPS, Game, at, features};
-use crate::error::StateError;
 use crate::noise;
 
 const CUES: usize = 3;
@@ -30,6 +29,7 @@ pub(crate) struct Cue {
 impl Game for Cue {
     const NAME: &'static str = "cue-2x1";
     const STATE_KIND: &'static str = "discrete/cue";
+    const IS_WHOLE: bool = true;
     const ACTION: ActionSpec =
         ActionSpec { size: 1, low: 0.0, high: (CUES - 1) as f32, choices: Some(CUES as u32) };
 
@@ -58,10 +58,9 @@ impl Game for Cue {
         bounds
     }
 
-    fn from_numbers(numbers: &[f32]) -> Result<Self, StateError> {
-        let numbers = numbers.iter().enumerate().map(|(index, &value)| whole(index, value));
-        let numbers = numbers.collect::<Result<Vec<_>, _>>()?;
-        Ok(Self { place: numbers[0], cues: numbers[1..].to_vec() })
+    fn from_numbers(numbers: &[f32]) -> Self {
+        let numbers = numbers.iter().map(|&number| number as usize).collect::<Vec<_>>();
+        Self { place: numbers[0], cues: numbers[1..].to_vec() }
     }
 
     fn numbers(&self) -> Vec<f32> {
@@ -87,12 +86,4 @@ impl Game for Cue {
     fn state(&self, _step: u32, out: &mut [f32]) {
         out[self.place] = 1.0;
     }
-}
-
-/// Converts a value within bounds to an integer.
-fn whole(index: usize, value: f32) -> Result<usize, StateError> {
-    if value.fract() != 0.0 {
-        return Err(StateError::Fraction { field: "coordinate", index, value });
-    }
-    Ok(value as usize)
 }

@@ -11,7 +11,6 @@ use proto::{ActionSpec, FeatureRole, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 
 use super::{EPISODE_STEPS, Game, at};
-use crate::error::StateError;
 use crate::noise;
 
 /// Index of the agent that observes the target; the other one is the receiver.
@@ -36,6 +35,7 @@ fn feature(name: &str) -> FeatureSpec {
 impl Game for Signal {
     const NAME: &'static str = "signal-2x1";
     const STATE_KIND: &'static str = "game/signal";
+    const IS_WHOLE: bool = false;
     const ACTION: ActionSpec = ActionSpec::continuous(1);
 
     fn observed(agent: usize) -> Vec<FeatureSpec> {
@@ -65,8 +65,8 @@ impl Game for Signal {
         vec![[-1.0, 1.0]; EPISODE_STEPS as usize + 3]
     }
 
-    fn from_numbers(numbers: &[f32]) -> Result<Self, StateError> {
-        Ok(Self { leg: numbers[0], needed: numbers[1], targets: numbers[2..].to_vec() })
+    fn from_numbers(numbers: &[f32]) -> Self {
+        Self { leg: numbers[0], needed: numbers[1], targets: numbers[2..].to_vec() }
     }
 
     fn numbers(&self) -> Vec<f32> {

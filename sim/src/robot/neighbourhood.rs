@@ -2,15 +2,26 @@
 
 use std::collections::BTreeSet;
 
+use serde::Deserialize;
+
 /// Joint graph of a robot.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub(crate) struct Neighbourhood {
     /// Joints of an edge have distance 1 from each other.
     pub(crate) edges: Vec<Vec<String>>,
     /// Bodies of the model whose contact forces belong to a joint.
-    pub(crate) touching: Vec<(String, Vec<String>)>,
+    pub(crate) touching: Vec<Touching>,
     /// Features of the global state that describe the root.
     pub(crate) globals: Vec<String>,
+}
+
+/// Bodies of a joint.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Touching {
+    pub(crate) joint: String,
+    pub(crate) bodies: Vec<String>,
 }
 
 impl Neighbourhood {
@@ -35,8 +46,8 @@ impl Neighbourhood {
     /// Bodies that belong to these joints, without duplicates, in the order of the joints.
     pub(crate) fn bodies(&self, joints: &BTreeSet<&str>) -> Vec<&str> {
         let mut bodies: Vec<&str> = Vec::new();
-        let of = self.touching.iter().filter(|(joint, _)| joints.contains(joint.as_str()));
-        for body in of.flat_map(|(_, touching)| touching) {
+        let of = self.touching.iter().filter(|row| joints.contains(row.joint.as_str()));
+        for body in of.flat_map(|row| &row.bodies) {
             if !bodies.contains(&body.as_str()) {
                 bodies.push(body);
             }

@@ -3,7 +3,8 @@
 use serde::Deserialize;
 
 /// MuJoCo's integrator for a robot. The springs of soft constraints are integrated in the same way.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum Integration {
     /// Semi-implicit Euler, with the spring's acceleration at the start of the step.
     Euler,

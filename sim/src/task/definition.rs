@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::error::SimError;
-use crate::robot::{Integration, Neighbourhood, RobotRow, SoftnessOverride};
+use crate::robot::{Neighbourhood, Physics, RobotRow};
 use crate::spelling;
 
 /// Content of a task file.
@@ -39,9 +39,9 @@ pub(crate) struct TaskFile {
     #[serde(default)]
     pub(crate) state: StateRow,
     #[serde(default)]
-    neighbourhood: NeighbourhoodRow,
+    neighbourhood: Neighbourhood,
     #[serde(default)]
-    physics: PhysicsRow,
+    physics: Physics,
     /// Settings of the learner, in the form of `configs/tasks`; the program checks them.
     #[serde(default)]
     pub(crate) settings: toml::Table,
@@ -147,39 +147,6 @@ pub(crate) enum Axes {
     Body,
 }
 
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct NeighbourhoodRow {
-    edges: Vec<Vec<String>>,
-    touching: Vec<TouchingRow>,
-    globals: Vec<String>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TouchingRow {
-    joint: String,
-    bodies: Vec<String>,
-}
-
-/// MuJoCo's parameters in place of the model's; absent ones are the model's.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct PhysicsRow {
-    integration: Option<IntegrationName>,
-    limits: SoftnessOverride,
-    contacts: SoftnessOverride,
-    margin: Option<f32>,
-    contact_compliance: Option<f32>,
-}
-
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum IntegrationName {
-    Euler,
-    RungeKutta,
-}
-
 impl TaskFile {
     /// Parses a file and checks everything that does not depend on the robot.
     pub(crate) fn parse(text: &str) -> Result<Self, SimError> {
@@ -205,7 +172,7 @@ impl TaskFile {
         }
         whole("frame_skip", file.frame_skip, 1000)?;
         whole("episode_steps", file.episode_steps, 1_000_000)?;
-        file.physics.check()?;
+        check_physics(&file.physics)?;
         Ok(file)
     }
 
@@ -216,41 +183,30 @@ impl TaskFile {
 
     /// The robot with the MJCF document `mjcf`.
     pub(crate) fn robot_row(&self, mjcf: String) -> RobotRow {
-        let NeighbourhoodRow { edges, touching, globals } = self.neighbourhood.clone();
-        let touching = touching.into_iter().map(|row| (row.joint, row.bodies)).collect();
         RobotRow {
-            name: self.robot.clone().into(),
-            mjcf: mjcf.into(),
+            name: self.robot.clone(),
+            mjcf,
             frame_skip: self.frame_skip,
-            neighbourhood: Neighbourhood { edges, touching, globals },
-            integration: self.physics.integration.map(|name| match name {
-                IntegrationName::Euler => Integration::Euler,
-                IntegrationName::RungeKutta => Integration::RungeKutta,
-            }),
-            limits: self.physics.limits,
-            contacts: self.physics.contacts,
-            margin: self.physics.margin,
-            contact_compliance: self.physics.contact_compliance,
+            neighbourhood: self.neighbourhood.clone(),
+            physics: self.physics.clone(),
         }
     }
 }
 
-impl PhysicsRow {
-    fn check(&self) -> Result<(), SimError> {
-        let given = |key: &str, value: Option<f32>, low, high| {
-            value.map_or(Ok(()), |value| within(key, value, low, high))
-        };
-        for (key, row) in [("limits", &self.limits), ("contacts", &self.contacts)] {
-            let key = |name: &str| format!("physics.{key}.{name}");
-            given(&key("time_constant_secs"), row.time_constant_secs, 1e-4, 10.0)?;
-            given(&key("width"), row.width, 1e-6, 10.0)?;
-            for impedance in row.impedance.into_iter().flatten() {
-                within(&key("impedance"), impedance, 0.0, 0.9999)?;
-            }
+fn check_physics(physics: &Physics) -> Result<(), SimError> {
+    let given = |key: &str, value: Option<f32>, low, high| {
+        value.map_or(Ok(()), |value| within(key, value, low, high))
+    };
+    for (key, row) in [("limits", &physics.limits), ("contacts", &physics.contacts)] {
+        let key = |name: &str| format!("physics.{key}.{name}");
+        given(&key("time_constant_secs"), row.time_constant_secs, 1e-4, 10.0)?;
+        given(&key("width"), row.width, 1e-6, 10.0)?;
+        for impedance in row.impedance.into_iter().flatten() {
+            within(&key("impedance"), impedance, 0.0, 0.9999)?;
         }
-        given("physics.margin", self.margin, 0.0, 1.0)?;
-        given("physics.contact_compliance", self.contact_compliance, 1e-3, 1.0)
     }
+    given("physics.margin", physics.margin, 0.0, 1.0)?;
+    given("physics.contact_compliance", physics.contact_compliance, 1e-3, 1.0)
 }
 
 /// An error of the task file.

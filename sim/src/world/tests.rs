@@ -9,7 +9,7 @@ mod refused;
 use std::sync::Arc;
 
 use super::World;
-use crate::robot::{Neighbourhood, Robot, RobotRow, SoftnessOverride};
+use crate::robot::{Neighbourhood, Physics, Robot, RobotRow};
 
 /// Physics step of the models of [`document`], s.
 const STEP: f32 = 0.001;
@@ -43,15 +43,11 @@ fn robot_of_files(
     source: &dyn Fn(&str) -> Result<Vec<u8>, String>,
 ) -> Result<Robot, String> {
     let row = RobotRow {
-        name: "loaded".into(),
-        mjcf: mjcf.to_owned().into(),
+        name: "loaded".to_owned(),
+        mjcf: mjcf.to_owned(),
         frame_skip: 1,
         neighbourhood: Neighbourhood::default(),
-        integration: None,
-        limits: SoftnessOverride::default(),
-        contacts: SoftnessOverride::default(),
-        margin: None,
-        contact_compliance: None,
+        physics: Physics::default(),
     };
     Robot::of_files(row, source).map_err(|error| error.to_string())
 }

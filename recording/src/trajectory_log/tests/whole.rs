@@ -49,7 +49,6 @@ fn a_share_contains_the_data_sent_to_the_learner() {
             assert_eq!(agent.action, sent.action[row * 3..(row + 1) * 3]);
             assert_eq!(agent.log_prob, Some(sent.log_prob[row]));
         }
-        assert_eq!((step.pose.links.len(), step.pose.joints.len()), (7, 6));
     }
     let end = chunks[1].end.as_ref().unwrap();
     assert_eq!(last.end.environment_state, end.environments[0]);
