@@ -23,9 +23,9 @@ use crate::scene::{LinkShape, parts};
 use crate::state::StateBounds;
 
 pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
-pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan, ShapePlan};
+pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan, MotorPlan, ShapePlan};
 pub(crate) use convex::Convex;
-pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind, MotorMap};
+pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind};
 pub(crate) use neighbourhood::Neighbourhood;
 pub use one_document::one_document;
 pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
@@ -118,11 +118,6 @@ impl Robot {
         &self.blueprint.left_out
     }
 
-    /// Ranges of the motors' controls, in the order of [`Self::actuators`].
-    pub fn control_ranges(&self) -> impl Iterator<Item = [f32; 2]> {
-        self.blueprint.motors.iter().map(|motor| motor.range)
-    }
-
     /// Range of the control of the motor of `joint`; `None` without a motor.
     pub fn control_range(&self, joint: &str) -> Option<[f32; 2]> {
         let mut motors = self.blueprint.motors.iter();
@@ -161,13 +156,8 @@ impl Robot {
 
     /// Names of the hinges and slides and their limits (rad or m), if any.
     pub fn hinges(&self) -> impl Iterator<Item = (&str, Option<[f32; 2]>)> {
-        self.blueprint.links.iter().filter_map(|link| match &link.joint {
-            JointPlan::Hinge(hinge) => Some((hinge.name.as_str(), hinge.range)),
-            JointPlan::Fixed
-            | JointPlan::Planar(_)
-            | JointPlan::Free(_)
-            | JointPlan::Floating(_) => None,
-        })
+        let hinges = self.blueprint.links.iter().filter_map(LinkPlan::hinge);
+        hinges.map(|hinge| (hinge.name.as_str(), hinge.range))
     }
 
     /// Units of the coordinates and torques of hinges and slides, in the order of [`Self::hinges`].
@@ -212,11 +202,8 @@ impl Robot {
 
     /// Positions of the hinges in the frames of their child links, metres, in the order of a pose's joints.
     pub fn hinge_positions(&self) -> Vec<[f32; 3]> {
-        let anchor = |link: &LinkPlan| match &link.joint {
-            JointPlan::Hinge(hinge) => Some(hinge.anchor.to_array()),
-            _ => None,
-        };
-        self.blueprint().links.iter().filter_map(anchor).collect()
+        let hinges = self.blueprint.links.iter().filter_map(LinkPlan::hinge);
+        hinges.map(|hinge| hinge.anchor.to_array()).collect()
     }
 
     /// Seconds that one environment step simulates.

@@ -18,7 +18,7 @@ pub(crate) use terms::Transition;
 use crate::config::{TaskConfig, TaskDefinition};
 use crate::error::SimError;
 use crate::game;
-use crate::robot::Robot;
+use crate::robot::{MotorPlan, Robot};
 
 /// A task, without its settings.
 pub(crate) struct Task {
@@ -205,10 +205,7 @@ fn check_numbers(robot: &Robot) -> Result<(), SimError> {
             )));
         }
     }
-    let motors = robot.layout().motors.iter().zip(robot.actuators());
-    for (motor, joint) in motors {
-        let [low, high] = motor.range;
-        let gear = motor.gear;
+    for MotorPlan { joint, gear, range: [low, high], .. } in &robot.blueprint().motors {
         if !(low.is_finite() && high.is_finite() && low < high && gear.is_finite()) {
             return Err(unfit(format!(
                 "{joint}: its motor has gear {gear} and range [{low}, {high}]"

@@ -45,7 +45,7 @@ impl World {
         let physics = empty_world(robot.blueprint(), robot.contact_compliance(), parts);
         let step_secs = physics.integration_parameters.dt;
         let mut world = Self {
-            drives: HingeDrives::new(robot.blueprint().integration, robot.layout(), step_secs),
+            drives: HingeDrives::new(robot.blueprint(), robot.layout(), step_secs),
             contacts: ContactLaw::new(&robot, step_secs),
             physics,
             substeps: robot.frame_skip() * parts,

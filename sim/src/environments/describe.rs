@@ -55,7 +55,7 @@ pub(super) struct Driven {
 impl Driven {
     /// Motors of all agents, in agent order, `[A]`.
     pub(super) fn all(robot: &Robot, agents: &[Vec<usize>]) -> Vec<Self> {
-        let range = |motor: usize| robot.layout().motors[motor].range;
+        let range = |motor: usize| robot.blueprint().motors[motor].range;
         let driven = |&motor: &usize| Self { motor, scale: ActionScale::to(range(motor)) };
         agents.iter().flatten().map(driven).collect()
     }

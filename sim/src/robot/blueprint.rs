@@ -97,7 +97,7 @@ pub(crate) enum Motion {
 }
 
 /// A hinge with its passive terms, or a slide, whose units are metres and newtons instead of radians and newton metres.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Hinge {
     pub(crate) name: String,
     /// Position in the frame of the child link, m.
@@ -152,10 +152,12 @@ impl HingeAxis {
 }
 
 /// A motor: torque = gear x force.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct MotorPlan {
-    /// The hinge it drives.
+    /// Name of the hinge that it drives.
     pub(crate) joint: String,
+    /// Index of this hinge among all hinges, in the order of the links.
+    pub(crate) hinge: usize,
     /// N m per unit of force.
     pub(crate) gear: f32,
     /// Range of the control.
@@ -172,6 +174,19 @@ pub(crate) struct Servo {
     /// The second number is for this crate's coordinate, which is zero in the rest pose.
     pub(crate) bias: [f32; 3],
     pub(crate) range: Option<[f32; 2]>,
+}
+
+impl LinkPlan {
+    /// The hinge or slide of the link, if that is its joint.
+    pub(crate) fn hinge(&self) -> Option<&Hinge> {
+        match &self.joint {
+            JointPlan::Hinge(hinge) => Some(hinge),
+            JointPlan::Fixed
+            | JointPlan::Planar(_)
+            | JointPlan::Free(_)
+            | JointPlan::Floating(_) => None,
+        }
+    }
 }
 
 impl Blueprint {

@@ -1,7 +1,8 @@
 //! Motors of a model with which random actions move little or only to the limits, so that a policy learns little.
 
 use super::Robot;
-use super::layout::{FASTEST, HingeMap, MotorMap};
+use super::blueprint::MotorPlan;
+use super::layout::{FASTEST, HingeMap};
 
 /// Smallest useful share of a joint's range that a servo's targets cover, and of a control range that has an effect.
 const SMALLEST_SHARE: f32 = 0.1;
@@ -15,11 +16,10 @@ const SMALLEST_TARGET: f32 = 0.01;
 impl Robot {
     /// Motors that a policy can hardly explore: one sentence each with the joint, the reason and what to change.
     pub fn hard_to_explore(&self) -> Vec<String> {
-        let motors = self.layout.motors.iter().zip(self.actuators());
-        let about = |(motor, joint): (&MotorMap, &str)| {
+        let about = |motor: &MotorPlan| {
             let hinge = &self.layout.hinges[motor.hinge];
             let drive = Drive { motor, hinge, step_secs: self.physics_step_secs() as f32 };
-            drive.fault().map(|why| format!("the motor of `{joint}` {why}"))
+            drive.fault().map(|why| format!("the motor of `{}` {why}", motor.joint))
         };
         let second = self.actuators().enumerate().filter(|(index, joint)| {
             self.actuators().position(|other| other == *joint) != Some(*index)
@@ -27,13 +27,13 @@ impl Robot {
         let second = second.map(|(_, joint)| {
             format!("`{joint}` has a second motor, which gets no actions: keep one")
         });
-        motors.filter_map(about).chain(second).collect()
+        self.blueprint.motors.iter().filter_map(about).chain(second).collect()
     }
 }
 
 /// A motor on its joint.
 struct Drive<'a> {
-    motor: &'a MotorMap,
+    motor: &'a MotorPlan,
     hinge: &'a HingeMap,
     /// Duration of a physics step, s.
     step_secs: f32,
@@ -71,7 +71,7 @@ impl Drive<'_> {
         let [unit, newtons] = self.hinge.units();
         let force = self.motor.servo.and_then(|servo| servo.range);
         let force = force.map(|range| range.map(|end| end * self.motor.gear));
-        let limits = [force, self.hinge.torque_range].into_iter().flatten();
+        let limits = [force, self.hinge.plan.torque_range].into_iter().flatten();
         let clipped =
             limits.fold([low, high], |ends, [a, b]| ends.map(|end| end.clamp(a.min(b), a.max(b))));
         let share = (clipped[1] - clipped[0]) / (high - low);
@@ -124,7 +124,7 @@ impl Drive<'_> {
     /// For a servo of the position with these targets at the ends of its control range.
     fn fault_of_target(&self, [low, high]: [f32; 2]) -> Option<String> {
         let [unit, _] = self.hinge.units();
-        let Some([start, end]) = self.hinge.range else {
+        let Some([start, end]) = self.hinge.plan.range else {
             return (high - low < SMALLEST_TARGET).then(|| {
                 format!(
                     "has targets from {low} to {high} {unit}, almost the same: widen `ctrlrange`"

@@ -1,10 +1,9 @@
-//! Positions of a robot's coordinates, velocities and motors in its multibody.
+//! Positions of a robot's coordinates and velocities in its multibody.
 
 use rapier3d::dynamics::Multibody;
 use rapier3d::prelude::*;
 
-use super::blueprint::{Blueprint, Hinge, JointPlan, LinkPlan, Motion, MotorPlan, Servo};
-use super::softness::Softness;
+use super::blueprint::{Blueprint, Hinge, JointPlan, LinkPlan, Motion};
 
 /// Largest speed in a state, m/s or rad/s: ten times the speeds that the robots reach.
 pub(super) const FASTEST: f32 = 1e3;
@@ -20,7 +19,6 @@ pub(crate) struct Layout {
     pub(crate) joints: Vec<JointMap>,
     /// Hinges in the order of their links.
     pub(crate) hinges: Vec<HingeMap>,
-    pub(crate) motors: Vec<MotorMap>,
     /// Mean inverse mass of each link's mass centre over three directions, in the rest pose, 1/kg: MuJoCo's
     /// `body_invweight0`.
     pub(crate) inverse_masses: Vec<f32>,
@@ -65,29 +63,15 @@ pub(crate) enum MapKind {
 }
 
 /// A hinge.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct HingeMap {
+    pub(crate) plan: Hinge,
     /// The link's index in the multibody.
     pub(crate) link: usize,
     /// Row of the hinge's velocity in the multibody.
     pub(crate) dof: usize,
     /// Axis among the joint's six coordinates.
     pub(crate) axis: usize,
-    pub(crate) sign: f32,
-    /// rad.
-    pub(crate) range: Option<[f32; 2]>,
-    /// Softness of the range's ends.
-    pub(crate) limit: Softness,
-    /// N m / rad.
-    pub(crate) stiffness: f32,
-    /// rad.
-    pub(crate) spring_rest: f32,
-    /// N m s / rad.
-    pub(crate) damping: f32,
-    /// Range of the sum of the motors' torques, N m.
-    pub(crate) torque_range: Option<[f32; 2]>,
-    /// kg m^2.
-    pub(crate) armature: f32,
     /// Inverse inertia with all other joints free, in the rest pose, 1/(kg m^2): MuJoCo's `dof_invweight0`.
     pub(crate) inverse_inertia: f32,
 }
@@ -95,19 +79,11 @@ pub(crate) struct HingeMap {
 impl HingeMap {
     /// Units of its coordinate and of its torque; a slide has a force.
     pub(crate) fn units(&self) -> [&'static str; 2] {
-        if self.axis < 3 { ["m", "N"] } else { ["rad", "N m"] }
+        match self.plan.motion {
+            Motion::Translation => ["m", "N"],
+            Motion::Rotation => ["rad", "N m"],
+        }
     }
-}
-
-/// A motor.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct MotorMap {
-    /// Index into [`Layout::hinges`].
-    pub(crate) hinge: usize,
-    /// N m per unit of force.
-    pub(crate) gear: f32,
-    pub(crate) range: [f32; 2],
-    pub(crate) servo: Option<Servo>,
 }
 
 impl Layout {
@@ -143,10 +119,7 @@ impl Layout {
         for (plan, &body) in blueprint.links.iter().zip(handles) {
             let link = joints.rigid_body_link(body).ok_or_else(lost)?.id;
             let dof = robot.link(link).ok_or_else(lost)?.assembly_id();
-            layout.add_joint(plan, body, link, dof)?;
-        }
-        for motor in &blueprint.motors {
-            layout.motors.push(motor_map(blueprint, motor)?);
+            layout.add_joint(plan, body, link, dof);
         }
         Ok(layout)
     }
@@ -156,7 +129,6 @@ impl Layout {
             multibody,
             joints: Vec::new(),
             hinges: Vec::new(),
-            motors: Vec::new(),
             inverse_masses: Vec::new(),
             coordinate_names: Vec::new(),
             velocity_names: Vec::new(),
@@ -167,13 +139,7 @@ impl Layout {
         }
     }
 
-    fn add_joint(
-        &mut self,
-        plan: &LinkPlan,
-        body: RigidBodyHandle,
-        link: usize,
-        dof: usize,
-    ) -> Result<(), String> {
+    fn add_joint(&mut self, plan: &LinkPlan, body: RigidBodyHandle, link: usize, dof: usize) {
         let (coordinate, velocity) = (self.coordinate_names.len(), self.velocity_names.len());
         let kind = match &plan.joint {
             JointPlan::Planar(planar) => {
@@ -197,13 +163,16 @@ impl Layout {
                 let bounds = [low - LIMIT_SLACK, high + LIMIT_SLACK];
                 self.add_number(hinge.name.clone(), bounds, hinge.reference, 0.0);
                 self.velocity_names.push(hinge.name.clone());
-                let map = hinge_map(hinge, link, dof);
-                self.hinges.push(map);
-                MapKind::Hinge { axis: map.axis, sign: map.sign }
+                let axis = match hinge.motion {
+                    Motion::Rotation => 3 + hinge.axis.free,
+                    Motion::Translation => hinge.axis.free,
+                };
+                let plan = hinge.clone();
+                self.hinges.push(HingeMap { plan, link, dof, axis, inverse_inertia: 0.0 });
+                MapKind::Hinge { axis, sign: hinge.axis.sign }
             }
         };
         self.joints.push(JointMap { body, link, dof, coordinate, velocity, kind });
-        Ok(())
     }
 
     fn add_free(&mut self, name: &str, plan: &LinkPlan) {
@@ -227,37 +196,4 @@ impl Layout {
         self.reference.push(reference);
         self.rest.push(rest);
     }
-}
-
-fn hinge_map(hinge: &Hinge, link: usize, dof: usize) -> HingeMap {
-    HingeMap {
-        link,
-        dof,
-        axis: match hinge.motion {
-            Motion::Rotation => 3 + hinge.axis.free,
-            Motion::Translation => hinge.axis.free,
-        },
-        sign: hinge.axis.sign,
-        range: hinge.range,
-        limit: hinge.limit,
-        stiffness: hinge.stiffness,
-        spring_rest: hinge.spring_rest,
-        damping: hinge.damping,
-        torque_range: hinge.torque_range,
-        armature: hinge.armature,
-        inverse_inertia: 0.0,
-    }
-}
-
-fn motor_map(blueprint: &Blueprint, motor: &MotorPlan) -> Result<MotorMap, String> {
-    let mut hinges = blueprint.links.iter().filter_map(|link| match &link.joint {
-        JointPlan::Hinge(hinge) => Some(hinge),
-        JointPlan::Fixed | JointPlan::Planar(_) | JointPlan::Free(_) | JointPlan::Floating(_) => {
-            None
-        }
-    });
-    let hinge = hinges
-        .position(|hinge| hinge.name == motor.joint)
-        .ok_or_else(|| format!("{}: the motor's joint is not a hinge or slide", motor.joint))?;
-    Ok(MotorMap { hinge, gear: motor.gear, range: motor.range, servo: motor.servo })
 }

@@ -203,7 +203,7 @@ fn a_motor_of_gear_80_and_one_of_gear_1_with_80_times_the_control_range_are_the_
 fn the_controls_of_the_programs_robots_are_their_actions() {
     for &task in task_names().iter().filter(|name| !game::NAMES.contains(*name)) {
         let robot = Robot::of_task(task).unwrap();
-        assert!(robot.control_ranges().all(|range| range == [-1.0, 1.0]), "{task}");
+        assert!(robot.blueprint().motors.iter().all(|motor| motor.range == [-1.0, 1.0]), "{task}");
         assert_eq!(robot.hard_to_explore(), [""; 0], "{task}");
     }
 }

@@ -6,7 +6,7 @@
 
 use rapier3d::dynamics::Multibody;
 
-use crate::robot::{HingeMap, Integration, Layout, MotorMap, Spring};
+use crate::robot::{Blueprint, HingeMap, Layout, MotorPlan, Spring};
 
 /// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
 const WEAK_SPRING: f32 = 0.01;
@@ -16,8 +16,8 @@ pub(crate) struct HingeDrives {
     /// Springs of the limits, in the order of [`Layout::hinges`].
     springs: Vec<Spring>,
     step_secs: f32,
-    /// Motors with their controls, in the order of [`Layout::motors`].
-    motors: Vec<(MotorMap, f32)>,
+    /// Motors with their controls, in the order of [`Blueprint::motors`].
+    motors: Vec<(MotorPlan, f32)>,
     /// Drives in the order of [`Layout::hinges`].
     drives: Vec<Drive>,
 }
@@ -50,12 +50,12 @@ struct Limit {
 
 impl HingeDrives {
     /// Creates drives at rest, for physics steps of `step_secs`.
-    pub(crate) fn new(integration: Integration, layout: &Layout, step_secs: f32) -> Self {
-        let spring = |hinge: &HingeMap| hinge.limit.spring(integration, step_secs);
+    pub(crate) fn new(blueprint: &Blueprint, layout: &Layout, step_secs: f32) -> Self {
+        let spring = |hinge: &HingeMap| hinge.plan.limit.spring(blueprint.integration, step_secs);
         Self {
             springs: layout.hinges.iter().map(spring).collect(),
             step_secs,
-            motors: layout.motors.iter().map(|motor| (*motor, 0.0)).collect(),
+            motors: blueprint.motors.iter().map(|motor| (motor.clone(), 0.0)).collect(),
             drives: vec![Drive::default(); layout.hinges.len()],
         }
     }
@@ -83,21 +83,21 @@ impl HingeDrives {
         for (index, hinge) in hinges.iter().enumerate() {
             let at = robot.link(hinge.link).expect("the layout is this robot's").joint().coords();
             let at = at[hinge.axis];
-            let angle = hinge.sign * at;
-            let speed = hinge.sign * robot.generalized_velocity()[hinge.dof];
+            let angle = hinge.plan.axis.sign * at;
+            let speed = hinge.plan.axis.sign * robot.generalized_velocity()[hinge.dof];
             self.actuate(index, hinge, angle, speed);
             let limit = self.limit(index, hinge, angle, speed);
             let drive = &mut self.drives[index];
             drive.speed = speed;
             drive.limit = limit;
             drive.last_torque = drive.torque;
-            let spring = -hinge.stiffness * (angle - hinge.spring_rest);
+            let spring = -hinge.plan.stiffness * (angle - hinge.plan.spring_rest);
             let explicit = drive.torque + drive.damping * speed;
             let torque = explicit + spring + limit.armature * limit.reference;
-            robot.armature_mut()[hinge.dof] = hinge.armature + limit.armature;
-            robot.damping_mut()[hinge.dof] = hinge.damping + drive.damping;
+            robot.armature_mut()[hinge.dof] = hinge.plan.armature + limit.armature;
+            robot.damping_mut()[hinge.dof] = hinge.plan.damping + drive.damping;
             let link = robot.link_mut(hinge.link).expect("the layout is this robot's");
-            let rest = at + hinge.sign * torque / WEAK_SPRING;
+            let rest = at + hinge.plan.axis.sign * torque / WEAK_SPRING;
             link.joint.set_spring(hinge.axis, WEAK_SPRING, rest);
         }
     }
@@ -106,7 +106,8 @@ impl HingeDrives {
     pub(crate) fn note(&mut self, robot: &Multibody, hinges: &[HingeMap]) {
         let speeds = robot.generalized_velocity();
         for (drive, hinge) in self.drives.iter_mut().zip(hinges) {
-            let acceleration = (hinge.sign * speeds[hinge.dof] - drive.speed) / self.step_secs;
+            let acceleration =
+                (hinge.plan.axis.sign * speeds[hinge.dof] - drive.speed) / self.step_secs;
             let push = drive.limit.armature * (drive.limit.reference - acceleration);
             drive.free_acceleration = acceleration - hinge.inverse_inertia * push;
         }
@@ -134,7 +135,7 @@ impl HingeDrives {
                 }
             }
         }
-        if let Some([low, high]) = hinge.torque_range
+        if let Some([low, high]) = hinge.plan.torque_range
             && (torque < low || torque > high)
         {
             (torque, damping) = (torque.clamp(low, high), 0.0);
@@ -145,7 +146,7 @@ impl HingeDrives {
 
     /// Limit that the angle violates; zero if it is inactive.
     fn limit(&self, index: usize, hinge: &HingeMap, angle: f32, speed: f32) -> Limit {
-        let Some([low, high]) = hinge.range else { return Limit::default() };
+        let Some([low, high]) = hinge.plan.range else { return Limit::default() };
         // Positive towards the range; a violation is negative.
         let (position, inward) = if angle < low {
             (angle - low, 1.0)
@@ -161,7 +162,7 @@ impl HingeDrives {
         if reference <= inward * (drive.free_acceleration + changed) {
             return Limit::default();
         }
-        let compliance = hinge.limit.compliance(-position) * hinge.inverse_inertia;
+        let compliance = hinge.plan.limit.compliance(-position) * hinge.inverse_inertia;
         Limit { armature: 1.0 / compliance, reference: inward * reference }
     }
 }

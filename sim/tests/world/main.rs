@@ -3,12 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod bounds;
-mod contacts;
 mod fidelity;
 mod hostile;
-mod mujoco;
 mod observations;
-mod physics;
 mod rebuild;
 mod robots;
 mod views;

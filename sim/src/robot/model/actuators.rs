@@ -1,6 +1,6 @@
 //! Actuators: motors, and servos of the position or the speed of a joint.
 
-use super::super::blueprint::{Hinge, JointPlan, MotorPlan, Servo};
+use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
 use super::super::document::{Element, check_names};
 use super::context::Context;
 use super::links::Links;
@@ -50,19 +50,17 @@ fn motor(element: &Element, context: &Context, links: &Links<'_>) -> Result<Moto
         (joint, in_parent) => joint.or(in_parent),
     };
     let joint = joint.ok_or_else(|| element.refuse("an actuator must act on a joint"))?;
-    let hinges = links.plans.iter().filter_map(|plan| match &plan.joint {
-        JointPlan::Hinge(hinge) => Some(hinge),
-        _ => None,
-    });
-    let hinge = hinges.into_iter().find(|hinge| hinge.name == joint);
-    let hinge =
-        hinge.ok_or_else(|| element.refuse(format!("no hinge or slide has the name `{joint}`")))?;
+    let hinges = links.plans.iter().filter_map(LinkPlan::hinge).enumerate();
+    let found = hinges.into_iter().find(|(_, hinge)| hinge.name == joint);
+    let (index, hinge) =
+        found.ok_or_else(|| element.refuse(format!("no hinge or slide has the name `{joint}`")))?;
     let gear = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?[0];
     let force = force_range(element, context)?;
     let servo = servo(element, (hinge, gear), force)?;
     let range = control_range(element, hinge, context)?;
     Ok(MotorPlan {
         joint: joint.to_owned(),
+        hinge: index,
         gear: gear as f32,
         range: range.map(|end| end as f32),
         servo,
