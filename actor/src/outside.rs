@@ -5,18 +5,18 @@
 //! of the program follows. If the program does not save states, the episode's key (32 bytes) and its actions so far
 //! (f32 `[step, A]`) follow, from which the episode is replayed.
 
+mod actions;
 mod header;
 
 use std::cell::RefCell;
 use std::ops::Range;
 
-use proto::{ActionSpec, AgentSpec, EnvironmentSpec, EpisodePosition, View};
-use sim::{
-    ActionScale, EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise,
-};
+use proto::{ActionSpec, EnvironmentSpec, EpisodePosition, View};
+use sim::{EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise};
 
 use crate::client::{EnvironmentClient, Play};
 use crate::error::{ActorError, EnvironmentError};
+use crate::outside::actions::{by_agent, width};
 use crate::outside::header::{HEADER_BYTES, KEY_BYTES, header, history, read_header};
 
 /// How an episode is restored in another slot.
@@ -153,28 +153,6 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
         max_state_bytes: u32::try_from(more.checked_add(HEADER_BYTES as u64)?).ok()?,
         ..offered.clone()
     })
-}
-
-/// Numbers of the joint action, `A`.
-fn width(offered: &EnvironmentSpec) -> usize {
-    offered.agents.iter().map(|agent| agent.action.size).sum()
-}
-
-/// Splits joint actions `[n, A]`, in units of half a range, into `[n, act]` for each agent, in the program's units.
-fn by_agent(offered: &EnvironmentSpec, actions: &[f32]) -> Vec<Vec<f32>> {
-    let width = width(offered);
-    let mut from = 0;
-    let agent = |agent: &AgentSpec| {
-        let ActionSpec { size, low, high, choices } = agent.action;
-        let columns = from..from + size;
-        from += size;
-        let own = |number: &f32| match choices {
-            None => ActionScale::to([low, high]).apply(*number),
-            Some(_) => *number,
-        };
-        actions.chunks_exact(width).flat_map(|row| &row[columns.clone()]).map(own).collect()
-    };
-    offered.agents.iter().map(agent).collect()
 }
 
 /// Environments of a slot, stepped by another program.

@@ -1,6 +1,6 @@
-//! Description of an environment, which must be equal on both sides, and the position in an episode.
+//! Description of an environment, which must be equal on both sides.
 
-use std::fmt::{self, Debug, Display, Formatter};
+use std::fmt::{Debug, Display};
 
 use prost::Message as _;
 
@@ -87,25 +87,6 @@ pub enum FeatureRole {
     Duplicate,
     /// Constant.
     Constant,
-}
-
-/// Position of an environment in its episode, which every encoded state contains.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct EpisodePosition {
-    /// Index of the episode in its environment.
-    pub episode: u64,
-    /// Steps taken in the episode.
-    pub step: u32,
-    /// Steps after which the episode is truncated.
-    pub limit: u32,
-}
-
-/// `step 3 of 50 of episode 7`
-impl Display for EpisodePosition {
-    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let Self { episode, step, limit } = self;
-        write!(f, "step {step} of {limit} of episode {episode}")
-    }
 }
 
 /// The first difference between two descriptions.

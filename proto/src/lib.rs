@@ -10,6 +10,7 @@ mod authorization;
 pub mod calls;
 mod digest;
 mod environment;
+mod episode_position;
 mod episodes;
 mod film;
 mod ids;
@@ -40,8 +41,9 @@ pub use calls::{
 };
 pub use digest::Digest;
 pub use environment::{
-    ActionSpec, AgentSpec, Difference, EnvironmentSpec, EpisodePosition, FeatureRole, FeatureSpec,
+    ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
 };
+pub use episode_position::EpisodePosition;
 pub use episodes::{Episodes, rollout_episode_id};
 pub use film::{Film, MAX_CAPSULES, MAX_FRAMES};
 pub use ids::{ActorId, Incarnation, LeaseId, PolicyVersion, ProcessId};

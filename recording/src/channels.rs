@@ -4,14 +4,12 @@ mod geometry;
 mod robot;
 mod scene;
 
-use std::collections::BTreeMap;
-use std::io::{Seek, Write};
-
 use prost::Message;
 use proto::trajectory_log::{DESCRIPTORS, Share, ShareEnd};
 use proto::{EnvironmentSpec, FeatureSpec};
 use serde_json::json;
 use sim::{LinkShape, Pose};
+use std::collections::BTreeMap;
 
 use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile, Schema};
@@ -31,7 +29,7 @@ impl ShareChannels {
     /// Creates the channels of the environment that `description` describes. `shapes` are those of its
     /// robot, empty without one.
     pub(crate) fn create(
-        file: &mut McapFile<impl Write + Seek>,
+        file: &mut McapFile,
         description: &EnvironmentSpec,
         shapes: &[LinkShape],
     ) -> Result<Self, RecordError> {
@@ -58,36 +56,25 @@ impl ShareChannels {
     }
 
     /// Writes the start of a share.
-    pub(crate) fn begin(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-        head: &Share,
-    ) -> Result<(), RecordError> {
+    pub(crate) fn begin(&mut self, file: &mut McapFile, head: &Share) -> Result<(), RecordError> {
         file.write(&mut self.share, &head.encode_to_vec())?;
         self.scene(file)
     }
 
     /// Writes the shapes of the robot, if there is one.
-    pub(crate) fn scene(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-    ) -> Result<(), RecordError> {
+    pub(crate) fn scene(&mut self, file: &mut McapFile) -> Result<(), RecordError> {
         self.robot.as_mut().map_or(Ok(()), |robot| robot.scene(file))
     }
 
     /// Writes the pose of the robot, if there is one.
-    pub(crate) fn pose(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-        pose: &Pose,
-    ) -> Result<(), RecordError> {
+    pub(crate) fn pose(&mut self, file: &mut McapFile, pose: &Pose) -> Result<(), RecordError> {
         self.robot.as_mut().map_or(Ok(()), |robot| robot.pose(file, pose))
     }
 
     /// Writes a step without its pose.
     pub(crate) fn step(
         &mut self,
-        file: &mut McapFile<impl Write + Seek>,
+        file: &mut McapFile,
         step: &LoggedStep,
     ) -> Result<(), RecordError> {
         for (channel, agent) in self.agents.iter_mut().zip(&step.agents) {
@@ -97,11 +84,7 @@ impl ShareChannels {
     }
 
     /// Writes the end of a share.
-    pub(crate) fn end(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-        end: &ShareEnd,
-    ) -> Result<(), RecordError> {
+    pub(crate) fn end(&mut self, file: &mut McapFile, end: &ShareEnd) -> Result<(), RecordError> {
         file.write(&mut self.end, &end.encode_to_vec())
     }
 }
@@ -113,7 +96,7 @@ fn names(features: &[FeatureSpec]) -> String {
 
 /// Creates a channel for a message of this project; `about` is the channel's metadata.
 fn channel(
-    file: &mut McapFile<impl Write + Seek>,
+    file: &mut McapFile,
     topic: &str,
     message: &str,
     about: &[(&str, String)],

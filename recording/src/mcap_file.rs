@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufWriter, IntoInnerError, Seek, Write};
+use std::io::{BufWriter, IntoInnerError};
 use std::path::Path;
 
 use foxglove::Encode;
@@ -40,22 +40,22 @@ pub(crate) struct Schema<'a> {
 }
 
 /// An MCAP file being written. Chunks are compressed and have checksums.
-pub(crate) struct McapFile<W: Write + Seek> {
-    writer: Writer<W>,
+pub(crate) struct McapFile {
+    writer: Writer<BufWriter<File>>,
     nanos: u64,
     messages: u64,
 }
 
-impl<W: Write + Seek> McapFile<W> {
-    /// Creates an empty file at time 0.
-    pub(crate) fn create(target: W) -> Result<Self, RecordError> {
+impl McapFile {
+    /// Starts an empty file at time 0.
+    pub(crate) fn create(target: File) -> Result<Self, RecordError> {
         Self::in_chunks_of(CHUNK_BYTES, target)
     }
 
     /// As [`Self::create`], with a different chunk size.
-    pub(crate) fn in_chunks_of(chunk_bytes: u64, target: W) -> Result<Self, RecordError> {
+    pub(crate) fn in_chunks_of(chunk_bytes: u64, target: File) -> Result<Self, RecordError> {
         let options = WriteOptions::new().library("s2mia").chunk_size(Some(chunk_bytes));
-        Ok(Self { writer: options.create(target)?, nanos: 0, messages: 0 })
+        Ok(Self { writer: options.create(BufWriter::new(target))?, nanos: 0, messages: 0 })
     }
 
     /// Writes a metadata record.
@@ -83,9 +83,7 @@ impl<W: Write + Seek> McapFile<W> {
             data: Cow::Borrowed(data),
         })?)
     }
-}
 
-impl<W: Write + Seek> McapFile<W> {
     /// Creates a channel with a schema and metadata.
     pub(crate) fn channel(
         &mut self,
@@ -158,18 +156,7 @@ impl<W: Write + Seek> McapFile<W> {
     pub(crate) fn pause(&mut self) {
         self.advance(NANOS_PER_SEC);
     }
-}
 
-#[cfg(test)]
-impl<W: Write + Seek> McapFile<W> {
-    /// Finishes the file and returns the target.
-    pub(crate) fn into_finished(mut self) -> Result<W, RecordError> {
-        self.writer.finish()?;
-        Ok(self.writer.into_inner())
-    }
-}
-
-impl McapFile<BufWriter<File>> {
     /// Flushes and closes the file; returns the number of its messages.
     pub(crate) fn finish(mut self) -> Result<u64, RecordError> {
         self.writer.finish()?;

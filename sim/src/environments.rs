@@ -36,26 +36,17 @@ pub(crate) struct RobotEnvironments {
     controls: Vec<f32>,
     /// The same controls in the order of the joint action, `[A]`; not clamped.
     asked: Vec<f32>,
-    /// Motion after the current step, before it is validated; then the motion before it.
-    next: Numbers,
+    /// State after the current step, before it is validated; then the state before it.
+    next: State,
 }
 
 struct Environment {
     world: World,
-    position: EpisodePosition,
-    /// Motion after the last valid step.
-    now: Numbers,
+    /// Position in the episode, and the motion after the last valid step. The controls have the order of the joint action
+    /// and are empty unless the reward reads them.
+    now: State,
     /// Global state of `now`, `[S]`.
     seen: Vec<f32>,
-}
-
-#[derive(Clone)]
-struct Numbers {
-    coordinates: Vec<f32>,
-    velocities: Vec<f32>,
-    contact_forces: Vec<f32>,
-    /// Controls of the step that led here, in the order of the joint action, `[A]`; empty unless the reward reads them.
-    actions: Vec<f32>,
 }
 
 /// Returns `config`, without contact forces if the task does not support them.
@@ -65,6 +56,17 @@ fn effective(config: &ObservationConfig, rules: &Rules) -> ObservationConfig {
         false => ContactForces::Absent,
     };
     ObservationConfig { contact_forces, ..config.clone() }
+}
+
+/// The rest pose without motion.
+fn rest(robot: &Robot, bounds: &StateBounds, position: EpisodePosition) -> State {
+    State {
+        position,
+        coordinates: robot.rest().to_vec(),
+        velocities: vec![0.0; bounds.velocities],
+        contact_forces: vec![0.0; bounds.contact_forces],
+        actions: vec![0.0; bounds.actions],
+    }
 }
 
 impl RobotEnvironments {
@@ -87,15 +89,10 @@ impl RobotEnvironments {
         }
         let (description, observation) = describe::describe(&task, &agents, &view, &bounds);
         let robot = Arc::new(task.robot);
-        let rest = Numbers {
-            coordinates: robot.rest().to_vec(),
-            velocities: vec![0.0; robot.velocity_names().len()],
-            contact_forces: vec![0.0; bounds.contact_forces],
-            actions: vec![0.0; bounds.actions],
-        };
+        let position = EpisodePosition { episode: 0, step: 0, limit: task.episode_steps };
+        let rest = rest(&robot, &bounds, position);
         let fresh = |_| Environment {
             world: World::new(Arc::clone(&robot)),
-            position: EpisodePosition { episode: 0, step: 0, limit: task.episode_steps },
             now: rest.clone(),
             seen: vec![0.0; description.state.len()],
         };
@@ -138,13 +135,8 @@ impl EnvironmentBatch for RobotEnvironments {
         key: [u8; 32],
     ) -> Result<(), SimError> {
         let limit = limit.clamp(1, self.description.episode_steps);
-        let mut state = State {
-            position: EpisodePosition { episode, step: 0, limit },
-            coordinates: self.robot.rest().to_vec(),
-            velocities: vec![0.0; self.bounds.velocities],
-            contact_forces: vec![0.0; self.bounds.contact_forces],
-            actions: vec![0.0; self.bounds.actions],
-        };
+        let position = EpisodePosition { episode, step: 0, limit };
+        let mut state = rest(&self.robot, &self.bounds, position);
         let mut rng = ChaCha8Rng::from_seed(key);
         self.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
         let bytes = state.to_bytes(&self.bounds.kind);
@@ -157,19 +149,11 @@ impl EnvironmentBatch for RobotEnvironments {
     }
 
     fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
-        let environment = &self.environments[environment];
-        let state = State {
-            position: environment.position,
-            coordinates: environment.now.coordinates.clone(),
-            velocities: environment.now.velocities.clone(),
-            contact_forces: environment.now.contact_forces.clone(),
-            actions: environment.now.actions.clone(),
-        };
-        Ok(state.to_bytes(&self.bounds.kind))
+        Ok(self.environments[environment].now.to_bytes(&self.bounds.kind))
     }
 
     fn position(&self, environment: usize) -> EpisodePosition {
-        self.environments[environment].position
+        self.environments[environment].now.position
     }
 
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
@@ -224,13 +208,7 @@ impl RobotEnvironments {
         let state = State::from_bytes(bytes, &self.bounds)?;
         let environment = &mut self.environments[index];
         environment.world.rebuild(&state.coordinates, &state.velocities);
-        environment.position = state.position;
-        environment.now = Numbers {
-            coordinates: state.coordinates,
-            velocities: state.velocities,
-            contact_forces: state.contact_forces,
-            actions: state.actions,
-        };
+        environment.now = state;
         self.update_state(index);
         Ok(())
     }
@@ -241,7 +219,9 @@ impl RobotEnvironments {
             self.controls[driven.motor] = *asked;
         }
         let environment = &mut self.environments[index];
-        environment.position.step = environment.position.step.saturating_add(1);
+        let position = &mut environment.now.position;
+        position.step = position.step.saturating_add(1);
+        self.next.position = *position;
         let whole = environment.world.step(&self.controls);
         environment.world.coordinates(&mut self.next.coordinates);
         environment.world.velocities(&mut self.next.velocities);
@@ -276,7 +256,7 @@ impl RobotEnvironments {
         let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
         let (control, last_control) = (self.asked.as_slice(), self.next.actions.as_slice());
         let dt_secs = self.description.dt_secs as f32;
-        let EpisodePosition { step, limit, .. } = environment.position;
+        let EpisodePosition { step, limit, .. } = environment.now.position;
         let terminated = self.rules.terminated(&after);
         Outcome {
             reward: self.rules.reward(&Transition {
@@ -292,12 +272,12 @@ impl RobotEnvironments {
         }
     }
 
-    fn motion<'a>(&'a self, numbers: &'a Numbers) -> Motion<'a> {
+    fn motion<'a>(&'a self, state: &'a State) -> Motion<'a> {
         Motion {
-            coordinates: &numbers.coordinates,
+            coordinates: &state.coordinates,
             reference: self.robot.reference(),
-            velocities: &numbers.velocities,
-            contact_forces: &numbers.contact_forces,
+            velocities: &state.velocities,
+            contact_forces: &state.contact_forces,
         }
     }
 }

@@ -1,7 +1,5 @@
 //! Channels of a robot: frames of its links, joints, and shapes as a scene.
 
-use std::io::{Seek, Write};
-
 use foxglove::messages::{FrameTransform, FrameTransforms, JointState, JointStates, SceneUpdate};
 use sim::{LinkShape, Pose};
 
@@ -20,10 +18,7 @@ pub(crate) struct RobotChannels {
 
 impl RobotChannels {
     /// Creates the channels of a robot with these shapes.
-    pub(crate) fn create(
-        file: &mut McapFile<impl Write + Seek>,
-        shapes: &[LinkShape],
-    ) -> Result<Self, RecordError> {
+    pub(crate) fn create(file: &mut McapFile, shapes: &[LinkShape]) -> Result<Self, RecordError> {
         Ok(Self {
             shapes: shapes.to_vec(),
             transforms: file.foxglove_channel::<FrameTransforms>("/tf")?,
@@ -33,20 +28,13 @@ impl RobotChannels {
     }
 
     /// Writes the shapes at the start of a share.
-    pub(crate) fn scene(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-    ) -> Result<(), RecordError> {
+    pub(crate) fn scene(&mut self, file: &mut McapFile) -> Result<(), RecordError> {
         let scene = scene::update(&self.shapes, file.now());
         file.foxglove(&mut self.scene, &scene)
     }
 
     /// Writes the poses of links and joints.
-    pub(crate) fn pose(
-        &mut self,
-        file: &mut McapFile<impl Write + Seek>,
-        pose: &Pose,
-    ) -> Result<(), RecordError> {
+    pub(crate) fn pose(&mut self, file: &mut McapFile, pose: &Pose) -> Result<(), RecordError> {
         let now = file.now();
         let transform = |link: &sim::LinkPose| FrameTransform {
             timestamp: Some(now),

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
 use std::path::PathBuf;
 
 use proto::{EnvironmentSpec, Episodes, RunDescription};
@@ -97,7 +96,7 @@ fn shapes(world: &dyn EnvironmentBatch) -> Vec<LinkShape> {
 /// A log file being written.
 pub(crate) struct LogFile {
     path: PathBuf,
-    file: McapFile<BufWriter<File>>,
+    file: McapFile,
     channels: ShareChannels,
     dt_nanos: u64,
     /// Episode of the last share and the step after it.
@@ -112,7 +111,7 @@ impl LogFile {
         (path, target): (PathBuf, File),
         origin: &Origin,
     ) -> Result<Self, RecordError> {
-        let mut file = McapFile::create(BufWriter::new(target))?;
+        let mut file = McapFile::create(target)?;
         file.metadata(METADATA_NAME, &origin.words)?;
         file.attach(SETTINGS_NAME, "application/toml", origin.settings_toml.as_bytes())?;
         file.attach(TASK_NAME, "application/json", origin.task_settings.as_bytes())?;

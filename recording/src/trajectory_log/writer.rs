@@ -283,7 +283,7 @@ mod tests {
         for _ in 0..3 {
             evaluate(&handle, EvaluationWork { iteration: 0, episode: 0 });
         }
-        assert_eq!(lost.take(), (2, 50), "one is queued, two episodes of 25 steps are lost");
+        assert_eq!(lost.take(), (2, 2000), "one is queued, two episodes of 1,000 steps are lost");
         assert_eq!(waiting.try_iter().count(), 1);
     }
 

@@ -1,7 +1,7 @@
 //! Tests of truncated, corrupted and foreign files.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::fs::File;
 
 use mcap::records::op;
 use mcap::sans_io::linear_reader::LinearReaderOptions;
@@ -13,7 +13,9 @@ use crate::trajectory_log::{LogError, read_shares, records};
 
 /// A file with two channels, four chunks, an attachment and metadata, small enough to truncate at every byte.
 fn small_file() -> Vec<u8> {
-    let mut file = McapFile::in_chunks_of(200, Cursor::new(Vec::new())).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("small.mcap");
+    let mut file = McapFile::in_chunks_of(200, File::create(&path).unwrap()).unwrap();
     let schema = json!({ "title": "test.Number", "type": "object" });
     let data = schema.to_string().into_bytes();
     let schema =
@@ -27,7 +29,8 @@ fn small_file() -> Vec<u8> {
         file.advance(1000);
     }
     file.metadata("end", &[("numbers".to_owned(), "16".to_owned())].into()).unwrap();
-    file.into_finished().unwrap().into_inner()
+    file.finish().unwrap();
+    std::fs::read(path).unwrap()
 }
 
 #[test]
