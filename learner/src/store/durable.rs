@@ -1,14 +1,19 @@
 //! Files that survive a crash and a power cut: written beside their place, flushed, then renamed.
 
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::{self, Write as _};
-use std::os::unix::fs::MetadataExt as _;
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
 use crate::plain_file;
 
 /// With what the name of a file or folder begins until it is complete.
 pub(crate) const DRAFT: &str = ".tmp-";
+
+/// Permissions of a file; the process's umask may take some away.
+const ANYONE: u32 = 0o666;
+/// Permissions of a file that only its owner can read and write.
+const OWNER_ONLY: u32 = 0o600;
 
 /// A file that could not be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -32,13 +37,13 @@ impl FileError {
 
 /// Writes a whole new file and waits until the disk has it. What is at the path is removed first, never written through.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    match std::fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            return Err(FileError::of("replace", path)(error));
-        }
-        _ => {}
-    }
-    let written = File::create_new(path).and_then(|mut file| {
+    write_for(ANYONE, path, bytes)
+}
+
+fn write_for(mode: u32, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    remove_file(path)?;
+    let created = OpenOptions::new().write(true).create_new(true).mode(mode).open(path);
+    let written = created.and_then(|mut file| {
         file.write_all(bytes)?;
         file.sync_all()
     });
@@ -55,10 +60,19 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
 /// # Errors
 /// Names the file or folder that could not be written.
 pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    replace_for(ANYONE, path, bytes)
+}
+
+/// As [`replace`], with a file that only its owner can read.
+pub(crate) fn replace_private(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    replace_for(OWNER_ONLY, path, bytes)
+}
+
+fn replace_for(mode: u32, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let name =
         path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let draft = path.with_file_name(format!("{DRAFT}{name}"));
-    write(&draft, bytes)?;
+    write_for(mode, &draft, bytes)?;
     std::fs::rename(&draft, path).map_err(FileError::of("replace", path))?;
     sync_name(path)
 }
@@ -109,12 +123,19 @@ fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
+/// Removes a file, if it is there.
+pub(crate) fn remove_file(path: &Path) -> Result<(), FileError> {
+    unless_absent(std::fs::remove_file(path)).map_err(FileError::of("remove", path))
+}
+
 /// Removes a folder with everything in it, if it is there.
 pub(crate) fn remove_folder(folder: &Path) -> Result<(), FileError> {
-    match std::fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            Err(FileError::of("remove", folder)(error))
-        }
-        _ => Ok(()),
+    unless_absent(std::fs::remove_dir_all(folder)).map_err(FileError::of("remove", folder))
+}
+
+fn unless_absent(removed: io::Result<()>) -> io::Result<()> {
+    match removed {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        removed => removed,
     }
 }

@@ -1,6 +1,5 @@
 //! The folder of a run: which process may write to it, and what it says about the run.
 
-mod identity;
 mod manifest;
 mod place;
 mod token;

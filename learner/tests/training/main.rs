@@ -138,19 +138,6 @@ fn decaying_learning_rates_continue_after_a_resume() {
 }
 
 #[test]
-fn the_result_is_independent_of_threads_and_actors() {
-    let (one, many) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let mut launch = launch_in(one.path(), 2);
-    launch.config.learner.threads = 1;
-    let first = train(launch, 1);
-    let mut launch = launch_in(many.path(), 2);
-    launch.config.learner.threads = 3;
-    let second = train(launch, 4);
-    assert_eq!(first.state_sha256, second.state_sha256);
-    assert_eq!(reproducible(one.path()), reproducible(many.path()));
-}
-
-#[test]
 fn a_killed_run_resumes_from_its_last_checkpoint_and_each_iteration_is_recorded_once() {
     let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let undisturbed = train(launch_in(whole.path(), 5), 2);

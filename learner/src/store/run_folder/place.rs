@@ -1,4 +1,5 @@
-//! Where a run may begin: outside other runs, and in a folder without files of others or links in the place of its own.
+//! Where a run may begin: outside other runs, and in a folder without files of others or links in the place of its own;
+//! and whether that is still the folder that this process locked.
 
 use std::ffi::OsStr;
 use std::io;
@@ -9,7 +10,7 @@ use super::{
     ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, METRICS, PROVENANCE, RunFolder, RunFolderError, STARTS,
     TENSORBOARD,
 };
-use crate::durable::{DRAFT, FileError};
+use crate::durable::{self, DRAFT, FileError};
 use crate::{checkpoint, plain_file};
 
 /// Names that a run writes into its folder; drafts begin with [`DRAFT`].
@@ -92,6 +93,22 @@ impl RunFolder {
             None => Ok(()),
             Some(run) => Err(PlaceError::InsideRun { path: path.to_path_buf(), run }),
         }
+    }
+
+    /// Refuses to write if the path no longer leads to the locked folder, or if the folder was emptied.
+    ///
+    /// # Errors
+    /// Names the folder.
+    pub(crate) fn demand_in_place(&self) -> Result<(), RunFolderError> {
+        let (lock, folder) = &self.locks;
+        let same = folder.as_ref().is_none_or(|open| durable::leads_to(&self.path, open));
+        // A deleted lock file alone is harmless: the folder's own lock holds.
+        let emptied =
+            || !durable::leads_to(&self.file(LOCK), lock) && !durable::exists(&self.file(MANIFEST));
+        if same && !emptied() {
+            return Ok(());
+        }
+        Err(RunFolderError::Lost { path: self.path.clone() })
     }
 
     /// A file or folder in `path` that no start of a run left there; `None` if the folder does not exist.
@@ -252,5 +269,38 @@ mod tests {
         }
         assert_eq!(std::fs::read_to_string(&elsewhere).unwrap(), "mine");
         RunFolder::claim_existing(&run, "aa").unwrap();
+    }
+
+    fn run(path: &Path) -> RunFolder {
+        let run = RunFolder::claim_new(path).unwrap();
+        run.begin("", &json!({"config_sha256": "aa"})).unwrap();
+        run.demand_in_place().unwrap();
+        run
+    }
+
+    #[test]
+    fn a_renamed_a_replaced_and_a_deleted_folder_are_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, moved) = (folder.path().join("run"), folder.path().join("moved"));
+        let first = run(&path);
+        std::fs::rename(&path, &moved).unwrap();
+        let message = first.demand_in_place().unwrap_err().to_string();
+        assert!(message.starts_with(&format!("{} was renamed", path.display())), "{message}");
+        let second = run(&path);
+        first.demand_in_place().unwrap_err();
+        std::fs::remove_dir_all(&path).unwrap();
+        second.demand_in_place().unwrap_err();
+        std::fs::rename(&moved, &path).unwrap();
+        first.demand_in_place().unwrap();
+    }
+
+    #[test]
+    fn an_emptied_folder_is_lost_and_one_without_its_lock_file_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run(folder.path());
+        std::fs::remove_file(folder.path().join(LOCK)).unwrap();
+        run.demand_in_place().unwrap();
+        std::fs::remove_file(folder.path().join(MANIFEST)).unwrap();
+        run.demand_in_place().unwrap_err();
     }
 }

@@ -1,8 +1,6 @@
 //! The token file of a run folder, which only its owner can read.
 
-use std::fs::{File, OpenOptions};
-use std::io::{ErrorKind, Write as _};
-use std::os::unix::fs::OpenOptionsExt as _;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use security::Token;
@@ -13,8 +11,6 @@ use crate::plain_file;
 
 /// The token that the learner of the latest start requires.
 pub(super) const TOKEN: &str = "token";
-/// Readable and writable by the owner only.
-const OWNER_ONLY: u32 = 0o600;
 
 impl RunFolder {
     /// Path of the token file of the run in `folder`; absolute if the working directory is known.
@@ -29,19 +25,14 @@ impl RunFolder {
     /// # Errors
     /// Names the file if it cannot be written or removed.
     pub fn note_token(&self, token: Option<&Token>) -> Result<(), RunFolderError> {
-        let (path, draft) = (self.file(TOKEN), self.file(".tmp-token"));
-        let Some(token) = token else {
-            remove(&path)?;
-            return Ok(durable::sync_folder(&self.path)?);
-        };
-        // A new file, because an existing one keeps its permissions.
-        remove(&draft)?;
-        let created = OpenOptions::new().write(true).create_new(true).mode(OWNER_ONLY).open(&draft);
-        created
-            .and_then(|file| fill(file, token))
-            .and_then(|()| std::fs::rename(&draft, &path))
-            .map_err(FileError::of("write", &path))?;
-        Ok(durable::sync_folder(&self.path)?)
+        let path = self.file(TOKEN);
+        match token {
+            Some(token) => {
+                durable::replace_private(&path, format!("{}\n", token.text()).as_bytes())?
+            }
+            None => durable::remove_file(&path).and_then(|()| durable::sync_name(&path))?,
+        }
+        Ok(())
     }
 
     /// The token that the learner of the run in `folder` requires; `None` if it requires none, or if another user owns
@@ -64,20 +55,6 @@ impl RunFolder {
     }
 }
 
-fn fill(mut file: File, token: &Token) -> std::io::Result<()> {
-    writeln!(file, "{}", token.text())?;
-    file.sync_all()
-}
-
-fn remove(path: &Path) -> Result<(), FileError> {
-    match std::fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(FileError::of("remove", path)(error))
-        }
-        _ => Ok(()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::PermissionsExt as _;
@@ -96,7 +73,7 @@ mod tests {
             run.note_token(Some(&token)).unwrap();
             let file = RunFolder::token_file(folder.path());
             let mode = std::fs::metadata(&file).unwrap().permissions().mode();
-            assert_eq!(mode & 0o777, OWNER_ONLY);
+            assert_eq!(mode & 0o777, 0o600);
             let read = RunFolder::token(folder.path()).unwrap().unwrap();
             assert_eq!(read.text(), token.text());
         }
