@@ -28,9 +28,9 @@ use clap::builder::{PathBufValueParser, TypedValueParser as _};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use tracing_subscriber::filter::LevelFilter;
 
-use crate::process::home;
-use crate::process::logging::LogFormat;
 use crate::process::output::Effect;
+use crate::process::output::LogFormat;
+use crate::process::shell;
 use crate::run::fingerprints::BUILD;
 use crate::run::launch::SettingsArguments;
 
@@ -75,9 +75,8 @@ pub(crate) enum Command {
     Eval(eval::EvalArguments),
     /// Record episodes of a trained policy as MCAP for Foxglove.
     Record(record::RecordArguments),
-    /// Verify and replay trajectory logs.
-    #[command(subcommand)]
-    Log(log::LogCommand),
+    /// Verify trajectory logs: checksums, schemas and that every share is complete. Exit status 3: shares are missing.
+    Log(log::LogArguments),
     /// Draw a robot's motion as a strip of pictures; print its distance and signs of unphysical motion.
     Film(film::FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
@@ -168,7 +167,7 @@ fn with_home(command: clap::Command) -> clap::Command {
         if arg.get_value_parser().type_id() != path {
             return arg;
         }
-        arg.value_parser(PathBufValueParser::new().try_map(|path| home::expanded(&path)))
+        arg.value_parser(PathBufValueParser::new().try_map(|path| shell::expanded(&path)))
     };
     command.mut_args(expanding).mut_subcommands(with_home)
 }
@@ -182,7 +181,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Serve(arguments) => serve::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
-        Command::Log(command) => log::run(&command),
+        Command::Log(arguments) => log::run(&arguments),
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
         Command::Page(arguments) => page::run(arguments),

@@ -2,16 +2,14 @@
 
 pub(crate) mod chart;
 pub(crate) mod learning_curve;
-mod legend;
-pub(crate) mod palette;
 pub(crate) mod picture;
 pub(crate) mod statistics;
-mod style;
+pub(crate) mod style;
 
 use std::path::{Path, PathBuf};
 
 use crate::figures::learning_curve::{Curve, Panel, Quantity, panels};
-use crate::process::output;
+use crate::process::target;
 
 /// Panels in a row of a picture with many tasks.
 const MOST_COLUMNS: usize = 3;
@@ -51,7 +49,7 @@ fn write(paths: [PathBuf; 2], panels: &[Panel], columns: usize) -> anyhow::Resul
     let picture = picture::draw(panels, columns)?;
     let contents = [picture.svg.into_bytes(), picture.png];
     let written = paths.into_iter().zip(contents).map(|(path, bytes)| {
-        output::file(&path, &bytes)?;
+        target::file(&path, &bytes)?;
         Ok(path)
     });
     written.collect()

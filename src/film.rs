@@ -1,23 +1,308 @@
 //! Episodes and pictures of robots: film strips, portraits with numbered joints, and what an episode measures. Every
 //! link has the colour of the agent that drives it.
 
-mod camera;
-mod captions;
 mod drawing;
 mod episode;
-mod joints;
-mod measures;
-mod portrait;
-mod shapes;
-mod sheet;
-mod solids;
-mod strip;
+
+use anyhow::Context as _;
+use kuva::backend::png::PngBackend;
+use kuva::render::render::{Primitive, Scene, TextAnchor};
+use sim::{EnvironmentBatch, LinkShape, Outcome, Pose, Robot};
+use tiny_skia::{BlendMode, Color, Pixmap, PixmapPaint, Transform};
+
+use crate::film::drawing::{Camera, HEIGHT, Solid, View, WIDTH};
 
 pub(crate) use episode::PlayedEpisode;
-pub(crate) use joints::distinct_joints;
-pub(crate) use portrait::portrait;
-pub(crate) use shapes::RobotShapes;
-pub(crate) use strip::{Frame, strip};
+
+/// What stays the same from frame to frame.
+pub(crate) struct RobotShapes {
+    shapes: Vec<LinkShape>,
+    /// For each link of a pose, the agent that drives its joint.
+    drivers: Vec<Option<usize>>,
+    agents: usize,
+}
+
+impl RobotShapes {
+    /// The shapes of a simulated robot; `None` for a game.
+    pub(crate) fn of(world: &dyn EnvironmentBatch) -> Option<Self> {
+        let description = world.description();
+        let drivers = sim::drivers(description, &world.pose(0));
+        Some(Self { shapes: world.robot()?.shapes(), drivers, agents: description.agents.len() })
+    }
+}
+
+/// A pose to be drawn.
+pub(crate) struct Frame<'a> {
+    /// Time since the start of the episode.
+    pub(crate) time_secs: f64,
+    /// Where the links are.
+    pub(crate) pose: &'a Pose,
+}
+
+/// The PNG of a strip: the frames row by row at one scale, and a legend of the agents' colours.
+///
+/// # Errors
+/// If the picture cannot be encoded.
+pub(crate) fn strip(robot: &RobotShapes, frames: &[Frame<'_>]) -> anyhow::Result<Vec<u8>> {
+    let seen: Vec<Vec<Solid>> =
+        frames.iter().map(|frame| drawing::solids(robot, frame.pose, View::Side)).collect();
+    let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.links[0].position[0]).collect();
+    let pixels_per_metre = drawing::scale(&seen, &roots);
+    let (width, height) = size(frames.len(), robot.agents);
+    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
+    sheet.fill(Color::WHITE);
+    let mut captions = Captions::new(width, height);
+    for (index, frame) in frames.iter().enumerate() {
+        let (left, top) = place(index as u32);
+        let camera = Camera { middle: roots[index], pixels_per_metre };
+        let panel = drawing::panel(&seen[index], &camera);
+        paste(&mut sheet, &panel, left, top);
+        captions.frame(&camera, frame.time_secs, left, top);
+    }
+    legend(&mut sheet, &mut captions, robot.agents);
+    captions.print_on(&mut sheet)?;
+    sheet.encode_png().context("cannot encode the picture")
+}
+
+/// Upper left corner of a frame, pixels.
+fn place(index: u32) -> (u32, u32) {
+    let (row, column) = (index / COLUMNS, index % COLUMNS);
+    (GAP + column * (WIDTH + GAP), GAP + row * (HEIGHT + CAPTION))
+}
+
+/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. `joints` are the places
+/// in the world, metres, that get the numbers from 1 on.
+///
+/// # Errors
+/// If the picture cannot be encoded.
+pub(crate) fn portrait(
+    robot: &RobotShapes,
+    joints: &[[f32; 3]],
+    pose: &Pose,
+) -> anyhow::Result<Vec<u8>> {
+    let view = view(robot, pose);
+    let mut solids = drawing::solids(robot, pose, view);
+    let lift = match view {
+        View::Side => 0.0,
+        View::Above => -edges(&solids).0,
+    };
+    for [_, height] in solids.iter_mut().flat_map(|solid| &mut solid.ends) {
+        *height += lift;
+    }
+    let middle = pose.links[0].position[0];
+    let pixels_per_metre = drawing::scale(std::slice::from_ref(&solids), &[middle]);
+    let camera = Camera { middle, pixels_per_metre };
+    let (width, height) = size(1, robot.agents);
+    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
+    sheet.fill(Color::WHITE);
+    let mut panel = match view {
+        View::Side => drawing::panel(&solids, &camera),
+        View::Above => drawing::panel_without_floor(&solids, &camera),
+    };
+    let mut captions = Captions::new(width, height);
+    let places = joints.iter().map(|&point| {
+        let [x, height] = view.plane(point);
+        camera.pixel([x, height + lift])
+    });
+    for (number, (x, y)) in (1..).zip(side_by_side(places)) {
+        drawing::sign(&mut panel, x, y);
+        captions.number(number, GAP as f32 + x, GAP as f32 + y);
+    }
+    paste(&mut sheet, &panel, GAP, GAP);
+    legend(&mut sheet, &mut captions, robot.agents);
+    captions.print_on(&mut sheet)?;
+    sheet.encode_png().context("cannot encode the picture")
+}
+
+/// From above if the robot is wider than high.
+fn view(robot: &RobotShapes, pose: &Pose) -> View {
+    let extent = |view| {
+        let (low, high) = edges(&drawing::solids(robot, pose, view));
+        high - low
+    };
+    if extent(View::Above) > extent(View::Side) { View::Above } else { View::Side }
+}
+
+/// The lowest and the highest edge of all solids in the picture's plane, metres.
+fn edges(solids: &[Solid]) -> (f32, f32) {
+    let edges = solids.iter().flat_map(|solid| {
+        solid.ends.map(|[_, height]| (height - solid.radius, height + solid.radius))
+    });
+    edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| (low.min(bottom), high.max(top)))
+}
+
+/// The places of signs, pixels; those that would cover one before, such as the second of two hips, move to the right.
+fn side_by_side(places: impl Iterator<Item = (f32, f32)>) -> Vec<(f32, f32)> {
+    let apart = 2.0 * drawing::SIGN;
+    let mut signs: Vec<(f32, f32)> = Vec::new();
+    for (mut x, y) in places {
+        while signs.iter().any(|sign| (sign.0 - x).abs() < apart && (sign.1 - y).abs() < apart) {
+            x += apart;
+        }
+        signs.push((x, y));
+    }
+    signs
+}
+
+/// Joints closer than this hide each other's numbers, metres.
+const APART: f32 = 0.08;
+/// Limit of the steps that move legs apart.
+const MOST_STEPS: usize = 30;
+
+/// Steps the robot until at most one joint hides another, and returns the positions of all joints. Legs that are one
+/// behind the other move apart; their hips stay in one place.
+pub(crate) fn distinct_joints(world: &mut dyn EnvironmentBatch) -> anyhow::Result<Vec<[f32; 3]>> {
+    let anchors = world.robot().map(Robot::hinge_positions).unwrap_or_default();
+    let mut joints = places(world, &anchors);
+    for _ in 0..MOST_STEPS {
+        let hidden: Vec<bool> =
+            (0..joints.len()).map(|index| hidden(&joints[index], &joints[..index])).collect();
+        if hidden.iter().filter(|hidden| **hidden).count() <= 1 {
+            break;
+        }
+        // Of two joints in one place the first turns one way, the second the other.
+        let actions: Vec<f32> =
+            hidden.iter().map(|hidden| if *hidden { -1.0 } else { 1.0 }).collect();
+        world.step(&actions, &mut [Outcome::default()]).context("the robot cannot be moved")?;
+        joints = places(world, &anchors);
+    }
+    Ok(joints)
+}
+
+/// Whether a joint is at the position of one of the others.
+fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
+    let near = |other: &[f32; 3]| {
+        let squares = joint.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
+        squares.sum::<f32>() < APART * APART
+    };
+    others.iter().any(near)
+}
+
+/// Positions of the joints that agents drive, in the order of their actions; `anchors` are their positions on their
+/// links.
+fn places(world: &dyn EnvironmentBatch, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let (task, pose) = (world.description(), world.pose(0));
+    let links = &pose.links[pose.links.len() - anchors.len()..];
+    let place = |name: &String| {
+        let index = pose.joints.iter().position(|joint| joint.name == *name)?;
+        Some(links[index].in_world(anchors[index]))
+    };
+    task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect()
+}
+
+/// Frames side by side in a full row.
+const COLUMNS: u32 = 4;
+/// Pixels between frames and around them.
+const GAP: u32 = 12;
+/// Height of the line under a frame that holds its time, pixels.
+const CAPTION: u32 = 26;
+/// Height of a row of the legend, pixels.
+const LEGEND: u32 = 30;
+/// Width of an agent in the legend, pixels.
+const LEGEND_ENTRY: u32 = 100;
+
+/// Width and height of a strip, pixels.
+fn size(frames: usize, agents: usize) -> (u32, u32) {
+    let frames = frames as u32;
+    let width = GAP + frames.min(COLUMNS) * (WIDTH + GAP);
+    let rows = frames.div_ceil(COLUMNS) * (HEIGHT + CAPTION);
+    (width, GAP + rows + LEGEND * (agents as u32).div_ceil(entries(width)))
+}
+
+/// Agents in a row of the legend.
+fn entries(width: u32) -> u32 {
+    (width - GAP) / LEGEND_ENTRY
+}
+
+/// A disc and a name for each agent, below the frames.
+fn legend(sheet: &mut Pixmap, captions: &mut Captions, agents: usize) {
+    let in_row = entries(sheet.width());
+    let rows = (agents as u32).div_ceil(in_row);
+    let top = sheet.height() - rows * LEGEND;
+    for agent in 0..agents {
+        let (row, column) = (agent as u32 / in_row, agent as u32 % in_row);
+        let (x, y) = (GAP + column * LEGEND_ENTRY, top + row * LEGEND + LEGEND / 3);
+        drawing::mark(sheet, x as f32 + 8.0, y as f32, agent);
+        captions.agent(agent, x + 22, y);
+    }
+}
+
+fn paste(sheet: &mut Pixmap, picture: &Pixmap, left: u32, top: u32) {
+    let paint = PixmapPaint::default();
+    sheet.draw_pixmap(
+        left as i32,
+        top as i32,
+        picture.as_ref(),
+        &paint,
+        Transform::identity(),
+        None,
+    );
+}
+
+/// Height of letters, pixels.
+const TIME: u32 = 17;
+const METRE: u32 = 13;
+/// Smallest distance between a frame's edge and the middle of a number, pixels.
+const HALF_NUMBER: f32 = 22.0;
+const GREY: &str = "#3a4148";
+
+/// Captions on their own white sheet.
+struct Captions(Scene);
+
+impl Captions {
+    /// An empty sheet; the size is in pixels.
+    fn new(width: u32, height: u32) -> Self {
+        Self(Scene::new(f64::from(width), f64::from(height)))
+    }
+
+    /// A frame's time below it and its metres on the ground; `left` and `top` are its corner.
+    fn frame(&mut self, camera: &Camera, time_secs: f64, left: u32, top: u32) {
+        let middle = left + WIDTH / 2;
+        let below = f64::from(top + HEIGHT + 18);
+        self.write(format!("{time_secs:.2} s"), f64::from(middle), below, TIME, TextAnchor::Middle);
+        let inside = HALF_NUMBER..=WIDTH as f32 - HALF_NUMBER;
+        for (metre, x) in camera.metres().filter(|(_, x)| inside.contains(x)) {
+            let (x, y) = (f64::from(left) + f64::from(x), f64::from(top + HEIGHT - 10));
+            self.write(format!("{metre} m"), x, y, METRE, TextAnchor::Middle);
+        }
+    }
+
+    /// An agent's name right of `x`, its middle at the height `y`.
+    fn agent(&mut self, agent: usize, x: u32, y: u32) {
+        let baseline = f64::from(y + 5);
+        self.write(format!("agent {agent}"), f64::from(x), baseline, TIME, TextAnchor::Start);
+    }
+
+    /// A joint's number around a point, pixels.
+    fn number(&mut self, number: usize, x: f32, y: f32) {
+        let baseline = f64::from(y) + 4.5;
+        self.write(number.to_string(), f64::from(x), baseline, METRE, TextAnchor::Middle);
+    }
+
+    /// Draws the captions onto the sheet.
+    fn print_on(self, sheet: &mut Pixmap) -> anyhow::Result<()> {
+        let backend = PngBackend::new().with_scale(1.0);
+        let png = backend.render_scene(&self.0).map_err(anyhow::Error::msg)?;
+        let words = Pixmap::decode_png(&png).context("cannot read the captions")?;
+        let paint = PixmapPaint { blend_mode: BlendMode::Multiply, ..PixmapPaint::default() };
+        sheet.draw_pixmap(0, 0, words.as_ref(), &paint, Transform::identity(), None);
+        Ok(())
+    }
+
+    fn write(&mut self, content: String, x: f64, y: f64, size: u32, anchor: TextAnchor) {
+        let color = Some(GREY.into());
+        self.0.add(Primitive::Text {
+            x,
+            y,
+            content,
+            size,
+            anchor,
+            rotate: None,
+            bold: false,
+            color,
+        });
+    }
+}
 
 #[cfg(test)]
 mod tests;

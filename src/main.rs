@@ -5,7 +5,6 @@ mod commands;
 mod config;
 mod errors;
 mod experiment;
-mod export;
 mod figures;
 mod film;
 mod listening;
@@ -37,7 +36,7 @@ fn main() -> ExitCode {
 fn run(arguments: commands::Arguments) -> anyhow::Result<()> {
     process::prepare()?;
     let commands::Arguments { log_format, log, command } = arguments;
-    process::logging::start(log_format, log.as_deref(), command.log_filter())?;
+    process::output::start_log(log_format, log.as_deref(), command.log_filter())?;
     process::output::start(command.effect());
     choose_registers()?;
     commands::run(command)?;

@@ -1,17 +1,19 @@
 //! The progress that `s2mia train` and `s2mia learner` print: a bar on a terminal, plain lines elsewhere.
-//! `progress/wording.rs` writes the text of both. `progress/work.rs` is the progress of shorter commands.
+//! `progress/work.rs` is the progress of shorter commands.
 
-mod wording;
 mod work;
 
+use std::collections::VecDeque;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use learner::Event;
+use learner::event::{EvaluationReport, Spread};
+use learner::{Event, IterationReport};
 
-use crate::process::{logging, output};
-use wording::RecentIterations;
+use crate::figures::chart;
+use crate::process::output;
+
 pub(crate) use work::WorkProgress;
 
 /// Time between two plain lines.
@@ -31,9 +33,10 @@ enum Screen {
 impl Progress {
     /// For a run of `total` env steps; a bar if stdout is a terminal.
     pub(crate) fn new(total: u64) -> Self {
-        let screen = match std::io::stdout().is_terminal() {
-            true => Screen::Bar(bar(total)),
-            false => Screen::Lines { last: None },
+        let screen = if std::io::stdout().is_terminal() {
+            Screen::Bar(bar(total))
+        } else {
+            Screen::Lines { last: None }
         };
         Self { recent: RecentIterations::new(total), screen }
     }
@@ -45,7 +48,7 @@ impl Progress {
             Event::Iteration(_) => self.iteration(),
             Event::Collecting { env_steps, .. } => self.collecting(*env_steps),
             Event::Waiting { .. } | Event::Evaluation(_) => {
-                self.line(&wording::notice(event).unwrap_or_default());
+                self.line(&notice(event).unwrap_or_default());
             }
             Event::Stage(_) | Event::Checkpoint(_) | Event::CheckpointFailed { .. } => {}
         }
@@ -98,11 +101,198 @@ impl Drop for Progress {
 }
 
 fn bar(total: u64) -> ProgressBar {
-    let bars = logging::bars();
+    let bars = output::bars();
     bars.set_draw_target(ProgressDrawTarget::stdout());
     let style = ProgressStyle::with_template(
         "{bar:40.cyan/black} {human_pos}/{human_len} steps ({percent} %)\n{wide_msg}",
     );
     let style = style.expect("the template is well formed").progress_chars("━╸─");
     bars.add(ProgressBar::new(total).with_style(style))
+}
+
+/// Iterations over which speed and phase shares are averaged.
+const WINDOW: usize = 20;
+
+/// Returns kept for the sparkline and the trend.
+const HISTORY: usize = 40;
+
+/// Characters of the sparkline.
+const SPARKLINE: usize = 12;
+
+/// The last iterations of a run.
+struct RecentIterations {
+    total: u64,
+    /// When the first message of the run arrived, and the environment steps before it.
+    begun: Option<(Instant, u64)>,
+    /// When each iteration ended, and its report.
+    reports: VecDeque<(Instant, IterationReport)>,
+    returns: VecDeque<f64>,
+}
+
+impl RecentIterations {
+    /// Before the first iteration of a run of `total` environment steps.
+    fn new(total: u64) -> Self {
+        Self { total, begun: None, reports: VecDeque::new(), returns: VecDeque::new() }
+    }
+
+    /// Environment steps of finished iterations.
+    fn env_steps(&self) -> u64 {
+        self.reports.back().map_or(0, |(_, report)| report.env_steps)
+    }
+
+    /// Whether the last iteration is done.
+    fn is_complete(&self) -> bool {
+        self.env_steps() >= self.total
+    }
+
+    /// Keeps an iteration, or the start of the run.
+    fn observe(&mut self, event: &Event, now: Instant) {
+        match event {
+            Event::Iteration(report) => {
+                keep(&mut self.reports, (now, report.clone()), WINDOW);
+                report.episode_return.into_iter().for_each(|found| {
+                    keep(&mut self.returns, found, HISTORY);
+                });
+            }
+            Event::Collecting { env_steps, .. } if self.reports.is_empty() => {
+                self.begun.get_or_insert((now, *env_steps));
+            }
+            _ => {}
+        }
+    }
+
+    /// Speed, return, time left and phase shares, for the line under the bar: at most 80 columns.
+    fn figures(&self) -> String {
+        let mut parts = Vec::new();
+        if let Some(speed) = self.steps_per_sec() {
+            parts.push(format!("{} steps/s", chart::thousands(speed as u64)));
+        }
+        parts.push(self.episode_return());
+        parts.extend(self.secs_left().map(|secs| format!("{} left", chart::duration(secs))));
+        parts.push(self.phases());
+        parts.join("  ")
+    }
+
+    /// The same as one plain line.
+    fn line(&self) -> String {
+        let percent = 100.0 * self.env_steps() as f64 / self.total.max(1) as f64;
+        let (done, total) = (chart::thousands(self.env_steps()), chart::thousands(self.total));
+        format!("{done}/{total} steps ({percent:.1} %)  {}", self.figures())
+    }
+
+    fn steps_per_sec(&self) -> Option<f64> {
+        let mut ends = self.reports.iter().map(|(end, report)| (*end, report.env_steps));
+        let last = ends.next_back()?;
+        let begun = self.begun.filter(|_| self.reports.len() < WINDOW);
+        let first = begun.or_else(|| ends.next())?;
+        let secs = last.0.duration_since(first.0).as_secs_f64();
+        (secs > 0.0).then(|| last.1.saturating_sub(first.1) as f64 / secs)
+    }
+
+    fn secs_left(&self) -> Option<f64> {
+        let speed = self.steps_per_sec()?;
+        let left = self.total.saturating_sub(self.env_steps());
+        (left > 0 && speed > 0.0).then(|| left as f64 / speed)
+    }
+
+    fn phases(&self) -> String {
+        let sum = |secs: fn(&IterationReport) -> f64| {
+            self.reports.iter().map(|(_, report)| secs(report)).sum::<f64>()
+        };
+        let (rollout, update) = (sum(|it| it.rollout_secs), sum(|it| it.update_secs));
+        let share = 100.0 * rollout / (rollout + update).max(f64::MIN_POSITIVE);
+        format!("roll out {share:.0} % update {:.0} %", 100.0 - share)
+    }
+
+    fn episode_return(&self) -> String {
+        let returns: Vec<f64> = self.returns.iter().copied().collect();
+        match returns.last() {
+            None => "return -".to_owned(),
+            Some(last) => {
+                let spark = chart::sparkline(&returns, SPARKLINE);
+                format!("return {last:.1} {} {spark}", chart::trend(&returns))
+            }
+        }
+    }
+}
+
+/// The line of an event that is printed at once.
+fn notice(event: &Event) -> Option<String> {
+    match event {
+        Event::Evaluation(EvaluationReport { env_steps, spread, episodes, .. }) => {
+            let Spread { mean, standard_deviation, minimum, maximum } = spread;
+            Some(format!(
+                "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} \
+                 ({minimum:.1} to {maximum:.1}, {episodes} episodes)",
+                chart::thousands(*env_steps)
+            ))
+        }
+        Event::Waiting { seconds, reason } => {
+            Some(format!("waited {} so far: {reason}", chart::duration(*seconds)))
+        }
+        _ => None,
+    }
+}
+
+fn keep<T>(values: &mut VecDeque<T>, value: T, limit: usize) {
+    values.push_back(value);
+    while values.len() > limit {
+        values.pop_front();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    fn iteration(iteration: u64, episode_return: Option<f64>) -> Event {
+        Event::Iteration(IterationReport {
+            iteration,
+            env_steps: iteration * 4000,
+            iteration_secs: 4.0,
+            rollout_secs: 1.0,
+            update_secs: 3.0,
+            density_secs: 0.5,
+            episode_return,
+            actors: 2,
+            messages_refused: 0,
+            leases_reissued: 0,
+            metrics: Vec::new(),
+        })
+    }
+
+    #[test]
+    fn a_line_tells_steps_speed_phases_return_and_time_left() {
+        let start = Instant::now();
+        let mut recent = RecentIterations::new(40_000);
+        for k in 1..=4 {
+            let event = iteration(k, Some(k as f64));
+            recent.observe(&event, start + Duration::from_secs(4 * k));
+        }
+        assert_eq!(
+            recent.line(),
+            "16,000/40,000 steps (40.0 %)  1,000 steps/s  return 4.0 ↗ ▁▃▆█  24s left  \
+             roll out 25 % update 75 %"
+        );
+    }
+
+    #[test]
+    fn before_any_episode_has_ended_there_is_no_return() {
+        let mut recent = RecentIterations::new(40_000);
+        recent.observe(&iteration(1, None), Instant::now());
+        assert!(recent.line().contains("return -"), "{}", recent.line());
+    }
+
+    #[test]
+    fn an_evaluation_is_told_with_its_spread() {
+        let spread =
+            Spread { mean: 812.44, standard_deviation: 33.1, minimum: 760.0, maximum: 866.0 };
+        let report = EvaluationReport { iteration: 25, env_steps: 100_000, spread, episodes: 10 };
+        assert_eq!(
+            notice(&Event::Evaluation(report)).as_deref(),
+            Some("evaluation at 100,000 steps: return 812.4 ± 33.1 (760.0 to 866.0, 10 episodes)")
+        );
+    }
 }

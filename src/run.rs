@@ -6,7 +6,6 @@ pub(crate) mod fingerprints;
 pub(crate) mod launch;
 pub(crate) mod message_sizes;
 pub(crate) mod new_folder;
-pub(crate) mod newest;
 pub(crate) mod offered;
 pub(crate) mod process_log;
 pub(crate) mod resume;

@@ -7,44 +7,48 @@ mod experiments;
 
 use std::path::Path;
 use std::process::Command;
+use std::sync::OnceLock;
 
 use experiments::{Experiment, s2mia};
 
+/// State hashes of the runs of an undisturbed experiment.
+fn undisturbed() -> &'static [String] {
+    static HASHES: OnceLock<Vec<String>> = OnceLock::new();
+    HASHES.get_or_init(|| {
+        let experiment = Experiment::new();
+        experiment.run();
+        experiment.hashes()
+    })
+}
+
+/// The rows of the printed table.
+fn table(told: &str) -> Vec<&str> {
+    told.lines().filter(|line| line.starts_with('|')).collect()
+}
+
 #[test]
-fn an_experiment_writes_a_table_and_figures_and_runs_nothing_twice() {
+fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing_without_folders() {
     let experiment = Experiment::new();
     let told = experiment.run();
     assert!(
         told.contains("3 of 3 runs are finished") && told.contains("| cue-2x1 | short | 2 |"),
         "{told}"
     );
-    for name in
-        ["results.md", "results.csv", "learning_curve.png", "learning_curve.svg", "ablation.png"]
-    {
+    let names =
+        ["results.md", "results.csv", "learning_curve.png", "learning_curve.svg", "ablation.png"];
+    for name in names {
         assert!(experiment.folder().join(name).is_file(), "{name}");
     }
-    let table = std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap();
-    let again = experiment.run();
-    assert!(!again.contains(" is finished\n"), "{again}");
+    let results = std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap();
     std::fs::remove_file(experiment.folder().join("results.csv")).unwrap();
-    let (status, told) = s2mia(&["experiment", experiment.file(), "--report"]);
-    assert_eq!(status, Some(0), "{told}");
-    assert_eq!(std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap(), table);
-    let (_, listed) = s2mia(&["experiment", experiment.file(), "--list"]);
-    assert_eq!(listed.matches("  recorded").count(), 3, "{listed}");
-}
+    let (status, report) = s2mia(&["experiment", experiment.file(), "--report"]);
+    assert_eq!(status, Some(0), "{report}");
+    assert_eq!(std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap(), results);
 
-#[test]
-fn recorded_runs_are_compared_and_not_repeated_without_their_folders() {
-    let experiment = Experiment::new();
-    let table = |told: &str| {
-        told.lines().filter(|line| line.starts_with('|')).collect::<Vec<_>>().join("\n")
-    };
-    let first = table(&experiment.run());
     let record = std::fs::read_to_string(experiment.record()).unwrap();
-    let state = experiment.folder().join("cue-2x1-long-seed3/provenance.jsonl");
-    let last = std::fs::read_to_string(state).unwrap();
-    let last: serde_json::Value = serde_json::from_str(last.lines().last().unwrap()).unwrap();
+    let lines = experiment.folder().join("cue-2x1-long-seed3/provenance.jsonl");
+    let lines = std::fs::read_to_string(lines).unwrap();
+    let last: serde_json::Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
     let weights = last["weights_sha256"].as_str().unwrap();
     let of_long = |line: &&str| line.starts_with("cue-2x1,long,3,40000,") && line.contains(weights);
     assert_eq!(record.lines().filter(of_long).count(), 1, "{record}");
@@ -52,18 +56,14 @@ fn recorded_runs_are_compared_and_not_repeated_without_their_folders() {
     let (_, listed) = s2mia(&["experiment", experiment.file(), "--list"]);
     assert_eq!(listed.matches("  recorded").count(), 3, "{listed}");
     let again = experiment.run();
-    assert!(
-        again.contains("3 of 3 runs are finished") && !again.contains(" is finished\n"),
-        "{again}"
-    );
-    assert_eq!(table(&again), first);
+    assert!(again.contains("3 of 3 runs are finished"), "{again}");
+    assert!(!again.contains(" is finished\n"), "{again}");
+    assert_eq!(table(&again), table(&told));
     assert_eq!(std::fs::read_to_string(experiment.record()).unwrap(), record);
 }
 
 #[test]
 fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
-    let whole = Experiment::new();
-    whole.run();
     for signal in ["TERM", "KILL"] {
         let experiment = Experiment::new();
         let (status, told) = experiment.end_after_its_first_run(signal);
@@ -71,14 +71,12 @@ fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
         assert_eq!(told.contains("resume with `s2mia experiment"), signal == "TERM", "{told}");
         let told = experiment.run();
         assert!(told.contains("3 of 3 runs are finished"), "{told}");
-        assert_eq!(experiment.hashes(), whole.hashes(), "{signal}");
+        assert_eq!(experiment.hashes(), undisturbed(), "{signal}");
     }
 }
 
 #[test]
 fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
-    let whole = Experiment::new();
-    whole.run();
     let experiment = Experiment::new();
     let (status, told) = experiment.run_part(&["--only", "3"]);
     assert_eq!(status, Some(2), "{told}");
@@ -105,7 +103,7 @@ fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
     assert_eq!(status, Some(0), "{told}");
     assert!(told.contains("3 of 3 runs are finished"), "{told}");
     assert!(experiment.folder().join("results.md").exists());
-    assert_eq!(experiment.hashes(), whole.hashes());
+    assert_eq!(experiment.hashes(), undisturbed());
 }
 
 #[test]

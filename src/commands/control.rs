@@ -15,7 +15,7 @@ use crate::errors::Usage;
 use crate::figures::chart::thousands;
 use crate::listening::token_for_run;
 use crate::process::{output, runtime, shell};
-use crate::run::{checkpointed, newest, run_path};
+use crate::run::{checkpointed, run_path};
 use crate::tls::{ClientTlsArguments, credentials};
 
 /// Selects the learner.
@@ -23,7 +23,7 @@ use crate::tls::{ClientTlsArguments, credentials};
 pub(crate) struct LearnerArgument {
     /// Run folder, URL or HOST:PORT of the learner [default: the newest run in runs that has a learner, else the newest
     /// one, else http://127.0.0.1:50051].
-    #[arg(value_name = "RUN | URL | HOST:PORT", default_value = "", hide_default_value = true, value_parser = newest::or_newest)]
+    #[arg(value_name = "RUN | URL | HOST:PORT", default_value = "", hide_default_value = true, value_parser = run_path::or_newest)]
     pub(crate) of: String,
     /// TLS.
     #[command(flatten)]
@@ -40,9 +40,10 @@ pub(crate) fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
 
 /// The time that `option` gives; refuses a negative, infinite or too long one.
 pub(crate) fn seconds(option: &str, secs: f64) -> Result<Duration, Usage> {
-    match (0.0..=LONGEST_SECS).contains(&secs) {
-        true => Ok(Duration::from_secs_f64(secs)),
-        false => Err(Usage::new(format!("{option} must be 0 to {LONGEST_SECS} s, is {secs:?}"))),
+    if (0.0..=LONGEST_SECS).contains(&secs) {
+        Ok(Duration::from_secs_f64(secs))
+    } else {
+        Err(Usage::new(format!("{option} must be 0 to {LONGEST_SECS} s, is {secs:?}")))
     }
 }
 
@@ -77,9 +78,8 @@ pub(super) fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
 pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
     let of = &learner.of;
     let scheme = if learner.tls.are_given() { "https" } else { "http" };
-    let with_scheme = |address: &str| match address.contains("://") {
-        true => address.to_owned(),
-        false => format!("{scheme}://{address}"),
+    let with_scheme = |address: &str| {
+        if address.contains("://") { address.to_owned() } else { format!("{scheme}://{address}") }
     };
     if let Some(address) = address(of) {
         return Ok(Some(with_scheme(address)));
@@ -135,9 +135,10 @@ pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
         let mut operator = operator(&url, &arguments.learner, patience).await?;
         anyhow::Ok(operator.status().await?)
     })?;
-    match arguments.json {
-        true => output::line(learner::exchange::status_json(&status)),
-        false => output::line(text(&status)),
+    if arguments.json {
+        output::line(learner::exchange::status_json(&status));
+    } else {
+        output::line(text(&status));
     }
     Ok(())
 }

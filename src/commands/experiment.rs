@@ -19,7 +19,7 @@ use crate::experiment::selection::{Selection, Shard};
 use crate::experiment::submit::slurm::Options;
 use crate::experiment::submit::{Jobs, k8s, slurm};
 use crate::experiment::{place, report, scheduler};
-use crate::process::{output, runtime, shell, signals};
+use crate::process::{output, runtime, shell, signals, target};
 use crate::run::new_folder::Others;
 
 /// `s2mia experiment`
@@ -169,9 +169,10 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let runtime = runtime()?;
     let (mut tally, stopped) = runtime.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
-    match arguments.selection() == Selection::All || all_finished(&file, &runs)? {
-        true => tell(&file, &runs)?,
-        false => output::line(rest(&tally, selected.len(), arguments)),
+    if arguments.selection() == Selection::All || all_finished(&file, &runs)? {
+        tell(&file, &runs)?;
+    } else {
+        output::line(rest(&tally, selected.len(), arguments));
     }
     finish(&tally, selected.len(), stopped.then_some(arguments))
 }
@@ -199,7 +200,7 @@ fn submit(
             place::check(file, runs, others(arguments))?;
             learner::durable::make_folder(&file.folder)?;
             let path = file.folder.join(slurm::SCRIPT_NAME);
-            output::file(&path, script.as_bytes())?;
+            target::file(&path, script.as_bytes())?;
             output::line(slurm::submit(&path)?);
         }
     }
@@ -251,7 +252,7 @@ fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> Strin
 }
 
 fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
-    output::folder(&file.folder)?;
+    target::folder(&file.folder)?;
     let (table, written) = report::write(file, runs)?;
     output::line(table);
     written.iter().for_each(|path| output::line(path.display()));

@@ -1,14 +1,26 @@
-//! `s2mia export`: a trained policy for other programs.
+//! `s2mia export`: a trained policy for other programs: ONNX for each agent, the weights, and an episode for comparison.
 
-use std::path::PathBuf;
+mod graph;
+mod onnx;
 
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
 use clap::Args;
+use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
+use policy::{ActorPolicy, Key, PolicySnapshot};
+use proto::{ActionChoice, AgentSpec, EnvironmentSpec};
+use rollout::StepEvent;
+use serde_json::json;
+use sim::{EnvironmentBatch, Robot, SimError};
 
-use crate::export;
-use crate::process::output;
-use crate::process::target::ForceArguments;
-use crate::run::checkpointed;
+use crate::process::target::{Existing, ForceArguments};
+use crate::process::{output, target};
+use crate::progress::WorkProgress;
+use crate::run::checkpointed::Trained;
 use crate::run::offered::Stage;
+use crate::run::{checkpointed, run_path};
 
 /// `s2mia export`
 #[derive(Args, Debug)]
@@ -27,11 +39,161 @@ pub(crate) struct ExportArguments {
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let mut stage = Stage::of(&trained.config)?;
-    output::option_folder("--onnx", &arguments.onnx)?;
+    target::option_folder("--onnx", &arguments.onnx)?;
     let existing = arguments.force.existing();
-    let files = export::export((&arguments.onnx, existing), &trained, stage.environment.as_mut())?;
+    let files = export((&arguments.onnx, existing), &trained, stage.environment.as_mut())?;
     for (name, holds) in files {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }
     Ok(())
+}
+
+/// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`. Returns the
+/// name and the contents of each file. Files of an earlier export are refused, or removed if they are to be replaced.
+fn export(
+    (folder, existing): (&Path, Existing),
+    trained: &Trained,
+    world: &mut dyn EnvironmentBatch,
+) -> anyhow::Result<Vec<(String, String)>> {
+    let earlier = run_path::files(folder, is_exported)?;
+    target::demand_free("--onnx", earlier.clone(), existing)?;
+    let (snapshot, task) = (&trained.policy, world.description());
+    let common = common(trained, task);
+    let mut files = Vec::new();
+    for (index, (agent, described)) in snapshot.agents.iter().zip(&task.agents).enumerate() {
+        let name = format!("agent_{index}.onnx");
+        let about: BTreeMap<_, _> =
+            common.clone().into_iter().chain(about_agent(described, world.robot())).collect();
+        target::file(&folder.join(&name), &graph::model(agent, &about).to_bytes())?;
+        files.push((name, sizes(agent)));
+    }
+    target::file(&folder.join("policy.safetensors"), &snapshot.to_bytes()?)?;
+    files.push(("policy.safetensors".to_owned(), "all agents' weights".to_owned()));
+    let chosen = trained.episode(0);
+    let episode = play(world, snapshot, chosen.key(), &mut WorkProgress::new())?;
+    target::file(&folder.join("episode.safetensors"), &episode.to_bytes()?)?;
+    let (value, steps) = (episode.extrinsic_return, episode.steps);
+    let told = format!(
+        "{chosen}: return {value:.2}, {steps} steps; each observation, hidden state, action"
+    );
+    files.push(("episode.safetensors".to_owned(), told));
+    let is_new = |path: &PathBuf| files.iter().any(|(name, _)| path.ends_with(name));
+    for path in earlier.into_iter().filter(|path| !is_new(path)) {
+        std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+    }
+    Ok(files)
+}
+
+/// Whether an export writes files of this name.
+fn is_exported(name: &str) -> bool {
+    let number = name.strip_prefix("agent_").and_then(|rest| rest.strip_suffix(".onnx"));
+    let of_agent = number.is_some_and(|number| number.parse::<u32>().is_ok());
+    of_agent || ["policy.safetensors", "episode.safetensors"].contains(&name)
+}
+
+/// Metadata of all agents' models: the run, the duration of a step, and who scales observations.
+fn common(trained: &Trained, task: &EnvironmentSpec) -> BTreeMap<String, String> {
+    let mut about = checkpointed::metadata(trained, &task.task);
+    let scaling = trained.config.resolved.text("observation.norm");
+    about.insert("observation_scaling".to_owned(), scaling.to_owned());
+    about.insert("dt_secs".to_owned(), task.dt_secs.to_string());
+    about
+}
+
+/// Metadata of one agent's model: the meaning of each input and output, and the limits of the action and, for a simulated
+/// robot, of the controls to which it is mapped.
+fn about_agent(agent: &AgentSpec, robot: Option<&Robot>) -> BTreeMap<String, String> {
+    let features: Vec<&String> = agent.observation.iter().map(|feature| &feature.name).collect();
+    let limits = match agent.action.choices {
+        Some(choices) => vec![("action_choices", choices.to_string())],
+        None => vec![
+            ("action_low", agent.action.low.to_string()),
+            ("action_high", agent.action.high.to_string()),
+        ],
+    };
+    let controls = robot.map(|robot| {
+        let ranges = agent.joints.iter().filter_map(|joint| robot.control_range(joint));
+        let ranges: Vec<_> = ranges.collect();
+        ("control_ranges", serde_json::to_string(&ranges).expect("ranges of a model are finite"))
+    });
+    let words = [
+        ("action_unit", agent.action.unit().to_owned()),
+        ("agent", agent.name.clone()),
+        ("observation_features", json!(features).to_string()),
+        ("action_joints", json!(agent.joints).to_string()),
+    ];
+    let words = words.into_iter().chain(limits).chain(controls);
+    words.map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
+fn sizes(agent: &ActorPolicy) -> String {
+    let (observation, hidden) = (agent.observation_size(), agent.hidden_size());
+    let action = agent.action_size();
+    format!("observation {observation}, hidden {hidden} -> action {action}, next_hidden {hidden}")
+}
+
+/// Observations, hidden states and actions of every agent.
+struct ComparedEpisode {
+    steps: usize,
+    extrinsic_return: f64,
+    agents: Vec<Track>,
+}
+
+/// One agent's part; row `t` of each is step `t`.
+#[derive(Default)]
+struct Track {
+    observation: Vec<f32>,
+    /// Before the step.
+    hidden: Vec<f32>,
+    action: Vec<f32>,
+}
+
+/// Plays an episode with mean actions from the start that the key draws.
+fn play(
+    world: &mut dyn EnvironmentBatch,
+    policy: &PolicySnapshot,
+    start: Key,
+    progress: &mut WorkProgress,
+) -> Result<ComparedEpisode, SimError> {
+    let most = u64::from(world.description().episode_steps);
+    let mut agents: Vec<Track> = Vec::new();
+    for agent in &policy.agents {
+        agents.push(Track { hidden: vec![0.0; agent.hidden_size()], ..Track::default() });
+    }
+    let episode = rollout::play_episode(world, policy, (start, ActionChoice::Mean), |event| {
+        let StepEvent::After(step) = event else { return };
+        for (index, track) in agents.iter_mut().enumerate() {
+            track.observation.extend(&step.observation[index]);
+            track.hidden.extend(&step.hidden[index]);
+            track.action.extend(&step.actions[index]);
+        }
+        let place = || format!("episode for comparison, step {}", step.step);
+        progress.reach(step.step.into(), most, place);
+    })?;
+    // No step uses the hidden state after the last one.
+    for (track, agent) in agents.iter_mut().zip(&policy.agents) {
+        track.hidden.truncate(episode.steps as usize * agent.hidden_size());
+    }
+    let extrinsic_return = episode.extrinsic_return;
+    Ok(ComparedEpisode { steps: episode.steps as usize, extrinsic_return, agents })
+}
+
+impl ComparedEpisode {
+    /// A safetensors file: `agent_I.observation` `[T, obs]`, `agent_I.hidden` `[T, H]`, `agent_I.action` `[T, act]`.
+    fn to_bytes(&self) -> Result<Vec<u8>, ArrayError> {
+        let mut arrays = NamedArrays::new();
+        for (index, track) in self.agents.iter().enumerate() {
+            let parts = [
+                ("observation", &track.observation),
+                ("hidden", &track.hidden),
+                ("action", &track.action),
+            ];
+            for (name, data) in parts {
+                let shape = vec![self.steps, data.len() / self.steps];
+                let array = Array::F32 { shape, data: data.clone() };
+                arrays.insert(format!("agent_{index}.{name}"), array);
+            }
+        }
+        to_safetensors(&arrays, &BTreeMap::new())
+    }
 }

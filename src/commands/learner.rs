@@ -62,9 +62,10 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
 
 /// The machines on which an external environment may run.
 fn plain_text(arguments: &LearnerArguments) -> Transport {
-    match arguments.tls.insecure_allow_remote {
-        true => Transport::PlainText,
-        false => Transport::PlainTextOnLoopback,
+    if arguments.tls.insecure_allow_remote {
+        Transport::PlainText
+    } else {
+        Transport::PlainTextOnLoopback
     }
 }
 

@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::Args;
 use learner::run_folder::RunFolder;
 use recording::trajectory_log;
-use recording::trajectory_log::{LogError, Replayed, is_log_name, read_bytes, read_shares};
+use recording::trajectory_log::{
+    LogError, ReadShares, Replayed, is_log_name, read_bytes, read_shares,
+};
 
 use crate::errors::{Incomplete, Usage};
 use crate::figures::chart::thousands;
@@ -14,106 +16,91 @@ use crate::progress::WorkProgress;
 use crate::run::run_path;
 
 /// `s2mia log`
-#[derive(Debug, Subcommand)]
-pub(crate) enum LogCommand {
-    /// Verify checksums, schemas and that every share is complete. Exit status 3: shares are missing.
-    Verify(LogFiles),
-    /// Step the simulator with the logged actions and compare every observation, state and reward, bit for bit.
-    Replay(LogFiles),
-}
-
-/// Logs.
 #[derive(Args, Debug)]
-pub(crate) struct LogFiles {
+pub(crate) struct LogArguments {
     /// MCAP files, or folders with trajectories-*.mcap.
     #[arg(required = true, value_name = "FILE | DIR")]
     pub(crate) files: Vec<PathBuf>,
+    /// Also step the simulator with the logged actions and compare every observation, state and reward, bit for bit.
+    #[arg(long)]
+    pub(crate) replay: bool,
 }
 
-/// Runs one tool.
-pub(super) fn run(command: &LogCommand) -> anyhow::Result<()> {
-    match command {
-        LogCommand::Verify(files) => verify(files),
-        LogCommand::Replay(files) => replay(files),
-    }
-}
-
-/// Ends with status 1 if a file is damaged, with 3 if only data is missing.
-fn verify(logs: &LogFiles) -> anyhow::Result<()> {
-    let paths = paths(logs)?;
+/// Ends with status 1 if a file is damaged or a replayed step differs, with 3 if only data is missing.
+pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
+    let paths = paths(&arguments.files)?;
     let (all, mut done, mut progress) = (sizes(&paths), 0, WorkProgress::new());
     let (mut cut_off, mut lost) = (0, 0);
     for path in &paths {
-        let (mut shares, mut steps) = (0, 0);
         let bytes = in_file(path, read_bytes(path))?;
-        let read = read_shares(&bytes, |share| {
-            shares += 1;
-            steps += share.steps.len() as u64;
-            Ok(())
-        });
-        let log = in_file(path, read)?;
+        let log = verify(path, &bytes, &progress)?;
         cut_off += log.torn_steps;
         lost += log.lost_shares();
+        if arguments.replay {
+            replay(path, &bytes, (done, all), &mut progress)?;
+        }
         done += size(path);
         progress.reach(done, all, || format!("read {}", run_path::name(path)));
-        let (shown, shares, steps) = (path.display(), thousands(shares), thousands(steps));
-        progress.print(format!(
-            "{shown}: checksums and schemas are right: {shares} shares, {steps} steps; {} shares lost by the actor",
-            thousands(log.lost_shares())
-        ));
     }
-    match (cut_off, lost) {
-        (0, 0) => Ok(()),
-        (cut_off, lost) => Err(Incomplete(format!(
-            "{} steps of shares that were cut off, {} lost shares",
-            thousands(cut_off),
-            thousands(lost)
-        ))
-        .into()),
+    if (cut_off, lost) == (0, 0) {
+        return Ok(());
     }
+    Err(Incomplete(format!(
+        "{} steps of shares that were cut off, {} lost shares",
+        thousands(cut_off),
+        thousands(lost)
+    ))
+    .into())
 }
 
-/// Ends with status 1 at the first step that differs.
-fn replay(logs: &LogFiles) -> anyhow::Result<()> {
-    let paths = paths(logs)?;
-    let (all, mut done, mut progress) = (sizes(&paths), 0, WorkProgress::new());
-    for path in &paths {
-        let replayed = replayed(path, (done, all), &mut progress)?;
-        done += size(path);
-        let (shown, shares) = (path.display(), thousands(replayed.shares));
-        let steps = thousands(replayed.steps);
-        progress.print(format!("{shown}: {steps} steps in {shares} shares, equal bit for bit"));
-        let Some(difference) = replayed.difference else { continue };
-        match replayed.other_program {
-            Some(_) => anyhow::bail!(
-                "{shown}: {difference}; it was logged by a program that computes other numbers"
-            ),
-            None => anyhow::bail!("{shown}: {difference}"),
-        }
-    }
-    Ok(())
+/// Checks that a file is undamaged, and prints what it holds.
+fn verify(path: &Path, bytes: &[u8], progress: &WorkProgress) -> anyhow::Result<ReadShares> {
+    let (mut shares, mut steps) = (0, 0);
+    let read = read_shares(bytes, |share| {
+        shares += 1;
+        steps += share.steps.len() as u64;
+        Ok(())
+    });
+    let log = in_file(path, read)?;
+    progress.print(format!(
+        "{}: checksums and schemas are right: {} shares, {} steps; {} shares lost by the actor",
+        path.display(),
+        thousands(shares),
+        thousands(steps),
+        thousands(log.lost_shares())
+    ));
+    Ok(log)
 }
 
-/// Replays a file, of whose logs' `all` bytes `done` are in earlier files.
-fn replayed(
+/// Replays a file, of whose logs' `all` bytes `done` are in earlier files; fails at the first step that differs.
+fn replay(
     path: &Path,
+    bytes: &[u8],
     (done, all): (u64, u64),
     progress: &mut WorkProgress,
-) -> anyhow::Result<Replayed> {
-    let bytes = in_file(path, read_bytes(path))?;
-    let replayed = trajectory_log::replay(&bytes, |step, steps| {
+) -> anyhow::Result<()> {
+    let replayed = trajectory_log::replay(bytes, |step, steps| {
         let here = bytes.len() as f64 * step as f64 / steps.max(1) as f64;
         let name = run_path::name(path);
         let place = || format!("{name}, step {} of {}", thousands(step), thousands(steps));
         progress.reach(done + here as u64, all, place);
     });
-    in_file(path, replayed)
+    let Replayed { shares, steps, difference, other_program } = in_file(path, replayed)?;
+    let (shown, shares, steps) = (path.display(), thousands(shares), thousands(steps));
+    progress.print(format!("{shown}: {steps} steps in {shares} shares, equal bit for bit"));
+    match (difference, other_program) {
+        (None, _) => Ok(()),
+        (Some(difference), Some(_)) => anyhow::bail!(
+            "{shown}: {difference}; it was logged by a program that computes other numbers"
+        ),
+        (Some(difference), None) => anyhow::bail!("{shown}: {difference}"),
+    }
 }
 
-/// The trajectory logs that the arguments name, each once, ordered by name within a folder.
-fn paths(logs: &LogFiles) -> anyhow::Result<Vec<PathBuf>> {
+/// The trajectory logs in `files` and folders, each once, ordered by name within a folder.
+fn paths(files: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let mut paths: Vec<PathBuf> = Vec::new();
-    for given in &logs.files {
+    for given in files {
         let found = if given.is_dir() { in_folder(given)? } else { vec![given.clone()] };
         for path in found {
             if !paths.contains(&path) {

@@ -16,7 +16,7 @@ use crate::errors::Usage;
 use crate::figures::learning_curve;
 use crate::listening::{demand_loopback, hosts};
 use crate::process::{output, runtime};
-use crate::run::{newest, run_path};
+use crate::run::run_path;
 
 /// `s2mia page`
 #[derive(Args, Debug)]
@@ -51,7 +51,7 @@ pub(super) fn run(arguments: PageArguments) -> anyhow::Result<()> {
         demand_loopback("--listen", arguments.listen, permission)?;
     }
     let hosts = hosts(&arguments.page_host)?;
-    let folders = if arguments.runs.is_empty() { newest::all()? } else { arguments.runs };
+    let folders = if arguments.runs.is_empty() { run_path::all_runs()? } else { arguments.runs };
     folders.iter().try_for_each(|folder| run_path::demand_run(folder))?;
     let folders: Vec<_> = folders.iter().map(|folder| RunFolder::of(folder)).collect();
     let followed = Mutex::new(Followed::of(&folders));

@@ -33,9 +33,10 @@ pub(crate) struct PlotArguments {
 pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {
     let curves = learning_curve::read_all(&arguments.runs)?;
     let folder = folder(arguments)?;
-    let (name, write): (_, fn(&Path, &[Curve]) -> _) = match arguments.ablation {
-        true => (figures::ABLATION, figures::write_ablation),
-        false => (figures::LEARNING_CURVE, figures::write_learning_curve),
+    let (name, write): (_, fn(&Path, &[Curve]) -> _) = if arguments.ablation {
+        (figures::ABLATION, figures::write_ablation)
+    } else {
+        (figures::LEARNING_CURVE, figures::write_learning_curve)
     };
     // A run folder has the figures of its own run only.
     if arguments.out.is_some() || arguments.runs.len() > 1 {
@@ -49,7 +50,7 @@ pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {
 fn folder(arguments: &PlotArguments) -> anyhow::Result<PathBuf> {
     Ok(match (&arguments.out, arguments.runs.as_slice()) {
         (Some(folder), _) => {
-            output::option_folder("--out", folder)?;
+            target::option_folder("--out", folder)?;
             folder.clone()
         }
         (None, [only]) => RunFolder::of(only),

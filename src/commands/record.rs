@@ -9,8 +9,8 @@ use recording::{RecordError, RecordSummary, RecordedRun};
 use rollout::EvaluationEpisode;
 
 use crate::figures::chart;
-use crate::process::output;
 use crate::process::target::{ForceArguments, Target};
+use crate::process::{output, target};
 use crate::progress::WorkProgress;
 use crate::run::checkpointed::Trained;
 use crate::run::offered::Stage;
@@ -78,7 +78,7 @@ fn target(arguments: &RecordArguments, iteration: u64) -> anyhow::Result<Target>
         return Ok(Target::named("--out", path, "mcap", arguments.force.existing())?);
     }
     let logs = run_path::logs(&run_path::folder_of(&arguments.run, "--out")?);
-    output::folder(&logs)?;
+    target::folder(&logs)?;
     Target::fixed(&logs.join(format!("iter_{iteration:08}.mcap")))
 }
 

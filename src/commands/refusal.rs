@@ -90,9 +90,10 @@ fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
     let known = defaults.entries.keys().map(String::as_str);
     let meant = keys::spelled(flag.trim_start_matches('-'), known);
     let meant: Vec<String> = meant.iter().map(|key| format!("{key}=VALUE")).collect();
-    Some(match meant.is_empty() {
-        true => "a setting is written key.path=value, such as run.seed=7".to_owned(),
-        false => format!("a setting is written {}", meant.join(" or ")),
+    Some(if meant.is_empty() {
+        "a setting is written key.path=value, such as run.seed=7".to_owned()
+    } else {
+        format!("a setting is written {}", meant.join(" or "))
     })
 }
 
@@ -139,7 +140,7 @@ mod tests {
         for (line, meant) in [
             (&["trian"][..], "train"),
             (&["lgo"], "log"),
-            (&["log", "verfiy"], "verify"),
+            (&["task", "chekc"], "check"),
             (&["task", "nwe", "x"], "new"),
         ] {
             assert!(refusal(line).contains(&format!("did you mean `{meant}`?")), "{line:?}");

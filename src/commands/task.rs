@@ -15,7 +15,7 @@ use crate::errors::Usage;
 use crate::film;
 use crate::film::{Frame, RobotShapes};
 use crate::process::target::{ForceArguments, Target};
-use crate::process::{home, output, shell, target};
+use crate::process::{output, shell, target};
 
 /// `s2mia task`
 #[derive(Debug, Subcommand)]
@@ -30,7 +30,7 @@ pub(crate) enum TaskCommand {
 #[derive(Args, Debug)]
 pub(crate) struct TaskCheckArguments {
     /// Task file, or FILE:PARTITION if it has several partitions.
-    #[arg(value_name = "FILE", value_parser = home::expanded_text)]
+    #[arg(value_name = "FILE", value_parser = shell::expanded_text)]
     pub(crate) task: String,
     /// Number of episodes of random actions.
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -74,9 +74,9 @@ fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
     let texts = texts.map(|(name, text)| (arguments.folder.join(name), text));
     let paths = texts.iter().map(|(path, _)| path.clone());
     target::demand_free("DIR", paths, arguments.force.existing())?;
-    output::option_folder("DIR", &arguments.folder)?;
+    target::option_folder("DIR", &arguments.folder)?;
     for (path, text) in &texts {
-        output::file(path, text.as_bytes())?;
+        target::file(path, text.as_bytes())?;
     }
     let (task, shown) = (&texts[0].0, texts[0].0.display());
     let (check, train) = (shell::path(task), setting(task));
@@ -86,9 +86,10 @@ fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
 
 /// A path as the task of `s2mia train`, in which an argument with `=` is a setting.
 fn setting(task: &Path) -> String {
-    match task.to_string_lossy().contains('=') {
-        true => shell::word(&format!("task={}", task.display())),
-        false => shell::path(task),
+    if task.to_string_lossy().contains('=') {
+        shell::word(&format!("task={}", task.display()))
+    } else {
+        shell::path(task)
     }
 }
 

@@ -34,7 +34,7 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
     let mut worlds: Vec<Box<dyn EnvironmentBatch>> =
         sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
     if let Some(folder) = &arguments.picture {
-        output::option_folder("--picture", folder)?;
+        target::option_folder("--picture", folder)?;
         let robots = worlds.iter().filter(|world| world.robot().is_some());
         let pictures = robots.map(|world| picture(folder, world.description()));
         target::demand_free("--picture", pictures, arguments.force.existing())?;
@@ -70,7 +70,7 @@ fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
     let joints = film::distinct_joints(world)?;
     let (task, pose) = (world.description(), world.pose(0));
     let path = picture(folder, task);
-    output::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
+    target::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
     let names = task.agents.iter().flat_map(|agent| &agent.joints);
     let numbers: Vec<String> =
         (1..).zip(names).map(|(number, name)| format!("{number} {name}")).collect();

@@ -32,8 +32,8 @@ pub(crate) struct TrainArguments {
     /// Resume.
     #[command(flatten)]
     pub(crate) resume: ResumeArguments,
-    /// Train ITERATIONS three times in a temporary folder: undisturbed, with an actor killed, and stopped and
-    /// resumed. The exit status is 0 only if all three end in the same state.
+    /// Train ITERATIONS three times in a temporary folder: with one actor, with two, and with two, stopped and resumed.
+    /// The exit status is 0 only if all three end in the same state.
     #[arg(
         long,
         value_name = "ITERATIONS",
@@ -60,7 +60,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     let audit = &mut prepared.launch.config.audit;
     *audit = audit.with_own_actors();
     if let Some(iterations) = arguments.verify_determinism {
-        return determinism::verify(&arguments.settings, &prepared.config.environment, iterations);
+        return determinism::verify(&arguments.settings, iterations);
     }
     let Prepared { config, folder, launch, .. } = &prepared;
     output::line(opening(config, &launch.environment.task, folder));
@@ -98,10 +98,7 @@ async fn train(
         output::line(logged(&run_path::logs(&folder)));
     }
     let summary = ended_well(summary, failure)?;
-    let length = match config.resolved.depends_on_length() {
-        true => Length::Fixed,
-        false => Length::MayRise,
-    };
+    let length = if config.resolved.depends_on_length() { Length::Fixed } else { Length::MayRise };
     let points = learning_curve::evaluations(&run_path::metrics_file(&folder))?;
     let closing = Closing { folder: &folder, summary: &summary, length, elapsed: begin.elapsed() };
     output::line(closing.text(&points));

@@ -122,9 +122,10 @@ impl<'a> Watch<'a> {
 
     fn show(&mut self, line: &RunLine) {
         self.seen = self.seen.max(line.iteration);
-        match self.arguments.json {
-            true => output::line(to_json(line)),
-            false => output::line(text(line)),
+        if self.arguments.json {
+            output::line(to_json(line));
+        } else {
+            output::line(text(line));
         }
     }
 }

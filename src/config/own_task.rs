@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use proto::name;
 use sim::TaskDefinition;
 
-use crate::process::home;
+use crate::process::shell;
 
 use super::error::ConfigError;
 use super::layer::{Layer, Source};
@@ -73,7 +73,7 @@ impl OwnTask {
             None => (task.to_owned(), None),
         };
         Self::is_path(task).then(|| {
-            let whole = home::expanded(Path::new(&path)).map_err(|error| refused(&path, error))?;
+            let whole = shell::expanded(Path::new(&path)).map_err(|error| refused(&path, error))?;
             Self::of_file(&whole, partition)
         })
     }

@@ -9,7 +9,7 @@ use toml::{Table, Value};
 use crate::config::error::in_words;
 use crate::config::own_task::OwnTask;
 use crate::errors::Usage;
-use crate::process::home;
+use crate::process::shell;
 
 /// Settings that keys of the experiment file replace.
 const DECIDED: [&str; 8] = [
@@ -134,7 +134,7 @@ impl ExperimentFile {
     fn find_paths(&mut self) -> Result<(), String> {
         let base = base(&self.path);
         let found = |path: &Path| {
-            home::expanded(path).map(|path| base.join(path)).map_err(|why| why.to_string())
+            shell::expanded(path).map(|path| base.join(path)).map_err(|why| why.to_string())
         };
         self.folder = found(&self.folder)?;
         if !self.record.as_os_str().is_empty() {

@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use super::plan::PlannedRun;
 use super::run_state::{Ending, RunState, run_state};
 use crate::figures::chart;
-use crate::process::{logging, output};
+use crate::process::output;
 
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(30);
@@ -138,7 +138,7 @@ fn steps(runs: &[PlannedRun], known: &[RunState]) -> (u64, u64) {
 }
 
 fn bar(total: u64) -> ProgressBar {
-    let bars = logging::bars();
+    let bars = output::bars();
     bars.set_draw_target(ProgressDrawTarget::stdout());
     let style = ProgressStyle::with_template("{bar:40.cyan/black} {percent} %\n{wide_msg}");
     let style = style.expect("the template is well formed").progress_chars("━╸─");

@@ -11,7 +11,7 @@ use super::results::{Estimate, Measured, Row, rows};
 use super::run_state::{RunState, mismatch, run_state};
 use crate::figures::learning_curve::{self, Curve, Quantity};
 use crate::figures::{self, chart};
-use crate::process::output;
+use crate::process::target;
 
 /// The table as Markdown and as CSV.
 const TABLES: [&str; 2] = ["results.md", "results.csv"];
@@ -28,7 +28,7 @@ pub(crate) fn write(
     file: &ExperimentFile,
     runs: &[PlannedRun],
 ) -> anyhow::Result<(String, Vec<PathBuf>)> {
-    output::folder(&file.folder)?;
+    target::folder(&file.folder)?;
     let (mut curves, finished) = curves(file, runs)?;
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
@@ -91,7 +91,7 @@ fn measured(curve: &Curve) -> Measured {
 
 fn put(folder: &Path, name: &str, text: &str) -> anyhow::Result<PathBuf> {
     let path = folder.join(name);
-    output::file(&path, text.as_bytes())?;
+    target::file(&path, text.as_bytes())?;
     Ok(path)
 }
 

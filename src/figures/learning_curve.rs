@@ -1,12 +1,11 @@
 //! Learning curves of finished or unfinished runs, read from their folders and aggregated over seeds: one curve per
 //! task and variant.
 
-mod quantity;
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use kuva::render::layout::TickFormat;
 use learner::json_lines::JsonLinesReader;
 use learner::plain_file;
 use learner::run_folder::RunFolder;
@@ -18,9 +17,76 @@ use crate::errors::Usage;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
-use crate::run::run_path::{self, demand_run};
+use crate::run::run_path;
+use crate::run::run_path::demand_run;
 
-pub(crate) use quantity::Quantity;
+/// Largest number of points of a curve; neighbouring iterations are averaged above it.
+const MOST_POINTS: usize = 100;
+
+/// A quantity that changes during training.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Quantity {
+    /// Mean extrinsic return of an evaluation.
+    Return,
+    /// Bound of the entropy of observations (Eq. 2), mean over agents, nats.
+    Surprise,
+    /// Estimate of the information between an agent's action and the others' (Eq. 6 to 8), mean over agents, nats.
+    Information,
+}
+
+impl Quantity {
+    /// All quantities, in the order of their rows in a picture.
+    pub(crate) const ALL: [Self; 3] = [Self::Return, Self::Surprise, Self::Information];
+
+    /// Label of the y-axis.
+    pub(crate) fn label(self) -> &'static str {
+        match self {
+            Self::Return => "evaluation return",
+            Self::Surprise => "surprise, nats",
+            Self::Information => "information, nats",
+        }
+    }
+
+    /// Numbers on the y-axis. Information is small; with exponents the axis would have no room for them.
+    pub(crate) fn tick_format(self) -> TickFormat {
+        match self {
+            Self::Return | Self::Surprise => TickFormat::Auto,
+            Self::Information => TickFormat::Fixed(4),
+        }
+    }
+
+    /// Env steps and value of every line that has one, in order of env steps.
+    pub(crate) fn points(self, lines: &[Value]) -> Vec<(f64, f64)> {
+        let value = |line: &Value| match self {
+            Self::Return => (line["kind"] == "evaluation").then(|| line["mean"].as_f64())?,
+            Self::Surprise => mean_over_agents(line, "surprise_entropy_bound"),
+            Self::Information => mean_over_agents(line, "mi_estimate"),
+        };
+        let point = |line: &Value| Some((line["env_steps"].as_f64()?, value(line)?));
+        let mut points: Vec<(f64, f64)> = lines.iter().filter_map(point).collect();
+        points.sort_by(|left, right| left.0.total_cmp(&right.0));
+        match self {
+            Self::Return => points,
+            Self::Surprise | Self::Information => thinned(&points),
+        }
+    }
+}
+
+/// Mean of `agent0/NAME`, `agent1/NAME` and so on; `None` if no agent has it.
+fn mean_over_agents(line: &Value, name: &str) -> Option<f64> {
+    let of = |agent: usize| line.get(format!("agent{agent}/{name}"))?.as_f64();
+    let values: Vec<f64> = (0..).map_while(of).collect();
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Means of equally many neighbours, so that at most `MOST_POINTS` remain.
+fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let together = points.len().div_ceil(MOST_POINTS).max(1);
+    let mean = |part: &[(f64, f64)], of: fn(&(f64, f64)) -> f64| {
+        part.iter().map(of).sum::<f64>() / part.len() as f64
+    };
+    points.chunks(together).map(|part| (mean(part, |p| p.0), mean(part, |p| p.1))).collect()
+}
 
 /// Settings that pictures show separately.
 const SHOWN_ELSEWHERE: [&str; 3] = ["task", "algorithm", "run.seed"];
@@ -144,10 +210,7 @@ const ALGORITHMS: [&str; 8] =
 /// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others follow them.
 fn rank(name: &str, names: &[&str]) -> usize {
     let shipped = |name: &str| ALGORITHMS.iter().position(|known| *known == name);
-    let first = match names.iter().any(|name| shipped(name).is_some()) {
-        true => ALGORITHMS.len(),
-        false => 0,
-    };
+    let first = if names.iter().any(|name| shipped(name).is_some()) { ALGORITHMS.len() } else { 0 };
     let others = names.iter().filter(|other| shipped(other).is_none());
     let follows = || first + others.take_while(|other| **other != name).count();
     shipped(name).unwrap_or_else(follows)

@@ -13,7 +13,7 @@ use kuva::render::render::{Scene, render_multiple};
 use crate::figures::learning_curve::{Panel, Point, Series};
 use crate::figures::statistics::Interval;
 use crate::figures::style::{MARK, STROKE, colour, cut_dashes, line_style, marker};
-use crate::figures::{chart, legend};
+use crate::figures::{chart, style};
 
 /// Marks on one curve, about.
 const MARKS: usize = 6;
@@ -47,10 +47,12 @@ enum Bands {
 impl Bands {
     fn of(panels: &[Panel]) -> Self {
         let is_crowded = |panel: &Panel| panel.series.len() > MOST_WITH_RANGES;
-        match panels.iter().flat_map(|panel| &panel.series).any(has_bands) {
-            false => Self::Neither,
-            true if panels.iter().any(is_crowded) => Self::Confidence,
-            true => Self::Both,
+        if !panels.iter().flat_map(|panel| &panel.series).any(has_bands) {
+            Self::Neither
+        } else if panels.iter().any(is_crowded) {
+            Self::Confidence
+        } else {
+            Self::Both
         }
     }
 
@@ -85,7 +87,7 @@ pub(crate) fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> 
         [only] => lone(only, bands),
         _ => grid(panels, columns, bands),
     };
-    legend::add(&mut scene, &distinct(panels));
+    style::add_legend(&mut scene, &distinct(panels));
     cut_dashes(&mut scene);
     let png = PngBackend::new().with_scale(2.0).render_scene(&scene).map_err(anyhow::Error::msg)?;
     Ok(Picture { svg: SvgBackend::new().render_scene(&scene), png })

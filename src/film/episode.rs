@@ -1,15 +1,16 @@
-//! A whole episode of a trained policy in the simulator, for pictures and measures.
+//! A whole episode of a trained policy in the simulator, for pictures, and its measures: its distance, and signs of a policy
+//! that exploits weaknesses of the simulator.
+
+use std::fmt;
 
 use anyhow::Context as _;
 use policy::{Key, PolicySnapshot};
 use proto::ActionChoice;
-use rollout::StepEvent;
-use sim::{Outcome, TaskConfig};
+use rollout::{PlayedStep, StepEvent};
+use sim::{EnvironmentBatch, Outcome, Pose, TaskConfig, World};
 
 use crate::errors::Usage;
-use crate::film::measures::{Measures, Moment};
-use crate::film::shapes::RobotShapes;
-use crate::film::strip::Frame;
+use crate::film::{Frame, RobotShapes};
 
 /// A whole episode.
 pub(crate) struct PlayedEpisode {
@@ -73,5 +74,156 @@ impl PlayedEpisode {
         let (value, steps) = (self.extrinsic_return, self.steps());
         let measures = Measures::of(&self.moments, self.dt_secs);
         format!("return {value:.2}, {steps} steps; {measures}{end}")
+    }
+}
+
+/// Time after the start in which joints may move inside their limits, which frees energy.
+const SETTLING_SECS: f64 = 0.5;
+
+/// A robot after a step.
+struct Moment {
+    /// Where its links are.
+    pose: Pose,
+    /// Impulse of the floor in the last physics step, N s.
+    impulse: f32,
+    /// Height of its lowest point over the floor, metres; negative is penetration.
+    lowest: f32,
+    /// Kinetic and potential energy, including springs, joules.
+    energy: f64,
+    /// Work of the motors during the step, joules.
+    work: f64,
+}
+
+impl Moment {
+    /// The current state of environment 0.
+    fn of(world: &dyn EnvironmentBatch) -> Self {
+        let (pose, world) = (world.pose(0), robot(world));
+        Self {
+            pose,
+            impulse: world.contact_impulse(),
+            lowest: world.lowest_point(),
+            energy: world.mechanical_energy(),
+            work: 0.0,
+        }
+    }
+
+    /// After a step from `before`. A motor's torque is constant within a step, so its work is torque times turn.
+    fn after(step: &PlayedStep<'_>, before: &Self) -> Self {
+        let now = Self::of(step.world);
+        let world = robot(step.world);
+        let joints = step.world.description().agents.iter().flat_map(|agent| &agent.joints);
+        let work = joints.map(|joint| {
+            let angle =
+                |pose: &Pose| pose.joints.iter().find(|j| j.name == *joint).map(|j| j.position);
+            let turn =
+                angle(&now.pose).zip(angle(&before.pose)).map_or(0.0, |(to, from)| to - from);
+            f64::from(world.torque(joint).unwrap_or(0.0) * turn)
+        });
+        let work = work.sum();
+        Self { work, ..now }
+    }
+
+    /// Position of the root along x, metres.
+    fn x(&self) -> f64 {
+        f64::from(self.pose.links[0].position[0])
+    }
+}
+
+/// The world of environment 0.
+fn robot(world: &dyn EnvironmentBatch) -> &World {
+    world.world(0).expect("only simulated robots are filmed")
+}
+
+/// Figures of one episode.
+#[derive(Debug, PartialEq)]
+struct Measures {
+    /// Distance of the root along x, metres.
+    distance: f64,
+    secs: f64,
+    /// Share of steps after which nothing touched the floor.
+    airborne: f64,
+    /// Share of steps after which the root's upper side pointed down.
+    upside_down: f64,
+    /// Deepest penetration of the floor, metres.
+    deepest: f64,
+    /// Largest rise of energy in a step beyond the motors' work, after the start, joules.
+    created: f64,
+}
+
+impl Measures {
+    /// `moments` begins with the start, which counts for the distance only, and has at least one step.
+    fn of(moments: &[Moment], dt_secs: f64) -> Self {
+        let (start, steps) = (&moments[0], &moments[1..]);
+        let settled = (SETTLING_SECS / dt_secs).ceil() as usize;
+        let share = |what: &dyn Fn(&Moment) -> bool| {
+            steps.iter().filter(|moment| what(moment)).count() as f64 / steps.len() as f64
+        };
+        Self {
+            distance: moments[steps.len()].x() - start.x(),
+            secs: steps.len() as f64 * dt_secs,
+            airborne: share(&|moment| moment.impulse <= 0.0),
+            upside_down: share(&|moment| is_upside_down(&moment.pose)),
+            deepest: steps.iter().map(|moment| -f64::from(moment.lowest)).fold(0.0, f64::max),
+            created: risen(&moments[settled.min(steps.len())..]),
+        }
+    }
+}
+
+/// Whether the root's upper side points down.
+fn is_upside_down(pose: &Pose) -> bool {
+    sim::rotated(pose.links[0].quaternion, [0.0, 0.0, 1.0])[2] < 0.0
+}
+
+/// Largest rise of energy in one step beyond the motors' work, joules.
+fn risen(moments: &[Moment]) -> f64 {
+    let pairs = moments.windows(2);
+    pairs.map(|pair| pair[1].energy - pair[0].energy - pair[1].work).fold(0.0, f64::max)
+}
+
+impl fmt::Display for Measures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { distance, secs, airborne, upside_down, deepest, created } = self;
+        let (speed, millimetres) = (distance / secs, 1000.0 * deepest);
+        let (airborne, upside_down) = (100.0 * airborne, 100.0 * upside_down);
+        write!(f, "{distance:.2} m in {secs:.2} s, {speed:.2} m/s; in the air {airborne:.0} %, ")?;
+        write!(f, "upside down {upside_down:.0} %, at most {millimetres:.1} mm in the floor, ")?;
+        write!(f, "largest unexplained rise of energy {created:.1} J in a step")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sim::LinkPose;
+
+    use super::*;
+
+    fn moment(x: f32, quaternion: [f32; 4], impulse: f32, lowest: f32) -> Moment {
+        let root = LinkPose { name: "root".to_owned(), position: [x, 0.0, 1.0], quaternion };
+        let pose = Pose { links: vec![root], joints: Vec::new() };
+        Moment { pose, impulse, lowest, energy: f64::from(x), work: 0.75 }
+    }
+
+    #[test]
+    fn the_figures_of_four_steps() {
+        let (upright, over) = ([0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]);
+        let moments = [
+            moment(1.0, upright, 0.0, 0.5),
+            moment(1.5, upright, 2.0, -0.25),
+            moment(2.0, upright, 0.0, 0.1),
+            moment(3.0, over, 2.0, 0.0),
+            moment(4.0, upright, 2.0, 0.0),
+        ];
+        let measures = Measures::of(&moments, 0.5);
+        let (airborne, upside_down) = (0.25, 0.25);
+        // Energy rises by half a joule, twice, and by a whole one, twice; the motors bring three quarters.
+        let (deepest, created) = (0.25, 0.25);
+        let by_hand =
+            Measures { distance: 3.0, secs: 2.0, airborne, upside_down, deepest, created };
+        assert_eq!(measures, by_hand);
+        assert_eq!(
+            measures.to_string(),
+            "3.00 m in 2.00 s, 1.50 m/s; in the air 25 %, upside down 25 %, at most 250.0 mm in \
+             the floor, largest unexplained rise of energy 0.2 J in a step"
+        );
     }
 }

@@ -6,10 +6,7 @@ use tiny_skia::{Pixmap, PremultipliedColorU8};
 use super::*;
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
-use crate::figures::palette::Rgb;
-use crate::film::camera::Camera;
-use crate::film::sheet::size;
-use crate::film::solids::View;
+use crate::figures::style::Rgb;
 
 const UPRIGHT: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
@@ -50,7 +47,7 @@ fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
 fn a_link_is_drawn_where_it_is_and_nothing_far_from_it() {
     let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&solids::of_pose(&robot, &pose, View::Side), &camera);
+    let picture = drawing::panel(&drawing::solids(&robot, &pose, View::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     // The ends of the left leg's middle line, then a point within its round upper end.
     for point in [[6.5, 0.2], [6.5, 0.8], [6.5, 0.88]] {
@@ -68,7 +65,7 @@ fn two_agents_have_two_colours_and_an_idle_link_a_third() {
     assert!(colours[0] != colours[1] && colours[1] != colours[2] && colours[0] != colours[2]);
     let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&solids::of_pose(&robot, &pose, View::Side), &camera);
+    let picture = drawing::panel(&drawing::solids(&robot, &pose, View::Side), &camera);
     assert_eq!(seen(&picture, &camera, [6.5, 0.5]), colours[0]);
     assert_eq!(seen(&picture, &camera, [7.5, 0.5]), colours[1]);
 }
@@ -78,7 +75,7 @@ fn what_is_nearer_to_the_viewer_is_painted_later() {
     let (robot, mut pose) = two_legs();
     pose.links[1].position = [7.0, -1.0, 1.0];
     let order: Vec<_> =
-        solids::of_pose(&robot, &pose, View::Side).iter().map(|solid| solid.agent).collect();
+        drawing::solids(&robot, &pose, View::Side).iter().map(|solid| solid.agent).collect();
     assert_eq!(order, [None, Some(1), Some(0)]);
 }
 
@@ -88,7 +85,7 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
     let half = core::f32::consts::FRAC_1_SQRT_2;
     robot.shapes[1].quaternion = [half, 0.0, 0.0, half];
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&solids::of_pose(&robot, &pose, View::Side), &camera);
+    let picture = drawing::panel(&drawing::solids(&robot, &pose, View::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     assert_eq!(seen(&picture, &camera, [6.5, 0.5]), drawing::colour(Some(0)));
     assert_eq!(seen(&picture, &camera, [6.5, 0.8]), seen(&empty, &camera, [6.5, 0.8]));

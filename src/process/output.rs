@@ -1,24 +1,25 @@
-//! Lines on standard output and stderr, and files that a command writes. What cannot be written is an error, except for a
-//! reader that has gone, such as `head`: it ends a command that only prints, and nothing else.
+//! Lines on standard output and stderr, log lines, and the progress bars below them. What cannot be written is an error,
+//! except for a reader that has gone, such as `head`: it ends a command that only prints, and nothing else.
 
 use std::fmt::Display;
-use std::io::{ErrorKind, IsTerminal as _, Write as _};
-use std::path::Path;
+use std::io::{self, ErrorKind, IsTerminal as _, Write as _};
 use std::process::exit;
 use std::sync::OnceLock;
 
 use anyhow::Context as _;
+use clap::ValueEnum;
+use indicatif::MultiProgress;
+use tracing_subscriber::Layer as _;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::errors::Usage;
-use crate::process::target::{Target, check_parent};
 
 /// What a failed write to standard output means.
 static STDOUT: OnceLock<Stdout> = OnceLock::new();
 /// Why standard output could not be written, if that is an error.
-static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
-
-/// Extensions of the files that commands write into folders.
-const EXTENSIONS: [&str; 5] = ["csv", "onnx", "png", "svg", "xml"];
+static FAILURE: OnceLock<io::Error> = OnceLock::new();
 
 struct Stdout {
     effect: Effect,
@@ -37,14 +38,14 @@ pub(crate) enum Effect {
 
 /// Notes what the command does. Until then, and in tests, it counts as one that does more than print.
 pub(crate) fn start(effect: Effect) {
-    let is_terminal = std::io::stdout().is_terminal();
+    let is_terminal = io::stdout().is_terminal();
     STDOUT.get_or_init(|| Stdout { effect, is_terminal });
 }
 
 /// Writes the text and a line break. If that fails, a command that only prints ends: with status 0 if the reader has
 /// gone, else with an error. Another command continues, and [`finish`] returns the error.
 pub(crate) fn line(text: impl Display) {
-    let mut stdout = std::io::stdout().lock();
+    let mut stdout = io::stdout().lock();
     let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
     drop(stdout);
     let Err(why) = written else { return };
@@ -72,8 +73,8 @@ pub(crate) fn finish() -> anyhow::Result<()> {
 }
 
 /// The result of other output to standard output: a reader that has gone is no error.
-pub(crate) fn written(result: std::io::Result<()>) -> anyhow::Result<()> {
-    match result.and_then(|()| std::io::stdout().flush()) {
+pub(crate) fn written(result: io::Result<()>) -> anyhow::Result<()> {
+    match result.and_then(|()| io::stdout().flush()) {
         Err(why) if why.kind() != ErrorKind::BrokenPipe => Err(why).context(STDOUT_FAILED),
         _ => Ok(()),
     }
@@ -81,52 +82,68 @@ pub(crate) fn written(result: std::io::Result<()>) -> anyhow::Result<()> {
 
 /// Writes a line to stderr. Nothing can report that nobody reads it.
 pub(crate) fn error(text: impl Display) {
-    let _unread = writeln!(std::io::stderr().lock(), "{text}");
+    let _unread = writeln!(io::stderr().lock(), "{text}");
 }
 
-/// Writes or replaces a file with a fixed name in an existing folder.
-pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    Target::fixed(path)?.write(bytes)
+/// The bars of this process; log lines are written above them.
+static BARS: OnceLock<MultiProgress> = OnceLock::new();
+
+/// The progress bars of this process.
+pub(crate) fn bars() -> &'static MultiProgress {
+    BARS.get_or_init(MultiProgress::new)
 }
 
-/// Creates a folder and its parents if necessary.
-pub(crate) fn folder(path: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))
+/// Log format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// Human-readable lines.
+    Text,
+    /// One JSON object per line.
+    Json,
 }
 
-/// Creates the folder that `option` names, if necessary. Refuses it if the folder around it does not exist, which is
-/// probably a misspelt path, or if it is a file or a new folder with the name of one.
-pub(crate) fn option_folder(option: &str, path: &Path) -> anyhow::Result<()> {
-    let refused = |why| Err(Usage::new(format!("{option} {}: {why}", path.display())).into());
-    if path.is_file() {
-        return refused("is a file; name a folder");
+/// Starts logging with the filter `given` by `--log`, else that of RUST_LOG, else `default`.
+///
+/// # Errors
+/// The filter of `--log` is invalid.
+pub(crate) fn start_log(
+    format: LogFormat,
+    given: Option<&str>,
+    default: LevelFilter,
+) -> Result<(), Usage> {
+    let filter: Targets = match given {
+        Some(filter) => {
+            filter.parse().map_err(|error| Usage::new(format!("--log {filter}: {error}")))?
+        }
+        None => {
+            let variable = std::env::var("RUST_LOG").ok();
+            let filter = variable.and_then(|filter| filter.parse().ok());
+            filter.unwrap_or_else(|| Targets::new().with_default(default))
+        }
+    };
+    // A line that nobody reads must not be reported on the same stderr, which would panic.
+    let lines = tracing_subscriber::fmt::layer().with_writer(|| AboveBars);
+    let lines = lines.log_internal_errors(false);
+    let lines = match format {
+        LogFormat::Text => lines.with_target(false).boxed(),
+        LogFormat::Json => lines.json().flatten_event(true).boxed(),
+    };
+    tracing_subscriber::registry().with(lines.with_filter(filter)).init();
+    Ok(())
+}
+
+/// Writes to stderr with the bars suspended.
+struct AboveBars;
+
+impl io::Write for AboveBars {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        match BARS.get() {
+            Some(bars) => bars.suspend(|| io::stderr().write(line)),
+            None => io::stderr().write(line),
+        }
     }
-    let is_named_file =
-        path.extension().is_some_and(|found| EXTENSIONS.iter().any(|one| found == *one));
-    if is_named_file && !path.exists() {
-        return refused(
-            "has the name of a file; name a folder, for the command writes several files",
-        );
-    }
-    check_parent(option, path)?;
-    folder(path)
-}
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_folder_with_the_name_of_a_file_is_used_only_if_it_exists() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("curves.svg");
-        let refused = option_folder("--out", &path).unwrap_err().to_string();
-        assert!(
-            refused.ends_with("name a folder, for the command writes several files"),
-            "{refused}"
-        );
-        std::fs::create_dir(&path).unwrap();
-        option_folder("--out", &path).unwrap();
-        option_folder("--out", &folder.path().join("figures.new")).unwrap();
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
     }
 }

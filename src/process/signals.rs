@@ -66,9 +66,10 @@ struct Requests {
 
 impl Requests {
     fn listen() -> anyhow::Result<Self> {
-        let hang_up = match is_ignored(SignalKind::hangup()) {
-            true => None,
-            false => Some(signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?),
+        let hang_up = if is_ignored(SignalKind::hangup()) {
+            None
+        } else {
+            Some(signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?)
         };
         Ok(Self {
             interrupt: signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?,

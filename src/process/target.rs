@@ -1,5 +1,5 @@
-//! Files that commands write. A file that a user names is replaced, or written with an unusual extension, only on request.
-//! It appears complete or not at all.
+//! Files and folders that commands write. A file that a user names is replaced, or written with an unusual extension, only
+//! on request. It appears complete or not at all.
 
 use std::fs::File;
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
@@ -172,6 +172,37 @@ pub(crate) fn check_parent(option: &str, path: &Path) -> Result<(), Usage> {
     }
 }
 
+/// Extensions of the files that commands write into folders.
+const EXTENSIONS: [&str; 5] = ["csv", "onnx", "png", "svg", "xml"];
+
+/// Writes or replaces a file with a fixed name in an existing folder.
+pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    Target::fixed(path)?.write(bytes)
+}
+
+/// Creates a folder and its parents if necessary.
+pub(crate) fn folder(path: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))
+}
+
+/// Creates the folder that `option` names, if necessary. Refuses it if the folder around it does not exist, which is
+/// probably a misspelt path, or if it is a file or a new folder with the name of one.
+pub(crate) fn option_folder(option: &str, path: &Path) -> anyhow::Result<()> {
+    let refused = |why| Err(Usage::new(format!("{option} {}: {why}", path.display())).into());
+    if path.is_file() {
+        return refused("is a file; name a folder");
+    }
+    let is_named_file =
+        path.extension().is_some_and(|found| EXTENSIONS.iter().any(|one| found == *one));
+    if is_named_file && !path.exists() {
+        return refused(
+            "has the name of a file; name a folder, for the command writes several files",
+        );
+    }
+    check_parent(option, path)?;
+    folder(path)
+}
+
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::symlink;
@@ -206,5 +237,19 @@ mod tests {
         Target::named("--out", &link, "png", Existing::Replaced).unwrap().write(b"new").unwrap();
         assert_eq!(std::fs::read(&file).unwrap(), b"mine");
         assert_eq!(std::fs::read(&link).unwrap(), b"new");
+    }
+
+    #[test]
+    fn a_folder_with_the_name_of_a_file_is_used_only_if_it_exists() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("curves.svg");
+        let refused = option_folder("--out", &path).unwrap_err().to_string();
+        assert!(
+            refused.ends_with("name a folder, for the command writes several files"),
+            "{refused}"
+        );
+        std::fs::create_dir(&path).unwrap();
+        option_folder("--out", &path).unwrap();
+        option_folder("--out", &folder.path().join("figures.new")).unwrap();
     }
 }

@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::LINE_PERIOD;
 use crate::figures::chart;
-use crate::process::{logging, output};
+use crate::process::output;
 
 /// Time between two updates of the line on a terminal.
 const DRAW_PERIOD: Duration = Duration::from_millis(100);
@@ -49,7 +49,7 @@ impl WorkProgress {
     pub(crate) fn print(&self, text: impl Display) {
         match &self.bar {
             None => output::line(text),
-            Some(_) => logging::bars().suspend(|| output::line(text)),
+            Some(_) => output::bars().suspend(|| output::line(text)),
         }
     }
 }
@@ -92,9 +92,10 @@ impl Pace {
         let known = share > 0.0 && share < 1.0 && elapsed >= SHORTEST_MEASURED;
         let left = elapsed.as_secs_f64() * (1.0 - share) / share;
         // The place comes last, because a narrow terminal cuts the line off.
-        Some(match known {
-            true => format!("{percent:.1} %, {} left: {place}", chart::duration(left)),
-            false => format!("{percent:.1} %: {place}"),
+        Some(if known {
+            format!("{percent:.1} %, {} left: {place}", chart::duration(left))
+        } else {
+            format!("{percent:.1} %: {place}")
         })
     }
 }
@@ -102,7 +103,7 @@ impl Pace {
 fn bar() -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:24.cyan/black} {wide_msg}");
     let style = style.expect("the template is well formed").progress_chars("━╸─");
-    logging::bars().add(ProgressBar::new(0).with_style(style))
+    output::bars().add(ProgressBar::new(0).with_style(style))
 }
 
 #[cfg(test)]

@@ -1,54 +1,31 @@
-//! `s2mia train --verify-determinism`: three short runs with different disturbances must end in the same state.
+//! `s2mia train --verify-determinism`: three short runs, with different numbers of actors and a stop, must end in the same
+//! state.
 
-use std::io::{BufRead as _, BufReader, Lines};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
-use std::time::Duration;
+use std::process::{Command, Stdio};
 
 use anyhow::Context as _;
 use learner::checkpoint;
-use security::Token;
 
-use crate::config::environment_section::EnvironmentSection;
 use crate::process::output;
 use crate::run::launch::SettingsArguments;
-use crate::run::run_path;
 
-/// Poll interval for a running learner.
-const POLL_INTERVAL: Duration = Duration::from_millis(20);
-
-/// Disturbance of a trial.
-#[derive(Clone, Copy)]
-enum Disturbance {
-    Nothing,
-    /// One actor is killed after the first iteration.
-    ActorKilled,
-    /// The run is stopped after the first iteration and resumed.
-    Stopped,
-}
-
-/// Name, number of actors and disturbance.
-const TRIALS: [(&str, usize, Disturbance); 3] = [
-    ("1 actor, undisturbed", 1, Disturbance::Nothing),
-    ("2 actors, one killed", 2, Disturbance::ActorKilled),
-    ("2 actors, stopped and resumed", 2, Disturbance::Stopped),
-];
+/// Name of a trial, its number of actors, and the iteration after which it is stopped and resumed.
+const TRIALS: [(&str, usize, Option<u64>); 3] =
+    [("1 actor", 1, None), ("2 actors", 2, None), ("2 actors, stopped and resumed", 2, Some(1))];
 
 /// Runs all trials for `iterations` and prints the final state of each.
 ///
 /// # Errors
 /// A trial failed, or the states differ.
-pub(crate) fn verify(
-    settings: &SettingsArguments,
-    environment: &EnvironmentSection,
-    iterations: u64,
-) -> anyhow::Result<()> {
+pub(crate) fn verify(settings: &SettingsArguments, iterations: u64) -> anyhow::Result<()> {
     let place = Scratch::make()?;
     let mut states = Vec::new();
-    for (index, (name, actors, disturbance)) in TRIALS.into_iter().enumerate() {
+    for (index, (name, actors, stop)) in TRIALS.into_iter().enumerate() {
         let folder = place.0.join(index.to_string());
-        let trial = Trial { settings, environment, folder: &folder, actors };
-        trial.play(disturbance, iterations).with_context(|| format!("trial `{name}` failed"))?;
+        begin(settings, &folder, actors, stop.unwrap_or(iterations))
+            .and_then(|()| if stop.is_some() { resume(&folder, iterations) } else { Ok(()) })
+            .with_context(|| format!("trial `{name}` failed"))?;
         let state = checkpoint::load_newest(&folder)?.saved().state_sha256;
         output::line(format!("{name:<31} {state}"));
         states.push(state);
@@ -69,99 +46,40 @@ fn check_equal(states: &[String]) -> anyhow::Result<()> {
     }
 }
 
-struct Trial<'a> {
-    settings: &'a SettingsArguments,
-    environment: &'a EnvironmentSection,
-    folder: &'a Path,
+/// Trains a new run in the folder.
+fn begin(
+    settings: &SettingsArguments,
+    folder: &Path,
     actors: usize,
+    iterations: u64,
+) -> anyhow::Result<()> {
+    let files = settings.files.iter().flat_map(|file| ["--config".as_ref(), file.as_os_str()]);
+    let dir = format!("run.dir={}", folder.display());
+    train(
+        Command::new(std::env::current_exe().context("cannot find this program")?)
+            .arg("train")
+            .args(settings.written())
+            .args(files)
+            .args([dir, format!("run.iterations={iterations}"), format!("run.actors={actors}")])
+            .arg("evaluation.every_steps=0"),
+    )
 }
 
-impl Trial<'_> {
-    fn play(&self, disturbance: Disturbance, iterations: u64) -> anyhow::Result<()> {
-        match disturbance {
-            Disturbance::Nothing => self.start(iterations)?.end(),
-            Disturbance::ActorKilled => {
-                let mut processes = self.start(iterations)?;
-                processes.wait_for_an_iteration(self.folder)?;
-                processes.actors[0].kill().context("cannot kill an actor")?;
-                processes.end()
-            }
-            Disturbance::Stopped => {
-                self.start(1)?.end()?;
-                self.start(iterations)?.end()
-            }
-        }
-    }
-
-    /// Starts the learner, which resumes the run in the folder if there is one, and the actors.
-    fn start(&self, iterations: u64) -> anyhow::Result<TrialProcesses> {
-        let program = std::env::current_exe().context("cannot find this program")?;
-        let mut command = Command::new(&program);
-        command
-            .args(["learner", "--listen", "127.0.0.1:0", "--page", "off"])
-            .args(self.settings.written());
-        for file in &self.settings.files {
-            command.arg("--config").arg(file);
-        }
-        command.arg(format!("run.dir={}", self.folder.display()));
-        command.arg(format!("run.iterations={iterations}")).arg("evaluation.every_steps=0");
-        if std::env::var_os("RUST_LOG").is_none() {
-            // The disturbances are intended; warnings about them would confuse the user.
-            command.env("RUST_LOG", "error");
-        }
-        let token = Token::random()?;
-        command.env(Token::VARIABLE, token.text());
-        let mut learner = command.stdout(Stdio::piped()).spawn().context("no learner")?;
-        let lines = learner.stdout.take().map(BufReader::new).context("no output")?.lines();
-        let mut processes = TrialProcesses { learner, lines, actors: Vec::new() };
-        let opening = processes.lines.next().context("the learner did not start")??;
-        let url = opening.split_whitespace().last().unwrap_or_default();
-        for _ in 0..self.actors {
-            let mut actor = Command::new(&program);
-            actor.args(["actor", "--exit-with-stdin", "--learner", url]);
-            actor.args(self.environment.arguments()).env(Token::VARIABLE, token.text());
-            actor.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-            processes.actors.push(actor.spawn().context("no actor")?);
-        }
-        Ok(processes)
-    }
+fn resume(folder: &Path, iterations: u64) -> anyhow::Result<()> {
+    train(
+        Command::new(std::env::current_exe().context("cannot find this program")?)
+            .args(["train", "--resume"])
+            .arg(folder)
+            .arg(format!("run.iterations={iterations}")),
+    )
 }
 
-/// Processes of a learner and its actors; dropping this value ends them.
-struct TrialProcesses {
-    learner: Child,
-    lines: Lines<BufReader<ChildStdout>>,
-    actors: Vec<Child>,
-}
-
-impl TrialProcesses {
-    fn wait_for_an_iteration(&mut self, folder: &Path) -> anyhow::Result<()> {
-        let metrics = run_path::metrics_file(folder);
-        while !std::fs::metadata(&metrics).is_ok_and(|file| file.len() > 0) {
-            if self.learner.try_wait()?.is_some() {
-                return Ok(());
-            }
-            std::thread::sleep(POLL_INTERVAL);
-        }
-        Ok(())
-    }
-
-    fn end(mut self) -> anyhow::Result<()> {
-        self.lines.by_ref().for_each(drop);
-        let status = self.learner.wait()?;
-        anyhow::ensure!(status.success(), "the learner ended with {status}");
-        Ok(())
-    }
-}
-
-impl Drop for TrialProcesses {
-    fn drop(&mut self) {
-        for process in self.actors.iter_mut().chain([&mut self.learner]) {
-            // Fails for a process that has already ended.
-            let _ended = process.kill();
-            let _reaped = process.wait();
-        }
-    }
+/// Runs a training process to its end; its log is that of this process.
+fn train(command: &mut Command) -> anyhow::Result<()> {
+    let status = command.args(["--page", "off"]).stdout(Stdio::null()).status();
+    let status = status.context("cannot start a training process")?;
+    anyhow::ensure!(status.success(), "the training process ended with {status}");
+    Ok(())
 }
 
 /// A temporary folder that is removed with this value.

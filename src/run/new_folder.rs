@@ -11,7 +11,7 @@ use learner::run_folder::RunFolder;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Resolved, layers};
 use crate::errors::Usage;
-use crate::process::{home, shell};
+use crate::process::shell;
 use crate::run::run_path;
 
 /// What a folder may contain before a run begins in it.
@@ -112,7 +112,7 @@ pub(crate) fn named(resolved: &Resolved) -> Result<Option<PathBuf>, ConfigError>
             Err(refused("it is empty; without it the run gets a new folder in `runs`".to_owned()))
         }
         "" => Ok(None),
-        given => match home::expanded(Path::new(given)) {
+        given => match shell::expanded(Path::new(given)) {
             Ok(path) => Ok(Some(path)),
             Err(why) => Err(refused(why.to_string())),
         },

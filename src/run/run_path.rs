@@ -1,12 +1,12 @@
-//! Paths inside a run folder, and the names of new run folders.
+//! Run folders: the paths inside them, the names of new ones, and those of the folder `runs` for commands without an
+//! argument.
 
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use learner::checkpoint;
-use learner::plain_file;
-use learner::run_folder::{CONFIG, LOGS, MANIFEST, METRICS, RunFolder};
+use learner::run_folder::{CONFIG, LOGS, MANIFEST, METRICS, RunFolder, STARTS};
+use learner::{checkpoint, plain_file};
 use time::OffsetDateTime;
 
 use crate::errors::Usage;
@@ -59,13 +59,13 @@ pub(crate) fn demand_resumable(folder: &Path) -> Result<(), Usage> {
 /// `path` is a checkpoint outside a run.
 pub(crate) fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
     let run = RunFolder::of(path);
-    match checkpoint::is_checkpoint(&run) {
-        false => Ok(run),
-        true => Err(Usage::new(format!(
-            "{} is a checkpoint without its run; name the file to write with {option}",
-            path.display()
-        ))),
+    if !checkpoint::is_checkpoint(&run) {
+        return Ok(run);
     }
+    Err(Usage::new(format!(
+        "{} is a checkpoint without its run; name the file to write with {option}",
+        path.display()
+    )))
 }
 
 /// One JSON object per iteration or evaluation.
@@ -127,10 +127,57 @@ fn utc(time: OffsetDateTime) -> String {
     format!("{year:04}{:02}{day:02}-{hour:02}{minute:02}{second:02}", u8::from(month))
 }
 
+/// Where new runs go by default.
+const RUNS: &str = "runs";
+/// The learner that is asked if there is no run.
+const LEARNER: &str = "http://127.0.0.1:50051";
+
+/// `of`, or the run of the checkpoint `of`, or if it is empty the newest run that has a learner, else the newest run, else
+/// the default learner.
+pub(crate) fn or_newest(of: &str) -> Result<String, Usage> {
+    let shown = |run: PathBuf| run.display().to_string();
+    match of {
+        "" => Ok(newest(Path::new(RUNS)).map_or_else(|| LEARNER.to_owned(), shown)),
+        of => shell::expanded_text(of).map(|of| shown(RunFolder::of(Path::new(&of)))),
+    }
+}
+
+/// All runs of the folder `runs`, in the order of their names.
+pub(crate) fn all_runs() -> Result<Vec<PathBuf>, Usage> {
+    let mut found: Vec<_> = folders(Path::new(RUNS)).collect();
+    found.sort();
+    if found.is_empty() {
+        return Err(Usage::new(format!("there is no run in ./{RUNS}; name the run folders")));
+    }
+    Ok(found)
+}
+
+fn newest(runs: &Path) -> Option<PathBuf> {
+    folders(runs).max_by_key(|folder| {
+        let is_live = matches!(RunFolder::listening(folder), Ok(Some(_)));
+        (is_live, started(folder), folder.clone())
+    })
+}
+
+fn folders(runs: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = runs.read_dir().into_iter().flatten();
+    let folders = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    folders.filter(|folder| RunFolder::holds_run(folder))
+}
+
+/// When the newest learner of a run started.
+fn started(folder: &Path) -> SystemTime {
+    let starts = folder.join(STARTS).metadata().and_then(|file| file.modified());
+    starts.unwrap_or(SystemTime::UNIX_EPOCH)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::time::Duration;
+
+    use serde_json::json;
+
+    use super::*;
 
     #[test]
     fn dates_of_known_seconds() {
@@ -165,5 +212,27 @@ mod tests {
             default_folder("../My task", "happo", 7, now),
             PathBuf::from("runs/..-My-task-happo-seed7-20000229-123456")
         );
+    }
+
+    #[test]
+    fn the_newest_run_with_a_learner_comes_before_newer_ones_without() {
+        let runs = tempfile::tempdir().unwrap();
+        assert_eq!(newest(runs.path()), None);
+        let begin = |name: &str, age_secs: u64| {
+            let path = runs.path().join(name);
+            let run = RunFolder::claim_new(&path).unwrap();
+            run.begin("", &json!({"config_sha256": "aa"})).unwrap();
+            let started = SystemTime::now() - Duration::from_secs(age_secs);
+            let starts = std::fs::File::options().append(true).open(path.join(STARTS));
+            starts.unwrap().set_modified(started).unwrap();
+            (path, run)
+        };
+        std::fs::create_dir(runs.path().join("no run")).unwrap();
+        let ((old, live), (new, ended)) = (begin("b", 60), begin("a", 0));
+        drop(ended);
+        live.note_address("127.0.0.1:50051".parse().unwrap()).unwrap();
+        assert_eq!(newest(runs.path()), Some(old));
+        drop(live);
+        assert_eq!(newest(runs.path()), Some(new));
     }
 }

@@ -37,10 +37,18 @@ pub(crate) fn succeeded(arguments: &[&str]) -> String {
 
 /// [`TINY`] without the settings that have no effect with the settings `more`.
 pub(crate) fn tiny(more: &[&str]) -> Vec<&'static str> {
-    let of_rollouts = ["policy.", "influence.", "update.epochs", "critic.epochs"];
-    let is_replay = more.contains(&"algorithm=maddpg");
-    let has_effect =
-        |setting: &&&str| !(is_replay && of_rollouts.iter().any(|key| setting.starts_with(key)));
+    let has = |setting: &str| more.contains(&setting);
+    let mut without = Vec::new();
+    if has("algorithm=maddpg") {
+        without.extend(["policy.", "influence.", "update.epochs", "critic.epochs"]);
+    }
+    if has("algorithm=mappo") {
+        without.push("influence.");
+    }
+    if has("policy.core=mlp") {
+        without.extend(["policy.encoder", "policy.hidden"]);
+    }
+    let has_effect = |setting: &&&str| !without.iter().any(|key| setting.starts_with(key));
     TINY.iter().filter(has_effect).copied().collect()
 }
 

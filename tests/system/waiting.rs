@@ -3,6 +3,9 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+/// Time between two polls; the other processes need the processor.
+pub(crate) const POLL_INTERVAL: Duration = Duration::from_millis(5);
+
 /// Polls `check` for up to 30 s; then panics with its error.
 pub(crate) fn eventually<T>(mut check: impl FnMut() -> Result<T, String>) -> T {
     let deadline = Instant::now() + Duration::from_secs(30);
@@ -11,7 +14,7 @@ pub(crate) fn eventually<T>(mut check: impl FnMut() -> Result<T, String>) -> T {
             Ok(answer) => return answer,
             Err(error) => assert!(Instant::now() < deadline, "{error}, after 30 s"),
         }
-        std::thread::yield_now();
+        std::thread::sleep(POLL_INTERVAL);
     }
 }
 

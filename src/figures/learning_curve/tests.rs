@@ -1,5 +1,7 @@
 //! Reading and joining of learning curves.
 
+use serde_json::json;
+
 use super::*;
 
 fn curve(algorithm: &str, seed: u64, points: &[(f64, f64)]) -> Curve {
@@ -105,4 +107,25 @@ fn a_shipped_algorithm_is_drawn_alike_in_every_picture_and_no_two_variants_of_on
 fn a_folder_that_is_no_run_is_a_wrong_argument() {
     let folder = tempfile::tempdir().unwrap();
     assert!(read(folder.path()).unwrap_err().is::<Usage>());
+}
+
+#[test]
+fn each_quantity_is_taken_from_the_lines_that_hold_it() {
+    let lines = [
+        json!({"kind": "iteration", "env_steps": 40, "mean": 9.0,
+               "agent0/mi_estimate": 1.0, "agent1/mi_estimate": 2.0}),
+        json!({"kind": "iteration", "env_steps": 80, "agent0/surprise_entropy_bound": 3.0}),
+        json!({"kind": "evaluation", "env_steps": 80, "mean": 5.0}),
+        json!({"kind": "evaluation", "env_steps": 0, "mean": -1.0}),
+    ];
+    assert_eq!(Quantity::Return.points(&lines), [(0.0, -1.0), (80.0, 5.0)]);
+    assert_eq!(Quantity::Surprise.points(&lines), [(80.0, 3.0)]);
+    assert_eq!(Quantity::Information.points(&lines), [(40.0, 1.5)]);
+}
+
+#[test]
+fn many_points_become_means_of_neighbours() {
+    let points: Vec<(f64, f64)> = (0..200).map(|i| (f64::from(i), f64::from(2 * i))).collect();
+    let thinned = thinned(&points);
+    assert_eq!((thinned.len(), thinned[0], thinned[99]), (100, (0.5, 1.0), (198.5, 397.0)));
 }

@@ -1,16 +1,9 @@
 //! A task that is not part of the program: its files are checked and trained, and the run needs them no more.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-#[path = "system/runs.rs"]
-mod runs;
 
 use std::path::Path;
 
-use runs::{Runs, inspect, s2mia, succeeded, train};
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use crate::commands::{refused, text};
+use crate::runs::{Runs, inspect, succeeded, train};
 
 /// Writes the example into a new folder and returns the path of its task file.
 fn example(runs: &Runs) -> std::path::PathBuf {
@@ -59,19 +52,10 @@ fn example_of_files(runs: &Runs) -> std::path::PathBuf {
     task
 }
 
-/// The error of a command that is refused in one line.
-fn refusal(arguments: &[&str]) -> String {
-    let output = s2mia(arguments);
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(2), "{error}");
-    assert_eq!(error.lines().count(), 1, "{error}");
-    error
-}
-
 #[test]
 fn the_commands_of_the_document_check_and_train_the_example() {
     let runs = Runs::new();
-    let document = include_str!("../docs/ADDING_A_TASK.md");
+    let document = include_str!("../../docs/ADDING_A_TASK.md");
     let commands = document.split("```").nth(1).unwrap();
     let mut count = 0;
     for command in commands.lines().filter_map(|line| line.strip_prefix("s2mia ")) {
@@ -88,24 +72,6 @@ fn the_commands_of_the_document_check_and_train_the_example() {
     assert_eq!(count, 3);
     assert!(runs.folder("my-robot").join("hopper.png").is_file());
     assert_eq!(inspect(&runs.folder("run"))["iteration"], 2);
-}
-
-#[test]
-fn a_run_of_an_own_task_continues_and_is_evaluated_without_its_files() {
-    let runs = Runs::new();
-    let task = example(&runs);
-    let (whole, resumed) = (runs.folder("whole"), runs.folder("resumed"));
-    let named = format!("task={}", text(&task));
-    train(&whole, &[&named, "run.iterations=4", "run.actors=1"]);
-    train(&resumed, &[&named, "run.iterations=2", "run.actors=2"]);
-    std::fs::remove_dir_all(task.parent().unwrap()).unwrap();
-    let run = text(&resumed);
-    succeeded(&["train", "--resume", run, "run.iterations=4"]);
-    assert_eq!(inspect(&whole), inspect(&resumed));
-    succeeded(&["eval", run, "--episodes", "1"]);
-    succeeded(&["film", run, "--frames", "1"]);
-    succeeded(&["record", run]);
-    succeeded(&["export", run, "--onnx", text(&runs.folder("onnx"))]);
 }
 
 #[test]
@@ -143,7 +109,7 @@ fn a_check_warns_of_a_motor_that_cannot_be_explored() {
 }
 
 #[test]
-fn a_run_of_a_model_of_several_files_continues_without_them() {
+fn a_run_of_an_own_task_of_several_files_continues_and_is_read_without_them() {
     let runs = Runs::new();
     let task = example_of_files(&runs);
     let (whole, resumed) = (runs.folder("whole"), runs.folder("resumed"));
@@ -157,7 +123,11 @@ fn a_run_of_a_model_of_several_files_continues_without_them() {
     std::fs::remove_dir_all(task.parent().unwrap()).unwrap();
     succeeded(&["train", "--resume", text(&resumed), "run.iterations=2"]);
     assert_eq!(inspect(&whole), inspect(&resumed));
-    succeeded(&["eval", text(&resumed), "--episodes", "1"]);
+    let run = text(&resumed);
+    succeeded(&["eval", run, "--episodes", "1"]);
+    succeeded(&["film", run, "--frames", "1"]);
+    succeeded(&["record", run]);
+    succeeded(&["export", run, "--onnx", text(&runs.folder("onnx"))]);
     let config = std::fs::read_to_string(resumed.join("config.toml")).unwrap();
     assert!(config.contains("0 0 0.25") && !config.contains("trunk.stl"), "{config}");
 }
@@ -168,11 +138,11 @@ fn a_file_of_a_model_that_cannot_be_used_is_refused_before_anything_is_written()
     let task = example_of_files(&runs);
     let folder = runs.folder("run");
     let dir = format!("run.dir={}", folder.display());
-    let refused = |path: &Path, from: &str, to: &str, part: &str| {
+    let with = |path: &Path, from: &str, to: &str, part: &str| {
         let valid = std::fs::read_to_string(path).unwrap();
         assert!(valid.contains(from), "{from}");
         std::fs::write(path, valid.replacen(from, to, 1)).unwrap();
-        let error = refusal(&["train", text(&task), &dir]);
+        let error = refused(&["train", text(&task), &dir]);
         assert!(error.contains(part) && error.contains(text(&task)), "{error}");
         assert!(!folder.exists());
         std::fs::write(path, valid).unwrap();
@@ -185,18 +155,18 @@ fn a_file_of_a_model_that_cannot_be_used_is_refused_before_anything_is_written()
         ("/trunk.stl", format!("{mesh} `/trunk.stl` is an absolute path")),
         ("../../trunk.stl", "leaves the model's folder".to_owned()),
     ] {
-        refused(&model, "trunk.stl", file, &part);
+        with(&model, "trunk.stl", file, &part);
     }
-    refused(&model, "parts/def", "../def", "line 5, <include file=\"../defaults.xml\">: ");
-    refused(&task, "\"hopper.xml\"", "\"../robot/hopper.xml\"", "leaves the model's folder");
+    with(&model, "parts/def", "../def", "line 5, <include file=\"../defaults.xml\">: ");
+    with(&task, "\"hopper.xml\"", "\"../robot/hopper.xml\"", "leaves the model's folder");
     let absolute = format!("\"{}\"", model.display());
-    refused(&task, "\"hopper.xml\"", &absolute, "is an absolute path");
+    with(&task, "\"hopper.xml\"", &absolute, "is an absolute path");
     let long = format!("model=\"{}\"", "x".repeat(1 << 18));
-    refused(&model, "model=\"hopper\"", &long, "at most 262144 travel");
+    with(&model, "model=\"hopper\"", &long, "at most 262144 travel");
     let stl = task.with_file_name("parts").join("trunk.stl");
     std::fs::write(&stl, &octahedron([1.0; 3])[1..]).unwrap();
     let broken = format!("{mesh} parts/trunk.stl: it is not a binary STL file");
-    refused(&model, "trunk", "trunk", &broken);
+    with(&model, "trunk", "trunk", &broken);
 }
 
 #[cfg(unix)]
@@ -209,12 +179,12 @@ fn a_model_is_read_from_regular_files_inside_its_folder() {
     let (mesh, outside) = (parts.join("trunk.stl"), runs.folder("trunk.stl"));
     std::fs::rename(&mesh, &outside).unwrap();
     std::os::unix::fs::symlink(&outside, &mesh).unwrap();
-    assert!(refusal(&["task", "check", text(&task)]).contains("parts/trunk.stl: it is a link"));
+    assert!(refused(&["task", "check", text(&task)]).contains("parts/trunk.stl: it is a link"));
 
     std::fs::remove_file(&mesh).unwrap();
     let pipe = std::process::Command::new("mkfifo").arg(&mesh).status();
     assert!(pipe.unwrap().success());
-    assert!(refusal(&["task", "check", text(&task)]).contains("it is not a regular file"));
+    assert!(refused(&["task", "check", text(&task)]).contains("it is not a regular file"));
 
     std::fs::remove_file(&mesh).unwrap();
     std::fs::rename(&outside, parts.join("b.stl")).unwrap();
@@ -232,7 +202,7 @@ fn a_name_in_a_model_that_cannot_be_shown_is_refused() {
     for (name, why) in [("a\u{202e}b", "U+202E"), ("a\u{2028}b", "U+2028"), ("", "is empty")] {
         let changed = plain.replace("<body name=\"shank\"", &format!("<body name=\"{name}\""));
         std::fs::write(&model, changed).unwrap();
-        let line = refusal(&["task", "check", text(&task)]);
+        let line = refused(&["task", "check", text(&task)]);
         assert!(line.contains(why) && !line.contains("a\u{202e}"), "{line}");
     }
 }
@@ -245,7 +215,7 @@ fn a_resume_with_another_file_is_refused_in_one_line() {
     train(&folder, &[&format!("task={}", text(&task)), "run.iterations=1", "run.actors=1"]);
     let changed = std::fs::read_to_string(&task).unwrap().replace("weight = 1e-3", "weight = 1e-2");
     std::fs::write(&task, changed).unwrap();
-    let error = refusal(&["train", "--resume", text(&folder), &format!("task={}", text(&task))]);
+    let error = refused(&["train", "--resume", text(&folder), &format!("task={}", text(&task))]);
     assert!(error.contains("`task_file.text` cannot change on resume"), "{error}");
 }
 
@@ -272,11 +242,11 @@ fn an_invalid_file_is_refused_with_its_path_before_anything_is_written() {
     ] {
         assert!(valid.contains(from), "{from}");
         std::fs::write(&task, valid.replacen(from, to, 1)).unwrap();
-        let error = refusal(&["train", text(&task), &dir]);
+        let error = refused(&["train", text(&task), &dir]);
         assert!(error.contains(part) && error.contains(text(&task)), "{error}");
         assert!(!folder.exists());
     }
-    let twice = refusal(&["task", "new", text(task.parent().unwrap())]);
+    let twice = refused(&["task", "new", text(task.parent().unwrap())]);
     assert!(twice.contains("already exists"), "{twice}");
 }
 
@@ -293,6 +263,6 @@ fn a_partition_is_named_exactly() {
     let told = succeeded(&["task", "check", &b, "--episodes", "1"]);
     assert!(told.starts_with("hopper-b: 2 agents"), "{told}");
     with(one).unwrap();
-    let error = refusal(&["task", "check", &b, "--episodes", "1"]);
+    let error = refused(&["task", "check", &b, "--episodes", "1"]);
     assert!(error.contains("hopper.toml:a-b"), "{error}");
 }

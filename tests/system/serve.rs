@@ -1,14 +1,6 @@
 //! Served policies compute the same actions as the evaluator, bit for bit.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/runs.rs"]
-mod runs;
-#[path = "system/trained.rs"]
-mod trained;
-
-use std::io::{BufRead as _, BufReader, Lines};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
@@ -22,8 +14,9 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status, Streaming};
 
-use runs::{Runs, inspect, s2mia, succeeded, train};
-use trained::world;
+use crate::commands::{Background, refused};
+use crate::runs::{Runs, inspect, succeeded, train};
+use crate::trained::{self, world};
 
 /// A finished run of two iterations, shared by all tests.
 fn trained() -> &'static Path {
@@ -32,33 +25,20 @@ fn trained() -> &'static Path {
 
 /// A server of policies.
 struct Server {
-    process: Child,
-    lines: Lines<BufReader<ChildStdout>>,
+    process: Background,
     url: String,
 }
 
 impl Server {
     fn start(folder: &Path, more: &[&str]) -> Self {
         let own = ["serve", folder.to_str().unwrap(), "--listen=127.0.0.1:0"];
-        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        command.args(own).args(more).stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut process = command.spawn().unwrap();
-        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-        let first = lines.next().unwrap().unwrap();
-        let url = first.split_whitespace().last().unwrap().to_owned();
-        Self { process, lines, url }
+        let mut process = Background::start(&[&own, more].concat());
+        let url = process.url();
+        Self { process, url }
     }
 
     async fn client(&self) -> PolicyServiceClient<Channel> {
         PolicyServiceClient::connect(self.url.clone()).await.unwrap()
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        // A stopped server has already exited.
-        let _ended = self.process.kill();
-        let _reaped = self.process.wait();
     }
 }
 
@@ -281,11 +261,9 @@ async fn a_stream_ends_at_its_deadline_and_when_the_server_stops() {
 
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
     acting.step(next(observations(&*world(folder)))).await;
-    let process = server.process.id().to_string();
-    assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
+    server.process.signal("-TERM");
     assert_eq!(acting.answers.message().await.unwrap_err().code(), Code::Unavailable);
-    assert_eq!(server.lines.next().unwrap().unwrap(), "stopping");
-    assert!(server.process.wait().unwrap().success());
+    assert_eq!(server.process.rest(), ["stopping"]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -314,8 +292,6 @@ fn health_is_served_and_remote_clients_require_an_option() {
     let folder = trained();
     let server = Server::start(folder, &[]);
     assert!(succeeded(&["health", "--learner", &server.url]).contains("serves"));
-    let refused = s2mia(&["serve", folder.to_str().unwrap(), "--listen=0.0.0.0:0"]);
-    let line = String::from_utf8(refused.stderr).unwrap();
-    assert_eq!(refused.status.code(), Some(2));
-    assert!(line.contains("--insecure-allow-remote") && line.lines().count() == 1, "{line}");
+    let line = refused(&["serve", folder.to_str().unwrap(), "--listen=0.0.0.0:0"]);
+    assert!(line.contains("--insecure-allow-remote"), "{line}");
 }

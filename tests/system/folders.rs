@@ -1,26 +1,9 @@
 //! What commands do with folders and files that exist: runs, checkpoints, files of others, links and pipes.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/runs.rs"]
-mod runs;
-
-use std::path::Path;
 use std::process::Command;
 
-use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-
-/// The message with which a command is refused.
-fn refused(arguments: &[&str]) -> String {
-    let output = s2mia(arguments);
-    let line = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {line}");
-    assert_eq!(line.lines().count(), 1, "{arguments:?}: {line}");
-    line
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use crate::commands::{refused, text};
+use crate::runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 
 #[test]
 fn a_checkpoint_is_read_in_the_place_of_a_run_and_no_run_starts_in_it() {

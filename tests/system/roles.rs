@@ -1,55 +1,40 @@
 //! A learner and an actor started separately, as containers start them.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-#[path = "system/runs.rs"]
-mod runs;
-#[path = "system/waiting.rs"]
-mod waiting;
 
 use std::fs;
-use std::io::{BufRead as _, BufReader, Lines};
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use serde_json::json;
 
-use runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use waiting::{eventually, has_begun};
+use crate::commands::{Background, failed};
+use crate::runs::{Runs, TINY, inspect, s2mia, succeeded, train};
+use crate::waiting::{eventually, has_begun};
 
 const SIXTY: &str = "run.iterations=60";
 
-/// A learner in the background and its output.
-struct Learner {
-    process: Child,
-    lines: Lines<BufReader<ChildStdout>>,
-}
+/// A learner in the background.
+struct Learner(Background);
 
 impl Learner {
     /// Starts a learner and waits until it is ready for actors.
     fn start(folder: &Path, address: &str, more: &[&str]) -> Self {
         let dir = format!("run.dir={}", folder.display());
-        let own = ["learner", "--listen", address, dir.as_str(), SIXTY];
-        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        command.arg(own[0]).args(&TINY[..1]).args(&own[1..]).args(&TINY[1..]).args(more);
-        let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-        assert!(lines.next().unwrap().unwrap().contains("waits for actors"));
-        Self { process, lines }
+        let own = ["--listen", address, dir.as_str(), SIXTY];
+        let mut learner = Background::start(&[&["learner"], TINY, &own, more].concat());
+        assert!(learner.line().contains("waits for actors"));
+        Self(learner)
     }
 
     fn terminate(&mut self) -> String {
-        let process = self.process.id().to_string();
-        assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
+        self.0.signal("-TERM");
         self.end()
     }
 
     /// The last line of output, after success.
     fn end(&mut self) -> String {
-        let last = self.lines.by_ref().last().unwrap().unwrap();
-        assert!(self.process.wait().unwrap().success());
-        last
+        self.0.rest().pop().unwrap()
     }
 }
 
@@ -67,7 +52,7 @@ fn actor(url: &str, threads: &str) -> Child {
 #[test]
 fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
     let runs = Runs::new();
-    let (folder, undisturbed) = (runs.folder("roles"), runs.folder("undisturbed"));
+    let folder = runs.folder("roles");
     let address = free_address();
     let mut actor = actor(&format!("http://{address}"), "1");
     let mut learner = Learner::start(&folder, &address, &[]);
@@ -77,8 +62,6 @@ fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
     let mut learner = Learner::start(&folder, &address, &[]);
     assert!(learner.end().starts_with("finished after iteration 60"));
     assert!(actor.wait().unwrap().success());
-    train(&undisturbed, &[SIXTY, "run.actors=1"]);
-    assert_eq!(inspect(&folder), inspect(&undisturbed));
 }
 
 /// Trains six slots an iteration with one actor process of one thread.
@@ -171,14 +154,12 @@ fn an_actor_of_another_build_takes_part_only_if_the_operator_admits_it() {
     assert!(line.contains("OTHER_BUILD") && line.contains("learner.other_builds=true"), "{line}");
     learner.terminate();
 
-    let (address, admitted) = (free_address(), runs.folder("admitted"));
+    let address = free_address();
+    let admitted = runs.folder("admitted");
     let mut learner = Learner::start(&admitted, &address, &["learner.other_builds=true"]);
     let acted = act(&address);
     assert!(acted.status.success(), "{}", String::from_utf8_lossy(&acted.stderr));
     assert!(learner.end().starts_with("finished after iteration 60"));
-    let own = runs.folder("own-actor");
-    train(&own, &[SIXTY, "run.actors=1"]);
-    assert_eq!(inspect(&admitted)["state_sha256"], inspect(&own)["state_sha256"]);
 }
 
 fn status(of: &str) -> serde_json::Value {
@@ -224,12 +205,9 @@ fn a_learner_is_healthy_only_while_it_serves() {
     let runs = Runs::new();
     let address = free_address();
     let url = format!("http://{address}");
-    let health = || s2mia(&["health", "--learner", &url]);
+    let health = ["health", "--learner", url.as_str()];
     let mut learner = Learner::start(&runs.folder("health"), &address, &[]);
-    assert!(health().status.success());
+    succeeded(&health);
     learner.terminate();
-    let silent = health();
-    assert_eq!(silent.status.code(), Some(1));
-    let line = String::from_utf8(silent.stderr).unwrap();
-    assert!(line.contains(&url) && line.trim().lines().count() == 1, "{line}");
+    assert!(failed(&health, 1).contains(&url));
 }

@@ -1,24 +1,20 @@
 //! The learner's HTTP page, requested like a browser and like Prometheus.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/runs.rs"]
-mod runs;
-#[path = "system/waiting.rs"]
-mod waiting;
-
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 
 use serde_json::Value;
 
-use runs::{Runs, TINY, inspect, succeeded, train};
-use waiting::{eventually, has_begun};
+use crate::commands::Background;
+use crate::runs::{Runs, TINY, succeeded};
+use crate::waiting::{eventually, has_begun};
 
 /// A learner with its page, and its actors.
 struct Learner {
-    processes: Vec<Child>,
+    _process: Background,
+    actor: Option<Background>,
     url: String,
     page: String,
 }
@@ -26,29 +22,16 @@ struct Learner {
 impl Learner {
     fn start(folder: &Path, page: &str) -> Self {
         let dir = format!("run.dir={}", folder.display());
-        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        command.arg("learner").args(TINY).args([&dir, "run.iterations=100000", "--page", page]);
-        command.args(["--listen", "127.0.0.1:0"]).stderr(Stdio::null());
-        let mut process = command.stdout(Stdio::piped()).spawn().unwrap();
-        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-        let mut last_word = || {
-            let line = lines.next().unwrap().unwrap();
-            line.rsplit_once("http://").unwrap().1.to_owned()
-        };
-        let (url, page) = (format!("http://{}", last_word()), last_word());
-        Self { processes: vec![process], url, page }
+        let own = ["run.iterations=100000", "--page", page, "--listen", "127.0.0.1:0", &dir];
+        let mut process = Background::start(&[&["learner"], TINY, &own].concat());
+        let url = process.url();
+        let page = process.url().trim_start_matches("http://").to_owned();
+        Self { _process: process, actor: None, url, page }
     }
 
     fn add_actor(&mut self, more: &[&str]) {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        command.args(["actor", "--learner", &self.url]).args(more).stderr(Stdio::null());
-        self.processes.push(command.spawn().unwrap());
-    }
-
-    fn kill_actor(&mut self) {
-        let mut actor = self.processes.pop().unwrap();
-        actor.kill().unwrap();
-        actor.wait().unwrap();
+        let own = ["actor", "--learner", self.url.as_str()];
+        self.actor = Some(Background::start(&[&own, more].concat()));
     }
 
     fn ask(&self, request: &str) -> (u16, String, String) {
@@ -61,16 +44,6 @@ impl Learner {
 
     fn json(&self, path: &str) -> Value {
         serde_json::from_str(&self.get(path)).unwrap()
-    }
-}
-
-impl Drop for Learner {
-    fn drop(&mut self) {
-        for process in &mut self.processes {
-            // The process has already exited only if the test failed.
-            let _killed = process.kill();
-            let _waited = process.wait();
-        }
     }
 }
 
@@ -92,28 +65,22 @@ fn get(page: &str, path: &str) -> String {
 }
 
 /// `s2mia page`, and its address.
-struct PageOfRuns(Child, String);
+struct PageOfRuns {
+    _process: Background,
+    page: String,
+}
 
 impl PageOfRuns {
     fn start(folder: &Path, runs: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        command.arg("page").args(runs).current_dir(folder).stdout(Stdio::piped());
-        let mut process = command.spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let page = line.trim().strip_prefix("page: http://").unwrap().to_owned();
-        Self(process, page)
+        command.arg("page").args(runs).current_dir(folder);
+        let mut process = Background::of(&mut command);
+        let page = process.line().strip_prefix("page: http://").unwrap().to_owned();
+        Self { _process: process, page }
     }
 
     fn json(&self, path: &str) -> Value {
-        serde_json::from_str(&get(&self.1, path)).unwrap()
-    }
-}
-
-impl Drop for PageOfRuns {
-    fn drop(&mut self) {
-        self.0.kill().unwrap();
-        self.0.wait().unwrap();
+        serde_json::from_str(&get(&self.page, path)).unwrap()
     }
 }
 
@@ -157,7 +124,7 @@ fn the_figures_of_prometheus_and_of_the_page_equal_the_metrics_and_the_status() 
         if iteration >= 3 { Ok(()) } else { Err(format!("{iteration} iterations of 3")) }
     });
     // Without an actor, the figures do not change between requests.
-    learner.kill_actor();
+    learner.actor = None;
     let still = |learner: &Learner| {
         let status = learner.json("/api/status");
         let waits = status["stage"] == "collect" && status["status"]["actors"] == 0;
@@ -249,30 +216,6 @@ fn idle_connections_do_not_block_the_run_and_other_viewers_only_briefly() {
 }
 
 #[test]
-fn continuous_page_requests_do_not_affect_the_weights() {
-    let runs = Runs::new();
-    let (plain, watched) = (runs.folder("plain"), runs.folder("watched"));
-    train(&plain, &["run.iterations=3", "--page", "off"]);
-    let mut learner = Learner::start(&watched, "127.0.0.1:0");
-    learner.add_actor(&[]);
-    eventually(|| {
-        let paths = ["/", "/api/run", "/api/status", "/api/curves", "/api/film", "/metrics"];
-        paths.iter().for_each(|path| drop(learner.get(path)));
-        // An iteration's provenance is written after its metrics.
-        let iteration = last_iteration(&watched)["iteration"].as_u64().unwrap_or_default();
-        if iteration > 3 { Ok(()) } else { Err(format!("{iteration} iterations of 4")) }
-    });
-    drop(learner);
-    let third = |folder: &Path| {
-        let text = std::fs::read_to_string(folder.join("provenance.jsonl")).unwrap();
-        let line = text.lines().nth(2).unwrap().to_owned();
-        serde_json::from_str::<Value>(&line).unwrap()["weights_sha256"].clone()
-    };
-    assert_eq!(third(&plain), inspect(&plain)["weights_sha256"]);
-    assert_eq!(third(&watched), third(&plain));
-}
-
-#[test]
 fn the_page_of_several_runs_has_all_their_curves_and_follows_those_that_grow() {
     let runs = Runs::new();
     let folder = runs.folder("place");
@@ -341,12 +284,12 @@ fn the_page_of_several_runs_has_the_rules_and_the_script_of_a_learners_page() {
     let folder = runs.folder("place");
     write_run(&folder.join("first"), 1.5);
     let page = PageOfRuns::start(&folder, &["first"]);
-    let code = |request: &str| ask(&page.1, request).0;
+    let code = |request: &str| ask(&page.page, request).0;
     assert_eq!(code("GET /api/curves HTTP/1.1\r\nHost: example.org\r\n\r\n"), 403);
     assert_eq!(code("POST /api/runs HTTP/1.1\r\nHost: localhost\r\n\r\n"), 405);
     assert_eq!(code("GET /api/status HTTP/1.1\r\nHost: localhost\r\n\r\n"), 404);
     let root = "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
-    let (_, head, shown) = ask(&page.1, root);
+    let (_, head, shown) = ask(&page.page, root);
     let learner = Learner::start(&runs.folder("run"), "127.0.0.1:0");
     let (_, heads, of_learner) = learner.ask(root);
     let policy = |head: &str| {

@@ -1,14 +1,11 @@
 //! Output that cannot be written: a full disk is an error, a reader that has gone ends a command that only prints.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-#[path = "system/runs.rs"]
-mod runs;
 
 use std::fs::File;
 use std::io::{PipeWriter, pipe};
 use std::process::{Command, Stdio};
 
-use runs::{Runs, TINY, train};
+use crate::runs::{Runs, TINY, inspect, train};
+use crate::waiting::POLL_INTERVAL;
 
 fn s2mia(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
@@ -47,7 +44,7 @@ fn a_full_disk_is_an_error_of_one_line_for_every_command_that_prints() {
             "error: cannot write to standard output: No space left on device (os error 28)\n";
         assert_eq!((output.status.code(), &*line), (Some(1), expected), "{arguments:?}");
     }
-    assert_eq!(runs::inspect(&folder)["iteration"], 2);
+    assert_eq!(inspect(&folder)["iteration"], 2);
 }
 
 #[test]
@@ -79,7 +76,7 @@ fn a_watch_that_nobody_reads_ends_and_the_run_goes_on() {
     let mut training = training.stdin(Stdio::piped()).stdout(unread()).spawn().unwrap();
     while !folder.join("checkpoints/LATEST").is_file() {
         assert_eq!(training.try_wait().unwrap(), None);
-        std::thread::yield_now();
+        std::thread::sleep(POLL_INTERVAL);
     }
     let watch = ["watch", folder.to_str().unwrap()];
     let watched = s2mia(&watch).stdout(unread()).stderr(Stdio::null()).status().unwrap();

@@ -1,0 +1,23 @@
+//! The program as its users meet it: commands, runs and their files, with real processes.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod cli;
+mod commands;
+mod configs;
+mod control;
+mod cue_service;
+mod damage;
+mod environment;
+mod folders;
+mod logs;
+mod output;
+mod own_task;
+mod page;
+mod processes;
+mod roles;
+mod runs;
+mod serve;
+mod shutdown;
+mod train;
+mod trained;
+mod waiting;
